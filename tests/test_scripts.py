@@ -153,6 +153,13 @@ RUNS: Final[Sequence[Run]] = (
     ),
     Run("research/traffic_evidence.py", "{clips}/labels.json {clips}", says="track 1: 1 ("),
     Run("research/traffic_gates.py", "t06_plaza_opening --out {out}", says="arm3"),
+    Run(
+        "research/traffic_hours.py",
+        "--hours 0.02 --kills 2 --out {out}/hours",
+        says="17 files: the same bytes",
+        apart=True,
+        slow=True,
+    ),
     Run("research/traffic_scores.py", "{clips}/t06_plaza_opening_day --true-keypoints", says="why missed: -"),
     Run("research/traffic_tables.py", "{clips}/no_results.json", says="why missed: -"),
     Run("research/traffic_truth.py", "t06_plaza_opening --seconds 0.5 --out {out}", slow=True),

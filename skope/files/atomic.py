@@ -3,12 +3,17 @@
 import contextlib
 import fcntl
 import os
+import re
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Final
 
 from skope.errors import UserError
 from skope.files.reading import read_bytes, sha256_of
+
+_LEFTOVER: Final = re.compile(r"\..*\.(\d+)\.part(?:\..*)?")
+"""Names that `replacing` gives to what is not yet whole."""
 
 
 @contextlib.contextmanager
@@ -28,6 +33,28 @@ def replacing(path: Path) -> Iterator[Path]:
     finally:
         with contextlib.suppress(OSError):  # where a parent is a file, even looking for it fails
             temporary.unlink()
+
+
+def remove_leftovers(folder: Path) -> None:
+    """Remove what a process that was killed while it wrote by `replacing` has left in a folder.
+
+    What a process that still lives is writing stays.
+    """
+    for path in folder.glob(".*.part*"):
+        found = _LEFTOVER.fullmatch(path.name)
+        if found and path.is_file() and not _lives(int(found[1])):
+            path.unlink(missing_ok=True)
+
+
+def _lives(pid: int) -> bool:
+    """Whether there is such a process on this machine."""
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    except (PermissionError, OverflowError):
+        return True
+    return True
 
 
 @contextlib.contextmanager

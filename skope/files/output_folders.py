@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from skope.errors import UserError
-from skope.files.atomic import file_in_place_of, replacing_folder, same_content, write_bytes
+from skope.files.atomic import file_in_place_of, remove_leftovers, replacing_folder, same_content, write_bytes
 from skope.files.json_files import json_bytes, parse_json, read_json, write_json
 from skope.files.reading import sha256_of
 from skope.version import __version__
@@ -25,7 +25,7 @@ def claim_output(folder: Path, command: str, inputs: Iterable[Path], options: Ma
     """Make `folder` the output folder of this work by writing its `work.json`, or refuse to.
 
     A folder can be claimed that is missing or empty, or whose `work.json` names the same work: what it holds is then
-    gone on with, or made again.
+    gone on with, or made again. What an earlier run was writing when it was killed is removed.
 
     Args:
         folder: The output folder.
@@ -43,6 +43,7 @@ def claim_output(folder: Path, command: str, inputs: Iterable[Path], options: Ma
     found = _recorded_work(folder, "--out")
     if found is not None and (different := differences(found, work)):
         raise UserError(f"--out: {folder} holds other work ({different}); {_CHOICE}")
+    remove_leftovers(folder)
     return _write_record(folder, work)
 
 

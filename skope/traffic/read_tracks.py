@@ -11,7 +11,7 @@ import numpy as np
 from skope.errors import UserError
 from skope.schema import CATEGORIES
 from skope.site.traffic_settings import CLASSES
-from skope.traffic.observation import Observation
+from skope.traffic.observation import FOOTAGE, Observation
 from skope.traffic.place_errors import place_covariance, speed_sigma
 from skope.traffic.trajectories import VEHICLE, Trajectory
 from skope.types import Array
@@ -34,6 +34,12 @@ _SHARED: Final = (
 _OF_VEHICLES: Final = (*_SHARED, "length", "width", "class", "class_confidence", "flags")
 _OF_OTHERS: Final = (*_SHARED, "category")
 Rows = list[dict[str, str]]
+
+
+def track_files(folder: Path) -> list[Path]:
+    """The files that a folder of tracks is read from; one of people and two-wheelers may be among them."""
+    names = (TRACKS_CSV, ROAD_USERS_CSV, FOOTAGE)
+    return [folder / name for name in names if name != ROAD_USERS_CSV or (folder / name).is_file()]
 
 
 def read_trajectories(folder: Path, observation: Observation) -> list[Trajectory]:

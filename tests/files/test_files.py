@@ -3,13 +3,17 @@
 import errno
 import json
 import os
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
+import skope
 from skope.errors import UserError
 from skope.files.atomic import link, replacing, replacing_folder, writing
 from skope.files.json_files import json_bytes, parse_json
+from skope.files.output_folders import claim_output
 from skope.files.reading import read_text
 
 
@@ -22,6 +26,29 @@ def test_a_folder_appears_when_it_is_whole(tmp_path: Path) -> None:
             assert not out.exists() or not any(out.iterdir())
         assert [path.name for path in out.iterdir()] == ["a"]
         assert [path.name for path in out.parent.iterdir() if path.name.startswith(".")] == []
+
+
+def test_what_a_killed_process_was_writing_goes_when_its_folder_is_claimed_again(tmp_path: Path) -> None:
+    """Files that somebody else is writing stay, and so do those of users."""
+    out = tmp_path / "out"
+    claim_output(out, "skope eval", [], {})
+    write = (
+        "import os, sys; sys.path.insert(0, '.'); from pathlib import Path; from skope.files.atomic import replacing"
+    )
+    kill = f"{write}\nwith replacing(Path(sys.argv[1])) as path:\n    path.write_text('half'); os.kill(os.getpid(), 9)"
+    root = Path(skope.__file__).parents[1]
+    assert subprocess.run([sys.executable, "-c", kill, out / "a.csv"], cwd=root).returncode == -9
+    (left,) = (path.name for path in out.glob(".*"))
+    with replacing(out / "b.csv") as writing_now:
+        writing_now.write_text("x")
+        for name in (".c.part.csv", "d.1.part.csv"):
+            (out / name).write_text("mine")
+        with pytest.raises(UserError, match="other work"):
+            claim_output(out, "skope eval", [], {"other": 1})
+        assert (out / left).is_file()
+        claim_output(out, "skope eval", [], {})
+        assert writing_now.is_file()
+    assert {path.name for path in out.iterdir()} == {"b.csv", ".c.part.csv", "d.1.part.csv", "work.json"}
 
 
 @pytest.mark.parametrize("kind", [ValueError, KeyboardInterrupt])

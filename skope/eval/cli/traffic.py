@@ -44,6 +44,9 @@ def traffic(
     checkpoint: Annotated[
         Path, data_option(metavar="PATH", help="Of footage: what to detect with, as `skope eval predict` takes it.")
     ] = Path(weights.DEFAULT),
+    otanalytics: Annotated[
+        bool, output("--otanalytics", help="Also tracks and gates as OTAnalytics reads them (.ottrk, .otflow).")
+    ] = False,
     out: Annotated[Path, output(metavar=DIR, help="Where to write.")] = TRAFFIC,
     hardware: FastMachineOptions,
     console: Console,
@@ -52,7 +55,7 @@ def traffic(
     from skope.site.site_file import read_site
     from skope.traffic.measure import measure
     from skope.traffic.observation import FOOTAGE, read_observation
-    from skope.traffic.read_tracks import ROAD_USERS_CSV, TRACKS_CSV, read_trajectories
+    from skope.traffic.read_tracks import TRACKS_CSV, read_trajectories, track_files
 
     read = read_site(site)
     for key in read.unknown:
@@ -61,13 +64,11 @@ def traffic(
     folder = Path(source)
     options = {"begins": None if start is None else start.isoformat()}
     if (folder / TRACKS_CSV).is_file() or (folder.is_dir() and (folder / FOOTAGE).is_file()):
-        names = (TRACKS_CSV, ROAD_USERS_CSV, FOOTAGE)
-        inputs = [folder / name for name in names if name != ROAD_USERS_CSV or (folder / name).is_file()]
         observation = read_observation(folder)
         tracks = read_trajectories(folder, observation)
-        claim_output(out, _COMMAND, [*inputs, site], options)
+        claim_output(out, _COMMAND, [*track_files(folder), site], options)
     elif (folder / FRAMES).is_file():
-        for line in _report_in_image(folder, read, start, out, options):
+        for line in _report_in_image(folder, read, start, out, options, otanalytics=otanalytics):
             console.result(line)
         return
     else:
@@ -76,15 +77,32 @@ def traffic(
         folder = tracked_footage(source, read, checkpoint, hardware, out, _COMMAND, options, console)
         observation = read_observation(folder)
         tracks = read_trajectories(folder, observation)
-    for line in _written(measure(tracks, observation, read, start), source, read, out):
+    further = _claimed(out, [*track_files(folder), site], options, read) if otanalytics else None
+    for line in _written(measure(tracks, observation, read, start), source, read, out, further):
         console.result(line)
 
 
-def _written(report: "TrafficReport", source: str, site: "SiteFile", out: Path) -> Iterator[str]:
-    """Write a report; yields what was written and found."""
+def _claimed(out: Path, inputs: list[Path], options: dict[str, str | None], site: "SiteFile") -> Path:
+    """The folder for OTAnalytics below `out`: work of its own, as tracks lie there as the site's camera sees them.
+
+    Raises UserError where it holds other work.
+    """
+    from skope.traffic.otanalytics import FOLDER
+
+    camera = None if site.camera is None else site.camera.camera.to_dict()
+    claim_output(out / FOLDER, _COMMAND, inputs, {**options, "camera": camera})
+    return out / FOLDER
+
+
+def _written(report: "TrafficReport", source: str, site: "SiteFile", out: Path, further: Path | None) -> Iterator[str]:
+    """Write a report, and what OTAnalytics reads to the folder `further`; yields what was written and found."""
+    from skope.traffic.otanalytics import write_otanalytics
     from skope.traffic.report_text import report_lines
     from skope.traffic.write_report import write_report
 
+    if further is not None:
+        for path in write_otanalytics(further, report, site.camera.camera if site.camera else None):
+            yield f"wrote {path}"
     for path in write_report(out, report, tracks=source, revision=site.revision):
         yield f"wrote {path}"
     yield from report_lines(report)
@@ -93,7 +111,13 @@ def _written(report: "TrafficReport", source: str, site: "SiteFile", out: Path) 
 
 
 def _report_in_image(
-    folder: Path, site: "SiteFile", start: datetime | None, out: Path, options: dict[str, str | None]
+    folder: Path,
+    site: "SiteFile",
+    start: datetime | None,
+    out: Path,
+    options: dict[str, str | None],
+    *,
+    otanalytics: bool,
 ) -> Iterator[str]:
     """Count by gates in the image what `skope eval predict` has followed.
 
@@ -108,8 +132,10 @@ def _report_in_image(
             f"metres of it where the camera is known; without, {site.path} needs image_gates"
         )
     tracks, observation = read_image_trajectories(folder)
-    claim_output(out, _COMMAND, [folder / FRAMES, folder / PREDICTIONS, site.path], options)
-    yield from _written(count_in_image(tracks, observation, site, start), str(folder), site, out)
+    inputs = [folder / FRAMES, folder / PREDICTIONS, site.path]
+    claim_output(out, _COMMAND, inputs, options)
+    further = _claimed(out, inputs, options, site) if otanalytics else None
+    yield from _written(count_in_image(tracks, observation, site, start), str(folder), site, out, further)
 
 
 def _start(text: str | None, site: "SiteFile") -> datetime | None:

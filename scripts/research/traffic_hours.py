@@ -1,0 +1,249 @@
+"""Hours of made-up tracks through `skope eval traffic`: time, memory, size; and killed at random, begun again.
+
+    python scripts/research/traffic_hours.py --hours 1 --kills 5 --out hours
+
+It makes tracks of a crossroads with signals, as `skope eval track` writes them, and measures them once undisturbed and
+once in another folder, where the command is killed (SIGKILL) at moments that are drawn anew each time, also while it
+writes, and begun again. In the end both folders must hold the same bytes.
+"""
+
+import argparse
+import csv
+import math
+import os
+import random
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from skope.files.json_files import write_json
+from skope.traffic.observation import FOOTAGE, Observation
+from skope.traffic.read_tracks import TRACKS_CSV
+from skope.types import Array
+
+PER_HOUR: Final = 800
+HALF_M: Final = 100.0
+"""Ways begin and end so far from the middle of the crossroads."""
+LANE_M: Final = 2.0
+GREEN_S: Final = 30.0
+"""One road is green for so long, then the other one."""
+CLEAR_S: Final = 0.5
+"""And nobody comes at the end of it: short enough for conflicts."""
+HEADWAY_S: Final = 1.8
+SIZES: Final = {"car": (4.4, 1.8), "van": (5.4, 2.0), "lorry": (9.0, 2.5), "bus": (12.0, 2.5)}
+SHARES: Final = (0.75, 0.12, 0.09, 0.04)
+COLUMNS: Final = (
+    "track", "time_s", "x", "y", "z", "heading_deg", "vx", "vy", "measured", "sigma_position", "sigma_speed", "length",
+    "width", "class", "class_confidence", "flags",
+)  # fmt: skip
+SITE: Final = """time_zone = "Europe/Berlin"
+start = 2026-11-26T06:00:00
+
+[camera]
+size = [1280, 720]
+fov_deg = 90.0
+position = [0, -90, 25]
+yaw_deg = 90.0
+pitch_deg = 18.0
+
+[[gates]]
+name = "east"
+line = [[20, -8], [20, 8]]
+directions = ["in", "out"]
+
+[[gates]]
+name = "west"
+line = [[-20, 8], [-20, -8]]
+directions = ["in", "out"]
+
+[[gates]]
+name = "north"
+line = [[8, 20], [-8, 20]]
+directions = ["in", "out"]
+
+[[gates]]
+name = "south"
+line = [[-8, -20], [8, -20]]
+directions = ["in", "out"]
+
+[[zones]]
+name = "box"
+polygon = [[-8, -8], [8, -8], [8, 8], [-8, 8]]
+
+[[lanes]]
+name = "east in"
+line = [[100, 2], [9, 2]]
+width = 3.5
+"""
+
+
+# -------------------------------------------------------------------------------------------------------------- tracks
+
+
+def make_tracks(folder: Path, hours: float, fps: float, seed: int) -> tuple[int, int]:
+    """Write a folder of tracks; returns how many vehicles and rows it has."""
+    folder.mkdir(parents=True)
+    rng = np.random.default_rng(seed)
+    rows = number = 0
+    with (folder / TRACKS_CSV).open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(COLUMNS)
+        for begin_s, arm in arrivals(rng, hours * 3600):
+            number += 1
+            for row in drive(rng, number, begin_s, arm, fps):
+                writer.writerow(row)
+                rows += 1
+    times = np.arange(round(hours * 3600 * fps)) / fps
+    watched = Observation(
+        times_s=times, source="hours.mp4", common_sigma=0.01, eye=(0.0, -90.0, 25.0), road_sigma_m=0.04
+    )
+    write_json(folder / FOOTAGE, watched.to_dict())
+    return number, rows
+
+
+def arrivals(rng: np.random.Generator, seconds: float) -> Iterator[tuple[float, int]]:
+    """When vehicles come to the crossroads on which arm, in order: those of one green one behind the other."""
+    mean = PER_HOUR / 3600 * GREEN_S / 2
+    for phase in range(int(seconds // GREEN_S)):
+        came = []
+        for arm in (phase % 2, phase % 2 + 2):
+            count = min(int(rng.poisson(mean)), int((GREEN_S - CLEAR_S) / HEADWAY_S) - 1)
+            gaps = HEADWAY_S + rng.exponential((GREEN_S - CLEAR_S - count * HEADWAY_S) / (count + 1), count)
+            came += [(phase * GREEN_S + float(at), arm) for at in np.cumsum(gaps) if at < GREEN_S - CLEAR_S]
+        yield from sorted(came)
+
+
+def drive(rng: np.random.Generator, number: int, begin_s: float, arm: int, fps: float) -> Iterator[list[object]]:
+    """The rows of somebody who drives straight on, or turns right, with errors of some centimetres."""
+    name = str(rng.choice(list(SIZES), p=SHARES))
+    speed = float(rng.normal(12, 0.3))
+    way = straight_on(speed, fps) if rng.random() < 0.8 else to_the_right(speed, fps)
+    turn = np.pi / 2 * arm
+    cosine, sine = math.cos(turn), math.sin(turn)
+    way = way @ np.array([[cosine, sine], [-sine, cosine]])
+    place = way + np.cumsum(rng.normal(0, 0.004, way.shape), axis=0)
+    velocity = np.gradient(place, 1 / fps, axis=0)
+    heading = np.degrees(np.arctan2(velocity[:, 1], velocity[:, 0]))
+    length, width = SIZES[name]
+    first = math.ceil(begin_s * fps)
+    for i in range(len(way)):
+        yield [
+            number, f"{(first + i) / fps:.4f}", *(f"{v:.3f}" for v in place[i]), "0.000", f"{heading[i]:.2f}",
+            *(f"{v:.3f}" for v in velocity[i]), int(i % 5 != 3), "0.080", "0.150", length, width, name, "0.92", "",
+        ]  # fmt: skip
+
+
+def straight_on(speed: float, fps: float) -> Array:
+    """(M, 2) from the east to the west, on the right."""
+    x = np.arange(HALF_M, -HALF_M, -speed / fps)
+    return np.stack([x, np.full_like(x, LANE_M)], axis=1)
+
+
+def to_the_right(speed: float, fps: float) -> Array:
+    """(M, 2) from the east to the north."""
+    radius, end = 6.0, LANE_M + 6.0
+    length = 2 * (HALF_M - end) + radius * np.pi / 2
+    at = np.arange(0, length, speed / fps)
+    angle = np.clip((at - (HALF_M - end)) / radius, 0, np.pi / 2)
+    after = np.maximum(at - (HALF_M - end) - radius * np.pi / 2, 0)
+    x = np.where(at < HALF_M - end, HALF_M - at, end - radius * np.sin(angle))
+    y = np.where(at < HALF_M - end, LANE_M, end - radius * np.cos(angle) + after)
+    return np.stack([x, y], axis=1)
+
+
+# ----------------------------------------------------------------------------------------------------------- measuring
+
+
+def started(tracks: Path, site: Path, out: Path) -> subprocess.Popen[bytes]:
+    words = ["eval", "traffic", str(tracks), "--site", str(site), "--otanalytics", "--out", str(out), "-q"]
+    return subprocess.Popen([sys.executable, "-m", "skope", *words], stdout=subprocess.DEVNULL)
+
+
+def finished(process: subprocess.Popen[bytes]) -> tuple[int, float]:
+    """Exit code and peak memory, MB."""
+    _, status, used = os.wait4(process.pid, 0)
+    process.returncode = os.waitstatus_to_exitcode(status)
+    return process.returncode, used.ru_maxrss / 1024
+
+
+def killed(process: subprocess.Popen[bytes], out: Path, draw: random.Random, seconds: float) -> str:
+    """Kill a run at a moment: after a drawn time, or as soon as a drawn number of files are there; says when."""
+    begun = time.monotonic()
+    files = len(list(out.rglob("*")))
+    if draw.random() < 0.5:
+        after = draw.uniform(0.05, 0.95) * seconds
+        while time.monotonic() - begun < after and process.poll() is None:
+            time.sleep(0.002)
+    else:
+        # What is being written bears another name: a file more, or one with a dot.
+        wanted = draw.randint(1, 12)
+        seen = set[str]()
+        while len(seen) < wanted and process.poll() is None:
+            seen |= {path.name for path in out.rglob(".*.part*")}
+            time.sleep(0.0005)
+    process.send_signal(signal.SIGKILL)
+    code = finished(process)[0] if process.returncode is None else process.returncode
+    left = len(list(out.rglob(".*.part*")))
+    there = "finished before" if code == 0 else f"killed after {time.monotonic() - begun:.1f} s"
+    return f"{there}; files {files} -> {len(list(out.rglob('*')))}, {left} half-written"
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--hours", type=float, default=1.0, help="of footage, 8 for a working day")
+    parser.add_argument("--fps", type=float, default=10.0)
+    parser.add_argument("--kills", type=int, default=5, help="how often the second run is killed")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--out", type=Path, required=True, help="a new folder")
+    options = parser.parse_args()
+    out = options.out
+    tracks, site = out / "tracks", out / "site.toml"
+    vehicles, rows = make_tracks(tracks, options.hours, options.fps, options.seed)
+    site.write_text(SITE, encoding="utf-8")
+
+    begun = time.monotonic()
+    code, peak = finished(started(tracks, site, out / "whole"))
+    seconds = time.monotonic() - begun
+    if code:
+        sys.exit(f"skope eval traffic ended with {code}")
+    whole = contents(out / "whole")
+    sizes = {name: len(data) / 1e6 for name, data in whole.items()}
+    print("| hours | vehicles | rows | tracks, MB | seconds | peak MB | report, MB | largest |")
+    largest = ", ".join(f"{name} {size:.2f}" for name, size in sorted(sizes.items(), key=lambda one: -one[1])[:4])
+    read = sum(path.stat().st_size for path in tracks.iterdir()) / 1e6
+    cells = (
+        options.hours,
+        vehicles,
+        rows,
+        f"{read:.1f}",
+        f"{seconds:.1f}",
+        f"{peak:.0f}",
+        f"{sum(sizes.values()):.1f}",
+    )
+    print(f"| {' | '.join(map(str, cells))} | {largest} |", flush=True)
+
+    draw = random.Random(options.seed)
+    for _ in range(options.kills):
+        print(killed(started(tracks, site, out / "killed"), out / "killed", draw, seconds), flush=True)
+    code, _ = finished(started(tracks, site, out / "killed"))
+    again = contents(out / "killed")
+    different = sorted(name for name in whole.keys() | again.keys() if whole.get(name) != again.get(name))
+    if code or different:
+        sys.exit(f"begun again it ended with {code}; different: {', '.join(different) or 'nothing'}")
+    print(f"{len(whole)} files: the same bytes")
+    shutil.rmtree(out / "killed")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,201 @@
+"""Tracks and gates as OTAnalytics reads them: `.ottrk` (bzip2 of JSON) and `.otflow` (JSON).
+
+A box there has a point that counts, at a share of its width and height which each section chooses. Boxes of no extent
+are written, at the place that counts here: so their point is that place, whatever share a section has, and nothing is
+told of boxes that is not known. The formats are those of OTVision's tracks, version 1.1, and of OTAnalytics 0.7.
+"""
+
+import bz2
+import hashlib
+import itertools
+import json
+import math
+import re
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from skope.camera.model import Camera
+from skope.files.atomic import replacing, write_text
+from skope.files.json_files import json_bytes
+from skope.traffic.measure import TrafficReport
+from skope.traffic.otanalytics_view import OtView, image_view, pixel_view, plan_view
+from skope.traffic.trajectories import Trajectory, wandering
+from skope.version import __version__
+
+FOLDER: Final = "otanalytics"
+"""Where a report's files for OTAnalytics lie, below it: that program writes files of its own beside tracks."""
+CLASSES: Final = {
+    "car": "car",
+    "van": "delivery_van",
+    "lorry": "truck",
+    "bus": "bus",
+    "unknown": "other",
+    "motorcycle": "motorcyclist",
+    "bicycle": "bicyclist",
+    "pedestrian": "pedestrian",
+}
+"""What OpenTrafficCam calls the classes."""
+_LONGEST: Final = 12_000
+"""OTAnalytics leaves out tracks of more detections than these: they are thinned."""
+_HOST: Final = re.compile(r"[A-Za-z0-9]+_.*")
+"""Names of footage from which OTAnalytics takes a camera's name."""
+_FPS: Final = 10.0
+"""Frames a second of footage of one frame, which says nothing of that."""
+_DIGITS: Final = 4
+
+
+def write_otanalytics(folder: Path, report: TrafficReport, camera: Camera | None = None) -> list[Path]:
+    """Write what a report counted, tracks and gates, for OTAnalytics.
+
+    Of a report in metres these are `plan.ottrk` and `plan.otflow`, the road from above with its georeference, which
+    OTAnalytics counts in metres, and with a camera `image.ottrk` and `image.otflow`, in the camera's image. Of a report
+    without metres these two alone. The tracks are those that may count here: confirmed, of the site's classes, and not
+    of somebody who never moved.
+
+    Args:
+        folder: The folder.
+        report: What was measured.
+        camera: What the footage was seen with, over a road at z = 0; None: not known.
+
+    Returns:
+        The files.
+    """
+    chosen = [one for one in report.trajectories if wandering(one) and one.class_name in report.site.traffic.classes]
+    if report.metres:
+        views = [plan_view(report.site, chosen)]
+        views += [] if camera is None else [image_view(report.site, camera)]
+    else:
+        views = [pixel_view(report.site)]
+    written = []
+    for view in views:
+        written += [folder / f"{view.name}.ottrk", folder / f"{view.name}.otflow"]
+        _write_tracks(written[-2], report, chosen, view)
+        write_text(written[-1], json.dumps(flow_document(report, view), indent=4, ensure_ascii=False) + "\n")
+    return written
+
+
+def _write_tracks(path: Path, report: TrafficReport, tracks: Sequence[Trajectory], view: OtView) -> None:
+    """One detection after the other: of some hours there are millions."""
+    head = json_bytes(_metadata(report, view))
+    with replacing(path) as temporary, bz2.open(temporary, "wb") as file:
+        file.write(b'{"metadata":' + head + b',"data":{"detections":[')
+        separator = b"\n"
+        for one in tracks:
+            for detection in _detections(one, report, view):
+                file.write(separator + json_bytes(detection))
+                separator = b",\n"
+        file.write(b"\n]}}\n")
+
+
+def _metadata(report: TrafficReport, view: OtView) -> dict[str, Any]:
+    observation = report.observation
+    times = observation.times_s
+    fps = 1 / float(np.median(np.diff(times))) if len(times) > 1 else _FPS
+    start = _epoch(report) + (float(times[0]) if len(times) else 0.0)
+    seconds = float(times[-1] - times[0]) + 1 / fps if len(times) else 0.0
+    name = Path(observation.source or "footage.mp4")
+    size = {} if view.size is None else dict(zip(("width", "height"), view.size, strict=True))
+    run = hashlib.sha256(json_bytes([str(name), start, np.round(times, _DIGITS).tolist()])).hexdigest()
+    return {
+        "otdet_version": "1.4",
+        "ottrk_version": "1.1",
+        "video": {
+            "filename": name.stem if _HOST.fullmatch(name.stem) else f"skope_{name.stem}",
+            "filetype": name.suffix or ".mp4",
+            **size,
+            "recorded_fps": fps,
+            "actual_fps": fps,
+            "number_of_frames": len(times),
+            "recorded_start_date": start,
+            "length": _duration(seconds),
+            "expected_duration": math.ceil(seconds),
+        },
+        "detection": {
+            "otvision_version": f"skope {__version__}",
+            "model": {"name": "skope", "classes": {str(k): name for k, name in enumerate(CLASSES.values())}},
+        },
+        # Tracks of several files are told apart by this.
+        "tracking": {"otvision_version": f"skope {__version__}", "tracking_run_id": run[:12], "frame_group": "0"},
+        **({} if view.georeference is None else {"georeference": view.georeference}),
+    }
+
+
+def _detections(track: Trajectory, report: TrafficReport, view: OtView) -> Iterator[dict[str, Any]]:
+    """The moments of a track at which it is in the view's picture."""
+    places = view.pixels(track.place)
+    rows = np.flatnonzero(view.inside(places))
+    rows = rows[:: math.ceil(len(rows) / _LONGEST) or 1].tolist()
+    frames = 1 + _nearest(report.observation.times_s, track.times_s)
+    geo = None if view.geo is None else np.round(view.geo(track.place), _DIGITS).tolist()
+    pixels = np.round(places, _DIGITS).tolist()
+    start = _epoch(report)
+    for row in rows:
+        yield {
+            "class": CLASSES[track.class_name],
+            "confidence": track.class_confidence,
+            "x": pixels[row][0],
+            "y": pixels[row][1],
+            "w": 0,
+            "h": 0,
+            "frame": int(frames[row]),
+            "occurrence": start + float(track.times_s[row]),
+            "interpolated-detection": not track.measured[row],
+            "first": row == rows[0],
+            "finished": row == rows[-1],
+            "track-id": track.number,
+            **({} if geo is None else {"geo_x": geo[row][0], "geo_y": geo[row][1]}),
+        }
+
+
+def flow_document(report: TrafficReport, view: OtView) -> dict[str, Any]:
+    """The gates of a view as lines, and their ordered pairs as flows, as an `.otflow` has them.
+
+    A gate is a flow to itself where somebody turned around there.
+    """
+    settings = report.site.traffic
+    sections = []
+    numbers: dict[str, str] = {}
+    for number, (gate, line) in enumerate((*view.gates, *view.further), start=1):
+        if number <= len(view.gates) and (settings.turning is None or gate.name in settings.turning):
+            numbers[gate.name] = str(number)
+        sections.append(
+            {
+                "id": str(number),
+                "name": gate.name,
+                "type": "line",
+                "relative_offset_coordinates": {"section-enter": {"x": 0.5, "y": 0.5}},
+                "coordinates": [{"x": round(x, _DIGITS), "y": round(y, _DIGITS)} for x, y in line],
+                "plugin_data": {},
+            }
+        )
+    turned = {(one.origin[0], one.destination[0]) for one in report.turning_total}
+    flows = [
+        {"id": str(number), "name": f"{a} -> {b}", "start": numbers[a], "end": numbers[b], "distance": None}
+        for number, (a, b) in enumerate(
+            ((a, b) for a, b in itertools.product(numbers, repeat=2) if a != b or (a, b) in turned), start=1
+        )
+    ]
+    return {"sections": sections, "flows": flows}
+
+
+def _epoch(report: TrafficReport) -> float:
+    """Second 0 of the footage in seconds since 1970, UTC; 0 where it is not known when that was."""
+    return 0.0 if report.start is None else report.start.timestamp()
+
+
+def _nearest(times_s: Any, wanted_s: Any) -> Any:
+    """(M,) index of the nearest of rising times (F,); 0 where there is none."""
+    if not len(times_s):
+        return np.zeros(len(wanted_s), dtype=np.int64)
+    after = np.searchsorted(times_s, wanted_s).clip(1, max(1, len(times_s) - 1))
+    before = after - 1
+    after = after.clip(max=len(times_s) - 1)
+    return np.where(wanted_s - times_s[before] < times_s[after] - wanted_s, before, after)
+
+
+def _duration(seconds: float) -> str:
+    whole = math.ceil(seconds)
+    return f"{whole // 3600}:{whole // 60 % 60:02d}:{whole % 60:02d}"

@@ -1,0 +1,146 @@
+"""What OTAnalytics draws tracks and gates on: the camera's image, or the road from above with its georeference."""
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skope.camera.model import Camera
+from skope.site.marks import Gate, Outline
+from skope.traffic.trajectories import Trajectory
+from skope.types import Array
+
+if TYPE_CHECKING:
+    from skope.site.site_file import SiteParts
+
+_LEGS: Final = 64
+"""A gate is cut into so many legs before its image is made: distortion bends it."""
+_STRAIGHT_PX: Final = 0.05
+"""Points of a gate's image that lie so near to a straight leg are left out."""
+_PX_PER_M: Final = 10
+"""Pixels of the picture from above in a metre."""
+_MARGIN_M: Final = 5
+"""The picture from above has so much around what lies in it."""
+_LOCAL: Final = 'LOCAL_CS["metres of the site",UNIT["metre",1]]'
+"""Coordinate system of a site that is not in the grid of a map."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class OtView:
+    """A picture that places of the road are pixels of."""
+
+    name: str
+    """Stem of the files' names."""
+    size: tuple[int, int] | None
+    """Width and height, pixels; None: not known."""
+    pixels: Callable[[Array], Array]
+    """Takes places (M, 2) of a trajectory to columns and rows (M, 2); NaN where they have none."""
+    gates: tuple[tuple[Gate, Outline], ...]
+    """The gates that counted, and their lines in pixels."""
+    further: tuple[tuple[Gate, Outline], ...] = ()
+    """Other ones, which have no movements."""
+    georeference: dict[str, Any] | None = None
+    """An entry of the `.ottrk`, which makes OTAnalytics count in metres; None: the picture is a camera's."""
+    geo: Callable[[Array], Array] | None = None
+    """Takes places (M, 2) to metres (M, 2) of the georeference's coordinate system; None where there is none."""
+
+    def inside(self, pixels: Array) -> NDArray[np.bool_]:
+        """(M,) which pixels (M, 2) lie in the picture: OTAnalytics refuses a file with any before its edges."""
+        return np.asarray(((pixels >= 0) & (pixels <= (self.size or np.inf))).all(axis=1))
+
+
+def image_view(site: "SiteParts", camera: Camera) -> OtView:
+    """What a camera sees of places in metres on a road at z = 0, where gates are drawn.
+
+    Of gates the part that lies in the image is kept, the longest one of several. Those that are drawn in the image stay
+    as they are; where one on the road has the same name, theirs gets "(image)".
+    """
+
+    def pixels(places: Array) -> Array:
+        return camera.project(np.column_stack([places, np.zeros(len(places))]))[0]
+
+    names = {gate.name for gate in site.gates}
+    own = [replace(gate, name=f"{gate.name} (image)" if gate.name in names else gate.name) for gate in site.image_gates]
+    lines = [(gate, _bent(gate, pixels, (camera.width, camera.height))) for gate in site.gates]
+    return OtView(
+        name="image",
+        size=(camera.width, camera.height),
+        pixels=pixels,
+        gates=tuple((gate, line) for gate, line in lines if len(line) > 1),
+        further=tuple((gate, gate.line) for gate in own),
+    )
+
+
+def pixel_view(site: "SiteParts") -> OtView:
+    """The image that gates are drawn in, of a report without metres: places are columns and negative rows there."""
+    return OtView(
+        name="image",
+        size=None,
+        pixels=lambda places: places * [1.0, -1.0],
+        gates=tuple((gate, gate.line) for gate in site.image_gates),
+    )
+
+
+def plan_view(site: "SiteParts", trajectories: Sequence[Trajectory]) -> OtView:
+    """The road from above: a picture, nowhere drawn, that holds all gates and trajectories, ten pixels to a metre."""
+    places = [np.array(gate.line) for gate in site.gates] + [one.place for one in trajectories]
+    shift, crs = _map_of(site)
+    everywhere = np.concatenate([*places, np.zeros((0, 2))]) + shift
+    low, high = (everywhere.min(axis=0), everywhere.max(axis=0)) if len(everywhere) else (shift, shift)
+    west, south = (math.floor(v) - _MARGIN_M for v in low)
+    east, north = (math.ceil(v) + _MARGIN_M for v in high)
+    width, height = (east - west) * _PX_PER_M, (north - south) * _PX_PER_M
+
+    def geo(places: Array) -> Array:
+        return np.asarray(places + shift)
+
+    def pixels(places: Array) -> Array:
+        return np.asarray((geo(places) - [west, north]) * [_PX_PER_M, -_PX_PER_M])
+
+    return OtView(
+        name="plan",
+        size=(width, height),
+        pixels=pixels,
+        gates=tuple((gate, _outline(pixels(np.array(gate.line)))) for gate in site.gates),
+        georeference={
+            "geo_bounds": {"min_x": west, "min_y": south, "max_x": east, "max_y": north},
+            "birds_eye_view_size": {"width": width, "height": height},
+            "padding": 0,
+            "crs": crs,
+        },
+        geo=geo,
+    )
+
+
+def _map_of(site: "SiteParts") -> tuple[Array, str]:
+    """(2,) what to add to places, metres, and the coordinate system that they are in then.
+
+    That is the map's where the site says where its (0, 0) is on a UTM grid, else the site's own.
+    """
+    world = site.world or {}
+    origin = world.get("origin", {})
+    if "easting" not in origin or world.get("axes", "east, north") != "east, north":
+        return np.zeros(2), _LOCAL
+    zone = str(world["utm_zone"])
+    code = world.get("epsg", (32600 if zone.endswith("N") else 32700) + int(zone[:-1]))
+    return np.array([origin["easting"], origin["northing"]]), f"EPSG:{code}"
+
+
+def _bent(gate: Gate, pixels: Callable[[Array], Array], size: tuple[int, int]) -> Outline:
+    """The part of a gate's image that lies in an image of a size, the longest one of several; empty for none."""
+    from shapely import LineString, box, get_parts
+
+    ends = np.array(gate.line)
+    line = pixels(ends[0] + np.linspace(0, 1, _LEGS + 1)[:, None] * (ends[1] - ends[0]))
+    valid = np.isfinite(line[:, 0])
+    runs = np.split(np.arange(len(line)), np.flatnonzero(np.diff(valid)) + 1)
+    drawn = [LineString(line[run]) for run in runs if valid[run[0]] and len(run) > 1]
+    parts = [part for one in drawn for part in get_parts(one.intersection(box(0, 0, *size))) if part.length > 0]
+    return _outline(max(parts, key=lambda part: part.length).simplify(_STRAIGHT_PX).coords) if parts else ()
+
+
+def _outline(points: Iterable[Sequence[float]]) -> Outline:
+    return tuple((float(x), float(y)) for x, y in points)
