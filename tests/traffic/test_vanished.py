@@ -1,0 +1,126 @@
+"""Who crosses a gate and is not counted: lost before it, found behind it, or hardly followed."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from skope.site.site_file import SiteParts
+from skope.site.traffic_settings import TrafficSettings
+from skope.traffic.clock import ClockInterval
+from skope.traffic.event_probability import crossing_probability, usual_step
+from skope.traffic.measure import TrafficReport, measure
+from skope.traffic.trajectories import Trajectory
+from tests.traffic.drives import GATE, straight, watched
+
+ALWAYS = ClockInterval(begin_s=0.0, end_s=100.0, begin=None, end=None)
+SITE = SiteParts(
+    calibration=None,
+    gates=(GATE,),
+    image_gates=(),
+    zones=(),
+    lanes=(),
+    time_zone=None,
+    start=None,
+    world=None,
+    plan=None,
+    traffic=TrafficSettings(),
+    unknown=(),
+)
+
+
+def told(*tracks: Trajectory) -> TrafficReport:
+    return measure(tracks, watched(60.0), SITE)
+
+
+def between(report: TrafficReport, direction: str) -> tuple[int, int] | None:
+    (one,) = (one for one in report.counts_total if one.direction == direction)
+    return None if one.expected is None else (one.expected.low, one.expected.high)
+
+
+@pytest.mark.parametrize(
+    ("start", "velocity", "direction", "begins"),
+    [
+        ((-45, 0), (10, 0), 0, False),  # ends 5 m before, half a second away
+        ((5, 0), (10, 0), 0, True),
+        ((45, 0), (-10, 0), 1, False),
+        ((-5, 0), (-10, 0), 1, True),
+    ],
+)
+def test_who_is_lost_before_a_gate_or_found_behind_it_may_have_crossed(
+    start: tuple[float, float], velocity: tuple[float, float], direction: int, begins: bool
+) -> None:
+    report = told(straight(1, start, velocity, 4.0, begin_s=10.0))
+    (one,) = report.unseen.vanished
+    assert (one.direction, one.begins) == (direction, begins)
+    assert one.time_s == pytest.approx(9.5 if begins else 14.5)
+    names = ("west", "east")
+    assert not report.crossings
+    low, high = between(report, names[direction]) or (None, None)
+    assert (low, high) == (0, 1)
+    assert between(report, names[1 - direction]) == (0, 3), "two-wheelers and people are missed often"
+
+
+def test_who_ends_elsewhere_has_crossed_nothing() -> None:
+    observed = watched(60.0)
+    tracks = {
+        "ends with the footage": straight(1, (-45, 0), (10, 0), 4.0, begin_s=56.0),
+        "far away": straight(2, (-90, 0), (10, 0), 4.0, begin_s=10.0),
+        "drives away": straight(3, (-5, 0), (-10, 0), 2.0, begin_s=0.0),
+        "beside the gate": straight(4, (-45, 8), (10, 0), 4.0, begin_s=10.0),
+        "along the gate": straight(5, (-2, -20), (0, 8), 4.0, begin_s=10.0),
+        "crosses": straight(6, (-20, 0), (10, 0), 4.0, begin_s=10.0),
+    }
+    for why, track in tracks.items():
+        assert not measure([track], observed, SITE).unseen.vanished, why
+
+
+def test_many_who_are_lost_before_a_gate_make_its_count_as_uncertain_as_they_are_many() -> None:
+    report = told(*(straight(k, (-45, 0), (10, 0), 4.0, begin_s=2.0 + k) for k in range(20)))
+    assert between(report, "west") == (1, 20)
+    assert report.unseen.most("g", 0, ALWAYS, ["car"]) == 20
+    assert report.unseen.most("g", 0, ALWAYS, ["van"]) == 0
+
+
+def test_a_gate_that_nobody_was_ever_seen_near_has_no_count_that_is_known() -> None:
+    report = told(straight(1, (-90, 40), (5, 0), 6.0, begin_s=10.0))
+    assert between(report, "west") is None
+    assert any("gate 'g': nobody was ever seen near it" in line for line in report.refused)
+    assert all(one.expected is None for one in report.counts)
+
+
+def glimpsed() -> Trajectory:
+    """A vehicle over three seconds of which it is seen in three moments, vaguely."""
+    track = straight(1, (-15, 0), (10, 0), 3.0, begin_s=14.5, sigma=0.4)
+    return replace(track, measured=np.isin(np.arange(31), (0, 12, 24)))
+
+
+def seldom(every: int, sigma: float = 0.15) -> Trajectory:
+    track = straight(1, (-60, 0), (10, 0), 12.0, begin_s=10.0, sigma=sigma)
+    return replace(track, measured=np.arange(len(track.times_s)) % every == 0)
+
+
+def test_how_sure_a_crossing_is_follows_from_how_it_is_followed() -> None:
+    assert crossing_probability(seldom(1), 16.0, 0.1) > 0.98
+    assert crossing_probability(glimpsed(), 16.0, 0.1) < 0.5
+    vague = seldom(1, 0.8)
+    unknown = replace(seldom(3), class_name="unknown")
+    assert crossing_probability(vague, 16.0, 0.1) < crossing_probability(seldom(1), 16.0, 0.1) - 0.05
+    assert crossing_probability(unknown, 16.0, 0.1) < crossing_probability(seldom(3), 16.0, 0.1) - 0.02
+
+
+def test_who_is_seen_in_key_frames_alone_is_not_less_sure_for_that() -> None:
+    keys = [seldom(5), replace(seldom(5), number=2)]
+    assert usual_step(keys) == pytest.approx(0.5)
+    assert crossing_probability(keys[0], 16.0, usual_step(keys)) > 0.97
+
+
+def test_a_crossing_that_is_more_probably_none_is_not_counted() -> None:
+    others = [straight(k, (-30, 3), (10, 0), 6.0, begin_s=3.0 * k) for k in range(2, 12)]
+    report = told(*others, glimpsed())
+    assert [one.trajectory.number for one in report.unseen.doubtful] == [1]
+    assert len(report.crossings) == 10
+    assert any("1 crossings are more probably none than one" in line for line in report.refused)
+    low, high = between(report, "west") or (0, 0)
+    assert low == 10
+    assert high >= 11
