@@ -91,7 +91,7 @@ def test_a_gate_that_nobody_was_ever_seen_near_has_no_count_that_is_known() -> N
 
 def glimpsed() -> Trajectory:
     """A vehicle over three seconds of which it is seen in three moments, vaguely."""
-    track = straight(1, (-15, 0), (10, 0), 3.0, begin_s=14.5, sigma=0.4)
+    track = straight(1, (-15, 0), (10, 0), 3.0, begin_s=14.5, sigma=0.6)
     return replace(track, measured=np.isin(np.arange(31), (0, 12, 24)))
 
 
