@@ -144,7 +144,7 @@ RUNS: Final[Sequence[Run]] = (
     ),
     Run(
         "research/site_vehicles.py",
-        "--draws 1 --cameras 1 --vehicles 5",
+        "--draws 1 --cameras 1 --vehicles 5 --size-sigma 0.04",
         says="mean over the cameras",
         slow=True,
     ),
