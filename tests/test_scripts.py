@@ -138,7 +138,13 @@ RUNS: Final[Sequence[Run]] = (
     Run("train_leg.py", "join {out} --out {out}/a.safetensors", says="parts.json", code=2),
     Run(
         "research/site_calibration.py",
-        "--draws 1 --cameras 1 --vehicle-draws 1 --vehicles 5",
+        "--draws 1 --cameras 1 --rows 4-points 6-points-one-wrong lengths",
+        says="all cameras: ",
+        slow=True,
+    ),
+    Run(
+        "research/site_vehicles.py",
+        "--draws 1 --cameras 1 --vehicles 5 --size-sigma 0.04",
         says="mean over the cameras",
         slow=True,
     ),

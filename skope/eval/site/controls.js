@@ -75,5 +75,5 @@ export function legend(list) {
     item.append(chip, words);
     return item;
   });
-  list.replaceChildren(text("li", "How far off a place on the road may be (in 9 of 10 cases)"), ...chips);
+  list.replaceChildren(text("li", "How far off places may be (in 9 of 10 cases)"), ...chips);
 }

@@ -44,7 +44,9 @@ function placesOf(kind, index, entry, { view, look }) {
 const shapeOf = (look, kind, index) => look && look.shapes.find((one) => one.kind === kind && one.index === index);
 
 // Draws everything anew; the handle that had the focus has it again.
-export function redraw(svg, page) {
+export function redraw(svg, shown) {
+  const { x, width } = svg.viewBox.baseVal;
+  const page = { ...shown, right: x + width, taken: [], labels: [] };
   const active = document.activeElement;
   const focused = svg.contains(active) ? active.dataset.handle : null;
   const parts = [];
@@ -52,7 +54,7 @@ export function redraw(svg, page) {
   for (const kind of [...DRAWN, ...MARKED]) {
     page.document[kind].forEach((entry, index) => parts.push(ofEntry(kind, index, entry, page)));
   }
-  parts.push(...ofPending(page));
+  parts.push(...page.labels, ...ofPending(page));
   svg.replaceChildren(...parts);
   if (focused) svg.querySelector(`[data-handle="${focused}"]`)?.focus({ preventScroll: true });
 }
@@ -64,14 +66,14 @@ function ofCamera(page) {
   const out = [];
   if (layers.grid) {
     out.push(element("path", { class: "grid", d: lines(drawn.grid) }), ...rimmed(lines(drawn.horizon), "horizon"));
-    const names = namesOf(page).map(([at, text]) => boxOf(at, text, unit));
+    const names = namesOf(page).map((name) => boxOf(name, unit));
     let above = Infinity; // far away, labels would lie on one another
     for (const { at, text } of drawn.labels) {
       const place = [at[0] + 4 * unit, at[1] - 3 * unit];
       // With a mark's name on it, "10 m" would be read as something else.
-      if (above - at[1] < 17 * unit || names.some((name) => meet(name, boxOf(place, text, unit)))) continue;
+      if (above - at[1] < 17 * unit || names.some((name) => meet(name, boxOf({ at: place, text }, unit)))) continue;
       above = at[1];
-      out.push(words(place, text, unit));
+      out.push(words({ at: place, text }, unit));
     }
   }
   if (layers.posts) out.push(...rimmed(lines(drawn.posts), "posts"));
@@ -95,36 +97,57 @@ function ofEntry(kind, index, entry, page) {
     if (shape.edges) group.append(element("path", { class: "edge", d: lines(shape.edges) }));
   } else if (kind === "occluders") group.append(...rimmed(line(known(places.slice(0, -1)), true), "shape"));
   else if (kind !== "points") group.append(...rimmed(line(known(places), kind === "zones"), "shape"));
+  const name = nameOf(places, entry, page);
+  const always = chosen(kind, index, page);
+  if (name) addLabel(kind, name, page, always);
   if (told && told.arrows && !moving) {
     const { fromWorld } = page.view;
-    arrows(group, kind, entry, fromWorld ? told.ways.map((way) => [way.map(fromWorld)]) : told.arrows, page.unit);
+    arrows(group, kind, always, entry, fromWorld ? told.ways.map((way) => [way.map(fromWorld)]) : told.arrows, page);
   }
   if (kind === "points") residual(group, index, page);
   places.forEach((place, part) => place && group.append(...handle(kind, index, part, place, entry, page)));
-  const name = nameOf(places, entry, page);
-  if (name) group.append(words(...name, page.unit));
   return group;
 }
 
-// Where the name of an entry stands, and what it is; null where it has none.
-function nameOf(places, entry, { unit, layers }) {
+// Where the name of an entry stands, and what it is; null where it has none. At the right edge it stands on the left.
+function nameOf(places, entry, { unit, layers, right }) {
   const first = known(places)[0];
-  return first && layers.names && entry.name ? [[first[0] + 9 * unit, first[1] - 7 * unit], entry.name] : null;
+  if (!first || !layers.names || !entry.name) return null;
+  const label = (side, anchor) => ({ at: [first[0] + side * 9 * unit, first[1] - 7 * unit], text: entry.name, anchor });
+  const usual = label(1, "start");
+  return boxOf(usual, unit)[2] > right ? label(-1, "end") : usual;
 }
 
 const namesOf = (page) =>
   known([...DRAWN, ...MARKED].flatMap((kind) => page.document[kind].map((entry, index) => nameOf(handlesOf(kind, index, entry, page), entry, page))));
 
-// Left, top, right and bottom of `words`, about.
-const boxOf = ([x, y], text, unit) => [x, y - 11 * unit, x + 8 * unit * text.length, y + 2 * unit];
+// Left, top, right and bottom of a label, about.
+function boxOf({ at: [x, y], text, anchor }, unit) {
+  const width = 8 * unit * text.length;
+  const left = x - width * ({ middle: 0.5, end: 1 }[anchor] || 0);
+  return [left, y - 11 * unit, left + width, y + 2 * unit];
+}
+
+// Adds a label over all lines and handles: where it would lie on others a line lower or higher, or not at all, but that
+// of what is chosen always.
+function addLabel(kind, label, page, always) {
+  const [x, y] = label.at;
+  const tried = [0, 15, -15].map((down) => ({ ...label, at: [x, y + down * page.unit] }));
+  const free = tried.find((one) => !page.taken.some((other) => meet(boxOf(one, page.unit), other)));
+  if (!free && !always) return;
+  page.taken.push(boxOf(free || label, page.unit));
+  page.labels.push(element("g", { class: kind }, words(free || label, page.unit)));
+}
+
+const chosen = (kind, index, { selected }) => Boolean(selected && selected.kind === kind && selected.index === index);
 const meet = (one, other) => one[0] < other[2] && other[0] < one[2] && one[1] < other[3] && other[1] < one[3];
 
 function handle(kind, index, part, [x, y], entry, page) {
-  const chosen = page.selected && page.selected.kind === kind && page.selected.index === index;
+  const own = chosen(kind, index, page);
   const result = page.residualOf(kind, index);
-  const names = ["handle", chosen && (page.selected.part ?? 0) === part ? "chosen" : "", result && result.left_out ? "left-out" : ""];
+  const names = ["handle", own && (page.selected.part ?? 0) === part ? "chosen" : "", result && result.left_out ? "left-out" : ""];
   const label = `${KINDS[kind].word} ${entry.name || index + 1}, position ${part + 1}: ${x.toFixed(1)}, ${y.toFixed(1)}`;
-  const r = (chosen ? 7 : 5.5) * page.unit;
+  const r = (own ? 7 : 5.5) * page.unit;
   return [
     element("circle", { class: "rim", cx: x, cy: y, r }),
     element("circle", { class: names.join(" ").trim(), cx: x, cy: y, r, tabindex: 0, role: "button", "aria-label": label, "data-handle": `${kind}:${index}:${part}` }),
@@ -142,7 +165,8 @@ function residual(group, index, page) {
   group.append(...rimmed(`M${x} ${y}L${x + factor * (result.at[0] - x)} ${y + factor * (result.at[1] - y)}`, "residual"));
 }
 
-function arrows(group, kind, entry, polylines, unit) {
+function arrows(group, kind, always, entry, polylines, page) {
+  const { unit } = page;
   polylines.forEach((polyline, i) => {
     const points = polyline[polyline.length - 1];
     if (!points || points.length < 2) return;
@@ -152,16 +176,15 @@ function arrows(group, kind, entry, polylines, unit) {
     const shaft = kind === "gates" ? line(points) : "";
     group.append(...rimmed(`${shaft}M${wing(0.5)}L${end.join(" ")}L${wing(-0.5)}`, "arrow"));
     const name = kind === "gates" ? `${i + 1}${entry.directions[i] ? ": " + entry.directions[i] : ""}` : "";
-    if (name) group.append(beyond(end, angle, name, unit));
+    if (name) addLabel(kind, beyond(end, angle, name, unit), page, always);
   });
 }
 
-// Words beyond the end of an arrow, so that they do not lie on it or on the line that it leaves.
+// The label beyond the end of an arrow, so that they do not lie on it or on the line that it leaves.
 function beyond([x, y], angle, text, unit) {
   const [across, down] = [Math.cos(angle), Math.sin(angle)];
-  const made = words([x + 6 * across * unit, y + (4 + 11 * down) * unit], text, unit);
-  made.style.textAnchor = across > 0.4 ? "start" : across < -0.4 ? "end" : "middle";
-  return made;
+  const anchor = across > 0.4 ? "start" : across < -0.4 ? "end" : "middle";
+  return { at: [x + 6 * across * unit, y + (4 + 11 * down) * unit], text, anchor };
 }
 
 function ofPending({ pending, tool, unit, cursor, hover }) {
@@ -179,8 +202,9 @@ function ofPending({ pending, tool, unit, cursor, hover }) {
   return out;
 }
 
-function words([x, y], text, unit) {
+function words({ at: [x, y], text, anchor }, unit) {
   const made = element("text", { x, y });
+  made.style.textAnchor = anchor || "start";
   made.style.fontSize = 13 * unit + "px";
   made.style.strokeWidth = 3 * unit + "px";
   made.textContent = text;

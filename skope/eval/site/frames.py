@@ -24,8 +24,17 @@ _LOOKED_AT: Final = 7
 class SiteFrames:
     """Pictures of footage by number, all of one size."""
 
-    def __init__(self, title: str, count: int, size: tuple[int, int], picture: Callable[[int], Picture]) -> None:
+    def __init__(
+        self,
+        title: str,
+        count: int,
+        size: tuple[int, int],
+        picture: Callable[[int], Picture],
+        source: str | None = None,
+    ) -> None:
         self.title, self.count, self.size, self.picture = title, count, size, picture
+        self.source = source
+        """The footage as commands take it; None where there is none."""
 
     @classmethod
     def of_footage(cls, source: str) -> "SiteFrames":
@@ -39,15 +48,14 @@ class SiteFrames:
             raise UserError(f"{source}: a stream has no frames to go back to; record some seconds of it")
         if footage.images:
             paths = footage.images
-            return cls(
-                Path(source).name or source, len(paths), _size(read_image(paths[0])), lambda i: read_picture(paths[i])
-            )
+            size = _size(read_image(paths[0]))
+            return cls(Path(source).name or source, len(paths), size, lambda i: read_picture(paths[i]), source)
         frames, count = VideoFrames(Path(source)), max(1, len(footage))
 
         def picture(number: int) -> Picture:
             return frames.picture(Image(id=1, file_name=footage.name, width=1, height=1, frame_index=number))
 
-        return cls(Path(source).name, count, _size(decoded(picture(0))), picture)
+        return cls(Path(source).name, count, _size(decoded(picture(0))), picture, source)
 
     @classmethod
     def canvas(cls, size: tuple[int, int], title: str) -> "SiteFrames":

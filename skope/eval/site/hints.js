@@ -1,8 +1,9 @@
 // What to do next, in a sentence over the picture.
 
-import { KINDS } from "./kinds.js";
+import { DRAWN, KINDS } from "./kinds.js";
 
 const CAMERA_NEEDED = "The camera is not calibrated yet: mark points with places, or a length and parallel lines, first.";
+const CALIBRATED = "Where grid and boxes lie on the road, go on with Gate, Zone and Lane; more points make places more exact.";
 const PLAN = {
   gone: "The plan's picture is not there any more: load it again.",
   none: "Load a map, a plan or an aerial picture first.",
@@ -22,6 +23,8 @@ export function hintFor(document, now, views, look) {
   if (tool === "select") return CHOOSE;
   if (KINDS[tool].world && !(look && look.camera) && views.name === "image") return CAMERA_NEEDED;
   if (tool === "parallels" && group !== null && !pending.length) return ANOTHER_LINE;
+  if (tool !== "points" || !document.points.length || !look) return KINDS[tool].hint;
   // What is still missing is said where the next click goes; on a phone the list is far below.
-  return (tool === "points" && document.points.length && look && look.message) || KINDS[tool].hint;
+  if (look.message) return look.message;
+  return look.camera && !DRAWN.some((kind) => document[kind].length) ? CALIBRATED : KINDS.points.hint;
 }

@@ -57,17 +57,18 @@ function freeName(begin, entries) {
 
 // The fields of an entry: the way to the value in the document, the name under which the server finds fault with it, words.
 export function fieldsOf(kind, entry) {
-  const at = (way, name, words) => [0, 1].map((axis) => ({ way: [...way, axis], name, words: `${words} ${"xy"[axis]}` }));
+  const at = (way, name, words, unit = "") =>
+    [0, 1].map((axis) => ({ way: [...way, axis], name, words: `${words} ${"xy"[axis]}${unit}`, half: Boolean(unit) }));
   const name = { way: ["name"], name: "name", words: "Name", text: true, wide: true };
-  const corners = (list, words, first = 1) => entry[list].flatMap((_, i) => at([list, i], list, `${words} ${i + first}, m`));
-  const corner = (list, words) => entry[list].flatMap((_, i) => at([list, i], list, `${words[i] || i + 1}, px`));
+  const corners = (list, words) => entry[list].flatMap((_, i) => at([list, i], list, `${words} ${i + 1},`, ", metres"));
+  const corner = (list, words) => entry[list].flatMap((_, i) => at([list, i], list, `${words[i] || `corner ${i + 1}`},`, ", pixels"));
   if (kind === "points") {
     const place = ["x", "y", "z"].map((axis, i) => ({ way: ["place", i], name: "place." + axis, words: `${axis}, metres` }));
     return [...place, name, ...at(["pixel"], "pixel", "pixel"), { way: ["sigma_m"], name: "sigma_m", words: "exact to, m", usual: "0.1" }];
   }
   if (kind === "lengths") return [name, { way: ["metres"], name: "metres", words: "length, metres", two: true }, { way: ["sigma_m"], name: "sigma_m", words: "exact to, m", usual: "0.05" }, ...corner("pixels", ["one end", "other end"])];
   if (kind === "verticals") return [name, { way: ["metres"], name: "metres", words: "height, metres (if known)", wide: true }, ...corner("pixels", ["foot", "top"])];
-  if (kind === "parallels") return [name, ...entry.lines.flatMap((line, i) => line.flatMap((_, j) => at(["lines", i, j], "lines", `line ${i + 1}, ${"ab"[j]}`)))];
+  if (kind === "parallels") return [name, ...entry.lines.flatMap((line, i) => line.flatMap((_, j) => at(["lines", i, j], "lines", `line ${i + 1}, end ${j + 1},`, ", px")))];
   if (kind === "gates") {
     const ways = ["1: from its left to its right", "2: from its right to its left"];
     const directions = ways.map((words, i) => ({ way: ["directions", i], name: "directions." + i, words: "Direction " + words, text: true, wide: true }));
@@ -75,7 +76,7 @@ export function fieldsOf(kind, entry) {
   }
   if (kind === "zones") return [name, ...corners("polygon", "corner")];
   if (kind === "lanes") return [name, { way: ["width"], name: "width", words: "width, metres", usual: "3.5", wide: true }, ...corners("line", "point")];
-  return [...corner("polygon", []), ...at(["foot"], "foot", "foot, px")];
+  return [...corner("polygon", []), ...at(["foot"], "foot", "foot,", ", pixels")];
 }
 
 export function valueAt(entry, way) {

@@ -147,9 +147,12 @@ export class Marking {
   }
 }
 
-// What is marked is told at once: the field of its place or its length has the focus. A finger would get a keyboard
-// over the picture.
+// What is marked is told at once: its fields are in sight, and that of its place or its length has the focus. A finger
+// would get a keyboard over the picture.
 function typeNext(kind, index) {
   const way = { points: "place.0", lengths: "metres" }[kind];
   if (way) document.querySelector(`[data-focus="${kind}:${index}:${way}"]`)?.focus({ preventScroll: true });
+  const [row, list] = [document.querySelector(`[data-focus="${kind}:${index}"]`)?.closest("li"), document.querySelector("aside")];
+  // The list alone is moved, where it is beside the picture: the picture stays where it is.
+  if (row) list.scrollTop += Math.max(0, row.getBoundingClientRect().bottom - list.getBoundingClientRect().bottom);
 }

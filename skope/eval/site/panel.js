@@ -131,8 +131,8 @@ function form(kind, index, entry, page, act) {
 }
 
 // A field with its words; `edit` is given it when something else was typed.
-function labelled(box, focus, { words, wide, two, text: plain, usual, name, list }, value, edit) {
-  const label = text("label", words, { class: wide ? "wide" : two ? "two" : "" });
+function labelled(box, focus, { words, wide, two, half, text: plain, usual, name, list }, value, edit) {
+  const label = text("label", words, { class: wide ? "wide" : two ? "two" : half ? "half" : "" });
   const input = text("input", "", { "data-focus": focus, "data-name": name, autocomplete: "off" });
   if (!plain) input.inputMode = "decimal";
   if (usual) input.placeholder = usual;

@@ -78,6 +78,7 @@ function refresh() {
   const same = saving.has(document_());
   byId("save").disabled = same;
   byId("state").textContent = same ? (saving.exists ? "saved" : "") : "not saved yet";
+  byId("then").hidden = !(same && saving.exists && begun.measure && look && look.camera && document_().gates.length);
   const { tool, pending } = now;
   for (const button of byId("tools").querySelectorAll("[data-tool]")) button.setAttribute("aria-pressed", button.dataset.tool === tool);
   byId("finish").hidden = !(pending.length && KINDS[tool] && KINDS[tool].open);
@@ -249,6 +250,7 @@ async function begin() {
   saving = new Saving(begun, { refresh, trouble, wrong, replace });
   byId("title").textContent = `${begun.title} → ${begun.file}`;
   document.title = `${begun.title}: site`;
+  byId("measure").textContent = begun.measure;
   cameraPanel = new CameraPanel({ document: document_, change, trouble, placesOf });
   const placed = () => marking.placed();
   views = new Views(begun, viewport, now, { document: document_, change, trouble, placed, shown: () => (setMap(), refresh()) });

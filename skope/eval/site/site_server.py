@@ -3,6 +3,7 @@
 import base64
 import os
 import re
+import shlex
 import tempfile
 from collections.abc import Mapping
 from dataclasses import asdict
@@ -106,6 +107,12 @@ class SiteServer(LocalServer):
         self.plans = PlanPictures()
         super().__init__(port, _Handler)
 
+    def _measure(self) -> str | None:
+        """The command that measures the traffic of the footage by the site; None where there is no traffic to see."""
+        if self.frames.source is None or self.frames.count < 2:
+            return None
+        return shlex.join(["skope", "eval", "traffic", self.frames.source, "--site", str(self.store.path)])
+
     def begin(self) -> dict[str, Any]:
         """What the page is of, its document, and the document as it is saved."""
         opened = self._opened()
@@ -119,6 +126,7 @@ class SiteServer(LocalServer):
             "frames": self.frames.count,
             "frame": self.clearest,
             "file": self.store.path.name,
+            "measure": self._measure(),
             "exists": opened.revision is not None,
             "document": document,
             "saved": opened.document,

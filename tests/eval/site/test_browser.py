@@ -42,6 +42,7 @@ def test_by_mouse_from_the_first_point_to_a_saved_site(open_page: Open) -> None:
     assert page.text("#message").startswith("Mark four points")
     mark_all(page)
     assert page.text("#message") == ""
+    assert page.text("#hint").startswith("Where grid and boxes lie on the road")
     assert page.text("#figures-summary").startswith("6.")
     assert not page.browser.run("document.getElementById('legend').hidden")
     # A point that was marked wrongly is seen, and mended by dragging it.
@@ -89,6 +90,37 @@ def test_by_mouse_from_the_first_point_to_a_saved_site(open_page: Open) -> None:
     assert again.count(".points circle.handle") == 6
     assert f"north {HOSTILE}" in again.text("#road")
     assert again.text("#state") == "saved"
+
+
+def test_what_comes_after_saving_and_labels_that_can_be_read(
+    serve: Callable[..., Served], open_page: Open, image: Path, tmp_path: Path
+) -> None:
+    footage = tmp_path / "two frames"
+    footage.mkdir()
+    for name in ("a.png", "b.png"):
+        (footage / name).write_bytes(image.read_bytes())
+    gates = [
+        {"name": name, "line": [[2.0 + k, 15.0], [9.0, 18.0 + k]], "directions": ["in", "out"]}
+        for k, name in enumerate(["north", "north as well", "east"])
+    ]
+    served = serve(SiteFrames.of_footage(str(footage)), points=marked_points(), gates=gates)
+    page = open_page(served)
+    assert page.text("#then") == ""
+    page.browser.run("document.getElementById('save').click()")
+    page.browser.until("document.getElementById('state').textContent === 'saved'")
+    page.settle()
+    command = f"skope eval traffic '{footage}' --site {served.path}"
+    assert page.text("#then") == f"Saved. To count and measure: {command}"
+    boxes = page.browser.run(
+        "[...document.querySelectorAll('#drawing > .gates text')].map((e) => e.getBBox())"
+        ".map((b) => [b.x, b.y, b.x + b.width, b.y + b.height])"
+    )
+    assert len(boxes) >= 3
+    for i, one in enumerate(boxes):
+        for other in boxes[:i]:
+            across = min(one[2], other[2]) - max(one[0], other[0])
+            down = min(one[3], other[3]) - max(one[1], other[1])
+            assert across < 3 or down < 5, (one, other)
 
 
 def test_by_keyboard_alone(open_page: Open) -> None:
