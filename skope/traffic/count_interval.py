@@ -54,7 +54,7 @@ class Group:
         """(K,) numbers of events that were seen or possible and happened, and (K,) their probabilities."""
         every = np.convolve(poisson_binomial(self.probabilities), np.full(self.possible + 1, 1 / (self.possible + 1)))
         kept = np.flatnonzero(every > _TAIL * every.max())
-        return kept, every[kept] / every[kept].sum()
+        return kept.astype(np.float64), every[kept] / every[kept].sum()
 
     def drawn(self, rng: np.random.Generator) -> Array:
         """(`_DRAWS`,) numbers that there may have been, in no order."""
