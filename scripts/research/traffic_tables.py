@@ -75,7 +75,9 @@ def by_gate(clips: Sequence[Row]) -> None:
             percent = "-" if row["percent"] is None else f"{row['percent']:+.0f}"
             hidden = row["hidden_at_gate"] + row["hidden_always"]
             interval = (
-                f"{row['low']}-{row['high']} {'holds' if row['holds'] else 'FAILS'}" if row["high"] else "not known"
+                f"{row['low']}-{row['high']} {'holds' if row['holds'] else 'FAILS'}"
+                if row["high"] is not None
+                else "not known"
             )
             name = f"{clip['clip']['name']:27.27} {row['gate']:6.6} {row['direction']:5.5} {row['who']:8}"
             true = f"{row['truth']:5d} {hidden:6d} {row['truth_all']:4d} {row['plain_all']:5d}"
