@@ -11,6 +11,7 @@ import argparse
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -25,10 +26,9 @@ from skope.dataset.folder import PREDICTIONS
 from skope.errors import UserError
 from skope.files.json_files import read_json
 from skope.site.site_file import read_site
-from skope.site.traffic_settings import CLASSES, UNKNOWN, VEHICLE_CLASSES
 from skope.traffic.conflicts import conflicts
 from skope.traffic.count_interval import CountInterval, Group, joint_interval
-from skope.traffic.event_probability import MISSED
+from skope.traffic.event_probability import KINDS as ALIKE
 from skope.traffic.gates import direction_names
 from skope.traffic.measure import TrafficReport, measure
 from skope.traffic.normal_distribution import Z
@@ -131,15 +131,24 @@ def expected_of(told: TrafficReport, side: Mapping[str, Any], chosen: Sequence[b
     (total,) = (one for one in told.counts_total if (one.gate, one.direction) == (side["gate"], side["direction"]))
     if len(chosen) > 1 or total.expected is None:
         return total.expected
-    names = [name for name in CLASSES if (name in (*VEHICLE_CLASSES, UNKNOWN)) in chosen]
-    own = [
-        one.probability
-        for one in (*told.crossings, *told.unseen.doubtful)
-        if (one.gate, one.direction_name) == (total.gate, total.direction) and one.trajectory.class_name in names
-    ]
     (gate,) = (gate for gate in told.site.gates if gate.name == total.gate)
-    most = told.unseen.most(gate.name, direction_names(gate).index(total.direction), total.interval, names)
-    return joint_interval([Group(own, MISSED[chosen[0]], most)])
+    most = partial(told.unseen.most, gate.name, direction_names(gate).index(total.direction), total.interval)
+    there = [
+        one
+        for one in (*told.crossings, *told.unseen.doubtful)
+        if (one.gate, one.direction_name) == (total.gate, total.direction)
+    ]
+    groups = [
+        Group(
+            [one.probability for one in there if one.trajectory.class_name in kind.classes],
+            kind.missed,
+            kind.real,
+            most(kind.classes),
+            kind.came,
+        )
+        for kind in ALIKE
+    ]
+    return joint_interval(groups[:1] if chosen[0] else groups[1:])
 
 
 def side_of(side: Mapping[str, Any], clip: Clip) -> int:

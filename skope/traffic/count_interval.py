@@ -12,12 +12,14 @@ from typing import Final
 
 import numpy as np
 from scipy.special import betainc, betaincinv
+from scipy.stats import betabinom
 
 from skope.traffic.normal_distribution import LEVEL
 from skope.types import Array
 
 _NODES: Final = 24
-"""So many values stand for the distribution of the share that is missed."""
+"""So many values stand for the distribution of a share."""
+_QUANTILES: Final = (np.arange(_NODES) + 0.5) / _NODES
 _DRAWS: Final = 20_000
 _TAIL: Final = 1e-6
 """Probabilities of a Poisson binomial number that are left out at either end."""
@@ -47,12 +49,22 @@ class Group:
     """Of each event that was seen, how probable it is that it happened and is counted once."""
     missed: tuple[float, float]
     """The share of what happens that nothing sees, as a Beta distribution's two parameters; (0, 1): nothing is."""
+    real: tuple[float, float] | None = None
+    """The share of the events that are one, common to all of them, as a Beta distribution whose mean is in the
+    probabilities; None: each is one or not by itself."""
     possible: int = 0
-    """How many more there may have been, of whom nothing is known but that: any number is as probable as any other."""
+    """How many more there may have been."""
+    came: tuple[float, float] = (1.0, 1.0)
+    """The share of these that there were, as a Beta distribution; (1, 1): any number is as probable as any other."""
 
     def happened(self) -> tuple[Array, Array]:
         """(K,) numbers of events that were seen or possible and happened, and (K,) their probabilities."""
-        every = np.convolve(poisson_binomial(self.probabilities), np.full(self.possible + 1, 1 / (self.possible + 1)))
+        seen = poisson_binomial(self.probabilities)
+        if self.real is not None:
+            factors = betaincinv(*self.real, _QUANTILES) * (sum(self.real) / self.real[0])
+            chances = np.minimum(1.0, np.multiply.outer(factors, np.asarray(self.probabilities)))
+            seen = np.mean([poisson_binomial(row) for row in chances.tolist()], axis=0)
+        every = np.convolve(seen, betabinom.pmf(np.arange(self.possible + 1), self.possible, *self.came))
         kept = np.flatnonzero(every > _TAIL * every.max())
         return kept.astype(np.float64), every[kept] / every[kept].sum()
 
@@ -86,7 +98,7 @@ def joint_interval(groups: Sequence[Group]) -> CountInterval:
     if one.missed[0] == 0:
         below = np.cumsum(weights)
         return CountInterval(*(int(kept[np.searchsorted(below, q)]) for q in (tail, 1 - tail)))
-    seen = 1 - betaincinv(*one.missed, (np.arange(_NODES) + 0.5) / _NODES)
+    seen = 1 - betaincinv(*one.missed, _QUANTILES)
 
     def at_most(number: int) -> float:
         besides = number - kept[:, None]

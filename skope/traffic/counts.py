@@ -6,13 +6,12 @@ from functools import partial
 from typing import Final
 
 from skope.site.marks import Gate
-from skope.site.traffic_settings import CLASSES, UNKNOWN, VEHICLE_CLASSES, TrafficSettings
+from skope.site.traffic_settings import UNKNOWN, TrafficSettings
 from skope.traffic.clock import ClockInterval
 from skope.traffic.count_interval import CountInterval, Group, joint_interval
-from skope.traffic.event_probability import MISSED
+from skope.traffic.event_probability import KINDS
 from skope.traffic.gates import GateCrossing, direction_names
 from skope.traffic.observation import Observation
-from skope.traffic.trajectories import VEHICLE
 from skope.traffic.vanished import Unseen
 
 ALL: Final = "all"
@@ -127,14 +126,13 @@ def expected(
     if class_name == UNKNOWN:
         return None
     groups = []
-    for vehicles in (True, False):
-        names = {name for name in CLASSES if (name in (*VEHICLE_CLASSES, UNKNOWN)) == vehicles}
-        if class_name not in (ALL, *names):
+    for kind in KINDS:
+        if class_name not in (ALL, *kind.classes):
             continue
-        own = [one for one in crossings if (one.trajectory.category == VEHICLE) == vehicles]
+        own = [one for one in crossings if one.trajectory.class_name in kind.classes]
         chances = [one.probability * _in_lane(one, lane) * _of_class(one, class_name) for one in own]
-        kinds = names if class_name == ALL else {class_name, UNKNOWN}
-        groups.append(Group([p for p in chances if p > 0], MISSED[vehicles], most(kinds)))
+        classes = kind.classes if class_name == ALL else {class_name, UNKNOWN}
+        groups.append(Group([p for p in chances if p > 0], kind.missed, kind.real, most(classes), kind.came))
     return joint_interval(groups)
 
 

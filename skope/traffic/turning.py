@@ -14,10 +14,10 @@ from skope.site.marks import Gate
 from skope.site.traffic_settings import TrafficSettings
 from skope.traffic.clock import ClockInterval
 from skope.traffic.count_interval import CountInterval, Group, joint_interval
-from skope.traffic.event_probability import MISSED
+from skope.traffic.event_probability import KINDS
 from skope.traffic.gates import GateCrossing, direction_names
 from skope.traffic.observation import Observation
-from skope.traffic.trajectories import VEHICLE, Trajectory
+from skope.traffic.trajectories import Trajectory
 
 Side = tuple[str, str]
 """A gate and the name of a direction."""
@@ -136,10 +136,8 @@ def _expected(
     """Who was lost after the first gate may have gone this way: with the share of the others from there that did."""
     lost = [one for one in there if one.sides == (pair[0], NOWHERE)]
     groups = []
-    for vehicles in (True, False):
-        went, may = (
-            [one for one in every if (one.trajectory.category == VEHICLE) == vehicles] for every in (own, lost)
-        )
+    for kind in KINDS:
+        went, may = ([one for one in every if one.trajectory.class_name in kind.classes] for every in (own, lost))
         chances = [*(one.probability for one in went), *(one.probability * share.get(pair, 0.0) for one in may)]
-        groups.append(Group(chances, MISSED[vehicles]))
+        groups.append(Group(chances, kind.missed, kind.real))
     return joint_interval(groups)

@@ -13,7 +13,7 @@ from skope.site.traffic_settings import TrafficSettings
 from skope.traffic.clock import clock_intervals
 from skope.traffic.count_interval import Group, count_interval, joint_interval, poisson_binomial
 from skope.traffic.counts import ALL, counts
-from skope.traffic.event_probability import MISSED
+from skope.traffic.event_probability import KINDS
 from skope.traffic.gates import crossings
 from skope.traffic.lanes import LaneMap
 from skope.traffic.observation import Observation
@@ -40,30 +40,30 @@ def test_nothing_counted_is_not_nothing_there() -> None:
 
     More than n were there with the mean of the missed share's power n + 1, a product for a Beta distribution.
     """
-    for missed in MISSED.values():
+    for missed in [kind.missed for kind in KINDS]:
         powers = np.cumprod([(missed[0] + i) / (sum(missed) + i) for i in range(20)])
         found = count_interval([], missed)
         assert (found.low, found.high) == (0, int((powers > 0.05).sum()))
-    both = joint_interval([Group([], MISSED[True]), Group([], MISSED[False])])
-    assert both == count_interval([], MISSED[False])
+    both = joint_interval([Group([], kind.missed) for kind in KINDS])
+    assert both == count_interval([], KINDS[1].missed)
     assert (count_interval([], (0.0, 1.0)).low, count_interval([], (0.0, 1.0)).high) == (0, 0)
-    large = count_interval([0.97] * 3000, MISSED[True])
+    large = count_interval([0.97] * 3000, KINDS[0].missed)
     assert large.low < 3000 < large.high < 5000
 
 
-@pytest.mark.parametrize("vehicles", [True, False])
-def test_count_intervals_hold_the_truth_as_often_as_they_say(vehicles: bool) -> None:
+@pytest.mark.parametrize("missed", [kind.missed for kind in KINDS[:2]])
+def test_count_intervals_hold_the_truth_as_often_as_they_say(missed: tuple[float, float]) -> None:
     """The truth is drawn, then what is seen of it, and what is seen in error."""
     rng = np.random.default_rng(0)
     held = 0
     for _ in range(400):
         true = int(rng.integers(0, 80))
-        seen = rng.binomial(true, 1 - rng.beta(*MISSED[vehicles]))
+        seen = rng.binomial(true, 1 - rng.beta(*missed))
         chances = rng.uniform(0.8, 1.0, 200)
         # So many events that as many of them happened as were seen.
         happened = np.cumsum(rng.random(200) < chances)
         number = int(np.searchsorted(happened, seen)) if seen else 0
-        found = count_interval(chances[:number].tolist(), MISSED[vehicles])
+        found = count_interval(chances[:number].tolist(), missed)
         held += found.low <= true <= found.high
     assert 0.86 < held / 400 <= 0.97
 
@@ -71,7 +71,7 @@ def test_count_intervals_hold_the_truth_as_often_as_they_say(vehicles: bool) -> 
 def test_groups_together_are_their_sum() -> None:
     """Against draws of each of them; and who may have been there is there in any number."""
     rng = np.random.default_rng(1)
-    groups = [Group([0.9] * 30, MISSED[True]), Group([0.6] * 8, MISSED[False], 5)]
+    groups = [Group([0.9] * 30, KINDS[0].missed), Group([0.6] * 8, KINDS[1].missed, possible=5)]
     total = sum(
         (rng.random((9000, len(one.probabilities))) < one.probabilities).sum(axis=1)
         + rng.integers(0, one.possible + 1, 9000)
@@ -82,8 +82,17 @@ def test_groups_together_are_their_sum() -> None:
     told = joint_interval(groups)
     assert told.low <= nothing_missed.low + 3
     assert told.high > nothing_missed.high
-    alone = joint_interval([Group([], (0.0, 1.0), 9)])
+    alone = joint_interval([Group([], (0.0, 1.0), possible=9)])
     assert (alone.low, alone.high) == (0, 9)
+
+
+def test_where_gates_differ_in_what_is_real_none_or_all_may_be() -> None:
+    """Against draws: a share for the gate, then each event."""
+    rng = np.random.default_rng(2)
+    mean = 1.3 / (1.3 + 0.81)
+    true = rng.binomial(20, rng.beta(1.3, 0.81, 20000))
+    told = joint_interval([Group([mean] * 20, (0.0, 1.0), (1.3, 0.81))])
+    assert (told.low, told.high) == pytest.approx(np.quantile(true, (0.05, 0.95)), abs=1)
 
 
 def test_days_with_a_change_of_the_clock() -> None:
