@@ -9,7 +9,7 @@ from skope.site.marks import Gate
 from skope.site.traffic_settings import UNKNOWN, TrafficSettings
 from skope.traffic.clock import ClockInterval
 from skope.traffic.count_interval import CountInterval, Group, joint_interval
-from skope.traffic.event_probability import KINDS
+from skope.traffic.event_probability import Kind
 from skope.traffic.gates import GateCrossing, direction_names
 from skope.traffic.observation import Observation
 from skope.traffic.vanished import Unseen
@@ -82,7 +82,7 @@ def counts(
                     told = None
                     if observed_s > 0 and gate.name not in unseen.gates:
                         most = partial(unseen.most, gate.name, k, interval)
-                        told = expected([*own, *perhaps], lane, class_name, most)
+                        told = expected([*own, *perhaps], unseen.kinds, most, lane, class_name)
                     out.append(
                         Count(
                             interval=interval,
@@ -114,9 +114,10 @@ def _number(crossings: Sequence[GateCrossing], lane: str, class_name: str) -> in
 
 def expected(
     crossings: Sequence[GateCrossing],
-    lane: str = ALL,
-    class_name: str = ALL,
-    most: Callable[[Collection[str]], int] = lambda _: 0,
+    kinds: Sequence[Kind],
+    most: Callable[[Collection[str]], int],
+    lane: str,
+    class_name: str,
 ) -> CountInterval | None:
     """The interval of how many there were, of all in a lane and of a class.
 
@@ -126,7 +127,7 @@ def expected(
     if class_name == UNKNOWN:
         return None
     groups = []
-    for kind in KINDS:
+    for kind in kinds:
         if class_name not in (ALL, *kind.classes):
             continue
         own = [one for one in crossings if one.trajectory.class_name in kind.classes]

@@ -11,7 +11,7 @@ from typing import Final
 
 import numpy as np
 
-from skope.site.traffic_settings import UNKNOWN, VEHICLE_CLASSES
+from skope.site.traffic_settings import CLASSES, UNKNOWN, VEHICLE_CLASSES
 from skope.traffic.trajectories import VEHICLE, Trajectory
 
 _MOST_PLACES: Final = 48
@@ -54,6 +54,10 @@ KINDS: Final = (
     Kind(frozenset({"pedestrian"}), missed=(1.15, 2.61), came=(0.12, 9.0), real=(1.3, 0.81)),
 )
 """3% of vehicles and 31% of others are missed in the mean without a trace, by day, at night and in rain alike."""
+
+KINDS_IN_PIXELS: Final = (Kind(frozenset(CLASSES), missed=(1.2, 8.0), came=(1.0, 1.0)),)
+"""Where nothing gives metres: 13% are missed in the mean, 1 to 34% with 90%. Of 57 and 56 vehicles of generated footage
+4 were missed by day and 15 in rain, over all distances."""
 
 
 def event_probability(trajectory: Trajectory) -> float:

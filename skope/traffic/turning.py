@@ -14,7 +14,7 @@ from skope.site.marks import Gate
 from skope.site.traffic_settings import TrafficSettings
 from skope.traffic.clock import ClockInterval
 from skope.traffic.count_interval import CountInterval, Group, joint_interval
-from skope.traffic.event_probability import KINDS
+from skope.traffic.event_probability import KINDS, Kind
 from skope.traffic.gates import GateCrossing, direction_names
 from skope.traffic.observation import Observation
 from skope.traffic.trajectories import Trajectory
@@ -95,6 +95,7 @@ def turning_counts(
     intervals: Sequence[ClockInterval],
     observation: Observation,
     settings: TrafficSettings,
+    kinds: Sequence[Kind] = KINDS,
 ) -> list[TurningCount]:
     """The matrix of each interval: a count for each pair that anybody has driven in the whole footage.
 
@@ -110,7 +111,7 @@ def turning_counts(
         there = [one for one in found if interval.begin_s <= one.time_s < interval.end_s]
         for pair in pairs:
             own = [one for one in there if one.sides == pair]
-            told = None if not observed or NOWHERE in pair else _expected(own, there, pair, share)
+            told = None if not observed or NOWHERE in pair else _expected(own, there, pair, share, kinds)
             out.append(
                 TurningCount(
                     interval=interval,
@@ -131,12 +132,16 @@ def _shares(found: Sequence[Movement]) -> dict[tuple[Side, Side], float]:
 
 
 def _expected(
-    own: Sequence[Movement], there: Sequence[Movement], pair: tuple[Side, Side], share: dict[tuple[Side, Side], float]
+    own: Sequence[Movement],
+    there: Sequence[Movement],
+    pair: tuple[Side, Side],
+    share: dict[tuple[Side, Side], float],
+    kinds: Sequence[Kind],
 ) -> CountInterval:
     """Who was lost after the first gate may have gone this way: with the share of the others from there that did."""
     lost = [one for one in there if one.sides == (pair[0], NOWHERE)]
     groups = []
-    for kind in KINDS:
+    for kind in kinds:
         went, may = ([one for one in every if one.trajectory.class_name in kind.classes] for every in (own, lost))
         chances = [*(one.probability for one in went), *(one.probability * share.get(pair, 0.0) for one in may)]
         groups.append(Group(chances, kind.missed, kind.real))
