@@ -28,7 +28,7 @@ from skope.files.json_files import read_json
 from skope.site.site_file import read_site
 from skope.traffic.conflicts import conflicts
 from skope.traffic.count_interval import CountInterval, Group, joint_interval
-from skope.traffic.event_probability import KINDS as ALIKE
+from skope.traffic.event_probability import SEEN_IN_METRES
 from skope.traffic.gates import direction_names
 from skope.traffic.measure import TrafficReport, measure
 from skope.traffic.normal_distribution import Z
@@ -146,7 +146,7 @@ def expected_of(told: TrafficReport, side: Mapping[str, Any], chosen: Sequence[b
             most(kind.classes),
             kind.came,
         )
-        for kind in ALIKE
+        for kind in SEEN_IN_METRES
     ]
     return joint_interval(groups[:1] if chosen[0] else groups[1:])
 

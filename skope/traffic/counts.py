@@ -9,7 +9,7 @@ from skope.site.marks import Gate
 from skope.site.traffic_settings import UNKNOWN, TrafficSettings
 from skope.traffic.clock import ClockInterval
 from skope.traffic.count_interval import CountInterval, Group, joint_interval
-from skope.traffic.event_probability import Kind
+from skope.traffic.event_probability import SeenAlike
 from skope.traffic.gates import GateCrossing, direction_names
 from skope.traffic.observation import Observation
 from skope.traffic.vanished import Unseen
@@ -114,7 +114,7 @@ def _number(crossings: Sequence[GateCrossing], lane: str, class_name: str) -> in
 
 def expected(
     crossings: Sequence[GateCrossing],
-    kinds: Sequence[Kind],
+    kinds: Sequence[SeenAlike],
     most: Callable[[Collection[str]], int],
     lane: str,
     class_name: str,

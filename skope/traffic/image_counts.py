@@ -12,7 +12,7 @@ from skope.site.traffic_settings import TrafficSettings
 from skope.traffic.clock import clock_intervals, local_start
 from skope.traffic.conflicts import ConflictSearch
 from skope.traffic.counts import counts
-from skope.traffic.event_probability import KINDS_IN_PIXELS
+from skope.traffic.event_probability import SEEN_IN_PIXELS
 from skope.traffic.gates import crossings
 from skope.traffic.lanes import LaneMap
 from skope.traffic.measure import TrafficReport, total_counts, unseen_lines, whole_footage
@@ -58,7 +58,7 @@ def count_in_image(
         ),
         key=lambda one: one.time_s,
     )
-    missed = unseen(tracks, gates, every, observation, _NEAR_PX, KINDS_IN_PIXELS)
+    missed = unseen(tracks, gates, every, observation, _NEAR_PX, SEEN_IN_PIXELS)
     crossed = [one for one in every if one.probability >= LEAST_PROBABILITY]
     moved = movements(crossed, settings)
     return TrafficReport(
@@ -74,8 +74,8 @@ def count_in_image(
         counts_total=total_counts(crossed, gates, observation, settings, missed),
         unseen=missed,
         movements=tuple(moved),
-        turning=tuple(turning_counts(moved, gates, intervals, observation, settings, KINDS_IN_PIXELS)),
-        turning_total=tuple(turning_counts(moved, gates, [whole], observation, settings, KINDS_IN_PIXELS)),
+        turning=tuple(turning_counts(moved, gates, intervals, observation, settings, SEEN_IN_PIXELS)),
+        turning_total=tuple(turning_counts(moved, gates, [whole], observation, settings, SEEN_IN_PIXELS)),
         sections=(),
         speeds=(),
         headways=(),

@@ -14,7 +14,7 @@ from skope.site.marks import Gate
 from skope.site.traffic_settings import TrafficSettings
 from skope.traffic.clock import ClockInterval
 from skope.traffic.count_interval import CountInterval, Group, joint_interval
-from skope.traffic.event_probability import KINDS, Kind
+from skope.traffic.event_probability import SEEN_IN_METRES, SeenAlike
 from skope.traffic.gates import GateCrossing, direction_names
 from skope.traffic.observation import Observation
 from skope.traffic.trajectories import Trajectory
@@ -95,7 +95,7 @@ def turning_counts(
     intervals: Sequence[ClockInterval],
     observation: Observation,
     settings: TrafficSettings,
-    kinds: Sequence[Kind] = KINDS,
+    kinds: Sequence[SeenAlike] = SEEN_IN_METRES,
 ) -> list[TurningCount]:
     """The matrix of each interval: a count for each pair that anybody has driven in the whole footage.
 
@@ -136,7 +136,7 @@ def _expected(
     there: Sequence[Movement],
     pair: tuple[Side, Side],
     share: dict[tuple[Side, Side], float],
-    kinds: Sequence[Kind],
+    kinds: Sequence[SeenAlike],
 ) -> CountInterval:
     """Who was lost after the first gate may have gone this way: with the share of the others from there that did."""
     lost = [one for one in there if one.sides == (pair[0], NOWHERE)]

@@ -13,7 +13,7 @@ import numpy as np
 
 from skope.site.marks import Gate
 from skope.traffic.clock import ClockInterval
-from skope.traffic.event_probability import KINDS, Kind
+from skope.traffic.event_probability import SEEN_IN_METRES, SeenAlike
 from skope.traffic.gates import GateCrossing, signed_distances
 from skope.traffic.observation import Observation
 from skope.traffic.trajectories import Trajectory, wandering
@@ -52,7 +52,7 @@ class Unseen:
     vanished: tuple[Vanished, ...] = ()
     doubtful: tuple[GateCrossing, ...] = ()
     """Crossings that are more probably none than one: they are not counted."""
-    kinds: tuple[Kind, ...] = KINDS
+    kinds: tuple[SeenAlike, ...] = SEEN_IN_METRES
     """What else is missed, of whom."""
     gates: frozenset[str] = frozenset()
     """Names of gates near which nobody was ever seen: whether somebody crossed them is not known."""
@@ -79,7 +79,7 @@ def unseen(
     crossings: Sequence[GateCrossing],
     observation: Observation,
     near: float = NEAR_M,
-    kinds: tuple[Kind, ...] = KINDS,
+    kinds: tuple[SeenAlike, ...] = SEEN_IN_METRES,
 ) -> Unseen:
     """Who may have crossed without being counted, of all crossings; `near` to a gate is who is so far from it."""
     counted = {(one.trajectory.number, one.gate) for one in crossings}

@@ -13,7 +13,7 @@ from skope.site.traffic_settings import TrafficSettings
 from skope.traffic.clock import clock_intervals
 from skope.traffic.count_interval import Group, count_interval, joint_interval, poisson_binomial
 from skope.traffic.counts import ALL, counts
-from skope.traffic.event_probability import KINDS
+from skope.traffic.event_probability import SEEN_IN_METRES
 from skope.traffic.gates import crossings
 from skope.traffic.lanes import LaneMap
 from skope.traffic.observation import Observation
@@ -40,18 +40,18 @@ def test_nothing_counted_is_not_nothing_there() -> None:
 
     More than n were there with the mean of the missed share's power n + 1, a product for a Beta distribution.
     """
-    for missed in [kind.missed for kind in KINDS]:
+    for missed in [kind.missed for kind in SEEN_IN_METRES]:
         powers = np.cumprod([(missed[0] + i) / (sum(missed) + i) for i in range(20)])
         found = count_interval([], missed)
         assert (found.low, found.high) == (0, int((powers > 0.05).sum()))
-    both = joint_interval([Group([], kind.missed) for kind in KINDS])
-    assert both == count_interval([], KINDS[1].missed)
+    both = joint_interval([Group([], kind.missed) for kind in SEEN_IN_METRES])
+    assert both == count_interval([], SEEN_IN_METRES[1].missed)
     assert (count_interval([], (0.0, 1.0)).low, count_interval([], (0.0, 1.0)).high) == (0, 0)
-    large = count_interval([0.97] * 3000, KINDS[0].missed)
+    large = count_interval([0.97] * 3000, SEEN_IN_METRES[0].missed)
     assert large.low < 3000 < large.high < 5000
 
 
-@pytest.mark.parametrize("missed", [kind.missed for kind in KINDS[:2]])
+@pytest.mark.parametrize("missed", [kind.missed for kind in SEEN_IN_METRES[:2]])
 def test_count_intervals_hold_the_truth_as_often_as_they_say(missed: tuple[float, float]) -> None:
     """The truth is drawn, then what is seen of it, and what is seen in error."""
     rng = np.random.default_rng(0)
@@ -71,7 +71,7 @@ def test_count_intervals_hold_the_truth_as_often_as_they_say(missed: tuple[float
 def test_groups_together_are_their_sum() -> None:
     """Against draws of each of them; and who may have been there is there in any number."""
     rng = np.random.default_rng(1)
-    groups = [Group([0.9] * 30, KINDS[0].missed), Group([0.6] * 8, KINDS[1].missed, possible=5)]
+    groups = [Group([0.9] * 30, SEEN_IN_METRES[0].missed), Group([0.6] * 8, SEEN_IN_METRES[1].missed, possible=5)]
     total = sum(
         (rng.random((9000, len(one.probabilities))) < one.probabilities).sum(axis=1)
         + rng.integers(0, one.possible + 1, 9000)
