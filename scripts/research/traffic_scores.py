@@ -27,10 +27,11 @@ from skope.errors import UserError
 from skope.files.json_files import read_json
 from skope.site.site_file import read_site
 from skope.traffic.conflicts import conflicts
-from skope.traffic.count_interval import CountInterval, Group, joint_interval
+from skope.traffic.count_interval import CountInterval
+from skope.traffic.counts import ALL, expected
 from skope.traffic.event_probability import SEEN_IN_METRES
 from skope.traffic.gates import direction_names
-from skope.traffic.measure import TrafficReport, measure
+from skope.traffic.measure import measure
 from skope.traffic.normal_distribution import Z
 from skope.traffic.observation import Observation, read_observation
 from skope.traffic.read_tracks import read_trajectories
@@ -100,7 +101,7 @@ def count_rows(clip: Clip, told: Sequence[Mapping[str, Any]], times_s: Any) -> l
                 raise UserError(f"{side}: what the command counted is not what was measured here: {len(counted)}")
             states = Counter(clip.evidence.state_of(c) for c in real)
             true, count = sum(states[name] for name in VISIBLE), len(counted)
-            expected = expected_of(clip.told, side, chosen)
+            interval = expected_of(clip, side, chosen)
             plain = [number for number, _ in clip.plain[side["gate"], side_of(side, clip)]]
             rows.append(
                 {
@@ -114,41 +115,31 @@ def count_rows(clip: Clip, told: Sequence[Mapping[str, Any]], times_s: Any) -> l
                     "truth_all": len(real),
                     "plain_all": sum((clip.category[number] == VEHICLE) in chosen for number in plain),
                     "count": count,
-                    "low": expected.low if expected else None,
-                    "high": expected.high if expected else None,
+                    "low": interval.low if interval else None,
+                    "high": interval.high if interval else None,
                     "difference": count - true,
                     "percent": 100 * (count - true) / true if true else None,
                     "geh": math.sqrt(2 * hourly * (count - true) ** 2 / (count + true)) if count + true else 0.0,
-                    "holds": expected and expected.low <= true <= expected.high,
-                    "holds_all": expected and expected.low <= len(real) <= expected.high,
+                    "holds": interval and interval.low <= true <= interval.high,
+                    "holds_all": interval and interval.low <= len(real) <= interval.high,
                 }
             )
     return rows
 
 
-def expected_of(told: TrafficReport, side: Mapping[str, Any], chosen: Sequence[bool]) -> CountInterval | None:
+def expected_of(clip: Clip, side: Mapping[str, Any], chosen: Sequence[bool]) -> CountInterval | None:
     """Between what the count of vehicles, of others, or of both is said to be; None: not known."""
+    told = clip.told
     (total,) = (one for one in told.counts_total if (one.gate, one.direction) == (side["gate"], side["direction"]))
     if len(chosen) > 1 or total.expected is None:
         return total.expected
-    (gate,) = (gate for gate in told.site.gates if gate.name == total.gate)
-    most = partial(told.unseen.most, gate.name, direction_names(gate).index(total.direction), total.interval)
     there = [
         one
         for one in (*told.crossings, *told.unseen.doubtful)
         if (one.gate, one.direction_name) == (total.gate, total.direction)
     ]
-    groups = [
-        Group(
-            [one.probability for one in there if one.trajectory.class_name in kind.classes],
-            kind.missed,
-            kind.real,
-            most(kind.classes),
-            kind.came,
-        )
-        for kind in SEEN_IN_METRES
-    ]
-    return joint_interval(groups[:1] if chosen[0] else groups[1:])
+    kinds = SEEN_IN_METRES[:1] if chosen[0] else SEEN_IN_METRES[1:]
+    return expected(there, kinds, partial(told.unseen.most, total.gate, side_of(side, clip), total.interval), ALL, ALL)
 
 
 def side_of(side: Mapping[str, Any], clip: Clip) -> int:

@@ -12,7 +12,7 @@ import numpy as np
 
 from skope.camera.derivatives import slopes
 from skope.camera.evidence import Evidence, MarkedLength, MarkedPoint, ParallelLines, Vertical
-from skope.camera.ground_plane import ground_places
+from skope.camera.ground_plane import ground_places, ground_slopes
 from skope.camera.model import Camera
 from skope.camera.uncertain_camera import PARAMETERS, values_of
 from skope.types import Array
@@ -22,10 +22,6 @@ _LENS: Final = (("k1", -0.1, 0.2), ("roll", 0.0, 0.2), ("focal", None, 1.0))
 
 Most lenses are between a rectilinear one, whose k1 is 0, and an equidistant fisheye: tan a - (tan a)^3 / 3 = a, nearly.
 """
-
-_BESIDE_PX: Final = 0.25
-_AROUND: Final = _BESIDE_PX * np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
-"""Steps of derivatives by pixels, ahead and back in each direction."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +80,7 @@ def _length_term(length: MarkedLength) -> EvidenceTerm:
     def covariance(camera: Camera) -> Array:
         begin, end = ground_places(camera, length.pixels)[:, :2]
         along = (end - begin) / max(float(np.linalg.norm(end - begin)), 1e-9)
-        by_marks = _finite(along @ _by_pixels(camera, length.pixels))
+        by_marks = _finite(along @ ground_slopes(camera, length.pixels))
         return np.array([[length.sigma_m**2 + length.sigma_px**2 * float((by_marks**2).sum())]])
 
     return EvidenceTerm("length", length.name, residual, covariance)
@@ -99,7 +95,7 @@ def _parallel_term(group: ParallelLines) -> EvidenceTerm:
     def variances(camera: Camera, way: Array) -> Array:
         """(L,) of the lines' angles, square radians."""
         across = np.stack([-way[:, 1], way[:, 0]], axis=-1) / np.maximum((way**2).sum(axis=-1), 1e-9)[:, None]
-        by_marks = np.einsum("li,leij->lej", across, _by_pixels(camera, group.lines))
+        by_marks = np.einsum("li,leij->lej", across, ground_slopes(camera, group.lines))
         return _finite(group.sigma_px**2 * (by_marks**2).sum(axis=(1, 2)))
 
     def residual(camera: Camera) -> Array:
@@ -167,15 +163,6 @@ def terms_of(evidence: Evidence) -> list[EvidenceTerm]:
         center = math.log(evidence.size[0]) if mean is None else mean
         out.append(_gaussian_term("lens", name, (name,), np.array([center]), np.array([[sigma**2]])))
     return out
-
-
-def _by_pixels(camera: Camera, pixels: Array) -> Array:
-    """(..., 2, 2) derivatives of the places that pixels (..., 2) show on the road, metres a pixel.
-
-    By central differences, of all pixels at once: a search asks for these thousands of times.
-    """
-    places = ground_places(camera, pixels + _AROUND.reshape(4, *(1,) * (pixels.ndim - 1), 2))[..., :2]
-    return np.stack([places[0] - places[1], places[2] - places[3]], axis=-1) / (2 * _BESIDE_PX)
 
 
 def _finite(values: Array) -> Array:

@@ -8,6 +8,9 @@ from numpy.typing import ArrayLike
 from skope.camera.model import Camera
 from skope.types import Array
 
+_BESIDE_PX: Final = 0.25
+_AROUND: Final = _BESIDE_PX * np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
+"""Steps of derivatives by pixels, ahead and back in each direction."""
 _GRAZING: Final = 1e-6
 """A ray that falls by less of its length along the axis runs along the plane and meets it nowhere."""
 
@@ -43,3 +46,20 @@ def ground_places(
     else:
         reach = below / np.minimum(falls, -least_fall)
     return np.where((reach > 0)[..., None], eye + reach[..., None] * directions, np.nan)
+
+
+def ground_slopes(
+    camera: Camera,
+    pixels: Array,
+    height: ArrayLike = 0.0,
+    *,
+    slope: ArrayLike = (0.0, 0.0),
+    about: ArrayLike = (0.0, 0.0),
+) -> Array:
+    """(..., 2, 2) derivatives of the places that pixels (..., 2) show on a plane, metres a pixel; see `ground_places`.
+
+    By central differences, of all pixels at once: a search asks for these thousands of times.
+    """
+    around = pixels + _AROUND.reshape(4, *(1,) * (pixels.ndim - 1), 2)
+    places = ground_places(camera, around, height, slope=slope, about=about)[..., :2]
+    return np.stack([places[0] - places[1], places[2] - places[3]], axis=-1) / (2 * _BESIDE_PX)

@@ -49,11 +49,10 @@ def remove_leftovers(folder: Path) -> None:
 def _lives(pid: int) -> bool:
     """Whether there is such a process on this machine."""
     try:
-        os.kill(pid, 0)
+        with contextlib.suppress(PermissionError, OverflowError):
+            os.kill(pid, 0)
     except ProcessLookupError:
         return False
-    except (PermissionError, OverflowError):
-        return True
     return True
 
 

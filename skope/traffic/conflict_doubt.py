@@ -44,9 +44,8 @@ def is_followed(trajectory: Trajectory, time_s: float) -> bool:
     times = trajectory.times_s[trajectory.measured]
     if len(times) < _FEWEST_PLACES or times[-1] - times[0] < _SHORTEST_S:
         return False
-    near = times[np.abs(times - time_s) <= _AROUND_S]
-    gaps = np.diff(np.concatenate([[time_s - _AROUND_S], near, [time_s + _AROUND_S]]))
-    return bool(gaps.max() <= _LONGEST_GAP_S and trajectory.place_sigma(time_s) <= _WORST_M)
+    gap_s = trajectory.longest_gap(time_s, _AROUND_S)
+    return gap_s <= _LONGEST_GAP_S and trajectory.place_sigma(time_s) <= _WORST_M
 
 
 def ttc_doubt(

@@ -8,7 +8,7 @@ from typing import Final
 from skope.site.marks import Gate
 from skope.site.traffic_settings import UNKNOWN, TrafficSettings
 from skope.traffic.clock import ClockInterval
-from skope.traffic.count_interval import CountInterval, Group, joint_interval
+from skope.traffic.count_interval import CountInterval, joint_interval
 from skope.traffic.event_probability import SeenAlike
 from skope.traffic.gates import GateCrossing, direction_names
 from skope.traffic.observation import Observation
@@ -133,7 +133,7 @@ def expected(
         own = [one for one in crossings if one.trajectory.class_name in kind.classes]
         chances = [one.probability * _in_lane(one, lane) * _of_class(one, class_name) for one in own]
         classes = kind.classes if class_name == ALL else {class_name, UNKNOWN}
-        groups.append(Group([p for p in chances if p > 0], kind.missed, kind.real, most(classes), kind.came))
+        groups.append(kind.group([p for p in chances if p > 0], most(classes)))
     return joint_interval(groups)
 
 

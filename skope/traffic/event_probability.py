@@ -12,6 +12,7 @@ from typing import Final
 import numpy as np
 
 from skope.site.traffic_settings import CLASSES, UNKNOWN, VEHICLE_CLASSES
+from skope.traffic.count_interval import Group
 from skope.traffic.trajectories import VEHICLE, Trajectory
 
 _MOST_PLACES: Final = 48
@@ -47,6 +48,10 @@ class SeenAlike:
     real: tuple[float, float] | None = None
     """The share of the crossings at a gate that are one, where gates differ in it: as a Beta distribution."""
 
+    def group(self, probabilities: Sequence[float], possible: int = 0) -> Group:
+        """Those of them who were counted with these probabilities, and how many more may have been there."""
+        return Group(probabilities, self.missed, self.real, possible, self.came)
+
 
 SEEN_IN_METRES: Final = (
     SeenAlike(frozenset({*VEHICLE_CLASSES, UNKNOWN}), missed=(0.26, 9.84), came=(0.04, 0.33)),
@@ -81,13 +86,13 @@ def crossing_probability(trajectory: Trajectory, time_s: float, step_s: float) -
     if trajectory.category != VEHICLE:
         return _OTHERS[trajectory.category] * _undoubted(trajectory)
     times = trajectory.times_s[trajectory.measured]
-    near = times[np.abs(times - time_s) <= _AROUND_S]
-    gap = float(np.diff(np.concatenate([[time_s - _AROUND_S], near, [time_s + _AROUND_S]])).max())
     sides = (time_s - times[times < time_s], times[times >= time_s] - time_s)
     parts = min(len(np.unique(np.floor(side / _HALF_S))) for side in sides)
     values = (
-        *(1.0, math.log(1 + min(parts, _MOST_PLACES)), math.log(0.05 + trajectory.place_sigma(time_s))),
-        math.log(0.1 + max(0.0, gap - step_s) + _USUAL_STEP_S),
+        1.0,
+        math.log(1 + min(parts, _MOST_PLACES)),
+        math.log(0.05 + trajectory.place_sigma(time_s)),
+        math.log(0.1 + max(0.0, trajectory.longest_gap(time_s, _AROUND_S) - step_s) + _USUAL_STEP_S),
         float(trajectory.class_name == UNKNOWN),
     )
     logit = sum(weight * value for weight, value in zip(_LOGIT, values, strict=True))

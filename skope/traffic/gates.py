@@ -69,6 +69,11 @@ def direction_names(gate: Gate) -> tuple[str, str]:
     return gate.directions or ("1", "2")
 
 
+def may_count(trajectory: Trajectory, settings: TrafficSettings) -> bool:
+    """Whether who crosses a gate counts: a road user in traffic, of the classes that are counted."""
+    return wandering(trajectory) and trajectory.class_name in settings.classes
+
+
 def crossings(
     trajectories: Sequence[Trajectory],
     gates: Sequence[Gate],
@@ -85,7 +90,7 @@ def crossings(
     found = [
         crossing
         for trajectory in trajectories
-        if wandering(trajectory) and trajectory.class_name in settings.classes
+        if may_count(trajectory, settings)
         for gate in gates
         for crossing in _of_one(trajectory, gate, lanes, settings, step_s)
     ]

@@ -19,7 +19,7 @@ from skope.traffic.measure import TrafficReport, total_counts, unseen_lines, who
 from skope.traffic.observation import Observation
 from skope.traffic.trajectories import Trajectory
 from skope.traffic.turning import movements, turning_counts
-from skope.traffic.vanished import LEAST_PROBABILITY, unseen
+from skope.traffic.vanished import counted, unseen
 
 if TYPE_CHECKING:
     from skope.site.site_file import SiteParts
@@ -59,7 +59,7 @@ def count_in_image(
         key=lambda one: one.time_s,
     )
     missed = unseen(tracks, gates, every, observation, _NEAR_PX, SEEN_IN_PIXELS)
-    crossed = [one for one in every if one.probability >= LEAST_PROBABILITY]
+    crossed = counted(every)
     moved = movements(crossed, settings)
     return TrafficReport(
         site=site,
@@ -74,8 +74,8 @@ def count_in_image(
         counts_total=total_counts(crossed, gates, observation, settings, missed),
         unseen=missed,
         movements=tuple(moved),
-        turning=tuple(turning_counts(moved, gates, intervals, observation, settings, SEEN_IN_PIXELS)),
-        turning_total=tuple(turning_counts(moved, gates, [whole], observation, settings, SEEN_IN_PIXELS)),
+        turning=tuple(turning_counts(moved, gates, intervals, observation, settings, missed.kinds)),
+        turning_total=tuple(turning_counts(moved, gates, [whole], observation, settings, missed.kinds)),
         sections=(),
         speeds=(),
         headways=(),

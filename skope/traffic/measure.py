@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
 from typing import TYPE_CHECKING, Final
 
@@ -13,7 +13,7 @@ from skope.site.traffic_settings import TrafficSettings
 from skope.traffic.braking import HardBraking, hard_brakings
 from skope.traffic.clock import ClockInterval, clock_intervals, local_start
 from skope.traffic.conflicts import ConflictSearch, conflicts
-from skope.traffic.counts import ALL, Count, counts
+from skope.traffic.counts import Count, counts
 from skope.traffic.gates import GateCrossing, crossings, signed_distances
 from skope.traffic.headways import Headway, Occupancy, headways, occupancies
 from skope.traffic.joining import joined
@@ -23,7 +23,7 @@ from skope.traffic.queues import Delay, QueueRecord, delays, queues
 from skope.traffic.speeds import SectionPass, SpeedGroup, section_passes, speed_groups
 from skope.traffic.trajectories import Trajectory, wandering
 from skope.traffic.turning import Movement, TurningCount, movements, turning_counts
-from skope.traffic.vanished import LEAST_PROBABILITY, Unseen, unseen
+from skope.traffic.vanished import Unseen, counted, unseen
 from skope.traffic.zones import ZoneVisit, visits
 
 if TYPE_CHECKING:
@@ -94,7 +94,7 @@ def measure(
     intervals = clock_intervals(begin, max(0.0, whole.begin_s), whole.end_s, settings.interval_minutes)
     every = crossings(trajectories, site.gates, lanes, settings)
     missed = unseen(trajectories, site.gates, every, observation)
-    crossed = [one for one in every if one.probability >= LEAST_PROBABILITY]
+    crossed = counted(every)
     moved = movements(crossed, settings)
     sections = section_passes(moved)
     speeds = speed_groups(crossed, sections, intervals, observation, settings)
@@ -114,8 +114,8 @@ def measure(
         counts_total=total_counts(crossed, site.gates, observation, settings, missed),
         unseen=missed,
         movements=tuple(moved),
-        turning=tuple(turning_counts(moved, site.gates, intervals, observation, settings)),
-        turning_total=tuple(turning_counts(moved, site.gates, [whole], observation, settings)),
+        turning=tuple(turning_counts(moved, site.gates, intervals, observation, settings, missed.kinds)),
+        turning_total=tuple(turning_counts(moved, site.gates, [whole], observation, settings, missed.kinds)),
         sections=tuple(sections),
         speeds=tuple(speeds),
         headways=tuple(headways(crossed, observation)),
@@ -136,8 +136,8 @@ def total_counts(
     missed: Unseen,
 ) -> tuple[Count, ...]:
     """The counts of the whole footage, of each gate and direction."""
-    found = counts(crossed, gates, (), [whole_footage(observation)], observation, settings, missed)
-    return tuple(one for one in found if one.class_name == ALL)
+    together = replace(settings, classes=())
+    return tuple(counts(crossed, gates, (), [whole_footage(observation)], observation, together, missed))
 
 
 def unseen_lines(missed: Unseen) -> Iterator[str]:
@@ -198,14 +198,14 @@ def _cut_at(
     gate: Gate, trajectories: Sequence[Trajectory], crossed: Sequence[GateCrossing], observation: Observation
 ) -> Iterator[str]:
     """A warning where many tracks begin or end at a gate, as at the edge of the image."""
-    spans = observation.spans
     number = 0
     for one in filter(wandering, trajectories):
         for row in (0, -1):
             signed, along = signed_distances(gate, one.place[[row]])
-            at_cut = np.abs(spans - one.times_s[row]).min() < 1.0
             length = math.dist(*gate.line)
-            number += bool(abs(signed[0]) < _BESIDE_M and 0 <= along[0] <= length and not at_cut)
+            number += bool(
+                abs(signed[0]) < _BESIDE_M and 0 <= along[0] <= length and not observation.is_cut(one.times_s[row])
+            )
     total = sum(one.gate == gate.name for one in crossed)
     if number >= max(_FEW, _MANY * total):
         yield (

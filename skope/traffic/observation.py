@@ -18,6 +18,8 @@ _VERSION: Final = 1
 _GAP_S: Final = 1.0
 """Between frames that are farther apart than this, and than `_GAP_STEPS` usual steps, nothing was observed."""
 _GAP_STEPS: Final = 3.0
+_CUT_S: Final = 1.0
+"""What begins or ends so near to where the footage does, or a gap in it, is cut by that."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -60,6 +62,10 @@ class Observation:
         """Whether all between two times was observed."""
         low, high = sorted((one_s, other_s))
         return bool(((self.spans[:, 0] <= low) & (high <= self.spans[:, 1])).any())
+
+    def is_cut(self, time_s: float) -> bool:
+        """Whether what begins or ends at a time is cut by the footage or by a gap in it, not lost."""
+        return not len(self.spans) or bool(np.abs(self.spans - time_s).min() < _CUT_S)
 
     def to_dict(self, moved_s: Sequence[float] = ()) -> dict[str, Any]:
         """What `footage.json` holds; `moved_s` are times of frames in which the camera had been moved."""

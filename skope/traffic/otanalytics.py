@@ -20,9 +20,10 @@ import numpy as np
 from skope.camera.model import Camera
 from skope.files.atomic import replacing, write_text
 from skope.files.json_files import json_bytes
+from skope.traffic.gates import may_count
 from skope.traffic.measure import TrafficReport
 from skope.traffic.otanalytics_view import OtView, image_view, pixel_view, plan_view
-from skope.traffic.trajectories import Trajectory, wandering
+from skope.traffic.trajectories import Trajectory
 from skope.version import __version__
 
 FOLDER: Final = "otanalytics"
@@ -63,7 +64,7 @@ def write_otanalytics(folder: Path, report: TrafficReport, camera: Camera | None
     Returns:
         The files.
     """
-    chosen = [one for one in report.trajectories if wandering(one) and one.class_name in report.site.traffic.classes]
+    chosen = [one for one in report.trajectories if may_count(one, report.site.traffic)]
     if report.metres:
         views = [plan_view(report.site, chosen)]
         views += [] if camera is None else [image_view(report.site, camera)]

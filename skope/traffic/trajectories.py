@@ -116,6 +116,12 @@ class Trajectory:
         """Standard deviation of the place at a time in the worst direction, metres."""
         return float(worst_sigma(self.at(self.covariance, time_s)))
 
+    def longest_gap(self, time_s: float, around_s: float) -> float:
+        """The longest time without a place from `around_s` before a time until as long after it, seconds."""
+        times = self.times_s[self.measured]
+        near = times[np.abs(times - time_s) <= around_s]
+        return float(np.diff(np.concatenate([[time_s - around_s], near, [time_s + around_s]])).max())
+
     def class_probability(self, name: str) -> float:
         """Probability that it is of the class `name`.
 

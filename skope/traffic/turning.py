@@ -13,7 +13,7 @@ from typing import Final
 from skope.site.marks import Gate
 from skope.site.traffic_settings import TrafficSettings
 from skope.traffic.clock import ClockInterval
-from skope.traffic.count_interval import CountInterval, Group, joint_interval
+from skope.traffic.count_interval import CountInterval, joint_interval
 from skope.traffic.event_probability import SEEN_IN_METRES, SeenAlike
 from skope.traffic.gates import GateCrossing, direction_names
 from skope.traffic.observation import Observation
@@ -35,9 +35,7 @@ class Movement:
     @property
     def time_s(self) -> float:
         """When it crosses the first of the two that it is seen at, seconds."""
-        first = self.origin or self.destination
-        assert first is not None
-        return first.time_s
+        return self._first.time_s
 
     @property
     def sides(self) -> tuple[Side, Side]:
@@ -47,9 +45,13 @@ class Movement:
     @property
     def trajectory(self) -> Trajectory:
         """Whose it is."""
-        one = self.origin or self.destination
-        assert one is not None
-        return one.trajectory
+        return self._first.trajectory
+
+    @property
+    def _first(self) -> GateCrossing:
+        first = self.origin or self.destination
+        assert first is not None
+        return first
 
     @property
     def probability(self) -> float:
@@ -144,5 +146,5 @@ def _expected(
     for kind in kinds:
         went, may = ([one for one in every if one.trajectory.class_name in kind.classes] for every in (own, lost))
         chances = [*(one.probability for one in went), *(one.probability * share.get(pair, 0.0) for one in may)]
-        groups.append(Group(chances, kind.missed, kind.real))
+        groups.append(kind.group(chances))
     return joint_interval(groups)

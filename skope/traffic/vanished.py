@@ -23,11 +23,9 @@ _SOON_S: Final = 3.0
 so long before it begins."""
 _SLOWEST: Final = 0.5
 """Who moves along the gate's normal by less than this when lost, m/s, was on no way across it."""
-_CUT_S: Final = 1.0
-"""A track that begins or ends so near to where the footage does, or a gap in it, is cut, not lost."""
 NEAR_M: Final = 10.0
 """A gate within this of which nobody was ever seen is one that the camera may not see, metres."""
-LEAST_PROBABILITY: Final = 0.5
+_LEAST_PROBABILITY: Final = 0.5
 """Who crosses with less is not counted."""
 
 
@@ -73,6 +71,11 @@ class Unseen:
         return max(begun, len(own) - begun)
 
 
+def counted(crossings: Sequence[GateCrossing]) -> list[GateCrossing]:
+    """Those that count: more probably one than none."""
+    return [one for one in crossings if one.probability >= _LEAST_PROBABILITY]
+
+
 def unseen(
     trajectories: Sequence[Trajectory],
     gates: Sequence[Gate],
@@ -82,13 +85,13 @@ def unseen(
     kinds: tuple[SeenAlike, ...] = SEEN_IN_METRES,
 ) -> Unseen:
     """Who may have crossed without being counted, of all crossings; `near` to a gate is who is so far from it."""
-    counted = {(one.trajectory.number, one.gate) for one in crossings}
+    crossed = {(one.trajectory.number, one.gate) for one in crossings}
     found = [
         Vanished(trajectory=one, gate=gate.name, direction=direction, time_s=time_s, begins=begins)
         for one in trajectories
         if wandering(one)
         for gate in gates
-        if (one.number, gate.name) not in counted
+        if (one.number, gate.name) not in crossed
         for begins in (False, True)
         for direction, time_s in _would_cross(one, gate, begins, observation)
     ]
@@ -96,7 +99,7 @@ def unseen(
     blind = {gate.name for gate in gates if not any(_is_near(gate, one, near) for one in confirmed)}
     return Unseen(
         vanished=tuple(sorted(found, key=lambda one: one.time_s)),
-        doubtful=tuple(one for one in crossings if one.probability < LEAST_PROBABILITY),
+        doubtful=tuple(one for one in crossings if one.probability < _LEAST_PROBABILITY),
         kinds=kinds,
         gates=frozenset(blind),
     )
@@ -106,7 +109,7 @@ def _would_cross(trajectory: Trajectory, gate: Gate, begins: bool, observation: 
     """Direction and time of the crossing that a track's end, or its beginning, speaks for; empty where it does not."""
     row = 0 if begins else -1
     end_s = float(trajectory.times_s[row])
-    if not len(observation.spans) or np.abs(observation.spans - end_s).min() < _CUT_S:
+    if observation.is_cut(end_s):
         return []
     velocity = trajectory.velocity[row]
     places = np.stack([trajectory.place[row], trajectory.place[row] + velocity])

@@ -13,7 +13,7 @@ import numpy as np
 
 from skope.files.atomic import replacing
 from skope.files.json_files import write_json
-from skope.traffic.count_interval import count_interval
+from skope.traffic.count_interval import CountInterval, count_interval
 from skope.traffic.measure import TrafficReport
 from skope.traffic.normal_distribution import LEVEL
 from skope.traffic.report_tables import ReportTable, report_tables
@@ -62,6 +62,10 @@ def _cell(value: Any) -> str:
     return str(value)
 
 
+def _bounds(expected: CountInterval | None) -> dict[str, int]:
+    return {} if expected is None else {"low": expected.low, "high": expected.high}
+
+
 def summary(report: TrafficReport, *, tracks: str, revision: str | None) -> dict[str, Any]:
     """What a result was made of and by, so that it can be made again, and its totals."""
     observation = report.observation
@@ -71,7 +75,7 @@ def summary(report: TrafficReport, *, tracks: str, revision: str | None) -> dict
             "gate": one.gate,
             "direction": one.direction,
             "count": one.count,
-            **({} if one.expected is None else {"low": one.expected.low, "high": one.expected.high}),
+            **_bounds(one.expected),
         }
         for one in report.counts_total
     ]
@@ -98,7 +102,7 @@ def summary(report: TrafficReport, *, tracks: str, revision: str | None) -> dict
                 "from": list(one.origin),
                 "to": list(one.destination),
                 "count": one.count,
-                **({} if one.expected is None else {"low": one.expected.low, "high": one.expected.high}),
+                **_bounds(one.expected),
             }
             for one in report.turning_total
         ],

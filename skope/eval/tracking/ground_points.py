@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from skope.camera.ground_plane import ground_places
+from skope.camera.ground_plane import ground_places, ground_slopes
 from skope.camera.model import Camera
 from skope.eval.pose.camera_error import camera_errors
 from skope.eval.pose.ground import Ground
@@ -22,8 +22,6 @@ a pixel: measured on generated footage by day, at night and in rain."""
 _LEAST_PX: Final = 1.0
 _LABELLED_PX: Final = 0.5
 """The same of a labelled box, pixels."""
-_STEP_PX: Final = 0.25
-"""Over so many pixels to either side it is seen how far places lie apart."""
 _EDGE_PX: Final = 2.0
 """A box that ends so near to the image's lower edge is cut there: it does not show the feet."""
 _FARTHEST_SIGMA_M: Final = 5.0
@@ -151,14 +149,13 @@ def ground_points(camera: Camera, ground: Ground, pixels: Array, sigma_px: Array
     Returns:
         N places; None where the pixel shows no road, or it is too far away to tell where.
     """
-    around = np.array([[0, 0], [_STEP_PX, 0], [-_STEP_PX, 0], [0, _STEP_PX], [0, -_STEP_PX]])
-    places, per_metre = _on_plane(camera, ground, pixels[:, None] + around)
-    slopes = np.stack([places[:, 1] - places[:, 2], places[:, 3] - places[:, 4]], axis=-1) / (2 * _STEP_PX)
-    rise = ground.height_sigma * per_metre[:, 0]
+    places, per_metre = _on_plane(camera, ground, pixels)
+    slopes = ground_slopes(camera, pixels, ground.height, slope=ground.slope, about=ground.about)
+    rise = ground.height_sigma * per_metre
     moved = slopes * sigma_px[:, None]
     covariances = moved @ moved.swapaxes(1, 2) + rise[:, :, None] * rise[:, None]
     out: list[GroundPoint | None] = []
-    for place, covariance in zip(places[:, 0], covariances, strict=True):
+    for place, covariance in zip(places, covariances, strict=True):
         known = bool(np.isfinite(covariance).all()) and np.linalg.eigvalsh(covariance)[-1] < _FARTHEST_SIGMA_M**2
         height = ground.height + float((place - ground.about) @ ground.slope)
         out.append(GroundPoint(place, covariance, height) if known else None)

@@ -24,8 +24,6 @@ _SHORTEST_S: Final = 0.4
 """Who is seen more seldom, or for a shorter time, does not count."""
 _TOGETHER: Final = 0.5
 """Two tracks are one road user's where their boxes are in the median, over so much of the shorter track."""
-_TO_CORNER: Final = np.array([[0.5, 0, 0, 0], [0, 1.0, 0, 0]])
-"""(2, 4) from the size of a box: how far its corner is from where it stands."""
 Rows = list[tuple[float, ...]]
 
 
@@ -75,10 +73,14 @@ def _is_double(rows: Array, longer: Array) -> bool:
     _, own, other = np.intersect1d(rows[:, 0], longer[:, 0], return_indices=True)
     if len(own) < max(1.0, _TOGETHER * len(rows)):
         return False
-    # A row has the middle of the lower edge, upwards, and the sizes.
-    one, two = (each[:, 1:] * [1, -1, 1, 1] - each[:, 3:] @ _TO_CORNER for each in (rows[own], longer[other]))
-    inside, apart = inside_and_apart(one, two)
+    inside, apart = inside_and_apart(_boxes(rows[own]), _boxes(longer[other]))
     return bool(np.median(inside) >= INSIDE and np.median(apart) <= FOOT)
+
+
+def _boxes(rows: Array) -> Array:
+    """(M, 4) x, y, width, height of rows (M, 5), which have the middle of the lower edge, upwards, and the sizes."""
+    _, middle, below, width, height = rows.T
+    return np.stack([middle - width / 2, -below - height, width, height], axis=1)
 
 
 def _trajectory(number: int, category_id: int, rows: Array) -> Trajectory:
