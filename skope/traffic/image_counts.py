@@ -58,7 +58,7 @@ def count_in_image(
         ),
         key=lambda one: one.time_s,
     )
-    missed = unseen(tracks, gates, every, observation, _NEAR_PX, SEEN_IN_PIXELS)
+    missed = unseen(tracks, gates, every, observation, settings, _NEAR_PX, SEEN_IN_PIXELS)
     crossed = counted(every)
     moved = movements(crossed, settings)
     return TrafficReport(

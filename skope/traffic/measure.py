@@ -93,7 +93,7 @@ def measure(
     whole = whole_footage(observation)
     intervals = clock_intervals(begin, max(0.0, whole.begin_s), whole.end_s, settings.interval_minutes)
     every = crossings(trajectories, site.gates, lanes, settings)
-    missed = unseen(trajectories, site.gates, every, observation)
+    missed = unseen(trajectories, site.gates, every, observation, settings)
     crossed = counted(every)
     moved = movements(crossed, settings)
     sections = section_passes(moved)

@@ -12,11 +12,12 @@ from typing import Final
 import numpy as np
 
 from skope.site.marks import Gate
+from skope.site.traffic_settings import TrafficSettings
 from skope.traffic.clock import ClockInterval
 from skope.traffic.event_probability import SEEN_IN_METRES, SeenAlike
-from skope.traffic.gates import GateCrossing, signed_distances
+from skope.traffic.gates import GateCrossing, may_count, signed_distances
 from skope.traffic.observation import Observation
-from skope.traffic.trajectories import Trajectory, wandering
+from skope.traffic.trajectories import Trajectory
 
 _SOON_S: Final = 3.0
 """Who would be at the gate within this time after the track ends may have crossed it, seconds; or has come from there
@@ -81,6 +82,7 @@ def unseen(
     gates: Sequence[Gate],
     crossings: Sequence[GateCrossing],
     observation: Observation,
+    settings: TrafficSettings,
     near: float = NEAR_M,
     kinds: tuple[SeenAlike, ...] = SEEN_IN_METRES,
 ) -> Unseen:
@@ -89,7 +91,7 @@ def unseen(
     found = [
         Vanished(trajectory=one, gate=gate.name, direction=direction, time_s=time_s, begins=begins)
         for one in trajectories
-        if wandering(one)
+        if may_count(one, settings)
         for gate in gates
         if (one.number, gate.name) not in crossed
         for begins in (False, True)

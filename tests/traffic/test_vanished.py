@@ -75,6 +75,13 @@ def test_who_ends_elsewhere_has_crossed_nothing() -> None:
         assert not measure([track], observed, SITE).unseen.vanished, why
 
 
+def test_classes_that_do_not_count_are_not_missed_either() -> None:
+    track = straight(1, (-45, 0), (10, 0), 4.0, begin_s=10.0)
+    buses = replace(SITE, traffic=TrafficSettings(classes=("bus",)))
+    assert told(track).unseen.vanished
+    assert not measure([track], watched(60.0), buses).unseen.vanished
+
+
 def test_many_who_are_lost_before_a_gate_make_its_count_as_uncertain_as_they_are_many() -> None:
     report = told(*(straight(k, (-45, 0), (10, 0), 4.0, begin_s=2.0 + k) for k in range(20)))
     low, high = between(report, "west") or (None, 0)
