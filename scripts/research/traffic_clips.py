@@ -81,11 +81,18 @@ CLIPS: Final = (
     Clip("t05_third_median", "day", fps=25.0, seconds=120.0),  # the longest one begins first
     *(Clip(site, light) for site in SITES for light in LIGHTS),
 )
+CHECKS: Final = (
+    *(Clip("t06_willow_turn", "day"), Clip("t02_elm_corner", "day"), Clip("t04_south_ramps", "night")),
+    *(Clip("t06_harlan_long", "night"), Clip("t03_cut_wall", "rain"), Clip("t02_cedar_pole", "rain")),
+)
+"""Clips of other sites: what is fitted on the clips above (skope/traffic/event_probability.py) is held against them."""
 
 
 def chosen(only: str) -> list[Clip]:
-    """The clips of these names, or all."""
-    known = {clip.name: clip for clip in CLIPS}
+    """The clips of these names; without any, those that are fitted on, and for "checks" those that are not."""
+    if only == "checks":
+        return list(CHECKS)
+    known = {clip.name: clip for clip in (*CLIPS, *CHECKS)}
     wrong = [name for name in only.split(",") if only and name not in known]
     if wrong:
         sys.exit(f"--only: {wrong[0]} is none of {', '.join(known)}")
@@ -290,7 +297,7 @@ def main() -> None:
     scoring.add_argument("--true-keypoints", action="store_true", help="labels with 2 px of noise, no detections")
     scoring.set_defaults(run=score)
     for command in (making, detecting, scoring):
-        command.add_argument("--only", default="", help="names of clips, separated by commas")
+        command.add_argument("--only", default="", help="names of clips, separated by commas, or `checks`")
     options = parser.parse_args()
     options.run(options)
 
