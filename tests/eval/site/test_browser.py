@@ -231,6 +231,16 @@ def test_by_touch_at_the_width_of_a_phone(open_page: Open) -> None:
     assert again.count(".points circle.handle") == 6
 
 
+def test_on_a_phone_every_tool_is_in_sight(open_page: Open) -> None:
+    page = open_page(None, 390, 844)
+    rights = page.browser.run(
+        "[...document.querySelectorAll('#tools button')].map(one => one.getBoundingClientRect().right)"
+    )
+    assert len(rights) >= 9
+    assert max(rights) <= 390
+    assert page.browser.run("document.getElementById('stage').getBoundingClientRect().bottom") < 700
+
+
 def test_wrong_input_is_said_beside_its_field_and_not_saved(open_page: Open) -> None:
     page = open_page()
     mark_all(page, 5)
