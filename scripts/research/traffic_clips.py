@@ -82,8 +82,8 @@ CLIPS: Final = (
     *(Clip(site, light) for site in SITES for light in LIGHTS),
 )
 CHECKS: Final = (
-    *(Clip("t06_willow_turn", "day"), Clip("t02_elm_corner", "day"), Clip("t04_south_ramps", "night")),
-    *(Clip("t06_harlan_long", "night"), Clip("t03_cut_wall", "rain"), Clip("t02_cedar_pole", "rain")),
+    *(Clip("t06_willow_turn", "day"), Clip("t02_elm_corner", "day")),
+    *(Clip("t06_harlan_long", "night"), Clip("t02_cedar_pole", "rain")),
 )
 """Clips of other sites: what is fitted on the clips above (skope/traffic/event_probability.py) is held against them."""
 
