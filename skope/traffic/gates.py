@@ -24,6 +24,10 @@ _SURE: Final = 3.0
 """The hysteresis is so many standard deviations of a place along the normal at least: who stands jitters by that."""
 _NEAR_M: Final = 5.0
 """So near to a gate it counts how certain places are."""
+_LEAST_PROBABILITY: Final = 0.5
+"""Whose track crosses with less is not counted."""
+_BESIDE: Final = 0.05
+"""Who goes past a gate's end, not through it, with less probability than this does so without doubt; likewise back."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -56,7 +60,11 @@ class GateCrossing:
     probability: float
     """Probability that this happened, once."""
     doubt: str
-    """Why that is in doubt: begins or ends, where the track does so on the gate; else empty."""
+    """Why that is in doubt: begins or ends, where the track does so on the gate; beside, where it may have gone past
+    the gate's end, or through it; else empty."""
+    counts: bool
+    """Whether it is counted: between the ends of the gate, by a track that more probably crosses there than not. One
+    that ends on the gate is counted, and is in doubt."""
 
     @cached_property
     def end_sigma_s(self) -> float:
@@ -119,12 +127,18 @@ def _of_one(
     signed, along = signed_distances(gate, trajectory.place)
     length = math.dist(*gate.line)
     rule = _rule(trajectory, gate, signed, settings)
-    # Half-open along the gate too: of two gates that share an end, one counts.
-    return [
-        _crossing(trajectory, gate, passage, lanes, rule, step_s)
-        for passage in passages(signed, trajectory.times_s, **rule)
-        if 0 <= float(trajectory.at(along, passage.time_s)) < length
-    ]
+    found = []
+    for passage in passages(signed, trajectory.times_s, **rule):
+        at = float(trajectory.at(along, passage.time_s))
+        # Half-open along the gate too: of two gates that share an end, one counts.
+        inside = 0 <= at < length
+        between = float(inside)
+        if step_s is not None:
+            sigma = _sigma(_axis(gate)[1], trajectory.at(trajectory.covariance, passage.time_s))
+            between = at_most(at / sigma) - at_most((at - length) / sigma) if sigma > 0 else between
+        if inside or between > _BESIDE:
+            found.append(_crossing(trajectory, gate, passage, lanes, rule, step_s, inside, between))
+    return found
 
 
 def _rule(trajectory: Trajectory, gate: Gate, signed: Array, settings: TrafficSettings) -> dict[str, float]:
@@ -134,6 +148,11 @@ def _rule(trajectory: Trajectory, gate: Gate, signed: Array, settings: TrafficSe
     spread = float(np.median(np.einsum("i,mij,j->m", normal, near, normal))) if len(near) else 0.0
     hysteresis = max(settings.hysteresis_m, _SURE * math.sqrt(max(0.0, spread)))
     return {"hysteresis": hysteresis, "least_travel": max(settings.least_travel_m, hysteresis)}
+
+
+def _sigma(direction: Array, covariance: Array) -> float:
+    """Standard deviation of a place in a direction, metres."""
+    return math.sqrt(max(0.0, float(direction @ covariance @ direction)))
 
 
 def _normal(gate: Gate) -> Array:
@@ -149,17 +168,20 @@ def _crossing(
     lanes: LaneMap,
     rule: dict[str, float],
     step_s: float | None,
+    inside: bool,
+    between: float,
 ) -> GateCrossing:
     time_s = passage.time_s
     normal = _normal(gate)
     velocity = trajectory.at(trajectory.velocity, time_s)
     covariance = trajectory.at(trajectory.covariance, time_s)
-    sigma_m = math.sqrt(max(0.0, float(normal @ covariance @ normal)))
+    sigma_m = _sigma(normal, covariance)
     across = max(abs(float(normal @ velocity)), _SLOWEST)
     place = trajectory.at(trajectory.place, time_s)
     lane, lane_probability = lanes.lane_at(place, covariance)
     sure = at_most(passage.depth / sigma_m) if sigma_m > 0 else 1.0
     real = event_probability(trajectory) if step_s is None else crossing_probability(trajectory, time_s, step_s)
+    doubts = {"begins": passage.begins, "ends": passage.ends, "beside": between < 1 - _BESIDE}
     return GateCrossing(
         trajectory=trajectory,
         gate=gate.name,
@@ -174,8 +196,9 @@ def _crossing(
         speed_sigma=float(trajectory.at(trajectory.speed_sigma, time_s)),
         lane=lane,
         lane_probability=lane_probability,
-        probability=real * sure,
-        doubt=" ".join(word for word, holds in (("begins", passage.begins), ("ends", passage.ends)) if holds),
+        probability=real * sure * between,
+        doubt=" ".join(word for word, holds in doubts.items() if holds),
+        counts=inside and real >= _LEAST_PROBABILITY,
     )
 
 

@@ -19,7 +19,7 @@ from skope.traffic.measure import TrafficReport, total_counts, unseen_lines, who
 from skope.traffic.observation import Observation
 from skope.traffic.trajectories import Trajectory
 from skope.traffic.turning import movements, turning_counts
-from skope.traffic.vanished import counted, unseen
+from skope.traffic.vanished import unseen
 
 if TYPE_CHECKING:
     from skope.site.site_file import SiteParts
@@ -59,7 +59,7 @@ def count_in_image(
         key=lambda one: one.time_s,
     )
     missed = unseen(tracks, gates, every, observation, settings, _NEAR_PX, SEEN_IN_PIXELS)
-    crossed = counted(every)
+    crossed = [one for one in every if one.counts]
     moved = movements(crossed, settings)
     return TrafficReport(
         site=site,

@@ -23,7 +23,7 @@ from skope.traffic.queues import Delay, QueueRecord, delays, queues
 from skope.traffic.speeds import SectionPass, SpeedGroup, section_passes, speed_groups
 from skope.traffic.trajectories import Trajectory, wandering
 from skope.traffic.turning import Movement, TurningCount, movements, turning_counts
-from skope.traffic.vanished import Unseen, counted, unseen
+from skope.traffic.vanished import Unseen, unseen
 from skope.traffic.zones import ZoneVisit, visits
 
 if TYPE_CHECKING:
@@ -94,7 +94,7 @@ def measure(
     intervals = clock_intervals(begin, max(0.0, whole.begin_s), whole.end_s, settings.interval_minutes)
     every = crossings(trajectories, site.gates, lanes, settings)
     missed = unseen(trajectories, site.gates, every, observation, settings)
-    crossed = counted(every)
+    crossed = [one for one in every if one.counts]
     moved = movements(crossed, settings)
     sections = section_passes(moved)
     speeds = speed_groups(crossed, sections, intervals, observation, settings)

@@ -26,8 +26,6 @@ _SLOWEST: Final = 0.5
 """Who moves along the gate's normal by less than this when lost, m/s, was on no way across it."""
 NEAR_M: Final = 10.0
 """A gate within this of which nobody was ever seen is one that the camera may not see, metres."""
-_LEAST_PROBABILITY: Final = 0.5
-"""Who crosses with less is not counted."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -50,7 +48,7 @@ class Unseen:
 
     vanished: tuple[Vanished, ...] = ()
     doubtful: tuple[GateCrossing, ...] = ()
-    """Crossings that are more probably none than one: they are not counted."""
+    """Crossings that are not counted: more probably none than one, or just beside the gate."""
     kinds: tuple[SeenAlike, ...] = SEEN_IN_METRES
     """What else is missed, of whom."""
     gates: frozenset[str] = frozenset()
@@ -70,11 +68,6 @@ class Unseen:
         ]
         begun = sum(one.begins for one in own)
         return max(begun, len(own) - begun)
-
-
-def counted(crossings: Sequence[GateCrossing]) -> list[GateCrossing]:
-    """Those that count: more probably one than none."""
-    return [one for one in crossings if one.probability >= _LEAST_PROBABILITY]
 
 
 def unseen(
@@ -101,7 +94,7 @@ def unseen(
     blind = {gate.name for gate in gates if not any(_is_near(gate, one, near) for one in confirmed)}
     return Unseen(
         vanished=tuple(sorted(found, key=lambda one: one.time_s)),
-        doubtful=tuple(one for one in crossings if one.probability < _LEAST_PROBABILITY),
+        doubtful=tuple(one for one in crossings if not one.counts),
         kinds=kinds,
         gates=frozenset(blind),
     )

@@ -21,7 +21,7 @@ NO_LANES = LaneMap(())
 
 
 def crossed(*trajectories: Trajectory, gates: tuple[Gate, ...] = (GATE,), **settings: Any) -> list[GateCrossing]:
-    return crossings(trajectories, gates, NO_LANES, TrafficSettings(**settings))
+    return [one for one in crossings(trajectories, gates, NO_LANES, TrafficSettings(**settings)) if one.counts]
 
 
 def directions(x: Any, **settings: Any) -> list[str]:
@@ -132,6 +132,31 @@ def test_the_stated_error_of_the_time_holds() -> None:
         (found,) = crossed(moved)
         within += abs(found.time_s - 20 / 9) < 1.645 * found.sigma_s
     assert 0.85 < within / 300 < 0.95
+
+
+def test_who_goes_past_the_end_of_a_gate_is_in_doubt() -> None:
+    """As on a pavement that a gate ends on: half of them are counted, and all of them are in the interval."""
+
+    def at(y: float) -> GateCrossing | None:
+        track = straight(1, (-6.0, y), (1.5, 0.0), 8.0, sigma=0.4, category="pedestrian", class_name="pedestrian")
+        return next(iter(crossings([track], [GATE], NO_LANES, TrafficSettings())), None)
+
+    inside, outside, far, middle = at(4.8), at(5.2), at(6.0), at(0.0)
+    assert inside and outside and middle and far is None
+    assert (inside.counts, inside.doubt) == (True, "beside")
+    assert (outside.counts, outside.doubt) == (False, "beside")
+    assert (middle.counts, middle.doubt) == (True, "")
+    # Both together are one crossing of one who is as far from the end on either side.
+    assert inside.probability + outside.probability == pytest.approx(middle.probability)
+
+
+def test_nobody_walks_that_fast() -> None:
+    walker = {"category": "pedestrian", "class_name": "pedestrian"}
+    walks, runs, flies = (
+        crossings([straight(1, (-4 * v, 0), (v, 0), 8, **walker)], [GATE], NO_LANES, TrafficSettings())
+        for v in (1.5, 5.0, 9.0)
+    )
+    assert [one.counts for one in (*walks, *runs, *flies)] == [True, True, False]
 
 
 def test_unconfirmed_and_parked_are_not_counted() -> None:
