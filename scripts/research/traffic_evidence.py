@@ -23,6 +23,7 @@ from skope.dataset import coco
 from skope.schema import CATEGORIES, AnnotationFile, Labelled
 from skope.traffic.gates import GateCrossing
 from skope.traffic.measure import TrafficReport
+from skope.traffic.observation import FOOTAGE
 from skope.traffic.trajectories import Trajectory
 from skope.traffic.write_report import SUMMARY
 
@@ -49,15 +50,14 @@ def run_skope(*words: str) -> None:
 
 
 def reported(folder: Path, out: Path, true_keypoints: bool) -> None:
-    """Track the clip and measure its traffic with the commands of every user, unless that is done."""
-    if (out / "report" / SUMMARY).is_file():
-        return
-    camera = str(folder / LABELS)
-    what = (
-        ["--annotations", camera, "--noise", NOISE_PX] if true_keypoints else [str(folder / SEEN), "--camera", camera]
-    )
-    run_skope("eval", "track", *what, "--ground", GROUND, "--out", str(out / "tracks"))
-    run_skope("eval", "traffic", str(out / "tracks"), "--site", str(folder / SITE), "--out", str(out / "report"))
+    """Track the clip and measure its traffic with the commands of every user; what is done is not done again."""
+    if not (out / "tracks" / FOOTAGE).is_file():
+        camera = ["--camera", str(folder / LABELS)]
+        noisy = ["--annotations", str(folder / LABELS), "--noise", NOISE_PX]
+        what = noisy if true_keypoints else [str(folder / SEEN), *camera]
+        run_skope("eval", "track", *what, "--ground", GROUND, "--out", str(out / "tracks"))
+    if not (out / "report" / SUMMARY).is_file():
+        run_skope("eval", "traffic", str(out / "tracks"), "--site", str(folder / SITE), "--out", str(out / "report"))
 
 
 @dataclass(frozen=True)

@@ -25,8 +25,8 @@ from skope.types import Array
 SITE: Final = "site.toml"
 FROM_JUNCTION_M: Final = (10.0, 40.0)
 STEP_M: Final = 2.5
-BESIDE_M: Final = 1.0
-"""A gate goes on so far beyond the outermost lanes."""
+BESIDE_M: Final = 3.0
+"""A gate goes on so far beyond the outermost lanes: across the pavements, on which people walk up to 2.1 m away."""
 BEFORE_M: Final = 7.0
 """Of the road so much before and behind a gate is in the image."""
 HIGHEST_M: Final = 1.5

@@ -192,6 +192,12 @@ def _refused(
     yield from unseen_lines(missed)
     for gate in site.gates:
         yield from _cut_at(gate, trajectories, crossed, observation)
+        beside = sum("beside" in one.doubt and one.gate == gate.name for one in (*crossed, *missed.doubtful))
+        if beside >= max(_FEW, _MANY * sum(one.gate == gate.name for one in crossed)):
+            yield (
+                f"gate {gate.name!r}: {beside} road users pass so near to its ends that they go through it or past it: "
+                "let it end where nobody walks, as before a pavement or behind it"
+            )
 
 
 def _cut_at(

@@ -312,3 +312,20 @@ def test_a_gate_near_the_edge_of_what_is_seen_is_warned_of(tmp_path: Path) -> No
         "vehicles are seen on both sides"
     ]
     assert not [line for line in measure(far, watch, site).refused if "'edge'" in line]
+
+
+def test_a_gate_that_ends_where_people_walk_is_warned_of(tmp_path: Path) -> None:
+    site = parse_site(tmp_path / "s.toml", b'[[gates]]\nname = "short"\nline = [[0, -5], [0, 5]]\n')
+    watch = Observation(times_s=np.arange(600) / 10, common_sigma=0.0)
+    walk = {"category": "pedestrian", "class_name": "pedestrian", "sigma": 0.4}
+
+    def warned(y: float) -> list[str]:
+        walkers = [straight(k, (-6.0, y), (1.5, 0), 8, begin_s=5.0 + 5 * k, **walk) for k in range(4)]
+        return [line for line in measure(walkers, watch, site).refused if "'short'" in line]
+
+    assert warned(5.1) == [
+        "gate 'short': 4 road users pass so near to its ends that they go through it or past it: let it end where "
+        "nobody walks, as before a pavement or behind it"
+    ]
+    assert not warned(2.0)
+    assert not [line for line in warned(8.0) if "ends" in line]
