@@ -44,8 +44,8 @@ KINDS: Final = {"all": (True, False), "vehicles": (True,), "others": (False,)}
 Row = dict[str, Any]
 
 
-def score_clip(folder: Path, *, true_keypoints: bool, clip: Mapping[str, Any]) -> Row:
-    """Everything that is measured of a clip."""
+def clip_of(folder: Path, *, true_keypoints: bool, clip: Mapping[str, Any]) -> Clip:
+    """What is known of a clip and what is told of it; its traffic is measured unless that is done."""
     out = folder / ("true" if true_keypoints else "found")
     reported(folder, out, true_keypoints)
     site, truth, file = read_site(folder / SITE), read_truth(folder), coco.read(folder / LABELS)
@@ -53,22 +53,27 @@ def score_clip(folder: Path, *, true_keypoints: bool, clip: Mapping[str, Any]) -
     told = measure(read_trajectories(out / "tracks", observation), observation, site)
     owners = owners_of(out / "tracks", file)
     found = None if true_keypoints else folder / SEEN / PREDICTIONS
-    this = Clip(
+    return Clip(
         file=file,
         truth=truth.trajectories,
-        real=measure(truth.trajectories, Observation(times_s=truth.times_s), site),
+        real=measure(truth.trajectories, Observation(times_s=truth.times_s), site, broken=False),
         told=told,
         owners=owners,
         evidence=evidence_of(file, found, owners, told.trajectories),
         plain=plain_counts(truth, site.gates),
         light=str(clip.get("light", "day")),
     )
+
+
+def score_clip(folder: Path, *, true_keypoints: bool, clip: Mapping[str, Any]) -> Row:
+    """Everything that is measured of a clip."""
+    this = clip_of(folder, true_keypoints=true_keypoints, clip=clip)
     pairs = paired(this)
-    summary = read_json(out / "report" / SUMMARY)
+    summary = read_json(folder / ("true" if true_keypoints else "found") / "report" / SUMMARY)
     return {
         "clip": dict(clip),
         "true_tracks_joined": sum(bool(one.joined) for one in this.real.trajectories),
-        "counts": count_rows(this, summary["counts"], truth.times_s),
+        "counts": count_rows(this, summary["counts"], this.real.observation.times_s),
         "turning": turning_rows(this),
         "speeds": speed_rows(this),
         "headways": headway_rows(this, pairs),

@@ -129,8 +129,7 @@ def _trajectory(row: Sequence[str], times: Array, frame: Array, state: Array) ->
         measured=np.ones(n, dtype=bool),
         length=float(length),
         width=float(width),
-        # Tracks with that flag are joined to no others, as true ones must not be; it changes nothing else of a count.
-        flags=("impossible_motion",) if moves and parked == "False" else ("never_moved",),
+        flags=() if moves and parked == "False" else ("never_moved",),
     )
 
 

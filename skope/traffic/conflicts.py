@@ -6,33 +6,20 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from skope.site.marks import Zone
 from skope.site.traffic_settings import TrafficSettings
-from skope.traffic.collision import REAR_END_DEG, angle_deg, times_to_collision
-from skope.traffic.conflict_doubt import (
-    HORIZON_S,
-    STEP_S,
-    hardest_needed,
-    in_order,
-    is_followed,
-    pet_sigma,
-    surely_encroaches,
-    ttc_doubt,
-)
-from skope.traffic.encroachment import by_area, by_places, near
+from skope.traffic.collision import REAR_END_DEG, angle_deg
+from skope.traffic.conflict_doubt import STEP_S, hardest_needed, is_followed, pet_sigma, ttc_doubt
+from skope.traffic.encroachment import by_area, near
 from skope.traffic.footprints import FootprintPath, overlap, paths
+from skope.traffic.meetings import Meeting, meeting_of, together
 from skope.traffic.trajectories import Trajectory, wandering
 from skope.traffic.zones import inside
 from skope.types import Array
 
 _CROSSING_DEG: Final = 80.0
 """From this angle on ways cross (SSAM); between that and `REAR_END_DEG` lanes change."""
-_DRIVES: Final = 1.0
-"""One of two in a conflict is as fast as this, m/s."""
-_ROWS: Final = 400
-"""Moments that are looked at together, which bounds the memory."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -102,14 +89,14 @@ def conflicts(
             continue
         if _overlapping(one, other):
             overlapping += 1
-        elif (conflict := _between(one, other, settings, rng, zones)) is None:
+        elif (meeting := meeting_of(one, other, settings)) is None:
             continue
-        elif not (is_followed(conflict.first, conflict.first_s) and is_followed(conflict.second, conflict.time_s)):
+        elif not all(is_followed(path.trajectory, time_s) for path, time_s in meeting.in_order()):
             unsteady += 1
-        elif conflict.ttc_s <= 0:
+        elif meeting.ttc_s <= 0:
             overlapping += 1
         else:
-            found.append(conflict)
+            found.append(_conflict(meeting, settings, rng, zones))
     found.sort(key=lambda conflict: conflict.time_s)
     return ConflictSearch(conflicts=tuple(found), overlapping=overlapping, unsteady=unsteady)
 
@@ -126,16 +113,9 @@ def _pairs(made: Sequence[FootprintPath], late_s: float) -> Iterator[tuple[Footp
         present.append(path)
 
 
-def _common(one: FootprintPath, other: FootprintPath) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """The rows of the moments at which both are there."""
-    begin, end = max(one.ticks[0], other.ticks[0]), min(one.ticks[-1], other.ticks[-1]) + 1
-    ticks = np.arange(begin, max(begin, end))
-    return ticks - one.ticks[0], ticks - other.ticks[0]
-
-
 def _overlapping(one: FootprintPath, other: FootprintPath) -> bool:
     """Whether the footprints ever overlap, each of them a little smaller than it is stated."""
-    a, b = _common(one, other)
+    a, b = together(one, other)
     close = np.linalg.norm(one.place[a] - other.place[b], axis=1) < one.radius + other.radius
     shrunk = [
         path.place[rows, None] + 0.8 * (path.corners[rows] - path.place[rows, None])
@@ -144,51 +124,28 @@ def _overlapping(one: FootprintPath, other: FootprintPath) -> bool:
     return bool(overlap(*shrunk).any())
 
 
-def _between(
-    one: FootprintPath,
-    other: FootprintPath,
-    settings: TrafficSettings,
-    rng: np.random.Generator,
-    zones: Sequence[Zone],
-) -> Conflict | None:
-    rows, seconds = _approaches(one, other, settings)
-    least = int(seconds.argmin()) if len(seconds) else 0
-    close = bool(len(seconds) and seconds[least] <= settings.ttc_s)
-    reached = by_places(one, other, settings.pet_s)
-    if reached is not None and reached.seconds == 0:
-        reached = None  # they touch: places are not that exact
-    if close:
-        i, j = int(rows[0][least]), int(rows[1][least])
-    elif reached is not None:
-        times = (reached.first_s, reached.second_s)
-        i, j = (_row(path, time_s) for path, time_s in zip((one, other), in_order(times, reached), strict=True))
-    else:
-        return None
-    # Two that turn one behind the other head elsewhere at any moment, but not at any place.
-    ways_deg = _angle_of_ways(one, other, i, j)
-    if not close and ways_deg < REAR_END_DEG:
-        return None  # one behind the other: that is a gap
-    if not close and not surely_encroaches(one, other, i, j, settings.pet_s):
-        return None
-    angle = float(angle_deg(one.facing[i], other.facing[j])) if close else ways_deg
-    area = by_area(one, other, float(one.times_s[i])) if ways_deg >= REAR_END_DEG else None
-    low, high, probability = ttc_doubt(one, other, (i, j), settings, rng) if close else (math.nan,) * 3
-    hardest, drac_low, drac_high = hardest_needed(one, other, rows, seconds, settings, rng)
-    swapped = reached.swapped if reached is not None else _behind(one, other, i, j)
+def _conflict(meeting: Meeting, settings: TrafficSettings, rng: np.random.Generator, zones: Sequence[Zone]) -> Conflict:
+    """The conflict of two who meet, with how uncertain it is."""
+    one, other, reached, (i, j) = meeting.one, meeting.other, meeting.reached, meeting.moment
+    angle = float(angle_deg(one.facing[i], other.facing[j])) if meeting.close else meeting.ways_deg
+    area = by_area(one, other, float(one.times_s[i])) if meeting.ways_deg >= REAR_END_DEG else None
+    told = ttc_doubt(one, other, (i, j), settings, rng) if meeting.close else (math.nan,) * 3
+    hardest, drac_low, drac_high = hardest_needed(one, other, meeting.rows, meeting.seconds, settings, rng)
+    (first, first_s), (second, second_s) = meeting.in_order()
     middle = (one.place[i] + other.place[j]) / 2
     return Conflict(
-        first=(other if swapped else one).trajectory,
-        second=(one if swapped else other).trajectory,
-        time_s=float(one.times_s[i]) if close or reached is None else reached.second_s,
-        first_s=float(one.times_s[i]) if close or reached is None else reached.first_s,
+        first=first.trajectory,
+        second=second.trajectory,
+        time_s=second_s,
+        first_s=first_s,
         place=middle,
         zone=next((zone.name for zone in zones if inside(np.array(zone.polygon), middle[None])[0]), ""),
         kind=_kind(angle),
         angle_deg=angle,
-        ttc_s=float(seconds[least]) if close else math.nan,
-        ttc_low_s=low,
-        ttc_high_s=high,
-        probability=probability,
+        ttc_s=meeting.ttc_s,
+        ttc_low_s=told[0],
+        ttc_high_s=told[1],
+        probability=told[2],
         drac_ms2=hardest,
         drac_low_ms2=drac_low,
         drac_high_ms2=drac_high,
@@ -196,39 +153,6 @@ def _between(
         pet_area_s=area.seconds if area is not None and area.seconds <= settings.pet_s else math.nan,
         pet_sigma_s=pet_sigma(one, other, reached),
     )
-
-
-def _approaches(
-    one: FootprintPath, other: FootprintPath, settings: TrafficSettings
-) -> tuple[tuple[NDArray[np.intp], NDArray[np.intp]], Array]:
-    """The rows of moments at which the two are near, and the times to their collision."""
-    a, b = _common(one, other)
-    horizon = max(settings.ttc_s, HORIZON_S)
-    speeds = one.speed[a] + other.speed[b]
-    reach = one.radius + other.radius + speeds * horizon
-    close = (np.linalg.norm(one.place[a] - other.place[b], axis=1) < reach) & (
-        np.maximum(one.speed[a], other.speed[b]) >= _DRIVES
-    )
-    rows = a[close], b[close]
-    parts = [(rows[0][k : k + _ROWS], rows[1][k : k + _ROWS]) for k in range(0, len(rows[0]), _ROWS)]
-    seconds = [times_to_collision(one, other, part, horizon) for part in parts]
-    return rows, np.concatenate([np.zeros(0), *seconds])
-
-
-def _angle_of_ways(one: FootprintPath, other: FootprintPath, i: int, j: int) -> float:
-    """Degrees between the ways of two, where the way of one is nearest to where the other one is."""
-    here = int(np.linalg.norm(one.place - other.place[j], axis=1).argmin())
-    there = int(np.linalg.norm(other.place - one.place[i], axis=1).argmin())
-    return float(min(angle_deg(one.facing[here], other.facing[j]), angle_deg(one.facing[i], other.facing[there])))
-
-
-def _row(path: FootprintPath, time_s: float) -> int:
-    return int(np.abs(path.times_s - time_s).argmin())
-
-
-def _behind(one: FootprintPath, other: FootprintPath, i: int, j: int) -> bool:
-    """Whether `one` sees `other` ahead."""
-    return bool((other.place[j] - one.place[i]) @ one.facing[i] > 0)
 
 
 def _kind(angle: float) -> str:

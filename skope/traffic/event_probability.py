@@ -76,7 +76,7 @@ def event_probability(trajectory: Trajectory) -> float:
     By Laplace's rule of succession over the moments at which a place was taken: two say little, many say much.
     """
     places = min(int(trajectory.measured.sum()), _MOST_PLACES)
-    return (places + 1) / (places + 2) * _undoubted(trajectory)
+    return (places + 1) / (places + 2) * undoubted(trajectory)
 
 
 def crossing_probability(trajectory: Trajectory, time_s: float, step_s: float) -> float:
@@ -91,19 +91,24 @@ def crossing_probability(trajectory: Trajectory, time_s: float, step_s: float) -
     if trajectory.category != VEHICLE:
         speed = float(trajectory.at(trajectory.speed, time_s))
         jumps = speed > _FASTEST.get(trajectory.category, math.inf)
-        return _OTHERS[trajectory.category] * _undoubted(trajectory) * (_JUMPS if jumps else 1.0)
+        return _OTHERS[trajectory.category] * undoubted(trajectory) * (_JUMPS if jumps else 1.0)
+    evidence = crossing_evidence(trajectory, time_s, step_s)
+    logit = sum(weight * value for weight, value in zip(_LOGIT, evidence, strict=True))
+    return undoubted(trajectory) / (1 + math.exp(-logit))
+
+
+def crossing_evidence(trajectory: Trajectory, time_s: float, step_s: float) -> tuple[float, ...]:
+    """What `_LOGIT` weighs of a vehicle's crossing at a time (see `crossing_probability`)."""
     times = trajectory.times_s[trajectory.measured]
     sides = (time_s - times[times < time_s], times[times >= time_s] - time_s)
     parts = min(len(np.unique(np.floor(side / _HALF_S))) for side in sides)
-    values = (
+    return (
         1.0,
         math.log(1 + min(parts, _MOST_PLACES)),
         math.log(0.05 + trajectory.place_sigma(time_s)),
         math.log(0.1 + max(0.0, trajectory.longest_gap(time_s, _AROUND_S) - step_s) + _USUAL_STEP_S),
         float(trajectory.class_name == UNKNOWN),
     )
-    logit = sum(weight * value for weight, value in zip(_LOGIT, values, strict=True))
-    return _undoubted(trajectory) / (1 + math.exp(-logit))
 
 
 def usual_step(trajectories: Sequence[Trajectory]) -> float:
@@ -113,7 +118,7 @@ def usual_step(trajectories: Sequence[Trajectory]) -> float:
     return float(np.median(every)) if len(every) else _USUAL_STEP_S
 
 
-def _undoubted(trajectory: Trajectory) -> float:
+def undoubted(trajectory: Trajectory) -> float:
     """Factor for what a track should be distrusted for."""
     doubted = _DOUBTED if _DOUBTS & set(trajectory.flags) else 1.0
     return doubted * trajectory.joined_probability

@@ -76,7 +76,12 @@ class TrafficReport:
 
 
 def measure(
-    tracks: Sequence[Trajectory], observation: Observation, site: "SiteParts", start: datetime | None = None
+    tracks: Sequence[Trajectory],
+    observation: Observation,
+    site: "SiteParts",
+    start: datetime | None = None,
+    *,
+    broken: bool = True,
 ) -> TrafficReport:
     """Count and measure the traffic of a footage.
 
@@ -85,10 +90,13 @@ def measure(
         observation: When it observed the road.
         site: Gates, zones, lanes and settings.
         start: When the footage begins; None: as the site says.
+        broken: Whether a road user's track may have broken into several, which are joined. Those of a simulation are
+            whole.
     """
     settings = site.traffic
     begin = local_start(site) if start is None else start
-    trajectories = joined([one for one in tracks if one.confirmed])
+    confirmed = [one for one in tracks if one.confirmed]
+    trajectories = joined(confirmed) if broken else confirmed
     lanes = LaneMap(site.lanes)
     whole = whole_footage(observation)
     intervals = clock_intervals(begin, max(0.0, whole.begin_s), whole.end_s, settings.interval_minutes)
