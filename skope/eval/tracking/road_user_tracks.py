@@ -32,6 +32,12 @@ _LOST_S: Final = 1.0
 """Who is not seen for so long is somebody else when coming back."""
 _LAG_S: Final = 20.0
 """What was seen so long ago is not changed by what is seen now."""
+_LINKED: Final = 36.0
+"""A sight with a track's number joins it if it is nearer than this, in variances: a number jumps from one who walks to
+another where they meet."""
+_ON_FOOT: Final = 4.0
+"""Who is faster in the median, m/s, is not on foot but on wheels, whatever the boxes say."""
+_ON_WHEELS: Final = (CATEGORIES.index("bicycle") + 1, CATEGORIES.index("motorcycle") + 1)
 _OTHER_KIND: Final = 4.0
 """Added to the squared distance, in variances, of a sight of another category than the track's."""
 _FEWEST: Final = 3
@@ -121,6 +127,13 @@ class _Open:
         """Of which category it most surely is."""
         return max(self.scores, key=lambda category_id: self.scores[category_id])
 
+    def category(self, speed: float) -> str:
+        """Its category, by how sure the sights are and by its speed in the median, m/s."""
+        on_foot = CATEGORIES[self.category_id - 1] == "pedestrian"
+        if on_foot and speed > _ON_FOOT:
+            return CATEGORIES[max(_ON_WHEELS, key=lambda category_id: self.scores[category_id]) - 1]
+        return CATEGORIES[self.category_id - 1]
+
     def settle(self, until_s: float) -> None:
         """Smooth, and keep what came before `until_s` as it then is."""
         steps = self.steps
@@ -146,7 +159,7 @@ class _Open:
             return None
         return RoadUserTrack(
             number=0,
-            category=CATEGORIES[self.category_id - 1],
+            category=self.category(float(np.median(np.hypot(rows[measured, 4], rows[measured, 5])))),
             frames=rows[:, 0].astype(np.intp),
             times_s=times,
             position=np.column_stack([rows[:, 2:4], np.interp(times, times[measured], rows[measured, 8])]),
@@ -220,7 +233,11 @@ def _pairs(
     for i, sight in enumerate(sights):
         known = [owners[link] for link in sight.links if link in owners]
         # Of two sights with one number only the first has the track.
-        of_sight.update((i, track) for track in known[:1] if track in live and track not in of_sight.values())
+        of_sight.update(
+            (i, track)
+            for track in known[:1]
+            if track in live and track not in of_sight.values() and _may_be(track, sight)
+        )
     taken = {id(track) for track in of_sight.values()}
     free = [track for track in live if id(track) not in taken]
     rest = [(i, sight) for i, sight in enumerate(sights) if i not in of_sight and sight.point is not None]
@@ -228,6 +245,13 @@ def _pairs(
     for row, column in cheapest_pairs(_distances(free, points), GATE):
         of_sight[rest[column][0]] = free[row]
     return [(of_sight.get(i), sight) for i, sight in enumerate(sights)]
+
+
+def _may_be(track: _Open, sight: Sight) -> bool:
+    """Whether a sight with the track's number may be it: where it stands, if that is known, is no jump."""
+    if sight.point is None:
+        return True
+    return float(_distances([track], [(track.category_id, sight.point)])[0, 0]) < _LINKED
 
 
 def _distances(tracks: Sequence[_Open], points: Sequence[tuple[int, GroundPoint]]) -> Array:

@@ -414,3 +414,23 @@ def test_pictures_with_others_in_them_differ(tmp_path: Path) -> None:
     above = next(birdseye_video.frames([], times, CAMERA, None, None, tracks))
     bare = next(birdseye_video.frames([], times, CAMERA, None, None, []))
     assert above.shape != bare.shape or (above != bare).any()
+
+
+def test_a_number_that_jumps_from_one_to_another_does_not_take_the_track_along() -> None:
+    """As a detector's numbers do where two meet: half a street away is not the same person."""
+    times = np.arange(0, 4, 0.1).tolist()
+    people = [(PEDESTRIAN, straight(0, 0, 1.3, 0)), (PEDESTRIAN, straight(10, 6, -1.3, 0))]
+    images = walked(people, times, links=True)
+    for k, image in enumerate(images):
+        if k >= 20:
+            images[k] = [replace(one, links=other.links) for one, other in zip(image, image[::-1], strict=True)]
+    tracks = follow_road_users(images, times)
+    assert len(tracks) == 2
+    assert max(track.speed.max() for track in tracks) < 3.0
+
+
+@pytest.mark.parametrize(("speed", "category"), [(1.4, "pedestrian"), (3.0, "pedestrian"), (6.5, "bicycle")])
+def test_who_is_too_fast_for_walking_is_on_wheels(speed: float, category: str) -> None:
+    times = np.arange(0, 3, 0.1).tolist()
+    (track,) = follow_road_users(walked([(PEDESTRIAN, straight(0, 0, speed, 0))], times), times)
+    assert track.category == category
