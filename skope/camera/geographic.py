@@ -1,6 +1,7 @@
 """Places on the Earth as metres of a plane near them: WGS84's longitude and latitude, and UTM's grid."""
 
 import math
+from collections.abc import Callable
 from typing import Final
 
 import numpy as np
@@ -16,6 +17,10 @@ _UTM_SCALE: Final = 0.9996
 _UTM_EAST_M: Final = 500_000.0
 _UTM_SOUTH_M: Final = 1e7
 """UTM's scale and easting on a zone's central meridian, and its northing on the equator of the southern zones."""
+_NEWTON_STEPS: Final = 20
+_NEWTON_M: Final = 1e-5
+_NEWTON_DEG: Final = 1e-6
+"""An inverse is exact to a hundredth of a millimetre; its slopes are taken over a tenth of a metre."""
 
 
 def local_metres(longitude_deg: ArrayLike, latitude_deg: ArrayLike, origin_deg: tuple[float, float]) -> Array:
@@ -81,3 +86,31 @@ def utm_metres(longitude_deg: ArrayLike, latitude_deg: ArrayLike, zone: int, *, 
         east = east + share * np.cos(2 * j * xi) * np.sinh(2 * j * eta)
     radius = _UTM_SCALE * _A / (1 + n) * (1 + n**2 / 4 + n**4 / 64)
     return np.stack([radius * east + _UTM_EAST_M, radius * north + (_UTM_SOUTH_M if south else 0.0)], axis=-1)
+
+
+def geographic(metres: ArrayLike, forward: Callable[[Array, Array], Array], near_deg: tuple[float, float]) -> Array:
+    """(..., 2) longitude and latitude, degrees, of places in metres: the inverse of a projection, by Newton's method.
+
+    Args:
+        metres: (..., 2) places in the projection's plane.
+        forward: Takes longitudes and latitudes (...,) to (..., 2) metres, as `local_metres` and `utm_metres` do.
+        near_deg: A longitude and latitude within some degrees of all places.
+
+    Raises:
+        ValueError: It does not come to an end: the places lie too far away.
+    """
+    wanted = np.asarray(metres, dtype=np.float64)
+    found = np.broadcast_to(np.asarray(near_deg, dtype=np.float64), wanted.shape).copy()
+    for _ in range(_NEWTON_STEPS):
+        off = forward(found[..., 0], found[..., 1]) - wanted
+        if not np.isfinite(off).all():
+            break
+        if not off.size or np.abs(off).max() < _NEWTON_M:
+            return found
+        columns = []
+        for axis in range(2):
+            moved = found.copy()
+            moved[..., axis] += _NEWTON_DEG
+            columns.append((forward(moved[..., 0], moved[..., 1]) - off - wanted) / _NEWTON_DEG)
+        found -= np.linalg.solve(np.stack(columns, axis=-1), off[..., None])[..., 0]
+    raise ValueError("these places are not where the projection is good")

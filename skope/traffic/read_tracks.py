@@ -121,6 +121,7 @@ def _vehicle(path: Path, rows: Rows, observation: Observation) -> Trajectory:
     length, width, confidence = (_numbers(path, rows[:1], name)[0] for name in ("length", "width", "class_confidence"))
     if not (length > 0 and width > 0 and 0 <= confidence <= 1):
         raise UserError(f"{path}: line {first['line']}: length, width, class_confidence: out of range")
+    height = _numbers(path, rows[:1], "height", empty=True)[0] if "height" in first else math.nan
     return Trajectory(
         number=_number(path, first),
         category=VEHICLE,
@@ -129,6 +130,7 @@ def _vehicle(path: Path, rows: Rows, observation: Observation) -> Trajectory:
         measured=_numbers(path, rows, "measured") > 0,
         length=float(length),
         width=float(width),
+        height=float(height) if height > 0 else None,
         flags=tuple(first["flags"].split()),
         **_columns(path, rows, observation),
     )

@@ -55,6 +55,7 @@ class Trajectory:
     length: float | None = None
     """Metres; None where it is not measured."""
     width: float | None = None
+    height: float | None = None
     confirmed: bool = True
     """Whether it has been seen often and long enough to be a road user: others never count."""
     flags: tuple[str, ...] = ()

@@ -142,7 +142,10 @@ def test_who_goes_past_the_end_of_a_gate_is_in_doubt() -> None:
         return next(iter(crossings([track], [GATE], NO_LANES, TrafficSettings())), None)
 
     inside, outside, far, middle = at(4.8), at(5.2), at(6.0), at(0.0)
-    assert inside and outside and middle and far is None
+    assert inside
+    assert outside
+    assert middle
+    assert far is None
     assert (inside.counts, inside.doubt) == (True, "beside")
     assert (outside.counts, outside.doubt) == (False, "beside")
     assert (middle.counts, middle.doubt) == (True, "")

@@ -1,0 +1,117 @@
+"""A traffic report as a workbook: a sheet with what it says in short, and one for each table but trajectories.
+
+Cells are numbers and times, not text, so that a person can sort, filter and sum them. Times are those of the site's
+clock: Excel knows no zones; `begin_s` and `end_s` tell the two hours of a day apart that have one name. Names that
+begin like a formula stay text.
+"""
+
+import math
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from skope.errors import UserError
+from skope.files.atomic import replacing
+from skope.traffic.measure import TrafficReport
+from skope.traffic.report_tables import ReportTable, report_tables
+
+if TYPE_CHECKING:
+    from xlsxwriter.format import Format
+    from xlsxwriter.workbook import Workbook
+    from xlsxwriter.worksheet import Worksheet
+
+FILE: Final = "traffic.xlsx"
+_MOST_ROWS: Final = 1_048_575
+"""Below the row of names."""
+_LEFT_OUT: Final = frozenset({"trajectories"})
+"""Tables of points and moments, for which a sheet is too small."""
+_WIDTH: Final = 16
+_ROUNDED: Final = 3
+
+
+def write_excel(folder: Path, report: TrafficReport) -> list[Path]:
+    """Write a report as `traffic.xlsx`; returns the file.
+
+    Raises:
+        UserError: A table has more rows than a sheet; the message names it.
+    """
+    import xlsxwriter
+
+    path = folder / FILE
+    with replacing(path) as temporary:
+        book = xlsxwriter.Workbook(str(temporary), {"constant_memory": True, "nan_inf_to_errors": False})
+        try:
+            formats = _Formats(book)
+            _write_summary(book.add_worksheet("summary"), report, formats)
+            for name, table in report_tables(report).items():
+                if name not in _LEFT_OUT:
+                    _write_table(book.add_worksheet(name), name, table, formats)
+        finally:
+            book.close()
+    return [path]
+
+
+class _Formats:
+    """How cells look."""
+
+    def __init__(self, book: "Workbook") -> None:
+        self.head: Format = book.add_format({"bold": True, "bottom": 1, "text_wrap": True, "valign": "top"})
+        self.time: Format = book.add_format({"num_format": "yyyy-mm-dd hh:mm:ss"})
+        self.text: Format = book.add_format({"text_wrap": True, "valign": "top"})
+
+
+def _write_table(sheet: "Worksheet", name: str, table: ReportTable, formats: _Formats) -> None:
+    sheet.freeze_panes(1, 0)
+    sheet.set_column(0, len(table.columns) - 1, _WIDTH)
+    for column, title in enumerate(table.columns):
+        sheet.write_string(0, column, title, formats.head)
+    last = 0
+    for last, row in enumerate(table.rows, start=1):
+        if last > _MOST_ROWS:
+            raise UserError(f"{name}: more than {_MOST_ROWS} rows, which no sheet holds; measure a shorter time")
+        for column, value in enumerate(row):
+            _write_cell(sheet, last, column, value, formats)
+    sheet.autofilter(0, 0, last, len(table.columns) - 1)
+
+
+def _write_cell(sheet: "Worksheet", row: int, column: int, value: Any, formats: _Formats) -> None:
+    """Write one cell; nothing where there is nothing to say."""
+    if value is None or (isinstance(value, float) and not math.isfinite(value)):
+        return
+    if isinstance(value, datetime):
+        sheet.write_datetime(row, column, value.replace(tzinfo=None), formats.time)
+    elif isinstance(value, int | float):
+        sheet.write_number(row, column, round(float(value), _ROUNDED))
+    else:
+        sheet.write_string(row, column, str(value))
+
+
+def _write_summary(sheet: "Worksheet", report: TrafficReport, formats: _Formats) -> None:
+    """Of what this is, the counts of the whole footage, and what could not be measured or should be distrusted."""
+    sheet.set_column(0, 0, 30)
+    sheet.set_column(1, 4, _WIDTH)
+    observation = report.observation
+    spans = observation.spans
+    row = 0
+    for title, value in (
+        ("footage", observation.source),
+        ("begins", report.start),
+        ("time zone", report.site.time_zone),
+        ("observed, seconds", float((spans[:, 1] - spans[:, 0]).sum())),
+    ):
+        sheet.write_string(row, 0, title, formats.head)
+        _write_cell(sheet, row, 1, value, formats)
+        row += 1
+    row += 1
+    for column, title in enumerate(("gate", "direction", "count", "low (90%)", "high (90%)")):
+        sheet.write_string(row, column, title, formats.head)
+    for one in report.counts_total:
+        row += 1
+        bounds = (None, None) if one.expected is None else (one.expected.low, one.expected.high)
+        for column, value in enumerate((one.gate, one.direction, one.count, *bounds)):
+            _write_cell(sheet, row, column, value, formats)
+    row += 2
+    sheet.write_string(row, 0, "not measured, or to be distrusted", formats.head)
+    for line in report.refused:
+        row += 1
+        sheet.write_string(row, 0, line)

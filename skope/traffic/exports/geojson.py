@@ -1,0 +1,126 @@
+"""A traffic report on the map: gates with their counts, lanes, zones, tracks and conflicts as GeoJSON (RFC 7946).
+
+Longitude and latitude are WGS84's, so the site has to say where on the Earth it is.
+"""
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from skope.files.atomic import replacing
+from skope.files.json_files import json_bytes
+from skope.site.marks import Outline
+from skope.site.on_earth import on_earth
+from skope.traffic.gates import direction_names, may_count
+from skope.traffic.measure import TrafficReport
+from skope.traffic.report_tables import clock, thinned
+from skope.traffic.trajectories import KMH, Trajectory
+from skope.types import Array
+
+FILE: Final = "traffic.geojson"
+_DIGITS: Final = 7
+"""Of degrees: a centimetre."""
+_LEAST_POINTS: Final = 2
+
+
+def write_geojson(folder: Path, report: TrafficReport) -> list[Path]:
+    """Write a report as `traffic.geojson`; returns the file.
+
+    Raises:
+        UserError: The site does not say where it is (`skope.site.on_earth`).
+    """
+    on_earth(report.site, np.zeros((1, 2)))  # before anything is written
+    path = folder / FILE
+    with replacing(path) as temporary, temporary.open("wb") as file:
+        file.write(b'{"type":"FeatureCollection","features":[')
+        separator = b"\n"
+        for feature in _features(report):
+            file.write(separator + json_bytes(feature).strip())
+            separator = b",\n"
+        file.write(b"\n]}\n")
+    return [path]
+
+
+def _features(report: TrafficReport) -> Iterator[dict[str, Any]]:
+    site = report.site
+    for gate in site.gates:
+        yield _feature(
+            report, "LineString", gate.line, {"kind": "gate", "name": gate.name, **_totals(report, gate.name)}
+        )
+    for lane in site.lanes:
+        yield _feature(report, "LineString", lane.line, {"kind": "lane", "name": lane.name, "width_m": lane.width})
+    for zone in site.zones:
+        yield _feature(report, "Polygon", zone.polygon, {"kind": "zone", "name": zone.name})
+    for one in report.trajectories:
+        rows = thinned(one, site.traffic.trajectory_interval_s)
+        if may_count(one, site.traffic) and len(rows) >= _LEAST_POINTS:
+            yield _feature(report, "LineString", one.place[rows], _of_track(report, one, rows))
+    for conflict in report.conflicts.conflicts:
+        yield _feature(
+            report,
+            "Point",
+            conflict.place,
+            {
+                "kind": "conflict",
+                "time": _moment(report, conflict.time_s),
+                "time_s": round(conflict.time_s, 3),
+                "of": conflict.kind,
+                "tracks": [conflict.first.number, conflict.second.number],
+                **{
+                    name: None if np.isnan(value) else round(float(value), 3)
+                    for name, value in (
+                        ("ttc_s", conflict.ttc_s),
+                        ("ttc_probability", conflict.probability),
+                        ("pet_ssam_s", conflict.pet_places_s),
+                        ("pet_sigma_s", conflict.pet_sigma_s),
+                    )
+                },
+            },
+        )
+
+
+def _totals(report: TrafficReport, gate: str) -> dict[str, Any]:
+    """The counts of the whole footage of a gate, by direction, with their intervals."""
+    (mark,) = (one for one in report.site.gates if one.name == gate)
+    totals = {}
+    for one in report.counts_total:
+        if one.gate == gate:
+            bounds = {} if one.expected is None else {"low": one.expected.low, "high": one.expected.high}
+            totals[one.direction] = {"count": one.count, **bounds}
+    return {"counts": totals, "from_left_to_right": direction_names(mark)[0]}
+
+
+def _of_track(report: TrafficReport, one: Trajectory, rows: Sequence[int]) -> dict[str, Any]:
+    return {
+        "kind": "track",
+        "track": one.number,
+        "class": one.class_name,
+        "class_confidence": round(one.class_confidence, 3),
+        "begin": _moment(report, float(one.times_s[0])),
+        "times_s": np.round(one.times_s[rows], 3).tolist(),
+        "speed_kmh": np.round(one.speed[rows] * KMH, 2).tolist(),
+        "speed_sigma_kmh": np.round(one.speed_sigma[rows] * KMH, 2).tolist(),
+    }
+
+
+def _moment(report: TrafficReport, time_s: float) -> str | None:
+    moment = clock(report, time_s)
+    return None if moment is None else moment.isoformat(timespec="milliseconds")
+
+
+def _feature(report: TrafficReport, kind: str, places: Outline | Array, properties: dict[str, Any]) -> dict[str, Any]:
+    """A feature of places in metres; polygons are closed, counter-clockwise."""
+    points = np.asarray(places, dtype=np.float64)
+    if kind == "Polygon":
+        x, y = points.T
+        if (x * np.roll(y, -1) - np.roll(x, -1) * y).sum() < 0:
+            points = points[::-1]
+        points = np.concatenate([points, points[:1]])
+    degrees = np.round(on_earth(report.site, points), _DIGITS).tolist()
+    return {
+        "type": "Feature",
+        "geometry": {"type": kind, "coordinates": [degrees] if kind == "Polygon" else degrees},
+        "properties": properties,
+    }

@@ -1,0 +1,114 @@
+"""Tracks as ASAM OpenLABEL 1.0.0: for each frame a cuboid on the road for everyone who is there, in the site's metres.
+
+A cuboid is its middle, its turn as a quaternion, and its length, width and height. Sizes that were not measured are
+usual ones, and say so (`size_measured`).
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from skope.files.atomic import replacing
+from skope.files.json_files import json_bytes
+from skope.traffic.gates import may_count
+from skope.traffic.measure import TrafficReport
+from skope.traffic.report_tables import clock
+from skope.traffic.trajectories import KMH, Trajectory, worst_sigma
+from skope.version import __version__
+
+FILE: Final = "traffic.json"
+_WORLD: Final = "world"
+_HEIGHTS_M: Final[Mapping[str, float]] = {"pedestrian": 1.7, "bicycle": 1.7, "motorcycle": 1.6}
+_VEHICLE_M: Final = 1.5
+_DIGITS: Final = 3
+
+
+def write_openlabel(folder: Path, report: TrafficReport) -> list[Path]:
+    """Write the tracks of a report that count as `traffic.json`; returns the file.
+
+    Frames are those in which the road was observed, numbered from 0, with their times.
+    """
+    chosen = [one for one in report.trajectories if may_count(one, report.site.traffic)]
+    times = report.observation.times_s
+    spans = {one.number: np.searchsorted(times, [one.times_s[0] - 1e-6, one.times_s[-1] + 1e-6]) for one in chosen}
+    begun: dict[int, list[Trajectory]] = {}
+    for one in chosen:
+        begun.setdefault(int(spans[one.number][0]), []).append(one)
+    path = folder / FILE
+    with replacing(path) as temporary, temporary.open("wb") as file:
+        file.write(b'{"openlabel":{"metadata":' + json_bytes(_metadata(report)).strip())
+        file.write(b',\n"coordinate_systems":' + json_bytes({_WORLD: {"type": "scene_cs", "parent": ""}}).strip())
+        file.write(b',\n"objects":' + json_bytes(_objects(chosen, spans)).strip())
+        if len(times):
+            file.write(b',\n"frame_intervals":' + json_bytes([_interval(0, len(times))]).strip())
+        file.write(b',\n"frames":{')
+        live: list[Trajectory] = []
+        for frame, time_s in enumerate(times.tolist()):
+            live = [one for one in (*live, *begun.get(frame, ())) if spans[one.number][1] > frame]
+            file.write(b",\n" if frame else b"\n")
+            file.write(f'"{frame}":'.encode() + json_bytes(_frame(report, live, time_s)).strip())
+        file.write(b"\n}}}\n")
+    return [path]
+
+
+def _metadata(report: TrafficReport) -> dict[str, Any]:
+    begins = None if report.start is None else report.start.isoformat()
+    return {
+        "schema_version": "1.0.0",
+        "annotator": f"skope {__version__}",
+        "footage": report.observation.source,
+        **({} if begins is None else {"begins": begins}),
+    }
+
+
+def _interval(begin: int, end: int) -> dict[str, int]:
+    return {"frame_start": begin, "frame_end": end - 1}
+
+
+def _objects(chosen: Sequence[Trajectory], spans: Mapping[int, Any]) -> dict[str, Any]:
+    """Everyone with a frame, by number."""
+    objects = {}
+    for one in chosen:
+        begin, end = map(int, spans[one.number])
+        if begin < end:
+            objects[str(one.number)] = {
+                "name": f"{one.class_name} {one.number}",
+                "type": one.class_name,
+                "frame_intervals": [_interval(begin, end)],
+                "object_data_pointers": {"body": {"type": "cuboid", "frame_intervals": [_interval(begin, end)]}},
+            }
+    return objects
+
+
+def _frame(report: TrafficReport, live: Sequence[Trajectory], time_s: float) -> dict[str, Any]:
+    moment = clock(report, time_s)
+    timestamp = f"{time_s:.3f}" if moment is None else moment.isoformat(timespec="milliseconds")
+    frame: dict[str, Any] = {"frame_properties": {"timestamp": timestamp}}
+    if live:
+        frame["objects"] = {str(one.number): {"object_data": {"cuboid": [_cuboid(one, time_s)]}} for one in live}
+    return frame
+
+
+def _cuboid(one: Trajectory, time_s: float) -> dict[str, Any]:
+    x, y = one.at(one.place, time_s).tolist()
+    ahead = one.at(one.facing, time_s)
+    heading = math.atan2(ahead[1], ahead[0])
+    length, width = one.size
+    height = one.height or _HEIGHTS_M.get(one.category, _VEHICLE_M)
+    values = (x, y, height / 2, 0.0, 0.0, math.sin(heading / 2), math.cos(heading / 2), length, width, height)
+    sigma = float(worst_sigma(one.at(one.covariance, time_s)))
+    speed, speed_sigma = (float(one.at(column, time_s)) * KMH for column in (one.speed, one.speed_sigma))
+    numbers = {"speed_kmh": speed, "speed_sigma_kmh": speed_sigma, "sigma_position_m": sigma}
+    measured = bool(one.length and one.width and one.height)
+    return {
+        "name": "body",
+        "val": [round(value, 6) for value in values],
+        "coordinate_system": _WORLD,
+        "attributes": {
+            "num": [{"name": name, "val": round(value, _DIGITS)} for name, value in numbers.items()],
+            "boolean": [{"name": "size_measured", "val": measured}],
+        },
+    }

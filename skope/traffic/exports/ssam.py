@@ -1,0 +1,90 @@
+"""Tracks as FHWA's Surrogate Safety Assessment Model reads them: `.trj`, version 3.0.
+
+Records without padding, little endian: format, dimensions, and for every 0.1 s a time step with the vehicles that are
+there (FHWA, Open Source SSAM File Format v3.0). Numbers have 24 bits there, so that places count from the south-west
+corner of all tracks, and times from the footage's first frame.
+"""
+
+import struct
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skope.files.atomic import replacing
+from skope.traffic.footprints import FootprintPath
+from skope.traffic.gates import may_count
+from skope.traffic.measure import TrafficReport
+from skope.types import Array
+
+FILE: Final = "tracks.trj"
+_STEP_S: Final = 0.1
+"""What SSAM looks at collisions by."""
+_VERSION: Final = 3.0
+_FORMAT, _DIMENSIONS, _TIME_STEP, _VEHICLE = range(4)
+_METRES: Final = 1
+_Z: Final = 1
+"""Vehicles have heights."""
+_MARGIN_M: Final = 20
+"""Around all places: what lies outside the stated area vanishes."""
+_RECORD: Final = np.dtype(
+    [
+        ("type", "u1"),
+        ("vehicle", "<i4"),
+        ("link", "<i4"),
+        ("lane", "u1"),
+        *((name, "<f4") for name in ("front_x", "front_y", "rear_x", "rear_y")),
+        *((name, "<f4") for name in ("length", "width", "speed", "acceleration", "front_z", "rear_z")),
+    ]
+)
+
+
+def write_ssam(folder: Path, report: TrafficReport) -> list[Path]:
+    """Write the tracks of a report that count as `tracks.trj`; returns the file.
+
+    Vehicles, people on two wheels and on foot are all vehicles there, by their own sizes. Link and lane are 0.
+    """
+    chosen = [one for one in report.trajectories if may_count(one, report.site.traffic)]
+    paths = [path for path in (FootprintPath(one, _STEP_S) for one in chosen) if len(path.ticks)]
+    origin, size = _area(paths)
+    times = report.observation.times_s
+    first, last = (round(float(times[row]) / _STEP_S) for row in (0, -1)) if len(times) else (0, 0)
+    rows = np.concatenate([np.zeros(0, _RECORD), *(_rows(path, origin) for path in paths)])
+    ticks = np.concatenate([np.zeros(0, np.int64), *(path.ticks for path in paths)]) - first
+    order = np.argsort(ticks, kind="stable")
+    rows, ticks = rows[order], ticks[order]
+    steps = max(last - first, int(ticks[-1]) if len(ticks) else 0)
+    bounds = np.searchsorted(ticks, np.arange(steps + 2))
+    path = folder / FILE
+    with replacing(path) as temporary, temporary.open("wb") as file:
+        file.write(struct.pack("<Bcf", _FORMAT, b"L", _VERSION) + struct.pack("<B", _Z))
+        file.write(struct.pack("<BBf4i", _DIMENSIONS, _METRES, 1.0, 0, 0, *size))
+        for step in range(steps + 1):
+            file.write(struct.pack("<Bf", _TIME_STEP, step * _STEP_S))
+            file.write(rows[bounds[step] : bounds[step + 1]].tobytes())
+    return [path]
+
+
+def _area(paths: list[FootprintPath]) -> tuple[Array, tuple[int, int]]:
+    """(2,) the corner that places count from, metres, and how far the area goes east and north of it."""
+    places = np.concatenate([np.zeros((0, 2)), *(path.place for path in paths)])
+    if not len(places):
+        return np.zeros(2), (1, 1)
+    low, high = np.floor(places.min(axis=0)) - _MARGIN_M, np.ceil(places.max(axis=0)) + _MARGIN_M
+    east, north = (high - low).astype(int).tolist()
+    return low, (east, north)
+
+
+def _rows(path: FootprintPath, origin: Array) -> NDArray[np.void]:
+    """The records (M,) of a vehicle at its moments."""
+    rows = np.zeros(len(path.ticks), _RECORD)
+    length, width = path.size
+    rows["type"], rows["vehicle"] = _VEHICLE, path.trajectory.number
+    half = path.facing * (length / 2)
+    for name, places in (("front", path.place + half), ("rear", path.place - half)):
+        rows[f"{name}_x"], rows[f"{name}_y"] = (places - origin).T
+    rows["length"], rows["width"], rows["speed"] = length, width, path.speed
+    if len(rows) > 1:
+        rows["acceleration"] = np.gradient(path.speed, _STEP_S)
+    return rows
