@@ -21,6 +21,9 @@ class Gate:
     """Its two ends, world x and y, metres; of a gate in the image columns and rows, pixels."""
     directions: tuple[str, str] | None = None
     """What crossings from left to right, and from right to left, of the line as drawn are called; None: not named."""
+    edges: tuple[str, str] | None = None
+    """The edges of a SUMO network on which it is crossed from left to right and back, "" where there is none; None: not
+    said."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,7 +65,7 @@ def read_gate(row: TomlTable) -> Gate:
         raise row.wrong("line", f"expected two ends [x, y], got {len(line)}")
     if line[0] == line[1]:
         raise row.wrong("line", "its ends are one place")
-    return Gate(name=read_name(row), line=line, directions=_directions(row))
+    return Gate(name=read_name(row), line=line, directions=_directions(row), edges=_edges(row))
 
 
 def read_image_gate(row: TomlTable) -> Gate:
@@ -83,6 +86,19 @@ def _directions(row: TomlTable) -> tuple[str, str] | None:
     if names[0] == names[1]:
         raise row.wrong("directions", f"both are called {names[0]!r}")
     return checked_name(row, "directions", names[0]), checked_name(row, "directions", names[1])
+
+
+def _edges(row: TomlTable) -> tuple[str, str] | None:
+    """The edges of a SUMO network that a gate lies across, by direction; None where the row does not say it."""
+    if "edges" not in row:
+        return None
+    names = row.value("edges")
+    if not isinstance(names, list) or len(names) != 2 or not all(isinstance(name, str) for name in names):
+        raise row.wrong("edges", 'expected two edges of a SUMO network, like ["A0B0", "B0A0"]; "" where there is none')
+    if names[0] == names[1]:
+        raise row.wrong("edges", f"both are {names[0]!r}")
+    one, other = (checked_name(row, "edges", name) if name else "" for name in names)
+    return one, other
 
 
 def read_zone(row: TomlTable) -> Zone:

@@ -2,14 +2,18 @@
 
 import json
 import math
+import re
 import struct
-from collections import defaultdict
+import subprocess
+import sys
+from collections import Counter, defaultdict
 from datetime import datetime
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import sumolib
 
 from skope.errors import UserError
 from skope.site.on_earth import on_earth
@@ -19,9 +23,10 @@ from skope.traffic.exports.geojson import write_geojson
 from skope.traffic.exports.openlabel import write_openlabel
 from skope.traffic.exports.parquet import write_parquet
 from skope.traffic.exports.ssam import write_ssam
+from skope.traffic.exports.sumo import write_sumo
 from skope.traffic.measure import TrafficReport, measure
 from skope.traffic.report_tables import report_tables
-from tests.traffic.drives import straight, watched
+from tests.traffic.drives import drive, straight, watched
 
 HEAD = 'time_zone = "Europe/Berlin"\nstart = 2026-11-26T10:00:00\n'
 MARKS = (
@@ -186,6 +191,98 @@ def test_openlabel_by_its_checker(tmp_path: Path) -> None:
         for number in "123"
     ]
     assert measured == [True, False, False]
+
+
+# --------------------------------------------------------------------------------------------------------------- sumo
+
+NETWORK = Path("examples/own_road/junction.net.xml")
+ARMS = """
+[[gates]]
+name = "west"
+line = [[-10, 5], [-10, -5]]
+directions = ["to the west", "from the west"]
+edges = ["-10#0", "10#0"]
+[[gates]]
+name = "east"
+line = [[10, -5], [10, 5]]
+directions = ["to the east", "from the east"]
+edges = ["10#1", "-10#1"]
+[[gates]]
+name = "south"
+line = [[-5, -10], [5, -10]]
+directions = ["to the south", "from the south"]
+edges = ["11", "-11"]
+[traffic]
+interval_minutes = 5
+"""
+CORNERS = {"west": (-25.0, 0.0), "east": (25.0, 0.0), "south": (0.0, -25.0)}
+DRIVEN = {("west", "east"): 7, ("west", "south"): 4, ("east", "west"): 5, ("south", "east"): 3}
+
+
+def junction_report(head: str = HEAD) -> TrafficReport:
+    """Cars, one lorry among them, through a junction in five minutes, 12 s apart, and somebody on foot."""
+    tracks = []
+    for origin, destination in (pair for pair, number in DRIVEN.items() for _ in range(number)):
+        corners = np.array([CORNERS[origin], (0.0, 0.0), CORNERS[destination]])
+        along = np.linspace(0, 2, 51)
+        places = np.stack([np.interp(along, range(3), corners[:, k]) for k in range(2)], axis=1)
+        number = len(tracks) + 1
+        times = 12.0 * number + np.arange(51) * 0.1
+        tracks.append(drive(number, places, times, class_name="lorry" if number == 1 else "car"))
+    walker = {"category": "pedestrian", "class_name": "pedestrian"}
+    tracks.append(straight(99, (-14, 1), (1.2, 0), 7, begin_s=2.0, **walker))
+    return measure(tracks, watched(299.9), site_of(head + ARMS))
+
+
+def test_sumos_tools_take_the_counts(tmp_path: Path) -> None:
+    """routeSampler makes routes that give the counts back, by its own GEH; flowrouter finds the flows."""
+    report = junction_report()
+    assert sum(one.count or 0 for one in report.turning if one.destination == ("east", "to the east")) == 10
+    written = write_sumo(tmp_path, report)
+    pairs = [("10#0", "10#1"), ("10#0", "11"), ("-10#1", "-10#0"), ("-10#1", "11"), ("-11", "10#1"), ("-11", "-10#0")]
+    routes = "".join(f'<route id="{k}" edges="{a} {b}"/>' for k, (a, b) in enumerate(pairs))
+    (tmp_path / "routes.xml").write_text(f"<routes>{routes}</routes>")
+    out, off = tmp_path / "sampled.xml", tmp_path / "off.xml"
+    words = ["-r", str(tmp_path / "routes.xml"), "--turn-files", str(written[0]), "--edgedata-files", str(written[1])]
+    run_tool("routeSampler.py", *words, "-o", str(out), "--mismatch-output", str(off), "--optimize", "full")
+    begins = 10 * 3600.0
+    sampled = Counter(
+        tuple(vehicle.route[0].edges.split())
+        for vehicle in sumolib.xml.parse(str(out), "vehicle")
+        if begins <= float(vehicle.depart) < begins + 300
+    )
+    ways = {"west": ("10#0", "-10#0"), "east": ("-10#1", "10#1"), "south": ("-11", "11")}
+    assert sampled == {(ways[a][0], ways[b][1]): number for (a, b), number in DRIVEN.items()}
+    text = off.read_text()
+    assert text.count("deficit=") >= len(DRIVEN)
+    assert not re.findall(r'deficit="(?!0")', text)
+    run_tool(
+        "detector/flowrouter.py",
+        *("-n", str(NETWORK), "-d", str(written[2]), "-f", str(written[3]), "-i", "5", "-b", "600"),
+        *("-o", str(tmp_path / "routed.xml"), "-e", str(tmp_path / "flows.xml"), "--revalidate-detectors"),
+    )
+    routed = {route.id: route.edges for route in sumolib.xml.parse(str(tmp_path / "routed.xml"), "route")}
+    entering: Counter[str] = Counter()
+    for flow in sumolib.xml.parse(str(tmp_path / "flows.xml"), "flow"):
+        entering[routed[flow.route].split()[0]] += int(flow.number)
+    assert entering == {"10#0": 10, "-10#1": 5, "-11": 3}  # it takes light vehicles unless it is told otherwise
+    rows = written[3].read_text().splitlines()
+    assert rows[0] == "Detector;Time;qPKW;qLKW;vPKW;vLKW"
+    assert rows[1 : 1 + 6][1].startswith("10#0;600;10;1;")
+
+
+def run_tool(name: str, *words: str) -> None:
+    sumo = pytest.importorskip("sumo")
+    tool = Path(sumo.SUMO_HOME) / "tools" / name
+    done = subprocess.run([sys.executable, str(tool), *words], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+def test_who_has_no_edges_is_told(tmp_path: Path) -> None:
+    with pytest.raises(UserError, match="no gate of the site has edges"):
+        write_sumo(tmp_path, report_of())
+    with pytest.raises(UserError, match=r"edges: both are 'A'"):
+        site_of('[[gates]]\nname = "g"\nline = [[0, 0], [1, 1]]\nedges = ["A", "A"]\n')
 
 
 # --------------------------------------------------------------------------------------------------------------- ssam
