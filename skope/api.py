@@ -222,6 +222,7 @@ def measure_traffic(
     site: "str | Path | SiteFile",
     *,
     times_s: Sequence[float] | None = None,
+    hand_count: str | Path | None = None,
 ) -> "TrafficReport":
     """Count and measure traffic: what `skope eval traffic` writes, in memory.
 
@@ -230,6 +231,7 @@ def measure_traffic(
         site: A site file with gates, zones, lanes and settings, or what `skope.site.site_file.read_site` has read.
         times_s: Of tracks in memory the times of all frames, seconds, also of those without any track; by default
             those of the tracks. Between them it is known when nothing was observed.
+        hand_count: CSV of what was counted by hand (docs/traffic.md), from which the intervals of counts learn.
 
     Returns:
         The report: its `crossings`, `visits`, `counts`, `turning`, `speeds`, `headways`, `queues`, `delays` and
@@ -239,20 +241,30 @@ def measure_traffic(
         UserError: A file is missing or wrong.
     """
     from skope.site.site_file import SiteFile, read_site
+    from skope.traffic.clock import local_start
+    from skope.traffic.hand_count_file import HandCount, read_hand_counts
     from skope.traffic.measure import measure
     from skope.traffic.observation import Observation, read_observation
     from skope.traffic.read_tracks import read_trajectories
 
+    def by_hand(observation: Observation) -> tuple[HandCount, ...]:
+        if hand_count is None:
+            return ()
+        return read_hand_counts(Path(hand_count), read.gates, read.traffic, local_start(read), observation)
+
     read = site if isinstance(site, SiteFile) else read_site(Path(site))
     if isinstance(tracks, str | Path):
         observation = read_observation(Path(tracks))
-        return measure(read_trajectories(Path(tracks), observation), observation, read)
+        return measure(
+            read_trajectories(Path(tracks), observation), observation, read, hand_counts=by_hand(observation)
+        )
 
     from skope.eval.tracking.trajectories_of_tracks import trajectories_of_tracks
 
     times = [one.times_s for one in tracks] or [np.zeros(0)]
     seen = np.unique(np.concatenate(times)) if times_s is None else np.asarray(times_s, dtype=np.float64)
-    return measure(trajectories_of_tracks(tracks), Observation(times_s=seen), read)
+    observation = Observation(times_s=seen)
+    return measure(trajectories_of_tracks(tracks), observation, read, hand_counts=by_hand(observation))
 
 
 def count(

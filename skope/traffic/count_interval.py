@@ -11,16 +11,17 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from scipy.special import betainc, betaincinv
+from scipy.special import betainc
 from scipy.stats import betabinom
 
+from skope.traffic.gate_shares import Beta, LearntShares, chances_at, share_at
 from skope.traffic.normal_distribution import LEVEL
 from skope.types import Array
 
 _NODES: Final = 24
 """So many values stand for the distribution of a share."""
 _QUANTILES: Final = (np.arange(_NODES) + 0.5) / _NODES
-_DRAWS: Final = 20_000
+DRAWS: Final = 20_000
 _TAIL: Final = 1e-6
 """Probabilities of a Poisson binomial number that are left out at either end."""
 
@@ -47,35 +48,39 @@ class Group:
 
     probabilities: Sequence[float]
     """Of each event that was seen, how probable it is that it happened and is counted once."""
-    missed: tuple[float, float]
+    missed: Beta
     """The share of what happens that nothing sees, as a Beta distribution's two parameters; (0, 1): nothing is."""
-    real: tuple[float, float] | None = None
+    real: Beta | None = None
     """The share of the events that are one, common to all of them, as a Beta distribution whose mean is in the
     probabilities; None: each is one or not by itself."""
     possible: int = 0
     """How many more there may have been."""
-    came: tuple[float, float] = (1.0, 1.0)
+    came: Beta = (1.0, 1.0)
     """The share of these that there were, as a Beta distribution; (1, 1): any number is as probable as any other."""
+    learnt: LearntShares | None = None
+    """What a hand count says of these shares, in place of the distributions over all gates; None: there is none."""
 
     def happened(self) -> tuple[Array, Array]:
         """(K,) numbers of events that were seen or possible and happened, and (K,) their probabilities."""
         seen = poisson_binomial(self.probabilities)
         if self.real is not None:
-            factors = betaincinv(*self.real, _QUANTILES) * (sum(self.real) / self.real[0])
-            chances = np.minimum(1.0, np.multiply.outer(factors, np.asarray(self.probabilities)))
+            chances = chances_at(self.real, np.asarray(self.probabilities), _QUANTILES)
             seen = np.mean([poisson_binomial(row) for row in chances.tolist()], axis=0)
         every = np.convolve(seen, betabinom.pmf(np.arange(self.possible + 1), self.possible, *self.came))
         kept = np.flatnonzero(every > _TAIL * every.max())
         return kept.astype(np.float64), every[kept] / every[kept].sum()
 
     def drawn(self, rng: np.random.Generator) -> Array:
-        """(`_DRAWS`,) numbers that there may have been, in no order."""
+        """(`DRAWS`,) numbers that there may have been, in no order."""
+        if self.learnt is not None:
+            repeats = DRAWS // len(self.learnt.missed)
+            return self.learnt.drawn(self.real, np.asarray(self.probabilities), self.possible, repeats, rng)
         numbers, weights = self.happened()
-        happened = rng.choice(numbers, _DRAWS, p=weights)
+        happened = rng.choice(numbers, DRAWS, p=weights)
         if self.missed[0] == 0:
             return np.asarray(happened)
-        shares = (rng.permutation(_DRAWS) + 0.5) / _DRAWS
-        return np.asarray(happened + rng.negative_binomial(happened + 1, 1 - betaincinv(*self.missed, shares)))
+        shares = (rng.permutation(DRAWS) + 0.5) / DRAWS
+        return np.asarray(happened + rng.negative_binomial(happened + 1, 1 - share_at(self.missed, shares)))
 
 
 def count_interval(probabilities: Sequence[float], missed: tuple[float, float]) -> CountInterval:
@@ -83,22 +88,26 @@ def count_interval(probabilities: Sequence[float], missed: tuple[float, float]) 
     return joint_interval([Group(probabilities, missed)])
 
 
+def joint_draws(groups: Sequence[Group]) -> Array:
+    """(`DRAWS`,) numbers that there may have been of all groups together, always the same of the same groups."""
+    rng = np.random.default_rng(0)
+    return np.asarray(np.sum([one.drawn(rng) for one in groups], axis=0))
+
+
 def joint_interval(groups: Sequence[Group]) -> CountInterval:
     """The interval of how many there were of all groups together; of several, from draws that are always the same."""
     told = [one for one in groups if len(one.probabilities) or one.possible]
     told = told or [max(groups, key=lambda one: one.missed[0] / sum(one.missed))]
     tail = (1 - LEVEL) / 2
-    if len(told) > 1:
-        rng = np.random.default_rng(0)
-        total = np.sum([one.drawn(rng) for one in told], axis=0)
-        low, high = np.quantile(total, (tail, 1 - tail), method="inverted_cdf")
+    if len(told) > 1 or told[0].learnt is not None:
+        low, high = np.quantile(joint_draws(told), (tail, 1 - tail), method="inverted_cdf")
         return CountInterval(int(low), int(high))
     (one,) = told
     kept, weights = one.happened()
     if one.missed[0] == 0:
         below = np.cumsum(weights)
         return CountInterval(*(int(kept[np.searchsorted(below, q)]) for q in (tail, 1 - tail)))
-    seen = 1 - betaincinv(*one.missed, _QUANTILES)
+    seen = 1 - share_at(one.missed, _QUANTILES)
 
     def at_most(number: int) -> float:
         besides = number - kept[:, None]

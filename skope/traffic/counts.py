@@ -6,9 +6,9 @@ from functools import partial
 from typing import Final
 
 from skope.site.marks import Gate
-from skope.site.traffic_settings import UNKNOWN, TrafficSettings
+from skope.site.traffic_settings import CLASSES, UNKNOWN, TrafficSettings
 from skope.traffic.clock import ClockInterval
-from skope.traffic.count_interval import CountInterval, joint_interval
+from skope.traffic.count_interval import CountInterval, Group, joint_interval
 from skope.traffic.event_probability import SeenAlike
 from skope.traffic.gates import GateCrossing, direction_names
 from skope.traffic.observation import Observation
@@ -82,7 +82,7 @@ def counts(
                     told = None
                     if observed_s > 0 and gate.name not in unseen.gates:
                         most = partial(unseen.most, gate.name, k, interval)
-                        told = expected([*own, *perhaps], unseen.kinds, most, lane, class_name)
+                        told = expected([*own, *perhaps], unseen.kinds_at(gate.name, k), most, lane, class_name)
                     out.append(
                         Count(
                             interval=interval,
@@ -126,15 +126,30 @@ def expected(
     """
     if class_name == UNKNOWN:
         return None
-    groups = []
-    for kind in kinds:
-        if class_name not in (ALL, *kind.classes):
-            continue
-        own = [one for one in crossings if one.trajectory.class_name in kind.classes]
-        chances = [one.probability * _in_lane(one, lane) * _of_class(one, class_name) for one in own]
-        classes = kind.classes if class_name == ALL else {class_name, UNKNOWN}
-        groups.append(kind.group([p for p in chances if p > 0], most(classes)))
-    return joint_interval(groups)
+    classes = CLASSES if class_name == ALL else (class_name,)
+    groups = (group_of(kind, crossings, most, lane, classes) for kind in kinds)
+    return joint_interval([one for one in groups if one is not None])
+
+
+def group_of(
+    kind: SeenAlike,
+    crossings: Sequence[GateCrossing],
+    most: Callable[[Collection[str]], int],
+    lane: str,
+    classes: Collection[str],
+) -> Group | None:
+    """Those of a kind who may have been of one of the classes, and in the lane; None where the kind has none of them.
+
+    `most` is how many more there may have been of classes.
+    """
+    named = kind.classes - {UNKNOWN}
+    if not named & set(classes):
+        return None
+    whole = named <= set(classes)
+    own = [one for one in crossings if one.trajectory.class_name in kind.classes]
+    chances = [one.probability * _in_lane(one, lane) * (1.0 if whole else _of_classes(one, classes)) for one in own]
+    possible = most(kind.classes if whole else kind.classes & {*classes, UNKNOWN})
+    return kind.group([p for p in chances if p > 0], possible)
 
 
 def _in_lane(crossing: GateCrossing, lane: str) -> float:
@@ -146,5 +161,5 @@ def _in_lane(crossing: GateCrossing, lane: str) -> float:
     return (1 - crossing.lane_probability) / 2 if crossing.lane else 0.0
 
 
-def _of_class(crossing: GateCrossing, class_name: str) -> float:
-    return 1.0 if class_name == ALL else crossing.trajectory.class_probability(class_name)
+def _of_classes(crossing: GateCrossing, classes: Collection[str]) -> float:
+    return sum(crossing.trajectory.class_probability(name) for name in classes)

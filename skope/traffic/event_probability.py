@@ -13,6 +13,7 @@ import numpy as np
 
 from skope.site.traffic_settings import CLASSES, UNKNOWN, VEHICLE_CLASSES
 from skope.traffic.count_interval import Group
+from skope.traffic.gate_shares import Beta, LearntShares
 from skope.traffic.trajectories import VEHICLE, Trajectory
 
 _MOST_PLACES: Final = 48
@@ -45,17 +46,19 @@ class SeenAlike:
     """Road users of whom is missed, and counted wrongly, alike."""
 
     classes: frozenset[str]
-    missed: tuple[float, float]
+    missed: Beta
     """The share that is missed at a gate without a trace, as a Beta distribution."""
-    came: tuple[float, float]
+    came: Beta
     """The share of those who were lost before a gate or found behind it (`skope.traffic.vanished`) who did cross it, as
     a Beta distribution: nearly none where vehicles are seen at the gate, all where the camera loses them there."""
-    real: tuple[float, float] | None = None
+    real: Beta | None = None
     """The share of the crossings at a gate that are one, where gates differ in it: as a Beta distribution."""
+    learnt: LearntShares | None = None
+    """What hand counts tell of one gate's shares; None: nothing."""
 
     def group(self, probabilities: Sequence[float], possible: int = 0) -> Group:
         """Those of them who were counted with these probabilities, and how many more may have been there."""
-        return Group(probabilities, self.missed, self.real, possible, self.came)
+        return Group(probabilities, self.missed, self.real, possible, self.came, self.learnt)
 
 
 SEEN_IN_METRES: Final = (

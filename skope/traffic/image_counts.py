@@ -14,6 +14,8 @@ from skope.traffic.conflicts import ConflictSearch
 from skope.traffic.counts import counts
 from skope.traffic.event_probability import SEEN_IN_PIXELS
 from skope.traffic.gates import crossings
+from skope.traffic.hand_checks import adjusted, hand_checks, hand_lines
+from skope.traffic.hand_count_file import HandCount
 from skope.traffic.lanes import LaneMap
 from skope.traffic.measure import TrafficReport, total_counts, unseen_lines, whole_footage
 from skope.traffic.observation import Observation
@@ -35,7 +37,11 @@ _WHY: Final = (
 
 
 def count_in_image(
-    tracks: Sequence[Trajectory], observation: Observation, site: "SiteParts", start: datetime | None = None
+    tracks: Sequence[Trajectory],
+    observation: Observation,
+    site: "SiteParts",
+    start: datetime | None = None,
+    hand_counts: Sequence[HandCount] = (),
 ) -> TrafficReport:
     """Counts and movements of tracks whose places are columns and negative rows of the image, pixels.
 
@@ -44,6 +50,7 @@ def count_in_image(
         observation: When the camera has shown the view that the gates are drawn in.
         site: Its `image_gates` and settings count.
         start: When the footage begins; None: as the site says.
+        hand_counts: What was counted by hand meanwhile.
     """
     settings = site.traffic
     gates = [_upwards(gate) for gate in site.image_gates]
@@ -60,6 +67,8 @@ def count_in_image(
     )
     missed = unseen(tracks, gates, every, observation, settings, _NEAR_PX, SEEN_IN_PIXELS)
     crossed = [one for one in every if one.counts]
+    checks = hand_checks(hand_counts, crossed, missed, settings)
+    missed = adjusted(checks, crossed, missed, gates, settings)
     moved = movements(crossed, settings)
     return TrafficReport(
         site=site,
@@ -73,6 +82,7 @@ def count_in_image(
         counts=tuple(counts(crossed, gates, [], intervals, observation, settings, missed)),
         counts_total=total_counts(crossed, gates, observation, settings, missed),
         unseen=missed,
+        hand_checks=tuple(checks),
         movements=tuple(moved),
         turning=tuple(turning_counts(moved, gates, intervals, observation, settings, missed.kinds)),
         turning_total=tuple(turning_counts(moved, gates, [whole], observation, settings, missed.kinds)),
@@ -84,7 +94,7 @@ def count_in_image(
         delays=(),
         conflicts=ConflictSearch(conflicts=(), overlapping=0, unsteady=0),
         brakings=(),
-        refused=(_WHY, *unseen_lines(missed)),
+        refused=(_WHY, *unseen_lines(missed), *hand_lines(checks)),
         metres=False,
     )
 

@@ -15,6 +15,8 @@ from skope.traffic.clock import ClockInterval, clock_intervals, local_start
 from skope.traffic.conflicts import ConflictSearch, conflicts
 from skope.traffic.counts import Count, counts
 from skope.traffic.gates import GateCrossing, crossings, signed_distances
+from skope.traffic.hand_checks import HandCheck, adjusted, hand_checks, hand_lines
+from skope.traffic.hand_count_file import HandCount
 from skope.traffic.headways import Headway, Occupancy, headways, occupancies
 from skope.traffic.joining import joined
 from skope.traffic.lanes import LaneChange, LaneMap, lane_changes
@@ -57,6 +59,8 @@ class TrafficReport:
     """Those of the whole footage, whole gates, all classes together."""
     unseen: Unseen
     """Who may have crossed gates and is not counted."""
+    hand_checks: tuple[HandCheck, ...]
+    """What was counted by hand, beside what was counted here."""
     movements: tuple[Movement, ...]
     turning: tuple[TurningCount, ...]
     turning_total: tuple[TurningCount, ...]
@@ -80,6 +84,7 @@ def measure(
     observation: Observation,
     site: "SiteParts",
     start: datetime | None = None,
+    hand_counts: Sequence[HandCount] = (),
     *,
     broken: bool = True,
 ) -> TrafficReport:
@@ -90,6 +95,7 @@ def measure(
         observation: When it observed the road.
         site: Gates, zones, lanes and settings.
         start: When the footage begins; None: as the site says.
+        hand_counts: What was counted by hand meanwhile.
         broken: Whether a road user's track may have broken into several, which are joined. Those of a simulation are
             whole.
     """
@@ -103,6 +109,8 @@ def measure(
     every = crossings(trajectories, site.gates, lanes, settings)
     missed = unseen(trajectories, site.gates, every, observation, settings)
     crossed = [one for one in every if one.counts]
+    checks = hand_checks(hand_counts, crossed, missed, settings)
+    missed = adjusted(checks, crossed, missed, site.gates, settings)
     moved = movements(crossed, settings)
     sections = section_passes(moved)
     speeds = speed_groups(crossed, sections, intervals, observation, settings)
@@ -121,6 +129,7 @@ def measure(
         counts=tuple(counts(crossed, site.gates, names, intervals, observation, settings, missed)),
         counts_total=total_counts(crossed, site.gates, observation, settings, missed),
         unseen=missed,
+        hand_checks=tuple(checks),
         movements=tuple(moved),
         turning=tuple(turning_counts(moved, site.gates, intervals, observation, settings, missed.kinds)),
         turning_total=tuple(turning_counts(moved, site.gates, [whole], observation, settings, missed.kinds)),
@@ -132,7 +141,10 @@ def measure(
         delays=tuple(late),
         conflicts=search,
         brakings=tuple(hard_brakings(trajectories, settings)),
-        refused=tuple(_refused(site, begin, observation, trajectories, crossed, search, late, missed)),
+        refused=(
+            *_refused(site, begin, observation, trajectories, crossed, search, late, missed),
+            *hand_lines(checks),
+        ),
     )
 
 

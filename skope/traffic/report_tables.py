@@ -31,9 +31,11 @@ class ReportTable:
 
 def report_tables(report: TrafficReport) -> dict[str, ReportTable]:
     """The tables by their names; without metres those of counts and movements alone."""
+    by_hand = {"hand_count": _hand_count(report)} if report.hand_checks else {}
     if not report.metres:
-        return {"events": _events(report), "counts": _counts(report), "turning": _turning(report)}
+        return {"events": _events(report), "counts": _counts(report), "turning": _turning(report), **by_hand}
     return {
+        **by_hand,
         "events": _events(report),
         "trajectories": _trajectories(report),
         "counts": _counts(report),
@@ -149,6 +151,20 @@ def _counts(report: TrafficReport) -> ReportTable:
                 *_between(one.expected),
             )
             for one in report.counts
+        ),
+    )
+
+
+def _hand_count(report: TrafficReport) -> ReportTable:
+    return _table(
+        "begin end begin_s end_s gate direction class by_hand count low high difference geh contradicts",
+        (
+            (
+                *_of_interval(one.hand.interval),
+                *(one.hand.gate, one.hand.direction_name, one.hand.class_name, one.hand.number, one.count),
+                *(*_between(one.expected), one.count - one.hand.number, one.geh, int(one.contradicts)),
+            )
+            for one in report.hand_checks
         ),
     )
 

@@ -19,6 +19,9 @@ def report_lines(report: TrafficReport) -> Iterator[str]:
         yield from text_table(
             ["gate", "direction", "count", "there were", "v50 km/h", "v85 km/h"], _gates(report), "ll"
         )
+    if report.hand_checks:
+        head = ["gate", "direction", "class", "by hand", "count", "there were, by what is seen alone", "GEH"]
+        yield from text_table(head, _by_hand(report), "lll")
     if report.turning:
         yield from text_table(["from", "to", "count", "there were"], _movements(report), "ll")
     if not report.metres:
@@ -46,6 +49,14 @@ def _gates(report: TrafficReport) -> Iterator[list[str]]:
             *(one.gate, one.direction, str(one.count or 0), told),
             *(_speed(found.get(name)) for name in ("v50", "v85")),
         ]
+
+
+def _by_hand(report: TrafficReport) -> Iterator[list[str]]:
+    for one in report.hand_checks:
+        told = "not known" if one.expected is None else f"{one.expected.low} to {one.expected.high}"
+        hand = one.hand
+        counted = (str(hand.number), str(one.count), told, f"{one.geh:.1f}")
+        yield [hand.gate, hand.direction_name, hand.class_name, *counted]
 
 
 def _speed(one: Percentile | None) -> str:

@@ -17,7 +17,7 @@ from skope.traffic.turning import Movement
 
 MOTOR: Final = "motor"
 """All classes of vehicles and motorcycles together."""
-_NOT_MOTOR: Final = frozenset({"bicycle", "pedestrian"})
+MOTOR_CLASSES: Final = frozenset(CLASSES) - {"bicycle", "pedestrian"}
 _RULER_M: Final = 1.0
 """Ways are measured in steps of this: shorter ones would add up what places jitter."""
 _Measured = TypeVar("_Measured")
@@ -159,4 +159,4 @@ def _class_of(movement: Movement) -> str:
 
 
 def _is(class_name: str, group: str) -> bool:
-    return class_name not in _NOT_MOTOR if group == MOTOR else class_name == group
+    return class_name in MOTOR_CLASSES if group == MOTOR else class_name == group

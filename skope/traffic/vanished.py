@@ -5,8 +5,8 @@ tracks around it.
 """
 
 import math
-from collections.abc import Collection, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
@@ -53,6 +53,12 @@ class Unseen:
     """What else is missed, of whom."""
     gates: frozenset[str] = frozenset()
     """Names of gates near which nobody was ever seen: whether somebody crossed them is not known."""
+    learnt: Mapping[tuple[str, int], tuple[SeenAlike, ...]] = field(default_factory=dict)
+    """Of gates and directions, `kinds` with what hand counts tell of them there."""
+
+    def kinds_at(self, gate: str, direction: int) -> tuple[SeenAlike, ...]:
+        """What is missed at a gate, in a direction, of whom."""
+        return self.learnt.get((gate, direction), self.kinds)
 
     def most(self, gate: str, direction: int, interval: ClockInterval, classes: Collection[str]) -> int:
         """How many more may have crossed a gate in a direction and an interval, of some classes.

@@ -97,6 +97,7 @@ def summary(report: TrafficReport, *, tracks: str, revision: str | None) -> dict
         "trajectories": len(report.trajectories),
         "joined": [[one.number, *one.joined] for one in report.trajectories if one.joined],
         "counts": totals,
+        "hand_counts": len(report.hand_checks),
         "turning": [
             {
                 "from": list(one.origin),

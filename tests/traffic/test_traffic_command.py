@@ -210,6 +210,10 @@ def test_without_a_camera_gates_in_the_image_count_and_nothing_else(skope: Skope
     assert sorted(path.name for path in Path("r").iterdir()) == [
         "counts.csv", "events.csv", "summary.json", "turning.csv", "work.json"
     ]  # fmt: skip
+    Path("h.csv").write_text("gate,direction,class,begin,end,count\ng,right,all,0,4,3\n")
+    assert skope("eval", "traffic", "seen", "--out", "by_hand", "--hand-count", "h.csv")[0] == 0
+    (by_hand,) = rows_of("by_hand/hand_count.csv")
+    assert (by_hand["count"], by_hand["difference"]) == ("2", "-1")
     events = rows_of("r/events.csv")
     assert sorted((row["direction"], row["track"], row["speed_kmh"]) for row in events) == [
         ("left", "2", ""), ("right", "1", ""), ("right", "3", "")
@@ -329,3 +333,38 @@ def test_a_gate_that_ends_where_people_walk_is_warned_of(tmp_path: Path) -> None
     ]
     assert not warned(2.0)
     assert not [line for line in warned(8.0) if "ends" in line]
+
+
+def test_a_hand_count_gets_a_table_and_moves_intervals(skope: Skope, tracks: AnnotationFile) -> None:
+    site_of(tracks)
+    Path("h.csv").write_text(
+        "gate,direction,class,begin,end,count\ngate,here,,10:14:58,10:15:03,4\ngate,away,car,0,5,0\n"
+    )
+    code, out, err = skope("eval", "traffic", "t", "--out", "r", "--hand-count", "h.csv")
+    assert code == 0, err
+    here, away = rows_of("r/hand_count.csv")
+    assert (here["begin"], here["begin_s"], here["class"], here["by_hand"], here["count"], here["difference"]) == (
+        *("2026-11-26T10:14:58+01:00", "0.000", "all", "4", "1", "-3"),
+    )
+    assert float(here["geh"]) == pytest.approx((2 * 2160**2 / 3600) ** 0.5, abs=1e-3)  # 1 and 4 in 5 s
+    assert (away["geh"], away["contradicts"]) == ("0.000", "0")
+    assert json.loads(Path("r/summary.json").read_text())["hand_counts"] == 2
+    assert "by hand" in out
+    assert skope("eval", "traffic", "t", "--out", "plain")[0] == 0
+    assert not Path("plain/hand_count.csv").exists()
+    tables = [rows_of(f"{folder}/counts.csv") for folder in ("r", "plain")]
+    assert [row["count"] for row in tables[0]] == [row["count"] for row in tables[1]]
+    assert [row["high"] for row in tables[0]] != [row["high"] for row in tables[1]]
+    python = door.measure_traffic("t", "site.toml", hand_count="h.csv")
+    assert [str(one.expected.high) for one in python.counts if one.expected] == [
+        row["high"] for row in tables[0] if row["high"]
+    ]
+    code, _, err = skope("eval", "traffic", "t", "--out", "r")
+    assert (code, "other work" in err) == (2, True)
+    Path("h.csv").write_text("gate,direction,class,begin,end,count\ngate,here,,0,5,-2\n")
+    code, _, err = skope("eval", "traffic", "t", "--out", "new", "--hand-count", "h.csv")
+    assert (code, err.count("\n"), Path("new").exists()) == (2, 1, False)
+    assert "h.csv: line 2: count: expected a whole number" in err
+    code, _, err = skope("eval", "traffic", "a.mp4", "--out", "new", "--hand-count", "h.csv")
+    assert (code, err.count("\n"), Path("new").exists()) == (2, 1, False)
+    assert "--hand-count: needs tracks, not footage" in err

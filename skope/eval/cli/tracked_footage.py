@@ -15,7 +15,8 @@ if TYPE_CHECKING:
 
 _CAMERA: Final = "camera.json"
 _SEEN: Final = "seen"
-_TRACKS: Final = "tracks"
+TRACKS: Final = "tracks"
+"""The folder of tracks below the output."""
 
 
 def tracked_footage(
@@ -72,7 +73,7 @@ def tracked_footage(
     camera = {**site.camera.camera.to_dict(), **besides}
     named = {"source": content_of(footage), "checkpoint": str(checkpoint), "camera": camera}
     claim_output(out, command, [site.path], {**options, **named})
-    tracks = out / _TRACKS
+    tracks = out / TRACKS
     if (tracks / FOOTAGE).is_file() and not list(tracks.glob(".*")):
         console.say(f"{tracks}: has the tracks of {footage.name}")
         return tracks

@@ -1,6 +1,6 @@
 """`skope eval traffic`: counts, movements, speeds and conflicts from tracks."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final
@@ -12,12 +12,16 @@ from skope.detector import weights
 from skope.errors import UserError
 from skope.eval.cli.options import FastMachineOptions, data_option, output
 from skope.files.output_folders import claim_output
+from skope.files.reading import sha256_of
 from skope.terminal.command_options import DIR, FILE, SITE_FILE, TRAFFIC
 from skope.terminal.console import Console
 
 if TYPE_CHECKING:
+    from skope.site.marks import Gate
     from skope.site.site_file import SiteFile
+    from skope.traffic.hand_count_file import HandCount
     from skope.traffic.measure import TrafficReport
+    from skope.traffic.observation import Observation
 
 _COMMAND: Final = "skope eval traffic"
 
@@ -39,6 +43,14 @@ def traffic(
         str | None,
         data_option(
             metavar="TIME", help="When the footage begins, as 2026-11-26T10:00:00.", show_default="as the site says"
+        ),
+    ] = None,
+    hand_count: Annotated[
+        Path | None,
+        data_option(
+            metavar=FILE,
+            help="CSV of what was counted by hand (gate,direction,class,begin,end,count); intervals learn from it.",
+            show_default="nothing",
         ),
     ] = None,
     checkpoint: Annotated[
@@ -63,22 +75,31 @@ def traffic(
     start = _start(begins, read)
     folder = Path(source)
     options = {"begins": None if start is None else start.isoformat()}
+    if hand_count is not None:
+        options["hand_count"] = sha256_of(hand_count)
     if (folder / TRACKS_CSV).is_file() or (folder.is_dir() and (folder / FOOTAGE).is_file()):
         observation = read_observation(folder)
         tracks = read_trajectories(folder, observation)
+        counted = _counted_by_hand(hand_count, read, read.gates, start, observation)
         claim_output(out, _COMMAND, [*track_files(folder), site], options)
     elif (folder / FRAMES).is_file():
-        for line in _report_in_image(folder, read, start, out, options, otanalytics=otanalytics):
+        for line in _report_in_image(folder, read, start, hand_count, out, options, otanalytics=otanalytics):
             console.result(line)
         return
     else:
-        from skope.eval.cli.tracked_footage import tracked_footage
+        from skope.eval.cli.tracked_footage import TRACKS, tracked_footage
 
+        if hand_count is not None:
+            raise UserError(
+                f"--hand-count: needs tracks, not footage: `{_COMMAND} {source} --site {site} --out {out}` first, then "
+                f"`{_COMMAND} {out / TRACKS}` with --hand-count and another --out"
+            )
+        counted = ()
         folder = tracked_footage(source, read, checkpoint, hardware, out, _COMMAND, options, console)
         observation = read_observation(folder)
         tracks = read_trajectories(folder, observation)
     further = _claimed(out, [*track_files(folder), site], options, read) if otanalytics else None
-    for line in _written(measure(tracks, observation, read, start), source, read, out, further):
+    for line in _written(measure(tracks, observation, read, start, counted), source, read, out, further):
         console.result(line)
 
 
@@ -114,6 +135,7 @@ def _report_in_image(
     folder: Path,
     site: "SiteFile",
     start: datetime | None,
+    hand_count: Path | None,
     out: Path,
     options: dict[str, str | None],
     *,
@@ -132,10 +154,25 @@ def _report_in_image(
             f"metres of it where the camera is known; without, {site.path} needs image_gates"
         )
     tracks, observation = read_image_trajectories(folder)
+    counted = _counted_by_hand(hand_count, site, site.image_gates, start, observation)
     inputs = [folder / FRAMES, folder / PREDICTIONS, site.path]
     claim_output(out, _COMMAND, inputs, options)
     further = _claimed(out, inputs, options, site) if otanalytics else None
-    yield from _written(count_in_image(tracks, observation, site, start), str(folder), site, out, further)
+    report = count_in_image(tracks, observation, site, start, counted)
+    yield from _written(report, str(folder), site, out, further)
+
+
+def _counted_by_hand(
+    path: Path | None, site: "SiteFile", gates: "Sequence[Gate]", start: datetime | None, observation: "Observation"
+) -> "tuple[HandCount, ...]":
+    """What `--hand-count` names; nothing where it names nothing. Raises UserError naming file, line and column."""
+    from skope.traffic.clock import local_start
+    from skope.traffic.hand_count_file import read_hand_counts
+
+    if path is None:
+        return ()
+    begin = local_start(site) if start is None else start
+    return read_hand_counts(path, gates, site.traffic, begin, observation)
 
 
 def _start(text: str | None, site: "SiteFile") -> datetime | None:

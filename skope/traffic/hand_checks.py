@@ -1,0 +1,135 @@
+"""What was counted by hand beside what skope counted, and what that changes in what is said of the gates."""
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from datetime import datetime
+from functools import partial
+from typing import Final
+
+import numpy as np
+
+from skope.site.marks import Gate
+from skope.site.traffic_settings import TrafficSettings
+from skope.traffic.count_interval import CountInterval, Group, joint_draws, joint_interval
+from skope.traffic.counts import ALL, group_of
+from skope.traffic.gates import GateCrossing
+from skope.traffic.hand_count_file import HandCount
+from skope.traffic.learn_shares import CountEvidence, hand_sigma, learnt_shares
+from skope.traffic.vanished import Unseen
+
+_HOUR_S: Final = 3600.0
+_CONTRADICTS: Final = 0.001
+"""A hand count as far from what is expected as fewer than this share of them would be contradicts it."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class HandCheck:
+    """A count by hand, and what skope says of the same gate, direction, classes and time."""
+
+    hand: HandCount
+    count: int
+    """How many skope counted."""
+    expected: CountInterval | None
+    """Between which numbers the truth is by what was seen alone; None where nobody was ever seen near the gate."""
+    contradicts: bool
+    """Whether the hand count is so far from it that one of the two must be wrong."""
+
+    @property
+    def geh(self) -> float:
+        """The GEH statistic of the two as vehicles per hour (Design Manual for Roads and Bridges, volume 12)."""
+        interval = self.hand.interval
+        hourly = _HOUR_S / (interval.end_s - interval.begin_s)
+        together = self.count + self.hand.number
+        return math.sqrt(hourly * 2 * (self.count - self.hand.number) ** 2 / together) if together else 0.0
+
+
+def hand_checks(
+    hands: Sequence[HandCount], crossings: Sequence[GateCrossing], unseen: Unseen, settings: TrafficSettings
+) -> list[HandCheck]:
+    """Each hand count beside what was counted (`crossings`)."""
+    out = []
+    for one in hands:
+        groups = _groups(one, crossings, unseen, settings)
+        known = one.gate not in unseen.gates
+        out.append(
+            HandCheck(
+                hand=one,
+                count=sum(_counts(one, crossing) for crossing in crossings),
+                expected=joint_interval(list(groups.values())) if known else None,
+                contradicts=known and _contradicts(one.number, list(groups.values())),
+            )
+        )
+    return out
+
+
+def hand_lines(checks: Sequence[HandCheck]) -> Iterator[str]:
+    """Hand counts that contradict what was seen, and those of which nothing was learnt, in sentences."""
+    for one in checks:
+        hand = one.hand
+        ends = (hand.interval.begin or hand.interval.begin_s, hand.interval.end or hand.interval.end_s)
+        begin, end = (f"{end:%H:%M:%S}" if isinstance(end, datetime) else f"{end:g} s" for end in ends)
+        where = f"gate {hand.gate!r} ({hand.direction_name}), {hand.class_name} from {begin} to {end}"
+        if one.expected is None:
+            yield f"{where}: {hand.number} counted by hand where nobody was ever seen: its counts stay unknown"
+        elif one.contradicts:
+            yield (
+                f"{where}: {hand.number} counted by hand, {one.count} by skope, {one.expected.low} to "
+                f"{one.expected.high} expected: they contradict each other (gate, direction, class or clock of the "
+                "hand count, or a gate like no other); intervals at this gate hold both, others learn nothing from it"
+            )
+
+
+def adjusted(
+    checks: Sequence[HandCheck],
+    crossings: Sequence[GateCrossing],
+    unseen: Unseen,
+    gates: Sequence[Gate],
+    settings: TrafficSettings,
+) -> Unseen:
+    """What may have been missed, with what hand counts tell of it."""
+    told = [one for one in checks if one.expected is not None]
+    evidence = [
+        CountEvidence(
+            side=(one.hand.gate, one.hand.direction),
+            groups=_groups(one.hand, crossings, unseen, settings),
+            number=one.hand.number,
+        )
+        for one in told
+    ]
+    doubted = frozenset(k for k, one in enumerate(told) if one.contradicts)
+    sides = [(gate.name, direction) for gate in gates for direction in (0, 1)]
+    return replace(unseen, learnt=learnt_shares(evidence, unseen.kinds, sides, doubted) if evidence else {})
+
+
+def _counts(hand: HandCount, crossing: GateCrossing) -> bool:
+    """Whether a crossing is one of those that were counted by hand, by its track's class."""
+    here = (crossing.gate, crossing.direction) == (hand.gate, hand.direction)
+    then = hand.interval.begin_s <= crossing.time_s < hand.interval.end_s
+    return here and then and crossing.trajectory.class_name in hand.classes
+
+
+def _groups(
+    hand: HandCount, crossings: Sequence[GateCrossing], unseen: Unseen, settings: TrafficSettings
+) -> dict[int, Group]:
+    """What was seen while somebody counted, by which of `unseen.kinds` it is."""
+    interval = hand.interval
+    own = [
+        one
+        for one in (*crossings, *unseen.doubtful)
+        if (one.gate, one.direction) == (hand.gate, hand.direction) and interval.begin_s <= one.time_s < interval.end_s
+    ]
+    most = partial(unseen.most, hand.gate, hand.direction, interval)
+    found = {
+        k: group_of(kind, own, most, ALL, hand.classes)
+        for k, kind in enumerate(unseen.kinds)
+        if kind.classes & set(settings.classes)
+    }
+    return {k: group for k, group in found.items() if group is not None}
+
+
+def _contradicts(number: int, groups: Sequence[Group]) -> bool:
+    """Whether hardly any hand count would be as far away, by what was seen alone."""
+    draws = joint_draws(groups)
+    counted = draws + hand_sigma(number) * np.random.default_rng(1).standard_normal(len(draws))
+    return bool(2 * min(np.mean(counted <= number + 0.5), np.mean(counted >= number - 0.5)) < _CONTRADICTS)

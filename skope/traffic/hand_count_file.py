@@ -1,0 +1,200 @@
+"""A file of what was counted by hand: CSV with the columns gate, direction, class, begin, end, count."""
+
+import csv
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, date, datetime, time, timedelta
+from pathlib import Path
+from typing import Final
+
+from skope.errors import UserError
+from skope.files.reading import read_text
+from skope.site.marks import Gate
+from skope.site.traffic_settings import CLASSES, UNKNOWN, TrafficSettings
+from skope.traffic.clock import ClockInterval
+from skope.traffic.counts import ALL
+from skope.traffic.gates import direction_names
+from skope.traffic.observation import Observation
+from skope.traffic.speeds import MOTOR, MOTOR_CLASSES
+
+_COLUMNS: Final = ("gate", "direction", "class", "begin", "end", "count")
+_SLACK_S: Final = 1.0
+"""A time may lie so far outside the footage: who counts goes by whole seconds or minutes."""
+_MOST: Final = 100_000
+_SHOWN: Final = 40
+
+
+@dataclass(frozen=True, kw_only=True)
+class HandCount:
+    """How many crossed a gate, counted by hand."""
+
+    gate: str
+    direction: int
+    """0 from the gate's left to its right as it is drawn, 1 back."""
+    direction_name: str
+    class_name: str
+    """A class, `MOTOR` or `ALL`."""
+    interval: ClockInterval
+    """When it was counted."""
+    number: int
+
+    @property
+    def classes(self) -> frozenset[str]:
+        """Who was counted."""
+        return {ALL: frozenset(CLASSES), MOTOR: MOTOR_CLASSES}.get(self.class_name, frozenset({self.class_name}))
+
+
+def read_hand_counts(
+    path: Path,
+    gates: Sequence[Gate],
+    settings: TrafficSettings,
+    start: datetime | None,
+    observation: Observation,
+) -> tuple[HandCount, ...]:
+    """Read what was counted by hand.
+
+    Args:
+        path: CSV. A class is one of the report's, `motor`, or all where it is empty; times are seconds of the footage,
+            times of the day, or days and times.
+        gates: The gates that count.
+        settings: Who is counted.
+        start: When the footage begins; None: not known, and times are seconds.
+        observation: When the road was observed.
+
+    Raises:
+        UserError: The file cannot be read, or a value is wrong; the message names file, line and column.
+    """
+    try:
+        reader = csv.DictReader(read_text(path).splitlines())
+        names, rows = list(reader.fieldnames or ()), list(reader)
+    except csv.Error as error:
+        raise UserError(f"{path}: not CSV: {error}") from None
+    if missing := [name for name in _COLUMNS if name not in names]:
+        raise UserError(f"{path}: column {missing[0]}: missing; expected {','.join(_COLUMNS)}")
+    found: list[HandCount] = []
+    for line, row in enumerate(rows, start=2):
+        one = _hand_count(_Line(path, line, row), gates, settings, start, observation)
+        for before, other in enumerate(found, start=2):
+            if _overlap(one, other):
+                same = "holds the same" if one == other else "has the same gate, direction, some class and some time"
+                raise UserError(f"{path}: line {line}: {same} as line {before}: each crossing is to be counted once")
+        found.append(one)
+    if not found:
+        raise UserError(f"{path}: holds no count")
+    return tuple(found)
+
+
+@dataclass(frozen=True)
+class _Line:
+    path: Path
+    number: int
+    cells: Mapping[str | None, str | None]
+
+    def text(self, column: str) -> str:
+        return (self.cells[column] or "").strip()
+
+    def wrong(self, column: str, said: str) -> UserError:
+        return UserError(f"{self.path}: line {self.number}: {column}: {said}")
+
+    def one_of(self, column: str, known: Sequence[str]) -> str:
+        text = self.text(column)
+        if text not in known:
+            raise self.wrong(column, f"expected one of {', '.join(known) or 'none'}, got {text!r:.{_SHOWN}}")
+        return text
+
+
+def _hand_count(
+    line: _Line, gates: Sequence[Gate], settings: TrafficSettings, start: datetime | None, observation: Observation
+) -> HandCount:
+    name = line.one_of("gate", [gate.name for gate in gates])
+    directions = direction_names(next(gate for gate in gates if gate.name == name))
+    direction = line.one_of("direction", directions)
+    counted = [one for one in settings.classes if one != UNKNOWN]
+    class_name = line.one_of("class", ["", ALL, MOTOR, *counted]) or ALL
+    begin_s, end_s = (_seconds(line, column, start, observation) for column in ("begin", "end"))
+    if end_s <= begin_s:
+        raise line.wrong("end", f"expected a time after begin ({line.text('begin')}), got {line.text('end')}")
+    if not observation.together(begin_s, end_s):
+        raise line.wrong("begin", "not all from here to end was observed: frames are missing, or the camera was moved")
+    text = line.text("count")
+    if not (text.isascii() and text.isdecimal() and len(text) <= len(str(_MOST)) and int(text) <= _MOST):
+        raise line.wrong("count", f"expected a whole number from 0 to {_MOST}, got {text!r:.{_SHOWN}}")
+    begin, end = (None if start is None else _after(start, one) for one in (begin_s, end_s))
+    return HandCount(
+        gate=name,
+        direction=directions.index(direction),
+        direction_name=direction,
+        class_name=class_name,
+        interval=ClockInterval(begin_s=begin_s, end_s=end_s, begin=begin, end=end),
+        number=int(text),
+    )
+
+
+def _overlap(one: HandCount, other: HandCount) -> bool:
+    if (one.gate, one.direction) != (other.gate, other.direction) or not one.classes & other.classes:
+        return False
+    return one.interval.begin_s < other.interval.end_s and other.interval.begin_s < one.interval.end_s
+
+
+def _after(start: datetime, seconds: float) -> datetime:
+    """The time that so many seconds of the footage later is."""
+    return (start.astimezone(UTC) + timedelta(seconds=seconds)).astimezone(start.tzinfo)
+
+
+def _seconds(line: _Line, column: str, start: datetime | None, observation: Observation) -> float:
+    """The second of the footage that a cell says, within the footage."""
+    if not len(observation.spans):
+        raise line.wrong(column, "the footage has no frames")
+    first, last = float(observation.spans[0, 0]), float(observation.spans[-1, 1])
+    text = line.text(column)
+    said = _said_seconds(line, column, start, first, last)
+    within = sorted({min(max(one, first), last) for one in said if first - _SLACK_S <= one <= last + _SLACK_S})
+    if not within:
+        span = f"{first:.1f} to {last:.1f} s"
+        if start is not None:
+            clock = (_after(start, one).isoformat(timespec="seconds") for one in (first, last))
+            span += f", {' to '.join(clock)}"
+        raise line.wrong(column, f"{text!r:.{_SHOWN}} is not within the footage ({span})")
+    if len(within) > 1:
+        raise line.wrong(column, f"{text!r:.{_SHOWN}} comes more than once in the footage: give the day and the offset")
+    return within[0]
+
+
+def _said_seconds(line: _Line, column: str, start: datetime | None, first: float, last: float) -> list[float]:
+    """All seconds that a cell may mean: of a time of the day one for each day, and two where it comes twice."""
+    text = line.text(column)
+    try:
+        seconds = float(text)
+    except ValueError:
+        pass
+    else:
+        if abs(seconds) < 1e9:
+            return [seconds]
+    moment = _moment(text)
+    if moment is None:
+        raise line.wrong(
+            column, f"expected seconds, a time like 10:15:00 or 2026-11-26T10:15:00, got {text!r:.{_SHOWN}}"
+        )
+    if start is None:
+        raise line.wrong(column, "expected seconds: neither start in the site nor --begins says when the footage began")
+    if isinstance(moment, datetime):
+        moments = [moment]
+    else:
+        days = (_after(start, last).date() - _after(start, first).date()).days
+        begin: date = _after(start, first).date()
+        moments = [datetime.combine(begin + timedelta(days=k), moment) for k in range(-1, days + 2)]
+    if moments[0].tzinfo is None:
+        moments = [one.replace(tzinfo=start.tzinfo, fold=fold) for one in moments for fold in (0, 1)]
+    return [(one.astimezone(UTC) - start.astimezone(UTC)).total_seconds() for one in moments]
+
+
+def _moment(text: str) -> datetime | time | None:
+    """A time of the day, or a day and time; None where a text is neither."""
+    for parse in (time.fromisoformat, datetime.fromisoformat):
+        try:
+            moment = parse(text)
+        except ValueError:
+            continue
+        # A bare number, or a day alone, is no time.
+        return moment if ":" in text else None
+    return None

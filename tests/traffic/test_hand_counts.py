@@ -1,0 +1,306 @@
+"""Counts by hand: what is refused, and what intervals learn from them, against draws of everything."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from datetime import datetime
+from pathlib import Path
+from zoneinfo import ZoneInfo
+
+import numpy as np
+import pytest
+from scipy.special import betaincinv, ndtr
+from scipy.stats import nbinom
+
+from skope.errors import UserError
+from skope.site.marks import Gate
+from skope.site.traffic_settings import TrafficSettings
+from skope.traffic.clock import ClockInterval
+from skope.traffic.count_interval import CountInterval, joint_interval
+from skope.traffic.event_probability import SEEN_IN_METRES, SEEN_IN_PIXELS, SeenAlike
+from skope.traffic.hand_checks import adjusted, hand_checks, hand_lines
+from skope.traffic.hand_count_file import HandCount, read_hand_counts
+from skope.traffic.learn_shares import CountEvidence, learnt_shares
+from skope.traffic.measure import TrafficReport, measure
+from skope.traffic.observation import Observation
+from skope.traffic.vanished import Unseen
+from skope.types import Array
+from tests.traffic.drives import GATE, straight, watched
+from tests.traffic.test_vanished import SITE
+
+VEHICLES, TWO_WHEELERS, WALKERS = SEEN_IN_METRES
+HEAD = "gate,direction,class,begin,end,count\n"
+OTHER = Gate(name="h", line=((60.0, -5.0), (60.0, 5.0)), directions=("west", "east"))
+LORD_HOWE = ZoneInfo("Australia/Lord_Howe")
+
+
+# -------------------------------------------------------------------------------------------------- what is learnt
+
+
+def drawn_gate(kind: SeenAlike, per_minute: float, rng: np.random.Generator) -> list[tuple[int, list[float]]]:
+    """Of ten minutes and of the hour after them, how many crossed and how probable the crossings are that were seen."""
+    missed, out = rng.beta(*kind.missed), []
+    for minutes in (10, 60):
+        true = int(rng.poisson(per_minute * minutes))
+        seen = rng.binomial(true, 1 - missed)
+        chances = rng.uniform(0.93, 1.0, 4 * true + 100)
+        happened = np.cumsum(rng.random(len(chances)) < chances)
+        out.append((true, chances[: int(np.searchsorted(happened, seen))].tolist() if seen else []))
+    return out
+
+
+@pytest.mark.parametrize(("kind", "narrower"), [(VEHICLES, 0.95), (TWO_WHEELERS, 0.7), (SEEN_IN_PIXELS[0], 0.85)])
+def test_ten_minutes_by_hand_make_the_next_hours_intervals_narrower_and_right(kind: SeenAlike, narrower: float) -> None:
+    rng = np.random.default_rng(11)
+    held, widths = 0, []
+    for _ in range(30):
+        (by_hand, seen), (true, later) = drawn_gate(kind, 4.0, rng)
+        evidence = CountEvidence(side=("g", 0), groups={0: kind.group(seen)}, number=by_hand)
+        ((learnt,),) = learnt_shares([evidence], [kind], [("g", 0)], frozenset()).values()
+        before, after = (joint_interval([one.group(later)]) for one in (kind, learnt))
+        held += after.low <= true <= after.high
+        widths.append((before.high - before.low, after.high - after.low))
+    assert held >= 26, "90% of 30, and a draw that is three less probable than one in ten"
+    without, learning = np.mean(widths, axis=0)
+    assert learning < narrower * without
+
+
+def places(rng: np.random.Generator, number: int) -> dict[str, Array]:
+    """Places of a share on the normal scale: of a time, of another time, of the other direction, of another gate."""
+    site, gate, other_gate, side, other_side, third = rng.standard_normal((6, number))
+    whole = np.sqrt(0.1) * site
+    this = whole + np.sqrt(0.4) * gate
+    times = [np.sqrt(0.05) * one for one in rng.standard_normal((4, number))]
+    return {
+        "by hand": this + np.sqrt(0.45) * side + times[0],
+        "later": this + np.sqrt(0.45) * side + times[1],
+        "back": this + np.sqrt(0.45) * other_side + times[2],
+        "other gate": whole + np.sqrt(0.4) * other_gate + np.sqrt(0.45) * third + times[3],
+    }
+
+
+def test_what_a_hand_count_says_of_all_gates_is_as_draws_weighed_by_it_say() -> None:
+    """At 40 crossings that are certain, 70 by hand: four of ten are missed there, elsewhere more than in the mean."""
+    sides = {"later": ("g", 0), "back": ("g", 1), "other gate": ("h", 0)}
+    evidence = CountEvidence(side=("g", 0), groups={0: TWO_WHEELERS.group([1.0] * 40)}, number=70)
+    learnt = learnt_shares([evidence], [TWO_WHEELERS], sides.values(), frozenset())
+    drawn = {
+        name: betaincinv(*TWO_WHEELERS.missed, ndtr(z)) for name, z in places(np.random.default_rng(3), 200_000).items()
+    }
+    weights = np.zeros(200_000)
+    for true in range(62, 79):
+        by_hand = np.exp(-((70 - true) ** 2) / (2 * (0.2 + (0.02 * true) ** 2)))
+        weights += by_hand * nbinom.pmf(true - 40, 41, 1 - drawn["by hand"])
+    found = {}
+    for name, side in sides.items():
+        (kind,) = learnt[side]
+        assert kind.learnt is not None
+        found[name] = float(kind.learnt.missed.mean())
+        assert found[name] == pytest.approx(np.average(drawn[name], weights=weights), abs=0.012), name
+        spread = np.sqrt(np.average((drawn[name] - found[name]) ** 2, weights=weights))
+        assert kind.learnt.missed.std() == pytest.approx(spread, rel=0.1), name
+    assert found["later"] > found["back"] > found["other gate"] > TWO_WHEELERS.missed[0] / sum(TWO_WHEELERS.missed)
+
+
+def test_kinds_that_were_counted_together_share_what_is_missing() -> None:
+    """100 vehicles and 20 walkers were seen and 132 counted: nearly all who lack are of those who are missed often."""
+    groups = {0: VEHICLES.group([0.99] * 100), 1: replace(WALKERS, real=None).group([0.99] * 20)}
+    kinds = [VEHICLES, replace(WALKERS, real=None)]
+    evidence = CountEvidence(side=("g", 0), groups=groups, number=132)
+    ((cars, walkers),) = learnt_shares([evidence], kinds, [("g", 0)], frozenset()).values()
+    assert cars.learnt is not None
+    assert walkers.learnt is not None
+    assert cars.learnt.missed.mean() < 0.06
+    assert 0.2 < walkers.learnt.missed.mean() < 0.4
+    alone = CountEvidence(side=("g", 0), groups={0: groups[0]}, number=132)
+    ((cars, untold),) = learnt_shares([alone], kinds, [("g", 0)], frozenset()).values()
+    assert cars.learnt is not None
+    assert cars.learnt.missed.mean() > 0.1
+    assert untold.learnt is None, "nobody counted them"
+
+
+def test_a_gate_where_much_is_counted_wrongly_is_learnt_from_too() -> None:
+    evidence = CountEvidence(side=("g", 0), groups={0: WALKERS.group([0.65] * 60)}, number=15)
+    ((learnt,),) = learnt_shares([evidence], [WALKERS], [("g", 0)], frozenset()).values()
+    before, after = (joint_interval([one.group([0.65] * 60)]) for one in (WALKERS, learnt))
+    assert after.high < before.high / 2
+    assert after.low <= 15 <= after.high
+
+
+# --------------------------------------------------------------------------------------------- from counts to report
+
+
+def by_hand(number: int, begin_s: float = 0.0, end_s: float = 60.0, **others: str) -> HandCount:
+    values = {"gate": "g", "class_name": "all", **others}
+    interval = ClockInterval(begin_s=begin_s, end_s=end_s, begin=None, end=None)
+    return HandCount(direction=0, direction_name="west", interval=interval, number=number, **values)
+
+
+def report_of(*hands: HandCount) -> TrafficReport:
+    site = replace(SITE, gates=(GATE, OTHER))
+    cars = [straight(k, (-30, 0), (10, 0), 12.0, begin_s=6.0 * k) for k in range(100)]
+    return measure(cars, watched(620.0), site, hand_counts=hands)
+
+
+def between(report: TrafficReport, gate: str, direction: str) -> CountInterval:
+    (one,) = (one for one in report.counts_total if (one.gate, one.direction) == (gate, direction))
+    assert one.expected is not None
+    return one.expected
+
+
+def test_counts_stay_and_their_intervals_move() -> None:
+    plain, right, few = report_of(), report_of(by_hand(100, 0.0, 606.0)), report_of(by_hand(115, 0.0, 606.0))
+    assert [one.count for one in plain.counts] == [one.count for one in few.counts]
+    told = [between(one, "g", "west") for one in (plain, right, few)]
+    assert told[1].high < told[0].high
+    assert told[2].high > told[0].high + 5, "a seventh more crossed than were seen"
+    assert told[2].low <= 115 <= told[2].high
+    (check,) = few.hand_checks
+    assert (check.count, check.hand.number, check.contradicts) == (100, 115, False)
+    # 594 and 683 vehicles an hour: GEH is of flows an hour, whatever the time that was counted.
+    assert check.geh == pytest.approx(np.sqrt(2 * (594.06 - 683.17) ** 2 / (594.06 + 683.17)), abs=0.01)
+    assert [between(one, "h", "west").low for one in (plain, few)] == [100, 100]
+    assert between(few, "h", "west").high > between(plain, "h", "west").high, "other gates of the site may miss as much"
+
+
+def test_a_hand_count_that_cannot_be_is_said_to_contradict_and_believed_by_half() -> None:
+    plain, wrong = report_of(), report_of(by_hand(0, 0.0, 606.0))
+    (check,) = wrong.hand_checks
+    assert check.contradicts
+    (line,) = (line for line in wrong.refused if "contradict" in line)
+    assert "gate 'g' (west), all from 0 s to 606 s: 0 counted by hand, 100 by skope" in line
+    told = between(wrong, "g", "west")
+    assert told.low < 10
+    assert told.high >= between(plain, "g", "west").low
+    others = [between(one, "h", "west") for one in (plain, wrong)]
+    assert abs(others[0].high - others[1].high) <= 4
+
+
+def test_who_is_contradicted_is_believed_by_half_at_its_gate_and_not_at_all_elsewhere() -> None:
+    group = VEHICLES.group([0.9] * 100)
+    evidence = [CountEvidence(side=("g", 0), groups={0: group}, number=20)]
+    told = {}
+    for name, doubted in (("believed", frozenset[int]()), ("doubted", frozenset({0}))):
+        learnt = learnt_shares(evidence, [VEHICLES], [("g", 0), ("h", 0)], doubted)
+        told[name] = [joint_interval([kind.group([0.9] * 100)]) for (kind,) in learnt.values()]
+    assert told["believed"][0].high < 80
+    assert told["doubted"][0].low < 40
+    assert told["doubted"][0].high > 95
+    assert told["believed"][1].low < told["doubted"][1].low - 3
+    assert told["doubted"][1].low > 60
+
+
+def test_a_slip_of_the_counting_hand_is_no_contradiction() -> None:
+    assert [one.contradicts for n in (85, 97, 103) for one in report_of(by_hand(n, 0.0, 606.0)).hand_checks] == [
+        *(True, False, False)
+    ]
+
+
+def test_nothing_is_learnt_where_nobody_was_ever_seen() -> None:
+    unseen = Unseen(gates=frozenset({"far"}))
+    settings = TrafficSettings()
+    checks = hand_checks([by_hand(3, gate="far")], [], unseen, settings)
+    assert (checks[0].expected, checks[0].contradicts) == (None, False)
+    assert adjusted(checks, [], unseen, [GATE], settings).learnt == {}
+    assert list(hand_lines(checks)) == [
+        "gate 'far' (west), all from 0 s to 60 s: 3 counted by hand where nobody was ever seen: its counts stay unknown"
+    ]
+
+
+# -------------------------------------------------------------------------------------------------------- the file
+
+
+def read(
+    tmp_path: Path,
+    rows: str,
+    start: datetime | None = None,
+    observation: Observation | None = None,
+    classes: Sequence[str] = ("car", "bus", "unknown", "pedestrian"),
+) -> tuple[HandCount, ...]:
+    (tmp_path / "c.csv").write_text(HEAD + rows)
+    settings = TrafficSettings(classes=tuple(classes))
+    return read_hand_counts(tmp_path / "c.csv", [GATE], settings, start, observation or watched(900.0))
+
+
+@pytest.mark.parametrize(
+    ("rows", "said"),
+    [
+        ("", "holds no count"),
+        ("x,west,,0,60,1", "line 2: gate: expected one of g, got 'x'"),
+        ("g,north,,0,60,1", "line 2: direction: expected one of west, east, got 'north'"),
+        ("g,west,tram,0,60,1", "line 2: class: expected one of , all, motor, car, bus, pedestrian, got 'tram'"),
+        ("g,west,unknown,0,60,1", "line 2: class: expected one of"),
+        ("g,west,,60,60,1", "line 2: end: expected a time after begin (60), got 60"),
+        ("g,west,,60,0,1", "line 2: end: expected a time after begin (60), got 0"),
+        ("g,west,,0,902,1", "line 2: end: '902' is not within the footage (0.0 to 900.1 s)"),
+        ("g,west,,-2,60,1", "line 2: begin: '-2' is not within the footage"),
+        ("g,west,,soon,60,1", "line 2: begin: expected seconds, a time like 10:15:00 or 2026-11-26T10:15:00"),
+        ("g,west,,nan,60,1", "line 2: begin: expected seconds"),
+        ("g,west,,10:00,60,1", "line 2: begin: expected seconds: neither start in the site nor --begins says"),
+        ("g,west,,0,60,-1", "line 2: count: expected a whole number from 0 to 100000, got '-1'"),
+        ("g,west,,0,60,1.5", "line 2: count: expected a whole number from 0 to 100000, got '1.5'"),
+        ("g,west,,0,60,1000000", "line 2: count: expected a whole number"),
+        ("g,west,,0,60", "line 2: count: expected a whole number from 0 to 100000, got ''"),
+        ("g,west,car,0,60,1\ng,west,car,0,60,1", "line 3: holds the same as line 2"),
+        ("g,west,car,0,60,1\ng,west,,59,90,1", "line 3: has the same gate, direction, some class and some time as"),
+        ("g,west,car,0,60,1\ng,west,motor,30,40,1", "line 3: has the same gate"),
+    ],
+)  # fmt: skip
+def test_what_is_wrong_in_a_file_is_said_by_line_and_column(tmp_path: Path, rows: str, said: str) -> None:
+    with pytest.raises(UserError) as error:
+        read(tmp_path, rows)
+    assert str(error.value).startswith(f"{tmp_path}/c.csv: {said}")
+    assert "\n" not in str(error.value)
+
+
+def test_columns_and_gaps(tmp_path: Path) -> None:
+    (tmp_path / "c.csv").write_text("gate,direction,begin,end,count\n")
+    with pytest.raises(UserError, match="column class: missing; expected gate,direction,class,begin,end,count"):
+        read_hand_counts(tmp_path / "c.csv", [GATE], TrafficSettings(), None, watched(9.0))
+    gap = Observation(times_s=np.concatenate([np.arange(0, 60), np.arange(120, 200)]).astype(float))
+    with pytest.raises(UserError, match="line 2: begin: not all from here to end was observed"):
+        read(tmp_path, "g,west,,50,130,1", observation=gap)
+    rows = "g,west,car,0,60,1\ng,west,bus,0,60,1\ng,east,car,0,60,1\ng,west,car,60,90,1"
+    assert [one.number for one in read(tmp_path, rows)] == [1, 1, 1, 1]
+    whole = read(tmp_path, "g,west,,0,900.9,1")[0].interval
+    assert (whole.begin_s, whole.end_s) == (0.0, pytest.approx(900.1))
+
+
+def test_times_are_seconds_or_the_clocks(tmp_path: Path) -> None:
+    start = datetime(2026, 11, 26, 23, 50, tzinfo=ZoneInfo("Europe/Berlin"))
+    for begin, end in (
+        ("300", "900"),
+        ("23:55", "00:05"),
+        ("23:55:00", "2026-11-27T00:05:00"),
+        ("2026-11-26T23:55:00+01:00", "2026-11-26T23:05:00Z"),
+    ):
+        (one,) = read(tmp_path, f"g,east,,{begin},{end},7", start)
+        assert (one.interval.begin_s, one.interval.end_s, one.direction) == (300.0, 900.0, 1)
+        assert one.interval.end is not None
+        assert one.interval.end.isoformat() == "2026-11-27T00:05:00+01:00"
+    days = watched(2 * 86400.0, 0.5)
+    with pytest.raises(UserError, match="begin: '23:55' comes more than once in the footage: give the day"):
+        read(tmp_path, "g,west,,23:55,23:58,1", start, days)
+    with pytest.raises(
+        UserError, match=r"end: '10:00' is not within the footage \(0.0 to 900.1 s, 2026-11-26T23:50:00"
+    ):
+        read(tmp_path, "g,west,,0,10:00,1", start)
+    # Clocks go back half an hour at two in the morning.
+    night = datetime(2026, 4, 5, 1, 0, tzinfo=LORD_HOWE)
+    with pytest.raises(UserError, match="begin: '01:45' comes more than once"):
+        read(tmp_path, "g,west,,01:45,02:30,1", night, watched(7200.0, 0.5))
+    (one,) = read(tmp_path, "g,west,,01:15,02:30,1", night, watched(7200.0, 0.5))
+    assert (one.interval.begin_s, one.interval.end_s) == (900.0, 7200.0)
+
+
+def test_all_is_everybody_who_counts_and_motor_those_with_an_engine(tmp_path: Path) -> None:
+    tracks = [
+        straight(k, (-10, 0), (5, 0), 4, begin_s=5.0 * k, class_name=name, category=category)
+        for k, (name, category) in enumerate([("car", "vehicle"), ("unknown", "vehicle"), ("pedestrian", "pedestrian")])
+    ]
+    site = replace(SITE, traffic=TrafficSettings())
+    rows = "".join(f"g,west,{name},0,20,0\n" for name in ("", "motor", "car", "pedestrian"))
+    hands = [read(tmp_path, row, classes=site.traffic.classes)[0] for row in rows.splitlines()]
+    assert hands[0].class_name == "all"
+    report = measure(tracks, watched(60.0), site)
+    checks = hand_checks(hands, report.crossings, Unseen(), site.traffic)
+    assert [one.count for one in checks] == [3, 2, 1, 1]
