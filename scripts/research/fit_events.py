@@ -27,6 +27,7 @@ from traffic_scores import clip_of, count_rows, side_of
 from traffic_tables import VISIBLE
 
 from skope.files.json_files import read_json
+from skope.traffic.counts import ALL
 from skope.traffic.event_probability import SEEN_IN_METRES, crossing_evidence, usual_step
 from skope.traffic.trajectories import VEHICLE
 from skope.types import Array
@@ -84,7 +85,7 @@ def read_clip(folder: Path) -> tuple[list[Crossing], list[Missed]]:
     ]
     found = set(pairs.values())
     missed = []
-    for total in clip.told.counts_total:
+    for total in (one for one in clip.told.counts_total if one.class_name == ALL):
         for k, kind in enumerate(SEEN_IN_METRES):
             own = [
                 i
@@ -203,7 +204,11 @@ def fit_missed(rows: Sequence[Missed]) -> None:
 def covered(folder: Path) -> list[dict[str, Any]]:
     """The counts of a clip, with their intervals."""
     clip = clip_of(folder, true_keypoints=False, clip=read_json(folder / CLIP))
-    sides = [{"gate": one.gate, "direction": one.direction, "count": one.count} for one in clip.told.counts_total]
+    sides = [
+        {"gate": one.gate, "direction": one.direction, "count": one.count}
+        for one in clip.told.counts_total
+        if one.class_name == ALL
+    ]
     return [{**row, "clip": folder.name} for row in count_rows(clip, sides, clip.told.observation.times_s)]
 
 

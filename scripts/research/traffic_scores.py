@@ -29,7 +29,6 @@ from skope.site.site_file import read_site
 from skope.traffic.conflicts import conflicts
 from skope.traffic.count_interval import CountInterval
 from skope.traffic.counts import ALL, expected
-from skope.traffic.event_probability import SEEN_IN_METRES
 from skope.traffic.gates import direction_names
 from skope.traffic.measure import measure
 from skope.traffic.normal_distribution import Z
@@ -73,7 +72,9 @@ def score_clip(folder: Path, *, true_keypoints: bool, clip: Mapping[str, Any]) -
     return {
         "clip": dict(clip),
         "true_tracks_joined": sum(bool(one.joined) for one in this.real.trajectories),
-        "counts": count_rows(this, summary["counts"], this.real.observation.times_s),
+        "counts": count_rows(
+            this, [one for one in summary["counts"] if one["class"] == ALL], this.real.observation.times_s
+        ),
         "turning": turning_rows(this),
         "speeds": speed_rows(this),
         "headways": headway_rows(this, pairs),
@@ -135,16 +136,23 @@ def count_rows(clip: Clip, told: Sequence[Mapping[str, Any]], times_s: Any) -> l
 def expected_of(clip: Clip, side: Mapping[str, Any], chosen: Sequence[bool]) -> CountInterval | None:
     """Between what the count of vehicles, of others, or of both is said to be; None: not known."""
     told = clip.told
-    (total,) = (one for one in told.counts_total if (one.gate, one.direction) == (side["gate"], side["direction"]))
-    if len(chosen) > 1 or total.expected is None:
+    totals = {
+        one.class_name: one
+        for one in told.counts_total
+        if (one.gate, one.direction) == (side["gate"], side["direction"])
+    }
+    total = totals[ALL if len(chosen) > 1 or not chosen[0] else VEHICLE]
+    if len(chosen) > 1 or chosen[0]:
         return total.expected
     there = [
         one
         for one in (*told.crossings, *told.unseen.doubtful)
         if (one.gate, one.direction_name) == (total.gate, total.direction)
     ]
-    kinds = SEEN_IN_METRES[:1] if chosen[0] else SEEN_IN_METRES[1:]
-    return expected(there, kinds, partial(told.unseen.most, total.gate, side_of(side, clip), total.interval), ALL, ALL)
+    direction = side_of(side, clip)
+    kinds = told.unseen.kinds_at(total.gate, direction)[1:]
+    most = partial(told.unseen.most, total.gate, direction, total.interval)
+    return expected(there, kinds, most, ALL, {name for kind in kinds for name in kind.classes})
 
 
 def side_of(side: Mapping[str, Any], clip: Clip) -> int:

@@ -6,15 +6,17 @@ from functools import partial
 from typing import Final
 
 from skope.site.marks import Gate
-from skope.site.traffic_settings import CLASSES, UNKNOWN, TrafficSettings
+from skope.site.traffic_settings import UNKNOWN, VEHICLE_CLASSES, TrafficSettings
 from skope.traffic.clock import ClockInterval
 from skope.traffic.count_interval import CountInterval, Group, joint_interval
 from skope.traffic.event_probability import SeenAlike
 from skope.traffic.gates import GateCrossing, direction_names
 from skope.traffic.observation import Observation
+from skope.traffic.trajectories import VEHICLE
 from skope.traffic.vanished import Unseen
 
 ALL: Final = "all"
+_VEHICLES: Final = frozenset({*VEHICLE_CLASSES, UNKNOWN})
 _WHOLE: Final = 0.999
 """An interval of which so much was observed was observed."""
 
@@ -31,12 +33,12 @@ class Count:
     lane: str
     """A lane's name, "" for who is in none, or `ALL`."""
     class_name: str
-    """A class, or `ALL`."""
+    """A class, `VEHICLE` for those on more than two wheels, or `ALL`."""
     count: int | None
     """None: nothing was observed."""
     expected: CountInterval | None
     """Between which numbers the truth is, of what was observed; None where nothing was, where nobody was ever seen near
-    the gate, or of the class unknown, which nobody is in truth."""
+    the gate, where more vehicles are lost at it than cross it, or of the class unknown, which nobody is in truth."""
 
     @property
     def observed(self) -> str:
@@ -59,10 +61,12 @@ def counts(
     observation: Observation,
     settings: TrafficSettings,
     unseen: Unseen,
+    *,
+    by_class: bool = True,
 ) -> list[Count]:
-    """A count for each interval, gate and direction: of all, of each class, and of each lane.
+    """A count for each interval, gate and direction: of all, of vehicles, of each class, and of each lane.
 
-    Nothing counted is 0; nothing observed has no count.
+    Nothing counted is 0; nothing observed has no count. Without `by_class` there are no rows of single classes.
     """
     out = []
     for interval in intervals:
@@ -78,11 +82,12 @@ def counts(
                     for every in (there, doubtful)
                 )
                 used = [lane for lane in lanes if any(one.lane == lane for one in crossings if one.gate == gate.name)]
-                for lane, class_name in _kinds(used, settings):
+                for lane, class_name in _kinds(used, settings, by_class=by_class):
                     told = None
                     if observed_s > 0 and gate.name not in unseen.gates:
                         most = partial(unseen.most, gate.name, k, interval)
-                        told = expected([*own, *perhaps], unseen.kinds_at(gate.name, k), most, lane, class_name)
+                        kinds = unseen.kinds_at(gate.name, k)
+                        told = expected([*own, *perhaps], kinds, most, lane, classes_of(class_name, settings))
                     out.append(
                         Count(
                             interval=interval,
@@ -91,25 +96,35 @@ def counts(
                             direction=direction,
                             lane=lane,
                             class_name=class_name,
-                            count=_number(own, lane, class_name) if observed_s > 0 else None,
+                            count=_number(own, lane, classes_of(class_name, settings)) if observed_s > 0 else None,
                             expected=told,
                         )
                     )
     return out
 
 
-def _kinds(lanes: Sequence[str], settings: TrafficSettings) -> Iterator[tuple[str, str]]:
+def _kinds(lanes: Sequence[str], settings: TrafficSettings, *, by_class: bool) -> Iterator[tuple[str, str]]:
     """The lane and class of each row."""
     yield ALL, ALL
-    for name in settings.classes:
-        yield ALL, name
+    if not _VEHICLES.isdisjoint(settings.classes) and not _VEHICLES.issuperset(settings.classes):
+        yield ALL, VEHICLE
+    if by_class:
+        for name in settings.classes:
+            yield ALL, name
     if lanes:
         for lane in (*lanes, ""):
             yield lane, ALL
 
 
-def _number(crossings: Sequence[GateCrossing], lane: str, class_name: str) -> int:
-    return sum(lane in (ALL, one.lane) and class_name in (ALL, one.trajectory.class_name) for one in crossings)
+def classes_of(class_name: str, settings: TrafficSettings) -> frozenset[str]:
+    """The classes that a row is of."""
+    if class_name == VEHICLE:
+        return _VEHICLES & set(settings.classes)
+    return frozenset(settings.classes) if class_name == ALL else frozenset({class_name})
+
+
+def _number(crossings: Sequence[GateCrossing], lane: str, classes: Collection[str]) -> int:
+    return sum(lane in (ALL, one.lane) and one.trajectory.class_name in classes for one in crossings)
 
 
 def expected(
@@ -117,18 +132,24 @@ def expected(
     kinds: Sequence[SeenAlike],
     most: Callable[[Collection[str]], int],
     lane: str,
-    class_name: str,
+    classes: Collection[str],
 ) -> CountInterval | None:
-    """The interval of how many there were, of all in a lane and of a class.
+    """The interval of how many there were, of classes, in a lane or in all.
 
-    Who is counted in another lane or class may be of this one: each counts with the probability that it is. `most` is
-    how many more there may have been of classes.
+    Who is counted in another lane or class may be of these: each counts with the probability that it is. `most` is how
+    many more there may have been of classes. None: nobody is of the class in truth, or the gate sees so few of them that
+    nothing can be said.
     """
-    if class_name == UNKNOWN:
-        return None
-    classes = CLASSES if class_name == ALL else (class_name,)
-    groups = (group_of(kind, crossings, most, lane, classes) for kind in kinds)
-    return joint_interval([one for one in groups if one is not None])
+    groups = []
+    for kind in kinds:
+        group = group_of(kind, crossings, most, lane, classes)
+        if group is None:
+            continue
+        crossed = sum(one.counts and one.trajectory.class_name in kind.classes for one in crossings)
+        if kind.loses(crossed, most(kind.classes)):
+            return None
+        groups.append(group)
+    return joint_interval(groups) if groups else None
 
 
 def group_of(

@@ -99,7 +99,10 @@ def adjusted(
     ]
     doubted = frozenset(k for k, one in enumerate(told) if one.contradicts)
     sides = [(gate.name, direction) for gate in gates for direction in (0, 1)]
-    return replace(unseen, learnt=learnt_shares(evidence, unseen.kinds, sides, doubted) if evidence else {})
+    return replace(
+        unseen,
+        learnt=learnt_shares(evidence, {side: unseen.kinds_at(*side) for side in sides}, doubted) if evidence else {},
+    )
 
 
 def _counts(hand: HandCount, crossing: GateCrossing) -> bool:
@@ -112,7 +115,7 @@ def _counts(hand: HandCount, crossing: GateCrossing) -> bool:
 def _groups(
     hand: HandCount, crossings: Sequence[GateCrossing], unseen: Unseen, settings: TrafficSettings
 ) -> dict[int, Group]:
-    """What was seen while somebody counted, by which of `unseen.kinds` it is."""
+    """What was seen while somebody counted, by which of the gate's kinds it is."""
     interval = hand.interval
     own = [
         one
@@ -122,7 +125,7 @@ def _groups(
     most = partial(unseen.most, hand.gate, hand.direction, interval)
     found = {
         k: group_of(kind, own, most, ALL, hand.classes)
-        for k, kind in enumerate(unseen.kinds)
+        for k, kind in enumerate(unseen.kinds_at(hand.gate, hand.direction))
         if kind.classes & set(settings.classes)
     }
     return {k: group for k, group in found.items() if group is not None}

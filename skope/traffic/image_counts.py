@@ -14,11 +14,12 @@ from skope.traffic.conflicts import ConflictSearch
 from skope.traffic.counts import counts
 from skope.traffic.event_probability import SEEN_IN_PIXELS
 from skope.traffic.gates import crossings
-from skope.traffic.hand_checks import adjusted, hand_checks, hand_lines
+from skope.traffic.hand_checks import adjusted, hand_checks
 from skope.traffic.hand_count_file import HandCount
 from skope.traffic.lanes import LaneMap
-from skope.traffic.measure import TrafficReport, total_counts, unseen_lines, whole_footage
+from skope.traffic.measure import TrafficReport, total_counts, whole_footage
 from skope.traffic.observation import Observation
+from skope.traffic.remarks import remarks_on_counts
 from skope.traffic.trajectories import Trajectory
 from skope.traffic.turning import movements, turning_counts
 from skope.traffic.vanished import unseen
@@ -70,7 +71,7 @@ def count_in_image(
     checks = hand_checks(hand_counts, crossed, missed, settings)
     missed = adjusted(checks, crossed, missed, gates, settings)
     moved = movements(crossed, settings)
-    return TrafficReport(
+    report = TrafficReport(
         site=site,
         start=begin,
         observation=observation,
@@ -94,9 +95,9 @@ def count_in_image(
         delays=(),
         conflicts=ConflictSearch(conflicts=(), overlapping=0, unsteady=0),
         brakings=(),
-        refused=(_WHY, *unseen_lines(missed), *hand_lines(checks)),
         metres=False,
     )
+    return replace(report, refused=(_WHY, *remarks_on_counts(report)))
 
 
 def _upwards(gate: Gate) -> Gate:

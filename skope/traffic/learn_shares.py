@@ -64,34 +64,38 @@ def hand_sigma(number: float) -> float:
 
 
 def learnt_shares(
-    evidence: Sequence[CountEvidence], kinds: Sequence[SeenAlike], sides: Iterable[Side], doubted: frozenset[int]
+    evidence: Sequence[CountEvidence], kinds: Mapping[Side, Sequence[SeenAlike]], doubted: frozenset[int]
 ) -> dict[Side, tuple[SeenAlike, ...]]:
     """The kinds as they are seen at each gate and direction, with what hand counts tell of them.
 
     Args:
         evidence: The hand counts.
-        kinds: Who is missed alike at all gates.
-        sides: The gates and directions that are asked for.
+        kinds: Who is missed alike at each gate and direction that is asked for: as many kinds at all.
         doubted: Which of the hand counts contradict what was seen: where they are, shares are as probably those with
             them as without, and elsewhere they say nothing.
     """
     sound = [k for k in range(len(evidence)) if k not in doubted]
-    of_sound = _messages([evidence[k] for k in sound], kinds)
-    of_all = _messages(evidence, kinds) if doubted else of_sound
+    number = max(map(len, kinds.values()), default=0)
+    of_sound = _messages([evidence[k] for k in sound], number)
+    of_all = _messages(evidence, number) if doubted else of_sound
     out = {}
-    for side in sides:
+    for side, own in kinds.items():
         here = any(evidence[k].side[0] == side[0] for k in doubted)
         out[side] = tuple(
-            _with_learnt(kind, [_belief(said[k], side) for said in ((of_sound, of_all) if here else (of_sound,))])
+            _with_learnt(
+                kind,
+                [_belief(said[k], side) for said in ((of_sound, of_all) if here else (of_sound,))],
+                looked=any(one.side == side for one in evidence),
+            )
             if any(k in one.groups for one in evidence)
             else kind
-            for k, kind in enumerate(kinds)
+            for k, kind in enumerate(own)
         )
     return out
 
 
-def _with_learnt(kind: SeenAlike, beliefs: Sequence[Array]) -> SeenAlike:
-    """A kind with values drawn evenly from several beliefs."""
+def _with_learnt(kind: SeenAlike, beliefs: Sequence[Array], *, looked: bool) -> SeenAlike:
+    """A kind with values drawn evenly from several beliefs; where somebody has looked, nothing is refused."""
     rng = np.random.default_rng(0)
     each = _VALUES // len(beliefs)
     cells = [
@@ -99,7 +103,12 @@ def _with_learnt(kind: SeenAlike, beliefs: Sequence[Array]) -> SeenAlike:
     ]
     nodes = np.stack(np.unravel_index(np.minimum(np.concatenate(cells), _PLACES.size**3 - 1), _WHOLE))
     missed, came, real = ndtr(_PLACES[nodes] + _STEP * (rng.random(nodes.shape) - 0.5))
-    return replace(kind, learnt=LearntShares(share_at(kind.missed, missed), share_at(kind.came, came), real))
+    return replace(
+        kind,
+        learnt=LearntShares(share_at(kind.missed, missed), share_at(kind.came, came), real),
+        refused=kind.refused and not looked,
+        too_small=kind.too_small and not looked,
+    )
 
 
 # --------------------------------------------------------------------------------------------------- along the tree
@@ -167,12 +176,12 @@ def _belief(messages: Sequence[Message], side: Side) -> Array:
 # --------------------------------------------------------------------------------------------- what one count says
 
 
-def _messages(evidence: Sequence[CountEvidence], kinds: Sequence[SeenAlike]) -> list[list[Message]]:
-    """For each kind, what the hand counts say of it.
+def _messages(evidence: Sequence[CountEvidence], number: int) -> list[list[Message]]:
+    """For each of a number of kinds, what the hand counts say of it.
 
     Of several kinds that were counted together each is told by what is believed of the others, twice over.
     """
-    said: list[dict[int, Array]] = [{} for _ in kinds]
+    said: list[dict[int, Array]] = [{} for _ in range(number)]
     for sweep in range(2):
         for row, one in enumerate(evidence):
             if sweep and len(one.groups) == 1:
@@ -183,20 +192,20 @@ def _messages(evidence: Sequence[CountEvidence], kinds: Sequence[SeenAlike]) -> 
                     if other != k:
                         messages = [(evidence[r].side, told) for r, told in said[other].items() if r != row]
                         belief = _belief(messages, one.side)
-                        others = np.convolve(others, _numbers(kinds[other], group, belief, one.number))
-                said[k][row] = _up(_TO_TIME, _said(kinds[k], one.groups[k], one.number, others))
+                        others = np.convolve(others, _numbers(group, belief, one.number))
+                said[k][row] = _up(_TO_TIME, _said(one.groups[k], one.number, others))
     return [[(evidence[row].side, told) for row, told in of_kind.items()] for of_kind in said]
 
 
-def _said(kind: SeenAlike, group: Group, number: int, others: Array) -> Array:
-    """How probable a hand count is by the shares of a kind, of whom there were besides others (M,) of these numbers."""
+def _said(group: Group, number: int, others: Array) -> Array:
+    """How probable a hand count is by a group's shares, of whom there were besides others (M,) of these numbers."""
     most = _most(number)
     total = np.arange(most + len(others))
     sigma = np.array([hand_sigma(one) for one in total.tolist()])
     right = ndtr((number - total + 0.5) / sigma) - ndtr((number - total - 0.5) / sigma)
     wanted = np.array([others @ right[n : n + len(others)] for n in range(most + 1)])
-    happened = _happened(kind, group)
-    out = np.stack([happened @ (every @ wanted) for every in _besides(kind, happened.shape[2], most)])
+    happened = _happened(group)
+    out = np.stack([happened @ (every @ wanted) for every in _besides(group, happened.shape[2], most)])
     return np.maximum(out, _LEAST * out.max()) if out.max() > 0 else np.ones(_WHOLE)
 
 
@@ -204,11 +213,11 @@ _LEAST: Final = 1e-12
 """No place of the shares is less probable than this share of the most probable one: it could not come back."""
 
 
-def _numbers(kind: SeenAlike, group: Group, belief: Array, number: int) -> Array:
+def _numbers(group: Group, belief: Array, number: int) -> Array:
     """(N,) how probable numbers of a kind are by what is believed of its shares, as far as they matter for `number`."""
-    happened = _happened(kind, group)
+    happened = _happened(group)
     weights = np.einsum("mcr,crk->mk", belief, happened)
-    every = _besides(kind, happened.shape[2], _most(number))
+    every = _besides(group, happened.shape[2], _most(number))
     return np.asarray(sum(row @ one for row, one in zip(weights, every, strict=True)))
 
 
@@ -217,21 +226,21 @@ def _most(number: int) -> int:
     return number + int(np.ceil(_FAR * hand_sigma(number))) + 1
 
 
-def _happened(kind: SeenAlike, group: Group) -> Array:
+def _happened(group: Group) -> Array:
     """(P, P, K) how probable numbers of those who were seen, and did cross, are by the shares that came and are one."""
-    chances = chances_at(kind.real, np.asarray(group.probabilities), _LEVELS)
+    chances = chances_at(group.real, np.asarray(group.probabilities), _LEVELS)
     seen = [poisson_binomial(row) for row in chances.tolist()]
-    came = binom.pmf(np.arange(group.possible + 1), group.possible, share_at(kind.came, _LEVELS)[:, None])
+    came = binom.pmf(np.arange(group.possible + 1), group.possible, share_at(group.came, _LEVELS)[:, None])
     return np.stack([[np.convolve(one, row) for row in seen] for one in came])
 
 
-def _besides(kind: SeenAlike, seen: int, most: int) -> Iterator[Array]:
+def _besides(group: Group, seen: int, most: int) -> Iterator[Array]:
     """For each place of the share that is missed, (`seen`, `most` + 1) how probable numbers are of whom so many were
     seen: negative binomial numbers."""
     happened, total = np.arange(seen)[:, None], np.arange(most + 1)
     missed = np.maximum(total - happened, 0)
     ways = gammaln(total + 1) - gammaln(happened + 1) - gammaln(missed + 1)
-    for share in np.clip(share_at(kind.missed, _LEVELS), _NEVER, 1 - _NEVER):
+    for share in np.clip(share_at(group.missed, _LEVELS), _NEVER, 1 - _NEVER):
         chance = np.exp(ways + (happened + 1) * np.log1p(-share) + missed * np.log(share))
         yield np.where(total >= happened, chance, 0.0)
 

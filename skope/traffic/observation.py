@@ -1,5 +1,6 @@
 """When the camera has observed the road: without that, nothing counted and nothing observed look alike."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -35,6 +36,8 @@ class Observation:
     says how well the camera is known."""
     eye: tuple[float, float, float] | None = None
     """Where the camera hangs, world, metres; None: not known."""
+    focal_px: float | None = None
+    """The camera's focal length, pixels; None: not known."""
     road_sigma_m: float = 0.0
     """By how much vehicles stand above and below the plane that the road is taken for, one standard deviation."""
 
@@ -67,6 +70,12 @@ class Observation:
         """Whether what begins or ends at a time is cut by the footage or by a gap in it, not lost."""
         return not len(self.spans) or bool(np.abs(self.spans - time_s).min() < _CUT_S)
 
+    def pixels_per_metre(self, place: Array) -> float | None:
+        """How many pixels a metre across the line of sight is at a place (2,) of the road; None: not known."""
+        if self.eye is None or self.focal_px is None:
+            return None
+        return self.focal_px / max(1.0, math.dist(self.eye, (*map(float, place), 0.0)))
+
     def to_dict(self, moved_s: Sequence[float] = ()) -> dict[str, Any]:
         """What `footage.json` holds; `moved_s` are times of frames in which the camera had been moved."""
         return {
@@ -76,6 +85,7 @@ class Observation:
             "moved_times_s": [round(float(time), 4) for time in moved_s],
             "common_sigma": self.common_sigma,
             "eye": self.eye,
+            "focal_px": self.focal_px,
             "road_sigma_m": self.road_sigma_m,
         }
 
@@ -103,12 +113,16 @@ def read_observation(folder: Path) -> Observation:
     eye = None if document.get("eye") is None else _numbers(path, document, "eye")
     if eye is not None and len(eye) != 3:
         raise UserError(f"{path}: eye: expected three numbers")
+    focal = document.get("focal_px")
+    if focal is not None and (type(focal) not in (int, float) or not 0 < focal < math.inf):
+        raise UserError(f"{path}: focal_px: expected a number above 0, or null")
     source = document.get("source")
     return Observation(
         times_s=times,
         source=source if isinstance(source, str) else "",
         common_sigma=document.get("common_sigma"),
         eye=None if eye is None else (float(eye[0]), float(eye[1]), float(eye[2])),
+        focal_px=document.get("focal_px"),
         road_sigma_m=document.get("road_sigma_m") or 0.0,
     )
 

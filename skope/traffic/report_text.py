@@ -4,6 +4,7 @@ from collections.abc import Iterator
 
 from skope.terminal.text_table import text_table
 from skope.traffic.count_interval import count_interval
+from skope.traffic.counts import ALL
 from skope.traffic.measure import TrafficReport
 from skope.traffic.speed_percentiles import Percentile
 from skope.traffic.speeds import MOTOR
@@ -17,7 +18,7 @@ def report_lines(report: TrafficReport) -> Iterator[str]:
     yield f"{len(report.trajectories)} road users over {seconds:.1f} s that were observed; intervals hold 90%"
     if report.counts:
         yield from text_table(
-            ["gate", "direction", "count", "there were", "v50 km/h", "v85 km/h"], _gates(report), "ll"
+            ["gate", "direction", "class", "count", "there were", "v50 km/h", "v85 km/h"], _gates(report), "lll"
         )
     if report.hand_checks:
         head = ["gate", "direction", "class", "by hand", "count", "there were, by what is seen alone", "GEH"]
@@ -44,9 +45,9 @@ def _gates(report: TrafficReport) -> Iterator[list[str]]:
     }
     for one in report.counts_total:
         told = "not known" if one.expected is None else f"{one.expected.low} to {one.expected.high}"
-        found = speeds.get(f"{one.gate} ({one.direction})", {})
+        found = speeds.get(f"{one.gate} ({one.direction})", {}) if one.class_name == ALL else {}
         yield [
-            *(one.gate, one.direction, str(one.count or 0), told),
+            *(one.gate, one.direction, one.class_name, str(one.count or 0), told),
             *(_speed(found.get(name)) for name in ("v50", "v85")),
         ]
 

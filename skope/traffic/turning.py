@@ -6,7 +6,7 @@ all.
 """
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -97,11 +97,12 @@ def turning_counts(
     intervals: Sequence[ClockInterval],
     observation: Observation,
     settings: TrafficSettings,
-    kinds: Sequence[SeenAlike] = SEEN_IN_METRES,
+    kinds: Mapping[str, Sequence[SeenAlike]] | None = None,
 ) -> list[TurningCount]:
     """The matrix of each interval: a count for each pair that anybody has driven in the whole footage.
 
     A movement counts in the interval of the crossing that it comes from, or, without one, of that which it goes to.
+    `kinds` are who is missed at each gate; of a movement that which misses more counts.
     """
     chosen = [gate for gate in gates if settings.turning is None or gate.name in settings.turning]
     order = {side: k for k, side in enumerate([*((g.name, d) for g in chosen for d in direction_names(g)), NOWHERE])}
@@ -113,7 +114,11 @@ def turning_counts(
         there = [one for one in found if interval.begin_s <= one.time_s < interval.end_s]
         for pair in pairs:
             own = [one for one in there if one.sides == pair]
-            told = None if not observed or NOWHERE in pair else _expected(own, there, pair, share, kinds)
+            told = (
+                None
+                if not observed or NOWHERE in pair
+                else _expected(own, there, pair, share, _missed_more(pair, kinds or {}))
+            )
             out.append(
                 TurningCount(
                     interval=interval,
@@ -124,6 +129,12 @@ def turning_counts(
                 )
             )
     return out
+
+
+def _missed_more(pair: tuple[Side, Side], kinds: Mapping[str, Sequence[SeenAlike]]) -> list[SeenAlike]:
+    """The kinds as the one of two gates misses them that misses more of them."""
+    both = (kinds.get(gate, SEEN_IN_METRES) for gate, _ in pair)
+    return [max(alike, key=lambda kind: kind.missed[0] / sum(kind.missed)) for alike in zip(*both, strict=True)]
 
 
 def _shares(found: Sequence[Movement]) -> dict[tuple[Side, Side], float]:

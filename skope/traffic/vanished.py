@@ -14,7 +14,7 @@ import numpy as np
 from skope.site.marks import Gate
 from skope.site.traffic_settings import TrafficSettings
 from skope.traffic.clock import ClockInterval
-from skope.traffic.event_probability import SEEN_IN_METRES, SeenAlike
+from skope.traffic.event_probability import SEEN_IN_METRES, SeenAlike, seen_in_metres
 from skope.traffic.gates import GateCrossing, may_count, signed_distances
 from skope.traffic.observation import Observation
 from skope.traffic.trajectories import Trajectory
@@ -49,16 +49,16 @@ class Unseen:
     vanished: tuple[Vanished, ...] = ()
     doubtful: tuple[GateCrossing, ...] = ()
     """Crossings that are not counted: more probably none than one, or just beside the gate."""
-    kinds: tuple[SeenAlike, ...] = SEEN_IN_METRES
-    """What else is missed, of whom."""
+    kinds: Mapping[str, tuple[SeenAlike, ...]] = field(default_factory=dict)
+    """What else is missed at each gate, of whom; of a gate that is not named `SEEN_IN_METRES`."""
     gates: frozenset[str] = frozenset()
     """Names of gates near which nobody was ever seen: whether somebody crossed them is not known."""
     learnt: Mapping[tuple[str, int], tuple[SeenAlike, ...]] = field(default_factory=dict)
-    """Of gates and directions, `kinds` with what hand counts tell of them there."""
+    """Of gates and directions, their kinds with what hand counts tell of them there."""
 
     def kinds_at(self, gate: str, direction: int) -> tuple[SeenAlike, ...]:
         """What is missed at a gate, in a direction, of whom."""
-        return self.learnt.get((gate, direction), self.kinds)
+        return self.learnt.get((gate, direction)) or self.kinds.get(gate, SEEN_IN_METRES)
 
     def most(self, gate: str, direction: int, interval: ClockInterval, classes: Collection[str]) -> int:
         """How many more may have crossed a gate in a direction and an interval, of some classes.
@@ -83,9 +83,13 @@ def unseen(
     observation: Observation,
     settings: TrafficSettings,
     near: float = NEAR_M,
-    kinds: tuple[SeenAlike, ...] = SEEN_IN_METRES,
+    kinds: tuple[SeenAlike, ...] | None = None,
 ) -> Unseen:
-    """Who may have crossed without being counted, of all crossings; `near` to a gate is who is so far from it."""
+    """Who may have crossed without being counted, of all crossings.
+
+    `near` to a gate is who is so far from it. `kinds` are missed alike at all gates; None: by how many pixels a metre
+    is at each.
+    """
     crossed = {(one.trajectory.number, one.gate) for one in crossings}
     found = [
         Vanished(trajectory=one, gate=gate.name, direction=direction, time_s=time_s, begins=begins)
@@ -101,7 +105,10 @@ def unseen(
     return Unseen(
         vanished=tuple(sorted(found, key=lambda one: one.time_s)),
         doubtful=tuple(one for one in crossings if not one.counts),
-        kinds=kinds,
+        kinds={
+            gate.name: kinds or seen_in_metres(observation.pixels_per_metre(np.mean(gate.line, axis=0)))
+            for gate in gates
+        },
         gates=frozenset(blind),
     )
 

@@ -74,6 +74,7 @@ def summary(report: TrafficReport, *, tracks: str, revision: str | None) -> dict
         {
             "gate": one.gate,
             "direction": one.direction,
+            "class": one.class_name,
             "count": one.count,
             **_bounds(one.expected),
         }

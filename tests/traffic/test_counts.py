@@ -150,6 +150,7 @@ def test_one_class_for_each_track_and_classes_add_up() -> None:
     rows = counts(found, [GATE], [], clock_intervals(None, 0, 200, 15), watched(200), settings, Unseen())
     by_class = {one.class_name: one for one in rows if one.direction == "west"}
     assert by_class.pop(ALL).count == 40
+    assert by_class.pop("vehicle").count == int((names != "pedestrian").sum())
     assert sum(one.count or 0 for one in by_class.values()) == 40
     assert {name: one.count for name, one in by_class.items() if one.count} == {
         str(name): int((names == name).sum()) for name in set(names)

@@ -83,7 +83,7 @@ def test_a_workbook_holds_the_tables_as_numbers_and_times(tmp_path: Path) -> Non
     summary = book.get_sheet_by_name("summary").to_python()
     expected = report.counts_total[0].expected
     assert expected
-    assert ["=SUM(A1)", "in", 2.0, expected.low, expected.high] in summary
+    assert ["=SUM(A1)", "in", "all", 2.0, expected.low, expected.high] in summary
 
 
 def test_parquet_keeps_types_and_what_is_missing(tmp_path: Path) -> None:
@@ -139,8 +139,8 @@ def test_on_the_map_everything_is_where_it_is_on_the_road(tmp_path: Path, world:
     assert metres(first["geometry"]["coordinates"])[[0, -1]] == pytest.approx(np.array([[-30, 0], [30, 0]]), abs=0.02)
     assert len(first["properties"]["times_s"]) == len(first["geometry"]["coordinates"])
     counts = gate["properties"]["counts"]
-    assert {name: row["count"] for name, row in counts.items()} == {"in": 2, 'aus, "Süd"': 0}
-    assert all(row["low"] <= row["count"] <= row["high"] for row in counts.values())
+    assert {name: row["all"]["count"] for name, row in counts.items()} == {"in": 2, 'aus, "Süd"': 0}
+    assert all(row["vehicle"]["low"] <= row["vehicle"]["count"] <= row["vehicle"]["high"] for row in counts.values())
 
 
 @pytest.mark.parametrize(("longitude", "latitude"), [(8.4, 49.0), (-71.1, -33.4), (179.99, 5.0), (12.0, 78.0)])

@@ -16,7 +16,7 @@ from skope.site.marks import Gate
 from skope.site.traffic_settings import TrafficSettings
 from skope.traffic.clock import ClockInterval
 from skope.traffic.count_interval import CountInterval, joint_interval
-from skope.traffic.event_probability import SEEN_IN_METRES, SEEN_IN_PIXELS, SeenAlike
+from skope.traffic.event_probability import SEEN_IN_PIXELS, SeenAlike
 from skope.traffic.hand_checks import adjusted, hand_checks, hand_lines
 from skope.traffic.hand_count_file import HandCount, read_hand_counts
 from skope.traffic.learn_shares import CountEvidence, learnt_shares
@@ -27,7 +27,10 @@ from skope.types import Array
 from tests.traffic.drives import GATE, straight, watched
 from tests.traffic.test_vanished import SITE
 
-VEHICLES, TWO_WHEELERS, WALKERS = SEEN_IN_METRES
+VEHICLES = SeenAlike(frozenset({"car", "van", "lorry", "bus", "unknown"}), missed=(0.26, 9.84), came=(0.04, 0.33))
+TWO_WHEELERS = SeenAlike(frozenset({"bicycle", "motorcycle"}), missed=(1.15, 2.61), came=(0.12, 9.0))
+WALKERS = SeenAlike(frozenset({"pedestrian"}), missed=(1.15, 2.61), came=(0.12, 9.0), real=(1.3, 0.81))
+"""3% and 31% are missed in the mean; at some gates nobody who walks is counted rightly, at others all are."""
 HEAD = "gate,direction,class,begin,end,count\n"
 OTHER = Gate(name="h", line=((60.0, -5.0), (60.0, 5.0)), directions=("west", "east"))
 LORD_HOWE = ZoneInfo("Australia/Lord_Howe")
@@ -55,7 +58,7 @@ def test_ten_minutes_by_hand_make_the_next_hours_intervals_narrower_and_right(ki
     for _ in range(30):
         (by_hand, seen), (true, later) = drawn_gate(kind, 4.0, rng)
         evidence = CountEvidence(side=("g", 0), groups={0: kind.group(seen)}, number=by_hand)
-        ((learnt,),) = learnt_shares([evidence], [kind], [("g", 0)], frozenset()).values()
+        ((learnt,),) = learnt_shares([evidence], {("g", 0): [kind]}, frozenset()).values()
         before, after = (joint_interval([one.group(later)]) for one in (kind, learnt))
         held += after.low <= true <= after.high
         widths.append((before.high - before.low, after.high - after.low))
@@ -82,7 +85,7 @@ def test_what_a_hand_count_says_of_all_gates_is_as_draws_weighed_by_it_say() -> 
     """At 40 crossings that are certain, 70 by hand: four of ten are missed there, elsewhere more than in the mean."""
     sides = {"later": ("g", 0), "back": ("g", 1), "other gate": ("h", 0)}
     evidence = CountEvidence(side=("g", 0), groups={0: TWO_WHEELERS.group([1.0] * 40)}, number=70)
-    learnt = learnt_shares([evidence], [TWO_WHEELERS], sides.values(), frozenset())
+    learnt = learnt_shares([evidence], dict.fromkeys(sides.values(), [TWO_WHEELERS]), frozenset())
     drawn = {
         name: betaincinv(*TWO_WHEELERS.missed, ndtr(z)) for name, z in places(np.random.default_rng(3), 200_000).items()
     }
@@ -106,13 +109,13 @@ def test_kinds_that_were_counted_together_share_what_is_missing() -> None:
     groups = {0: VEHICLES.group([0.99] * 100), 1: replace(WALKERS, real=None).group([0.99] * 20)}
     kinds = [VEHICLES, replace(WALKERS, real=None)]
     evidence = CountEvidence(side=("g", 0), groups=groups, number=132)
-    ((cars, walkers),) = learnt_shares([evidence], kinds, [("g", 0)], frozenset()).values()
+    ((cars, walkers),) = learnt_shares([evidence], {("g", 0): kinds}, frozenset()).values()
     assert cars.learnt is not None
     assert walkers.learnt is not None
     assert cars.learnt.missed.mean() < 0.06
     assert 0.2 < walkers.learnt.missed.mean() < 0.4
     alone = CountEvidence(side=("g", 0), groups={0: groups[0]}, number=132)
-    ((cars, untold),) = learnt_shares([alone], kinds, [("g", 0)], frozenset()).values()
+    ((cars, untold),) = learnt_shares([alone], {("g", 0): kinds}, frozenset()).values()
     assert cars.learnt is not None
     assert cars.learnt.missed.mean() > 0.1
     assert untold.learnt is None, "nobody counted them"
@@ -120,7 +123,7 @@ def test_kinds_that_were_counted_together_share_what_is_missing() -> None:
 
 def test_a_gate_where_much_is_counted_wrongly_is_learnt_from_too() -> None:
     evidence = CountEvidence(side=("g", 0), groups={0: WALKERS.group([0.65] * 60)}, number=15)
-    ((learnt,),) = learnt_shares([evidence], [WALKERS], [("g", 0)], frozenset()).values()
+    ((learnt,),) = learnt_shares([evidence], {("g", 0): [WALKERS]}, frozenset()).values()
     before, after = (joint_interval([one.group([0.65] * 60)]) for one in (WALKERS, learnt))
     assert after.high < before.high / 2
     assert after.low <= 15 <= after.high
@@ -142,7 +145,9 @@ def report_of(*hands: HandCount) -> TrafficReport:
 
 
 def between(report: TrafficReport, gate: str, direction: str) -> CountInterval:
-    (one,) = (one for one in report.counts_total if (one.gate, one.direction) == (gate, direction))
+    (one,) = (
+        one for one in report.counts_total if (one.gate, one.direction, one.class_name) == (gate, direction, "all")
+    )
     assert one.expected is not None
     return one.expected
 
@@ -172,7 +177,7 @@ def test_a_hand_count_that_cannot_be_is_said_to_contradict_and_believed_by_half(
     assert told.low < 10
     assert told.high >= between(plain, "g", "west").low
     others = [between(one, "h", "west") for one in (plain, wrong)]
-    assert abs(others[0].high - others[1].high) <= 4
+    assert abs(others[0].high - others[1].high) <= 8
 
 
 def test_who_is_contradicted_is_believed_by_half_at_its_gate_and_not_at_all_elsewhere() -> None:
@@ -180,7 +185,7 @@ def test_who_is_contradicted_is_believed_by_half_at_its_gate_and_not_at_all_else
     evidence = [CountEvidence(side=("g", 0), groups={0: group}, number=20)]
     told = {}
     for name, doubted in (("believed", frozenset[int]()), ("doubted", frozenset({0}))):
-        learnt = learnt_shares(evidence, [VEHICLES], [("g", 0), ("h", 0)], doubted)
+        learnt = learnt_shares(evidence, {("g", 0): [VEHICLES], ("h", 0): [VEHICLES]}, doubted)
         told[name] = [joint_interval([kind.group([0.9] * 100)]) for (kind,) in learnt.values()]
     assert told["believed"][0].high < 80
     assert told["doubted"][0].low < 40

@@ -103,7 +103,7 @@ def test_python_counts_what_the_command_counts(tracks: AnnotationFile) -> None:
     site = site_of(tracks)
     report = door.measure_traffic("t", site)
     (crossing,) = report.crossings
-    assert [one.count for one in door.count("t", str(site)) if one.count] == [1, 1]  # of all, and of cars
+    assert [one.count for one in door.count("t", str(site)) if one.count] == [1, 1, 1]  # of all, of vehicles, of cars
     with Path("t/tracks.csv").open() as file:
         assert sum(1 for _ in file) > 20
     found = door.measure_traffic([], site, times_s=[0.0, 0.1, 0.2])

@@ -33,8 +33,8 @@ def told(*tracks: Trajectory) -> TrafficReport:
     return measure(tracks, watched(60.0), SITE)
 
 
-def between(report: TrafficReport, direction: str) -> tuple[int, int] | None:
-    (one,) = (one for one in report.counts_total if one.direction == direction)
+def between(report: TrafficReport, direction: str, who: str = "vehicle") -> tuple[int, int] | None:
+    (one,) = (one for one in report.counts_total if (one.direction, one.class_name) == (direction, who))
     return None if one.expected is None else (one.expected.low, one.expected.high)
 
 
@@ -58,7 +58,8 @@ def test_who_is_lost_before_a_gate_or_found_behind_it_may_have_crossed(
     assert not report.crossings
     low, high = between(report, names[direction]) or (None, None)
     assert (low, high) == (0, 1)
-    assert between(report, names[1 - direction]) == (0, 3), "two-wheelers and people are missed often"
+    assert between(report, names[1 - direction]) == (0, 0)
+    assert (between(report, names[1 - direction], "all") or (0, 0))[1] > 0, "two-wheelers and people are missed often"
 
 
 def test_who_ends_elsewhere_has_crossed_nothing() -> None:
@@ -83,12 +84,33 @@ def test_classes_that_do_not_count_are_not_missed_either() -> None:
 
 
 def test_many_who_are_lost_before_a_gate_make_its_count_as_uncertain_as_they_are_many() -> None:
-    report = told(*(straight(k, (-45, 0), (10, 0), 4.0, begin_s=2.0 + k) for k in range(20)))
+    lost = [straight(k, (-45, 0), (10, 0), 4.0, begin_s=2.0 + k) for k in range(20)]
+    through = [straight(k, (-45, 0), (10, 0), 9.0, begin_s=2.2 + k) for k in range(20, 45)]
+    report = told(*lost, *through)
     low, high = between(report, "west") or (None, 0)
-    assert low == 0
-    assert 18 <= high <= 20, "nearly none of them, or nearly all"
+    assert low == 25
+    assert 43 <= high <= 46, "nearly none of them, or nearly all"
     assert report.unseen.most("g", 0, ALWAYS, ["car"]) == 20
     assert report.unseen.most("g", 0, ALWAYS, ["van"]) == 0
+
+
+def test_a_gate_that_loses_more_vehicles_than_cross_it_says_nothing_of_their_number() -> None:
+    lost = [straight(k, (-45, 0), (10, 0), 4.0, begin_s=2.0 + k) for k in range(20)]
+    report = told(*lost, straight(20, (-45, 0), (10, 0), 9.0, begin_s=30.0))
+    assert [between(report, "west", who) for who in ("all", "vehicle")] == [None, None]
+    assert between(report, "east") == (0, 0)
+    (line,) = (line for line in report.refused if "lost before it" in line)
+    assert line.startswith("gate 'g' (west): more vehicles are lost before it, or found behind it, than cross it")
+
+
+@pytest.mark.parametrize(("focal_px", "known"), [(1500.0, True), (700.0, True), (400.0, False), (None, True)])
+def test_where_people_are_too_small_to_be_seen_vehicles_alone_are_known(focal_px: float | None, known: bool) -> None:
+    """At 40 m somebody is 64, 30 and 17 pixels high."""
+    observed = replace(watched(60.0), eye=(0.0, -39.0, 8.9), focal_px=focal_px)
+    report = measure([straight(k, (-30, 0), (10, 0), 6.0, begin_s=5.0 * k) for k in range(8)], observed, SITE)
+    assert between(report, "west") is not None
+    assert (between(report, "west", "all") is not None) == known
+    assert any("so small in the image" in line for line in report.refused) != known
 
 
 def test_a_gate_that_nobody_was_ever_seen_near_has_no_count_that_is_known() -> None:
@@ -116,7 +138,7 @@ def test_how_sure_a_crossing_is_follows_from_how_it_is_followed() -> None:
     unknown = replace(seldom(3), class_name="unknown")
     for worse, better in ((vague, seldom(1)), (unknown, seldom(3))):
         doubts = [1 - crossing_probability(one, 16.0, 0.1) for one in (worse, better)]
-        assert doubts[0] > 4 * doubts[1]
+        assert doubts[0] > 2 * doubts[1]
 
 
 def test_who_is_seen_in_key_frames_alone_is_not_less_sure_for_that() -> None:

@@ -121,13 +121,15 @@ def _write_footage(job: TrackJob, times: list[float]) -> None:
     scene = job.scene
     moved = np.array([scene.moved_in(image) for image in scene.file.images])
     known = scene.known_in(scene.file.images[0])
-    x, y, z = map(float, scene.camera_of(scene.file.images[0]).position)
+    camera = scene.camera_of(scene.file.images[0])
+    x, y, z = map(float, camera.position)
     seconds = np.array(times)
     observation = Observation(
         times_s=seconds[~moved],
         source=str(scene.file.info.get("source", scene.file.name)),
         common_sigma=known.ways_sigma() if known else None,
         eye=(x, y, z),
+        focal_px=float(camera.K[0, 0]),
         road_sigma_m=0.0 if scene.ground is None else scene.ground.height_sigma,
     )
     write_bytes(job.out / FOOTAGE, json_bytes(observation.to_dict(seconds[moved].tolist())))

@@ -89,7 +89,7 @@ def _write_cell(sheet: "Worksheet", row: int, column: int, value: Any, formats: 
 def _write_summary(sheet: "Worksheet", report: TrafficReport, formats: _Formats) -> None:
     """Of what this is, the counts of the whole footage, and what could not be measured or should be distrusted."""
     sheet.set_column(0, 0, 30)
-    sheet.set_column(1, 4, _WIDTH)
+    sheet.set_column(1, 5, _WIDTH)
     observation = report.observation
     spans = observation.spans
     row = 0
@@ -103,12 +103,12 @@ def _write_summary(sheet: "Worksheet", report: TrafficReport, formats: _Formats)
         _write_cell(sheet, row, 1, value, formats)
         row += 1
     row += 1
-    for column, title in enumerate(("gate", "direction", "count", "low (90%)", "high (90%)")):
+    for column, title in enumerate(("gate", "direction", "class", "count", "low (90%)", "high (90%)")):
         sheet.write_string(row, column, title, formats.head)
     for one in report.counts_total:
         row += 1
         bounds = (None, None) if one.expected is None else (one.expected.low, one.expected.high)
-        for column, value in enumerate((one.gate, one.direction, one.count, *bounds)):
+        for column, value in enumerate((one.gate, one.direction, one.class_name, one.count, *bounds)):
             _write_cell(sheet, row, column, value, formats)
     row += 2
     sheet.write_string(row, 0, "not measured, or to be distrusted", formats.head)

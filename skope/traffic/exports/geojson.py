@@ -82,13 +82,13 @@ def _features(report: TrafficReport) -> Iterator[dict[str, Any]]:
 
 
 def _totals(report: TrafficReport, gate: str) -> dict[str, Any]:
-    """The counts of the whole footage of a gate, by direction, with their intervals."""
+    """The counts of the whole footage of a gate, by direction, of all and of vehicles, with their intervals."""
     (mark,) = (one for one in report.site.gates if one.name == gate)
-    totals = {}
+    totals: dict[str, dict[str, Any]] = {}
     for one in report.counts_total:
         if one.gate == gate:
             bounds = {} if one.expected is None else {"low": one.expected.low, "high": one.expected.high}
-            totals[one.direction] = {"count": one.count, **bounds}
+            totals.setdefault(one.direction, {})[one.class_name] = {"count": one.count, **bounds}
     return {"counts": totals, "from_left_to_right": direction_names(mark)[0]}
 
 

@@ -1,0 +1,104 @@
+"""What a traffic report lacks, or should be distrusted for, in sentences."""
+
+import math
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from skope.site.marks import Gate
+from skope.traffic.gates import signed_distances
+from skope.traffic.hand_checks import hand_lines
+from skope.traffic.trajectories import VEHICLE, wandering
+
+if TYPE_CHECKING:
+    from skope.traffic.measure import TrafficReport
+
+_BESIDE_M: Final = 2.0
+"""Tracks that begin or end so near to a gate are perhaps missed by it."""
+_MANY: Final = 0.1
+"""So many of them, as a share of its crossings, are worth a warning; and `_FEW` at least."""
+_FEW: Final = 3
+
+
+def remarks(report: "TrafficReport") -> Iterator[str]:
+    """The sentences, of a report in metres."""
+    if not report.site.gates:
+        yield "no counts, speeds and headways: the site has no gates"
+    if not report.site.lanes:
+        yield "no queues and lane changes, headways over the whole width of a gate: the site has no lanes"
+    if report.start is None:
+        yield "intervals count from the footage's beginning: neither start in the site nor --begins says when that was"
+    observation = report.observation
+    if observation.common_sigma is None:
+        yield "speeds: nothing says how well the camera is known: the error that it gives all is not in their intervals"
+    if len(observation.spans) > 1:
+        lost = observation.spans[-1, 1] - observation.spans[0, 0] - np.diff(observation.spans).sum()
+        yield f"{lost:.0f} s within the footage were not observed: what happened then is counted nowhere"
+    if any(np.isnan(one.delay_s) for one in report.delays):
+        yield "delays: too few vehicles tell the speed of free flow (traffic.free_flow_kmh of the site says it)"
+    yield from _of_conflicts(report)
+    yield from remarks_on_counts(report)
+    for gate in report.site.gates:
+        yield from _of_gate(gate, report)
+
+
+def remarks_on_counts(report: "TrafficReport") -> Iterator[str]:
+    """The gates whose counts are not known, what is not counted, and what was counted by hand."""
+    missed = report.unseen
+    for name in sorted(missed.gates):
+        yield f"gate {name!r}: nobody was ever seen near it: nobody crossed it, or nobody can be seen there"
+    for one in report.counts_total:
+        if one.expected is not None or not one.observed_s or one.gate in missed.gates:
+            continue
+        if one.class_name == VEHICLE:
+            yield (
+                f"gate {one.gate!r} ({one.direction}): more vehicles are lost before it, or found behind it, than "
+                "cross it: how many did is not known; move it to where they are seen on both sides"
+            )
+        elif any(kind.too_small for kind in missed.kinds.get(one.gate, ())):
+            yield (
+                f"gate {one.gate!r} ({one.direction}): people and two-wheelers are so small in the image there that few "
+                "are seen: how many crossed it is known of vehicles alone"
+            )
+    if missed.doubtful:
+        yield f"{len(missed.doubtful)} crossings are more probably none than one: they are in the intervals alone"
+    yield from hand_lines(report.hand_checks)
+
+
+def _of_conflicts(report: "TrafficReport") -> Iterator[str]:
+    search = report.conflicts
+    if search.overlapping:
+        yield (
+            f"conflicts: {search.overlapping} pairs whose footprints overlap are left out: two tracks of one vehicle, "
+            "or places that are wrong"
+        )
+    if search.unsteady:
+        yield (
+            f"conflicts: {search.unsteady} pairs are left out of which one is not followed well enough where they meet "
+            "(without a gap of 0.6 s, known to 0.5 m): there may be conflicts among them, most are none"
+        )
+
+
+def _of_gate(gate: Gate, report: "TrafficReport") -> Iterator[str]:
+    """Warnings where many tracks begin or end at a gate, as at the image's edge, or pass its ends."""
+    number = 0
+    for one in filter(wandering, report.trajectories):
+        for row in (0, -1):
+            signed, along = signed_distances(gate, one.place[[row]])
+            length = math.dist(*gate.line)
+            cut = report.observation.is_cut(one.times_s[row])
+            number += bool(abs(signed[0]) < _BESIDE_M and 0 <= along[0] <= length and not cut)
+    total = sum(one.gate == gate.name for one in report.crossings)
+    if number >= max(_FEW, _MANY * total):
+        yield (
+            f"gate {gate.name!r}: {number} tracks begin or end within {_BESIDE_M:g} m of it ({total} crossings): many "
+            "may be missed; move it to where vehicles are seen on both sides"
+        )
+    perhaps = (*report.crossings, *report.unseen.doubtful)
+    beside = sum("beside" in one.doubt and one.gate == gate.name for one in perhaps)
+    if beside >= max(_FEW, _MANY * total):
+        yield (
+            f"gate {gate.name!r}: {beside} road users pass so near to its ends that they go through it or past it: "
+            "let it end where nobody walks, as before a pavement or behind it"
+        )
