@@ -19,6 +19,7 @@ from skope.traffic.hand_count_file import HandCount
 from skope.traffic.lanes import LaneMap
 from skope.traffic.measure import TrafficReport, total_counts, unseen_lines, whole_footage
 from skope.traffic.observation import Observation
+from skope.traffic.sight import sight_lines
 from skope.traffic.trajectories import Trajectory
 from skope.traffic.turning import movements, turning_counts
 from skope.traffic.vanished import counted, unseen
@@ -94,7 +95,7 @@ def count_in_image(
         delays=(),
         conflicts=ConflictSearch(conflicts=(), overlapping=0, unsteady=0),
         brakings=(),
-        refused=(_WHY, *unseen_lines(missed), *hand_lines(checks)),
+        refused=(_WHY, *unseen_lines(missed), *hand_lines(checks), *sight_lines(observation)),
         metres=False,
     )
 

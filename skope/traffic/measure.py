@@ -22,6 +22,7 @@ from skope.traffic.joining import joined
 from skope.traffic.lanes import LaneChange, LaneMap, lane_changes
 from skope.traffic.observation import Observation
 from skope.traffic.queues import Delay, QueueRecord, delays, queues
+from skope.traffic.sight import sight_lines
 from skope.traffic.speeds import SectionPass, SpeedGroup, section_passes, speed_groups
 from skope.traffic.trajectories import Trajectory, wandering
 from skope.traffic.turning import Movement, TurningCount, movements, turning_counts
@@ -139,6 +140,7 @@ def measure(
         refused=(
             *_refused(site, begin, observation, trajectories, crossed, search, late, missed),
             *hand_lines(checks),
+            *sight_lines(observation),
         ),
     )
 
