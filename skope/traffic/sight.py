@@ -10,7 +10,7 @@ from skope.traffic.observation import Observation, held_s
 
 DARK: Final = 0.1
 """Pictures of a lower mean brightness show hardly anything. Of 386 generated ones, of all hours and weathers, the
-darkest two have 0.089 (a road without lamps) and 0.097; nights with lamps 0.105 and more, as cameras expose for them."""
+darkest two have 0.089 (a road without lamps) and 0.097; nights with lamps 0.105 and more, as cameras expose longer."""
 FLAT: Final = 0.015
 """Pictures of lower contrast show hardly anything. The thickest fog of those pictures, in which only the nearest
 vehicles can be told, has 0.010 and 0.012, other fog 0.031 and more, photographs of a car park from above 0.022."""
