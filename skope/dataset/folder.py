@@ -29,6 +29,9 @@ FOLLOWED: Final = "followed"
 """Under this name the `info` of frames says whether vehicles were followed by points on them from image to image."""
 CHANGES: Final = "view_changes"
 """Under this name the `info` of frames says when a video shows another view: objects with `time_s`, `cut`, `shift`."""
+SIGHT: Final = "sight"
+"""Under this name the `info` of frames says how bright a video is and how much contrast it has: rows of time (s),
+brightness (0 to 1) and contrast."""
 
 _CARD_FIELDS: Final[dict[str, type]] = {
     **dict.fromkeys(("counts", "fleet", "localizer_difference_m", "occlusion_rules", "parameters", "versions"), dict),

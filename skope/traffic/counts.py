@@ -137,8 +137,8 @@ def expected(
     """The interval of how many there were, of classes, in a lane or in all.
 
     Who is counted in another lane or class may be of these: each counts with the probability that it is. `most` is how
-    many more there may have been of classes. None: nobody is of the class in truth, or the gate sees so few of them that
-    nothing can be said.
+    many more there may have been of classes. None: nobody is of the class in truth, or the gate sees so few of them
+    that nothing can be said.
     """
     groups = []
     for kind in kinds:

@@ -1,8 +1,7 @@
 """When the camera has observed the road: without that, nothing counted and nothing observed look alike."""
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Final
@@ -40,6 +39,10 @@ class Observation:
     """The camera's focal length, pixels; None: not known."""
     road_sigma_m: float = 0.0
     """By how much vehicles stand above and below the plane that the road is taken for, one standard deviation."""
+    moved_s: Array = field(default_factory=lambda: np.zeros(0))
+    """(M,) seconds of the frames after the camera had been moved, rising: they are not among `times_s`."""
+    sight: Array = field(default_factory=lambda: np.zeros((0, 3)))
+    """(L, 3) times (s), rising, brightness (0 to 1) and contrast of pictures of the footage; empty: not measured."""
 
     @cached_property
     def spans(self) -> Array:
@@ -76,18 +79,27 @@ class Observation:
             return None
         return self.focal_px / max(1.0, math.dist(self.eye, (*map(float, place), 0.0)))
 
-    def to_dict(self, moved_s: Sequence[float] = ()) -> dict[str, Any]:
-        """What `footage.json` holds; `moved_s` are times of frames in which the camera had been moved."""
+    def to_dict(self) -> dict[str, Any]:
+        """What `footage.json` holds."""
         return {
             "version": _VERSION,
             "source": self.source,
             "times_s": [round(float(time), 4) for time in self.times_s],
-            "moved_times_s": [round(float(time), 4) for time in moved_s],
+            "moved_times_s": [round(float(time), 4) for time in self.moved_s],
             "common_sigma": self.common_sigma,
             "eye": self.eye,
             "focal_px": self.focal_px,
             "road_sigma_m": self.road_sigma_m,
+            "sight": self.sight.tolist(),
         }
+
+
+def held_s(times_s: Array, begin_s: float, end_s: float) -> Array:
+    """(N,) for how many seconds from `begin_s` to `end_s` each frame stands: until the next one, but for gaps."""
+    steps = np.diff(times_s)
+    usual = float(np.median(steps)) if len(steps) else 0.0
+    ends = times_s + np.append(np.minimum(steps, _GAP_STEPS * usual), usual)[: len(times_s)]
+    return np.asarray(np.clip(ends, begin_s, end_s) - np.clip(times_s, begin_s, end_s))
 
 
 def read_observation(folder: Path) -> Observation:
@@ -124,7 +136,22 @@ def read_observation(folder: Path) -> Observation:
         eye=None if eye is None else (float(eye[0]), float(eye[1]), float(eye[2])),
         focal_px=document.get("focal_px"),
         road_sigma_m=document.get("road_sigma_m") or 0.0,
+        moved_s=np.unique(_numbers(path, document, "moved_times_s")) if "moved_times_s" in document else np.zeros(0),
+        sight=checked_sight(document.get("sight"), f"{path}: sight"),
     )
+
+
+def checked_sight(rows: Any, where: str) -> Array:
+    """(L, 3) `Observation.sight` of a file's rows, empty without any. Raises UserError that begins with `where`."""
+    if rows is None or rows == []:
+        return np.zeros((0, 3))
+    try:
+        values = np.array(rows, dtype=np.float64)
+    except (TypeError, ValueError):
+        values = np.zeros(0)
+    if values.ndim != 2 or values.shape[1] != 3 or not np.isfinite(values).all() or (np.diff(values[:, 0]) <= 0).any():
+        raise UserError(f"{where}: expected rows of time, brightness and contrast, at times that rise")
+    return values
 
 
 def _numbers(path: Path, document: dict[str, Any], name: str) -> Array:

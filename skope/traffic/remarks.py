@@ -9,6 +9,7 @@ import numpy as np
 from skope.site.marks import Gate
 from skope.traffic.gates import signed_distances
 from skope.traffic.hand_checks import hand_lines
+from skope.traffic.sight import sight_lines
 from skope.traffic.trajectories import VEHICLE, wandering
 
 if TYPE_CHECKING:
@@ -58,12 +59,13 @@ def remarks_on_counts(report: "TrafficReport") -> Iterator[str]:
             )
         elif any(kind.too_small for kind in missed.kinds.get(one.gate, ())):
             yield (
-                f"gate {one.gate!r} ({one.direction}): people and two-wheelers are so small in the image there that few "
-                "are seen: how many crossed it is known of vehicles alone"
+                f"gate {one.gate!r} ({one.direction}): people and two-wheelers are so small in the image there that "
+                "few are seen: how many crossed it is known of vehicles alone"
             )
     if missed.doubtful:
         yield f"{len(missed.doubtful)} crossings are more probably none than one: they are in the intervals alone"
     yield from hand_lines(report.hand_checks)
+    yield from sight_lines(report.observation)
 
 
 def _of_conflicts(report: "TrafficReport") -> Iterator[str]:

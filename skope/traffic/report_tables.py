@@ -15,6 +15,7 @@ from skope.traffic.count_interval import CountInterval
 from skope.traffic.counts import observed_word
 from skope.traffic.gates import GateCrossing
 from skope.traffic.measure import TrafficReport
+from skope.traffic.sight import sight_in
 from skope.traffic.speed_percentiles import PERCENTILES
 from skope.traffic.trajectories import KMH, Trajectory, worst_sigma
 
@@ -32,11 +33,11 @@ class ReportTable:
 def report_tables(report: TrafficReport) -> dict[str, ReportTable]:
     """The tables by their names; without metres those of counts and movements alone."""
     by_hand = {"hand_count": _hand_count(report)} if report.hand_checks else {}
+    always = {**by_hand, "sight": _sight(report), "events": _events(report)}
     if not report.metres:
-        return {"events": _events(report), "counts": _counts(report), "turning": _turning(report), **by_hand}
+        return {**always, "counts": _counts(report), "turning": _turning(report)}
     return {
-        **by_hand,
-        "events": _events(report),
+        **always,
         "trajectories": _trajectories(report),
         "counts": _counts(report),
         "turning": _turning(report),
@@ -141,13 +142,37 @@ def thinned(one: Trajectory, step_s: float) -> list[int]:
     return [*rows, len(one.times_s) - 1] if len(one.times_s) > 1 else rows
 
 
-def _counts(report: TrafficReport) -> ReportTable:
+def _sight(report: TrafficReport) -> ReportTable:
+    def row(interval: ClockInterval) -> Row:
+        found = sight_in(report.observation, interval.begin_s, interval.end_s)
+        observed_s = report.observation.seconds_in(interval.begin_s, interval.end_s)
+        seconds = (observed_word(interval, observed_s), observed_s, found.dark_s, found.flat_s, found.moved_s)
+        return *_of_interval(interval), *seconds, found.brightness, found.contrast
+
     return _table(
-        "begin end begin_s end_s observed observed_s gate direction lane class count low high",
+        "begin end begin_s end_s observed observed_s dark_s flat_s moved_s brightness contrast",
+        map(row, report.intervals),
+    )
+
+
+def _counts(report: TrafficReport) -> ReportTable:
+    seen = report.observation
+    poor_s = {one: sight_in(seen, one.begin_s, one.end_s).poor_s for one in report.intervals}
+    return _table(
+        "begin end begin_s end_s observed observed_s poor_sight_s gate direction lane class count low high",
         (
             (
                 *_of_interval(one.interval),
-                *(one.observed, one.observed_s, one.gate, one.direction, one.lane, one.class_name, one.count),
+                *(
+                    one.observed,
+                    one.observed_s,
+                    poor_s[one.interval],
+                    one.gate,
+                    one.direction,
+                    one.lane,
+                    one.class_name,
+                    one.count,
+                ),
                 *_between(one.expected),
             )
             for one in report.counts

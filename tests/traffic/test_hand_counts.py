@@ -85,7 +85,7 @@ def test_what_a_hand_count_says_of_all_gates_is_as_draws_weighed_by_it_say() -> 
     """At 40 crossings that are certain, 70 by hand: four of ten are missed there, elsewhere more than in the mean."""
     sides = {"later": ("g", 0), "back": ("g", 1), "other gate": ("h", 0)}
     evidence = CountEvidence(side=("g", 0), groups={0: TWO_WHEELERS.group([1.0] * 40)}, number=70)
-    learnt = learnt_shares([evidence], dict.fromkeys(sides.values(), [TWO_WHEELERS]), frozenset())
+    learnt = learnt_shares([evidence], {side: [TWO_WHEELERS] for side in sides.values()}, frozenset())
     drawn = {
         name: betaincinv(*TWO_WHEELERS.missed, ndtr(z)) for name, z in places(np.random.default_rng(3), 200_000).items()
     }

@@ -208,7 +208,7 @@ def test_without_a_camera_gates_in_the_image_count_and_nothing_else(skope: Skope
     assert code == 0, err
     assert "no metres: nothing calibrates the camera" in out
     assert sorted(path.name for path in Path("r").iterdir()) == [
-        "counts.csv", "events.csv", "summary.json", "turning.csv", "work.json"
+        "counts.csv", "events.csv", "sight.csv", "summary.json", "turning.csv", "work.json"
     ]  # fmt: skip
     Path("h.csv").write_text("gate,direction,class,begin,end,count\ng,right,all,0,4,3\n")
     assert skope("eval", "traffic", "seen", "--out", "by_hand", "--hand-count", "h.csv")[0] == 0
@@ -266,6 +266,8 @@ def test_footage_is_detected_and_tracked_first_and_once(
     }
     made = {path.name: path.read_bytes() for path in Path("r").glob("*.csv")}
     assert json.loads(Path("r/tracks/footage.json").read_text())["times_s"] == pytest.approx(np.arange(8) / 10)
+    assert [row[0] for row in json.loads(Path("r/tracks/footage.json").read_text())["sight"]] == [0.0, 0.5]
+    assert all(0 < float(row["brightness"]) < 1 for row in rows_of("r/sight.csv"))
     assert json.loads(Path("r/summary.json").read_text())["camera_common_sigma"] == pytest.approx(0.01, rel=0.1)
 
     def never(*_: object) -> None:

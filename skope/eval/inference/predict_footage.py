@@ -16,7 +16,7 @@ import numpy as np
 from skope.camera.model import Camera
 from skope.dataset import coco
 from skope.dataset.camera_of_file import with_camera
-from skope.dataset.folder import CHANGES, FOLLOWED, FRAMES, PREDICTIONS
+from skope.dataset.folder import CHANGES, FOLLOWED, FRAMES, PREDICTIONS, SIGHT
 from skope.detections import AnyResult, apart
 from skope.detector.device import choose_device
 from skope.errors import UserError
@@ -27,6 +27,7 @@ from skope.eval.inference.confirmation import WEAK, Confirmation
 from skope.eval.inference.footage import FOUND_AT, Footage, Pixels
 from skope.eval.inference.key_frames import INTERVAL_S, with_frames_between
 from skope.eval.inference.numbers_by_category import Linked, NumbersByCategory
+from skope.eval.inference.picture_sight import sight_rows
 from skope.eval.inference.predictor import Predictor
 from skope.eval.inference.settings import Settings
 from skope.eval.inference.view_changes import Looks
@@ -158,6 +159,8 @@ def predict(job: PredictJob, console: Console) -> list[Path]:
     info: dict[str, Any] = {"source": job.footage.name, "fps": job.footage.fps, **_found_at(job), **job.camera_info}
     if job.key_every > 1:
         info[FOLLOWED] = True
+    if looked and job.footage.clip:
+        info[SIGHT] = sight_rows(looked)
     if changed:
         info[CHANGES] = [asdict(change) for change in changed]
     if sways:

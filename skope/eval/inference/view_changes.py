@@ -70,7 +70,7 @@ def changes(looks: Sequence[tuple[float, str]], stays: Callable[[float], bool] =
     reference: Array | None = None
     pending: list[tuple[float, Array, float | None]] = []
     for time_s, packed in looks:
-        shown = _edges(packed)
+        shown = edges(unpacked(packed))
         if shown is None:
             continue
         if reference is None:
@@ -104,9 +104,10 @@ def _packed(pixels: Pixels) -> str:
     return base64.b64encode(encoded.tobytes()).decode()
 
 
-def _edges(packed: str) -> Array | None:
+def unpacked(packed: str) -> Pixels:
+    """The small grey picture (H, W) that `Looks` has taken."""
     small: Any = cv2.imdecode(np.frombuffer(base64.b64decode(packed), dtype=np.uint8), cv2.IMREAD_GRAYSCALE)
-    return edges(small)
+    return np.asarray(small, dtype=np.uint8)
 
 
 def _moved(one: Array, other: Array) -> float | None:

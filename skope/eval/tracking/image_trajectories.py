@@ -7,13 +7,13 @@ from typing import Final
 import numpy as np
 
 from skope.dataset import coco
-from skope.dataset.folder import CHANGES, FRAMES, PREDICTIONS
+from skope.dataset.folder import CHANGES, FRAMES, PREDICTIONS, SIGHT
 from skope.errors import UserError
 from skope.eval.tracking.box_doubles import FOOT, INSIDE, inside_and_apart
 from skope.metrics.read_inputs import read_all_results
 from skope.schema import CATEGORIES
 from skope.site.traffic_settings import UNKNOWN
-from skope.traffic.observation import Observation
+from skope.traffic.observation import Observation, checked_sight
 from skope.traffic.trajectories import VEHICLE, Trajectory
 from skope.types import Array
 
@@ -54,7 +54,14 @@ def read_image_trajectories(folder: Path) -> tuple[list[Trajectory], Observation
     made = [_trajectory(k, *track) for k, track in enumerate(_without_doubles(tracks), start=1)]
     times_s = np.array(sorted(seen))
     source = str(file.info.get("source", file.name))
-    return [one for one in made if one.confirmed], Observation(times_s=times_s, source=source, common_sigma=None)
+    later = [time_s for time_s in times.values() if time_s is not None and time_s >= until_s]
+    observation = Observation(
+        times_s=times_s,
+        source=source,
+        moved_s=np.array(sorted(later)),
+        sight=checked_sight(file.info.get(SIGHT), f"{folder / FRAMES}: info.{SIGHT}"),
+    )
+    return [one for one in made if one.confirmed], observation
 
 
 def _without_doubles(tracks: list[tuple[int, Array]]) -> list[tuple[int, Array]]:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skope.camera.model import Camera
-from skope.dataset.folder import FOLLOWED
+from skope.dataset.folder import FOLLOWED, SIGHT
 from skope.errors import UserError
 from skope.eval.pose.records import locate_view
 from skope.eval.pose.views import Scene
@@ -29,7 +29,7 @@ from skope.files.progress import Progress
 from skope.pictures.video import write_video
 from skope.schema import CATEGORIES, Labelled
 from skope.terminal.console import Console, counted
-from skope.traffic.observation import FOOTAGE, Observation
+from skope.traffic.observation import FOOTAGE, Observation, checked_sight
 
 _PROGRESS: Final = ".poses.jsonl"
 
@@ -131,8 +131,10 @@ def _write_footage(job: TrackJob, times: list[float]) -> None:
         eye=(x, y, z),
         focal_px=float(camera.K[0, 0]),
         road_sigma_m=0.0 if scene.ground is None else scene.ground.height_sigma,
+        moved_s=seconds[moved],
+        sight=checked_sight(scene.file.info.get(SIGHT), f"{scene.file.name}: info.{SIGHT}"),
     )
-    write_bytes(job.out / FOOTAGE, json_bytes(observation.to_dict(seconds[moved].tolist())))
+    write_bytes(job.out / FOOTAGE, json_bytes(observation.to_dict()))
 
 
 def _road_users(job: TrackJob, times: list[float], first_number: int) -> list[RoadUserTrack]:

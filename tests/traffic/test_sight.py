@@ -1,0 +1,83 @@
+"""Seconds in which the camera saw little, in the intervals of a report."""
+
+import csv
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from skope.errors import UserError
+from skope.traffic.measure import measure
+from skope.traffic.observation import Observation, checked_sight, held_s, read_observation
+from skope.traffic.sight import sight_in, sight_lines
+from skope.traffic.write_report import write_report
+from tests.traffic.drives import straight, watched
+from tests.traffic.test_vanished import SITE
+
+LOOKS = np.array([[0.5 * k, 0.05 if 10 <= k < 20 else 0.4, 0.005 if 30 <= k < 36 else 0.2] for k in range(120)])
+"""A minute of small pictures: dark from 5 to 10 s, without contrast from 15 to 18 s."""
+
+
+def test_seconds_that_are_dark_flat_or_after_a_move_are_counted_once() -> None:
+    seen = replace(watched(39.9), moved_s=np.arange(400, 600) / 10, sight=LOOKS)
+    whole = sight_in(seen, 0.0, 60.0)
+    assert (whole.dark_s, whole.flat_s, whole.moved_s, whole.poor_s) == pytest.approx((5.0, 3.0, 20.0, 28.0))
+    part = sight_in(seen, 7.25, 16.0)
+    assert (part.dark_s, part.flat_s, part.moved_s, part.poor_s) == pytest.approx((2.75, 1.0, 0.0, 3.75))
+    assert part.brightness == pytest.approx((2.75 * 0.05 + 6.0 * 0.4) / 8.75)
+    both = LOOKS.copy()
+    both[100:, 1] = 0.0  # dark too after the move
+    assert sight_in(replace(seen, sight=both), 0.0, 60.0).poor_s == pytest.approx(28.0)
+    (line,) = sight_lines(seen)
+    assert "5 s dark, 3 s without contrast, 20 s after the camera was moved" in line
+    assert not list(sight_lines(watched(60.0)))
+
+
+def test_what_was_not_measured_is_not_said_to_be_good() -> None:
+    nothing = sight_in(watched(60.0), 0.0, 60.0)
+    assert (nothing.dark_s, nothing.flat_s, nothing.poor_s, nothing.brightness) == (None, None, None, None)
+    late = sight_in(replace(watched(60.0), sight=LOOKS), 100.0, 160.0)
+    assert (late.dark_s, late.poor_s) == (None, None)
+    assert sight_in(Observation(times_s=np.zeros(0)), 0.0, 60.0).moved_s == 0
+
+
+def test_a_frame_stands_until_the_next_one_but_for_gaps() -> None:
+    times = np.array([0.0, 1.0, 2.0, 50.0, 51.0])
+    assert held_s(times, 0.0, 60.0).tolist() == [1.0, 1.0, 3.0, 1.0, 1.0]
+    assert held_s(times, 0.5, 2.5).tolist() == [0.5, 1.0, 0.5, 0.0, 0.0]
+    assert held_s(np.array([3.0]), 0.0, 9.0).tolist() == [0.0]
+    assert held_s(np.zeros(0), 0.0, 9.0).tolist() == []
+
+
+def test_the_report_marks_its_intervals(tmp_path: Path) -> None:
+    site = replace(SITE, traffic=replace(SITE.traffic, interval_minutes=1))
+    seen = replace(watched(119.9), sight=np.concatenate([LOOKS + [60, 0, 0], LOOKS + [120, 0, 0]]))
+    report = measure([straight(1, (-30, 0), (10, 0), 6.0, begin_s=10.0)], seen, site)
+    write_report(tmp_path, report, tracks="t", revision=None)
+    tables = {}
+    for name in ("sight", "counts"):
+        with (tmp_path / f"{name}.csv").open(newline="") as file:
+            tables[name] = list(csv.DictReader(file))
+    assert [(row["begin_s"], row["dark_s"], row["flat_s"]) for row in tables["sight"]] == [
+        ("0.000", "", ""), ("60.000", "5.000", "3.000")
+    ]  # fmt: skip
+    assert {(row["begin_s"], row["poor_sight_s"]) for row in tables["counts"]} == {("0.000", ""), ("60.000", "8.000")}
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    assert any(line.startswith("the camera saw little: 10 s dark") for line in summary["refused"])
+
+
+def test_footage_without_it_is_read_as_before_and_what_is_wrong_is_said(tmp_path: Path) -> None:
+    seen = replace(watched(1.0), moved_s=np.array([1.1, 1.2]), sight=LOOKS[:3])
+    document = seen.to_dict()
+    (tmp_path / "footage.json").write_text(json.dumps(document))
+    read = read_observation(tmp_path)
+    assert (read.moved_s.tolist(), read.sight.tolist()) == ([1.1, 1.2], LOOKS[:3].tolist())
+    del document["sight"], document["moved_times_s"]
+    (tmp_path / "footage.json").write_text(json.dumps(document))
+    read = read_observation(tmp_path)
+    assert (len(read.moved_s), read.sight.shape) == (0, (0, 3))
+    for rows in ("dark", [[1, 2]], [[0, 1, 1], [0, 1, 1]], [[0, 1, "x"]], [[0, 1, None]], [[0.0, 1.0, float("inf")]]):
+        with pytest.raises(UserError, match=r"^f: sight: expected rows of time, brightness and contrast"):
+            checked_sight(rows, "f: sight")
