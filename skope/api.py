@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from skope.eval.tracking.tracks import Track
     from skope.site.site_file import SiteFile
     from skope.traffic.counts import Count
-    from skope.traffic.measure import TrafficReport
+    from skope.traffic.report import TrafficReport
     from skope.train.data import DetectionDataset
 
 Pixels = NDArray[np.uint8]

@@ -162,7 +162,7 @@ def to_the_right(speed: float, fps: float) -> Array:
 
 
 def started(tracks: Path, site: Path, out: Path) -> subprocess.Popen[bytes]:
-    words = ["eval", "traffic", str(tracks), "--site", str(site), "--otanalytics", "--out", str(out), "-q"]
+    words = ["eval", "traffic", str(tracks), "--site", str(site), "--also", "otanalytics", "--out", str(out), "-q"]
     return subprocess.Popen([sys.executable, "-m", "skope", *words], stdout=subprocess.DEVNULL)
 
 

@@ -17,9 +17,10 @@ from skope.traffic.gates import crossings
 from skope.traffic.hand_checks import adjusted, hand_checks
 from skope.traffic.hand_count_file import HandCount
 from skope.traffic.lanes import LaneMap
-from skope.traffic.measure import TrafficReport, total_counts, whole_footage
+from skope.traffic.measure import total_counts, whole_footage
 from skope.traffic.observation import Observation
 from skope.traffic.remarks import remarks_on_counts
+from skope.traffic.report import TrafficReport
 from skope.traffic.trajectories import Trajectory
 from skope.traffic.turning import movements, turning_counts
 from skope.traffic.vanished import unseen

@@ -1,7 +1,7 @@
 """Everything that is measured of the traffic in a footage, in the order in which it follows from trajectories."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import datetime
 from typing import TYPE_CHECKING, Final
 
@@ -9,69 +9,31 @@ import numpy as np
 
 from skope.site.marks import Gate
 from skope.site.traffic_settings import TrafficSettings
-from skope.traffic.braking import HardBraking, hard_brakings
+from skope.traffic.braking import hard_brakings
 from skope.traffic.clock import ClockInterval, clock_intervals, local_start
-from skope.traffic.conflicts import ConflictSearch, conflicts
+from skope.traffic.conflicts import conflicts
 from skope.traffic.counts import Count, counts
 from skope.traffic.gates import GateCrossing, crossings
-from skope.traffic.hand_checks import HandCheck, adjusted, hand_checks
+from skope.traffic.hand_checks import adjusted, hand_checks
 from skope.traffic.hand_count_file import HandCount
-from skope.traffic.headways import Headway, Occupancy, headways, occupancies
+from skope.traffic.headways import headways, occupancies
 from skope.traffic.joining import joined
-from skope.traffic.lanes import LaneChange, LaneMap, lane_changes
+from skope.traffic.lanes import LaneMap, lane_changes
 from skope.traffic.observation import Observation
-from skope.traffic.queues import Delay, QueueRecord, delays, queues
+from skope.traffic.queues import delays, queues
 from skope.traffic.remarks import remarks
-from skope.traffic.speeds import SectionPass, SpeedGroup, section_passes, speed_groups
+from skope.traffic.report import TrafficReport
+from skope.traffic.speeds import section_passes, speed_groups
 from skope.traffic.trajectories import Trajectory
-from skope.traffic.turning import Movement, TurningCount, movements, turning_counts
+from skope.traffic.turning import movements, turning_counts
 from skope.traffic.vanished import Unseen, unseen
-from skope.traffic.zones import ZoneVisit, visits
+from skope.traffic.zones import visits
 
 if TYPE_CHECKING:
     from skope.site.site_file import SiteParts
 
 _SEED: Final = 0
 """The draws that tell how uncertain conflicts are begin here: the same tracks give the same report."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class TrafficReport:
-    """What was measured."""
-
-    site: "SiteParts"
-    start: datetime | None
-    """When the footage begins, in the site's time; None: not known."""
-    observation: Observation
-    intervals: tuple[ClockInterval, ...]
-    trajectories: tuple[Trajectory, ...]
-    """Those of confirmed tracks, broken ones joined."""
-    crossings: tuple[GateCrossing, ...]
-    visits: tuple[ZoneVisit, ...]
-    lane_changes: tuple[LaneChange, ...]
-    counts: tuple[Count, ...]
-    counts_total: tuple[Count, ...]
-    """Those of the whole footage, whole gates: of all, and of vehicles."""
-    unseen: Unseen
-    """Who may have crossed gates and is not counted."""
-    hand_checks: tuple[HandCheck, ...]
-    """What was counted by hand, beside what was counted here."""
-    movements: tuple[Movement, ...]
-    turning: tuple[TurningCount, ...]
-    turning_total: tuple[TurningCount, ...]
-    """The matrix of the whole footage."""
-    sections: tuple[SectionPass, ...]
-    speeds: tuple[SpeedGroup, ...]
-    headways: tuple[Headway, ...]
-    occupancies: tuple[Occupancy, ...]
-    queues: tuple[QueueRecord, ...]
-    delays: tuple[Delay, ...]
-    conflicts: ConflictSearch
-    brakings: tuple[HardBraking, ...]
-    refused: tuple[str, ...] = ()
-    """What could not be measured, or should be distrusted, and why: a sentence each."""
-    metres: bool = True
-    """Whether places are metres on the road; else pixels, and nothing is measured but counts and movements."""
 
 
 def measure(

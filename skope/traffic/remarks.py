@@ -13,7 +13,7 @@ from skope.traffic.sight import sight_lines
 from skope.traffic.trajectories import VEHICLE, wandering
 
 if TYPE_CHECKING:
-    from skope.traffic.measure import TrafficReport
+    from skope.traffic.report import TrafficReport
 
 _BESIDE_M: Final = 2.0
 """Tracks that begin or end so near to a gate are perhaps missed by it."""

@@ -14,7 +14,7 @@ from skope.traffic.clock import ClockInterval
 from skope.traffic.count_interval import CountInterval
 from skope.traffic.counts import observed_word
 from skope.traffic.gates import GateCrossing
-from skope.traffic.measure import TrafficReport
+from skope.traffic.report import TrafficReport
 from skope.traffic.sight import sight_in
 from skope.traffic.speed_percentiles import PERCENTILES
 from skope.traffic.trajectories import KMH, Trajectory, worst_sigma

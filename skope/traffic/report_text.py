@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from skope.terminal.text_table import text_table
 from skope.traffic.count_interval import count_interval
 from skope.traffic.counts import ALL
-from skope.traffic.measure import TrafficReport
+from skope.traffic.report import TrafficReport
 from skope.traffic.speed_percentiles import Percentile
 from skope.traffic.speeds import MOTOR
 from skope.traffic.trajectories import KMH

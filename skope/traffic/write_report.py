@@ -14,8 +14,8 @@ import numpy as np
 from skope.files.atomic import replacing
 from skope.files.json_files import write_json
 from skope.traffic.count_interval import CountInterval, count_interval
-from skope.traffic.measure import TrafficReport
 from skope.traffic.normal_distribution import LEVEL
+from skope.traffic.report import TrafficReport
 from skope.traffic.report_tables import ReportTable, report_tables
 from skope.version import __version__
 

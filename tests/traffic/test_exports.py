@@ -24,7 +24,8 @@ from skope.traffic.exports.openlabel import write_openlabel
 from skope.traffic.exports.parquet import write_parquet
 from skope.traffic.exports.ssam import write_ssam
 from skope.traffic.exports.sumo import write_sumo
-from skope.traffic.measure import TrafficReport, measure
+from skope.traffic.measure import measure
+from skope.traffic.report import TrafficReport
 from skope.traffic.report_tables import report_tables
 from tests.traffic.drives import drive, straight, watched
 

@@ -20,8 +20,9 @@ from skope.traffic.event_probability import SEEN_IN_PIXELS, SeenAlike
 from skope.traffic.hand_checks import adjusted, hand_checks, hand_lines
 from skope.traffic.hand_count_file import HandCount, read_hand_counts
 from skope.traffic.learn_shares import CountEvidence, learnt_shares
-from skope.traffic.measure import TrafficReport, measure
+from skope.traffic.measure import measure
 from skope.traffic.observation import Observation
+from skope.traffic.report import TrafficReport
 from skope.traffic.vanished import Unseen
 from skope.types import Array
 from tests.traffic.drives import GATE, straight, watched

@@ -20,10 +20,11 @@ import pytest
 
 from skope.errors import UserError
 from skope.site.site_file import SiteFile, parse_site, read_site
+from skope.traffic.exports.otanalytics import CLASSES, write_otanalytics
 from skope.traffic.image_counts import count_in_image
-from skope.traffic.measure import TrafficReport, measure
+from skope.traffic.measure import measure
 from skope.traffic.observation import Observation
-from skope.traffic.otanalytics import CLASSES, write_otanalytics
+from skope.traffic.report import TrafficReport
 from skope.traffic.trajectories import Trajectory
 from tests.eval.sightings import CAMERA
 from tests.traffic.drives import along_x, drive, straight, watched
@@ -104,7 +105,7 @@ def test_the_command_writes_what_it_counted(skope: Skope, tracks: Any) -> None: 
     where = site_of(tracks)
     assert skope("eval", "traffic", "t", "--out", "r", "-q")[0] == 0
     assert not Path("r/otanalytics").exists()
-    code, out, err = skope("eval", "traffic", "t", "--out", "r", "--otanalytics")
+    code, out, err = skope("eval", "traffic", "t", "--out", "r", "--also", "otanalytics")
     assert code == 0, err
     assert "wrote r/otanalytics/plan.ottrk" in out
     names = {"plan.ottrk", "plan.otflow", "work.json"}
@@ -114,7 +115,7 @@ def test_the_command_writes_what_it_counted(skope: Skope, tracks: Any) -> None: 
     camera["T_camera_world"] = CAMERA.T_camera_world.tolist()
     text = "\n".join(["[camera]", *(f"{key} = {value}" for key, value in camera.items())])
     where.write_text(f"{where.read_text()}{text}\n")
-    assert skope("eval", "traffic", "t", "--out", "q", "--otanalytics", "-q")[0] == 0
+    assert skope("eval", "traffic", "t", "--out", "q", "--also", "otanalytics", "-q")[0] == 0
     assert {path.name for path in Path("q/otanalytics").iterdir()} == {*names, "image.ottrk", "image.otflow"}
     document = read_ottrk(Path("q/otanalytics/image.ottrk"))
     rows = document["data"]["detections"]
@@ -142,7 +143,7 @@ def test_the_command_writes_what_it_counted(skope: Skope, tracks: Any) -> None: 
     ]
 
     before = {path.name: path.read_bytes() for path in Path("q/otanalytics").iterdir()}
-    assert skope("eval", "traffic", "t", "--out", "q", "--otanalytics", "-q")[0] == 0
+    assert skope("eval", "traffic", "t", "--out", "q", "--also", "otanalytics", "-q")[0] == 0
     assert {path.name: path.read_bytes() for path in Path("q/otanalytics").iterdir()} == before
 
 
@@ -153,12 +154,12 @@ def test_another_camera_is_other_work(skope: Skope, tracks: Any) -> None:  # noq
     told = {**CAMERA.to_dict(), "width": CAMERA.width, "height": CAMERA.height}
     Path("camera.json").write_text(json.dumps(told))
     call = ("eval", "traffic", "t", "--out", "r", "-q")
-    code, _, err = skope(*call, "--otanalytics")
+    code, _, err = skope(*call, "--also", "otanalytics")
     assert code == 0, err
     before = {path: path.read_bytes() for path in Path("r").rglob("*.*")}
     told["K"][0][0] += 5
     Path("camera.json").write_text(json.dumps(told))
-    code, _, err = skope(*call, "--otanalytics")
+    code, _, err = skope(*call, "--also", "otanalytics")
     assert (code, "r/otanalytics holds other work" in err, err.count("\n")) == (2, True, 1)
     assert {path: path.read_bytes() for path in Path("r").rglob("*.*")} == before
     assert skope(*call)[0] == 0

@@ -370,3 +370,36 @@ def test_a_hand_count_gets_a_table_and_moves_intervals(skope: Skope, tracks: Ann
     code, _, err = skope("eval", "traffic", "a.mp4", "--out", "new", "--hand-count", "h.csv")
     assert (code, err.count("\n"), Path("new").exists()) == (2, 1, False)
     assert "--hand-count: needs tracks, not footage" in err
+
+
+def test_files_of_other_programs_are_written_beside_the_report(skope: Skope, tracks: AnnotationFile) -> None:
+    site = site_of(tracks)
+    site.write_text(site.read_text() + 'edges = ["A", "B"]\n[world]\norigin = { longitude = 8.4, latitude = 49.0 }\n')
+    names = ["excel", "geojson", "openlabel", "otanalytics", "parquet", "ssam", "sumo"]
+    call = ["eval", "traffic", "t", "--site", str(site)]
+    code, out, err = skope(*call, "--out", "r", "--also", ",".join(names))
+    assert code == 0, err
+    assert sorted(path.name for path in Path("r").iterdir() if path.is_dir()) == names
+    assert all(any(path.name != "work.json" for path in Path("r", name).iterdir()) for name in names)
+    assert f"wrote {Path('r', 'ssam', 'tracks.trj')}" in out
+    assert skope(*call, "--out", "r", "--also", "excel")[0] == 0, "the same again"
+    assert skope(*call, "--out", "r")[0] == 0
+
+
+@pytest.mark.parametrize(
+    ("also", "says"),
+    [
+        (
+            "excel,word",
+            "--also: expected some of excel, parquet, geojson, openlabel, otanalytics, ssam, sumo, got 'word'",
+        ),
+        ("geojson", "the site does not say where on the Earth it is"),
+        ("sumo", "no gate of the site has edges"),
+    ],
+)
+def test_what_a_format_lacks_is_said_before_anything_is_written(
+    skope: Skope, tracks: AnnotationFile, also: str, says: str
+) -> None:
+    code, _, err = skope("eval", "traffic", "t", "--site", str(site_of(tracks)), "--out", "new", "--also", also)
+    assert (code, err.count("\n"), Path("new").exists()) == (2, 1, False)
+    assert says in err

@@ -13,15 +13,15 @@ from skope.errors import UserError
 from skope.eval.cli.options import FastMachineOptions, data_option, output
 from skope.files.output_folders import claim_output
 from skope.files.reading import sha256_of
-from skope.terminal.command_options import DIR, FILE, SITE_FILE, TRAFFIC
+from skope.terminal.command_options import DIR, FILE, LIST, SITE_FILE, TRAFFIC
 from skope.terminal.console import Console
 
 if TYPE_CHECKING:
     from skope.site.marks import Gate
     from skope.site.site_file import SiteFile
     from skope.traffic.hand_count_file import HandCount
-    from skope.traffic.measure import TrafficReport
     from skope.traffic.observation import Observation
+    from skope.traffic.report import TrafficReport
 
 _COMMAND: Final = "skope eval traffic"
 
@@ -56,15 +56,21 @@ def traffic(
     checkpoint: Annotated[
         Path, data_option(metavar="PATH", help="Of footage: what to detect with, as `skope eval predict` takes it.")
     ] = Path(weights.DEFAULT),
-    otanalytics: Annotated[
-        bool, output("--otanalytics", help="Also tracks and gates as OTAnalytics reads them (.ottrk, .otflow).")
-    ] = False,
+    also: Annotated[
+        str,
+        output(
+            metavar=LIST,
+            help="Also the files of other programs: excel, parquet, geojson, openlabel, otanalytics, ssam, sumo.",
+            show_default="none",
+        ),
+    ] = "",
     out: Annotated[Path, output(metavar=DIR, help="Where to write.")] = TRAFFIC,
     hardware: FastMachineOptions,
     console: Console,
 ) -> None:
     """Measure traffic: counts by gate, turning movements, speeds, headways, queues and conflicts, with intervals."""
     from skope.site.site_file import read_site
+    from skope.traffic.exports.formats import checked_formats
     from skope.traffic.measure import measure
     from skope.traffic.observation import FOOTAGE, read_observation
     from skope.traffic.read_tracks import TRACKS_CSV, read_trajectories, track_files
@@ -73,6 +79,7 @@ def traffic(
     for key in read.unknown:
         console.warn(f"{site}: {key}: unknown; not used")
     start = _start(begins, read)
+    formats = checked_formats(also, read, metres=True)
     folder = Path(source)
     options = {"begins": None if start is None else start.isoformat()}
     if hand_count is not None:
@@ -83,7 +90,7 @@ def traffic(
         counted = _counted_by_hand(hand_count, read, read.gates, start, observation)
         claim_output(out, _COMMAND, [*track_files(folder), site], options)
     elif (folder / FRAMES).is_file():
-        for line in _report_in_image(folder, read, start, hand_count, out, options, otanalytics=otanalytics):
+        for line in _report_in_image(folder, read, start, hand_count, out, options, also):
             console.result(line)
         return
     else:
@@ -98,31 +105,34 @@ def traffic(
         folder = tracked_footage(source, read, checkpoint, hardware, out, _COMMAND, options, console)
         observation = read_observation(folder)
         tracks = read_trajectories(folder, observation)
-    further = _claimed(out, [*track_files(folder), site], options, read) if otanalytics else None
+    further = _claimed(out, [*track_files(folder), site], options, read, formats)
     for line in _written(measure(tracks, observation, read, start, counted), source, read, out, further):
         console.result(line)
 
 
-def _claimed(out: Path, inputs: list[Path], options: dict[str, str | None], site: "SiteFile") -> Path:
-    """The folder for OTAnalytics below `out`: work of its own, as tracks lie there as the site's camera sees them.
+def _claimed(
+    out: Path, inputs: list[Path], options: dict[str, str | None], site: "SiteFile", formats: tuple[str, ...]
+) -> dict[str, Path]:
+    """A folder below `out` for each format: work of its own, as what lies there may depend on the site's camera.
 
-    Raises UserError where it holds other work.
+    Raises UserError where one holds other work.
     """
-    from skope.traffic.otanalytics import FOLDER
-
     camera = None if site.camera is None else site.camera.camera.to_dict()
-    claim_output(out / FOLDER, _COMMAND, inputs, {**options, "camera": camera})
-    return out / FOLDER
+    for name in formats:
+        claim_output(out / name, _COMMAND, inputs, {**options, "camera": camera})
+    return {name: out / name for name in formats}
 
 
-def _written(report: "TrafficReport", source: str, site: "SiteFile", out: Path, further: Path | None) -> Iterator[str]:
-    """Write a report, and what OTAnalytics reads to the folder `further`; yields what was written and found."""
-    from skope.traffic.otanalytics import write_otanalytics
+def _written(
+    report: "TrafficReport", source: str, site: "SiteFile", out: Path, further: dict[str, Path]
+) -> Iterator[str]:
+    """Write a report, and in further formats to their folders; yields what was written and found."""
+    from skope.traffic.exports.formats import write_format
     from skope.traffic.report_text import report_lines
     from skope.traffic.write_report import write_report
 
-    if further is not None:
-        for path in write_otanalytics(further, report, site.camera.camera if site.camera else None):
+    for name, folder in further.items():
+        for path in write_format(name, folder, report, site.camera.camera if site.camera else None):
             yield f"wrote {path}"
     for path in write_report(out, report, tracks=source, revision=site.revision):
         yield f"wrote {path}"
@@ -138,14 +148,14 @@ def _report_in_image(
     hand_count: Path | None,
     out: Path,
     options: dict[str, str | None],
-    *,
-    otanalytics: bool,
+    also: str,
 ) -> Iterator[str]:
     """Count by gates in the image what `skope eval predict` has followed.
 
     Raises UserError where the camera is known, or there are no such gates.
     """
     from skope.eval.tracking.image_trajectories import read_image_trajectories
+    from skope.traffic.exports.formats import checked_formats
     from skope.traffic.image_counts import count_in_image
 
     if not site.image_gates:
@@ -153,11 +163,12 @@ def _report_in_image(
             f"{folder}: holds what `skope eval predict` found, in pixels: `skope eval track {folder}` makes tracks in "
             f"metres of it where the camera is known; without, {site.path} needs image_gates"
         )
+    formats = checked_formats(also, site, metres=False)
     tracks, observation = read_image_trajectories(folder)
     counted = _counted_by_hand(hand_count, site, site.image_gates, start, observation)
     inputs = [folder / FRAMES, folder / PREDICTIONS, site.path]
     claim_output(out, _COMMAND, inputs, options)
-    further = _claimed(out, inputs, options, site) if otanalytics else None
+    further = _claimed(out, inputs, options, site, formats)
     report = count_in_image(tracks, observation, site, start, counted)
     yield from _written(report, str(folder), site, out, further)
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from skope.errors import UserError
 from skope.files.atomic import replacing
-from skope.traffic.measure import TrafficReport
+from skope.traffic.report import TrafficReport
 from skope.traffic.report_tables import ReportTable, report_tables
 
 if TYPE_CHECKING:

@@ -14,7 +14,7 @@ from skope.files.json_files import json_bytes
 from skope.site.marks import Outline
 from skope.site.on_earth import on_earth
 from skope.traffic.gates import direction_names, may_count
-from skope.traffic.measure import TrafficReport
+from skope.traffic.report import TrafficReport
 from skope.traffic.report_tables import clock, thinned
 from skope.traffic.trajectories import KMH, Trajectory
 from skope.types import Array
@@ -31,7 +31,6 @@ def write_geojson(folder: Path, report: TrafficReport) -> list[Path]:
     Raises:
         UserError: The site does not say where it is (`skope.site.on_earth`).
     """
-    on_earth(report.site, np.zeros((1, 2)))  # before anything is written
     path = folder / FILE
     with replacing(path) as temporary, temporary.open("wb") as file:
         file.write(b'{"type":"FeatureCollection","features":[')

@@ -2,13 +2,14 @@
 
 import math
 from datetime import datetime
+from importlib.util import find_spec
 from itertools import islice
 from pathlib import Path
 from typing import Any, Final
 
 from skope.errors import UserError
 from skope.files.atomic import replacing
-from skope.traffic.measure import TrafficReport
+from skope.traffic.report import TrafficReport
 from skope.traffic.report_tables import ReportTable, report_tables
 
 _ROWS: Final = 100_000
@@ -21,11 +22,14 @@ def write_parquet(folder: Path, report: TrafficReport) -> list[Path]:
     Raises:
         UserError: pyarrow is not installed.
     """
-    try:
-        import pyarrow  # noqa: F401
-    except ImportError:
-        raise UserError("--also parquet: needs pyarrow: pip install 'skope[parquet]'") from None
+    check_parquet()
     return [_write(folder / f"{name}.parquet", table) for name, table in report_tables(report).items()]
+
+
+def check_parquet() -> None:
+    """Raise a UserError where pyarrow is not installed."""
+    if find_spec("pyarrow") is None:
+        raise UserError("parquet: needs pyarrow: pip install 'skope[parquet]'")
 
 
 def _write(path: Path, table: ReportTable) -> Path:

@@ -7,7 +7,7 @@ the day on which the footage begins, or, where that is not known, from the first
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING, Final
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
@@ -16,8 +16,11 @@ from skope.errors import UserError
 from skope.files.atomic import write_text
 from skope.traffic.clock import ClockInterval
 from skope.traffic.gates import GateCrossing, direction_names
-from skope.traffic.measure import TrafficReport
+from skope.traffic.report import TrafficReport
 from skope.traffic.trajectories import KMH
+
+if TYPE_CHECKING:
+    from skope.site.site_file import SiteParts
 
 _LIGHT: Final = frozenset({"car", "van", "unknown"})
 _HEAVY: Final = frozenset({"lorry", "bus"})
@@ -35,15 +38,7 @@ def write_sumo(folder: Path, report: TrafficReport) -> list[Path]:
     Raises:
         UserError: No gate says which edges it lies across.
     """
-    edges = {
-        (gate.name, direction): edge
-        for gate in report.site.gates
-        if gate.edges
-        for direction, edge in zip(direction_names(gate), gate.edges, strict=True)
-        if edge
-    }
-    if not edges:
-        raise UserError("no gate of the site has edges, the names of a SUMO network's edges that it lies across")
+    edges = edges_of(report.site)
     whole = [one for one in report.intervals if _observed(report, one)]
     shift = _shift(report)
     written = [folder / name for name in ("turns.xml", "edges.xml", "detectors.xml", "detectors.csv")]
@@ -52,6 +47,20 @@ def write_sumo(folder: Path, report: TrafficReport) -> list[Path]:
     write_text(written[2], _document("detectors", _detectors(edges)))
     write_text(written[3], "\n".join(_flows(report, whole, edges, shift)) + "\n")
     return written
+
+
+def edges_of(site: "SiteParts") -> dict[Side, str]:
+    """The edge of each gate and direction that has one. Raises UserError where none has."""
+    edges = {
+        (gate.name, direction): edge
+        for gate in site.gates
+        if gate.edges
+        for direction, edge in zip(direction_names(gate), gate.edges, strict=True)
+        if edge
+    }
+    if not edges:
+        raise UserError("no gate of the site has edges, the names of a SUMO network's edges that it lies across")
+    return edges
 
 
 def _observed(report: TrafficReport, interval: ClockInterval) -> bool:

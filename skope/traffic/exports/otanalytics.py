@@ -20,14 +20,12 @@ import numpy as np
 from skope.camera.model import Camera
 from skope.files.atomic import replacing, write_text
 from skope.files.json_files import json_bytes
+from skope.traffic.exports.otanalytics_view import OtView, image_view, pixel_view, plan_view
 from skope.traffic.gates import may_count
-from skope.traffic.measure import TrafficReport
-from skope.traffic.otanalytics_view import OtView, image_view, pixel_view, plan_view
+from skope.traffic.report import TrafficReport
 from skope.traffic.trajectories import Trajectory
 from skope.version import __version__
 
-FOLDER: Final = "otanalytics"
-"""Where a report's files for OTAnalytics lie, below it: that program writes files of its own beside tracks."""
 CLASSES: Final = {
     "car": "car",
     "van": "delivery_van",

@@ -1,0 +1,85 @@
+"""The formats of other programs that a traffic report can be written in, by name."""
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from skope.camera.model import Camera
+from skope.errors import UserError
+
+if TYPE_CHECKING:
+    from skope.site.site_file import SiteParts
+    from skope.traffic.report import TrafficReport
+
+FORMATS: Final[Mapping[str, str]] = {
+    "excel": "a workbook",
+    "parquet": "tables with types",
+    "geojson": "gates, tracks and conflicts on the map",
+    "openlabel": "ASAM OpenLABEL",
+    "otanalytics": "tracks and gates",
+    "ssam": "FHWA's surrogate safety model",
+    "sumo": "counts for routeSampler and flowrouter",
+}
+"""What each is, in a few words."""
+IN_PIXELS: Final = frozenset({"excel", "parquet", "otanalytics"})
+"""Those that need no metres."""
+
+
+def checked_formats(text: str, site: "SiteParts", *, metres: bool) -> tuple[str, ...]:
+    """The names in a list with commas, each once, in the order of `FORMATS`.
+
+    Raises:
+        UserError: A name is none of a format; or the format needs metres, a library, or something of the site, that
+            there is not.
+    """
+    from skope.site.on_earth import on_earth
+    from skope.traffic.exports.parquet import check_parquet
+    from skope.traffic.exports.sumo import edges_of
+
+    names = [name.strip() for name in text.split(",") if name.strip()]
+    for name in names:
+        if name not in FORMATS:
+            raise UserError(f"--also: expected some of {', '.join(FORMATS)}, got {name!r:.40}")
+        if not metres and name not in IN_PIXELS:
+            raise UserError(f"--also: {name} needs metres, and nothing calibrates the camera")
+    if "geojson" in names:
+        on_earth(site, np.zeros((1, 2)))
+    if "sumo" in names:
+        edges_of(site)
+    if "parquet" in names:
+        check_parquet()
+    return tuple(name for name in FORMATS if name in names)
+
+
+def write_format(name: str, folder: Path, report: "TrafficReport", camera: Camera | None) -> list[Path]:
+    """Write a report in a format to a folder; returns the files.
+
+    Args:
+        name: One of `FORMATS`.
+        folder: The folder.
+        report: The report.
+        camera: What the footage was seen with; None: not known.
+
+    Raises:
+        UserError: The report, or the site, lacks what the format needs.
+    """
+    from skope.traffic.exports.excel import write_excel
+    from skope.traffic.exports.geojson import write_geojson
+    from skope.traffic.exports.openlabel import write_openlabel
+    from skope.traffic.exports.otanalytics import write_otanalytics
+    from skope.traffic.exports.parquet import write_parquet
+    from skope.traffic.exports.ssam import write_ssam
+    from skope.traffic.exports.sumo import write_sumo
+
+    writers: dict[str, Callable[[Path, TrafficReport], list[Path]]] = {
+        "excel": write_excel,
+        "parquet": write_parquet,
+        "geojson": write_geojson,
+        "openlabel": write_openlabel,
+        "otanalytics": lambda folder, report: write_otanalytics(folder, report, camera),
+        "ssam": write_ssam,
+        "sumo": write_sumo,
+    }
+    return writers[name](folder, report)

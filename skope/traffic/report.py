@@ -1,0 +1,63 @@
+"""What was measured of the traffic in a footage."""
+
+from dataclasses import dataclass
+from datetime import datetime
+from typing import TYPE_CHECKING
+
+from skope.traffic.braking import HardBraking
+from skope.traffic.clock import ClockInterval
+from skope.traffic.conflicts import ConflictSearch
+from skope.traffic.counts import Count
+from skope.traffic.gates import GateCrossing
+from skope.traffic.hand_checks import HandCheck
+from skope.traffic.headways import Headway, Occupancy
+from skope.traffic.lanes import LaneChange
+from skope.traffic.observation import Observation
+from skope.traffic.queues import Delay, QueueRecord
+from skope.traffic.speeds import SectionPass, SpeedGroup
+from skope.traffic.trajectories import Trajectory
+from skope.traffic.turning import Movement, TurningCount
+from skope.traffic.vanished import Unseen
+from skope.traffic.zones import ZoneVisit
+
+if TYPE_CHECKING:
+    from skope.site.site_file import SiteParts
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TrafficReport:
+    """What was measured."""
+
+    site: "SiteParts"
+    start: datetime | None
+    """When the footage begins, in the site's time; None: not known."""
+    observation: Observation
+    intervals: tuple[ClockInterval, ...]
+    trajectories: tuple[Trajectory, ...]
+    """Those of confirmed tracks, broken ones joined."""
+    crossings: tuple[GateCrossing, ...]
+    visits: tuple[ZoneVisit, ...]
+    lane_changes: tuple[LaneChange, ...]
+    counts: tuple[Count, ...]
+    counts_total: tuple[Count, ...]
+    """Those of the whole footage, whole gates: of all, and of vehicles."""
+    unseen: Unseen
+    """Who may have crossed gates and is not counted."""
+    hand_checks: tuple[HandCheck, ...]
+    """What was counted by hand, beside what was counted here."""
+    movements: tuple[Movement, ...]
+    turning: tuple[TurningCount, ...]
+    turning_total: tuple[TurningCount, ...]
+    """The matrix of the whole footage."""
+    sections: tuple[SectionPass, ...]
+    speeds: tuple[SpeedGroup, ...]
+    headways: tuple[Headway, ...]
+    occupancies: tuple[Occupancy, ...]
+    queues: tuple[QueueRecord, ...]
+    delays: tuple[Delay, ...]
+    conflicts: ConflictSearch
+    brakings: tuple[HardBraking, ...]
+    refused: tuple[str, ...] = ()
+    """What could not be measured, or should be distrusted, and why: a sentence each."""
+    metres: bool = True
+    """Whether places are metres on the road; else pixels, and nothing is measured but counts and movements."""
