@@ -25,7 +25,7 @@ class SightIn:
     flat_s: float | None
     """Seconds in which it had hardly any contrast: fog, a lens that is covered."""
     moved_s: float
-    """Seconds after the camera had been moved, in which nothing counts as observed."""
+    """Seconds of another view than the camera's calibration is of: it had been moved. Nothing is observed then."""
     poor_s: float | None
     """Seconds in which any of these holds."""
     brightness: float | None
@@ -45,12 +45,13 @@ def sight_in(observation: Observation, begin_s: float, end_s: float) -> SightIn:
             dark_s=None, flat_s=None, moved_s=moved_s, poor_s=moved_s or None, brightness=None, contrast=None
         )
     dark, flat = brightness < DARK, contrast < FLAT
-    first_moved = observation.moved_s[0] if len(observation.moved_s) else np.inf
+    frames = np.concatenate([[-np.inf], every])
+    of_moved = np.isin(frames[np.searchsorted(every, times, side="right")], observation.moved_s)
     return SightIn(
         dark_s=float(held[dark].sum()),
         flat_s=float(held[flat].sum()),
         moved_s=moved_s,
-        poor_s=moved_s + float(held[(dark | flat) & (times < first_moved)].sum()),
+        poor_s=moved_s + float(held[(dark | flat) & ~of_moved].sum()),
         brightness=float(np.average(brightness, weights=held)),
         contrast=float(np.average(contrast, weights=held)),
     )
@@ -59,7 +60,11 @@ def sight_in(observation: Observation, begin_s: float, end_s: float) -> SightIn:
 def sight_lines(observation: Observation) -> Iterator[str]:
     """How long the camera saw little, in a sentence; none where it always saw."""
     found = sight_in(observation, -np.inf, np.inf)
-    parts = {"dark": found.dark_s, "without contrast": found.flat_s, "after the camera was moved": found.moved_s}
+    parts = {
+        "dark": found.dark_s,
+        "without contrast": found.flat_s,
+        "of another view, as the camera had been moved": found.moved_s,
+    }
     told = [f"{seconds:.0f} s {what}" for what, seconds in parts.items() if seconds is not None and seconds >= 0.5]
     if told:
         yield (

@@ -31,7 +31,11 @@ def test_seconds_that_are_dark_flat_or_after_a_move_are_counted_once() -> None:
     both[100:, 1] = 0.0  # dark too after the move
     assert sight_in(replace(seen, sight=both), 0.0, 60.0).poor_s == pytest.approx(28.0)
     (line,) = sight_lines(seen)
-    assert "5 s dark, 3 s without contrast, 20 s after the camera was moved" in line
+    assert "5 s dark, 3 s without contrast, 20 s of another view, as the camera had been moved" in line
+    # A calibration of the later part: dark from 5 to 10 s is of the other view.
+    turned = Observation(times_s=np.arange(80, 600) / 10, moved_s=np.arange(80) / 10, sight=LOOKS)
+    found = sight_in(turned, 0.0, 60.0)
+    assert (found.moved_s, found.dark_s, found.poor_s) == pytest.approx((8.0, 5.0, 8.0 + 2.0 + 3.0))
     assert not list(sight_lines(watched(60.0)))
 
 

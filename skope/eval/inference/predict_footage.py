@@ -30,8 +30,8 @@ from skope.eval.inference.numbers_by_category import Linked, NumbersByCategory
 from skope.eval.inference.picture_sight import sight_rows
 from skope.eval.inference.predictor import Predictor
 from skope.eval.inference.settings import Settings
-from skope.eval.inference.view_changes import Looks
-from skope.eval.pose.camera_motion import MOTION
+from skope.eval.inference.view_changes import Looks, ViewChange
+from skope.eval.pose.camera_motion import MOTION, CameraMotion
 from skope.files.atomic import replacing
 from skope.files.output_folders import claim_output
 from skope.files.progress import Progress
@@ -114,11 +114,13 @@ def predict(job: PredictJob, console: Console) -> list[Path]:
     _claim(job, predictor.files)
     progress = Progress(job.out / _PROGRESS, ("image", "results", "skipped", "key", "look", "motion"))
     images: list[Image] = []
-    last_key, names = 1, list[int]()
+    last_key, names, last_look_s = 1, list[int](), None
     for row in progress.rows():
         images.append(coco.image_from_dict(row["image"]))
         if row["key"]:
             last_key, names = images[-1].id, [result.get("track_id", 0) for result in row["results"]]
+        if row["look"] is not None:
+            last_look_s = images[-1].time_s
         job.footage.skipped += [reason for reason in row["skipped"] if reason not in job.footage.skipped]
     last = images[-1].id if images else 0
     if images:
@@ -126,7 +128,7 @@ def predict(job: PredictJob, console: Console) -> list[Path]:
     with console.bar(total=len(job.footage) or None, unit="image", label=job.footage.name) as bar:
         bar.update(last)
         try:
-            looks, sway = Looks(), _sway_watch(job, last)
+            looks, sway = Looks(last_look_s), _sway_watch(job, last)
             watched = (looks, sway)
             for bare, found, key in found_in(
                 job, predictor, last=last, last_key=last_key, names=names, watched=watched
@@ -156,20 +158,12 @@ def predict(job: PredictJob, console: Console) -> list[Path]:
     sways = record.motion(changed) if job.footage.clip else None
     for change in changed:
         console.result(f"{job.footage.name}: {change}; its parts count apart")
-    info: dict[str, Any] = {"source": job.footage.name, "fps": job.footage.fps, **_found_at(job), **job.camera_info}
-    if job.key_every > 1:
-        info[FOLLOWED] = True
-    if looked and job.footage.clip:
-        info[SIGHT] = sight_rows(looked)
-    if changed:
-        info[CHANGES] = [asdict(change) for change in changed]
     if sways:
-        info[MOTION] = sways.to_dict()
         console.result(f"{job.footage.name}: {sways}")
     frames_file = AnnotationFile(
         images=tuple(images),
         annotations=(),
-        info=info,
+        info=_info(job, looked, changed, sways),
         name=job.footage.name,
         scheme=predictor.scheme,
         categories=predictor.categories,
@@ -180,6 +174,25 @@ def predict(job: PredictJob, console: Console) -> list[Path]:
     progress.end()
     console.result(f"{seen} in {counted(len(images), 'image')}")
     return written
+
+
+def _info(
+    job: PredictJob,
+    looked: Sequence[tuple[float, str]],
+    changed: Sequence[ViewChange],
+    sways: CameraMotion | None,
+) -> dict[str, Any]:
+    """What the `info` of the frames says of the footage."""
+    info: dict[str, Any] = {"source": job.footage.name, "fps": job.footage.fps, **_found_at(job), **job.camera_info}
+    if job.key_every > 1:
+        info[FOLLOWED] = True
+    if looked:
+        info[SIGHT] = sight_rows(looked)
+    if changed:
+        info[CHANGES] = [asdict(change) for change in changed]
+    if sways:
+        info[MOTION] = sways.to_dict()
+    return info
 
 
 def _sway_watch(job: PredictJob, last: int) -> SwayWatch:

@@ -45,10 +45,11 @@ class ViewChange:
 class Looks:
     """Takes a small picture of footage every half a second."""
 
-    def __init__(self) -> None:
+    def __init__(self, last_s: float | None = None) -> None:
+        """`last_s`: when the last one was taken, where a run goes on after it."""
         self.taken: dict[int, str] = {}
         """By the number of the frame."""
-        self._last_s: float | None = None
+        self._last_s = last_s
 
     def watch(self, frames: Iterable[tuple[Image, Pixels]]) -> Iterator[tuple[Image, Pixels]]:
         """The frames as they come."""

@@ -707,6 +707,9 @@ def test_a_calibration_ends_where_the_camera_moves(skope: Any) -> None:
     rows = list(csv.DictReader(Path("t/tracks.csv").read_text().splitlines()))
     measured = [float(row["time_s"]) for row in rows if row["measured"] in ("1", "True", "true")]
     assert max(measured) == pytest.approx(2.4)
+    footage = json.loads(Path("t/footage.json").read_text())
+    assert max(footage["times_s"]) == pytest.approx(2.4)
+    assert footage["moved_times_s"] == pytest.approx([image.time_s for image in file.images[-7:]])
     code, _, error = skope("eval", "pose", "--annotations", "road.json", "--noise", 1, "--out", "p")
     assert code == 0, error
     poses = [json.loads(line) for line in Path("p/poses.jsonl").read_text().splitlines()]
