@@ -8,6 +8,7 @@ the Highway Capacity Manual's: travel time over a section less what it takes at 
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import Final
 
 import numpy as np
@@ -15,6 +16,8 @@ from numpy.typing import NDArray
 
 from skope.site.traffic_settings import TrafficSettings
 from skope.traffic.clock import ClockInterval
+from skope.traffic.count_interval import CountInterval, count_interval
+from skope.traffic.event_probability import SEEN_IN_METRES, event_probability
 from skope.traffic.lanes import LaneMap
 from skope.traffic.normal_distribution import Z
 from skope.traffic.observation import Observation
@@ -26,6 +29,9 @@ _STEP_S: Final = 1.0
 """Queues are looked at so often."""
 _STOP_S: Final = 1.0
 """Who is slow for a shorter time has not stopped."""
+Queue = tuple[float, float, tuple[float, ...]]
+"""Length and its standard deviation, metres, and how probable each of the vehicles is."""
+_NOBODY: Final[Queue] = (0.0, 0.0, ())
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,8 +48,12 @@ class QueueRecord:
     """When it was so long, seconds; NaN without a queue."""
     vehicles: int
     """In the longest queue."""
+    vehicles_expected: CountInterval
+    """Between which numbers there were in it."""
     mean_vehicles: float
     """In the lane's longest queue, in the mean of the time that was observed."""
+    mean_between: tuple[float, float]
+    """Between which numbers that is: the mean of the bounds of all moments, as if all were off together."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -101,28 +111,40 @@ def queues(
         if not here:
             continue
         for lane, of_moment in zip(lanes.lanes, found, strict=True):
-            nobody = (0.0, 0.0, 0)
-            longest = max(here, key=lambda moment: of_moment.get(moment, nobody)[0])
-            length, sigma, vehicles = of_moment.get(longest, nobody)
+            queue = [of_moment.get(moment, _NOBODY) for moment in here]
+            k = max(range(len(here)), key=lambda k: queue[k][0])
+            length, sigma, chances = queue[k]
+            bounds = [_between(one[2]) for one in queue]
             out.append(
                 QueueRecord(
                     interval=interval,
                     lane=lane.name,
                     longest_m=length,
                     sigma_m=sigma,
-                    at_s=longest if length else math.nan,
-                    vehicles=vehicles,
-                    mean_vehicles=sum(of_moment.get(moment, nobody)[2] for moment in here) / len(here),
+                    at_s=here[k] if length else math.nan,
+                    vehicles=len(chances),
+                    vehicles_expected=bounds[k],
+                    mean_vehicles=float(np.mean([len(one[2]) for one in queue])),
+                    mean_between=(
+                        float(np.mean([one.low for one in bounds])),
+                        float(np.mean([one.high for one in bounds])),
+                    ),
                 )
             )
     return out
 
 
+@cache
+def _between(chances: tuple[float, ...]) -> CountInterval:
+    """How many there are in a queue of vehicles that are so probable, if as many are missed as at gates."""
+    return count_interval(chances, SEEN_IN_METRES[0].missed)
+
+
 def _in_lane(
     trajectories: Sequence[Trajectory], lanes: LaneMap, lane: int, moments: Array, settings: TrafficSettings
-) -> dict[float, tuple[float, float, int]]:
-    """Length, standard deviation and number of vehicles of the lane's longest queue, where there is one, by moment."""
-    waiting: dict[float, list[tuple[float, float, float]]] = {}
+) -> dict[float, Queue]:
+    """The lane's longest queue, where there is one, by moment."""
+    waiting: dict[float, list[tuple[float, float, float, float]]] = {}
     for trajectory in trajectories:
         if not trajectory.confirmed or trajectory.category == "pedestrian":
             continue
@@ -138,24 +160,31 @@ def _in_lane(
         inside = lanes.indices(places)[0] == lane
         along = lanes.along(lane, places)
         half = trajectory.size[0] / 2
+        chance = round(event_probability(trajectory), 2)
         for moment, at, sigma in zip(there[inside].tolist(), along[inside], spread[inside], strict=True):
-            waiting.setdefault(moment, []).append((float(at) + half, float(at) - half, float(sigma)))
+            waiting.setdefault(moment, []).append((float(at) + half, float(at) - half, float(sigma), chance))
     return {moment: max(_chains(ends, settings.queue_gap_m)) for moment, ends in waiting.items()}
 
 
-def _chains(ends: Sequence[tuple[float, float, float]], most_m: float) -> Iterator[tuple[float, float, int]]:
-    """Length, its standard deviation and number of vehicles of each queue.
+def _chains(ends: Sequence[tuple[float, float, float, float]], most_m: float) -> Iterator[Queue]:
+    """Each queue.
 
-    `ends` are the fronts and rears of vehicles along the lane, and the standard deviations of their places, metres.
+    `ends` are the fronts and rears of vehicles along the lane, the standard deviations of their places, metres, and how
+    probable they are.
     """
     ordered = sorted(ends, reverse=True)
-    first, last, number = ordered[0], ordered[0], 1
+    chain = ordered[:1]
     for one in ordered[1:]:
-        if last[1] - one[0] > most_m:
-            yield first[0] - last[1], math.hypot(first[2], last[2]), number
-            first, number = one, 0
-        last, number = one, number + 1
-    yield first[0] - last[1], math.hypot(first[2], last[2]), number
+        if chain[-1][1] - one[0] > most_m:
+            yield _queue(chain)
+            chain = []
+        chain.append(one)
+    yield _queue(chain)
+
+
+def _queue(chain: Sequence[tuple[float, float, float, float]]) -> Queue:
+    first, last = chain[0], chain[-1]
+    return first[0] - last[1], math.hypot(first[2], last[2]), tuple(sorted(one[3] for one in chain))
 
 
 def delays(sections: Sequence[SectionPass], groups: Sequence[SpeedGroup], settings: TrafficSettings) -> list[Delay]:

@@ -260,11 +260,13 @@ def _occupancy(report: TrafficReport) -> ReportTable:
 
 def _queues(report: TrafficReport) -> ReportTable:
     return _table(
-        "begin end begin_s end_s lane longest_m sigma_m at_s vehicles mean_vehicles",
+        "begin end begin_s end_s lane longest_m sigma_m at_s vehicles vehicles_low vehicles_high mean_vehicles "
+        "mean_low mean_high",
         (
             (
                 *_of_interval(one.interval),
-                *(one.lane, one.longest_m, one.sigma_m, one.at_s, one.vehicles, one.mean_vehicles),
+                *(one.lane, one.longest_m, one.sigma_m, one.at_s, one.vehicles, *_between(one.vehicles_expected)),
+                *(one.mean_vehicles, *one.mean_between),
             )
             for one in report.queues
         ),

@@ -11,6 +11,8 @@ from skope.site.marks import Gate, Lane, Zone
 from skope.site.traffic_settings import TrafficSettings
 from skope.traffic.braking import hard_brakings
 from skope.traffic.clock import ClockInterval
+from skope.traffic.count_interval import count_interval
+from skope.traffic.event_probability import SEEN_IN_METRES, event_probability
 from skope.traffic.gates import crossings
 from skope.traffic.headways import headways, occupancies
 from skope.traffic.lanes import LaneMap
@@ -24,6 +26,7 @@ from skope.traffic.zones import visits
 from tests.traffic.drives import GATE, along_x, drive, straight, watched
 
 NO_LANES = LaneMap(())
+MISSED = SEEN_IN_METRES[0].missed
 SETTINGS = TrafficSettings()
 FAR_GATE = Gate(name="far", line=((60.0, -5.0), (60.0, 5.0)))
 WHOLE = ClockInterval(begin_s=0.0, end_s=900.0, begin=None, end=None)
@@ -138,6 +141,10 @@ def test_a_queue_reaches_from_the_first_front_to_the_last_rear() -> None:
     assert queue.sigma_m == pytest.approx(0.05 * math.sqrt(2))
     assert 10 <= queue.at_s <= 30
     assert queue.mean_vehicles == pytest.approx(4 * 20 / 40, rel=0.1)
+    assert queue.vehicles_expected == count_interval([round(event_probability(one), 2) for one in waiting()], MISSED)
+    assert 3 <= queue.vehicles_expected.low <= 4 <= queue.vehicles_expected.high <= 6
+    low, high = queue.mean_between
+    assert 0.75 * queue.mean_vehicles <= low <= queue.mean_vehicles <= high <= 1.5 * queue.mean_vehicles
     (far,) = queues(waiting(), lanes, [WHOLE], watched(40), TrafficSettings(queue_gap_m=100))
     assert far.vehicles == 5
 
