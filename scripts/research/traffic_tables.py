@@ -162,7 +162,7 @@ def by_class(crossings: Sequence[Row]) -> None:
 
 
 Half = tuple[str, str, str, str, bool]
-"""Site, light, gate, direction, and whether it is the second half of the clip."""
+"""Site, clip, gate, direction, and whether it is the second half of the clip."""
 ALIKE: Final[Mapping[str, Callable[[Half, Half], bool]]] = {
     "same direction": lambda a, b: a[:4] == b[:4],
     "same direction, other light": lambda a, b: (a[0], *a[2:4]) == (b[0], *b[2:4]) and a[1] != b[1],
@@ -176,11 +176,12 @@ def likeness(clips: Sequence[Row]) -> None:
     for who, wanted, least in (("vehicles", False, 5), ("others", True, 3)):
         counts: dict[Half, list[bool]] = {}
         for clip in clips:
-            about = clip["clip"]
+            middle_s = max((row["time_s"] for row in clip["crossings"]), default=0.0) / 2
             for row in clip["crossings"]:
                 if row["state"] == "seen" and (row["class"] in NOT_VEHICLES) == wanted:
-                    late = row["time_s"] > about["seconds"] / 2
-                    half = f"{about['site']}", f"{about['light']}{about['fps']:g}", row["gate"], row["direction"], late
+                    late = row["time_s"] > middle_s
+                    name = clip["clip"]["name"]
+                    half = name.partition(f"_{row['light']}")[0], name, row["gate"], row["direction"], late
                     counts.setdefault(half, []).append(not row["counted"])
         told = {half: one for half, one in counts.items() if len(one) >= least}
         weights = {half: len(one) for half, one in told.items()}
