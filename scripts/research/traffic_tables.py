@@ -4,6 +4,7 @@ python scripts/research/traffic_tables.py clips/results.json
 """
 
 import argparse
+import itertools
 import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -18,6 +19,7 @@ Row = Mapping[str, Any]
 VISIBLE: Final = ("seen", "hardly")
 BINS: Final = (0, 20, 40, 60, 1000)
 """Distances from the camera, metres."""
+NOT_VEHICLES: Final = ("bicycle", "motorcycle", "pedestrian")
 
 
 def print_tables(clips: Sequence[Row]) -> None:
@@ -37,6 +39,7 @@ def print_tables(clips: Sequence[Row]) -> None:
     causes = Counter(row["cause"] for row in visible(crossings) if not row["counted"])
     print("why missed:", ", ".join(f"{number} {cause}" for cause, number in causes.most_common()) or "-")
     by_class(crossings)
+    likeness(clips)
 
 
 def visible(crossings: Iterable[Row]) -> list[Row]:
@@ -156,6 +159,42 @@ def by_class(crossings: Sequence[Row]) -> None:
         wrong = Counter((row["class"], row["counted_class"]) for row in own if row["class"] != row["counted_class"])
         told = ", ".join(f"{number} {true} as {said}" for (true, said), number in wrong.most_common())
         print(f"class, {kind}: {right} of {len(own)} right; {told or 'none wrong'}")
+
+
+Half = tuple[str, str, str, str, bool]
+"""Site, clip, gate, direction, and whether it is the second half of the clip."""
+ALIKE: Final[Mapping[str, Callable[[Half, Half], bool]]] = {
+    "same direction": lambda a, b: a[:4] == b[:4],
+    "same direction, other light": lambda a, b: (a[0], *a[2:4]) == (b[0], *b[2:4]) and a[1] != b[1],
+    "other direction": lambda a, b: a[:3] == b[:3] and a[3] != b[3] and a[4] != b[4],
+    "other gate": lambda a, b: a[:2] == b[:2] and a[2] != b[2] and a[4] != b[4],
+}
+
+
+def likeness(clips: Sequence[Row]) -> None:
+    """How alike the shares are that gates miss: halves of clips against each other, of the share's arcsine."""
+    for who, wanted, least in (("vehicles", False, 5), ("others", True, 3)):
+        counts: dict[Half, list[bool]] = {}
+        for clip in clips:
+            middle_s = max((row["time_s"] for row in clip["crossings"]), default=0.0) / 2
+            for row in clip["crossings"]:
+                if row["state"] == "seen" and (row["class"] in NOT_VEHICLES) == wanted:
+                    late = row["time_s"] > middle_s
+                    name = clip["clip"]["name"]
+                    half = name.partition(f"_{row['light']}")[0], name, row["gate"], row["direction"], late
+                    counts.setdefault(half, []).append(not row["counted"])
+        told = {half: one for half, one in counts.items() if len(one) >= least}
+        weights = {half: len(one) for half, one in told.items()}
+        shares = {half: math.asin(math.sqrt((sum(one) + 0.375) / (len(one) + 0.75))) for half, one in told.items()}
+        mean = sum(shares[half] * n for half, n in weights.items()) / max(sum(weights.values()), 1)
+        print(f"\nhow alike gates miss {who}, {len(told)} halves")
+        for name, alike in ALIKE.items():
+            pairs = [(a, b) for a, b in itertools.combinations(told, 2) if alike(a, b)]
+            by = np.array([min(weights[a], weights[b]) for a, b in pairs])
+            off = np.array([(shares[a] - mean, shares[b] - mean) for a, b in pairs]).reshape(-1, 2)
+            spread = float((by * (off**2).mean(axis=1)).sum())
+            told_of = f"{float((by * off.prod(axis=1)).sum()) / spread:5.2f}" if spread > 0 else "    -"
+            print(f"  {name:28s} {told_of}, {len(pairs)} pairs")
 
 
 def main() -> None:
