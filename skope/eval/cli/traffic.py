@@ -128,13 +128,17 @@ def _written(
 ) -> Iterator[str]:
     """Write a report, and in further formats to their folders; yields what was written and found."""
     from skope.traffic.exports.formats import write_format
+    from skope.traffic.page.page import write_page
     from skope.traffic.report_text import report_lines
     from skope.traffic.write_report import write_report
 
     for name, folder in further.items():
         for path in write_format(name, folder, report, site.camera.camera if site.camera else None):
             yield f"wrote {path}"
-    for path in write_report(out, report, tracks=source, revision=site.revision):
+    for path in (
+        write_page(out, report, tracks=source),
+        *write_report(out, report, tracks=source, revision=site.revision),
+    ):
         yield f"wrote {path}"
     yield from report_lines(report)
     for line in report.refused:

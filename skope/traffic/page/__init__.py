@@ -1,0 +1,1 @@
+"""A traffic report as one page to read and to print."""

@@ -1,0 +1,99 @@
+"""Who went from where to where, as bands between the gates, as wide as they are many."""
+
+import math
+from collections.abc import Iterator
+from html import escape
+from typing import Final
+
+import numpy as np
+
+from skope.page.html_pieces import tag
+from skope.traffic.report import TrafficReport
+from skope.traffic.turning import NOWHERE, TurningCount
+from skope.types import Array
+
+_SIZE: Final = 560.0
+_RADIUS: Final = 200.0
+_WIDEST: Final = 34.0
+_THINNEST: Final = 1.5
+_APART_DEG: Final = 14.0
+"""Between where bands come out of a gate and where they go into it."""
+_INWARD: Final = 0.25
+"""How near the middle of a turn's band comes to the diagram's, as a share."""
+
+
+def flow_diagram(report: TrafficReport) -> str:
+    """A figure; nothing where nobody was seen at two gates."""
+    whole = [one for one in report.turning_total if NOWHERE not in (one.origin, one.destination) and one.count]
+    if not whole:
+        return ""
+    gates = report.site.gates if report.metres else report.site.image_gates
+    middles = {gate.name: np.mean(gate.line, axis=0) * ([1, 1] if report.metres else [1, -1]) for gate in gates}
+    used = {name for one in whole for name, _ in (one.origin, one.destination)}
+    angles = _angles({name: place for name, place in middles.items() if name in used})
+    most = max(one.count or 0 for one in whole)
+    order = sorted({one.origin for one in whole})
+    parts = [tag("circle", cx=_SIZE / 2, cy=_SIZE / 2, r=_RADIUS, class_="ring")]
+    largest_first = sorted(whole, key=lambda one: -(one.count or 0))
+    parts += [_band(one, angles, most, order.index(one.origin) % 4) for one in largest_first]
+    parts += _names(angles)
+    drawing = tag(
+        "svg",
+        *parts,
+        viewBox=f"0 0 {_SIZE:.0f} {_SIZE:.0f}",
+        role="img",
+        aria_label="Movements between gates. The numbers are in the table of movements.",
+        class_="chart flows",
+    )
+    return tag("figure", tag("figcaption", "Movements: as many as a band is wide, from its number on"), drawing)
+
+
+def _angles(middles: dict[str, Array]) -> dict[str, float]:
+    """Where each gate lies around the middle of all, radians, moved apart where two are near each other."""
+    centre = np.mean(list(middles.values()), axis=0)
+    found = {name: math.atan2(*(place - centre)[::-1]) for name, place in middles.items()}
+    names = sorted(found, key=lambda name: found[name])
+    least = min(math.radians(3 * _APART_DEG), 2 * math.pi / len(names))
+    for _ in range(50):
+        for before, after in zip(names, names[1:] + names[:1], strict=True):
+            gap = (found[after] - found[before]) % (2 * math.pi)
+            if len(names) > 1 and gap < least:
+                found[before] -= (least - gap) / 2
+                found[after] += (least - gap) / 2
+    return found
+
+
+def _at(angle: float, radius: float) -> tuple[float, float]:
+    return _SIZE / 2 + radius * math.cos(angle), _SIZE / 2 - radius * math.sin(angle)
+
+
+def _band(one: TurningCount, angles: dict[str, float], most: int, style: int) -> str:
+    """The band of a movement, and its number where it begins. Who comes in keeps to the right of who goes out."""
+    half = math.radians(_APART_DEG) / 2
+    begin, end = angles[one.origin[0]] + half, angles[one.destination[0]] - half
+    (ax, ay), (bx, by) = _at(begin, _RADIUS), _at(end, _RADIUS)
+    (cx, cy), (dx, dy) = _at(begin, _INWARD * _RADIUS), _at(end, _INWARD * _RADIUS)
+    number = one.count or 0
+    width = max(_THINNEST, _WIDEST * number / most)
+    bounds = "not known" if one.expected is None else f"{one.expected.low} to {one.expected.high}"
+    tip = f"{_side(one.origin)} to {_side(one.destination)}: {number} ({bounds})"
+    path = f"M{ax:.1f} {ay:.1f}C{cx:.1f} {cy:.1f} {dx:.1f} {dy:.1f} {bx:.1f} {by:.1f}"
+    # A fifth of the way along the curve, where those of one gate have parted.
+    t = 0.2
+    weights = ((1 - t) ** 3, 3 * (1 - t) ** 2 * t, 3 * (1 - t) * t**2, t**3)
+    x = sum(w * v for w, v in zip(weights, (ax, cx, dx, bx), strict=True))
+    y = sum(w * v for w, v in zip(weights, (ay, cy, dy, by), strict=True))
+    band = tag("path", d=path, class_=f"flow s{style}", stroke_width=f"{width:.1f}", data_tip=tip)
+    return band + tag("text", str(number), x=f"{x:.1f}", y=f"{y:.1f}", text_anchor="middle", class_="flow")
+
+
+def _side(side: tuple[str, str]) -> str:
+    return f"{side[0]} ({side[1]})"
+
+
+def _names(angles: dict[str, float]) -> Iterator[str]:
+    for name, angle in angles.items():
+        x, y = _at(angle, _RADIUS + 26)
+        side = "middle" if abs(math.cos(angle)) < 0.4 else "start" if math.cos(angle) > 0 else "end"
+        x += {"start": -14, "end": 14, "middle": 0}[side]
+        yield tag("text", escape(name), x=f"{x:.1f}", y=f"{y:.1f}", text_anchor=side, class_="gate")

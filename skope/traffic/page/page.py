@@ -1,0 +1,216 @@
+"""The page of a traffic report: one HTML file with nothing outside it, to read and to print."""
+
+import math
+from collections.abc import Iterator, Sequence
+from html import escape
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from skope.files.atomic import write_text
+from skope.page import document
+from skope.page.html_pieces import table, tag
+from skope.traffic.count_interval import CountInterval
+from skope.traffic.counts import ALL, Count
+from skope.traffic.page.flow_diagram import flow_diagram
+from skope.traffic.page.plots import counts_over_time, headway_histograms, speed_histograms
+from skope.traffic.page.road_map import road_map
+from skope.traffic.report import TrafficReport
+from skope.traffic.report_tables import clock
+from skope.traffic.speed_percentiles import PERCENTILES, Percentile
+from skope.traffic.trajectories import KMH
+from skope.version import __version__
+
+FILE: Final = "report.html"
+_CONFLICTS: Final = 20
+_MOST_INTERVALS: Final = 400
+"""Rows of counts by interval; the rest is in counts.csv."""
+
+
+def write_page(out: Path, report: TrafficReport, *, tracks: str) -> Path:
+    """Write a report as `report.html`.
+
+    Args:
+        out: The folder of the report.
+        report: What was measured.
+        tracks: What the tracks were read from.
+
+    Returns:
+        The file.
+    """
+    path = out / FILE
+    write_text(path, traffic_page(report, tracks=tracks))
+    return path
+
+
+def traffic_page(report: TrafficReport, *, tracks: str) -> str:
+    """The page's text."""
+    name = report.observation.source or tracks
+    sections = {
+        "Counts": _counts(report),
+        "Movements": _movements(report),
+        "Speeds": [_speeds(report), *_figures(speed_histograms(report))] if report.metres else [],
+        "Headways": _figures(headway_histograms(report)) if report.metres else [],
+        "Over time": [*_figures(counts_over_time(report)), _by_interval(report)],
+        "Conflicts": [_conflicts(report)] if report.metres else [],
+        "Accuracy": [_accuracy(report)],
+        "What to know": [_remarks(report)],
+    }
+    parts = [tag("h1", escape(f"Traffic: {name}")), tag("p", escape(_what(report))), road_map(report)]
+    for title, found in sections.items():
+        if any(found):
+            parts += [tag("h2", title), *found]
+    parts.append(tag("p", tag("small", escape(f"skope {__version__}; tracks of {tracks}; intervals hold 90%"))))
+    return document(f"Traffic: {name}", *parts)
+
+
+def _what(report: TrafficReport) -> str:
+    """When, and of what."""
+    spans = report.observation.spans
+    seconds = float((spans[:, 1] - spans[:, 0]).sum())
+    told = f"{len(report.trajectories)} road users in {seconds / 60:.1f} minutes that were observed"
+    begin = clock(report, float(spans[0, 0])) if len(spans) else None
+    end = clock(report, float(spans[-1, 1])) if len(spans) else None
+    if begin is None or end is None:
+        return f"{told}. Nothing says when that was."
+    zone = f", {report.site.time_zone}" if report.site.time_zone else ""
+    return f"{told}, from {begin:%Y-%m-%d %H:%M:%S} to {end:%Y-%m-%d %H:%M:%S}{zone}."
+
+
+def _figures(found: Iterator[str]) -> list[str]:
+    every = list(found)
+    return [tag("div", *every, class_="grid")] if every else []
+
+
+def _bounds(expected: CountInterval | None) -> str:
+    return "not known" if expected is None else f"{expected.low} to {expected.high}"
+
+
+def _number(one: Count) -> str:
+    return "–" if one.count is None else str(one.count)
+
+
+def _counts(report: TrafficReport) -> list[str]:
+    rows = [
+        [escape(f"{one.gate} ({one.direction})"), escape(one.class_name), _number(one), _bounds(one.expected)]
+        for one in report.counts_total
+    ]
+    head = ["gate", "class", "counted", "there were"]
+    return [table(head, rows, caption="How many crossed each gate, and how many there were")] if rows else []
+
+
+def _movements(report: TrafficReport) -> list[str]:
+    rows = [
+        [
+            *(escape(f"{side[0]} ({side[1]})") if side[0] else "not seen" for side in (one.origin, one.destination)),
+            *("–" if one.count is None else str(one.count), _bounds(one.expected)),
+        ]
+        for one in report.turning_total
+    ]
+    if not rows:
+        return []
+    numbers = table(["from", "to", "counted", "there were"], rows, caption="Movements between gates")
+    return [tag("div", flow_diagram(report), tag("div", numbers), class_="grid")]
+
+
+def _speeds(report: TrafficReport) -> str:
+    groups = [one for one in report.speeds if one.interval is None and one.number]
+    rows = [
+        [
+            escape(one.where),
+            *(escape(one.kind), escape(one.class_name), str(one.number)),
+            *(_speed(one.percentiles[name]) for name in PERCENTILES),
+        ]
+        for one in groups
+    ]
+    head = ["where", "kind", "class", "vehicles", *(f"{name}, km/h" for name in PERCENTILES)]
+    return table(head, rows, caption="Speeds") if rows else ""
+
+
+def _speed(one: Percentile) -> str:
+    if one.value is None or one.low is None or one.high is None:
+        return escape(one.refused or "–")
+    return f"{one.value * KMH:.1f} ({one.low * KMH:.1f} to {one.high * KMH:.1f})"
+
+
+def _by_interval(report: TrafficReport) -> str:
+    """Counts of all by interval: a row for each, a column for each gate and direction."""
+    own = [one for one in report.counts if (one.lane, one.class_name) == (ALL, ALL)]
+    sides = list(dict.fromkeys((one.gate, one.direction) for one in own))
+    if len(report.intervals) < 2 or not sides:
+        return ""
+    cells = {(one.interval.begin_s, one.gate, one.direction): one for one in own}
+    rows = []
+    for interval in report.intervals[:_MOST_INTERVALS]:
+        begin = f"{interval.begin:%a %d %b %H:%M}" if interval.begin else f"{interval.begin_s / 60:.0f} min"
+        row = [begin]
+        for side in sides:
+            one = cells[(interval.begin_s, *side)]
+            row.append(
+                f"{_number(one)} <small>{_bounds(one.expected) if one.count is not None else one.observed}</small>"
+            )
+        rows.append(row)
+    head = ["from", *(f"{gate} ({direction})" for gate, direction in sides)]
+    return table(head, rows, caption="Counts of all by interval, and how many there were")
+
+
+def _conflicts(report: TrafficReport) -> str:
+    found = report.conflicts.conflicts
+
+    def severe(value: float) -> float:
+        return math.inf if math.isnan(value) else value
+
+    worst = sorted(found, key=lambda one: min(severe(one.ttc_s), severe(one.pet_places_s)))[:_CONFLICTS]
+    rows = []
+    for one in worst:
+        moment = clock(report, one.time_s)
+        ttc = "–" if math.isnan(one.ttc_s) else f"{one.ttc_s:.1f} ({one.ttc_low_s:.1f} to {_end(one.ttc_high_s)})"
+        pet = "–" if math.isnan(one.pet_places_s) else f"{one.pet_places_s:.1f} ± {1.64 * one.pet_sigma_s:.1f}"
+        who = f"{one.first.class_name} {one.first.number}, {one.second.class_name} {one.second.number}"
+        when = f"{one.time_s:.1f} s" if moment is None else f"{moment:%H:%M:%S}"
+        rows.append([when, escape(who), escape(one.kind), escape(one.zone), ttc, pet])
+    head = ["when", "who", "kind", "zone", "TTC, s", "PET (SSAM), s"]
+    more = f": the {len(rows)} nearest of {len(found)}" if len(found) > len(rows) else ""
+    return table(head, rows, caption=f"Conflicts{more}; places to look at, not numbers") if rows else ""
+
+
+def _end(value: float) -> str:
+    return f"{value:.1f}" if math.isfinite(value) else "none"
+
+
+def _accuracy(report: TrafficReport) -> str:
+    """What was counted by hand beside what was counted here."""
+    rows = []
+    for one in report.hand_checks:
+        hand = one.hand
+        begin, end = (
+            f"{moment:%H:%M:%S}" if moment else f"{seconds:.0f} s"
+            for moment, seconds in (
+                (hand.interval.begin, hand.interval.begin_s),
+                (hand.interval.end, hand.interval.end_s),
+            )
+        )
+        off = "–" if not hand.number else f"{100 * (one.count - hand.number) / hand.number:+.0f} %"
+        cells = (f"{begin} to {end}", str(hand.number), str(one.count), off, f"{one.geh:.1f}", _bounds(one.expected))
+        rows.append([escape(f"{hand.gate} ({hand.direction_name})"), escape(hand.class_name), *cells])
+    if not rows:
+        return tag(
+            "p",
+            "Nothing was counted by hand. Count 10 or 15 minutes at each gate and give them to --hand-count: errors "
+            "and GEH come here, and the intervals of all counts learn from them.",
+        )
+    errors = [abs(one.count - one.hand.number) for one in report.hand_checks]
+    total = sum(one.hand.number for one in report.hand_checks)
+    said = f"Together {sum(errors)} off, of {total} counted by hand"
+    said += f"; GEH under 5 in {np.mean([one.geh < 5 for one in report.hand_checks]):.0%}." if rows else "."
+    head = ["gate", "class", "when", "by hand", "counted", "off", "GEH", "there were, by what is seen alone"]
+    return table(head, rows, caption="Counted by hand") + tag("p", said)
+
+
+def _remarks(report: TrafficReport) -> str:
+    return _list(report.refused)
+
+
+def _list(lines: Sequence[str]) -> str:
+    return tag("ul", *(tag("li", escape(line)) for line in lines)) if lines else ""

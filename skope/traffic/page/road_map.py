@@ -1,0 +1,151 @@
+"""The road from above as SVG: who drove where, gates with their counts, zones, lanes, conflicts."""
+
+import math
+from collections.abc import Iterator, Sequence
+from html import escape
+from typing import Final
+
+import numpy as np
+
+from skope.page.html_pieces import tag
+from skope.site.marks import Outline
+from skope.traffic.gates import may_count
+from skope.traffic.report import TrafficReport
+from skope.traffic.report_tables import thinned
+from skope.traffic.trajectories import VEHICLE, Trajectory
+from skope.types import Array
+
+_WIDTH: Final = 1100.0
+_TALLEST: Final = 0.75
+"""Height over width, at most."""
+_MARGIN: Final = 40.0
+_MOST_TRACKS: Final = 600
+"""So many are drawn: evenly chosen where there are more."""
+_STEP_S: Final = 0.5
+_OUTERMOST: Final = 0.5
+"""Percent of the places on each side that the map may leave out: the farthest ones are the least certain."""
+_MOST_CONFLICTS: Final = 200
+_BARS_M: Final = (1, 2, 5, 10, 20, 50, 100, 200, 500)
+
+
+class _Frame:
+    """How places become points of the drawing."""
+
+    def __init__(self, places: Array) -> None:
+        low, high = places.min(axis=0), places.max(axis=0)
+        across, up = np.maximum(high - low, 1e-6)
+        inner = _WIDTH - 2 * _MARGIN
+        self.scale = float(min(inner / across, (_WIDTH * _TALLEST - 2 * _MARGIN) / up))
+        self.height = float(up) * self.scale + 2 * _MARGIN
+        self._corner = np.array([(low[0] + high[0] - inner / self.scale) / 2, high[1]])
+
+    def points(self, places: Sequence[Sequence[float]] | Array) -> Array:
+        """(M, 2) of places (M, 2)."""
+        return np.asarray((np.asarray(places) - self._corner) * [self.scale, -self.scale] + _MARGIN)
+
+    def path(self, places: Sequence[Sequence[float]] | Array, *, closed: bool = False) -> str:
+        """The d of a path."""
+        return "M" + "L".join(f"{x:.1f} {y:.1f}" for x, y in self.points(places)) + ("Z" if closed else "")
+
+
+def road_map(report: TrafficReport) -> str:
+    """A figure; nothing where there is nothing to draw."""
+    tracks = [one for one in report.trajectories if may_count(one, report.site.traffic)]
+    chosen = tracks[:: max(1, math.ceil(len(tracks) / _MOST_TRACKS))]
+    gates = report.site.gates if report.metres else tuple(_upwards(report))
+    places = _outline(chosen, [gate.line for gate in gates])
+    if not len(places):
+        return ""
+    frame = _Frame(places)
+    parts = [*_marks(report, frame), *_tracks(chosen, frame), *_conflicts(report, frame)]
+    for gate in gates:
+        parts += _gate(report, frame, gate.name, gate.line)
+    if report.metres:
+        parts.append(_bar(frame))
+    drawing = tag(
+        "svg",
+        *parts,
+        viewBox=f"0 0 {_WIDTH:.0f} {frame.height:.0f}",
+        role="img",
+        aria_label="The road from above with tracks and gates. The counts are in the tables below.",
+        class_="chart road",
+    )
+    drawn = f"{len(chosen)} of {len(tracks)}" if len(chosen) < len(tracks) else f"{len(tracks)}"
+    told = f"{drawn} tracks{', from above' if report.metres else ', in the image'}; gates with how many were counted"
+    names = ("vehicles", "two-wheelers", "people", "conflicts")
+    keys = [tag("li", tag("span", class_=f"key road-{k}"), name) for k, name in enumerate(names)]
+    return tag("figure", tag("figcaption", told), drawing, tag("ul", *keys, class_="legend"), class_="wide")
+
+
+def _upwards(report: TrafficReport) -> Iterator["_Line"]:
+    """The gates of an image, with rows counted upwards as the tracks have them."""
+    for gate in report.site.image_gates:
+        yield _Line(gate.name, tuple((x, -y) for x, y in gate.line))
+
+
+class _Line:
+    def __init__(self, name: str, line: Outline) -> None:
+        self.name, self.line = name, line
+
+
+def _outline(tracks: Sequence[Trajectory], lines: Sequence[Outline]) -> Array:
+    """(M, 2) the places that the map has to hold: of gates all, of tracks nearly all."""
+    ends = np.array([end for line in lines for end in line], dtype=np.float64).reshape(-1, 2)
+    if not tracks:
+        return ends
+    every = np.concatenate([one.place for one in tracks])
+    corners = np.percentile(every, [_OUTERMOST, 100 - _OUTERMOST], axis=0)
+    return np.concatenate([ends, corners])
+
+
+def _marks(report: TrafficReport, frame: _Frame) -> Iterator[str]:
+    for zone in report.site.zones if report.metres else ():
+        yield tag("path", d=frame.path(zone.polygon, closed=True), class_="zone", data_tip=f"zone {zone.name}")
+    for lane in report.site.lanes if report.metres else ():
+        yield tag("path", d=frame.path(lane.line), class_="lane", data_tip=f"lane {lane.name}")
+
+
+def _tracks(tracks: Sequence[Trajectory], frame: _Frame) -> Iterator[str]:
+    faint = max(0.15, min(0.8, 40 / max(1, len(tracks))))
+    for one in tracks:
+        kind = 0 if one.category == VEHICLE else 2 if one.category == "pedestrian" else 1
+        path = frame.path(one.place[thinned(one, _STEP_S)])
+        tip = f"{one.class_name} {one.number}"
+        yield tag("path", d=path, class_=f"track road-{kind}", stroke_opacity=f"{faint:.2f}", data_tip=tip)
+
+
+def _conflicts(report: TrafficReport, frame: _Frame) -> Iterator[str]:
+    for one in report.conflicts.conflicts[:_MOST_CONFLICTS]:
+        ((x, y),) = frame.points(one.place[None])
+        measures = [
+            f"{name} {value:.1f} s"
+            for name, value in (("TTC", one.ttc_s), ("PET", one.pet_places_s))
+            if not math.isnan(value)
+        ]
+        tip = f"conflict at {one.time_s:.1f} s: {one.first.class_name} {one.first.number} and "
+        tip += f"{one.second.class_name} {one.second.number}, {one.kind}; {', '.join(measures)}"
+        yield tag("circle", cx=f"{x:.1f}", cy=f"{y:.1f}", r=4, class_="road-3", data_tip=tip)
+
+
+def _gate(report: TrafficReport, frame: _Frame, name: str, line: Outline) -> Iterator[str]:
+    """A gate, its name and its counts."""
+    (ax, ay), (bx, by) = frame.points(line)
+    told = []
+    for one in report.counts_total:
+        if one.gate == name and one.class_name == "all":
+            bounds = "not known" if one.expected is None else f"{one.expected.low} to {one.expected.high}"
+            told.append((one.direction, one.count or 0, bounds))
+    tip = f"{name}: " + "; ".join(f"{direction} {count} ({bounds})" for direction, count, bounds in told)
+    yield tag("path", d=f"M{ax:.1f} {ay:.1f}L{bx:.1f} {by:.1f}", class_="gate", data_tip=tip)
+    x, y = (ax + bx) / 2, (ay + by) / 2
+    label = f"{name}: {' / '.join(str(count) for _, count, _ in told)}"
+    yield tag("text", escape(label), x=f"{x:.1f}", y=f"{y - 8:.1f}", text_anchor="middle", class_="gate")
+
+
+def _bar(frame: _Frame) -> str:
+    """A bar of so many metres."""
+    length = max(one for one in _BARS_M if one * frame.scale < _WIDTH / 4 or one == _BARS_M[0])
+    x, y = _MARGIN / 2, frame.height - 10
+    return tag("path", d=f"M{x} {y - 5}v5h{length * frame.scale:.1f}v-5", class_="scale") + tag(
+        "text", f"{length} m", x=x + 4, y=y - 6
+    )
