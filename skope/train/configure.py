@@ -24,6 +24,8 @@ def new(data: Sequence[Path], flags: Mapping[str, Any], *, gpu: bool, bfloat16: 
     given = {name: flags[name] for name in _RECIPE_FLAGS if flags[name] not in (None, ())}
     try:
         recipe = replace(recipe, **given)
+        if flags["backbone"] is not None:
+            recipe = replace(recipe, network=replace(recipe.network, backbone=flags["backbone"]))
     except UserError as error:
         raise UserError(f"--{str(error).replace('_', '-', 1)}") from None
     if flags["min_size"] is not None:
@@ -56,6 +58,7 @@ def again(out: Path, data: Sequence[Path], flags: Mapping[str, Any]) -> RunConfi
     recorded = RunConfig.read(out)
     known = {**recorded.recipe.to_dict(), **recorded.to_dict(), "recipe": recorded.recipe.name}
     known["categories"] = list(recorded.detector_categories)
+    known["backbone"] = recorded.recipe.network.backbone
     for name, value in flags.items():
         if name in ("epochs", "set") or value is None or value == ():
             continue

@@ -306,6 +306,8 @@ def _announce(
 ) -> None:
     recipe = config.recipe
     console.say(f"{recipe.describe(training.config.min_size)}; {training.origin}; seed {config.seed}; {where}")
+    if not training.config.stock:
+        console.say(f"network: {training.config.architecture}")
     names = " + ".join(config.data)
     if config.scheme.flip is None:
         console.say(f"images are not mirrored: of scheme {config.scheme.name} no mirror partners are known")

@@ -197,6 +197,7 @@ def start(run: Path, config: RunConfig, fingerprints: Sequence[str], device: tor
         anchors=recipe.anchors,
         box_passes=recipe.box_passes,
         categories=config.detector_categories,
+        network=recipe.network,
     )
     model = placed(model, recipe, device)
     sgd, mean = optimizer(model, recipe), running_mean(model, recipe)
