@@ -10,6 +10,7 @@ from skope.errors import UserError
 from skope.train.augment import Augment
 from skope.train.network_shape import NetworkShape
 from skope.train.recipe import RECIPES, Recipe, choose
+from skope.train.teacher_rules import TeacherRules
 
 LATER = ("anchors", "average", "box_passes", "cosine_to")
 """Values that the recipes of older runs lack."""
@@ -73,8 +74,9 @@ def test_recipes_survive_a_round_trip() -> None:
     own = replace(own, box_passes=2)
     assert Recipe.from_dict(json.loads(json.dumps(own.to_dict()))) == own
     narrow = replace(own, network=NetworkShape(backbone="resnet18", keypoint_layers=4))
+    narrow = replace(narrow, teacher=TeacherRules(checkpoint="road33", temperature=2.0))
     assert Recipe.from_dict(json.loads(json.dumps(narrow.to_dict()))) == narrow
-    older = {name: value for name, value in own.to_dict().items() if name not in (*LATER, "network")}
+    older = {name: value for name, value in own.to_dict().items() if name not in (*LATER, "network", "teacher")}
     assert Recipe.from_dict(older) == replace(own, **dict.fromkeys(LATER))
     with pytest.raises(UserError, match="recipe: expected the fields"):
         Recipe.from_dict({"name": "x"})
