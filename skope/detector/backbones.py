@@ -1,7 +1,7 @@
 """Backbones: torchvision's classifiers, whose layers make the feature maps of a detector's pyramid.
 
 Each gives maps of strides 4, 8, 16 and 32, and the pyramid adds one of 64. That of ResNet50 is what torchvision's
-`resnet_fpn_backbone` builds, layer by layer and draw by draw.
+resnet_fpn_backbone builds, layer by layer and draw by draw.
 """
 
 from collections.abc import Callable, Mapping

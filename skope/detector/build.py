@@ -115,7 +115,7 @@ class DetectorConfig:
 
     @property
     def stock(self) -> bool:
-        """Whether backbone and widths are those of torchvision's own `keypointrcnn_resnet50_fpn`."""
+        """Whether backbone and widths are those of torchvision's own Keypoint R-CNN."""
         return (self.backbone, self.pyramid_width, self.heads) == (DEFAULT, PYRAMID_WIDTH, HEADS)
 
     @property

@@ -106,7 +106,11 @@ def test_a_teacher_of_other_things_is_refused(tmp_path: Path) -> None:
     assert points is not None
     assert not any(parameter.requires_grad for parameter in points.model.parameters())
     with pytest.raises(UserError, match="has keypoint scheme skope33, what is learnt"):
-        Teacher.load(TeacherRules(checkpoint=str(path)), replace(NARROW, scheme="skope3d", keypoint_edition=1), torch.device("cpu"))
+        Teacher.load(
+            TeacherRules(checkpoint=str(path)),
+            replace(NARROW, scheme="skope3d", keypoint_edition=1),
+            torch.device("cpu"),
+        )
 
 
 def test_a_run_with_a_teacher(tmp_path: Path) -> None:
