@@ -1,6 +1,8 @@
 """Detectors with other backbones and widths than torchvision's: built, saved, multiplied otherwise, all the same."""
 
 import json
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -161,6 +163,21 @@ def test_norms_fold_into_any_backbone(backbone: str) -> None:
             torch.testing.assert_close(one, expected[name], rtol=1e-3, atol=1e-4 * float(expected[name].abs().max()))
 
 
+def test_a_folded_mobilenet_learns_as_a_plain_one() -> None:
+    """Its activations change what the convolutions answer in place, where the folded norm was."""
+    gradients = []
+    for fold in (False, True):
+        model = network("mobilenet_v3_large", trainable_layers=3)
+        if fold:
+            fold_norms(model)
+        sum(one.square().mean() for one in model.backbone(PIXELS).values()).backward()
+        gradients.append({n: p.grad for n, p in model.backbone.named_parameters() if p.grad is not None})
+    plain, folded = gradients
+    assert plain.keys() == folded.keys()
+    for name, gradient in plain.items():
+        torch.testing.assert_close(folded[name], gradient, rtol=1e-2, atol=1e-3 * float(gradient.abs().max()))
+
+
 @pytest.mark.parametrize("backbone", LIGHT)
 def test_maps_in_bfloat16_are_much_the_same(backbone: str) -> None:
     model = network(backbone)
@@ -173,21 +190,46 @@ def test_maps_in_bfloat16_are_much_the_same(backbone: str) -> None:
 def test_eight_bits_of_a_mobilenet_find_much_the_same(tmp_path: Path) -> None:
     """Weights that are packed, then layers whose products are taken in eight bits, those in groups too."""
     model, path = network("mobilenet_v3_large"), tmp_path / "a.safetensors"
-    model.roi_heads.score_thresh, model.roi_heads.detections_per_img = 0.0, 1
-    with activation_ranges.noted(model) as seen, torch.inference_mode():
-        model([PIXELS[0]])
-    expected = logits(model)
-    metadata = activation_ranges.to_metadata(model, seen)
+    metadata, expected = ranges(model), logits(model)
     path.write_bytes(checkpoint_bytes(model, config("mobilenet_v3_large"), metadata, packed=True))
     assert path.stat().st_size < 1.2 * sum(p.numel() for p in model.parameters())
     packed, _, read = load_weights(path, "cpu")
     first, exact = (next(m for m in each.modules() if isinstance(m, nn.Conv2d)) for each in (packed, model))
     assert torch.equal(first.weight, exact.weight.half().float()), "the first convolution keeps 16 bits"
     assert alike(logits(packed), expected) > 0.999
-    ranges = activation_ranges.read(packed, read)
-    assert ranges is not None
-    eight_bits.convert(packed, ranges)
+    found = activation_ranges.read(packed, read)
+    assert found is not None
+    eight_bits.convert(packed, found)
     assert 0.95 < alike(logits(packed), expected) < 0.99999
+
+
+def ranges(model: KeypointRCNN) -> dict[str, Any]:
+    """A checkpoint's metadata with the ranges of a model's layers on the image."""
+    model.roi_heads.score_thresh, model.roi_heads.detections_per_img = 0.0, 1
+    with activation_ranges.noted(model) as seen, torch.inference_mode():
+        model([PIXELS[0]])
+    return activation_ranges.to_metadata(model, seen)
+
+
+_BY_RUNTIMES = """
+import sys
+import torch
+from skope.eval.inference.backends.prepare import prepare
+from skope.terminal.console import Console
+from tests.detector.test_backbones import alike, logits, network, ranges
+expected, quiet = logits(network(sys.argv[1])), Console(quiet=True)
+for backend, precision in (("openvino", "float32"), ("openvino", "int8"), ("onnx", "float32")):
+    model = network(sys.argv[1])
+    prepare(model, ranges(model), torch.device("cpu"), backend=backend, precision=precision, console=quiet)
+    assert alike(logits(model), expected) > (0.95 if precision == "int8" else 0.99999), (backend, precision)
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("backbone", LIGHT)
+def test_runtimes_compute_light_networks(backbone: str) -> None:
+    # In a process of its own, as in test_backends.py.
+    subprocess.run([sys.executable, "-c", _BY_RUNTIMES, backbone], check=True, cwd=Path(__file__).parents[2])
 
 
 def alike(one: Any, two: Any) -> float:
