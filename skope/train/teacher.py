@@ -126,7 +126,7 @@ class Lesson:
         heads = self.heads
         with torch.no_grad():
             pooled = heads.keypoint_roi_pool(self.features, list(regions), sizes)
-            taught = heads.keypoint_predictor(heads.keypoint_head(pooled)).float()
+            taught = self.rules.sharpen * heads.keypoint_predictor(heads.keypoint_head(pooled)).float()
         apart = self._divergence(maps.flatten(2), taught.flatten(2))
         mean = apart.where(labelled, 0.0).sum() / labelled.sum().clamp(min=1)
         return {"loss_teacher_keypoints": self.rules.keypoints * mean}

@@ -16,13 +16,17 @@ class TeacherRules:
     keypoints: float = 1.0
     temperature: float = 1.0
     """Logits are divided by it before they become probabilities: more makes them softer."""
+    sharpen: float = 1.0
+    """The teacher's heat maps are multiplied by it: those of a detector whose scores were calibrated are flatter than
+    what it has learnt."""
 
     def __post_init__(self) -> None:
         for name in ("classes", "boxes", "keypoints"):
             if not 0 <= getattr(self, name) <= 1000:
                 raise UserError(f"{name}: expected 0 to 1000, got {getattr(self, name)}")
-        if not 0.1 <= self.temperature <= 100:
-            raise UserError(f"temperature: expected 0.1 to 100, got {self.temperature}")
+        for name in ("temperature", "sharpen"):
+            if not 0.1 <= getattr(self, name) <= 100:
+                raise UserError(f"{name}: expected 0.1 to 100, got {getattr(self, name)}")
 
     @property
     def of_boxes(self) -> bool:

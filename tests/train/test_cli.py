@@ -51,6 +51,7 @@ def test_a_flag_of_zero_is_a_value() -> None:
         (["--backbone", "vgg16"], "--backbone: 'vgg16' is not one of resnet50, resnet18, mobilenet_v3_large"),
         (["--set", "network.box_width=8"], "--set network.box_width: expected a whole number from 16 to 4096, got 8"),
         (["--teacher", "none"], "none: no such checkpoint or run folder"),
+        (["--set", "teacher.sharpen=0"], "--set teacher.sharpen: expected 0.1 to 100, got 0"),
         (["--set", "teacher.boxes=-1"], "--set teacher.boxes: expected 0 to 1000, got -1"),
         (["--resume"], "no such run folder"),
         ([], "data/skope: no such dataset folder; `skope gen"),

@@ -64,6 +64,17 @@ def test_nothing_is_learnt_from_oneself() -> None:
         assert abs(float(itself[name])) < 1e-3 * float(other[name]), name
 
 
+def test_heat_maps_that_calibration_has_flattened_are_sharpened() -> None:
+    """Nothing is to be learnt from half of one's own maps times two."""
+    student, flat = drawn(CONFIG, 1), drawn(CONFIG, 1)
+    with torch.no_grad():
+        for parameter in flat.roi_heads.keypoint_predictor.parameters():
+            parameter /= 2
+        as_it_is, sharpened = (taught(student, teacher_of(flat, sharpen=by)) for by in (1.0, 2.0))
+    assert float(as_it_is["loss_teacher_keypoints"]) > 1e-3
+    assert abs(float(sharpened["loss_teacher_keypoints"])) < 1e-5
+
+
 def test_the_student_comes_nearer_and_the_teacher_stays() -> None:
     student, lessons = drawn(NARROW, 1), teacher_of(drawn(CONFIG, 2), temperature=2.0)
     before = [one.clone() for one in lessons.model.state_dict().values()]
