@@ -100,6 +100,7 @@ real: $(if $(REAL),$(STAMP))
 	$(VENV)/bin/python scripts/score_photographs.py "$(REAL)" --checkpoint "$(CHECKPOINT)" --out "$(SCORED)"
 
 bench: $(STAMP) $(DATA)/dataset.json
+	$(VENV)/bin/python scripts/bench_backbones.py
 	$(VENV)/bin/python scripts/bench_eval.py
 	$(VENV)/bin/python scripts/bench_gen.py
 	$(VENV)/bin/python scripts/bench_import.py

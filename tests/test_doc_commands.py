@@ -58,6 +58,12 @@ SMALLER: Final = {
     r"--fps \d+": "--fps 10",
     r"--epochs \d+": "--epochs 1",
     r"--checkpoint road33": "--checkpoint runs/skope",
+    r"--teacher road33": "--teacher runs/skope",
+    r"--backbone resnet18": " ".join(
+        f"--set network.{part}"
+        for part in ("pyramid_width=16", "keypoint_layers=1", "keypoint_width=16", "box_width=16")
+    ),
+    r"--set network.(keypoint_width=128|box_width=256)": "",
 }
 OPTIONS: Final = {
     r"skope gen(?= --)": {"--frames": "1"},

@@ -63,6 +63,11 @@ TRAINING: Final = "--data {dataset} --min-size 64 --device cpu"
 RENDERING: Final = "--size 96x54 --processes 1"
 RUNS: Final[Sequence[Run]] = (
     Run(
+        "bench_backbones.py",
+        "--size 64x96 --vehicles 1 --rounds 1 --backend torch --precision float32 --variants mobilenet-64-4x128",
+        says="| mobilenet-64-4x128 | 4.7 | ",
+    ),
+    Run(
         "bench_eval.py",
         "--metric-images 2 --checkpoint {checkpoint} --data {dataset} --split easy --images 1 --device cpu",
         says="PCK@0.1 on the ground truth's boxes",
@@ -353,7 +358,7 @@ COMMANDS: Final[Mapping[str, int]] = {
         "data": 1,
         "model": 2,
     },
-    **{"help": 0, "report": 3, "reference": 2, "docs": 1, "bench": 11, "clean": 0},
+    **{"help": 0, "report": 3, "reference": 2, "docs": 1, "bench": 12, "clean": 0},
 }
 """Target -> number of the virtual environment's programs that it runs from nothing."""
 

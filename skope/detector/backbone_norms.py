@@ -14,7 +14,11 @@ from torchvision.models.detection import KeypointRCNN
 
 
 def convolutions_with_norms(model: KeypointRCNN) -> Iterator[tuple[nn.Module, str, str]]:
-    """The modules of the backbone's ResNet that own a convolution and its norm, with the names of both."""
+    """The backbone's modules that own a convolution and its norm, with the names of both.
+
+    A ResNet's blocks call them conv1 and bn1, conv2 and bn2 ...; in its shortcuts, and in all of a MobileNet, they are
+    the first two of a sequence.
+    """
     for module in model.backbone.body.modules():
         sequence = isinstance(module, nn.Sequential)
         for convolution, norm in [("0", "1")] if sequence else [(f"conv{i}", f"bn{i}") for i in (1, 2, 3)]:

@@ -1,4 +1,4 @@
-"""Keypoint R-CNN with 33 keypoints: stock torchvision, built from a config.
+"""Keypoint R-CNN with 33 keypoints: torchvision's parts, built from a config.
 
 Boxes and keypoints are continuous pixel coordinates of the image that was passed in, as everywhere in skope.
 torchvision resizes the image before the network and scales the answers back by the same two factors.
@@ -12,10 +12,12 @@ from typing import Any, Final, Self
 from torch import nn
 from torchvision.models.detection import KeypointRCNN
 from torchvision.models.detection.anchor_utils import AnchorGenerator
-from torchvision.models.detection.backbone_utils import resnet_fpn_backbone
+from torchvision.models.detection.faster_rcnn import FastRCNNPredictor, TwoMLPHead
+from torchvision.models.detection.keypoint_rcnn import KeypointRCNNHeads, KeypointRCNNPredictor
 from torchvision.ops import FrozenBatchNorm2d
 
 from skope import keypoints, schema
+from skope.detector.backbones import BACKBONES, DEFAULT, with_pyramid
 from skope.errors import UserError, one_of
 
 NORMS: Final = ("frozen", "batch")
@@ -29,6 +31,19 @@ at rush hour."""
 PROPOSALS: Final = 300
 """Regions of an image that are looked at closely when vehicles are found; of torchvision's own 1000 the others cost a
 third of the time on a CPU and found no further vehicle (docs/results.md)."""
+PYRAMID_WIDTH: Final = 256
+"""Channels of the pyramid of torchvision's own model."""
+HEADS: Final = (8, 512, 1024)
+"""Number and width of the layers of the keypoint head of torchvision's own model, and the width of its box head's."""
+BOX_CELLS: Final = 7
+"""Cells along each side of a region as the box head sees it, as in torchvision's own model."""
+SIZES: Final[dict[str, tuple[int, int]]] = {
+    "pyramid_width": (16, 512),
+    "keypoint_layers": (1, 16),
+    "keypoint_width": (16, 1024),
+    "box_width": (16, 4096),
+}
+"""Least and largest value of each field that says how large a part of the network is."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,6 +69,16 @@ class DetectorConfig:
     Vehicles are label 1, and they alone have keypoints."""
     box_passes: int = 1
     """How often the box head looks at what is found: 2 lets it correct each box once more, from the box itself."""
+    backbone: str = DEFAULT
+    """What makes the feature maps: a name in `skope.detector.backbones.BACKBONES`."""
+    pyramid_width: int = PYRAMID_WIDTH
+    """Channels of the pyramid's maps, and of the proposals' head on them."""
+    keypoint_layers: int = HEADS[0]
+    """Convolutions of the keypoint head, before its predictor."""
+    keypoint_width: int = HEADS[1]
+    """Channels of each of these convolutions."""
+    box_width: int = HEADS[2]
+    """Channels of both layers of the box head."""
 
     def __post_init__(self) -> None:
         keypoints.scheme_of(self.scheme, self.keypoint_edition)
@@ -61,6 +86,9 @@ class DetectorConfig:
         object.__setattr__(self, "categories", schema.checked_categories(self.categories))
         one_of("norm", self.norm, NORMS)
         check_box_passes(self.box_passes)
+        one_of("backbone", self.backbone, tuple(BACKBONES))
+        for name in SIZES:
+            check_size(name, getattr(self, name))
         if isinstance(self.norm_eps, bool) or not isinstance(self.norm_eps, int | float) or not 0 <= self.norm_eps < 1:
             raise UserError(f"norm_eps: expected a number from 0 to 1, got {self.norm_eps!r}")
         for name in ("min_size", "max_size"):
@@ -80,6 +108,27 @@ class DetectorConfig:
         """What the keypoints are."""
         return keypoints.scheme_of(self.scheme, self.keypoint_edition)
 
+    @property
+    def heads(self) -> tuple[int, int, int]:
+        """Number and width of the keypoint head's layers, and the width of the box head's."""
+        return self.keypoint_layers, self.keypoint_width, self.box_width
+
+    @property
+    def stock(self) -> bool:
+        """Whether backbone and widths are those of torchvision's own Keypoint R-CNN."""
+        return (self.backbone, self.pyramid_width, self.heads) == (DEFAULT, PYRAMID_WIDTH, HEADS)
+
+    @property
+    def architecture(self) -> str:
+        """Backbone and widths in words; of widths only where they are not torchvision's."""
+        words = f"{BACKBONES[self.backbone].title}-FPN"
+        if self.pyramid_width != PYRAMID_WIDTH:
+            words += f" of {self.pyramid_width} channels"
+        if self.heads != HEADS:
+            layers, width, box_width = self.heads
+            words += f", keypoint head of {layers} x {width} channels, box head of {box_width}"
+        return words
+
     def to_dict(self) -> dict[str, Any]:
         """The config as JSON values, without what older checkpoints do not name either (`_UNNAMED`)."""
         return {name: value for name, value in asdict(self).items() if _UNNAMED.get(name) != value}
@@ -98,7 +147,16 @@ class DetectorConfig:
         return cls(**{**_UNNAMED, **values, **{name: tuple(value) for name, value in lists.items()}})
 
 
-_UNNAMED: Final[dict[str, Any]] = {"keypoint_edition": 1, "categories": schema.VEHICLE_ALONE, "box_passes": 1}
+_UNNAMED: Final[dict[str, Any]] = {
+    "keypoint_edition": 1,
+    "categories": schema.VEHICLE_ALONE,
+    "box_passes": 1,
+    "backbone": DEFAULT,
+    "pyramid_width": PYRAMID_WIDTH,
+    "keypoint_layers": HEADS[0],
+    "keypoint_width": HEADS[1],
+    "box_width": HEADS[2],
+}
 """Values of fields that a checkpoint leaves out: those of before there were others."""
 _LISTS: Final[dict[str, tuple[Any, ...]]] = {"anchors": ANCHORS, "categories": schema.VEHICLE_ALONE}
 """Fields that are lists in JSON, with the values of checkpoints that do not name them."""
@@ -117,6 +175,13 @@ def check_box_passes(passes: int) -> None:
         raise UserError(f"box_passes: expected 1 or 2, got {passes!r}")
 
 
+def check_size(name: str, value: object) -> None:
+    """Raise a UserError unless a field of `SIZES` may have this value."""
+    low, high = SIZES[name]
+    if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
+        raise UserError(f"{name}: expected a whole number from {low} to {high}, got {value!r}")
+
+
 class KeypointNetwork(KeypointRCNN):  # type: ignore[misc]  # torchvision has no types
     """torchvision's Keypoint R-CNN, and how often its box head looks; what it is called by torchvision looks once."""
 
@@ -130,26 +195,25 @@ def box_passes_of(model: KeypointRCNN) -> int:
 
 
 def build(config: DetectorConfig, *, trainable_layers: int = 5, num_keypoints: int = keypoints.K) -> KeypointNetwork:
-    """Keypoint R-CNN (He et al., 2017; ResNet50-FPN) for a config, with weights drawn from torch's random state.
+    """Keypoint R-CNN (He et al., 2017) for a config, with weights drawn from torch's random state.
 
     Args:
-        config: Categories, normalisation, and size of the images inside the network.
+        config: Backbone, widths, categories, normalisation, and size of the images inside the network.
         trainable_layers: How many of the backbone's stages learn, 0 to 5 from the last one, where normalisation is
             frozen; with normalisation that learns all of them do, as in torchvision.
         num_keypoints: Another number than 33 is for weights that were trained on such a scheme and whose predictor is
             replaced next.
     """
     norm = FrozenBatchNorm2d if config.norm == "frozen" else nn.BatchNorm2d
-    backbone = resnet_fpn_backbone(
-        backbone_name="resnet50",
-        weights=None,
+    backbone = with_pyramid(
+        config.backbone,
+        config.pyramid_width,
         norm_layer=functools.partial(norm, eps=config.norm_eps),
-        trainable_layers=trainable_layers if config.norm == "frozen" else 5,
+        trainable_stages=trainable_layers if config.norm == "frozen" else 5,
     )
     model = KeypointNetwork(
         backbone,
-        num_classes=1 + len(config.categories),  # 0 is the background
-        num_keypoints=num_keypoints,
+        **_heads(config, num_keypoints),
         min_size=config.min_size,
         max_size=config.max_size,
         box_detections_per_img=MAX_DETECTIONS,
@@ -158,3 +222,17 @@ def build(config: DetectorConfig, *, trainable_layers: int = 5, num_keypoints: i
     )
     model.box_passes = config.box_passes
     return model
+
+
+def _heads(config: DetectorConfig, num_keypoints: int) -> dict[str, Any]:
+    """What torchvision's Keypoint R-CNN takes for the heads of a config: it makes its own ones by itself."""
+    classes = 1 + len(config.categories)  # 0 is the background
+    if config.heads == HEADS:
+        return {"num_classes": classes, "num_keypoints": num_keypoints}
+    layers, width, box_width = config.heads
+    return {
+        "box_head": TwoMLPHead(config.pyramid_width * BOX_CELLS**2, box_width),
+        "box_predictor": FastRCNNPredictor(box_width, classes),
+        "keypoint_head": KeypointRCNNHeads(config.pyramid_width, (width,) * layers),
+        "keypoint_predictor": KeypointRCNNPredictor(width, num_keypoints),
+    }

@@ -27,7 +27,8 @@ WAYS: Final = ("integers", "half", "exact")
 """How a weight is kept: rounded, as float16, or as it is."""
 
 DELICATE: Final = (
-    "backbone.body.conv1.",
+    "backbone.body.conv1.",  # of a ResNet
+    "backbone.body.0.",  # of a MobileNet
     "rpn.head.cls_logits.",
     "rpn.head.bbox_pred.",
     "roi_heads.box_predictor.",

@@ -68,7 +68,26 @@ def run(
         training(
             metavar="[auto|coco|imagenet|random|FILE]",
             help="First weights. coco and imagenet are downloaded when missing, FILE may be a run folder; auto: COCO "
-            "weights if torchvision's cache has them, else the detector that comes with skope.",
+            "weights if torchvision's cache has them, else the detector that comes with skope; for another network "
+            "than theirs a backbone trained on ImageNet if cached, else random.",
+            show_default=_RECIPES,
+        ),
+    ] = None,
+    backbone: Annotated[
+        str | None,
+        training(
+            choices=("resnet50", "resnet18", "mobilenet_v3_large"),
+            help="What makes the feature maps; the widths that suit it are values of the recipe, as in --set "
+            "network.pyramid_width=64.",
+            show_default="the recipe's or the first weights'",
+        ),
+    ] = None,
+    teacher: Annotated[
+        str | None,
+        training(
+            metavar="[NAME|FILE]",
+            help="A trained detector whose answers are learnt beside the labels, as in --teacher road33; FILE may be a "
+            "run folder. How much they count: --set teacher.keypoints=2.",
             show_default=_RECIPES,
         ),
     ] = None,
@@ -110,6 +129,8 @@ def run(
         "set": tuple(settings or ()),
         "epochs": epochs,
         "init": init,
+        "backbone": backbone,
+        "teacher": teacher,
         "batch_size": batch_size,
         "max_images": max_images,
         "min_size": min_size,

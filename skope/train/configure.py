@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from skope.detector.checkpoint import find_checkpoint
 from skope.errors import UserError
 from skope.schema import checked_categories
 from skope.train import init_weights
@@ -24,12 +25,18 @@ def new(data: Sequence[Path], flags: Mapping[str, Any], *, gpu: bool, bfloat16: 
     given = {name: flags[name] for name in _RECIPE_FLAGS if flags[name] not in (None, ())}
     try:
         recipe = replace(recipe, **given)
+        if flags["backbone"] is not None:
+            recipe = replace(recipe, network=replace(recipe.network, backbone=flags["backbone"]))
+        if flags["teacher"] is not None:
+            recipe = replace(recipe, teacher=replace(recipe.teacher, checkpoint=flags["teacher"]))
     except UserError as error:
         raise UserError(f"--{str(error).replace('_', '-', 1)}") from None
     if flags["min_size"] is not None:
         recipe = recipe.with_min_size(flags["min_size"])
     recipe = recipes.adjusted(recipe, flags["set"] or ())
     init_weights.check(recipe.init)
+    if recipe.teacher.checkpoint is not None:
+        find_checkpoint(Path(recipe.teacher.checkpoint))
     mix = flags["mix"]
     if mix is not None and len(data) < 2:
         raise UserError("--mix: is the first dataset's share, which needs two or more --data")
@@ -56,6 +63,7 @@ def again(out: Path, data: Sequence[Path], flags: Mapping[str, Any]) -> RunConfi
     recorded = RunConfig.read(out)
     known = {**recorded.recipe.to_dict(), **recorded.to_dict(), "recipe": recorded.recipe.name}
     known["categories"] = list(recorded.detector_categories)
+    known["backbone"], known["teacher"] = recorded.recipe.network.backbone, recorded.recipe.teacher.checkpoint
     for name, value in flags.items():
         if name in ("epochs", "set") or value is None or value == ():
             continue

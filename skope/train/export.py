@@ -20,11 +20,10 @@ import torch
 from torch import Tensor, nn
 from torchvision.models.detection import KeypointRCNN
 
-from skope import keypoints, schema
+from skope import schema
 from skope.dataset import image_selection
 from skope.dataset.folder import open_dataset
 from skope.detector import activation_ranges, weights
-from skope.detector.build import ASPECTS, MAX_DETECTIONS, PROPOSALS, DetectorConfig
 from skope.detector.checkpoint import checkpoint_bytes, find_checkpoint, full_state, load_weights
 from skope.detector.detect import MIN_SCORE
 from skope.detector.device import choose_device
@@ -33,6 +32,7 @@ from skope.files.output_folders import check_file, write_new
 from skope.terminal.console import Console
 from skope.train import input_moments
 from skope.train.splits import SPLIT
+from skope.train.torchvision_code import torchvision_code
 
 FORMATS: Final = {
     "torchscript": ".torchscript.pt",
@@ -170,31 +170,6 @@ def _moments(model: KeypointRCNN, data: Path, categories: Sequence[str], console
     pixels = map(opened.image, images)
     seen = console.bar(pixels, total=len(images), unit="image", label="layers' inputs")
     return input_moments.gather(model.to(choose_device("auto")), seen, categories)
-
-
-def torchvision_code(path: Path, config: DetectorConfig) -> str:
-    """Lines of Python that build torchvision's own model as `model` and load an exported state dict into it.
-
-    Its anchors are no weights: with others a strict load succeeds as well, and the detections are wrong.
-    """
-    labels = "" if len(config.categories) == 1 else f"  # labels 1 to {len(config.categories)}: "
-    labels += ", ".join(config.categories) if labels else ""
-    sizes = ", ".join(f"({side},)" for side in config.anchors)
-    return f"""\
-import torch
-from torchvision.models.detection import KeypointRCNN
-from torchvision.models.detection.anchor_utils import AnchorGenerator
-from torchvision.models.detection.backbone_utils import resnet_fpn_backbone
-from torchvision.ops import FrozenBatchNorm2d
-backbone = resnet_fpn_backbone(
-    backbone_name="resnet50", weights=None, norm_layer=lambda width: FrozenBatchNorm2d(width, eps={config.norm_eps}))
-anchors = AnchorGenerator(({sizes}), ({ASPECTS},) * {len(config.anchors)})
-model = KeypointRCNN(
-    backbone, num_classes={1 + len(config.categories)}, num_keypoints={keypoints.K}, rpn_anchor_generator=anchors,
-    min_size={config.min_size}, max_size={config.max_size}, box_detections_per_img={MAX_DETECTIONS},
-    rpn_post_nms_top_n_test={PROPOSALS})
-model.load_state_dict(torch.load({str(path)!r}))
-model.eval(){labels}"""
 
 
 def _pickled(state: Mapping[str, Tensor]) -> bytes:

@@ -29,7 +29,7 @@ class _Folded(FrozenBatchNorm2d):  # type: ignore[misc]
 
 
 def fold_norms(model: KeypointRCNN) -> int:
-    """Fold every frozen norm of the backbone's ResNet into its convolution; returns how many there were."""
+    """Fold every frozen norm of the backbone into its convolution; returns how many there were."""
     pairs = [
         (owner.get_submodule(convolution), owner.get_submodule(norm))
         for owner, convolution, norm in convolutions_with_norms(model)

@@ -1,28 +1,26 @@
 """The first weights of a training: trained on COCO or ImageNet, from a file, those of the package, or random."""
 
-import argparse
 import math
-import pickle
-import re
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Final
-from urllib.parse import urlparse
+from typing import Final
 
 import torch
 from safetensors import SafetensorError, safe_open
 from torch import nn
-from torchvision.models import ResNet50_Weights, WeightsEnum
 from torchvision.models.detection import KeypointRCNN, KeypointRCNN_ResNet50_FPN_Weights
 from torchvision.models.detection.keypoint_rcnn import KeypointRCNNPredictor
 
 from skope import keypoints
 from skope.detector import weights
+from skope.detector.backbones import BACKBONES, DEFAULT
 from skope.detector.build import DetectorConfig, build
 from skope.detector.checkpoint import HEADER, find_checkpoint, read_checkpoint
 from skope.errors import UserError
 from skope.keypoints import Scheme
 from skope.schema import VEHICLE_ALONE
+from skope.train.network_shape import AS_GIVEN, NetworkShape
+from skope.train.published_weights import State, cached, fetch, unpickled
 from skope.train.recipe import SMALL_SIZE
 
 INITS: Final = ("auto", "coco", "imagenet", "random")
@@ -30,15 +28,11 @@ INITS: Final = ("auto", "coco", "imagenet", "random")
 _COCO_KEYPOINTS: Final = 17
 _COCO_EPS: Final = 0.0
 """These weights were trained while FrozenBatchNorm2d added nothing to the variance."""
-_DEFAULT_EPS: Final = 1e-5
-_NO_WEIGHTS: Final = "not a file of weights of torch's, or one that did not arrive whole"
 _PREDICTOR: Final = "roi_heads.keypoint_predictor.kps_score_lowres.weight"
 _BOX_PREDICTOR: Final = "roi_heads.box_predictor."
 _RARE: Final = math.log(0.01)
 """Bias of a class that begins anew: a hundredth as likely as what has a logit of 0, as in RetinaNet (Lin et al.,
 2017)."""
-
-State = dict[str, torch.Tensor]
 
 
 def initialise(
@@ -53,6 +47,7 @@ def initialise(
     anchors: tuple[int, ...] | None = None,
     box_passes: int | None = None,
     categories: tuple[str, ...] = VEHICLE_ALONE,
+    network: NetworkShape = AS_GIVEN,
 ) -> tuple[KeypointRCNN, DetectorConfig, str]:
     """Build a detector with the weights from which training begins.
 
@@ -61,8 +56,9 @@ def initialise(
 
     Args:
         init: `auto`: weights trained on COCO if their file lies in torchvision's cache, else the detector that
-            comes with skope where it has the same keypoints, else random ones; never from the network. `coco` and
-            `imagenet`: downloaded where they are not there. `random`. Anything else is what `find_checkpoint`
+            comes with skope where it has the same keypoints, else random ones; of a network that these do not fit, a
+            backbone trained on ImageNet if it lies in that cache, else random ones; never from the internet. `coco`
+            and `imagenet`: downloaded where they are not there. `random`. Anything else is what `find_checkpoint`
             takes: a checkpoint of skope or of torchvision.
         norm: Normalisation, one of `skope.train.recipe.NORMS`. `given` is frozen for trained weights and learns for
             random ones, as in torchvision.
@@ -75,6 +71,8 @@ def initialise(
         anchors: Sides of the anchors of each level; None: those of the first weights.
         box_passes: How often the box head looks; None: as with the first weights.
         categories: Names of what is to be found.
+        network: Backbone and widths; a checkpoint of skope must have them, and a file of torchvision's that differs
+            from torchvision's own model does not tell them.
 
     Returns:
         The model, its config, and the choice in words.
@@ -103,21 +101,26 @@ def initialise(
         return _loaded(path, state, given.categories, chosen, trainable_layers), chosen, words
 
     check(init)
-    coco_file = _cached(KeypointRCNN_ResNet50_FPN_Weights.COCO_V1)
+    given = _plain("batch", network)
+    if init == "auto" and not given.stock:
+        init = "imagenet" if cached(BACKBONES[given.backbone].imagenet).is_file() else "random"
+    coco_file = cached(KeypointRCNN_ResNet50_FPN_Weights.COCO_V1)
     with torch.random.fork_rng(devices=[]):
         torch.default_generator.manual_seed(seed)
         if init == "coco" or (init == "auto" and coco_file.is_file()):
-            path = _fetch("coco", KeypointRCNN_ResNet50_FPN_Weights.COCO_V1)
-            return loaded(path, _unpickled(path), _plain("frozen", _COCO_EPS), "weights trained on COCO")
+            coco = replace(_plain("frozen", AS_GIVEN), norm_eps=_COCO_EPS)
+            _check_network("--init coco", coco, network)
+            path = fetch("coco", KeypointRCNN_ResNet50_FPN_Weights.COCO_V1)
+            return loaded(path, unpickled(path), coco, "weights trained on COCO")
         if init == "imagenet":
-            chosen = completed(_plain("frozen", _DEFAULT_EPS))
+            chosen = completed(replace(given, norm="frozen"))
             return _from_imagenet(chosen, trainable_layers), chosen, "a backbone trained on ImageNet"
         shipped = init == "auto" and scheme.name == keypoints.SCHEME and weights.DEFAULT in weights.names()
         if init in INITS and not shipped:
-            chosen = completed(_plain("batch", _DEFAULT_EPS))
+            chosen = completed(given)
             return build(chosen, trainable_layers=5), chosen, "random weights"
         file = weights.path(weights.DEFAULT) if shipped else find_checkpoint(Path(init))
-        state, own = _from_file(file, scheme, categories)
+        state, own = _from_file(file, scheme, categories, network)
         words = f"weights `{file.stem}` of the package" if weights.shipped(file) else f"weights of {file}"
         return loaded(file, state, own, words)
 
@@ -131,12 +134,14 @@ def check(init: str) -> None:
     find_checkpoint(Path(init))
 
 
-def _from_file(path: Path, scheme: Scheme, categories: tuple[str, ...]) -> tuple[State, DetectorConfig]:
+def _from_file(
+    path: Path, scheme: Scheme, categories: tuple[str, ...], network: NetworkShape
+) -> tuple[State, DetectorConfig]:
     """Weights and config of a checkpoint of ours or a file of torchvision's names (.pth or safetensors).
 
     Ours records its config. Elsewhere counted batches tell BatchNorm2d from FrozenBatchNorm2d, and eps is 0
-    for frozen weights with COCO's 17 keypoints, as torchvision has it, otherwise the usual 1e-5; as many classes as
-    `categories` are taken for those, others for the vehicles'.
+    for frozen weights with COCO's 17 keypoints, as torchvision has it, otherwise the backbone's usual one; as many
+    classes as `categories` are taken for those, others for the vehicles'; backbone and widths are what is asked for.
     """
     if path.suffix == ".safetensors":
         if _is_ours(path):
@@ -144,22 +149,36 @@ def _from_file(path: Path, scheme: Scheme, categories: tuple[str, ...]) -> tuple
             own = DetectorConfig.from_dict(header["config"])
             if own.scheme != scheme.name:
                 raise UserError(f"{path}: has keypoint scheme {own.scheme}, the dataset has {scheme.name}")
+            _check_network(str(path), own, network)
             return state, own
         with safe_open(path, framework="pt") as file:
             state = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a mapping)
     else:
-        state = _unpickled(path)
+        state = unpickled(path)
     counted = any(name.endswith(".num_batches_tracked") for name in state)
     coco = _num_keypoints(path, state) == _COCO_KEYPOINTS and not counted
-    plain = _plain("batch" if counted else "frozen", _COCO_EPS if coco else _DEFAULT_EPS)
+    plain = _plain("batch" if counted else "frozen", network)
+    plain = replace(plain, norm_eps=_COCO_EPS) if coco else plain
     classes = state.get(f"{_BOX_PREDICTOR}cls_score.bias")
     alike = classes is not None and len(classes) == 1 + len(categories)
     return state, replace(plain, categories=categories) if alike else plain
 
 
-def _plain(norm: str, eps: float) -> DetectorConfig:
+def _plain(norm: str, network: NetworkShape) -> DetectorConfig:
     """The config of weights that say nothing of it but what their tensors show."""
-    return DetectorConfig(norm=norm, norm_eps=eps, min_size=SMALL_SIZE[0], max_size=SMALL_SIZE[1])
+    asked = network.asked
+    eps = BACKBONES[asked.get("backbone", DEFAULT)].norm_eps
+    return DetectorConfig(norm=norm, norm_eps=eps, min_size=SMALL_SIZE[0], max_size=SMALL_SIZE[1], **asked)
+
+
+def _check_network(where: str, given: DetectorConfig, network: NetworkShape) -> None:
+    """Raise a UserError, beginning with `where`, unless weights of a config have the network that is asked for."""
+    for name, value in network.asked.items():
+        if getattr(given, name) != value:
+            raise UserError(
+                f"{where}: {name}: the recipe asks for {value}, these weights have {getattr(given, name)}; begin with "
+                "--init imagenet or random"
+            )
 
 
 def _is_ours(path: Path) -> bool:
@@ -227,57 +246,13 @@ def _num_keypoints(path: Path, state: State) -> int:
 
 
 def _from_imagenet(config: DetectorConfig, trainable_layers: int) -> KeypointRCNN:
-    path = _fetch("imagenet", ResNet50_Weights.IMAGENET1K_V1)
+    kind = BACKBONES[config.backbone]
+    path = fetch("imagenet", kind.imagenet)
     model = build(config, trainable_layers=trainable_layers)
-    state = {name: tensor for name, tensor in _unpickled(path).items() if not name.startswith("fc.")}
-    _load(path, model.backbone.body, state)
+    prefix = f"{kind.layers}." if kind.layers else ""
+    state = {name.removeprefix(prefix): tensor for name, tensor in unpickled(path).items() if name.startswith(prefix)}
+    _load(path, model.backbone.body, {name: tensor for name, tensor in state.items() if not name.startswith("fc.")})
     return model
-
-
-def _cached(weights: WeightsEnum) -> Path:
-    return Path(torch.hub.get_dir()) / "checkpoints" / Path(urlparse(weights.url).path).name
-
-
-def _fetch(init: str, weights: WeightsEnum) -> Path:
-    path = _cached(weights)
-    if path.is_file():
-        return path
-    digest = re.search(r"-([0-9a-f]{8,})\.pth$", path.name)
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        torch.hub.download_url_to_file(weights.url, str(path), digest.group(1) if digest else None)
-    except (OSError, RuntimeError) as error:
-        raise UserError(
-            f"--init {init}: cannot download {weights.url} ({error}); put the file at {path}, or take --init random"
-        ) from None
-    return path
-
-
-def _unpickled(path: Path) -> State:
-    """The state dict in a file of torch's, or under the key `model` as torchvision's training scripts save it.
-
-    These scripts put their arguments beside it, in a class that holds nothing but values.
-    """
-    try:
-        with torch.serialization.safe_globals([argparse.Namespace]):
-            state: Any = torch.load(path, map_location="cpu", weights_only=True)
-    except pickle.UnpicklingError as error:
-        other = re.search(r"Unsupported global: GLOBAL (\S+)", str(error))
-        if other is None:
-            raise UserError(f"{path}: {_NO_WEIGHTS}") from None
-        raise UserError(
-            f"{path}: holds more than tensors ({other[1]}), and is not loaded: it might run anything. If you trust it, "
-            "take the weights out of it in Python: checkpoint = torch.load(FILE, weights_only=False), "
-            'then torch.save(checkpoint["model"], NEW), or under whichever key they are'
-        ) from None
-    except Exception as error:  # torch.load raises whatever the broken archive led to
-        reason = (str(error).splitlines() or [type(error).__name__])[0]
-        raise UserError(f"{path}: {_NO_WEIGHTS} ({reason})") from None
-    if isinstance(state, dict) and isinstance(state.get("model"), dict):
-        state = state["model"]
-    if not isinstance(state, dict) or not all(isinstance(value, torch.Tensor) for value in state.values()):
-        raise UserError(f"{path}: not a file of weights: expected tensors by name")
-    return state
 
 
 def _load(path: Path, model: nn.Module, state: State) -> None:

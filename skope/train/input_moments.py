@@ -29,9 +29,10 @@ def gather(
 
     Returns:
         Weight's name -> (N, N) float32 mean of x x^T, where N is the number of weights of an output channel and x lie
-        in the order of `weight.flatten(1)`. Layers that no image reached are left out.
+        in the order of `weight.flatten(1)`. Layers that no image reached are left out, and convolutions in groups,
+        each of whose outputs has other inputs.
     """
-    layers = {name: module for name, module in model.named_modules() if isinstance(module, nn.Conv2d | nn.Linear)}
+    layers = {name: module for name, module in model.named_modules() if _has_moments(module)}
     sums: dict[str, Tensor] = {}
     counts = dict.fromkeys(layers, 0)
     generator = torch.Generator().manual_seed(0)
@@ -50,6 +51,10 @@ def gather(
         for hook in hooks:
             hook.remove()
     return {f"{name}.weight": total / counts[name] for name, total in sums.items() if counts[name]}
+
+
+def _has_moments(module: nn.Module) -> bool:
+    return isinstance(module, nn.Linear) or (isinstance(module, nn.Conv2d) and module.groups == 1)
 
 
 def _sample(module: nn.Module, x: Tensor, generator: torch.Generator) -> Tensor:

@@ -24,6 +24,7 @@ from skope.train.loading import Loader
 from skope.train.recipe import SMALL_SIZE
 from skope.train.run_folder import RunConfig, TrainingState
 from skope.train.splits import TrainingSource
+from skope.train.teacher import Teacher
 
 CHECKPOINT_INTERVAL_S: Final = 60.0
 """Half a gigabyte is written for a checkpoint: not after every epoch when epochs take seconds."""
@@ -99,6 +100,7 @@ def train(
             if processes.first:
                 run_folder.check_room(out, training, keep=saving.keep)
                 run_folder.ensure_best(out, config, training)
+            training.teacher = Teacher.load(recipe.teacher, training.config, device)
             if recipe.fold_norms:
                 fold_norms(training.model)
             if processes.first:
@@ -306,6 +308,16 @@ def _announce(
 ) -> None:
     recipe = config.recipe
     console.say(f"{recipe.describe(training.config.min_size)}; {training.origin}; seed {config.seed}; {where}")
+    if not training.config.stock:
+        console.say(f"network: {training.config.architecture}")
+    if training.teacher is not None:
+        console.say(f"learns from {recipe.teacher.checkpoint} beside the labels")
+        theirs, ours = training.teacher.config.keypoint_edition, training.config.keypoint_edition
+        if theirs != ours and recipe.teacher.keypoints:
+            console.warn(
+                f"{recipe.teacher.checkpoint} has learnt keypoints of edition {theirs}, the data holds edition {ours}: "
+                "corners of bumpers, hoods and trunks lie elsewhere (--set teacher.keypoints=0 leaves them out)"
+            )
     names = " + ".join(config.data)
     if config.scheme.flip is None:
         console.say(f"images are not mirrored: of scheme {config.scheme.name} no mirror partners are known")

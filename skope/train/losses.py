@@ -28,6 +28,7 @@ from skope.detector.detect import offsets_of_label
 from skope.detector.suppression import not_overlapped
 from skope.train.assignment import DISCARD, assign, sample
 from skope.train.target_batch import Size, Target, TargetBatch, to_device
+from skope.train.teacher import Lesson, Teacher
 
 _BETA = 1 / 9
 """Error of a box's offset from which the loss grows linearly."""
@@ -49,7 +50,11 @@ class LearningRules:
 
 
 def detection_losses(
-    model: KeypointRCNN, pixels: Sequence[Tensor], targets: Sequence[Target], rules: LearningRules
+    model: KeypointRCNN,
+    pixels: Sequence[Tensor],
+    targets: Sequence[Target],
+    rules: LearningRules,
+    teacher: Teacher | None = None,
 ) -> dict[str, Tensor]:
     """Take a batch through a model in training.
 
@@ -59,9 +64,10 @@ def detection_losses(
         targets: Of each image boxes (N, 4) xyxy, labels (N,), keypoints (N, K, 3), ignored_boxes (M, 4), on the CPU, in
             pixels of the image; vehicles have label 1.
         rules: What is learnt from.
+        teacher: A detector whose answers are learnt, too.
 
     Returns:
-        The losses by torchvision's names, float32 scalars.
+        The losses by torchvision's names, and those of `skope.train.teacher.LOSSES` if there is one: float32 scalars.
     """
     images, before = network_images(model.transform, pixels)
     batch = TargetBatch.of(
@@ -70,7 +76,8 @@ def detection_losses(
     features = model.backbone(images.tensors)
     proposals, found = _proposals(model.rpn, images, features, batch)
     looks_again = box_passes_of(model) > 1
-    heads = _head_losses(model.roi_heads, features, proposals, images.image_sizes, batch, rules, looks_again)
+    lesson = None if teacher is None else teacher.lesson(images.tensors)
+    heads = _head_losses(model.roi_heads, features, proposals, images.image_sizes, batch, rules, looks_again, lesson)
     return {**found, **heads}
 
 
@@ -199,6 +206,7 @@ def _head_losses(
     batch: TargetBatch,
     rules: LearningRules,
     looks_again: bool,
+    lesson: Lesson | None,
 ) -> dict[str, Tensor]:
     """The losses of the second stage: class, box and keypoints; the boxes' twice where it `looks_again`."""
     boxes, labels, matched, drawn = _regions(heads, proposals, batch, rules)
@@ -215,9 +223,8 @@ def _head_losses(
     return {
         "loss_classifier": wrong.where(drawn, 0.0).sum() / number,
         "loss_box_reg": error / number,
-        "loss_keypoint": _keypoint_loss(
-            heads, features, boxes, labels.where(drawn, DISCARD), matched, sizes, batch, rules
-        ),
+        **_keypoint_losses(heads, features, boxes, labels.where(drawn, DISCARD), matched, sizes, batch, rules, lesson),
+        **({} if lesson is None else lesson.of_boxes(boxes, sizes, logits, deltas, labels, drawn)),
     }
 
 
@@ -266,7 +273,7 @@ def _regions(
     return _pick(boxes, at), labels.gather(1, at), matched.gather(1, at), drawn
 
 
-def _keypoint_loss(
+def _keypoint_losses(
     heads: RoIHeads,
     features: dict[str, Tensor],
     boxes: Tensor,
@@ -275,7 +282,8 @@ def _keypoint_loss(
     sizes: list[Size],
     batch: TargetBatch,
     rules: LearningRules,
-) -> Tensor:
+    lesson: Lesson | None,
+) -> dict[str, Tensor]:
     """The loss over vehicles with a labelled point, at most `keypoint_regions` of an image, drawn without preference.
 
     The others add nothing to the loss, which is a mean over labelled points.
@@ -289,10 +297,12 @@ def _keypoint_loss(
     regions = _pick(boxes, at)[chosen]
     image = torch.arange(len(boxes), device=boxes.device)[:, None]
     points = batch.keypoints[image, matched.gather(1, at)][chosen]
-    pooled = heads.keypoint_roi_pool(features, list(torch.split(regions, counts)), sizes)
+    of_image = list(torch.split(regions, counts))
+    pooled = heads.keypoint_roi_pool(features, of_image, sizes)
     maps = heads.keypoint_predictor(heads.keypoint_head(pooled)).float().contiguous()  # the loss takes no other layout
     loss: Tensor = keypointrcnn_loss(maps, [regions], [points], [torch.arange(len(regions), device=regions.device)])
-    return loss
+    taught = {} if lesson is None else lesson.of_keypoints(of_image, sizes, maps, points[..., 2] > 0)
+    return {"loss_keypoint": loss, **taught}
 
 
 def _assigned(matcher: Matcher, boxes: Tensor, batch: TargetBatch) -> tuple[Tensor, Tensor]:

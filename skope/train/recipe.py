@@ -12,9 +12,11 @@ from skope.errors import UserError, one_of
 from skope.schema import VEHICLE_TYPES
 from skope.train import overrides
 from skope.train.augment import Augment
+from skope.train.network_shape import NetworkShape
+from skope.train.teacher_rules import TeacherRules
 
 SUPERVISE: Final = ("visible", "all")
-_ADDED: Final = ("anchors", "average", "box_passes", "cosine_to", "ignore_below")
+_ADDED: Final = ("anchors", "average", "box_passes", "cosine_to", "ignore_below", "network", "teacher")
 """Values that the recipes of older runs lack, and have as the recipe `paper` does."""
 SMALL_SIZE: Final = (360, 640)
 """Short and largest long side of images inside the network where two cores are to learn from them, pixels."""
@@ -82,6 +84,10 @@ class Recipe:
     channels_last: bool
     """Keep channels together in memory: the same up to rounding, in less time."""
     augment: Augment = field(default_factory=Augment)
+    network: NetworkShape = field(default_factory=NetworkShape)
+    """Backbone and widths."""
+    teacher: TeacherRules = field(default_factory=TeacherRules)
+    """The detector that is learnt from beside the labels."""
 
     def __post_init__(self) -> None:
         one_of("supervise", self.supervise, SUPERVISE)

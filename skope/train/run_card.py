@@ -33,7 +33,7 @@ def text(
     lines = [
         "# Vehicle keypoint detector",
         "",
-        f"torchvision's Keypoint R-CNN (ResNet50-FPN), {_classes(config)}, {keypoints.K} keypoints "
+        f"torchvision's Keypoint R-CNN ({training.config.architecture}), {_classes(config)}, {keypoints.K} keypoints "
         f"(`{config.scheme.title}`), "
         f"{training.config.norm} normalisation with eps {training.config.norm_eps:g}, images at a short side of "
         f"{training.config.min_size} px. Trained by skope {__version__}, {training.epochs_done} of {recipe.epochs} "

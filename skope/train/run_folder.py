@@ -37,6 +37,7 @@ from skope.schema import VEHICLE_ALONE, checked_categories
 from skope.terminal.console import disk_size
 from skope.train import init_weights, validate
 from skope.train.recipe import Recipe
+from skope.train.teacher import Teacher
 
 _VERSION = 2
 _CONFIG = "recipe.json"
@@ -132,6 +133,8 @@ class TrainingState:
     """The figures that decide which epoch is best."""
     mean: AveragedModel | None = None
     """The running mean of the model over the steps, where the recipe asks for one."""
+    teacher: Teacher | None = None
+    """The detector that it learns from, which is no part of what is saved."""
 
     @property
     def shown(self) -> KeypointRCNN:
@@ -197,6 +200,7 @@ def start(run: Path, config: RunConfig, fingerprints: Sequence[str], device: tor
         anchors=recipe.anchors,
         box_passes=recipe.box_passes,
         categories=config.detector_categories,
+        network=recipe.network,
     )
     model = placed(model, recipe, device)
     sgd, mean = optimizer(model, recipe), running_mean(model, recipe)

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from skope.errors import UserError
+from skope.train import teacher
 from skope.train.data import TrainingSample
 from skope.train.distributed import ProcessGroup
 from skope.train.losses import LearningRules, detection_losses
@@ -17,6 +18,11 @@ from skope.train.run_folder import TrainingState
 
 LOSSES: Final = ("loss_classifier", "loss_box_reg", "loss_keypoint", "loss_objectness", "loss_rpn_box_reg")
 """Names of the losses, in torchvision's order."""
+
+
+def loss_names(training: TrainingState) -> tuple[str, ...]:
+    """Names of the losses that a step of a run has."""
+    return LOSSES if training.teacher is None else (*LOSSES, *teacher.LOSSES)
 
 
 def seed(seed: int, epoch: int, step: int, processes: ProcessGroup) -> None:
@@ -58,7 +64,8 @@ def train_on_batch(
     device = parameters[0].device
     training.optimizer.zero_grad(set_to_none=True)
     at_once = recipe.images_at_once or max(1, len(batch))
-    own, last = torch.zeros(len(LOSSES), device=device), None
+    names = loss_names(training)
+    own, last = torch.zeros(len(names), device=device), None
     for start in range(0, len(batch), at_once):
         if last is not None:
             last.backward()  # type: ignore[no-untyped-call]
@@ -68,7 +75,7 @@ def train_on_batch(
     together = torch.cat([own, torch.tensor(votes, dtype=torch.float32, device=device)])
     processes.sum_over_all([together])
     numbers = together.tolist()
-    values, votes_of_all = numbers[: len(LOSSES)], numbers[len(LOSSES) :]
+    values, votes_of_all = numbers[: len(names)], numbers[len(names) :]
     if not math.isfinite(sum(values)):
         _refuse(batch, training.epochs_done + 1, mine=not bool(own.isfinite().all()))
     if last is not None:
@@ -82,18 +89,18 @@ def train_on_batch(
     for group in training.optimizer.param_groups:
         group["lr"] = rate
     training.optimizer.step()
-    return {"loss": sum(values), **dict(zip(LOSSES, values, strict=True))}, votes_of_all
+    return {"loss": sum(values), **dict(zip(names, values, strict=True))}, votes_of_all
 
 
 def _losses(
     training: TrainingState, part: Sequence[TrainingSample], recipe: Recipe, images: int, device: torch.device
 ) -> Tensor:
-    """(5,) the losses of some images, weighted as their share of the batch."""
+    """The losses of some images in the order of `loss_names`, weighted as their share of the batch."""
     pixels = [sample.pixels.to(device, non_blocking=True) for sample in part]
     rules = LearningRules(recipe.regions, recipe.keypoint_regions, recipe.ignore_below)
     with torch.autocast(device.type, torch.bfloat16, enabled=recipe.bfloat16):
-        found = detection_losses(training.model, pixels, [sample.target for sample in part], rules)
-    return torch.stack([found[name].float() for name in LOSSES]) * (len(part) / images)
+        found = detection_losses(training.model, pixels, [each.target for each in part], rules, training.teacher)
+    return torch.stack([found[name].float() for name in loss_names(training)]) * (len(part) / images)
 
 
 def _refuse(batch: Sequence[TrainingSample], epoch: int, *, mine: bool) -> None:

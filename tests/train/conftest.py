@@ -1,13 +1,13 @@
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
+from dataclasses import replace
 
 import pytest
 from torch import nn
-from torchvision.models import resnet
-from torchvision.models.detection.backbone_utils import _resnet_fpn_extractor
 from torchvision.models.detection.faster_rcnn import FastRCNNPredictor, TwoMLPHead
 from torchvision.models.detection.keypoint_rcnn import KeypointRCNNHeads, KeypointRCNNPredictor
 from torchvision.models.resnet import Bottleneck, ResNet
 
+from skope.detector.backbones import BACKBONES, NormLayer
 from skope.detector.build import KeypointNetwork
 
 
@@ -18,17 +18,17 @@ def shrink(patch: pytest.MonkeyPatch, *, body: str = "thin", heads: int = 64) ->
     the same kind as ResNet50; "resnet18", of other blocks, learns sooner.
     """
 
-    def backbone(
-        *, backbone_name: str, weights: None, norm_layer: Callable[..., nn.Module], trainable_layers: int
-    ) -> nn.Module:
-        assert (backbone_name, weights) == ("resnet50", None)
-        if body == "thin":
-            made = ResNet(Bottleneck, [2, 2, 2, 2], width_per_group=16, norm_layer=norm_layer)
-        else:
-            made = getattr(resnet, body)(norm_layer=norm_layer)
-        return _resnet_fpn_extractor(made, trainable_layers)
+    def thin(*, weights: None, norm_layer: NormLayer) -> ResNet:
+        return ResNet(Bottleneck, [2, 2, 2, 2], width_per_group=16, norm_layer=norm_layer)
 
-    def network(backbone: nn.Module, *, num_classes: int, num_keypoints: int, **options: object) -> KeypointNetwork:
+    kind = BACKBONES["resnet18"] if body == "resnet18" else replace(BACKBONES["resnet50"], make=thin)
+    patch.setattr("skope.detector.backbones.BACKBONES", {**BACKBONES, "resnet50": kind})
+
+    def network(
+        backbone: nn.Module, *, num_classes: int | None = None, num_keypoints: int | None = None, **options: object
+    ) -> KeypointNetwork:
+        if num_classes is None or num_keypoints is None:  # heads of a size that a test has asked for
+            return KeypointNetwork(backbone, **options)
         return KeypointNetwork(
             backbone,
             box_head=TwoMLPHead(backbone.out_channels * 7 * 7, heads),
@@ -38,7 +38,6 @@ def shrink(patch: pytest.MonkeyPatch, *, body: str = "thin", heads: int = 64) ->
             **options,
         )
 
-    patch.setattr("skope.detector.build.resnet_fpn_backbone", backbone)
     patch.setattr("skope.detector.build.KeypointNetwork", network)
 
 

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 import torch
 from torchvision.models.detection import KeypointRCNN, keypointrcnn_resnet50_fpn
-from torchvision.models.detection.backbone_utils import resnet_fpn_backbone
 
 from skope import boxes, schema
 from skope.dataset import coco
 from skope.dataset.folder import open_dataset, read_image
 from skope.detector import activation_ranges
+from skope.detector.backbones import BACKBONES
 from skope.detector.build import DetectorConfig, KeypointNetwork, build
 from skope.detector.checkpoint import load_weights, save_weights
 from skope.detector.detect import MIN_SCORE, detect
@@ -24,12 +24,13 @@ from skope.terminal.console import Console
 from skope.train import init_weights, input_moments, loop, splits
 from skope.train.augment import STEPS, Augment
 from skope.train.data import DetectionDataset, TrainingSet
-from skope.train.export import CATEGORIES_OUTPUT, OUTPUTS, DeployedCategories, export, torchvision_code
+from skope.train.export import CATEGORIES_OUTPUT, OUTPUTS, DeployedCategories, export
 from skope.train.loop import Saving
 from skope.train.recipe import Recipe
 from skope.train.run_folder import RunConfig
 from skope.train.target_batch import KEY
 from skope.train.targets import LEAST_INSIDE, Vehicles
+from skope.train.torchvision_code import torchvision_code
 from tests import road_users, samples
 from tests.train.test_init_weights import COCO_FILE
 from tests.train.test_loop import CPU, TINY
@@ -371,7 +372,7 @@ def test_other_forms_have_as_many_classes(
     assert lines.endswith("# labels 1 to 4: vehicle, bicycle, motorcycle, pedestrian")
     # Of torchvision's own size: these lines build the whole network.
     with monkeypatch.context() as whole:
-        whole.setattr("skope.detector.build.resnet_fpn_backbone", resnet_fpn_backbone)
+        whole.setattr("skope.detector.backbones.BACKBONES", BACKBONES)
         whole.setattr("skope.detector.build.KeypointNetwork", KeypointNetwork)
         save_weights(tmp_path / "whole.safetensors", build(FOUR), FOUR, {})
         export(tmp_path / "whole.safetensors", "state_dict", tmp_path / "it's.pth", console=Console())

@@ -19,7 +19,7 @@ from tests import samples
 
 NO_FLAGS: dict[str, Any] = {
     **dict.fromkeys(("recipe", "epochs", "init", "batch_size", "max_images", "min_size", "seed")),
-    **dict.fromkeys(("supervise", "val_fraction", "mix")),
+    **dict.fromkeys(("supervise", "val_fraction", "mix", "backbone", "teacher")),
     "set": (),
     "exclude_types": (),
     "categories": (),
@@ -48,6 +48,11 @@ def test_a_flag_of_zero_is_a_value() -> None:
         (["--device", "tpu"], "device: 'tpu' is not one of auto, cpu, cuda, cuda:N"),
         (["--categories", "car"], "--categories: 'car' is not one of vehicle, bicycle, motorcycle, pedestrian"),
         (["--categories", "pedestrian"], "--categories: expected vehicle among pedestrian"),
+        (["--backbone", "vgg16"], "--backbone: 'vgg16' is not one of resnet50, resnet18, mobilenet_v3_large"),
+        (["--set", "network.box_width=8"], "--set network.box_width: expected a whole number from 16 to 4096, got 8"),
+        (["--teacher", "none"], "none: no such checkpoint or run folder"),
+        (["--set", "teacher.sharpen=0"], "--set teacher.sharpen: expected 0.1 to 100, got 0"),
+        (["--set", "teacher.boxes=-1"], "--set teacher.boxes: expected 0 to 1000, got -1"),
         (["--resume"], "no such run folder"),
         ([], "data/skope: no such dataset folder; `skope gen"),
     ],
@@ -107,6 +112,10 @@ def test_flags_change_the_recipe() -> None:
     assert new().recipe == RECIPES["laptop"]
     assert new().recipe.init == "auto"
     assert new(init="coco").recipe.init == "coco"
+    narrow = new(backbone="resnet18", set=("network.pyramid_width=64",)).recipe.network
+    assert narrow.asked == {"backbone": "resnet18", "pyramid_width": 64}
+    taught = new(teacher="road33", set=("teacher.boxes=0",)).recipe.teacher
+    assert (taught.checkpoint, taught.boxes, taught.keypoints) == ("road33", 0.0, 1.0)
 
 
 def test_resuming_keeps_what_the_run_began_with(tmp_path: Path) -> None:
@@ -119,7 +128,7 @@ def test_resuming_keeps_what_the_run_began_with(tmp_path: Path) -> None:
     assert longer == replace(recorded, data=("elsewhere",), recipe=replace(recorded.recipe, epochs=9))
     for flags in (
         *({"seed": 0}, {"recipe": "paper"}, {"min_size": 99}, {"init": "coco"}, {"max_images": 1}),
-        {"categories": ("vehicle",)},
+        *({"categories": ("vehicle",)}, {"backbone": "resnet18"}, {"set": ("network.box_width=64",)}),
     ):
         with pytest.raises(UserError, match=f"--{next(iter(flags)).replace('_', '-')} "):
             configure.again(tmp_path, (), {**NO_FLAGS, **flags})

@@ -35,7 +35,9 @@ class Toy(torch.nn.Module):
         self.weight = torch.nn.Parameter(torch.tensor([0.5, -0.2, 0.1]))
         self.register_buffer("running_mean", torch.zeros(3))
 
-    def losses(self, pixels: list[torch.Tensor], targets: list[Any], rules: Any) -> dict[str, torch.Tensor]:
+    def losses(
+        self, pixels: list[torch.Tensor], targets: list[Any], rules: Any, teacher: None
+    ) -> dict[str, torch.Tensor]:
         colors = torch.stack([image.float().mean(dim=(1, 2)) / 255 for image in pixels])
         self.running_mean += colors.detach().mean(dim=0)
         loss = ((colors @ self.weight - 1) ** 2).mean()
@@ -48,7 +50,7 @@ def learn(out: str) -> None:
         patch.setattr(step, "detection_losses", Toy.losses)
         toy = Toy()
         optimizer = torch.optim.SGD(toy.parameters(), lr=RATES, momentum=0.9)
-        training: Any = SimpleNamespace(model=toy, optimizer=optimizer, epochs_done=0)
+        training: Any = SimpleNamespace(model=toy, optimizer=optimizer, epochs_done=0, teacher=None)
         rng = np.random.default_rng(0)
         losses = []
         for count in BATCHES:
@@ -99,7 +101,8 @@ def test_parts_of_a_batch_teach_what_the_batch_does(monkeypatch: pytest.MonkeyPa
     weights = []
     for at_once in (None, 2):
         toy = Toy()
-        training: Any = SimpleNamespace(model=toy, optimizer=torch.optim.SGD(toy.parameters(), lr=RATES), epochs_done=0)
+        sgd = torch.optim.SGD(toy.parameters(), lr=RATES)
+        training: Any = SimpleNamespace(model=toy, optimizer=sgd, epochs_done=0, teacher=None)
         pixels = np.random.default_rng(0).integers(0, 256, (5, 3, 4, 4), dtype=np.uint8)
         batch = [TrainingSample(str(i), torch.as_tensor(each), {}) for i, each in enumerate(pixels)]
         recipe = replace(RECIPES["paper"], images_at_once=at_once)

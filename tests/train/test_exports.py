@@ -12,9 +12,9 @@ import torch
 from numpy.typing import NDArray
 from safetensors.torch import load_file
 from torchvision.models.detection import KeypointRCNN
-from torchvision.models.detection.backbone_utils import resnet_fpn_backbone
 
 from skope.dataset.folder import read_image
+from skope.detector.backbones import BACKBONES
 from skope.detector.build import DetectorConfig, KeypointNetwork, build
 from skope.detector.checkpoint import load_weights, read_checkpoint, save_weights
 from skope.detector.detect import MIN_SCORE
@@ -119,7 +119,7 @@ def test_compact_weights_are_rounded_for_a_dataset(
 
 def test_state_dict(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     """The lines that are printed build torchvision's own model, whose detections are the same."""
-    monkeypatch.setattr("skope.detector.build.resnet_fpn_backbone", resnet_fpn_backbone)  # of its own size
+    monkeypatch.setattr("skope.detector.backbones.BACKBONES", BACKBONES)  # of its own size
     monkeypatch.setattr("skope.detector.build.KeypointNetwork", KeypointNetwork)
     path = tmp_path / "other anchors.safetensors"
     anchors = (12, 24, 48, 96, 192)

@@ -8,7 +8,9 @@ import torch
 
 from skope.errors import UserError
 from skope.train.augment import Augment
+from skope.train.network_shape import NetworkShape
 from skope.train.recipe import RECIPES, Recipe, choose
+from skope.train.teacher_rules import TeacherRules
 
 LATER = ("anchors", "average", "box_passes", "cosine_to")
 """Values that the recipes of older runs lack."""
@@ -71,7 +73,10 @@ def test_recipes_survive_a_round_trip() -> None:
     own = replace(RECIPES["scratch"], anchors=(16, 32, 64, 160, 400), average=0.99, cosine_to=0.05, ignore_below=8.0)
     own = replace(own, box_passes=2)
     assert Recipe.from_dict(json.loads(json.dumps(own.to_dict()))) == own
-    older = {name: value for name, value in own.to_dict().items() if name not in LATER}
+    narrow = replace(own, network=NetworkShape(backbone="resnet18", keypoint_layers=4))
+    narrow = replace(narrow, teacher=TeacherRules(checkpoint="road33", temperature=2.0))
+    assert Recipe.from_dict(json.loads(json.dumps(narrow.to_dict()))) == narrow
+    older = {name: value for name, value in own.to_dict().items() if name not in (*LATER, "network", "teacher")}
     assert Recipe.from_dict(older) == replace(own, **dict.fromkeys(LATER))
     with pytest.raises(UserError, match="recipe: expected the fields"):
         Recipe.from_dict({"name": "x"})

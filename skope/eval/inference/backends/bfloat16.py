@@ -14,7 +14,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 from torchvision.models.detection import KeypointRCNN
-from torchvision.models.resnet import Bottleneck
+from torchvision.models.resnet import BasicBlock, Bottleneck
 
 from skope.detector.backbone_norms import multiply_in
 from skope.eval.inference.backends.handed_proposals import HandedProposals, PyramidWithProposals
@@ -48,7 +48,7 @@ class _Pyramid(PyramidWithProposals):
 
     def __init__(self, model: KeypointRCNN) -> None:
         super().__init__(model.backbone.out_channels)
-        self.body, self.fpn, self.head = _Body(model.backbone.body), model.backbone.fpn, model.rpn.head
+        self.body, self.fpn, self.head = _body(model.backbone.body), model.backbone.fpn, model.rpn.head
         _round(self)
 
     def forward(self, images: Tensor) -> OrderedDict[str, Tensor]:
@@ -62,8 +62,24 @@ class _Pyramid(PyramidWithProposals):
         )
 
 
-class _Body(nn.Module):
-    """torchvision's ResNet, whose norms have been multiplied in, with fused convolutions."""
+def _body(body: Any) -> nn.Module:
+    """A backbone's layers, whose norms have been multiplied in, with fused convolutions where it is a ResNet."""
+    return _ResNet(body) if "layer1" in body else _InTheirOrder(body)
+
+
+class _InTheirOrder(nn.Module):
+    """torchvision's layers as they are."""
+
+    def __init__(self, body: nn.Module) -> None:
+        super().__init__()
+        self.body = body
+
+    def forward(self, images: Tensor) -> OrderedDict[str, Tensor]:
+        return self.body(images.to(torch.bfloat16, memory_format=torch.channels_last))  # type: ignore[no-any-return]
+
+
+class _ResNet(nn.Module):
+    """torchvision's ResNet with fused convolutions."""
 
     def __init__(self, body: Any) -> None:
         super().__init__()
@@ -80,16 +96,20 @@ class _Body(nn.Module):
 
 
 class _Block(nn.Module):
-    """A block of three convolutions, to whose answer its input is added."""
+    """A block of two or three convolutions, to whose answer its input is added."""
 
-    def __init__(self, block: Bottleneck) -> None:
+    def __init__(self, block: BasicBlock | Bottleneck) -> None:
         super().__init__()
-        self.conv1, self.conv2, self.conv3 = block.conv1, block.conv2, block.conv3
+        self.conv1, self.conv2 = block.conv1, block.conv2
+        self.conv3 = block.conv3 if isinstance(block, Bottleneck) else None
         self.downsample = None if block.downsample is None else block.downsample[0]
 
     def forward(self, x: Tensor) -> Tensor:
-        inner = _convolved(_convolved(x, self.conv1), self.conv2)
-        return _convolved(inner, self.conv3, x if self.downsample is None else self.downsample(x))
+        added = x if self.downsample is None else self.downsample(x)
+        inner = _convolved(x, self.conv1)
+        if self.conv3 is None:
+            return _convolved(inner, self.conv2, added)
+        return _convolved(_convolved(inner, self.conv2), self.conv3, added)
 
 
 def _convolved(x: Tensor, layer: nn.Conv2d, added: Tensor | None = None) -> Tensor:

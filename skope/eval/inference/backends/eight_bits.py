@@ -49,5 +49,7 @@ class _Rounded(nn.Module):
             self.layer.weight, self._steps, zeros, 0, -_LARGEST - 1, _LARGEST
         )
         if isinstance(self.layer, nn.Conv2d):
-            return nn.functional.conv2d(x, weight, self.layer.bias, self.layer.stride, self.layer.padding)
+            layer = self.layer
+            geometry = (layer.stride, layer.padding, layer.dilation, layer.groups)
+            return nn.functional.conv2d(x, weight, layer.bias, *geometry)  # type: ignore[arg-type]
         return nn.functional.linear(x, weight, self.layer.bias)

@@ -1,0 +1,113 @@
+"""Backbones: torchvision's classifiers, whose layers make the feature maps of a detector's pyramid.
+
+Each gives maps of strides 4, 8, 16 and 32, and the pyramid adds one of 64. That of ResNet50 is what torchvision's
+resnet_fpn_backbone builds, layer by layer and draw by draw.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Any, Final
+
+from torch import nn
+from torchvision.models import (
+    MobileNet_V3_Large_Weights,
+    ResNet18_Weights,
+    ResNet50_Weights,
+    WeightsEnum,
+    mobilenet_v3_large,
+    resnet18,
+    resnet50,
+)
+from torchvision.models.detection.backbone_utils import BackboneWithFPN
+
+NormLayer = Callable[[int], nn.Module]
+"""Makes a norm of so many channels."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Backbone:
+    """A classifier of torchvision's as the backbone of a detector."""
+
+    title: str
+    """Its name for people."""
+    make: Callable[..., Any]
+    """torchvision's function that makes the classifier; takes `weights` and `norm_layer`."""
+    layers: str = ""
+    """Attribute of the classifier that has the layers; "": itself."""
+    stages: tuple[tuple[str, ...], ...]
+    """Names of the layers of strides 2, 4, 8, 16 and 32. The last layer of each stage but the first gives a map."""
+    channels: tuple[int, int, int, int]
+    """Channels of the four maps, finest first."""
+    imagenet: WeightsEnum
+    """Weights trained on ImageNet."""
+    norm_eps: float
+    """What normalisation adds to variances in these weights."""
+
+    @property
+    def returned(self) -> dict[str, str]:
+        """Layer -> name of the map that it gives, as `BackboneWithFPN` takes them."""
+        return {stage[-1]: str(number) for number, stage in enumerate(self.stages[1:])}
+
+
+_RESNET: Final = (("conv1", "bn1"), ("layer1",), ("layer2",), ("layer3",), ("layer4",))
+_MOBILENET: Final = (
+    ("0", "1"),
+    ("2", "3"),
+    ("4", "5", "6"),
+    ("7", "8", "9", "10", "11", "12"),
+    ("13", "14", "15", "16"),
+)
+
+DEFAULT: Final = "resnet50"
+"""The paper's."""
+BACKBONES: Final[Mapping[str, Backbone]] = MappingProxyType(
+    {
+        DEFAULT: Backbone(
+            title="ResNet50",
+            make=resnet50,
+            stages=_RESNET,
+            channels=(256, 512, 1024, 2048),
+            imagenet=ResNet50_Weights.IMAGENET1K_V1,
+            norm_eps=1e-5,
+        ),
+        "resnet18": Backbone(
+            title="ResNet18",
+            make=resnet18,
+            stages=_RESNET,
+            channels=(64, 128, 256, 512),
+            imagenet=ResNet18_Weights.IMAGENET1K_V1,
+            norm_eps=1e-5,
+        ),
+        "mobilenet_v3_large": Backbone(
+            title="MobileNetV3-Large",
+            make=mobilenet_v3_large,
+            layers="features",
+            stages=_MOBILENET,
+            channels=(24, 40, 112, 960),
+            imagenet=MobileNet_V3_Large_Weights.IMAGENET1K_V1,
+            norm_eps=1e-3,
+        ),
+    }
+)
+
+
+def with_pyramid(name: str, width: int, *, norm_layer: NormLayer, trainable_stages: int) -> BackboneWithFPN:
+    """A backbone with a feature pyramid (FPN; Lin et al., 2017), with weights drawn from torch's random state.
+
+    Args:
+        name: One of `BACKBONES`.
+        width: Channels of each of the pyramid's five maps.
+        norm_layer: Normalisation of the backbone; the pyramid has none.
+        trainable_stages: Stages that learn, 0 to 5 from the last.
+
+    Returns:
+        The module that takes (N, 3, H, W) images to maps `0` to `3` and `pool`, of strides 4 to 64.
+    """
+    kind = BACKBONES[name]
+    classifier = kind.make(weights=None, norm_layer=norm_layer)
+    layers = classifier.get_submodule(kind.layers)
+    learning = {layer for stage in kind.stages[len(kind.stages) - trainable_stages :] for layer in stage}
+    for parameter_name, parameter in layers.named_parameters():
+        parameter.requires_grad_(parameter_name.split(".")[0] in learning)
+    return BackboneWithFPN(layers, kind.returned, list(kind.channels), width)
