@@ -35,6 +35,7 @@ from skope.traffic.normal_distribution import Z
 from skope.traffic.observation import Observation, read_observation
 from skope.traffic.read_tracks import read_trajectories
 from skope.traffic.trajectories import KMH, VEHICLE
+from skope.traffic.turning import NOWHERE
 from skope.traffic.write_report import SUMMARY
 
 RESULTS: Final = "results.json"
@@ -164,7 +165,11 @@ def side_of(side: Mapping[str, Any], clip: Clip) -> int:
 def turning_rows(clip: Clip) -> list[Row]:
     """Movements from gate to gate of those that were seen at both."""
     real, told = (
-        {(one.origin, one.destination): one for one in report.turning_total if one.expected is not None}
+        {
+            (one.origin, one.destination, one.class_name): one
+            for one in report.turning_total
+            if NOWHERE not in (one.origin, one.destination)
+        }
         for report in (clip.real, clip.told)
     )
     rows = []
@@ -175,6 +180,7 @@ def turning_rows(clip: Clip) -> list[Row]:
             {
                 "from": list(pair[0]),
                 "to": list(pair[1]),
+                "who": pair[2],
                 "truth": true,
                 "count": said,
                 "holds": expected.low <= true <= expected.high if expected is not None else None,

@@ -105,15 +105,20 @@ def counts(
 
 def _kinds(lanes: Sequence[str], settings: TrafficSettings, *, by_class: bool) -> Iterator[tuple[str, str]]:
     """The lane and class of each row."""
-    yield ALL, ALL
-    if not _VEHICLES.isdisjoint(settings.classes) and not _VEHICLES.issuperset(settings.classes):
-        yield ALL, VEHICLE
+    for name in row_classes(settings):
+        yield ALL, name
     if by_class:
         for name in settings.classes:
             yield ALL, name
     if lanes:
         for lane in (*lanes, ""):
             yield lane, ALL
+
+
+def row_classes(settings: TrafficSettings) -> tuple[str, ...]:
+    """`ALL`, and `VEHICLE` where vehicles and others are counted."""
+    mixed = not _VEHICLES.isdisjoint(settings.classes) and not _VEHICLES.issuperset(settings.classes)
+    return (ALL, VEHICLE) if mixed else (ALL,)
 
 
 def classes_of(class_name: str, settings: TrafficSettings) -> frozenset[str]:

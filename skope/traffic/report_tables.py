@@ -196,12 +196,12 @@ def _hand_count(report: TrafficReport) -> ReportTable:
 
 def _turning(report: TrafficReport) -> ReportTable:
     return _table(
-        "begin end begin_s end_s observed from_gate from_direction to_gate to_direction count low high",
+        "begin end begin_s end_s observed from_gate from_direction to_gate to_direction class count low high",
         (
             (
                 *_of_interval(one.interval),
                 observed_word(one.interval, report.observation.seconds_in(one.interval.begin_s, one.interval.end_s)),
-                *(*one.origin, *one.destination, one.count, *_between(one.expected)),
+                *(*one.origin, *one.destination, one.class_name, one.count, *_between(one.expected)),
             )
             for one in report.turning
         ),

@@ -9,6 +9,7 @@ from skope.traffic.report import TrafficReport
 from skope.traffic.speed_percentiles import Percentile
 from skope.traffic.speeds import MOTOR
 from skope.traffic.trajectories import KMH
+from skope.traffic.turning import NOWHERE
 
 
 def report_lines(report: TrafficReport) -> Iterator[str]:
@@ -24,7 +25,7 @@ def report_lines(report: TrafficReport) -> Iterator[str]:
         head = ["gate", "direction", "class", "by hand", "count", "there were, by what is seen alone", "GEH"]
         yield from text_table(head, _by_hand(report), "lll")
     if report.turning:
-        yield from text_table(["from", "to", "count", "there were"], _movements(report), "ll")
+        yield from text_table(["from", "to", "class", "count", "there were"], _movements(report), "lll")
     if not report.metres:
         return
     likely = [one for one in report.conflicts.conflicts if one.ttc_s <= report.site.traffic.ttc_s]
@@ -69,6 +70,7 @@ def _speed(one: Percentile | None) -> str:
 def _movements(report: TrafficReport) -> Iterator[list[str]]:
     """The pairs of gates that somebody was seen at both of, over the whole footage."""
     for one in report.turning_total:
-        if one.expected is not None:
+        if NOWHERE not in (one.origin, one.destination):
             sides = [f"{gate} ({direction})" for gate, direction in (one.origin, one.destination)]
-            yield [*sides, str(one.count), f"{one.expected.low} to {one.expected.high}"]
+            told = "not known" if one.expected is None else f"{one.expected.low} to {one.expected.high}"
+            yield [*sides, one.class_name, str(one.count or 0), told]

@@ -6,14 +6,15 @@ all.
 """
 
 import itertools
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Final
 
 from skope.site.marks import Gate
 from skope.site.traffic_settings import TrafficSettings
 from skope.traffic.clock import ClockInterval
 from skope.traffic.count_interval import CountInterval, joint_interval
+from skope.traffic.counts import classes_of, row_classes
 from skope.traffic.event_probability import SEEN_IN_METRES, SeenAlike
 from skope.traffic.gates import GateCrossing, direction_names
 from skope.traffic.observation import Observation
@@ -21,6 +22,8 @@ from skope.traffic.trajectories import Trajectory
 
 Side = tuple[str, str]
 """A gate and the name of a direction."""
+_LOST: Final = (0.2, 0.2)
+"""The share of the lost who went a way, as a Beta distribution: nothing says which."""
 NOWHERE: Final[Side] = ("", "")
 """Not seen at a gate before, or after."""
 
@@ -66,11 +69,13 @@ class TurningCount:
     interval: ClockInterval
     origin: Side
     destination: Side
+    class_name: str
+    """`VEHICLE` for those on more than two wheels, or `ALL`."""
     count: int | None
     """None: nothing was observed."""
     expected: CountInterval | None
-    """Between which numbers the truth is; None where nothing was observed, or for who was not seen at one of the two:
-    these went somewhere in truth."""
+    """Between which numbers the truth is; None where nothing was observed, where too few of them are seen at one of the
+    two gates, or for who was not seen at one of the two: these went somewhere in truth."""
 
 
 def _side(crossing: GateCrossing | None) -> Side:
@@ -99,7 +104,8 @@ def turning_counts(
     settings: TrafficSettings,
     kinds: Mapping[str, Sequence[SeenAlike]] | None = None,
 ) -> list[TurningCount]:
-    """The matrix of each interval: a count for each pair that anybody has driven in the whole footage.
+    """The matrix of each interval: a count for each pair that anybody has driven in the whole footage, of all and of
+    vehicles.
 
     A movement counts in the interval of the crossing that it comes from, or, without one, of that which it goes to.
     `kinds` are who is missed at each gate; of a movement that which misses more counts.
@@ -107,27 +113,25 @@ def turning_counts(
     chosen = [gate for gate in gates if settings.turning is None or gate.name in settings.turning]
     order = {side: k for k, side in enumerate([*((g.name, d) for g in chosen for d in direction_names(g)), NOWHERE])}
     pairs = sorted({one.sides for one in found}, key=lambda pair: (order[pair[0]], order[pair[1]]))
-    share = _shares(found)
     out = []
     for interval in intervals:
         observed = observation.seconds_in(interval.begin_s, interval.end_s) > 0
         there = [one for one in found if interval.begin_s <= one.time_s < interval.end_s]
         for pair in pairs:
-            own = [one for one in there if one.sides == pair]
-            told = (
-                None
-                if not observed or NOWHERE in pair
-                else _expected(own, there, pair, share, _missed_more(pair, kinds or {}))
-            )
-            out.append(
-                TurningCount(
-                    interval=interval,
-                    origin=pair[0],
-                    destination=pair[1],
-                    count=len(own) if observed else None,
-                    expected=told,
+            missed = None if not observed or NOWHERE in pair else _missed_more(pair, kinds or {})
+            for class_name in row_classes(settings):
+                classes = classes_of(class_name, settings)
+                members = [one for one in there if one.trajectory.class_name in classes]
+                out.append(
+                    TurningCount(
+                        interval=interval,
+                        origin=pair[0],
+                        destination=pair[1],
+                        class_name=class_name,
+                        count=sum(one.sides == pair for one in members) if observed else None,
+                        expected=None if missed is None else _expected(members, pair, missed, classes),
+                    )
                 )
-            )
     return out
 
 
@@ -137,25 +141,19 @@ def _missed_more(pair: tuple[Side, Side], kinds: Mapping[str, Sequence[SeenAlike
     return [max(alike, key=lambda kind: kind.missed[0] / sum(kind.missed)) for alike in zip(*both, strict=True)]
 
 
-def _shares(found: Sequence[Movement]) -> dict[tuple[Side, Side], float]:
-    """Of those who come from a gate and were seen at another one, the share that went to each one."""
-    whole = [one.sides for one in found if NOWHERE not in one.sides]
-    rows = {origin: sum(pair[0] == origin for pair in whole) for origin, _ in whole}
-    return {pair: whole.count(pair) / rows[pair[0]] for pair in set(whole)}
-
-
 def _expected(
-    own: Sequence[Movement],
-    there: Sequence[Movement],
-    pair: tuple[Side, Side],
-    share: dict[tuple[Side, Side], float],
-    kinds: Sequence[SeenAlike],
-) -> CountInterval:
-    """Who was lost after the first gate may have gone this way: with the share of the others from there that did."""
-    lost = [one for one in there if one.sides == (pair[0], NOWHERE)]
+    members: Sequence[Movement], pair: tuple[Side, Side], kinds: Sequence[SeenAlike], classes: Collection[str]
+) -> CountInterval | None:
+    """Who was lost after the first gate may have gone this way: nearly none of them, or nearly all, as where they went
+    has no gate, or has one that loses them."""
     groups = []
     for kind in kinds:
-        went, may = ([one for one in every if one.trajectory.class_name in kind.classes] for every in (own, lost))
-        chances = [*(one.probability for one in went), *(one.probability * share.get(pair, 0.0) for one in may)]
-        groups.append(kind.group(chances))
+        own = [one for one in members if one.trajectory.class_name in kind.classes]
+        if kind.classes.isdisjoint(classes):
+            continue
+        if kind.too_small:
+            return None
+        went = [one.probability for one in own if one.sides == pair]
+        lost = sum(one.sides == (pair[0], NOWHERE) for one in own)
+        groups.append(replace(kind.group(went, lost), came=_LOST))
     return joint_interval(groups)

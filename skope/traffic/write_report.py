@@ -103,6 +103,7 @@ def summary(report: TrafficReport, *, tracks: str, revision: str | None) -> dict
             {
                 "from": list(one.origin),
                 "to": list(one.destination),
+                "class": one.class_name,
                 "count": one.count,
                 **_bounds(one.expected),
             }

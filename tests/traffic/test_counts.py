@@ -197,7 +197,9 @@ def test_movements_with_u_turns_add_up_to_the_gates_counts() -> None:
     found = crossings(tracks, ARMS, NO_LANES, settings)
     moved = movements(found, settings)
     intervals = clock_intervals(None, 0, 520, 1)
-    rows = turning_counts(moved, ARMS, intervals, watched(520), settings)
+    every = turning_counts(moved, ARMS, intervals, watched(520), settings)
+    rows, vehicles = ([one for one in every if one.class_name == name] for name in (ALL, "vehicle"))
+    assert [one.count for one in vehicles] == [one.count for one in rows]  # there is nobody else
     per_gate = counts(found, ARMS, [], intervals, watched(520), settings, Unseen())
     for arm, direction in itertools.product(names, ("in", "out")):
         side = arm, direction

@@ -238,7 +238,14 @@ def junction_report(head: str = HEAD) -> TrafficReport:
 def test_sumos_tools_take_the_counts(tmp_path: Path) -> None:
     """routeSampler makes routes that give the counts back, by its own GEH; flowrouter finds the flows."""
     report = junction_report()
-    assert sum(one.count or 0 for one in report.turning if one.destination == ("east", "to the east")) == 10
+    assert (
+        sum(
+            one.count or 0
+            for one in report.turning
+            if (one.destination, one.class_name) == (("east", "to the east"), "vehicle")
+        )
+        == 10
+    )
     written = write_sumo(tmp_path, report)
     pairs = [("10#0", "10#1"), ("10#0", "11"), ("-10#1", "-10#0"), ("-10#1", "11"), ("-11", "10#1"), ("-11", "-10#0")]
     routes = "".join(f'<route id="{k}" edges="{a} {b}"/>' for k, (a, b) in enumerate(pairs))

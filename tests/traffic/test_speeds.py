@@ -141,7 +141,8 @@ def test_a_queue_reaches_from_the_first_front_to_the_last_rear() -> None:
     assert queue.sigma_m == pytest.approx(0.05 * math.sqrt(2))
     assert 10 <= queue.at_s <= 30
     assert queue.mean_vehicles == pytest.approx(4 * 20 / 40, rel=0.1)
-    assert queue.vehicles_expected == count_interval([round(event_probability(one), 2) for one in waiting()[:4]], MISSED)
+    chances = [round(event_probability(one), 2) for one in waiting()[:4]]
+    assert queue.vehicles_expected == count_interval(chances, MISSED)
     assert 3 <= queue.vehicles_expected.low <= 4 <= queue.vehicles_expected.high <= 6
     assert queue.mean_between == pytest.approx((queue.mean_vehicles * 3 / 4, queue.mean_vehicles * 6 / 4))
     (far,) = queues(waiting(), lanes, [WHOLE], watched(40), TrafficSettings(queue_gap_m=100))

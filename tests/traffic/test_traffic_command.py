@@ -208,7 +208,7 @@ def test_without_a_camera_gates_in_the_image_count_and_nothing_else(skope: Skope
     assert code == 0, err
     assert "no metres: nothing calibrates the camera" in out
     assert sorted(path.name for path in Path("r").iterdir()) == [
-        "counts.csv", "events.csv", "sight.csv", "summary.json", "turning.csv", "work.json"
+        "counts.csv", "events.csv", "report.html", "sight.csv", "summary.json", "turning.csv", "work.json"
     ]  # fmt: skip
     Path("h.csv").write_text("gate,direction,class,begin,end,count\ng,right,all,0,4,3\n")
     assert skope("eval", "traffic", "seen", "--out", "by_hand", "--hand-count", "h.csv")[0] == 0

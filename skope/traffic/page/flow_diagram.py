@@ -8,23 +8,34 @@ from typing import Final
 import numpy as np
 
 from skope.page.html_pieces import tag
+from skope.traffic.counts import ALL
 from skope.traffic.report import TrafficReport
+from skope.traffic.trajectories import VEHICLE
 from skope.traffic.turning import NOWHERE, TurningCount
 from skope.types import Array
 
 _SIZE: Final = 560.0
 _RADIUS: Final = 200.0
-_WIDEST: Final = 34.0
+_WIDEST: Final = 26.0
 _THINNEST: Final = 1.5
 _APART_DEG: Final = 14.0
 """Between where bands come out of a gate and where they go into it."""
 _INWARD: Final = 0.25
 """How near the middle of a turn's band comes to the diagram's, as a share."""
+_TURNED: Final = 0.6
+"""And that of somebody who turns around."""
 
 
 def flow_diagram(report: TrafficReport) -> str:
     """A figure; nothing where nobody was seen at two gates."""
-    whole = [one for one in report.turning_total if NOWHERE not in (one.origin, one.destination) and one.count]
+    vehicles = any(one.class_name == VEHICLE for one in report.turning_total)
+    whole = [
+        one
+        for one in report.turning_total
+        if one.class_name == (VEHICLE if vehicles else ALL)
+        and one.count
+        and NOWHERE not in (one.origin, one.destination)
+    ]
     if not whole:
         return ""
     gates = report.site.gates if report.metres else report.site.image_gates
@@ -45,7 +56,14 @@ def flow_diagram(report: TrafficReport) -> str:
         aria_label="Movements between gates. The numbers are in the table of movements.",
         class_="chart flows",
     )
-    return tag("figure", tag("figcaption", "Movements: as many as a band is wide, from its number on"), drawing)
+    return tag(
+        "figure",
+        tag(
+            "figcaption",
+            f"Movements{' of vehicles' if vehicles else ''}: as many as a band is wide, from its number on",
+        ),
+        drawing,
+    )
 
 
 def _angles(middles: dict[str, Array]) -> dict[str, float]:
@@ -72,7 +90,8 @@ def _band(one: TurningCount, angles: dict[str, float], most: int, style: int) ->
     half = math.radians(_APART_DEG) / 2
     begin, end = angles[one.origin[0]] + half, angles[one.destination[0]] - half
     (ax, ay), (bx, by) = _at(begin, _RADIUS), _at(end, _RADIUS)
-    (cx, cy), (dx, dy) = _at(begin, _INWARD * _RADIUS), _at(end, _INWARD * _RADIUS)
+    inward = (_TURNED if one.origin[0] == one.destination[0] else _INWARD) * _RADIUS
+    (cx, cy), (dx, dy) = _at(begin, inward), _at(end, inward)
     number = one.count or 0
     width = max(_THINNEST, _WIDEST * number / most)
     bounds = "not known" if one.expected is None else f"{one.expected.low} to {one.expected.high}"
@@ -84,7 +103,7 @@ def _band(one: TurningCount, angles: dict[str, float], most: int, style: int) ->
     x = sum(w * v for w, v in zip(weights, (ax, cx, dx, bx), strict=True))
     y = sum(w * v for w, v in zip(weights, (ay, cy, dy, by), strict=True))
     band = tag("path", d=path, class_=f"flow s{style}", stroke_width=f"{width:.1f}", data_tip=tip)
-    return band + tag("text", str(number), x=f"{x:.1f}", y=f"{y:.1f}", text_anchor="middle", class_="flow")
+    return band + tag("text", str(number), x=f"{x:.1f}", y=f"{y:.1f}", text_anchor="middle")
 
 
 def _side(side: tuple[str, str]) -> str:

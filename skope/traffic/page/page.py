@@ -104,18 +104,20 @@ def _movements(report: TrafficReport) -> list[str]:
     rows = [
         [
             *(escape(f"{side[0]} ({side[1]})") if side[0] else "not seen" for side in (one.origin, one.destination)),
-            *("–" if one.count is None else str(one.count), _bounds(one.expected)),
+            *(escape(one.class_name), "–" if one.count is None else str(one.count), _bounds(one.expected)),
         ]
         for one in report.turning_total
+        if one.count
     ]
     if not rows:
         return []
-    numbers = table(["from", "to", "counted", "there were"], rows, caption="Movements between gates")
+    numbers = table(["from", "to", "class", "counted", "there were"], rows, caption="Movements between gates")
     return [tag("div", flow_diagram(report), tag("div", numbers), class_="grid")]
 
 
 def _speeds(report: TrafficReport) -> str:
-    groups = [one for one in report.speeds if one.interval is None and one.number]
+    whole = [one for one in report.speeds if one.interval is None]
+    groups = [one for one in whole if any(part.value is not None for part in one.percentiles.values())]
     rows = [
         [
             escape(one.where),
@@ -125,12 +127,13 @@ def _speeds(report: TrafficReport) -> str:
         for one in groups
     ]
     head = ["where", "kind", "class", "vehicles", *(f"{name}, km/h" for name in PERCENTILES)]
-    return table(head, rows, caption="Speeds") if rows else ""
+    caption = "Speeds, of whom there are enough (speeds.csv says of how many others)"
+    return table(head, rows, caption=caption) if rows else ""
 
 
 def _speed(one: Percentile) -> str:
     if one.value is None or one.low is None or one.high is None:
-        return escape(one.refused or "–")
+        return "–"
     return f"{one.value * KMH:.1f} ({one.low * KMH:.1f} to {one.high * KMH:.1f})"
 
 

@@ -24,6 +24,8 @@ _MOST_TRACKS: Final = 600
 _STEP_S: Final = 0.5
 _OUTERMOST: Final = 0.5
 """Percent of the places on each side that the map may leave out: the farthest ones are the least certain."""
+_AROUND: Final = 0.6
+"""The map goes so far beyond the gates, in their extents."""
 _MOST_CONFLICTS: Final = 200
 _BARS_M: Final = (1, 2, 5, 10, 20, 50, 100, 200, 500)
 
@@ -89,13 +91,17 @@ class _Line:
 
 
 def _outline(tracks: Sequence[Trajectory], lines: Sequence[Outline]) -> Array:
-    """(M, 2) the places that the map has to hold: of gates all, of tracks nearly all."""
+    """(M, 2) the places that the map has to hold: of gates all, of tracks nearly all, not far from the gates."""
     ends = np.array([end for line in lines for end in line], dtype=np.float64).reshape(-1, 2)
     if not tracks:
         return ends
     every = np.concatenate([one.place for one in tracks])
     corners = np.percentile(every, [_OUTERMOST, 100 - _OUTERMOST], axis=0)
-    return np.concatenate([ends, corners])
+    if not len(ends):
+        return np.asarray(corners)
+    low, high = ends.min(axis=0), ends.max(axis=0)
+    around = _AROUND * float((high - low).max())
+    return np.concatenate([ends, corners.clip(low - around, high + around)])
 
 
 def _marks(report: TrafficReport, frame: _Frame) -> Iterator[str]:
