@@ -53,6 +53,7 @@ def flow_diagram(report: TrafficReport) -> str:
         *parts,
         viewBox=f"0 0 {_SIZE:.0f} {_SIZE:.0f}",
         role="img",
+        tabindex=0,
         aria_label="Movements between gates. The numbers are in the table of movements.",
         class_="chart flows",
     )

@@ -69,6 +69,7 @@ def road_map(report: TrafficReport) -> str:
         *parts,
         viewBox=f"0 0 {_WIDTH:.0f} {frame.height:.0f}",
         role="img",
+        tabindex=0,
         aria_label="The road from above with tracks and gates. The counts are in the tables below.",
         class_="chart road",
     )

@@ -1,0 +1,99 @@
+"""The page of a traffic report: complete in itself, readable on a phone, harmless whatever names hold."""
+
+import re
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from skope.site.marks import Gate
+from skope.traffic.clock import ClockInterval
+from skope.traffic.hand_count_file import HandCount
+from skope.traffic.measure import measure
+from skope.traffic.page.page import traffic_page, write_page
+from skope.traffic.report import TrafficReport
+from tests.chromium import chromium
+from tests.traffic.drives import watched
+from tests.traffic.test_exports import HEAD, junction_report, report_of, site_of
+
+HOSTILE = '<img src=x onerror="document.title=1">&"'
+
+
+def hand(number: int) -> HandCount:
+    interval = ClockInterval(begin_s=0.0, end_s=60.0, begin=None, end=None)
+    return HandCount(
+        gate="west", direction=1, direction_name="from the west", class_name="all", interval=interval, number=number
+    )
+
+
+def test_it_says_what_the_tables_say() -> None:
+    report = junction_report()
+    page = traffic_page(report, tracks="runs/tracks")
+    for one in report.counts_total:
+        assert one.expected
+        row = f">{one.gate} ({one.direction})</th><td>{one.class_name}</td><td>{one.count}</td>"
+        assert f"{row}<td>{one.expected.low} to {one.expected.high}</td>" in page
+    assert "from the west) to east (to the east): 7 (" in page  # the tip of a band
+    assert page.count('class="flow ') == 4
+    assert "2026-11-26 10:00:00 to 2026-11-26 10:05:00, Europe/Berlin" in page
+    assert "Nothing was counted by hand" in page
+    for line in report.refused:
+        assert f"<li>{line}</li>".replace("'", "&#x27;") in page
+
+
+def test_a_count_by_hand_is_beside_what_was_counted() -> None:
+    plain = junction_report()
+    report = measure(plain.trajectories, plain.observation, plain.site, plain.start, [hand(5), hand(3)])
+    page = traffic_page(report, tracks="t")
+    (first, _) = report.hand_checks
+    off = f"{100 * (first.count - 5) / 5:+.0f} %"
+    assert f"<td>5</td><td>{first.count}</td><td>{off}</td><td>{first.geh:.1f}</td>" in page
+    assert "of 8 counted by hand" in page
+
+
+def test_a_report_of_nothing_is_a_page_too() -> None:
+    page = traffic_page(measure([], watched(10), site_of(HEAD)), tracks="t")
+    assert "no counts, speeds and headways: the site has no gates" in page
+    assert "<svg" not in page
+
+
+def hostile_report() -> TrafficReport:
+    plain = report_of()
+    gate = Gate(name=HOSTILE, line=((0.0, -5.0), (0.0, 5.0)), directions=(HOSTILE, "</script>"))
+    other = replace(gate, name="<b>", line=((10.0, -5.0), (10.0, 5.0)))
+    site = replace(plain.site, gates=(gate, other))
+    return measure(plain.trajectories, replace(plain.observation, source=HOSTILE), site, plain.start)
+
+
+def test_in_a_browser(tmp_path: Path) -> None:
+    if shutil.which("chromium") is None:
+        pytest.skip("needs chromium")
+    path = write_page(tmp_path, hostile_report(), tracks=HOSTILE)
+    assert not re.findall(r"<img|<b>|https?://", path.read_text().split("</head>")[1])
+    with chromium(tmp_path / "profile") as browser:
+        for width, height in ((390, 844), (1280, 800)):
+            browser.size(width, height, phone=width < 600)
+            browser.events.clear()
+            browser.call("Page.navigate", url=path.as_uri())
+            browser.until("document.readyState === 'complete' && document.querySelector('svg.road') !== null")
+            assert browser.run("document.title").startswith("Traffic: <img")
+            assert browser.run("document.documentElement.scrollWidth") <= width
+            requests = [
+                event["params"]["request"]["url"]
+                for event in browser.events
+                if event.get("method") == "Network.requestWillBeSent"
+            ]
+            assert [url for url in requests if not url.startswith(("file:", "data:"))] == []
+            errors = [event for event in browser.events if event.get("method") == "Runtime.exceptionThrown"]
+            assert not errors
+        # Pointing at a gate says its counts.
+        browser.run(
+            "document.querySelector('path.gate').dispatchEvent(new PointerEvent('pointerover', {bubbles: true}))"
+        )
+        assert "<img" in browser.run("document.getElementById('tip').textContent")
+        key = "new KeyboardEvent('keydown', {key: 'ArrowRight', bubbles: true})"
+        browser.run(f"document.querySelector('svg.road').dispatchEvent({key})")
+        assert browser.run("document.getElementById('tip').textContent").startswith("<b>: ")  # the next gate
+        pdf = browser.call("Page.printToPDF", printBackground=True)["data"]
+        assert len(pdf) > 10_000
