@@ -5,48 +5,68 @@ import json
 import os
 import subprocess
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import Any
 
 
-class Browser:
-    """One page of a running Chromium."""
+class _Pipes:
+    """The two ends of a running Chromium's DevTools protocol."""
 
     def __init__(self, commands: int, answers: int) -> None:
         self._commands, self._answers = commands, answers
-        self._session: str | None = None
         self._number = 0
         self._read = b""
-        self.events: list[dict[str, Any]] = []
-        """What the browser told by itself: requests, messages on its console, errors."""
-        target = self.call("Target.createTarget", url="about:blank")["targetId"]
-        self._session = self.call("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
-        for domain in ("Page", "Runtime", "Network", "Log"):
-            self.call(f"{domain}.enable")
 
-    def call(self, method: str, **parameters: Any) -> Any:
-        """The result of a command of the DevTools protocol."""
+    def send(self, message: dict[str, Any]) -> int:
+        """Send a command; its number."""
         self._number += 1
-        message: dict[str, Any] = {"id": self._number, "method": method, "params": parameters}
-        if self._session:
-            message["sessionId"] = self._session
-        os.write(self._commands, json.dumps(message).encode() + b"\0")
-        while True:
-            told = self._next()
-            if told.get("id") == self._number:
-                assert "error" not in told, told
-                return told["result"]
-            self.events.append(told)
+        os.write(self._commands, json.dumps({"id": self._number, **message}).encode() + b"\0")
+        return self._number
 
-    def _next(self) -> dict[str, Any]:
+    def next(self) -> dict[str, Any]:
+        """The next answer or event."""
         while b"\0" not in self._read:
             data = os.read(self._answers, 1 << 20)
             assert data, "the browser has ended"
             self._read += data
         whole, _, self._read = self._read.partition(b"\0")
         return dict(json.loads(whole))
+
+
+class Browser:
+    """One page of a running Chromium, with nothing that other pages have left."""
+
+    def __init__(self, pipes: _Pipes) -> None:
+        self._pipes = pipes
+        self._session: str | None = None
+        self.events: list[dict[str, Any]] = []
+        """What the browser told by itself: requests, messages on its console, errors."""
+        self.context = self.call("Target.createBrowserContext")["browserContextId"]
+        target = self.call("Target.createTarget", url="about:blank", browserContextId=self.context)["targetId"]
+        self._session = self.call("Target.attachToTarget", targetId=target, flatten=True)["sessionId"]
+        for domain in ("Page", "Runtime", "Network", "Log"):
+            self.call(f"{domain}.enable")
+
+    def call(self, method: str, **parameters: Any) -> Any:
+        """The result of a command of the DevTools protocol."""
+        message: dict[str, Any] = {"method": method, "params": parameters}
+        if self._session:
+            message["sessionId"] = self._session
+        number = self._pipes.send(message)
+        while True:
+            told = self._pipes.next()
+            if told.get("id") == number:
+                assert "error" not in told, told
+                return told["result"]
+            if told.get("sessionId") == self._session:
+                self.events.append(told)
+
+    def close(self) -> None:
+        """Close the page, whatever work in it is not saved."""
+        self._session = None
+        self.call("Target.disposeBrowserContext", browserContextId=self.context)
 
     def run(self, script: str) -> Any:
         """The value of an expression in the page; of a promise, what it comes to."""
@@ -84,8 +104,8 @@ class Browser:
 
 
 @contextmanager
-def chromium(profile: Path) -> Iterator[Browser]:
-    """A Chromium with a profile of its own, which ends with the context."""
+def chromium(profile: Path) -> Iterator[Callable[[], AbstractContextManager[Browser]]]:
+    """A Chromium with a profile of its own, which ends with the context: what opens a page of it, which then closes."""
     commands_out, commands_in = os.pipe()
     answers_out, answers_in = os.pipe()
 
@@ -105,8 +125,16 @@ def chromium(profile: Path) -> Iterator[Browser]:
     )
     os.close(commands_out)
     os.close(answers_in)
+    opened = _Pipes(commands_in, answers_out)
+
+    @contextmanager
+    def page() -> Iterator[Browser]:
+        browser = Browser(opened)
+        yield browser
+        browser.close()
+
     try:
-        yield Browser(commands_in, answers_out)
+        yield page
     finally:
         os.close(commands_in)
         os.close(answers_out)

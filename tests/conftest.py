@@ -2,12 +2,14 @@ import os
 import shutil
 import sys
 import tempfile
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, suppress
 from pathlib import Path
 from typing import Any, Final
 
 import pytest
 
+from tests.chromium import Browser, chromium
 from tests.few_directions import sitecustomize
 
 WORKER: Final = "PYTEST_XDIST_WORKER" in os.environ
@@ -88,6 +90,15 @@ def skope(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], t
         return code, *capsys.readouterr()
 
     return call
+
+
+@pytest.fixture(scope="session")
+def chromium_pages(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[[], AbstractContextManager[Browser]]]:
+    """What opens a page of one Chromium for all tests of a worker; each page is as in a browser of its own."""
+    if shutil.which("chromium") is None:
+        pytest.skip("needs chromium")
+    with chromium(tmp_path_factory.mktemp("profile")) as pages:
+        yield pages
 
 
 @pytest.fixture(scope="session")

@@ -1,11 +1,10 @@
 """The page of a traffic report: complete in itself, readable on a phone, harmless whatever names hold."""
 
 import re
-import shutil
+from collections.abc import Callable
+from contextlib import AbstractContextManager
 from dataclasses import replace
 from pathlib import Path
-
-import pytest
 
 from skope.site.marks import Gate
 from skope.traffic.clock import ClockInterval
@@ -13,7 +12,7 @@ from skope.traffic.hand_count_file import HandCount
 from skope.traffic.measure import measure
 from skope.traffic.page.page import traffic_page, write_page
 from skope.traffic.report import TrafficReport
-from tests.chromium import chromium
+from tests.chromium import Browser
 from tests.traffic.drives import watched
 from tests.traffic.test_exports import HEAD, junction_report, report_of, site_of
 
@@ -66,12 +65,10 @@ def hostile_report() -> TrafficReport:
     return measure(plain.trajectories, replace(plain.observation, source=HOSTILE), site, plain.start)
 
 
-def test_in_a_browser(tmp_path: Path) -> None:
-    if shutil.which("chromium") is None:
-        pytest.skip("needs chromium")
+def test_in_a_browser(chromium_pages: Callable[[], AbstractContextManager[Browser]], tmp_path: Path) -> None:
     path = write_page(tmp_path, hostile_report(), tracks=HOSTILE)
     assert not re.findall(r"<img|<b>|https?://", path.read_text().split("</head>")[1])
-    with chromium(tmp_path / "profile") as browser:
+    with chromium_pages() as browser:
         for width, height in ((390, 844), (1280, 800)):
             browser.size(width, height, phone=width < 600)
             browser.events.clear()

@@ -2,13 +2,14 @@
 
 import shutil
 from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from skope.viewer.collection import Collection
-from tests.chromium import Browser, chromium
+from tests.chromium import Browser
 
 pytestmark = pytest.mark.skipif(shutil.which("chromium") is None, reason="needs chromium")
 
@@ -17,9 +18,9 @@ READY = f"document.getElementById('stage') && {SHOWN} >= 0 && document.getElemen
 
 
 @pytest.fixture(scope="module")
-def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
-    with chromium(tmp_path_factory.mktemp("profile")) as started:
-        yield started
+def browser(chromium_pages: Callable[[], AbstractContextManager[Browser]]) -> Iterator[Browser]:
+    with chromium_pages() as page:
+        yield page
 
 
 @pytest.fixture

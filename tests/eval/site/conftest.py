@@ -1,10 +1,9 @@
 """A road with markings at known places, a camera that sees it, and the page of it in a headless Chromium."""
 
-import shutil
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack
+from contextlib import AbstractContextManager, ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,7 +15,7 @@ import pytest
 from skope.camera.model import Camera
 from skope.eval.site.frames import SiteFrames
 from skope.eval.site.site_server import SiteServer, bound_site
-from tests.chromium import Browser, chromium
+from tests.chromium import Browser
 
 SIZE = (640, 360)
 CAMERA = Camera.looking([2.0, -3.0, 6.5], yaw=1.2, pitch_down=0.32, roll=0.02, size=SIZE, fov=1.15)
@@ -93,12 +92,10 @@ def serve(tmp_path: Path, image: Path) -> Iterator[Callable[..., Served]]:
 
 
 @pytest.fixture
-def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
+def browser(chromium_pages: Callable[[], AbstractContextManager[Browser]]) -> Iterator[Browser]:
     """One for each test: a page with work that is not saved asks before it is left, and nobody would answer."""
-    if shutil.which("chromium") is None:
-        pytest.skip("needs chromium")
-    with chromium(tmp_path_factory.mktemp("profile")) as started:
-        yield started
+    with chromium_pages() as page:
+        yield page
 
 
 class SitePage:
