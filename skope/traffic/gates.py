@@ -26,6 +26,9 @@ _NEAR_M: Final = 5.0
 """So near to a gate it counts how certain places are."""
 _LEAST_PROBABILITY: Final = 0.5
 """Whose track crosses with less is not counted."""
+_ALONG_M: Final = {"bus": 0.6, "bicycle": 0.6, "lorry": 0.15}
+"""By so much the middles of some bodies are off along the way besides, all the way, one standard deviation: of 16, 36
+and 12 in generated clips by 0.2, 0.5 and 0 m in the median, and by 0.54, 0.45 and 0.17 m from there."""
 _BESIDE: Final = 0.05
 """Who goes past a gate's end, not through it, with less probability than this does so without doubt; likewise back."""
 
@@ -188,7 +191,9 @@ def _crossing(
         direction=0 if passage.came_from > 0 else 1,
         direction_name=direction_names(gate)[0 if passage.came_from > 0 else 1],
         time_s=time_s,
-        sigma_s=math.hypot(sigma_m / across, passage.spread_s),
+        sigma_s=math.hypot(
+            sigma_m / across, passage.spread_s, _along_s(trajectory, velocity, metres=step_s is not None)
+        ),
         front_s=_end_time(trajectory, gate, trajectory.front, passage, rule),
         rear_s=_end_time(trajectory, gate, trajectory.rear, passage, rule),
         place=place,
@@ -200,6 +205,12 @@ def _crossing(
         doubt=" ".join(word for word, holds in doubts.items() if holds),
         counts=inside and real >= _LEAST_PROBABILITY,
     )
+
+
+def _along_s(trajectory: Trajectory, velocity: Array, *, metres: bool) -> float:
+    """By how much a crossing's time is off since the body's middle is off along its way, one standard deviation."""
+    off = _ALONG_M.get(trajectory.class_name, 0.0) if metres else 0.0
+    return off / max(float(np.linalg.norm(velocity)), _SLOWEST)
 
 
 def _end_time(trajectory: Trajectory, gate: Gate, places: Array, passage: Passage, rule: dict[str, float]) -> float:

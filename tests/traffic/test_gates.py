@@ -153,6 +153,12 @@ def test_who_goes_past_the_end_of_a_gate_is_in_doubt() -> None:
     assert inside.probability + outside.probability == pytest.approx(middle.probability)
 
 
+@pytest.mark.parametrize(("name", "off_m"), [("car", 0.0), ("bus", 0.6), ("bicycle", 0.6)])
+def test_times_of_bodies_whose_middle_is_off_are_less_certain(name: str, off_m: float) -> None:
+    (one,) = crossed(straight(1, (-20, 0), (8, 0), 5, sigma=0.1, class_name=name))
+    assert one.sigma_s == pytest.approx(math.hypot(0.1, off_m) / 8)
+
+
 def test_nobody_walks_that_fast() -> None:
     walker = {"category": "pedestrian", "class_name": "pedestrian"}
     walks, runs, flies = (
