@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 import skope as door
+from skope.dataset import coco
 from skope.errors import UserError
 from skope.files.json_files import write_json
 from skope.site.site_file import parse_site
@@ -21,6 +22,7 @@ from skope.traffic.read_tracks import TRACKS_CSV
 from skope.traffic.recording_begin import begin_in_name
 from skope.traffic.report_tables import report_tables
 from skope.traffic.trajectories import Trajectory
+from tests.eval.sightings import drive
 from tests.traffic.drives import straight
 
 Skope = Callable[..., tuple[int, str, str]]
@@ -311,3 +313,20 @@ def test_a_picture_does_not_stand_until_the_next_recording() -> None:
     times = np.array([0.0, 1.0, 2.0, 2.5, 100.0, 101.0])
     assert held_s(times, 0.0, 200.0, [100.0]).tolist() == [1.0, 1.0, 0.5, 1.0, 1.0, 1.0]
     assert held_s(times, 0.0, 200.0)[3] == 3.0
+
+
+def test_tracks_know_when_their_footage_began(skope: Skope) -> None:
+    coco.write(Path("road.json"), drive(1.0, 5.0))
+    call = ("eval", "track", "--annotations", "road.json", "--out", "t", "-q")
+    code, _, err = skope(*call, "--begins", "2026-11-26T10:00:00")
+    assert (code, err.count("\n"), Path("t").exists()) == (2, 1, False)
+    assert "--begins: expected a time with its offset" in err
+    assert skope(*call, "--begins", "2026-11-26T10:00:00+01:00")[0] == 0
+    assert door.measure_traffic("t", "site.toml").start == datetime(2026, 11, 26, 9, tzinfo=UTC)
+    code, _, err = skope(*call, "--begins", "2026-11-26T11:00:00+01:00")
+    assert (code, "other work (begins = 2026-11-26T10:00:00+01:00" in err) == (2, True)
+    Path("site.toml").write_text(SITE.format(head="start = 2026-11-26T12:00:00"))
+    report = door.measure_traffic("t", "site.toml")
+    assert report.start == datetime(2026, 11, 26, 9, tzinfo=UTC), "its own begin, not that of another recording"
+    later = door.measure_traffic("t", "site.toml", begins="2026-11-26T13:00:00").start
+    assert later == datetime(2026, 11, 26, 12, tzinfo=UTC)
