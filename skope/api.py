@@ -7,6 +7,7 @@ user's files raises a `skope.UserError` of one line that names file and field.
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -218,17 +219,20 @@ def track(frames: "Iterable[Located]", times_s: Sequence[float]) -> "list[Track]
 
 
 def measure_traffic(
-    tracks: "str | Path | Sequence[Track]",
+    tracks: "str | Path | Sequence[str | Path] | Sequence[Track]",
     site: "str | Path | SiteFile",
     *,
+    begins: str | datetime | Sequence[str | datetime] | None = None,
     times_s: Sequence[float] | None = None,
     hand_count: str | Path | None = None,
 ) -> "TrafficReport":
     """Count and measure traffic: what `skope eval traffic` writes, in memory.
 
     Args:
-        tracks: The folder that `skope eval track` wrote, or what `track` gave.
+        tracks: The folder that `skope eval track` wrote, several such folders of one site, or what `track` gave.
         site: A site file with gates, zones, lanes and settings, or what `skope.site.site_file.read_site` has read.
+        begins: When the footage begins, as a time or as `--begins` takes it; of several recordings a time for each, in
+            their order. Default: as their `footage.json`, the site or, of several, the names of their footage say.
         times_s: Of tracks in memory the times of all frames, seconds, also of those without any track; by default
             those of the tracks. Between them it is known when nothing was observed.
         hand_count: CSV of what was counted by hand (docs/traffic.md), from which the intervals of counts learn.
@@ -240,37 +244,42 @@ def measure_traffic(
     Raises:
         UserError: A file is missing or wrong.
     """
+    from skope.eval.tracking.trajectories_of_tracks import trajectories_of_tracks
     from skope.site.site_file import SiteFile, read_site
     from skope.traffic.clock import local_start
-    from skope.traffic.hand_count_file import HandCount, read_hand_counts
+    from skope.traffic.hand_count_file import read_hand_counts
     from skope.traffic.measure import measure
-    from skope.traffic.observation import Observation, read_observation
-    from skope.traffic.read_tracks import read_trajectories
-
-    def by_hand(observation: Observation) -> tuple[HandCount, ...]:
-        if hand_count is None:
-            return ()
-        return read_hand_counts(Path(hand_count), read.gates, read.traffic, local_start(read), observation)
+    from skope.traffic.observation import Observation
+    from skope.traffic.recording_begin import said_begin
+    from skope.traffic.recordings import RecordedTraffic, read_recordings
 
     read = site if isinstance(site, SiteFile) else read_site(Path(site))
-    if isinstance(tracks, str | Path):
-        observation = read_observation(Path(tracks))
-        return measure(
-            read_trajectories(Path(tracks), observation), observation, read, hand_counts=by_hand(observation)
+    said = [begins] if isinstance(begins, str | datetime) else list(begins or ())
+    given = [tracks] if isinstance(tracks, str | Path) else list(tracks)
+    folders = [Path(one) for one in given if isinstance(one, str | Path)]
+    if folders:
+        footage = read_recordings(folders, said, read, "begins")
+    else:
+        followed = [one for one in given if not isinstance(one, str | Path)]
+        times = [one.times_s for one in followed] or [np.zeros(0)]
+        seen = np.unique(np.concatenate(times)) if times_s is None else np.asarray(times_s, dtype=np.float64)
+        footage = RecordedTraffic(
+            tracks=tuple(trajectories_of_tracks(followed)),
+            observation=Observation(times_s=seen),
+            start=said_begin(said[0], read, "begins") if said else local_start(read),
         )
-
-    from skope.eval.tracking.trajectories_of_tracks import trajectories_of_tracks
-
-    times = [one.times_s for one in tracks] or [np.zeros(0)]
-    seen = np.unique(np.concatenate(times)) if times_s is None else np.asarray(times_s, dtype=np.float64)
-    observation = Observation(times_s=seen)
-    return measure(trajectories_of_tracks(tracks), observation, read, hand_counts=by_hand(observation))
+    start, observation = footage.start, footage.observation
+    counted = (
+        () if hand_count is None else read_hand_counts(Path(hand_count), read.gates, read.traffic, start, observation)
+    )
+    return measure(footage.tracks, observation, read, start, counted, recordings=footage.recordings)
 
 
 def count(
-    tracks: "str | Path | Sequence[Track]",
+    tracks: "str | Path | Sequence[str | Path] | Sequence[Track]",
     site: "str | Path | SiteFile",
     *,
+    begins: str | datetime | Sequence[str | datetime] | None = None,
     times_s: Sequence[float] | None = None,
 ) -> "list[Count]":
     """How many crossed each gate, by direction, lane, class and interval on the clock.
@@ -278,6 +287,7 @@ def count(
     Args:
         tracks: As `measure_traffic` takes them.
         site: Likewise.
+        begins: Likewise.
         times_s: Likewise.
 
     Returns:
@@ -287,7 +297,7 @@ def count(
     Raises:
         UserError: A file is missing or wrong.
     """
-    return list(measure_traffic(tracks, site, times_s=times_s).counts)
+    return list(measure_traffic(tracks, site, begins=begins, times_s=times_s).counts)
 
 
 def score(

@@ -1,13 +1,18 @@
 """Hours of made-up tracks through `skope eval traffic`: time, memory, size; and killed at random, begun again.
 
     python scripts/research/traffic_hours.py --hours 1 --kills 5 --out hours
+    python scripts/research/traffic_hours.py --hours 0.8 --kills 0 --recordings 8 --out recordings
 
 It makes tracks of a crossroads with signals, as `skope eval track` writes them, and measures them once undisturbed and
 once in another folder, where the command is killed (SIGKILL) at moments that are drawn anew each time, also while it
 writes, and begun again. In the end both folders must hold the same bytes.
+
+With `--recordings` the same tracks are also measured as so many recordings that follow each other, as a camera writes
+them that begins a file each hour; who is on the road then is left out of both, or, with `--cut`, cut in two.
 """
 
 import argparse
+import contextlib
 import csv
 import math
 import os
@@ -17,7 +22,9 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Final
 
@@ -43,8 +50,8 @@ COLUMNS: Final = (
     "track", "time_s", "x", "y", "z", "heading_deg", "vx", "vy", "measured", "sigma_position", "sigma_speed", "length",
     "width", "class", "class_confidence", "flags",
 )  # fmt: skip
+BEGINS: Final = datetime(2026, 11, 26, 5, tzinfo=UTC)
 SITE: Final = """time_zone = "Europe/Berlin"
-start = 2026-11-26T06:00:00
 
 [camera]
 size = [1280, 720]
@@ -87,8 +94,8 @@ width = 3.5
 # -------------------------------------------------------------------------------------------------------------- tracks
 
 
-def make_tracks(folder: Path, hours: float, fps: float, seed: int) -> tuple[int, int]:
-    """Write a folder of tracks; returns how many vehicles and rows it has."""
+def make_tracks(folder: Path, hours: float, fps: float, seed: int, clear_s: Sequence[float]) -> tuple[int, int]:
+    """Write a folder of tracks, none at the times `clear_s`; returns how many vehicles and rows it has."""
     folder.mkdir(parents=True)
     rng = np.random.default_rng(seed)
     rows = number = 0
@@ -96,16 +103,42 @@ def make_tracks(folder: Path, hours: float, fps: float, seed: int) -> tuple[int,
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(COLUMNS)
         for begin_s, arm in arrivals(rng, hours * 3600):
+            way = list(drive(rng, number + 1, begin_s, arm, fps))
+            if any(float(str(way[0][1])) <= at <= float(str(way[-1][1])) for at in clear_s):
+                continue
             number += 1
-            for row in drive(rng, number, begin_s, arm, fps):
-                writer.writerow(row)
-                rows += 1
+            writer.writerows(way)
+            rows += len(way)
     times = np.arange(round(hours * 3600 * fps)) / fps
+    write_footage(folder, times, BEGINS)
+    return number, rows
+
+
+def write_footage(folder: Path, times: Array, begins: datetime) -> None:
     watched = Observation(
-        times_s=times, source="hours.mp4", common_sigma=0.01, eye=(0.0, -90.0, 25.0), road_sigma_m=0.04
+        times_s=times,
+        source=f"{folder.name}.mp4",
+        common_sigma=0.01,
+        eye=(0.0, -90.0, 25.0),
+        road_sigma_m=0.04,
+        begins=begins,
     )
     write_json(folder / FOOTAGE, watched.to_dict())
-    return number, rows
+
+
+def split_tracks(whole: Path, folders: Sequence[Path], part_s: float, fps: float) -> None:
+    """Write the tracks of a folder as recordings of `part_s` seconds each that follow each other."""
+    with contextlib.ExitStack() as files:
+        writers = []
+        for k, folder in enumerate(folders):
+            folder.mkdir(parents=True)
+            write_footage(folder, np.arange(round(part_s * fps)) / fps, BEGINS + timedelta(seconds=k * part_s))
+            file = files.enter_context((folder / TRACKS_CSV).open("w", encoding="utf-8", newline=""))
+            writers.append(csv.writer(file, lineterminator="\n"))
+            writers[-1].writerow(COLUMNS)
+        for row in csv.DictReader(files.enter_context((whole / TRACKS_CSV).open(encoding="utf-8", newline=""))):
+            k = min(int((float(row["time_s"]) + 1e-6) // part_s), len(folders) - 1)
+            writers[k].writerow({**row, "time_s": f"{float(row['time_s']) - k * part_s:.4f}"}.values())
 
 
 def arrivals(rng: np.random.Generator, seconds: float) -> Iterator[tuple[float, int]]:
@@ -161,8 +194,19 @@ def to_the_right(speed: float, fps: float) -> Array:
 # ----------------------------------------------------------------------------------------------------------- measuring
 
 
-def started(tracks: Path, site: Path, out: Path) -> subprocess.Popen[bytes]:
-    words = ["eval", "traffic", str(tracks), "--site", str(site), "--also", "otanalytics", "--out", str(out), "-q"]
+def started(tracks: Sequence[Path], site: Path, out: Path) -> subprocess.Popen[bytes]:
+    words = [
+        "eval",
+        "traffic",
+        *map(str, tracks),
+        "--site",
+        str(site),
+        "--also",
+        "otanalytics",
+        "--out",
+        str(out),
+        "-q",
+    ]
     return subprocess.Popen([sys.executable, "-m", "skope", *words], stdout=subprocess.DEVNULL)
 
 
@@ -199,44 +243,74 @@ def contents(folder: Path) -> dict[str, bytes]:
     return {path.relative_to(folder).as_posix(): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
+def measured(tracks: Sequence[Path], site: Path, out: Path) -> tuple[dict[str, bytes], float, str]:
+    """What a report holds, the seconds that it took, and cells of a table: seconds, memory, sizes."""
+    begun = time.monotonic()
+    code, peak = finished(started(tracks, site, out))
+    seconds = time.monotonic() - begun
+    if code:
+        sys.exit(f"skope eval traffic ended with {code}")
+    found = contents(out)
+    sizes = {name: len(data) / 1e6 for name, data in found.items()}
+    largest = ", ".join(f"{name} {size:.2f}" for name, size in sorted(sizes.items(), key=lambda one: -one[1])[:4])
+    read = sum(path.stat().st_size for folder in tracks for path in folder.iterdir()) / 1e6
+    return found, seconds, f"{read:.1f} | {seconds:.1f} | {peak:.0f} | {sum(sizes.values()):.1f} | {largest}"
+
+
+def counted(report: dict[str, bytes]) -> dict[str, int]:
+    """The counts of a report's gates and directions."""
+    rows = csv.DictReader(report["counts.csv"].decode().splitlines())
+    found = Counter[str]()
+    for row in rows:
+        if row["class"] == row["lane"] == "all":
+            found[f"{row['gate']} {row['direction']}"] += int(row["count"] or 0)
+    return dict(found)
+
+
+def compare_recordings(options: argparse.Namespace, whole: dict[str, bytes], site: Path) -> None:
+    """Measure the tracks as several recordings, and print what differs from the unbroken one."""
+    folders = [options.out / "recordings" / f"{k:02}" for k in range(options.recordings)]
+    split_tracks(options.out / "tracks", folders, options.hours * 3600 / options.recordings, options.fps)
+    parts, _, cells = measured(folders, site, options.out / "of_recordings")
+    print(f"| {options.recordings} recordings | | | {cells} |", flush=True)
+    for name in ("counts.csv", "turning.csv", "speeds.csv", "delays.csv", "occupancy.csv", "headways.csv"):
+        one, other = (report[name].decode().splitlines() for report in (whole, parts))
+        same = (
+            "the same bytes" if one == other else f"{len(one)} and {len(other)} lines, {len({*one} ^ {*other})} differ"
+        )
+        print(f"{name}: {same}")
+    print("counts, unbroken:", counted(whole))
+    print("counts, recordings:", counted(parts))
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--hours", type=float, default=1.0, help="of footage, 8 for a working day")
     parser.add_argument("--fps", type=float, default=10.0)
-    parser.add_argument("--kills", type=int, default=5, help="how often the second run is killed")
+    parser.add_argument("--kills", type=int, default=5, help="how often the second run is killed; 0: there is none")
+    parser.add_argument("--recordings", type=int, default=1, help="also measure it as so many recordings")
+    parser.add_argument("--cut", action="store_true", help="keep who is on the road when a recording ends")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--out", type=Path, required=True, help="a new folder")
     options = parser.parse_args()
     out = options.out
     tracks, site = out / "tracks", out / "site.toml"
-    vehicles, rows = make_tracks(tracks, options.hours, options.fps, options.seed)
+    cuts = [k * options.hours * 3600 / options.recordings for k in range(1, options.recordings)]
+    vehicles, rows = make_tracks(tracks, options.hours, options.fps, options.seed, [] if options.cut else cuts)
     site.write_text(SITE, encoding="utf-8")
 
-    begun = time.monotonic()
-    code, peak = finished(started(tracks, site, out / "whole"))
-    seconds = time.monotonic() - begun
-    if code:
-        sys.exit(f"skope eval traffic ended with {code}")
-    whole = contents(out / "whole")
-    sizes = {name: len(data) / 1e6 for name, data in whole.items()}
+    whole, seconds, cells = measured([tracks], site, out / "whole")
     print("| hours | vehicles | rows | tracks, MB | seconds | peak MB | report, MB | largest |")
-    largest = ", ".join(f"{name} {size:.2f}" for name, size in sorted(sizes.items(), key=lambda one: -one[1])[:4])
-    read = sum(path.stat().st_size for path in tracks.iterdir()) / 1e6
-    cells = (
-        options.hours,
-        vehicles,
-        rows,
-        f"{read:.1f}",
-        f"{seconds:.1f}",
-        f"{peak:.0f}",
-        f"{sum(sizes.values()):.1f}",
-    )
-    print(f"| {' | '.join(map(str, cells))} | {largest} |", flush=True)
+    print(f"| {options.hours} | {vehicles} | {rows} | {cells} |", flush=True)
+    if options.recordings > 1:
+        compare_recordings(options, whole, site)
+    if not options.kills:
+        return
 
     draw = random.Random(options.seed)
     for _ in range(options.kills):
-        print(killed(started(tracks, site, out / "killed"), out / "killed", draw, seconds), flush=True)
-    code, _ = finished(started(tracks, site, out / "killed"))
+        print(killed(started([tracks], site, out / "killed"), out / "killed", draw, seconds), flush=True)
+    code, _ = finished(started([tracks], site, out / "killed"))
     again = contents(out / "killed")
     different = sorted(name for name in whole.keys() | again.keys() if whole.get(name) != again.get(name))
     if code or different:

@@ -25,9 +25,23 @@ class ClockInterval:
 
 def local_start(site: "SiteParts") -> datetime | None:
     """When the footage begins, in the site's time zone; None: the site does not say."""
-    if site.start is None:
-        return None
-    return site.start.astimezone(ZoneInfo(site.time_zone)) if site.time_zone else site.start
+    return None if site.start is None else local_time(site.start, site)
+
+
+def local_time(time: datetime, site: "SiteParts") -> datetime:
+    """A time with a zone, in the site's time zone where that is known."""
+    return time.astimezone(ZoneInfo(site.time_zone)) if site.time_zone else time
+
+
+def clock_doubt(time: datetime, zone: ZoneInfo) -> str:
+    """What is wrong with a time without an offset by the clocks of a zone, where they are put forward or back."""
+    first, second = (time.replace(tzinfo=zone, fold=fold) for fold in (0, 1))
+    if first.astimezone(UTC).astimezone(zone).replace(tzinfo=None) != time:
+        return f"there is no such time in {zone.key}: clocks are put forward then"
+    if first.utcoffset() != second.utcoffset():
+        ways = " or ".join(f"{one.isoformat(sep=' ')}" for one in (first, second))
+        return f"clocks show this twice, as they are put back: type {ways}"
+    return ""
 
 
 def clock_intervals(start: datetime | None, begin_s: float, end_s: float, minutes: int) -> list[ClockInterval]:

@@ -114,7 +114,7 @@ def _hand_count(
     begin_s, end_s = (_seconds(line, column, start, observation) for column in ("begin", "end"))
     if end_s <= begin_s:
         raise line.wrong("end", f"expected a time after begin ({line.text('begin')}), got {line.text('end')}")
-    if not observation.together(begin_s, end_s):
+    if end_s - begin_s - observation.seconds_in(begin_s, end_s) > _SLACK_S:
         raise line.wrong("begin", "not all from here to end was observed: frames are missing, or the camera was moved")
     text = line.text("count")
     if not (text.isascii() and text.isdecimal() and len(text) <= len(str(_MOST)) and int(text) <= _MOST):

@@ -21,6 +21,7 @@ from skope.traffic.joining import joined
 from skope.traffic.lanes import LaneMap, lane_changes
 from skope.traffic.observation import Observation
 from skope.traffic.queues import delays, queues
+from skope.traffic.recordings import SiteRecording
 from skope.traffic.remarks import remarks
 from skope.traffic.report import TrafficReport
 from skope.traffic.speeds import section_passes, speed_groups
@@ -44,6 +45,7 @@ def measure(
     hand_counts: Sequence[HandCount] = (),
     *,
     broken: bool = True,
+    recordings: Sequence[SiteRecording] = (),
 ) -> TrafficReport:
     """Count and measure the traffic of a footage.
 
@@ -55,6 +57,7 @@ def measure(
         hand_counts: What was counted by hand meanwhile.
         broken: Whether a road user's track may have broken into several, which are joined. Those of a simulation are
             whole.
+        recordings: The recordings, where tracks and observation are of several.
     """
     settings = site.traffic
     begin = local_start(site) if start is None else start
@@ -98,6 +101,7 @@ def measure(
         delays=tuple(late),
         conflicts=search,
         brakings=tuple(hard_brakings(trajectories, settings)),
+        recordings=tuple(recordings),
     )
     return replace(report, refused=tuple(remarks(report)))
 

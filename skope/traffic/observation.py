@@ -1,7 +1,9 @@
 """When the camera has observed the road: without that, nothing counted and nothing observed look alike."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from datetime import datetime
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Final
@@ -43,6 +45,10 @@ class Observation:
     """(M,) seconds of the frames after the camera had been moved, rising: they are not among `times_s`."""
     sight: Array = field(default_factory=lambda: np.zeros((0, 3)))
     """(L, 3) times (s), rising, brightness (0 to 1) and contrast of pictures of the footage; empty: not measured."""
+    begins: datetime | None = None
+    """When second 0 was, with its zone, as the footage itself says; None: it does not."""
+    parts: tuple["Observation", ...] = ()
+    """Where it is of several recordings, each of them, in order, in the same seconds; each knows its own camera."""
 
     @cached_property
     def spans(self) -> Array:
@@ -50,14 +56,33 @@ class Observation:
 
         A frame stands for a usual step from its time on, so that a footage lasts as long as its frames are shown.
         """
+        if self.parts:
+            return np.concatenate([part.spans for part in self.parts])
         if len(self.times_s) == 0:
             return np.zeros((0, 2))
         steps = np.diff(self.times_s)
-        usual = float(np.median(steps)) if len(steps) else 0.0
+        usual = _usual_step(self.times_s)
         cuts = np.flatnonzero(steps > max(_GAP_S, _GAP_STEPS * usual))
         begins = self.times_s[np.concatenate([[0], cuts + 1]).astype(int)]
         ends = self.times_s[np.concatenate([cuts, [len(self.times_s) - 1]]).astype(int)]
         return np.stack([begins, ends + usual], axis=1)
+
+    @cached_property
+    def extent(self) -> tuple[float, float]:
+        """First second and end of all frames, also of those after the camera had been moved."""
+        every = np.union1d(self.times_s, self.moved_s)
+        if not len(every):
+            return 0.0, 0.0
+        return float(every[0]), float(every[-1]) + _usual_step(every)
+
+    @cached_property
+    def further_s(self) -> Array:
+        """(R - 1,) seconds at which the second recording and all after it begin; empty where there is one."""
+        return np.array([part.extent[0] for part in self.parts[1:]])
+
+    def recording_at(self, time_s: float) -> int:
+        """The number, from 1, of the recording that a time lies in, or that ended before it."""
+        return 1 + int(np.searchsorted(self.further_s, time_s, side="right"))
 
     def seconds_in(self, begin_s: float, end_s: float) -> float:
         """How many seconds from `begin_s` to `end_s` were observed."""
@@ -74,7 +99,13 @@ class Observation:
         return not len(self.spans) or bool(np.abs(self.spans - time_s).min() < _CUT_S)
 
     def pixels_per_metre(self, place: Array) -> float | None:
-        """How many pixels a metre across the line of sight is at a place (2,) of the road; None: not known."""
+        """How many pixels a metre across the line of sight is at a place (2,) of the road; None: not known.
+
+        Of several recordings that in which it is the fewest.
+        """
+        if self.parts:
+            known = [one for one in (part.pixels_per_metre(place) for part in self.parts) if one is not None]
+            return min(known, default=None)
         if self.eye is None or self.focal_px is None:
             return None
         return self.focal_px / max(1.0, math.dist(self.eye, (*map(float, place), 0.0)))
@@ -91,15 +122,28 @@ class Observation:
             "focal_px": self.focal_px,
             "road_sigma_m": self.road_sigma_m,
             "sight": self.sight.tolist(),
+            **({} if self.begins is None else {"begins": self.begins.isoformat()}),
         }
 
 
-def held_s(times_s: Array, begin_s: float, end_s: float) -> Array:
-    """(N,) for how many seconds from `begin_s` to `end_s` each frame stands: until the next one, but for gaps."""
-    steps = np.diff(times_s)
-    usual = float(np.median(steps)) if len(steps) else 0.0
-    ends = times_s + np.append(np.minimum(steps, _GAP_STEPS * usual), usual)[: len(times_s)]
-    return np.asarray(np.clip(ends, begin_s, end_s) - np.clip(times_s, begin_s, end_s))
+def held_s(times_s: Array, begin_s: float, end_s: float, further_s: Sequence[float] | Array = ()) -> Array:
+    """(N,) for how many seconds from `begin_s` to `end_s` each frame stands: until the next one, but for gaps.
+
+    `further_s` is when further recordings begin: a frame does not stand until a frame of the next recording.
+    """
+    ends = [_ends(part) for part in np.split(times_s, np.searchsorted(times_s, further_s))]
+    return np.asarray(np.clip(np.concatenate(ends), begin_s, end_s) - np.clip(times_s, begin_s, end_s))
+
+
+def _ends(times_s: Array) -> Array:
+    """(N,) until when each frame of a recording stands."""
+    usual = _usual_step(times_s)
+    return np.asarray(times_s + np.append(np.minimum(np.diff(times_s), _GAP_STEPS * usual), usual)[: len(times_s)])
+
+
+def _usual_step(times_s: Array) -> float:
+    """Median time from a frame to the next one, seconds; 0 where there is no next one."""
+    return float(np.median(np.diff(times_s))) if len(times_s) > 1 else 0.0
 
 
 def read_observation(folder: Path) -> Observation:
@@ -138,6 +182,7 @@ def read_observation(folder: Path) -> Observation:
         road_sigma_m=document.get("road_sigma_m") or 0.0,
         moved_s=np.unique(_numbers(path, document, "moved_times_s")) if "moved_times_s" in document else np.zeros(0),
         sight=checked_sight(document.get("sight"), f"{path}: sight"),
+        begins=None if document.get("begins") is None else read_begins(document["begins"], f"{path}: begins"),
     )
 
 
@@ -152,6 +197,17 @@ def checked_sight(rows: Any, where: str) -> Array:
     if values.ndim != 2 or values.shape[1] != 3 or not np.isfinite(values).all() or (np.diff(values[:, 0]) <= 0).any():
         raise UserError(f"{where}: expected rows of time, brightness and contrast, at times that rise")
     return values
+
+
+def read_begins(text: Any, where: str) -> datetime:
+    """A time with its offset, of a text. Raises UserError that begins with `where`."""
+    try:
+        begins = datetime.fromisoformat(text)
+    except (TypeError, ValueError):
+        begins = datetime.min
+    if begins.tzinfo is None:
+        raise UserError(f"{where}: expected a time with its offset, like 2026-11-26T10:00:00+01:00, got {text!r:.40}")
+    return begins
 
 
 def _numbers(path: Path, document: dict[str, Any], name: str) -> Array:

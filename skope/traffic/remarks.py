@@ -9,12 +9,15 @@ import numpy as np
 from skope.site.marks import Gate
 from skope.traffic.gates import signed_distances
 from skope.traffic.hand_checks import hand_lines
+from skope.traffic.recordings import recording_lines
 from skope.traffic.sight import sight_lines
 from skope.traffic.trajectories import VEHICLE, wandering
 
 if TYPE_CHECKING:
     from skope.traffic.report import TrafficReport
 
+_LOST_S: Final = 0.5
+"""So much that was not observed within the footage is worth a warning."""
 _BESIDE_M: Final = 2.0
 """Tracks that begin or end so near to a gate are perhaps missed by it."""
 _MANY: Final = 0.1
@@ -33,8 +36,9 @@ def remarks(report: "TrafficReport") -> Iterator[str]:
     observation = report.observation
     if observation.common_sigma is None:
         yield "speeds: nothing says how well the camera is known: the error that it gives all is not in their intervals"
-    if len(observation.spans) > 1:
-        lost = observation.spans[-1, 1] - observation.spans[0, 0] - np.diff(observation.spans).sum()
+    yield from recording_lines(report.recordings, observation)
+    lost = sum(observation.spans[1:, 0] - observation.spans[:-1, 1])
+    if lost >= _LOST_S:
         yield f"{lost:.0f} s within the footage were not observed: what happened then is counted nowhere"
     if any(np.isnan(one.delay_s) for one in report.delays):
         yield "delays: too few vehicles tell the speed of free flow (traffic.free_flow_kmh of the site says it)"

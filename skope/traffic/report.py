@@ -14,6 +14,7 @@ from skope.traffic.headways import Headway, Occupancy
 from skope.traffic.lanes import LaneChange
 from skope.traffic.observation import Observation
 from skope.traffic.queues import Delay, QueueRecord
+from skope.traffic.recordings import SiteRecording
 from skope.traffic.speeds import SectionPass, SpeedGroup
 from skope.traffic.trajectories import Trajectory
 from skope.traffic.turning import Movement, TurningCount
@@ -57,6 +58,8 @@ class TrafficReport:
     delays: tuple[Delay, ...]
     conflicts: ConflictSearch
     brakings: tuple[HardBraking, ...]
+    recordings: tuple[SiteRecording, ...] = ()
+    """Where it is of several recordings, each of them, in the order of time."""
     refused: tuple[str, ...] = ()
     """What could not be measured, or should be distrusted, and why: a sentence each."""
     metres: bool = True

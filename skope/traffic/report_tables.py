@@ -8,7 +8,7 @@ import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
-from typing import Any
+from typing import Any, Final
 
 from skope.traffic.clock import ClockInterval
 from skope.traffic.count_interval import CountInterval
@@ -20,6 +20,8 @@ from skope.traffic.speed_percentiles import PERCENTILES
 from skope.traffic.trajectories import KMH, Trajectory, worst_sigma
 
 Row = Sequence[Any]
+_RECORDING: Final = " recording"
+"""A column more where there are several recordings."""
 
 
 @dataclass(frozen=True)
@@ -70,6 +72,11 @@ def _of_interval(interval: ClockInterval | None) -> Row:
     return interval.begin, interval.end, interval.begin_s, interval.end_s
 
 
+def _recording(report: TrafficReport, time_s: float) -> Row:
+    """The number of the recording that a time lies in; nothing where there is one."""
+    return (report.observation.recording_at(time_s),) if report.recordings else ()
+
+
 def _between(expected: CountInterval | None) -> Row:
     return (None, None) if expected is None else (expected.low, expected.high)
 
@@ -105,8 +112,8 @@ def _events(report: TrafficReport) -> ReportTable:
     ordered = sorted(rows(), key=lambda pair: pair[0])
     return _table(
         "event time_s time sigma_s track class class_confidence place direction lane x y speed_kmh speed_sigma_kmh "
-        "front_s rear_s dwell_s probability remark",
-        ((row[0], time_s, clock(report, time_s), *row[1:]) for time_s, row in ordered),
+        f"front_s rear_s dwell_s probability remark{_RECORDING if report.recordings else ''}",
+        ((row[0], time_s, clock(report, time_s), *row[1:], *_recording(report, time_s)) for time_s, row in ordered),
     )
 
 
@@ -123,11 +130,12 @@ def _trajectories(report: TrafficReport) -> ReportTable:
                     *(float(worst_sigma(one.covariance[i])), float(one.speed_sigma[i]) * KMH),
                     *(one.length, one.width, int(one.measured[i])),
                     *(" ".join(map(str, one.joined)), one.joined_probability, " ".join(one.flags)),
+                    *_recording(report, float(one.times_s[i])),
                 )
 
     return _table(
         "track class time_s time x y heading_deg speed_kmh sigma_position sigma_speed_kmh length width measured "
-        "joined joined_probability flags",
+        f"joined joined_probability flags{_RECORDING if report.recordings else ''}",
         rows(),
     )
 

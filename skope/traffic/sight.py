@@ -37,9 +37,9 @@ class SightIn:
 def sight_in(observation: Observation, begin_s: float, end_s: float) -> SightIn:
     """What the camera saw from `begin_s` to `end_s`."""
     every = np.union1d(observation.times_s, observation.moved_s)
-    moved_s = float(held_s(every, begin_s, end_s)[np.isin(every, observation.moved_s)].sum())
+    moved_s = float(held_s(every, begin_s, end_s, observation.further_s)[np.isin(every, observation.moved_s)].sum())
     times, brightness, contrast = observation.sight.T
-    held = held_s(times, begin_s, end_s)
+    held = held_s(times, begin_s, end_s, observation.further_s)
     if not held.sum() > 0:
         return SightIn(
             dark_s=None, flat_s=None, moved_s=moved_s, poor_s=moved_s or None, brightness=None, contrast=None

@@ -24,7 +24,7 @@ SUMMARY: Final = "summary.json"
 """Written last: where it is, the report is whole."""
 
 
-def write_report(out: Path, report: TrafficReport, *, tracks: str, revision: str | None) -> list[Path]:
+def write_report(out: Path, report: TrafficReport, *, tracks: str | list[str], revision: str | None) -> list[Path]:
     """Write the files of a report.
 
     Args:
@@ -66,7 +66,7 @@ def _bounds(expected: CountInterval | None) -> dict[str, int]:
     return {} if expected is None else {"low": expected.low, "high": expected.high}
 
 
-def summary(report: TrafficReport, *, tracks: str, revision: str | None) -> dict[str, Any]:
+def summary(report: TrafficReport, *, tracks: str | list[str], revision: str | None) -> dict[str, Any]:
     """What a result was made of and by, so that it can be made again, and its totals."""
     observation = report.observation
     spans = observation.spans
@@ -82,10 +82,24 @@ def summary(report: TrafficReport, *, tracks: str, revision: str | None) -> dict
     ]
     likely = [one.probability for one in report.conflicts.conflicts if not math.isnan(one.probability)]
     sure = count_interval(likely, (0.0, 1.0))
+    recordings = [
+        {
+            "recording": number,
+            "tracks": str(one.folder),
+            "footage": one.source,
+            "begin": one.begin.isoformat(),
+            "begin_s": one.begin_s,
+            "guessed": one.guessed,
+            "later_s": one.late_s,
+            "added_to_track": one.added,
+        }
+        for number, one in enumerate(report.recordings, start=1)
+    ]
     return {
         "skope": __version__,
         "tracks": tracks,
         "footage": observation.source,
+        **({"recordings": recordings} if recordings else {}),
         "site_revision": revision,
         "settings": report.site.traffic.to_dict(),
         "start": None if report.start is None else report.start.isoformat(),

@@ -15,6 +15,14 @@ def track(
     fps: Annotated[
         float | None, data_option(help="Frames a second.", show_default="the times that the frames carry")
     ] = None,
+    begins: Annotated[
+        str | None,
+        data_option(
+            metavar="TIME",
+            help="When second 0 of the footage was, as 2026-11-26T10:00:00+01:00; `skope eval traffic` reads it.",
+            show_default="not said",
+        ),
+    ] = None,
     noise: NoiseOption = 0.0,
     video: Annotated[bool, output("--video", help="Also a bird's-eye video.")] = False,
     overlay: Annotated[
@@ -24,15 +32,19 @@ def track(
 ) -> None:
     """Follow vehicles through footage: tracks in metres with speeds, as CSV, MOTChallenge and SUMO's FCD."""
     from skope.eval.tracking.track_footage import TrackJob, run
+    from skope.traffic.observation import read_begins
 
     if fps is not None and not 0.001 <= fps <= 1000:
         raise UserError(f"--fps: expected a number from 0.001 to 1000, got {fps:g}")
+    begin = None if begins is None else read_begins(begins, "--begins")
     scene = options.scene(noise, console=console)
-    options.claim_output(out, "skope eval track", fps=fps, noise=noise)
+    said = {} if begin is None else {"begins": begin.isoformat()}
+    options.claim_output(out, "skope eval track", fps=fps, noise=noise, **said)
     job = TrackJob(
         scene=scene,
         place=options.place,
         fps=fps,
+        begins=begin,
         noise=noise,
         score=options.score,
         sigma_px=options.sigma,

@@ -97,6 +97,7 @@ def tracked_footage(
         place=scene_options.place,
         out=tracks,
         fps=None,
+        begins=None,
         noise=0.0,
         score=scene_options.score,
         sigma_px=scene_options.sigma,

@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Sequence
 from datetime import datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 
@@ -24,15 +24,16 @@ if TYPE_CHECKING:
     from skope.traffic.report import TrafficReport
 
 _COMMAND: Final = "skope eval traffic"
+_BEGINS: Final = "--begins"
 
 
 def traffic(
-    source: Annotated[
-        str,
+    sources: Annotated[
+        list[str],
         typer.Argument(
-            metavar="TRACKS",
-            help="Folder that `skope eval track` wrote; a video, which is tracked first; or, without a camera, what "
-            "`skope eval predict` wrote.",
+            metavar="TRACKS...",
+            help="Folders that `skope eval track` wrote, of one recording or several of one site; a video, which is "
+            "tracked first; or, without a camera, what `skope eval predict` wrote.",
         ),
     ],
     *,
@@ -40,9 +41,12 @@ def traffic(
         Path, data_option(metavar=FILE, help="Site file with gates, zones, lanes and settings (docs/own-road.md).")
     ] = SITE_FILE,
     begins: Annotated[
-        str | None,
+        list[str] | None,
         data_option(
-            metavar="TIME", help="When the footage begins, as 2026-11-26T10:00:00.", show_default="as the site says"
+            metavar="TIME",
+            help="When the footage begins, as 2026-11-26T10:00:00; of several recordings once for each, in their "
+            "order.",
+            show_default="as footage or site say",
         ),
     ] = None,
     hand_count: Annotated[
@@ -71,47 +75,92 @@ def traffic(
     """Measure traffic: counts by gate, turning movements, speeds, headways, queues and conflicts, with intervals."""
     from skope.site.site_file import read_site
     from skope.traffic.exports.formats import checked_formats
-    from skope.traffic.measure import measure
-    from skope.traffic.observation import FOOTAGE, read_observation
-    from skope.traffic.read_tracks import TRACKS_CSV, read_trajectories, track_files
+    from skope.traffic.observation import FOOTAGE
+    from skope.traffic.read_tracks import TRACKS_CSV
 
     read = read_site(site)
     for key in read.unknown:
         console.warn(f"{site}: {key}: unknown; not used")
-    start = _start(begins, read)
     formats = checked_formats(also, read, metres=True)
-    folder = Path(source)
-    options = {"begins": None if start is None else start.isoformat()}
-    if hand_count is not None:
-        options["hand_count"] = sha256_of(hand_count)
-    if (folder / TRACKS_CSV).is_file() or (folder.is_dir() and (folder / FOOTAGE).is_file()):
-        observation = read_observation(folder)
-        tracks = read_trajectories(folder, observation)
-        counted = _counted_by_hand(hand_count, read, read.gates, start, observation)
-        claim_output(out, _COMMAND, [*track_files(folder), site], options)
+    folder = Path(sources[0])
+    if len(sources) > 1 or (folder / TRACKS_CSV).is_file() or (folder.is_dir() and (folder / FOOTAGE).is_file()):
+        lines = _report_of_tracks([Path(one) for one in sources], read, begins or [], hand_count, out, formats)
     elif (folder / FRAMES).is_file():
-        for line in _report_in_image(folder, read, start, hand_count, out, options, also):
-            console.result(line)
-        return
+        lines = _report_in_image(folder, read, _only_begin(begins, read), hand_count, out, also)
     else:
-        from skope.eval.cli.tracked_footage import TRACKS, tracked_footage
-
-        if hand_count is not None:
-            raise UserError(
-                f"--hand-count: needs tracks, not footage: `{_COMMAND} {source} --site {site} --out {out}` first, then "
-                f"`{_COMMAND} {out / TRACKS}` with --hand-count and another --out"
-            )
-        counted = ()
-        folder = tracked_footage(source, read, checkpoint, hardware, out, _COMMAND, options, console)
-        observation = read_observation(folder)
-        tracks = read_trajectories(folder, observation)
-    further = _claimed(out, [*track_files(folder), site], options, read, formats)
-    for line in _written(measure(tracks, observation, read, start, counted), source, read, out, further):
+        start = _only_begin(begins, read)
+        lines = _report_of_footage(sources[0], read, start, hand_count, out, formats, checkpoint, hardware, console)
+    for line in lines:
         console.result(line)
 
 
+def _options(begins: str | list[str] | None, hand_count: Path | None) -> dict[str, Any]:
+    """What is part of the work besides its files."""
+    options: dict[str, Any] = {"begins": begins}
+    if hand_count is not None:
+        options["hand_count"] = sha256_of(hand_count)
+    return options
+
+
+def _report_of_tracks(
+    folders: list[Path],
+    site: "SiteFile",
+    begins: list[str],
+    hand_count: Path | None,
+    out: Path,
+    formats: tuple[str, ...],
+) -> Iterator[str]:
+    """Measure the tracks of one or several recordings of the site."""
+    from skope.traffic.measure import measure
+    from skope.traffic.read_tracks import TRACKS_CSV, track_files
+    from skope.traffic.recordings import read_recordings
+
+    footage = read_recordings(folders, begins, site, _BEGINS)
+    observation, start = footage.observation, footage.start
+    counted = _counted_by_hand(hand_count, site, site.gates, start, observation)
+    # Of several the files alone do not tell which of them began when.
+    several = [f"{one.begin.isoformat()} {sha256_of(one.folder / TRACKS_CSV)[:12]}" for one in footage.recordings]
+    options = _options(several or _isoformat(_only_begin(begins, site)), hand_count)
+    inputs = [*(path for folder in folders for path in track_files(folder)), site.path]
+    claim_output(out, _COMMAND, inputs, options)
+    further = _claimed(out, inputs, options, site, formats)
+    report = measure(footage.tracks, observation, site, start, counted, recordings=footage.recordings)
+    source = [str(one.folder) for one in footage.recordings] or str(folders[0])
+    yield from _written(report, source, site, out, further)
+
+
+def _report_of_footage(
+    source: str,
+    site: "SiteFile",
+    start: datetime | None,
+    hand_count: Path | None,
+    out: Path,
+    formats: tuple[str, ...],
+    checkpoint: Path,
+    hardware: FastMachineOptions,
+    console: Console,
+) -> Iterator[str]:
+    """Detect and track what a video shows, and measure that."""
+    from skope.eval.cli.tracked_footage import TRACKS, tracked_footage
+    from skope.traffic.measure import measure
+    from skope.traffic.observation import read_observation
+    from skope.traffic.read_tracks import read_trajectories, track_files
+
+    if hand_count is not None:
+        raise UserError(
+            f"--hand-count: needs tracks, not footage: `{_COMMAND} {source} --site {site.path} --out {out}` first, "
+            f"then `{_COMMAND} {out / TRACKS}` with --hand-count and another --out"
+        )
+    options = _options(_isoformat(start), None)
+    folder = tracked_footage(source, site, checkpoint, hardware, out, _COMMAND, options, console)
+    observation = read_observation(folder)
+    tracks = read_trajectories(folder, observation)
+    further = _claimed(out, [*track_files(folder), site.path], options, site, formats)
+    yield from _written(measure(tracks, observation, site, start), source, site, out, further)
+
+
 def _claimed(
-    out: Path, inputs: list[Path], options: dict[str, str | None], site: "SiteFile", formats: tuple[str, ...]
+    out: Path, inputs: list[Path], options: dict[str, Any], site: "SiteFile", formats: tuple[str, ...]
 ) -> dict[str, Path]:
     """A folder below `out` for each format: work of its own, as what lies there may depend on the site's camera.
 
@@ -124,7 +173,7 @@ def _claimed(
 
 
 def _written(
-    report: "TrafficReport", source: str, site: "SiteFile", out: Path, further: dict[str, Path]
+    report: "TrafficReport", source: str | list[str], site: "SiteFile", out: Path, further: dict[str, Path]
 ) -> Iterator[str]:
     """Write a report, and in further formats to their folders; yields what was written and found."""
     from skope.traffic.exports.formats import write_format
@@ -151,7 +200,6 @@ def _report_in_image(
     start: datetime | None,
     hand_count: Path | None,
     out: Path,
-    options: dict[str, str | None],
     also: str,
 ) -> Iterator[str]:
     """Count by gates in the image what `skope eval predict` has followed.
@@ -171,6 +219,7 @@ def _report_in_image(
     tracks, observation = read_image_trajectories(folder)
     counted = _counted_by_hand(hand_count, site, site.image_gates, start, observation)
     inputs = [folder / FRAMES, folder / PREDICTIONS, site.path]
+    options = _options(_isoformat(start), hand_count)
     claim_output(out, _COMMAND, inputs, options)
     further = _claimed(out, inputs, options, site, formats)
     report = count_in_image(tracks, observation, site, start, counted)
@@ -190,22 +239,14 @@ def _counted_by_hand(
     return read_hand_counts(path, gates, site.traffic, begin, observation)
 
 
-def _start(text: str | None, site: "SiteFile") -> datetime | None:
-    """The time that `--begins` gives, in the site's zone where it has none of its own.
+def _isoformat(time: datetime | None) -> str | None:
+    return None if time is None else time.isoformat()
 
-    Raises UserError where it is none, or has no zone at all.
-    """
-    if text is None:
-        return None
-    from zoneinfo import ZoneInfo
 
-    try:
-        start = datetime.fromisoformat(text)
-    except ValueError:
-        raise UserError(f"--begins: expected a time like 2026-11-26T10:00:00, got {text!r:.40}") from None
-    zone = ZoneInfo(site.time_zone) if site.time_zone else None
-    if start.tzinfo is None and zone is None:
-        raise UserError(f"--begins: {text} has no zone, as 2026-11-26T10:00:00+01:00 has, and {site.path} no time_zone")
-    if start.tzinfo is None:
-        return start.replace(tzinfo=zone)
-    return start.astimezone(zone) if zone else start
+def _only_begin(begins: list[str] | None, site: "SiteFile") -> datetime | None:
+    """The time that `--begins` gives for one recording. Raises UserError where it is none, or given several times."""
+    from skope.traffic.recording_begin import said_begin
+
+    if begins and len(begins) > 1:
+        raise UserError(f"{_BEGINS}: expected one time for one recording, got {len(begins)}")
+    return said_begin(begins[0], site, _BEGINS) if begins else None

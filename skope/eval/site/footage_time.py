@@ -2,11 +2,12 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from datetime import UTC, datetime
+from datetime import datetime
 from typing import Any, Final
 from zoneinfo import ZoneInfo
 
 from skope.eval.site.marks import Problem
+from skope.traffic.clock import clock_doubt
 
 FIELDS: Final = ("time_zone", "start")
 
@@ -42,7 +43,7 @@ def read_time(document: Mapping[str, Any]) -> FootageTime:
     if start is not None and start.tzinfo is None:
         if zone is None and not problems:
             wrong("start", "type the time zone too")
-        elif zone is not None and (doubt := _doubt(start, zone)):
+        elif zone is not None and (doubt := clock_doubt(start, zone)):
             wrong("start", doubt)
     return FootageTime(time_zone=zone.key if zone else None, start=start, problems=tuple(problems))
 
@@ -59,14 +60,3 @@ def _zone(name: Any) -> ZoneInfo | None:
         return ZoneInfo(name)
     except (ValueError, KeyError, OSError, TypeError):  # no such zone, a path, a folder of zones
         return None
-
-
-def _doubt(start: datetime, zone: ZoneInfo) -> str:
-    """What is wrong with a time by the clocks of a zone, where they are put forward or back."""
-    first, second = (start.replace(tzinfo=zone, fold=fold) for fold in (0, 1))
-    if first.astimezone(UTC).astimezone(zone).replace(tzinfo=None) != start:
-        return f"there is no such time in {zone.key}: clocks are put forward then"
-    if first.utcoffset() != second.utcoffset():
-        ways = " or ".join(f"{time.isoformat(sep=' ')}" for time in (first, second))
-        return f"clocks show this twice, as they are put back: type {ways}"
-    return ""

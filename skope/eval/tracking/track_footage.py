@@ -4,6 +4,7 @@ import itertools
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from datetime import datetime
 from pathlib import Path
 from typing import Final
 
@@ -44,6 +45,8 @@ class TrackJob:
     out: Path
     fps: float | None
     """Images a second; None: the images tell their times."""
+    begins: datetime | None
+    """When second 0 was, with its zone; None: not known."""
     noise: float
     """Standard deviation of the noise that is added to labelled keypoints, pixels."""
     score: float
@@ -133,6 +136,7 @@ def _write_footage(job: TrackJob, times: list[float]) -> None:
         road_sigma_m=0.0 if scene.ground is None else scene.ground.height_sigma,
         moved_s=seconds[moved],
         sight=checked_sight(scene.file.info.get(SIGHT), f"{scene.file.name}: info.{SIGHT}"),
+        begins=job.begins,
     )
     write_bytes(job.out / FOOTAGE, json_bytes(observation.to_dict()))
 

@@ -1,0 +1,276 @@
+"""Several recordings of one site, put one after the other as if the camera had paused between them.
+
+Second 0 is that of the earliest recording; all further ones count from there by the clock, so that what was not
+recorded is a gap in the footage as any other is. Places keep the errors of the camera of their own recording.
+"""
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime, timedelta
+from itertools import islice
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from skope.errors import UserError
+from skope.files.reading import sha256_of
+from skope.terminal.console import counted
+from skope.traffic.clock import local_start, local_time
+from skope.traffic.observation import Observation, read_observation
+from skope.traffic.read_tracks import TRACKS_CSV, read_trajectories
+from skope.traffic.recording_begin import begin_in_name, said_begin
+from skope.traffic.trajectories import Trajectory
+from skope.types import Array
+
+if TYPE_CHECKING:
+    from skope.site.site_file import SiteFile
+
+_INEXACT_S: Final = 1.0
+"""Recorders name files by whole seconds: what seems to begin so long before the one before it has ended follows it."""
+_WORTH_SAYING_S: Final = 0.05
+_LONGEST: Final = timedelta(days=31)
+"""From the begin of the first recording to that of the last one: more is rather a mistake in a date."""
+_DIGITS: Final = 6
+"""Times are rounded to microseconds, so that a moment is the same number whichever recording it is in."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SiteRecording:
+    """One of several recordings, and where it lies in the report of all."""
+
+    folder: Path
+    """The folder of its tracks."""
+    source: str
+    """Name of its footage."""
+    begin: datetime
+    """When its own second 0 was, in the site's time."""
+    begin_s: float
+    """Second of the report that its own second 0 is."""
+    added: int
+    """What is added to the numbers of its tracks."""
+    guessed: bool
+    """Whether its begin is guessed from the name of its footage."""
+    late_s: float
+    """By how much it is taken to begin later than that says, so that it begins when the one before it has ended."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RecordedTraffic:
+    """What one or several recordings of a site hold."""
+
+    tracks: tuple[Trajectory, ...]
+    observation: Observation
+    start: datetime | None
+    """When second 0 was; None where that of a single recording is not known."""
+    recordings: tuple[SiteRecording, ...] = ()
+    """Where there are several, each of them, in the order of time."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Placed:
+    """A recording with when it began, not yet among the others."""
+
+    folder: Path
+    observation: Observation
+    begin: datetime
+    guessed: bool
+
+    def at(self, second: int) -> datetime:
+        """When its frames begin (0) or end (1)."""
+        return _later(self.begin, self.observation.extent[second])
+
+
+def read_recordings(
+    folders: Sequence[Path], begins: Sequence[str | datetime], site: "SiteFile", where: str
+) -> RecordedTraffic:
+    """Read the tracks of one or several recordings of a site.
+
+    Args:
+        folders: Folders that `skope eval track` wrote, in any order.
+        begins: When each began, in the order of `folders`; empty: as each says itself, else as the site says where
+            there is one recording, or the name of its footage where there are several.
+        site: The site.
+        where: What messages call `begins`.
+
+    Raises:
+        UserError: It is not known when one of several began, two overlap in time, or a file is missing or wrong.
+    """
+    if begins and len(begins) != len(folders):
+        raise UserError(
+            f"{where}: expected a time for each of {counted(len(folders), 'recording')}, in their order, got "
+            f"{len(begins)}"
+        )
+    said: list[datetime | None] = [said_begin(one, site, where) for one in begins]
+    said = said or [None] * len(folders)
+    if len(folders) == 1:
+        return _only(folders[0], said[0], site)
+    placed = [_placed(folder, begin, site, where) for folder, begin in zip(folders, said, strict=True)]
+    placed.sort(key=lambda one: (one.at(0).astimezone(UTC), str(one.folder)))
+    _check(placed)
+    recordings, parts, tracks = list[SiteRecording](), list[Observation](), list[Trajectory]()
+    added = 0
+    for one, late_s in _one_after_the_other(placed):
+        begin_s = _seconds(one.begin, recordings[0].begin if recordings else one.begin)
+        recordings.append(
+            SiteRecording(
+                folder=one.folder,
+                source=one.observation.source,
+                begin=one.begin,
+                begin_s=begin_s,
+                added=added,
+                guessed=one.guessed,
+                late_s=late_s,
+            )
+        )
+        parts.append(_in_report(one.observation, begin_s))
+        own = read_trajectories(one.folder, one.observation)
+        tracks += [replace(track, number=added + track.number, times_s=_at(track.times_s, begin_s)) for track in own]
+        added += max((track.number for track in own), default=0)
+    return RecordedTraffic(
+        tracks=tuple(tracks),
+        observation=_together(parts),
+        start=recordings[0].begin,
+        recordings=tuple(recordings),
+    )
+
+
+def recording_lines(recordings: Sequence[SiteRecording], observation: Observation) -> Iterator[str]:
+    """How it is known when recordings began, and in what their cameras differ, in sentences."""
+    if guessed := [one for one in recordings if one.guessed]:
+        first = guessed[0]
+        yield (
+            f"{len(guessed)} of {len(recordings)} recordings are taken to begin when the names of their footage say "
+            f"({first.source!r}: {first.begin.isoformat(timespec='seconds')}): a guess, which --begins replaces"
+        )
+    if late := [one for one in recordings if one.late_s >= _WORTH_SAYING_S]:
+        yield (
+            f"{len(late)} of {len(recordings)} recordings begin up to {max(one.late_s for one in late):.2f} s before "
+            f"the one before has ended ({late[0].folder} is the first): they are taken to follow it"
+        )
+    parts = observation.parts
+    known = [part.common_sigma for part in parts if part.common_sigma is not None]
+    if 0 < len(known) < len(parts):
+        yield f"speeds: how well the camera is known is said of {len(known)} of {len(parts)} recordings alone"
+    elif len(set(known)) > 1:
+        yield (
+            f"speeds: the camera is known to {min(known):.2%} in one recording and to {max(known):.2%} in another: "
+            "the intervals of all have the larger error"
+        )
+    if len({(part.eye, part.focal_px) for part in parts}) > 1:
+        yield (
+            "recordings have other calibrations of the camera: places have the errors of their own; who is too small "
+            "to be seen is told by the one that shows a gate the smallest"
+        )
+
+
+def _only(folder: Path, said: datetime | None, site: "SiteFile") -> RecordedTraffic:
+    observation = read_observation(folder)
+    start = _begin(said, observation, site) or local_start(site)
+    return RecordedTraffic(tracks=tuple(read_trajectories(folder, observation)), observation=observation, start=start)
+
+
+def _begin(said: datetime | None, observation: Observation, site: "SiteFile") -> datetime | None:
+    """When a recording begins: as somebody says, else as it says itself."""
+    return local_time(observation.begins, site) if said is None and observation.begins is not None else said
+
+
+def _placed(folder: Path, said: datetime | None, site: "SiteFile", where: str) -> _Placed:
+    observation = read_observation(folder)
+    begin = _begin(said, observation, site)
+    guess = begin_in_name(observation.source, site) if begin is None else None
+    if begin is None and guess is None:
+        zone = "" if site.time_zone else f", and {site.path} has no time_zone"
+        raise UserError(
+            f"{folder}: not known when it begins: {where} says it once for each recording, in their order "
+            f"(the name of the footage, {observation.source!r:.60}, does not tell it for sure{zone})"
+        )
+    known = begin or guess
+    assert known is not None
+    return _Placed(folder=folder, observation=observation, begin=known, guessed=guess is not None)
+
+
+def _check(placed: Sequence[_Placed]) -> None:
+    """Raise UserError where recordings, in order of time, cannot be of one report."""
+    folders, contents = dict[Path, Path](), dict[str, Path]()
+    for one in placed:
+        if one.folder.resolve() in folders:
+            raise UserError(f"{one.folder}: is given twice")
+        folders[one.folder.resolve()] = one.folder
+        path = one.folder / TRACKS_CSV
+        if _has_rows(path):
+            same = contents.setdefault(sha256_of(path), path)
+            if same != path:
+                raise UserError(f"{path}: holds the same tracks as {same}")
+        if one.begin.astimezone(UTC) - placed[0].begin.astimezone(UTC) > _LONGEST:
+            raise UserError(
+                f"{one.folder}: begins at {one.begin.isoformat(timespec='seconds')}, more than {_LONGEST.days} days "
+                f"after {placed[0].folder}: make a report of each"
+            )
+
+
+def _has_rows(path: Path) -> bool:
+    """Whether a file has a line after its first one; that it can be read is seen when it is."""
+    if not path.is_file():
+        return False
+    with path.open("rb") as file:
+        return len(list(islice(file, 2))) == 2
+
+
+def _one_after_the_other(placed: Sequence[_Placed]) -> Iterator[tuple[_Placed, float]]:
+    """The recordings, none before the last one has ended, and by how much each was moved for that, seconds.
+
+    Raises UserError where two overlap by more than their begins are known to.
+    """
+    before: _Placed | None = None
+    for one in placed:
+        late_s = 0.0 if before is None else max(0.0, _seconds(before.at(1), one.at(0)))
+        if before is not None and late_s > _INEXACT_S:
+            begins, ends = (time.isoformat(timespec="seconds") for time in (one.at(0), before.at(1)))
+            raise UserError(
+                f"{one.folder}: begins at {begins}, before {before.folder} has ended ({ends}): recordings of one "
+                "report may not overlap"
+            )
+        before = replace(one, begin=_later(one.begin, late_s))
+        yield before, late_s
+
+
+def _together(parts: Sequence[Observation]) -> Observation:
+    """The observation of all recordings; of what their cameras differ in, what is least certain."""
+    sigmas = [math.inf if part.common_sigma is None else part.common_sigma for part in parts]
+    return Observation(
+        times_s=np.concatenate([part.times_s for part in parts]),
+        source=f"{parts[0].source} to {parts[-1].source}",
+        common_sigma=max(sigmas) if math.isfinite(max(sigmas)) else None,
+        road_sigma_m=max(part.road_sigma_m for part in parts),
+        moved_s=np.concatenate([part.moved_s for part in parts]),
+        sight=np.concatenate([part.sight for part in parts]),
+        parts=tuple(parts),
+    )
+
+
+def _in_report(observation: Observation, begin_s: float) -> Observation:
+    """A recording's observation in seconds of the report."""
+    sight = observation.sight.copy()
+    sight[:, 0] = _at(sight[:, 0], begin_s)
+    return replace(
+        observation,
+        times_s=_at(observation.times_s, begin_s),
+        moved_s=_at(observation.moved_s, begin_s),
+        sight=sight,
+        begins=None,
+    )
+
+
+def _at(times_s: Array, begin_s: float) -> Array:
+    return np.asarray(np.round(times_s + begin_s, _DIGITS))
+
+
+def _later(time: datetime, seconds: float) -> datetime:
+    """So many seconds later, through UTC: on the day of a change the clock does not go on by itself."""
+    return (time.astimezone(UTC) + timedelta(seconds=seconds)).astimezone(time.tzinfo)
+
+
+def _seconds(time: datetime, since: datetime) -> float:
+    return (time.astimezone(UTC) - since.astimezone(UTC)).total_seconds()
