@@ -242,7 +242,8 @@ def measure_traffic(
         `conflicts`, each with how uncertain it is, and in `refused` what could not be measured, and why.
 
     Raises:
-        UserError: A file is missing or wrong.
+        UserError: A file is missing or wrong, recordings overlap in time, or it is not known when one began.
+        ValueError: `tracks` are folders and tracks.
     """
     from skope.eval.tracking.trajectories_of_tracks import trajectories_of_tracks
     from skope.site.site_file import SiteFile, read_site
@@ -257,6 +258,10 @@ def measure_traffic(
     said = [begins] if isinstance(begins, str | datetime) else list(begins or ())
     given = [tracks] if isinstance(tracks, str | Path) else list(tracks)
     folders = [Path(one) for one in given if isinstance(one, str | Path)]
+    if folders and len(folders) < len(given):
+        raise ValueError("tracks: expected folders, or what `track` gave, not both")
+    if not folders and len(said) > 1:
+        raise UserError(f"begins: expected one time for one recording, got {len(said)}")
     if folders:
         footage = read_recordings(folders, said, read, "begins")
     else:

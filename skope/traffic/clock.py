@@ -2,12 +2,16 @@
 
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta, tzinfo
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final
 from zoneinfo import ZoneInfo
+
+from skope.errors import UserError
 
 if TYPE_CHECKING:
     from skope.site.site_file import SiteParts
 
+_YEARS: Final = range(1900, 2900)
+"""In which footage may begin."""
 _PRECISE: Final = timedelta(seconds=1)
 """When clocks change is found to this; they do so at whole seconds."""
 
@@ -31,6 +35,17 @@ def local_start(site: "SiteParts") -> datetime | None:
 def local_time(time: datetime, site: "SiteParts") -> datetime:
     """A time with a zone, in the site's time zone where that is known."""
     return time.astimezone(ZoneInfo(site.time_zone)) if site.time_zone else time
+
+
+def time_of(text: Any, where: str, like: str = "2026-11-26T10:00:00") -> datetime:
+    """The time that a text says, with or without a zone. Raises UserError that begins with `where`."""
+    try:
+        time = datetime.fromisoformat(text)
+    except (TypeError, ValueError):
+        time = datetime.min
+    if time.year not in _YEARS:
+        raise UserError(f"{where}: expected a time like {like}, got {text!r:.40}")
+    return time
 
 
 def clock_doubt(time: datetime, zone: ZoneInfo) -> str:

@@ -12,11 +12,13 @@ import numpy as np
 
 from skope.errors import UserError
 from skope.files.json_files import check_version, read_json
+from skope.traffic.clock import time_of
 from skope.types import Array
 
 FOOTAGE: Final = "footage.json"
 """What `skope eval track` writes of its footage, beside the tracks."""
 _VERSION: Final = 1
+_WITH_OFFSET: Final = "2026-11-26T10:00:00+01:00"
 _GAP_S: Final = 1.0
 """Between frames that are farther apart than this, and than `_GAP_STEPS` usual steps, nothing was observed."""
 _GAP_STEPS: Final = 3.0
@@ -201,12 +203,9 @@ def checked_sight(rows: Any, where: str) -> Array:
 
 def read_begins(text: Any, where: str) -> datetime:
     """A time with its offset, of a text. Raises UserError that begins with `where`."""
-    try:
-        begins = datetime.fromisoformat(text)
-    except (TypeError, ValueError):
-        begins = datetime.min
+    begins = time_of(text, where, _WITH_OFFSET)
     if begins.tzinfo is None:
-        raise UserError(f"{where}: expected a time with its offset, like 2026-11-26T10:00:00+01:00, got {text!r:.40}")
+        raise UserError(f"{where}: expected a time with its offset, like {_WITH_OFFSET}, got {text!r:.40}")
     return begins
 
 

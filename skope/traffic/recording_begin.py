@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Final
 from zoneinfo import ZoneInfo
 
 from skope.errors import UserError
-from skope.traffic.clock import clock_doubt, local_time
+from skope.traffic.clock import clock_doubt, local_time, time_of
 
 if TYPE_CHECKING:
     from skope.site.site_file import SiteFile
@@ -23,10 +23,7 @@ def said_begin(said: str | datetime, site: "SiteFile", where: str) -> datetime:
     Raises:
         UserError: It is no time, has no zone at all, or clocks show it never or twice; the message begins with `where`.
     """
-    try:
-        begin = said if isinstance(said, datetime) else datetime.fromisoformat(said)
-    except ValueError:
-        raise UserError(f"{where}: expected a time like 2026-11-26T10:00:00, got {said!r:.40}") from None
+    begin = said if isinstance(said, datetime) else time_of(said, where)
     if begin.tzinfo is not None:
         return local_time(begin, site)
     zone = _zone(site)

@@ -18,7 +18,7 @@ from skope.errors import UserError
 from skope.files.reading import sha256_of
 from skope.terminal.console import counted
 from skope.traffic.clock import local_start, local_time
-from skope.traffic.observation import Observation, read_observation
+from skope.traffic.observation import FOOTAGE, Observation, read_observation
 from skope.traffic.read_tracks import TRACKS_CSV, read_trajectories
 from skope.traffic.recording_begin import begin_in_name, said_begin
 from skope.traffic.trajectories import Trajectory
@@ -195,6 +195,8 @@ def _check(placed: Sequence[_Placed]) -> None:
     """Raise UserError where recordings, in order of time, cannot be of one report."""
     folders, contents = dict[Path, Path](), dict[str, Path]()
     for one in placed:
+        if not len(one.observation.times_s) + len(one.observation.moved_s):
+            raise UserError(f"{one.folder / FOOTAGE}: times_s: holds no frame")
         if one.folder.resolve() in folders:
             raise UserError(f"{one.folder}: is given twice")
         folders[one.folder.resolve()] = one.folder

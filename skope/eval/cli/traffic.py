@@ -121,11 +121,12 @@ def _report_of_tracks(
     # Of several the files alone do not tell which of them began when.
     several = [f"{one.begin.isoformat()} {sha256_of(one.folder / TRACKS_CSV)[:12]}" for one in footage.recordings]
     options = _options(several or _isoformat(_only_begin(begins, site)), hand_count)
-    inputs = [*(path for folder in folders for path in track_files(folder)), site.path]
+    ordered = [one.folder for one in footage.recordings] or folders
+    inputs = [*(path for folder in ordered for path in track_files(folder)), site.path]
     claim_output(out, _COMMAND, inputs, options)
     further = _claimed(out, inputs, options, site, formats)
     report = measure(footage.tracks, observation, site, start, counted, recordings=footage.recordings)
-    source = [str(one.folder) for one in footage.recordings] or str(folders[0])
+    source = list(map(str, ordered)) if footage.recordings else str(folders[0])
     yield from _written(report, source, site, out, further)
 
 
