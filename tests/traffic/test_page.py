@@ -6,12 +6,15 @@ from contextlib import AbstractContextManager
 from dataclasses import replace
 from pathlib import Path
 
+import pytest
+
 from skope.site.marks import Gate
 from skope.traffic.clock import ClockInterval
 from skope.traffic.hand_count_file import HandCount
 from skope.traffic.measure import measure
 from skope.traffic.page.page import traffic_page, write_page
 from skope.traffic.report import TrafficReport
+from skope.traffic.road_picture import RoadPicture, read_road_picture, write_road_picture
 from tests.chromium import Browser
 from tests.traffic.drives import watched
 from tests.traffic.test_exports import HEAD, junction_report, report_of, site_of
@@ -94,3 +97,20 @@ def test_in_a_browser(chromium_pages: Callable[[], AbstractContextManager[Browse
         assert browser.run("document.getElementById('tip').textContent").startswith("<b>: ")  # the next gate
         pdf = browser.call("Page.printToPDF", printBackground=True)["data"]
         assert len(pdf) > 10_000
+
+
+def test_tracks_are_drawn_on_the_empty_road_where_it_lies(tmp_path: Path) -> None:
+    report = report_of()
+    picture = RoadPicture(b"jpeg", (-40.0, -30.0), (40.0, 20.0))
+    assert write_road_picture(tmp_path, picture) == ["road.jpg", "road.json"]
+    assert read_road_picture(tmp_path) == picture
+    page = traffic_page(report, tracks="t", road=picture)
+    (found,) = re.findall(
+        r'<image href="data:image/jpeg;base64,anBlZw==" x="(.*?)" y="(.*?)" width="(.*?)" height', page
+    )
+    x, _, width = map(float, found)
+    # The gate lies at x = 0: in the middle of the picture.
+    (gate,) = re.findall(r'd="M(\S+) \S+L\S+ \S+" class="gate"', page)
+    assert float(gate) == pytest.approx(float(x) + float(width) / 2, abs=0.2)
+    (tmp_path / "road.json").write_text('{"low": [1, 2]}')
+    assert read_road_picture(tmp_path) is None

@@ -127,7 +127,7 @@ def _report_of_tracks(
     further = _claimed(out, inputs, options, site, formats)
     report = measure(footage.tracks, observation, site, start, counted, recordings=footage.recordings)
     source = list(map(str, ordered)) if footage.recordings else str(folders[0])
-    yield from _written(report, source, site, out, further)
+    yield from _written(report, source, site, out, further, folders[0])
 
 
 def _report_of_footage(
@@ -157,7 +157,7 @@ def _report_of_footage(
     observation = read_observation(folder)
     tracks = read_trajectories(folder, observation)
     further = _claimed(out, [*track_files(folder), site.path], options, site, formats)
-    yield from _written(measure(tracks, observation, site, start), source, site, out, further)
+    yield from _written(measure(tracks, observation, site, start), source, site, out, further, folder)
 
 
 def _claimed(
@@ -174,19 +174,29 @@ def _claimed(
 
 
 def _written(
-    report: "TrafficReport", source: str | list[str], site: "SiteFile", out: Path, further: dict[str, Path]
+    report: "TrafficReport",
+    source: str | list[str],
+    site: "SiteFile",
+    out: Path,
+    further: dict[str, Path],
+    tracks: Path | None = None,
 ) -> Iterator[str]:
-    """Write a report, and in further formats to their folders; yields what was written and found."""
+    """Write a report, and in further formats to their folders; yields what was written and found.
+
+    The map is drawn on the picture of the road that lies in `tracks`.
+    """
     from skope.traffic.exports.formats import write_format
     from skope.traffic.page.page import write_page
     from skope.traffic.report_text import report_lines
+    from skope.traffic.road_picture import read_road_picture
     from skope.traffic.write_report import write_report
 
     for name, folder in further.items():
         for path in write_format(name, folder, report, site.camera.camera if site.camera else None):
             yield f"wrote {path}"
+    road = None if tracks is None else read_road_picture(tracks)
     for path in (
-        write_page(out, report, tracks=source),
+        write_page(out, report, tracks=", ".join([source] if isinstance(source, str) else source), road=road),
         *write_report(out, report, tracks=source, revision=site.revision),
     ):
         yield f"wrote {path}"

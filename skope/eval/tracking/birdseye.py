@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+import cv2
 import numpy as np
 
 from skope.camera.model import Camera
@@ -15,6 +16,7 @@ from skope.eval.tracking.road_user_tracks import RoadUserTrack
 from skope.eval.tracking.tracks import Track
 from skope.files.atomic import replacing
 from skope.terminal.console import counted
+from skope.traffic.road_picture import RoadPicture
 from skope.types import Array
 
 if TYPE_CHECKING:
@@ -37,6 +39,9 @@ _FLATTEST: Final = 0.45
 """Height of the map over its width, at most and at least."""
 _CELLS: Final = 1500
 """Cells of the road's picture along its longer side."""
+_FEWER_CELLS: Final = 1200
+_QUALITY: Final = 70
+"""Cells of the road's picture that is kept for other maps, along its longer side, and how well its file keeps it."""
 _DRIVING_KMH: Final = 5.0
 """What is slower may stand, and says nothing of how fast vehicles drive."""
 _STANDS_M: Final = 4.0
@@ -98,6 +103,16 @@ def draw(
     map_signs.draw_scale(bar, colors, norm)
     with replacing(path) as temporary:
         figure.savefig(temporary)
+
+
+def road_picture(tracks: Sequence[GroundTrack], camera: Camera, ground: Ground, road: Pixels) -> RoadPicture:
+    """The empty road (H, W, 3), as a camera shows it, from above: the rectangle that `draw` shows."""
+    low, high = extent(tracks, camera.position[:2])
+    cell = float((high - low).max()) / _FEWER_CELLS
+    view = GroundView(camera=camera, ground=ground, low=low, high=high, cell_m=cell)
+    _, jpeg = cv2.imencode(".jpg", view.pale(road)[..., 0], [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
+    (west, south), (east, north) = low.tolist(), high.tolist()
+    return RoadPicture(jpeg.tobytes(), (west, south), (east, north))
 
 
 def _write_heading(

@@ -31,6 +31,7 @@ from skope.pictures.video import write_video
 from skope.schema import CATEGORIES, Labelled
 from skope.terminal.console import Console, counted
 from skope.traffic.observation import FOOTAGE, Observation, checked_sight
+from skope.traffic.road_picture import write_road_picture
 
 _PROGRESS: Final = ".poses.jsonl"
 
@@ -84,6 +85,10 @@ def run(job: TrackJob, console: Console) -> Iterator[str]:
     written = ["tracks.csv", "mot.txt", "fcd.xml", FOOTAGE, "birdseye.png"]
     road = _road(job, camera, console)
     birdseye.draw(job.out / "birdseye.png", tracks, camera, scene.ground, road, road_users)
+    if road is not None and scene.ground is not None:
+        written += write_road_picture(
+            job.out, birdseye.road_picture([*tracks, *road_users], camera, scene.ground, road)
+        )
     if scene.file.annotations:
         _write_truth(job.out / "mot_truth.txt", scene, scene.file.annotations)
         written.append("mot_truth.txt")

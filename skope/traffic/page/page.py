@@ -18,6 +18,7 @@ from skope.traffic.page.plots import counts_over_time, headway_histograms, speed
 from skope.traffic.page.road_map import road_map
 from skope.traffic.report import TrafficReport
 from skope.traffic.report_tables import clock
+from skope.traffic.road_picture import RoadPicture
 from skope.traffic.speed_percentiles import PERCENTILES, Percentile
 from skope.traffic.trajectories import KMH
 from skope.version import __version__
@@ -28,23 +29,24 @@ _MOST_INTERVALS: Final = 400
 """Rows of counts by interval; the rest is in counts.csv."""
 
 
-def write_page(out: Path, report: TrafficReport, *, tracks: str) -> Path:
+def write_page(out: Path, report: TrafficReport, *, tracks: str, road: RoadPicture | None = None) -> Path:
     """Write a report as `report.html`.
 
     Args:
         out: The folder of the report.
         report: What was measured.
         tracks: What the tracks were read from.
+        road: The empty road from above, that the tracks are drawn on; None: there is no picture.
 
     Returns:
         The file.
     """
     path = out / FILE
-    write_text(path, traffic_page(report, tracks=tracks))
+    write_text(path, traffic_page(report, tracks=tracks, road=road))
     return path
 
 
-def traffic_page(report: TrafficReport, *, tracks: str) -> str:
+def traffic_page(report: TrafficReport, *, tracks: str, road: RoadPicture | None = None) -> str:
     """The page's text."""
     name = report.observation.source or tracks
     sections = {
@@ -57,7 +59,7 @@ def traffic_page(report: TrafficReport, *, tracks: str) -> str:
         "Accuracy": [_accuracy(report)],
         "What to know": [_remarks(report)],
     }
-    parts = [tag("h1", escape(f"Traffic: {name}")), tag("p", escape(_what(report))), road_map(report)]
+    parts = [tag("h1", escape(f"Traffic: {name}")), tag("p", escape(_what(report))), road_map(report, road)]
     for title, found in sections.items():
         if any(found):
             parts += [tag("h2", title), *found]

@@ -1,5 +1,6 @@
 """The road from above as SVG: who drove where, gates with their counts, zones, lanes, conflicts."""
 
+import base64
 import math
 from collections.abc import Iterator, Sequence
 from html import escape
@@ -12,6 +13,7 @@ from skope.site.marks import Outline
 from skope.traffic.gates import may_count
 from skope.traffic.report import TrafficReport
 from skope.traffic.report_tables import thinned
+from skope.traffic.road_picture import RoadPicture
 from skope.traffic.trajectories import VEHICLE, Trajectory
 from skope.types import Array
 
@@ -50,8 +52,8 @@ class _Frame:
         return "M" + "L".join(f"{x:.1f} {y:.1f}" for x, y in self.points(places)) + ("Z" if closed else "")
 
 
-def road_map(report: TrafficReport) -> str:
-    """A figure; nothing where there is nothing to draw."""
+def road_map(report: TrafficReport, road: RoadPicture | None) -> str:
+    """A figure, on a picture of the empty road where there is one; nothing where there is nothing to draw."""
     tracks = [one for one in report.trajectories if may_count(one, report.site.traffic)]
     chosen = tracks[:: max(1, math.ceil(len(tracks) / _MOST_TRACKS))]
     gates = report.site.gates if report.metres else tuple(_upwards(report))
@@ -59,7 +61,8 @@ def road_map(report: TrafficReport) -> str:
     if not len(places):
         return ""
     frame = _Frame(places)
-    parts = [*_marks(report, frame), *_tracks(chosen, frame), *_conflicts(report, frame)]
+    under = [] if road is None or not report.metres else [_picture(road, frame)]
+    parts = [*under, *_marks(report, frame), *_tracks(chosen, frame), *_conflicts(report, frame)]
     for gate in gates:
         parts += _gate(report, frame, gate.name, gate.line)
     if report.metres:
@@ -103,6 +106,19 @@ def _outline(tracks: Sequence[Trajectory], lines: Sequence[Outline]) -> Array:
     low, high = ends.min(axis=0), ends.max(axis=0)
     around = _AROUND * float((high - low).max())
     return np.concatenate([ends, corners.clip(low - around, high + around)])
+
+
+def _picture(road: RoadPicture, frame: _Frame) -> str:
+    (west, north), (east, south) = frame.points([(road.low[0], road.high[1]), (road.high[0], road.low[1])])
+    return tag(
+        "image",
+        href=f"data:image/jpeg;base64,{base64.b64encode(road.jpeg).decode()}",
+        x=f"{west:.1f}",
+        y=f"{north:.1f}",
+        width=f"{east - west:.1f}",
+        height=f"{south - north:.1f}",
+        preserveAspectRatio="none",
+    )
 
 
 def _marks(report: TrafficReport, frame: _Frame) -> Iterator[str]:
