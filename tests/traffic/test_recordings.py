@@ -214,7 +214,8 @@ def test_a_begin_in_a_name_is_a_guess_and_said() -> None:
         assert begin_in_name(name, site) == datetime(2026, 11, 26, 10, tzinfo=zone), name
     for name in (
         "cam", "2026-11-26", "120261126100000", "20261126_100000_20261126_110000", "2026-13-26_10-00-00",
-        "2026-10-25_02-30-00", "2026-03-29_02-30-00", "20261126_1000001",
+        "2026-10-25_02-30-00", "2026-03-29_02-30-00", "20261126_1000001", "2026-11-26T10-00-00+0200",
+        "2026-11-26T10:00:00-05:00",
     ):  # fmt: skip
         assert begin_in_name(name, site) is None, name
     assert begin_in_name("2026-11-26_10-00-00", parse_site(Path("site.toml"), b"")) is None
