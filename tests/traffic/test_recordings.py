@@ -118,6 +118,7 @@ def test_recordings_without_a_gap_are_the_unbroken_one() -> None:
         write(name, tracks, 60 * k, 60 * k + 60)
     whole, parts = door.measure_traffic("whole", "site.toml"), door.measure_traffic(names(3), "site.toml")
     assert whole.start == parts.start
+    assert np.array_equal(whole.observation.times_s, parts.observation.times_s), "to the last digit"
     assert sum(one.count or 0 for one in parts.counts_total) == 2 * 2 * 21
     for table in ("counts", "turning", "speeds", "occupancy", "queues", "delays", "conflicts", "sight"):
         assert cells(parts, table, "track") == cells(whole, table, "track"), table
