@@ -13,8 +13,10 @@ if TYPE_CHECKING:
 
 _IN_NAME: Final = re.compile(
     r"(?<!\d)(20\d\d)[-_.]?(\d\d)[-_.]?(\d\d)[-_.T ]?(\d\d)[-_.:]?(\d\d)[-_.:]?(\d\d)(Z?)(?![\dA-Za-z])"
+    r"(?![-+]\d\d:?\d\d(?!\d))"
 )
-"""Day and time in a name, as recorders write them; with a Z in UTC, else by the clocks at the road."""
+"""Day and time in a name, as recorders write them; with a Z in UTC, else by the clocks at the road. What may be an
+offset behind it, or a counter, leaves it in doubt."""
 
 
 def said_begin(said: str | datetime, site: "SiteFile", where: str) -> datetime:

@@ -66,6 +66,22 @@ def _bounds(expected: CountInterval | None) -> dict[str, int]:
     return {} if expected is None else {"low": expected.low, "high": expected.high}
 
 
+def _recordings(report: TrafficReport) -> list[dict[str, Any]]:
+    return [
+        {
+            "recording": number,
+            "tracks": str(one.folder),
+            "footage": one.source,
+            "begin": one.begin.isoformat(),
+            "begin_s": one.begin_s,
+            "guessed": one.guessed,
+            "later_s": one.late_s,
+            "added_to_track": one.added,
+        }
+        for number, one in enumerate(report.recordings, start=1)
+    ]
+
+
 def summary(report: TrafficReport, *, tracks: str | list[str], revision: str | None) -> dict[str, Any]:
     """What a result was made of and by, so that it can be made again, and its totals."""
     observation = report.observation
@@ -82,24 +98,11 @@ def summary(report: TrafficReport, *, tracks: str | list[str], revision: str | N
     ]
     likely = [one.probability for one in report.conflicts.conflicts if not math.isnan(one.probability)]
     sure = count_interval(likely, (0.0, 1.0))
-    recordings = [
-        {
-            "recording": number,
-            "tracks": str(one.folder),
-            "footage": one.source,
-            "begin": one.begin.isoformat(),
-            "begin_s": one.begin_s,
-            "guessed": one.guessed,
-            "later_s": one.late_s,
-            "added_to_track": one.added,
-        }
-        for number, one in enumerate(report.recordings, start=1)
-    ]
     return {
         "skope": __version__,
         "tracks": tracks,
         "footage": observation.source,
-        **({"recordings": recordings} if recordings else {}),
+        **({"recordings": _recordings(report)} if report.recordings else {}),
         "site_revision": revision,
         "settings": report.site.traffic.to_dict(),
         "start": None if report.start is None else report.start.isoformat(),

@@ -118,6 +118,7 @@ def test_recordings_without_a_gap_are_the_unbroken_one() -> None:
         write(name, tracks, 60 * k, 60 * k + 60)
     whole, parts = door.measure_traffic("whole", "site.toml"), door.measure_traffic(names(3), "site.toml")
     assert whole.start == parts.start
+    assert np.array_equal(whole.observation.times_s, parts.observation.times_s), "to the last digit"
     assert sum(one.count or 0 for one in parts.counts_total) == 2 * 2 * 21
     for table in ("counts", "turning", "speeds", "occupancy", "queues", "delays", "conflicts", "sight"):
         assert cells(parts, table, "track") == cells(whole, table, "track"), table
@@ -214,7 +215,8 @@ def test_a_begin_in_a_name_is_a_guess_and_said() -> None:
         assert begin_in_name(name, site) == datetime(2026, 11, 26, 10, tzinfo=zone), name
     for name in (
         "cam", "2026-11-26", "120261126100000", "20261126_100000_20261126_110000", "2026-13-26_10-00-00",
-        "2026-10-25_02-30-00", "2026-03-29_02-30-00", "20261126_1000001",
+        "2026-10-25_02-30-00", "2026-03-29_02-30-00", "20261126_1000001", "2026-11-26T10-00-00+0200",
+        "2026-11-26T10:00:00-05:00",
     ):  # fmt: skip
         assert begin_in_name(name, site) is None, name
     assert begin_in_name("2026-11-26_10-00-00", parse_site(Path("site.toml"), b"")) is None

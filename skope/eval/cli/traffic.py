@@ -74,24 +74,38 @@ def traffic(
 ) -> None:
     """Measure traffic: counts by gate, turning movements, speeds, headways, queues and conflicts, with intervals."""
     from skope.site.site_file import read_site
-    from skope.traffic.exports.formats import checked_formats
-    from skope.traffic.observation import FOOTAGE
-    from skope.traffic.read_tracks import TRACKS_CSV
 
     read = read_site(site)
     for key in read.unknown:
         console.warn(f"{site}: {key}: unknown; not used")
-    formats = checked_formats(also, read, metres=True)
+    for line in _report(sources, read, begins or [], hand_count, out, also, checkpoint, hardware, console):
+        console.result(line)
+
+
+def _report(
+    sources: list[str],
+    site: "SiteFile",
+    begins: list[str],
+    hand_count: Path | None,
+    out: Path,
+    also: str,
+    checkpoint: Path,
+    hardware: FastMachineOptions,
+    console: Console,
+) -> Iterator[str]:
+    """Measure what the sources are: tracks in metres, what was found in an image, or footage."""
+    from skope.traffic.exports.formats import checked_formats
+    from skope.traffic.observation import FOOTAGE
+    from skope.traffic.read_tracks import TRACKS_CSV
+
+    formats = checked_formats(also, site, metres=True)
     folder = Path(sources[0])
     if len(sources) > 1 or (folder / TRACKS_CSV).is_file() or (folder.is_dir() and (folder / FOOTAGE).is_file()):
-        lines = _report_of_tracks([Path(one) for one in sources], read, begins or [], hand_count, out, formats)
-    elif (folder / FRAMES).is_file():
-        lines = _report_in_image(folder, read, _only_begin(begins, read), hand_count, out, also)
-    else:
-        start = _only_begin(begins, read)
-        lines = _report_of_footage(sources[0], read, start, hand_count, out, formats, checkpoint, hardware, console)
-    for line in lines:
-        console.result(line)
+        return _report_of_tracks([Path(one) for one in sources], site, begins, hand_count, out, formats)
+    start = _only_begin(begins, site)
+    if (folder / FRAMES).is_file():
+        return _report_in_image(folder, site, start, hand_count, out, also)
+    return _report_of_footage(sources[0], site, start, hand_count, out, formats, checkpoint, hardware, console)
 
 
 def _options(begins: str | list[str] | None, hand_count: Path | None) -> dict[str, Any]:
@@ -254,10 +268,10 @@ def _isoformat(time: datetime | None) -> str | None:
     return None if time is None else time.isoformat()
 
 
-def _only_begin(begins: list[str] | None, site: "SiteFile") -> datetime | None:
+def _only_begin(begins: list[str], site: "SiteFile") -> datetime | None:
     """The time that `--begins` gives for one recording. Raises UserError where it is none, or given several times."""
     from skope.traffic.recording_begin import said_begin
 
-    if begins and len(begins) > 1:
+    if len(begins) > 1:
         raise UserError(f"{_BEGINS}: expected one time for one recording, got {len(begins)}")
     return said_begin(begins[0], site, _BEGINS) if begins else None
