@@ -31,6 +31,7 @@ NOT_RUN: Final = {
     r"skope gen sites --maps": "draws every town: gen/cli tests draw one",
     r"skope eval traffic (tracks|video|runs/tracks)": "take tracks and gates of a reader's own: tests/traffic",
     r"python -m OTAnalytics": "another program: tests/traffic/test_otanalytics.py runs it",
+    r"python \$SUMO_HOME": "other programs: tests/traffic/test_exports.py runs them",
     r"skope gen (convert (DATASET|SOURCE)|merge A )": "name what a reader puts there",
     r".*(skope3d|data/published|data/both)": "need the files of others: tests/gen/formats",
     r".* --scheme apollo24": "take results with other keypoints: test_keypoints.py has the maps",

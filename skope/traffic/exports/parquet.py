@@ -17,7 +17,7 @@ _ROWS: Final = 100_000
 
 
 def write_parquet(folder: Path, report: TrafficReport) -> list[Path]:
-    """Write each table of a report as `NAME.parquet`; returns the files.
+    """Write each table of a report as Parquet, a file of its name; returns the files.
 
     Raises:
         UserError: pyarrow is not installed.
