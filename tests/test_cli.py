@@ -19,6 +19,7 @@ from typer.testing import CliRunner
 
 import skope as package
 from skope import cli, schema
+from skope.detector.backbones import BACKBONES
 from skope.eval.inference.settings import BACKENDS, PRECISIONS, TILES
 from skope.gen.formats.convert import READERS, WRITERS
 from skope.gen.labels.annotate import OCCLUSION_RULES
@@ -172,6 +173,7 @@ CHOSEN = {
     "--supervise": SUPERVISE,
     "--recipe": (*CHOICES, "FILE"),
     "--init": (*INITS, "FILE"),
+    "skope train --backbone": tuple(BACKBONES),
     "--labelled": LABELLED,
     "--boxes": (*BOX_KINDS, "given"),
     "--scheme": SCHEMES,

@@ -59,7 +59,7 @@ SMALLER: Final = {
     r"--fps \d+": "--fps 10",
     r"--epochs \d+": "--epochs 1",
     r"--checkpoint road33": "--checkpoint runs/skope",
-    r"--teacher road33": "--teacher runs/skope",
+    r"teacher.checkpoint=road33": "teacher.checkpoint=runs/skope",
     r"--backbone resnet18": " ".join(
         f"--set network.{part}"
         for part in ("pyramid_width=16", "keypoint_layers=1", "keypoint_width=16", "box_width=16")

@@ -154,6 +154,7 @@ RUNS: Final[Sequence[Run]] = (
         slow=True,
     ),
     Run("research/track_rates.py", "{road} --fps 10", says="  10    0/0"),
+    Run("research/fit_events.py", "{out}", says="no clips that were tracked", code=2),
     Run("research/traffic_clips.py", "score {clips} --true-keypoints --only t06_plaza_opening_day", says=" holds"),
     Run(
         "research/traffic_clips.py",
@@ -163,7 +164,7 @@ RUNS: Final[Sequence[Run]] = (
         slow=True,
     ),
     Run("research/traffic_evidence.py", "{clips}/labels.json {clips}", says="track 1: 1 ("),
-    Run("research/traffic_gates.py", "t06_plaza_opening --out {out}", says="arm3"),
+    Run("research/traffic_gates.py", "t06_plaza_opening --out {out}", says="arm2"),
     Run(
         "research/traffic_hours.py",
         "--hours 0.02 --kills 2 --recordings 2 --out {out}/hours",

@@ -252,6 +252,8 @@ def main() -> None:
     parser.add_argument("--workers", type=int, default=1)
     options = parser.parse_args()
     folders = [clip for folder in options.folder for clip in scored(folder)]
+    if not folders:
+        parser.error("no clips that were tracked")
     with ProcessPoolExecutor(options.workers) as workers:
         if options.coverage:
             print_coverage([row for rows in workers.map(covered, folders) for row in rows])

@@ -263,8 +263,13 @@ def unpack(folder: Path, out: Path) -> None:
 
 
 def place_gates(folder: Path) -> None:
-    """Place a clip's gates by the rule as it is now; what was counted at others is done again."""
+    """Place a clip's gates by the rule as it is now; what was counted at others is done again.
+
+    A clip that names no site keeps its own.
+    """
     made, before = read_json(folder / CLIP), (folder / SITE).read_bytes()
+    if "site" not in made:
+        return
     write_site(folder / SITE, gates_of(*road_of(made["site"], made["size"])))
     if (folder / SITE).read_bytes() != before:
         for report in folder.glob("*/report"):

@@ -82,15 +82,6 @@ def run(
             show_default="the recipe's or the first weights'",
         ),
     ] = None,
-    teacher: Annotated[
-        str | None,
-        training(
-            metavar="[NAME|FILE]",
-            help="A trained detector whose answers are learnt beside the labels, as in --teacher road33; FILE may be a "
-            "run folder. How much they count: --set teacher.keypoints=2.",
-            show_default=_RECIPES,
-        ),
-    ] = None,
     batch_size: Annotated[int | None, training(help="Images a step.", show_default=_RECIPES)] = None,
     min_size: Annotated[
         int | None,
@@ -130,7 +121,6 @@ def run(
         "epochs": epochs,
         "init": init,
         "backbone": backbone,
-        "teacher": teacher,
         "batch_size": batch_size,
         "max_images": max_images,
         "min_size": min_size,

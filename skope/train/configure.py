@@ -27,8 +27,6 @@ def new(data: Sequence[Path], flags: Mapping[str, Any], *, gpu: bool, bfloat16: 
         recipe = replace(recipe, **given)
         if flags["backbone"] is not None:
             recipe = replace(recipe, network=replace(recipe.network, backbone=flags["backbone"]))
-        if flags["teacher"] is not None:
-            recipe = replace(recipe, teacher=replace(recipe.teacher, checkpoint=flags["teacher"]))
     except UserError as error:
         raise UserError(f"--{str(error).replace('_', '-', 1)}") from None
     if flags["min_size"] is not None:
@@ -63,7 +61,7 @@ def again(out: Path, data: Sequence[Path], flags: Mapping[str, Any]) -> RunConfi
     recorded = RunConfig.read(out)
     known = {**recorded.recipe.to_dict(), **recorded.to_dict(), "recipe": recorded.recipe.name}
     known["categories"] = list(recorded.detector_categories)
-    known["backbone"], known["teacher"] = recorded.recipe.network.backbone, recorded.recipe.teacher.checkpoint
+    known["backbone"] = recorded.recipe.network.backbone
     for name, value in flags.items():
         if name in ("epochs", "set") or value is None or value == ():
             continue

@@ -50,12 +50,14 @@ class Teacher:
         path = find_checkpoint(Path(rules.checkpoint))
         model, config, _ = load_weights(path, device)
         if config.scheme != student.scheme:
-            raise UserError(f"--teacher {path}: has keypoint scheme {config.scheme}, what is learnt {student.scheme}")
+            raise UserError(
+                f"teacher.checkpoint: {path} has keypoint scheme {config.scheme}, what is learnt {student.scheme}"
+            )
         if config.categories != student.categories and rules.of_boxes:
             own, wanted = (", ".join(one.categories) for one in (config, student))
             raise UserError(
-                f"--teacher {path}: knows {own}, what is learnt is {wanted}; with --set teacher.classes=0 --set "
-                "teacher.boxes=0 its keypoints alone are learnt"
+                f"teacher.checkpoint: {path} knows {own}, what is learnt is {wanted}; with --set teacher.classes=0 "
+                "--set teacher.boxes=0 its keypoints alone are learnt"
             )
         fold_norms(model.to(memory_format=torch.channels_last))
         return cls(model.requires_grad_(False), config, rules)

@@ -19,7 +19,7 @@ from tests import samples
 
 NO_FLAGS: dict[str, Any] = {
     **dict.fromkeys(("recipe", "epochs", "init", "batch_size", "max_images", "min_size", "seed")),
-    **dict.fromkeys(("supervise", "val_fraction", "mix", "backbone", "teacher")),
+    **dict.fromkeys(("supervise", "val_fraction", "mix", "backbone")),
     "set": (),
     "exclude_types": (),
     "categories": (),
@@ -50,7 +50,7 @@ def test_a_flag_of_zero_is_a_value() -> None:
         (["--categories", "pedestrian"], "--categories: expected vehicle among pedestrian"),
         (["--backbone", "vgg16"], "--backbone: 'vgg16' is not one of resnet50, resnet18, mobilenet_v3_large"),
         (["--set", "network.box_width=8"], "--set network.box_width: expected a whole number from 16 to 4096, got 8"),
-        (["--teacher", "none"], "none: no such checkpoint or run folder"),
+        (["--set", "teacher.checkpoint=none_there"], "none_there: no such checkpoint or run folder"),
         (["--set", "teacher.sharpen=0"], "--set teacher.sharpen: expected 0.1 to 100, got 0"),
         (["--set", "teacher.boxes=-1"], "--set teacher.boxes: expected 0 to 1000, got -1"),
         (["--resume"], "no such run folder"),
@@ -114,7 +114,7 @@ def test_flags_change_the_recipe() -> None:
     assert new(init="coco").recipe.init == "coco"
     narrow = new(backbone="resnet18", set=("network.pyramid_width=64",)).recipe.network
     assert narrow.asked == {"backbone": "resnet18", "pyramid_width": 64}
-    taught = new(teacher="road33", set=("teacher.boxes=0",)).recipe.teacher
+    taught = new(set=("teacher.checkpoint=road33", "teacher.boxes=0")).recipe.teacher
     assert (taught.checkpoint, taught.boxes, taught.keypoints) == ("road33", 0.0, 1.0)
 
 

@@ -18,7 +18,7 @@ def test_every_value_of_a_recipe_can_be_set() -> None:
     assert (recipe.name, recipe.keypoint_regions) == ("mine", 8)
     assert recipe.augment.flip == 0.5
     for name, value in RECIPES["scratch"].to_dict().items():
-        if name != "augment":
+        if name not in ("augment", "network", "teacher"):
             text = "none" if value is None else repr(value).lower() if isinstance(value, bool) else repr(value)
             assert getattr(adjusted(RECIPES["scratch"], [f"{name}={text}"]), name) == getattr(RECIPES["scratch"], name)
 

@@ -131,7 +131,7 @@ def test_a_run_with_a_teacher(tmp_path: Path) -> None:
     save_weights(run / checkpoint_name(1), drawn(old, 1), old, {})
     data = samples.make_dataset(tmp_path / "data", images=1, splits=("train",))
     flags = ["--data", data, "--device", "cpu", "--epochs", "1", "--recipe", "scratch", "--min-size", "64"]
-    flags += ["--teacher", run, "--out", tmp_path / "out", "--set", "keypoint_regions=2"]
+    flags += ["--set", f"teacher.checkpoint={run}", "--out", tmp_path / "out", "--set", "keypoint_regions=2"]
     done = CliRunner().invoke(cli.app, list(map(str, flags)))
     assert done.exit_code == 0, done.output
     assert f"learns from {run} beside the labels" in done.output
