@@ -34,6 +34,16 @@ class CountInterval:
     high: int
 
 
+def in_words(expected: CountInterval | None) -> str:
+    """The numbers, as people read them."""
+    return "not known" if expected is None else f"{expected.low} to {expected.high}"
+
+
+def in_json(expected: CountInterval | None) -> dict[str, int]:
+    """Entries of an object; none where nothing is known."""
+    return {} if expected is None else {"low": expected.low, "high": expected.high}
+
+
 def poisson_binomial(probabilities: Sequence[float]) -> Array:
     """(N + 1,) probabilities that so many of N independent events happen that have these probabilities (N,)."""
     out = np.ones(1)

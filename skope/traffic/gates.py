@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Final
 
@@ -78,6 +78,12 @@ class GateCrossing:
 def direction_names(gate: Gate) -> tuple[str, str]:
     """What crossings from left to right, and back, are called."""
     return gate.directions or ("1", "2")
+
+
+def upwards(gate: Gate) -> Gate:
+    """A gate of columns and rows among places of columns and negative rows."""
+    (a, b), (c, d) = gate.line
+    return replace(gate, line=((a, -b), (c, -d)))
 
 
 def may_count(trajectory: Trajectory, settings: TrafficSettings) -> bool:

@@ -7,13 +7,12 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from skope.site.marks import Gate
 from skope.site.traffic_settings import TrafficSettings
 from skope.traffic.clock import clock_intervals, local_start
 from skope.traffic.conflicts import ConflictSearch
 from skope.traffic.counts import counts
 from skope.traffic.event_probability import SEEN_IN_PIXELS
-from skope.traffic.gates import crossings
+from skope.traffic.gates import crossings, upwards
 from skope.traffic.hand_checks import adjusted, hand_checks
 from skope.traffic.hand_count_file import HandCount
 from skope.traffic.lanes import LaneMap
@@ -55,7 +54,7 @@ def count_in_image(
         hand_counts: What was counted by hand meanwhile.
     """
     settings = site.traffic
-    gates = [_upwards(gate) for gate in site.image_gates]
+    gates = [upwards(gate) for gate in site.image_gates]
     begin = local_start(site) if start is None else start
     whole = whole_footage(observation)
     intervals = clock_intervals(begin, max(0.0, whole.begin_s), whole.end_s, settings.interval_minutes)
@@ -99,12 +98,6 @@ def count_in_image(
         metres=False,
     )
     return replace(report, refused=(_WHY, *remarks_on_counts(report)))
-
-
-def _upwards(gate: Gate) -> Gate:
-    """A gate of columns and rows among places of columns and negative rows."""
-    (a, b), (c, d) = gate.line
-    return replace(gate, line=((a, -b), (c, -d)))
 
 
 def _in_pixels(track: Trajectory, settings: TrafficSettings) -> TrafficSettings:

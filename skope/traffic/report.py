@@ -4,11 +4,12 @@ from dataclasses import dataclass
 from datetime import datetime
 from typing import TYPE_CHECKING
 
+from skope.site.marks import Gate
 from skope.traffic.braking import HardBraking
 from skope.traffic.clock import ClockInterval
 from skope.traffic.conflicts import ConflictSearch
 from skope.traffic.counts import Count
-from skope.traffic.gates import GateCrossing
+from skope.traffic.gates import GateCrossing, upwards
 from skope.traffic.hand_checks import HandCheck
 from skope.traffic.headways import Headway, Occupancy
 from skope.traffic.lanes import LaneChange
@@ -64,3 +65,8 @@ class TrafficReport:
     """What could not be measured, or should be distrusted, and why: a sentence each."""
     metres: bool = True
     """Whether places are metres on the road; else pixels, and nothing is measured but counts and movements."""
+
+    @property
+    def gates(self) -> tuple[Gate, ...]:
+        """The gates that counted, among places as the trajectories have them."""
+        return self.site.gates if self.metres else tuple(map(upwards, self.site.image_gates))

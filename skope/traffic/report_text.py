@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 
 from skope.terminal.text_table import text_table
-from skope.traffic.count_interval import count_interval
+from skope.traffic.count_interval import count_interval, in_words
 from skope.traffic.counts import ALL
 from skope.traffic.report import TrafficReport
 from skope.traffic.speed_percentiles import Percentile
@@ -45,7 +45,7 @@ def _gates(report: TrafficReport) -> Iterator[list[str]]:
         if one.kind == "spot" and one.interval is None and one.class_name == MOTOR
     }
     for one in report.counts_total:
-        told = "not known" if one.expected is None else f"{one.expected.low} to {one.expected.high}"
+        told = in_words(one.expected)
         found = speeds.get(f"{one.gate} ({one.direction})", {}) if one.class_name == ALL else {}
         yield [
             *(one.gate, one.direction, one.class_name, str(one.count or 0), told),
@@ -55,7 +55,7 @@ def _gates(report: TrafficReport) -> Iterator[list[str]]:
 
 def _by_hand(report: TrafficReport) -> Iterator[list[str]]:
     for one in report.hand_checks:
-        told = "not known" if one.expected is None else f"{one.expected.low} to {one.expected.high}"
+        told = in_words(one.expected)
         hand = one.hand
         counted = (str(hand.number), str(one.count), told, f"{one.geh:.1f}")
         yield [hand.gate, hand.direction_name, hand.class_name, *counted]
@@ -72,5 +72,5 @@ def _movements(report: TrafficReport) -> Iterator[list[str]]:
     for one in report.turning_total:
         if NOWHERE not in (one.origin, one.destination):
             sides = [f"{gate} ({direction})" for gate, direction in (one.origin, one.destination)]
-            told = "not known" if one.expected is None else f"{one.expected.low} to {one.expected.high}"
+            told = in_words(one.expected)
             yield [*sides, one.class_name, str(one.count or 0), told]

@@ -13,7 +13,7 @@ import numpy as np
 
 from skope.files.atomic import replacing
 from skope.files.json_files import write_json
-from skope.traffic.count_interval import CountInterval, count_interval
+from skope.traffic.count_interval import count_interval, in_json
 from skope.traffic.normal_distribution import LEVEL
 from skope.traffic.report import TrafficReport
 from skope.traffic.report_tables import ReportTable, report_tables
@@ -62,10 +62,6 @@ def _cell(value: Any) -> str:
     return str(value)
 
 
-def _bounds(expected: CountInterval | None) -> dict[str, int]:
-    return {} if expected is None else {"low": expected.low, "high": expected.high}
-
-
 def _recordings(report: TrafficReport) -> list[dict[str, Any]]:
     return [
         {
@@ -92,7 +88,7 @@ def summary(report: TrafficReport, *, tracks: str | list[str], revision: str | N
             "direction": one.direction,
             "class": one.class_name,
             "count": one.count,
-            **_bounds(one.expected),
+            **in_json(one.expected),
         }
         for one in report.counts_total
     ]
@@ -122,7 +118,7 @@ def summary(report: TrafficReport, *, tracks: str | list[str], revision: str | N
                 "to": list(one.destination),
                 "class": one.class_name,
                 "count": one.count,
-                **_bounds(one.expected),
+                **in_json(one.expected),
             }
             for one in report.turning_total
         ],

@@ -13,6 +13,7 @@ from skope.files.atomic import replacing
 from skope.files.json_files import json_bytes
 from skope.site.marks import Outline
 from skope.site.on_earth import on_earth
+from skope.traffic.count_interval import in_json
 from skope.traffic.gates import direction_names, may_count
 from skope.traffic.report import TrafficReport
 from skope.traffic.report_tables import clock, thinned
@@ -86,8 +87,7 @@ def _totals(report: TrafficReport, gate: str) -> dict[str, Any]:
     totals: dict[str, dict[str, Any]] = {}
     for one in report.counts_total:
         if one.gate == gate:
-            bounds = {} if one.expected is None else {"low": one.expected.low, "high": one.expected.high}
-            totals.setdefault(one.direction, {})[one.class_name] = {"count": one.count, **bounds}
+            totals.setdefault(one.direction, {})[one.class_name] = {"count": one.count, **in_json(one.expected)}
     return {"counts": totals, "from_left_to_right": direction_names(mark)[0]}
 
 

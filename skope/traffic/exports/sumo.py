@@ -15,6 +15,7 @@ import numpy as np
 from skope.errors import UserError
 from skope.files.atomic import write_text
 from skope.traffic.clock import ClockInterval
+from skope.traffic.counts import observed_word
 from skope.traffic.gates import GateCrossing, direction_names
 from skope.traffic.report import TrafficReport
 from skope.traffic.trajectories import KMH
@@ -64,9 +65,7 @@ def edges_of(site: "SiteParts") -> dict[Side, str]:
 
 
 def _observed(report: TrafficReport, interval: ClockInterval) -> bool:
-    return report.observation.seconds_in(interval.begin_s, interval.end_s) >= 0.999 * (
-        interval.end_s - interval.begin_s
-    )
+    return observed_word(interval, report.observation.seconds_in(interval.begin_s, interval.end_s)) == "all"
 
 
 def _shift(report: TrafficReport) -> float:

@@ -8,6 +8,7 @@ from typing import Final
 import numpy as np
 
 from skope.page.html_pieces import tag
+from skope.traffic.count_interval import in_words
 from skope.traffic.counts import ALL
 from skope.traffic.report import TrafficReport
 from skope.traffic.trajectories import VEHICLE
@@ -38,8 +39,7 @@ def flow_diagram(report: TrafficReport) -> str:
     ]
     if not whole:
         return ""
-    gates = report.site.gates if report.metres else report.site.image_gates
-    middles = {gate.name: np.mean(gate.line, axis=0) * ([1, 1] if report.metres else [1, -1]) for gate in gates}
+    middles = {gate.name: np.mean(gate.line, axis=0) for gate in report.gates}
     used = {name for one in whole for name, _ in (one.origin, one.destination)}
     angles = _angles({name: place for name, place in middles.items() if name in used})
     most = max(one.count or 0 for one in whole)
@@ -95,8 +95,7 @@ def _band(one: TurningCount, angles: dict[str, float], most: int, style: int) ->
     (cx, cy), (dx, dy) = _at(begin, inward), _at(end, inward)
     number = one.count or 0
     width = max(_THINNEST, _WIDEST * number / most)
-    bounds = "not known" if one.expected is None else f"{one.expected.low} to {one.expected.high}"
-    tip = f"{_side(one.origin)} to {_side(one.destination)}: {number} ({bounds})"
+    tip = f"{_side(one.origin)} to {_side(one.destination)}: {number} ({in_words(one.expected)})"
     path = f"M{ax:.1f} {ay:.1f}C{cx:.1f} {cy:.1f} {dx:.1f} {dy:.1f} {bx:.1f} {by:.1f}"
     # A fifth of the way along the curve, where those of one gate have parted.
     t = 0.2

@@ -11,7 +11,7 @@ import numpy as np
 from skope.files.atomic import write_text
 from skope.page import document
 from skope.page.html_pieces import table, tag
-from skope.traffic.count_interval import CountInterval
+from skope.traffic.count_interval import in_words
 from skope.traffic.counts import ALL, Count
 from skope.traffic.page.flow_diagram import flow_diagram
 from skope.traffic.page.plots import counts_over_time, headway_histograms, speed_histograms
@@ -85,17 +85,13 @@ def _figures(found: Iterator[str]) -> list[str]:
     return [tag("div", *every, class_="grid")] if every else []
 
 
-def _bounds(expected: CountInterval | None) -> str:
-    return "not known" if expected is None else f"{expected.low} to {expected.high}"
-
-
 def _number(one: Count) -> str:
     return "–" if one.count is None else str(one.count)
 
 
 def _counts(report: TrafficReport) -> list[str]:
     rows = [
-        [escape(f"{one.gate} ({one.direction})"), escape(one.class_name), _number(one), _bounds(one.expected)]
+        [escape(f"{one.gate} ({one.direction})"), escape(one.class_name), _number(one), in_words(one.expected)]
         for one in report.counts_total
     ]
     head = ["gate", "class", "counted", "there were"]
@@ -106,7 +102,7 @@ def _movements(report: TrafficReport) -> list[str]:
     rows = [
         [
             *(escape(f"{side[0]} ({side[1]})") if side[0] else "not seen" for side in (one.origin, one.destination)),
-            *(escape(one.class_name), "–" if one.count is None else str(one.count), _bounds(one.expected)),
+            *(escape(one.class_name), "–" if one.count is None else str(one.count), in_words(one.expected)),
         ]
         for one in report.turning_total
         if one.count
@@ -153,7 +149,7 @@ def _by_interval(report: TrafficReport) -> str:
         for side in sides:
             one = cells[(interval.begin_s, *side)]
             row.append(
-                f"{_number(one)} <small>{_bounds(one.expected) if one.count is not None else one.observed}</small>"
+                f"{_number(one)} <small>{in_words(one.expected) if one.count is not None else one.observed}</small>"
             )
         rows.append(row)
     head = ["from", *(f"{gate} ({direction})" for gate, direction in sides)]
@@ -197,7 +193,7 @@ def _accuracy(report: TrafficReport) -> str:
             )
         )
         off = "–" if not hand.number else f"{100 * (one.count - hand.number) / hand.number:+.0f} %"
-        cells = (f"{begin} to {end}", str(hand.number), str(one.count), off, f"{one.geh:.1f}", _bounds(one.expected))
+        cells = (f"{begin} to {end}", str(hand.number), str(one.count), off, f"{one.geh:.1f}", in_words(one.expected))
         rows.append([escape(f"{hand.gate} ({hand.direction_name})"), escape(hand.class_name), *cells])
     if not rows:
         return tag(

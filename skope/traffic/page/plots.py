@@ -27,7 +27,7 @@ def counts_over_time(report: TrafficReport) -> Iterator[str]:
     """A figure for each gate: how many of all crossed it in each interval, as flows an hour."""
     if len(report.intervals) < 2:
         return
-    for gate in report.site.gates if report.metres else report.site.image_gates:
+    for gate in report.gates:
         lines = []
         for name in direction_names(gate):
             rows = [

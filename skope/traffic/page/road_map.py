@@ -10,6 +10,8 @@ import numpy as np
 
 from skope.page.html_pieces import tag
 from skope.site.marks import Outline
+from skope.traffic.count_interval import in_words
+from skope.traffic.counts import ALL
 from skope.traffic.gates import may_count
 from skope.traffic.report import TrafficReport
 from skope.traffic.report_tables import thinned
@@ -56,14 +58,13 @@ def road_map(report: TrafficReport, road: RoadPicture | None) -> str:
     """A figure, on a picture of the empty road where there is one; nothing where there is nothing to draw."""
     tracks = [one for one in report.trajectories if may_count(one, report.site.traffic)]
     chosen = tracks[:: max(1, math.ceil(len(tracks) / _MOST_TRACKS))]
-    gates = report.site.gates if report.metres else tuple(_upwards(report))
-    places = _outline(chosen, [gate.line for gate in gates])
+    places = _outline(chosen, [gate.line for gate in report.gates])
     if not len(places):
         return ""
     frame = _Frame(places)
     under = [] if road is None or not report.metres else [_picture(road, frame)]
     parts = [*under, *_marks(report, frame), *_tracks(chosen, frame), *_conflicts(report, frame)]
-    for gate in gates:
+    for gate in report.gates:
         parts += _gate(report, frame, gate.name, gate.line)
     if report.metres:
         parts.append(_bar(frame))
@@ -81,17 +82,6 @@ def road_map(report: TrafficReport, road: RoadPicture | None) -> str:
     names = ("vehicles", "two-wheelers", "people", "conflicts")
     keys = [tag("li", tag("span", class_=f"key road-{k}"), name) for k, name in enumerate(names)]
     return tag("figure", tag("figcaption", told), drawing, tag("ul", *keys, class_="legend"), class_="wide")
-
-
-def _upwards(report: TrafficReport) -> Iterator["_Line"]:
-    """The gates of an image, with rows counted upwards as the tracks have them."""
-    for gate in report.site.image_gates:
-        yield _Line(gate.name, tuple((x, -y) for x, y in gate.line))
-
-
-class _Line:
-    def __init__(self, name: str, line: Outline) -> None:
-        self.name, self.line = name, line
 
 
 def _outline(tracks: Sequence[Trajectory], lines: Sequence[Outline]) -> Array:
@@ -153,11 +143,11 @@ def _conflicts(report: TrafficReport, frame: _Frame) -> Iterator[str]:
 def _gate(report: TrafficReport, frame: _Frame, name: str, line: Outline) -> Iterator[str]:
     """A gate, its name and its counts."""
     (ax, ay), (bx, by) = frame.points(line)
-    told = []
-    for one in report.counts_total:
-        if one.gate == name and one.class_name == "all":
-            bounds = "not known" if one.expected is None else f"{one.expected.low} to {one.expected.high}"
-            told.append((one.direction, one.count or 0, bounds))
+    told = [
+        (one.direction, one.count or 0, in_words(one.expected))
+        for one in report.counts_total
+        if one.gate == name and one.class_name == ALL
+    ]
     tip = f"{name}: " + "; ".join(f"{direction} {count} ({bounds})" for direction, count, bounds in told)
     yield tag("path", d=f"M{ax:.1f} {ay:.1f}L{bx:.1f} {by:.1f}", class_="gate", data_tip=tip)
     x, y = (ax + bx) / 2, (ay + by) / 2
