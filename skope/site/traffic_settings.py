@@ -9,6 +9,8 @@ from skope.site.toml_table import TomlTable
 VEHICLE_CLASSES: Final = ("car", "van", "lorry", "bus")
 """Classes that a vehicle can be of; one whose class is not sure enough to be named is of class unknown."""
 UNKNOWN: Final = "unknown"
+OF_VEHICLES: Final = frozenset({*VEHICLE_CLASSES, UNKNOWN})
+"""What a vehicle's class may be called."""
 CLASSES: Final = (*VEHICLE_CLASSES, UNKNOWN, "motorcycle", "bicycle", "pedestrian")
 """All classes that traffic is counted by."""
 _DAY_MINUTES: Final = 1440

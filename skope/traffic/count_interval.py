@@ -39,6 +39,11 @@ def in_words(expected: CountInterval | None) -> str:
     return "not known" if expected is None else f"{expected.low} to {expected.high}"
 
 
+def in_cells(expected: CountInterval | None) -> tuple[int | None, int | None]:
+    """Cells of a table: low and high, empty where nothing is known."""
+    return (None, None) if expected is None else (expected.low, expected.high)
+
+
 def in_json(expected: CountInterval | None) -> dict[str, int]:
     """Entries of an object; none where nothing is known."""
     return {} if expected is None else {"low": expected.low, "high": expected.high}

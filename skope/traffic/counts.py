@@ -6,7 +6,7 @@ from functools import partial
 from typing import Final
 
 from skope.site.marks import Gate
-from skope.site.traffic_settings import UNKNOWN, VEHICLE_CLASSES, TrafficSettings
+from skope.site.traffic_settings import OF_VEHICLES, UNKNOWN, TrafficSettings
 from skope.traffic.clock import ClockInterval
 from skope.traffic.count_interval import CountInterval, Group, joint_interval
 from skope.traffic.event_probability import SeenAlike
@@ -16,7 +16,6 @@ from skope.traffic.trajectories import VEHICLE
 from skope.traffic.vanished import Unseen
 
 ALL: Final = "all"
-_VEHICLES: Final = frozenset({*VEHICLE_CLASSES, UNKNOWN})
 _WHOLE: Final = 0.999
 """An interval of which so much was observed was observed."""
 
@@ -117,14 +116,14 @@ def _kinds(lanes: Sequence[str], settings: TrafficSettings, *, by_class: bool) -
 
 def row_classes(settings: TrafficSettings) -> tuple[str, ...]:
     """`ALL`, and `VEHICLE` where vehicles and others are counted."""
-    mixed = not _VEHICLES.isdisjoint(settings.classes) and not _VEHICLES.issuperset(settings.classes)
+    mixed = not OF_VEHICLES.isdisjoint(settings.classes) and not OF_VEHICLES.issuperset(settings.classes)
     return (ALL, VEHICLE) if mixed else (ALL,)
 
 
 def classes_of(class_name: str, settings: TrafficSettings) -> frozenset[str]:
     """The classes that a row is of."""
     if class_name == VEHICLE:
-        return _VEHICLES & set(settings.classes)
+        return OF_VEHICLES & set(settings.classes)
     return frozenset(settings.classes) if class_name == ALL else frozenset({class_name})
 
 

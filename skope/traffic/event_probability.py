@@ -11,7 +11,7 @@ from typing import Final
 
 import numpy as np
 
-from skope.site.traffic_settings import CLASSES, UNKNOWN, VEHICLE_CLASSES
+from skope.site.traffic_settings import CLASSES, OF_VEHICLES, UNKNOWN
 from skope.traffic.count_interval import Group
 from skope.traffic.gate_shares import Beta, LearntShares
 from skope.traffic.trajectories import VEHICLE, Trajectory
@@ -70,9 +70,7 @@ class SeenAlike:
         return Group(probabilities, self.missed, self.real, possible, self.came, self.learnt)
 
 
-_VEHICLES: Final = SeenAlike(
-    frozenset({*VEHICLE_CLASSES, UNKNOWN}), missed=(0.09, 1.94), came=(0.04, 0.52), refused=True
-)
+_VEHICLES: Final = SeenAlike(OF_VEHICLES, missed=(0.09, 1.94), came=(0.04, 0.52), refused=True)
 _LARGE: Final = 17.0
 _SMALL: Final = 12.7
 """Pixels of a metre where who walks is 29 and 22 pixels high."""

@@ -86,6 +86,11 @@ class Observation:
         """The number, from 1, of the recording that a time lies in, or that ended before it."""
         return 1 + int(np.searchsorted(self.further_s, time_s, side="right"))
 
+    @property
+    def observed_s(self) -> float:
+        """How many seconds were observed in all."""
+        return self.seconds_in(-math.inf, math.inf)
+
     def seconds_in(self, begin_s: float, end_s: float) -> float:
         """How many seconds from `begin_s` to `end_s` were observed."""
         spans = np.clip(self.spans, begin_s, end_s)

@@ -11,7 +11,7 @@ from datetime import UTC, datetime, timedelta
 from typing import Any, Final
 
 from skope.traffic.clock import ClockInterval
-from skope.traffic.count_interval import CountInterval
+from skope.traffic.count_interval import in_cells
 from skope.traffic.counts import observed_word
 from skope.traffic.gates import GateCrossing
 from skope.traffic.report import TrafficReport
@@ -75,10 +75,6 @@ def _of_interval(interval: ClockInterval | None) -> Row:
 def _recording(report: TrafficReport, time_s: float) -> Row:
     """The number of the recording that a time lies in; nothing where there is one."""
     return (report.observation.recording_at(time_s),) if report.recordings else ()
-
-
-def _between(expected: CountInterval | None) -> Row:
-    return (None, None) if expected is None else (expected.low, expected.high)
 
 
 def _who(one: Trajectory) -> Row:
@@ -181,7 +177,7 @@ def _counts(report: TrafficReport) -> ReportTable:
                     one.class_name,
                     one.count,
                 ),
-                *_between(one.expected),
+                *in_cells(one.expected),
             )
             for one in report.counts
         ),
@@ -195,7 +191,7 @@ def _hand_count(report: TrafficReport) -> ReportTable:
             (
                 *_of_interval(one.hand.interval),
                 *(one.hand.gate, one.hand.direction_name, one.hand.class_name, one.hand.number, one.count),
-                *(*_between(one.expected), one.count - one.hand.number, one.geh, int(one.contradicts)),
+                *(*in_cells(one.expected), one.count - one.hand.number, one.geh, int(one.contradicts)),
             )
             for one in report.hand_checks
         ),
@@ -209,7 +205,7 @@ def _turning(report: TrafficReport) -> ReportTable:
             (
                 *_of_interval(one.interval),
                 observed_word(one.interval, report.observation.seconds_in(one.interval.begin_s, one.interval.end_s)),
-                *(*one.origin, *one.destination, one.class_name, one.count, *_between(one.expected)),
+                *(*one.origin, *one.destination, one.class_name, one.count, *in_cells(one.expected)),
             )
             for one in report.turning
         ),
@@ -273,7 +269,7 @@ def _queues(report: TrafficReport) -> ReportTable:
         (
             (
                 *_of_interval(one.interval),
-                *(one.lane, one.longest_m, one.sigma_m, one.at_s, one.vehicles, *_between(one.vehicles_expected)),
+                *(one.lane, one.longest_m, one.sigma_m, one.at_s, one.vehicles, *in_cells(one.vehicles_expected)),
                 *(one.mean_vehicles, *one.mean_between),
             )
             for one in report.queues

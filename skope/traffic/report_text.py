@@ -14,8 +14,7 @@ from skope.traffic.turning import NOWHERE
 
 def report_lines(report: TrafficReport) -> Iterator[str]:
     """Counts and speeds by gate and direction, the turning matrix, and what else was found."""
-    spans = report.observation.spans
-    seconds = float((spans[:, 1] - spans[:, 0]).sum())
+    seconds = report.observation.observed_s
     yield f"{len(report.trajectories)} road users over {seconds:.1f} s that were observed; intervals hold 90%"
     if report.counts:
         yield from text_table(

@@ -104,7 +104,7 @@ def summary(report: TrafficReport, *, tracks: str | list[str], revision: str | N
         "start": None if report.start is None else report.start.isoformat(),
         "time_zone": report.site.time_zone,
         "metres": report.metres,
-        "observed_s": round(float((spans[:, 1] - spans[:, 0]).sum()), 3),
+        "observed_s": round(observation.observed_s, 3),
         "observed_spans_s": np.round(spans, 3).tolist(),
         "camera_common_sigma": observation.common_sigma,
         "interval_level": LEVEL,

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from skope.errors import UserError
 from skope.files.atomic import replacing
+from skope.traffic.count_interval import in_cells
 from skope.traffic.report import TrafficReport
 from skope.traffic.report_tables import ReportTable, report_tables
 
@@ -91,13 +92,12 @@ def _write_summary(sheet: "Worksheet", report: TrafficReport, formats: _Formats)
     sheet.set_column(0, 0, 30)
     sheet.set_column(1, 5, _WIDTH)
     observation = report.observation
-    spans = observation.spans
     row = 0
     for title, value in (
         ("footage", observation.source),
         ("begins", report.start),
         ("time zone", report.site.time_zone),
-        ("observed, seconds", float((spans[:, 1] - spans[:, 0]).sum())),
+        ("observed, seconds", observation.observed_s),
     ):
         sheet.write_string(row, 0, title, formats.head)
         _write_cell(sheet, row, 1, value, formats)
@@ -107,8 +107,7 @@ def _write_summary(sheet: "Worksheet", report: TrafficReport, formats: _Formats)
         sheet.write_string(row, column, title, formats.head)
     for one in report.counts_total:
         row += 1
-        bounds = (None, None) if one.expected is None else (one.expected.low, one.expected.high)
-        for column, value in enumerate((one.gate, one.direction, one.class_name, one.count, *bounds)):
+        for column, value in enumerate((one.gate, one.direction, one.class_name, one.count, *in_cells(one.expected))):
             _write_cell(sheet, row, column, value, formats)
     row += 2
     sheet.write_string(row, 0, "not measured, or to be distrusted", formats.head)

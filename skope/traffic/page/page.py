@@ -70,8 +70,9 @@ def traffic_page(report: TrafficReport, *, tracks: str, road: RoadPicture | None
 def _what(report: TrafficReport) -> str:
     """When, and of what."""
     spans = report.observation.spans
-    seconds = float((spans[:, 1] - spans[:, 0]).sum())
-    told = f"{len(report.trajectories)} road users in {seconds / 60:.1f} minutes that were observed"
+    told = (
+        f"{len(report.trajectories)} road users in {report.observation.observed_s / 60:.1f} minutes that were observed"
+    )
     begin = clock(report, float(spans[0, 0])) if len(spans) else None
     end = clock(report, float(spans[-1, 1])) if len(spans) else None
     if begin is None or end is None:
