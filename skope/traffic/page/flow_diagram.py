@@ -1,6 +1,7 @@
 """Who went from where to where, as bands between the gates, as wide as they are many."""
 
 import math
+from collections import Counter
 from collections.abc import Iterator
 from html import escape
 from typing import Final
@@ -12,7 +13,7 @@ from skope.traffic.count_interval import in_words
 from skope.traffic.counts import ALL
 from skope.traffic.report import TrafficReport
 from skope.traffic.trajectories import VEHICLE
-from skope.traffic.turning import NOWHERE, TurningCount
+from skope.traffic.turning import NOWHERE, Side, TurningCount
 from skope.types import Array
 
 _SIZE: Final = 560.0
@@ -46,7 +47,14 @@ def flow_diagram(report: TrafficReport) -> str:
     order = sorted({one.origin for one in whole})
     parts = [tag("circle", cx=_SIZE / 2, cy=_SIZE / 2, r=_RADIUS, class_="ring")]
     largest_first = sorted(whole, key=lambda one: -(one.count or 0))
-    parts += [_band(one, angles, most, order.index(one.origin) % 4) for one in largest_first]
+    ranks: Counter[Side] = Counter()
+    numbers = []
+    for one in largest_first:
+        band, number = _band(one, angles, most, order.index(one.origin) % 4, ranks[one.origin])
+        ranks[one.origin] += 1
+        parts.append(band)
+        numbers.append(number)
+    parts += numbers
     parts += _names(angles)
     drawing = tag(
         "svg",
@@ -86,8 +94,11 @@ def _at(angle: float, radius: float) -> tuple[float, float]:
     return _SIZE / 2 + radius * math.cos(angle), _SIZE / 2 - radius * math.sin(angle)
 
 
-def _band(one: TurningCount, angles: dict[str, float], most: int, style: int) -> str:
-    """The band of a movement, and its number where it begins. Who comes in keeps to the right of who goes out."""
+def _band(one: TurningCount, angles: dict[str, float], most: int, style: int, rank: int) -> tuple[str, str]:
+    """The band of a movement, and its number: farther along for each larger one from the same gate and direction.
+
+    Who comes in keeps to the right of who goes out.
+    """
     half = math.radians(_APART_DEG) / 2
     begin, end = angles[one.origin[0]] + half, angles[one.destination[0]] - half
     (ax, ay), (bx, by) = _at(begin, _RADIUS), _at(end, _RADIUS)
@@ -97,13 +108,12 @@ def _band(one: TurningCount, angles: dict[str, float], most: int, style: int) ->
     width = max(_THINNEST, _WIDEST * number / most)
     tip = f"{_side(one.origin)} to {_side(one.destination)}: {number} ({in_words(one.expected)})"
     path = f"M{ax:.1f} {ay:.1f}C{cx:.1f} {cy:.1f} {dx:.1f} {dy:.1f} {bx:.1f} {by:.1f}"
-    # A fifth of the way along the curve, where those of one gate have parted.
-    t = 0.2
+    t = min(0.16 + 0.14 * rank, 0.8)
     weights = ((1 - t) ** 3, 3 * (1 - t) ** 2 * t, 3 * (1 - t) * t**2, t**3)
     x = sum(w * v for w, v in zip(weights, (ax, cx, dx, bx), strict=True))
     y = sum(w * v for w, v in zip(weights, (ay, cy, dy, by), strict=True))
     band = tag("path", d=path, class_=f"flow s{style}", stroke_width=f"{width:.1f}", data_tip=tip)
-    return band + tag("text", str(number), x=f"{x:.1f}", y=f"{y:.1f}", text_anchor="middle")
+    return band, tag("text", str(number), x=f"{x:.1f}", y=f"{y:.1f}", text_anchor="middle")
 
 
 def _side(side: tuple[str, str]) -> str:
