@@ -209,8 +209,9 @@ def _written(
         for path in write_format(name, folder, report, site.camera.camera if site.camera else None):
             yield f"wrote {path}"
     road = None if tracks is None else read_road_picture(tracks)
+    said = ", ".join([source] if isinstance(source, str) else source)
     for path in (
-        write_page(out, report, tracks=", ".join([source] if isinstance(source, str) else source), road=road),
+        write_page(out, report, tracks=said, road=road, camera=site.camera.camera if site.camera else None),
         *write_report(out, report, tracks=source, revision=site.revision),
     ):
         yield f"wrote {path}"

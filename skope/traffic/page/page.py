@@ -8,12 +8,14 @@ from typing import Final
 
 import numpy as np
 
+from skope.camera.model import Camera
 from skope.files.atomic import write_text
 from skope.page import document
 from skope.page.html_pieces import table, tag
 from skope.traffic.count_interval import in_words
 from skope.traffic.counts import ALL, Count
 from skope.traffic.page.flow_diagram import flow_diagram
+from skope.traffic.page.hand_count_panel import hand_count_panel
 from skope.traffic.page.plots import counts_over_time, headway_histograms, speed_histograms
 from skope.traffic.page.road_map import road_map
 from skope.traffic.report import TrafficReport
@@ -29,7 +31,9 @@ _MOST_INTERVALS: Final = 400
 """Rows of counts by interval; the rest is in counts.csv."""
 
 
-def write_page(out: Path, report: TrafficReport, *, tracks: str, road: RoadPicture | None = None) -> Path:
+def write_page(
+    out: Path, report: TrafficReport, *, tracks: str, road: RoadPicture | None = None, camera: Camera | None = None
+) -> Path:
     """Write a report as `report.html`.
 
     Args:
@@ -37,16 +41,19 @@ def write_page(out: Path, report: TrafficReport, *, tracks: str, road: RoadPictu
         report: What was measured.
         tracks: What the tracks were read from.
         road: The empty road from above, that the tracks are drawn on; None: there is no picture.
+        camera: What the footage was seen with, to draw gates over a video; None: not known.
 
     Returns:
         The file.
     """
     path = out / FILE
-    write_text(path, traffic_page(report, tracks=tracks, road=road))
+    write_text(path, traffic_page(report, tracks=tracks, road=road, camera=camera))
     return path
 
 
-def traffic_page(report: TrafficReport, *, tracks: str, road: RoadPicture | None = None) -> str:
+def traffic_page(
+    report: TrafficReport, *, tracks: str, road: RoadPicture | None = None, camera: Camera | None = None
+) -> str:
     """The page's text."""
     name = report.observation.source or tracks
     sections = {
@@ -56,7 +63,7 @@ def traffic_page(report: TrafficReport, *, tracks: str, road: RoadPicture | None
         "Headways": _figures(headway_histograms(report)) if report.metres else [],
         "Over time": [*_figures(counts_over_time(report)), _by_interval(report)],
         "Conflicts": [_conflicts(report)] if report.metres else [],
-        "Accuracy": [_accuracy(report)],
+        "Accuracy": [_accuracy(report), hand_count_panel(report, camera)],
         "What to know": [_remarks(report)],
     }
     parts = [tag("h1", escape(f"Traffic: {name}")), tag("p", escape(_what(report))), road_map(report, road)]
@@ -64,7 +71,7 @@ def traffic_page(report: TrafficReport, *, tracks: str, road: RoadPicture | None
         if any(found):
             parts += [tag("h2", title), *found]
     parts.append(tag("p", tag("small", escape(f"skope {__version__}; tracks of {tracks}; intervals hold 90%"))))
-    return document(f"Traffic: {name}", *parts)
+    return document(f"Traffic: {name}", *parts, plays_files=True)
 
 
 def _what(report: TrafficReport) -> str:
@@ -199,8 +206,8 @@ def _accuracy(report: TrafficReport) -> str:
     if not rows:
         return tag(
             "p",
-            "Nothing was counted by hand. Count 10 or 15 minutes at each gate and give them to --hand-count: errors "
-            "and GEH come here, and the intervals of all counts learn from them.",
+            "Nothing was counted by hand. Count 10 or 15 minutes at each gate (below, while the footage plays) and "
+            "give them to --hand-count: errors and GEH come here, and the intervals of all counts learn from them.",
         )
     errors = [abs(one.count - one.hand.number) for one in report.hand_checks]
     total = sum(one.hand.number for one in report.hand_checks)
