@@ -58,9 +58,10 @@ const opened = (file) => {
   fileName = file.name;
   const same = data.recordings.findIndex((one) => one.source === file.name);
   if (same >= 0) chosenRecording(same);
-  say("reading the file ...");
   video.hidden = true;
   video.src = URL.createObjectURL(file);
+  show();
+  say("reading the file ...");
 };
 const chosenRecording = (k) => {
   $("recording").value = k;
@@ -139,7 +140,6 @@ const frames = () => {
 video.addEventListener("play", frames);
 
 // -------------------------------------------------------------------------------- gates over the video
-const SVG = "http://www.w3.org/2000/svg";
 const drawGates = () => {
   const svg = $("gates");
   svg.replaceChildren();
@@ -151,7 +151,7 @@ const drawGates = () => {
   svg.setAttribute("viewBox", `0 0 ${width} ${height}`);
   svg.setAttribute("preserveAspectRatio", "none");
   const add = (name, attributes, text = "") => {
-    const made = document.createElementNS(SVG, name);
+    const made = document.createElementNS(svg.namespaceURI, name);
     for (const [key, value] of Object.entries(attributes)) made.setAttribute(key, value);
     made.textContent = text;
     made.style.fontSize = `${15 * unit}px`;
