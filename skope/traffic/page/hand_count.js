@@ -157,15 +157,20 @@ const drawGates = () => {
     made.style.fontSize = `${15 * unit}px`;
     svg.append(made);
   };
+  const middle = ([[x0, y0], [x1, y1]]) => [(x0 + x1) / 2, (y0 + y1) / 2];
+  const drawn = data.view.gates.filter((one) => one.arrow);
   for (const one of data.view.gates) {
     add("path", { d: "M" + one.line.map((point) => point.join(" ")).join("L"), class: "hand-line" });
-    const sides = data.sides.map((side, k) => ({ ...side, k })).filter((side) => side.gate === one.gate);
     if (!one.arrow) continue;
-    const [[x0, y0], [x1, y1]] = one.arrow, far = (38 * unit) / (Math.hypot(x1 - x0, y1 - y0) || 1);
+    const sides = data.sides.map((side, k) => ({ ...side, k })).filter((side) => side.gate === one.gate);
+    const [[x0, y0], [x1, y1]] = one.arrow, [x2, y2] = middle(one.arrow);
+    // Keys stand beside their gate, and nearer to it than to any other.
+    const apart = drawn.filter((other) => other !== one).map((other) => Math.hypot(middle(other.arrow)[0] - x2, middle(other.arrow)[1] - y2));
+    const far = Math.min(19 * unit, ...apart.map((distance) => 0.4 * distance)) / (Math.hypot(x1 - x0, y1 - y0) || 1);
     sides.forEach((side, k) => {
       // The first direction goes to where the arrow points, and its key stands there.
-      const turn = k ? -1 : 1, x = (x0 + x1) / 2 + (turn * far * (x1 - x0)) / 2, y = (y0 + y1) / 2 + (turn * far * (y1 - y0)) / 2;
-      add("path", { d: `M${(x0 + x1) / 2} ${(y0 + y1) / 2}L${x} ${y}`, class: "hand-way" });
+      const turn = k ? -1 : 1, x = x2 + turn * far * (x1 - x0), y = y2 + turn * far * (y1 - y0);
+      add("path", { d: `M${x2} ${y2}L${x} ${y}`, class: "hand-way" });
       add("text", { x, y, "text-anchor": "middle", "dominant-baseline": "middle", class: "hand-key" }, keyOf(side.k) || side.direction);
     });
   }
