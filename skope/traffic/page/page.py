@@ -14,6 +14,7 @@ from skope.page import document
 from skope.page.html_pieces import table, tag
 from skope.traffic.count_interval import in_words
 from skope.traffic.counts import ALL, Count
+from skope.traffic.length_bins import UNTOLD
 from skope.traffic.page.flow_diagram import flow_diagram
 from skope.traffic.page.hand_count_panel import hand_count_panel
 from skope.traffic.page.plots import counts_over_time, headway_histograms, speed_histograms
@@ -57,7 +58,7 @@ def traffic_page(
     """The page's text."""
     name = report.observation.source or tracks
     sections = {
-        "Counts": _counts(report),
+        "Counts": [*_counts(report), _lengths(report)],
         "Movements": _movements(report),
         "Speeds": [_speeds(report), *_figures(speed_histograms(report))] if report.metres else [],
         "Headways": _figures(headway_histograms(report)) if report.metres else [],
@@ -104,6 +105,21 @@ def _counts(report: TrafficReport) -> list[str]:
     ]
     head = ["gate", "class", "counted", "there were"]
     return [table(head, rows, caption="How many crossed each gate, and how many there were")] if rows else []
+
+
+def _lengths(report: TrafficReport) -> str:
+    """Vehicles by length, a row for each gate and direction; nothing where nobody was told."""
+    cells: dict[tuple[str, str], list[str]] = {}
+    for one in report.lengths_total:
+        number = "–" if one.count is None else str(one.count)
+        bounds = "" if one.bin_name == UNTOLD else f" <small>{in_words(one.expected)}</small>"
+        cells.setdefault((one.gate, one.direction), []).append(number + bounds)
+    if not any(one.count for one in report.lengths_total):
+        return ""
+    first, second = report.site.traffic.length_bins_m
+    head = ["gate", f"short, up to {first:g} m", f"medium, up to {second:g} m", "long", "not sure"]
+    rows = [[escape(f"{gate} ({direction})"), *own] for (gate, direction), own in cells.items()]
+    return table(head, rows, caption="Vehicles by length, and how many there were of each")
 
 
 def _movements(report: TrafficReport) -> list[str]:
