@@ -72,6 +72,10 @@ def test_a_car_is_no_lorry_however_its_length_is_off() -> None:
     assert length_bin(of_length(6.1, "car"), LIMITS, None)[0] == "short"
     assert length_bin(of_length(6.4, "lorry"), LIMITS, None)[0] == "unknown"
     assert length_bin(of_length(9.0, "car"), LIMITS, None)[0] == "short", "a wrong length, or a wrong class"
+    for length in (4.0, 6.19, 6.21, 9.0):
+        told = bin_probabilities(of_length(length, "car"), LIMITS, 0.02)
+        assert (told >= 0).all()
+        assert told.sum() == pytest.approx(1)
 
 
 def test_counts_by_length_and_who_is_in_none() -> None:
