@@ -235,6 +235,7 @@ def _report_in_image(
     from skope.eval.tracking.image_trajectories import read_image_trajectories
     from skope.traffic.exports.formats import checked_formats
     from skope.traffic.image_counts import count_in_image
+    from skope.traffic.recordings import begin_of
 
     if not site.image_gates:
         raise UserError(
@@ -243,12 +244,13 @@ def _report_in_image(
         )
     formats = checked_formats(also, site, metres=False)
     tracks, observation = read_image_trajectories(folder)
-    counted = _counted_by_hand(hand_count, site, site.image_gates, start, observation)
+    begin = begin_of(start, observation, site)
+    counted = _counted_by_hand(hand_count, site, site.image_gates, begin, observation)
     inputs = [folder / FRAMES, folder / PREDICTIONS, site.path]
     options = _options(_isoformat(start), hand_count)
     claim_output(out, _COMMAND, inputs, options)
     further = _claimed(out, inputs, options, site, formats)
-    report = count_in_image(tracks, observation, site, start, counted)
+    report = count_in_image(tracks, observation, site, begin, counted)
     yield from _written(report, str(folder), site, out, further)
 
 
