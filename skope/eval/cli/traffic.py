@@ -166,6 +166,11 @@ def _report_of_footage(
             f"--hand-count: needs tracks, not footage: `{_COMMAND} {source} --site {site.path} --out {out}` first, "
             f"then `{_COMMAND} {out / TRACKS}` with --hand-count and another --out"
         )
+    if not site.gates:
+        console.warn(
+            f"{site.path}: has no gates: nothing will be counted; `skope eval site {source} --site {site.path}` draws "
+            f"them, and `{_COMMAND} {out / TRACKS}` then counts without detecting again"
+        )
     options = _options(_isoformat(start), None)
     folder = tracked_footage(source, site, checkpoint, hardware, out, _COMMAND, options, console)
     observation = read_observation(folder)

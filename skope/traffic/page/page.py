@@ -60,6 +60,7 @@ def traffic_page(
 ) -> str:
     """The page's text."""
     name = report.observation.source or tracks
+    by_hand = hand_count_panel(report, camera)
     sections = {
         "Counts": [*_counts(report), _lengths(report)],
         "Movements": _movements(report),
@@ -67,7 +68,7 @@ def traffic_page(
         "Headways": _figures(headway_histograms(report)) if report.metres else [],
         "Over time": [*_figures(counts_over_time(report)), _by_interval(report)],
         "Conflicts": [_conflicts(report)] if report.metres else [],
-        "Accuracy": [_accuracy(report), hand_count_panel(report, camera)],
+        "Accuracy": [_accuracy(report), by_hand],
         "What to know": [_remarks(report)],
     }
     parts = [tag("h1", escape(f"Traffic: {name}")), tag("p", escape(_what(report))), road_map(report, road)]
@@ -244,8 +245,8 @@ def _accuracy(report: TrafficReport) -> str:
     if not rows:
         return tag(
             "p",
-            "Nothing was counted by hand. Count 10 or 15 minutes at each gate (below, while the footage plays) and "
-            "give them to --hand-count: errors and GEH come here, and the intervals of all counts learn from them.",
+            "Nothing was counted by hand. Count 10 or 15 minutes at each gate and give them to --hand-count: errors "
+            "and GEH come here, and the intervals of all counts learn from them.",
         )
     errors = [abs(one.count - one.hand.number) for one in report.hand_checks]
     total = sum(one.hand.number for one in report.hand_checks)
