@@ -27,6 +27,7 @@ from skope.traffic.page.hand_count_data import LETTERS, hand_count_data, packed
 from skope.traffic.page.hand_count_panel import hand_count_panel
 from skope.traffic.page.page import traffic_page
 from skope.traffic.read_tracks import TRACKS_CSV
+from skope.traffic.recordings import SiteRecording
 from skope.traffic.report import TrafficReport
 from tests.chromium import Browser
 from tests.traffic.drives import straight, watched
@@ -280,6 +281,17 @@ def test_what_cannot_be_counted_is_said(chromium_pages: Pages, counted: Path, tm
         assert rows_of(browser) == [[f"{HOSTILE} (east) to far (east)", "1", "1", "0 (0 %)", "0.0"]]
         assert browser.run("document.getElementById('hand-download')") is None
         assert browser.run("document.documentElement.scrollWidth") <= 390
+        # What the page has not kept itself is not believed.
+        key = "'skope-hand-count:' + JSON.parse(document.getElementById('hand-data').textContent).key"
+        for text in ("nonsense", '{"done": [{"begin": 1}]}', '{"done": [], "current": {"sides": [99]}}'):
+            browser.run(f"localStorage.setItem({key}, {json.dumps(text)})")
+            browser.run("document.body.id = 'old'")
+            browser.call("Page.reload")
+            browser.until("document.readyState === 'complete' && document.body.id !== 'old'")
+            browser.until("!document.getElementById('hand').hidden")
+            assert rows_of(browser) == []
+            assert not browser.run("document.body.classList.contains('hand-is-counting')")
+        assert not browser.told("Runtime.exceptionThrown")
 
 
 # ------------------------------------------------------------------------------------------------- what the page holds
@@ -317,10 +329,11 @@ def test_the_page_holds_who_crossed_when_and_went_where() -> None:
 
 
 def test_too_many_crossings_are_left_out_and_said(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("skope.traffic.page.hand_count_data.MOST_CROSSINGS", 5)
-    data = hand_count_data(junction_report(), None)
+    monkeypatch.setattr("skope.traffic.page.hand_count_data.MOST_CROSSINGS", 1)
+    report = report_of()
+    data = hand_count_data(report, None)
     assert (data["crossings"], data["movements"]) == (None, None)
-    assert "The page does not hold so many crossings" in hand_count_panel(junction_report())
+    assert "The page does not hold so many crossings" in hand_count_panel(report)
 
 
 def test_clocks_that_change_meanwhile_are_told() -> None:
@@ -328,6 +341,31 @@ def test_clocks_that_change_meanwhile_are_told() -> None:
     start = datetime(2026, 10, 25, 2, 30, tzinfo=ZoneInfo("Europe/Berlin"))
     report = measure([], watched(7200.0, 1.0), plain.site, start)
     assert hand_count_data(report, None)["clocks"] == [[0.0, 9000.0], [1800.0, 7200.0]]
+
+
+def test_each_recording_begins_at_its_second_of_the_report() -> None:
+    plain = report_of()
+    parts = tuple(replace(watched(60.0, begin_s=begin), source=f"{begin:g}.mp4") for begin in (0.0, 3600.0))
+    whole = Observation(times_s=np.concatenate([one.times_s for one in parts]), source="both", parts=parts)
+    begin = datetime(2026, 11, 26, 10, tzinfo=ZoneInfo("Europe/Berlin"))
+    recordings = [
+        SiteRecording(
+            folder=Path(one.source),
+            source=one.source,
+            begin=begin,
+            begin_s=3600.0 * k,
+            added=0,
+            guessed=False,
+            late_s=0.0,
+        )
+        for k, one in enumerate(parts)
+    ]
+    data = hand_count_data(measure([], whole, plain.site, begin, recordings=recordings), None)
+    assert data["recordings"] == [
+        {"source": "0.mp4", "begin_s": 0.0, "end_s": 60.1},
+        {"source": "3600.mp4", "begin_s": 3600.0, "end_s": 3660.1},
+    ]
+    assert data["spans"] == [[0.0, 60.1], [3600.0, 3660.1]]
 
 
 def test_gates_are_drawn_where_the_camera_sees_them() -> None:

@@ -17,10 +17,16 @@ const keyOf = (k) => KEYS[k] || "";
 let state = { done: [], current: null };
 let pending = null; // the first of two keys of a movement
 let keeps = true;
+let kept = null;
 try {
-  state = checkedState(data, JSON.parse(localStorage.getItem(KEPT)));
+  kept = localStorage.getItem(KEPT);
 } catch {
   keeps = false;
+}
+try {
+  state = checkedState(data, JSON.parse(kept));
+} catch {
+  // Something else lies there: the page begins anew.
 }
 const keep = () => {
   try {
