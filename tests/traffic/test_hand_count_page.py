@@ -21,6 +21,7 @@ from skope.files.json_files import write_json
 from skope.site.marks import Gate
 from skope.site.site_file import parse_site
 from skope.site.traffic_settings import CLASSES
+from skope.traffic.image_counts import count_in_image
 from skope.traffic.measure import measure
 from skope.traffic.observation import FOOTAGE, Observation
 from skope.traffic.page.hand_count_data import LETTERS, hand_count_data, packed
@@ -386,6 +387,17 @@ def seen_from_above(report: TrafficReport) -> dict[str, Any]:
     K = np.array([[1000.0, 0, 500], [0, 1000, 400], [0, 0, 1]])
     camera = Camera(width=1000, height=800, K=K, T_camera_world=T)
     return dict(hand_count_data(report, camera)["view"])
+
+
+def test_gates_of_the_image_are_drawn_where_they_are() -> None:
+    """One that is drawn upwards: from its left to its right is to the right on the screen."""
+    text = b'[[image_gates]]\nname = "g"\npixels = [[240, 200], [240, 60]]\ndirections = ["right", "left"]\n'
+    report = count_in_image([], watched(10.0), parse_site(Path("site.toml"), text))
+    view = hand_count_data(report, None)["view"]
+    assert view["size"] is None
+    assert view["gates"] == [
+        {"gate": "g", "line": [[240.0, 200.0], [240.0, 60.0]], "arrow": [[220.0, 130.0], [260.0, 130.0]]}
+    ]
 
 
 def test_without_gates_or_frames_there_is_nothing_to_count() -> None:
