@@ -283,6 +283,23 @@ def test_what_cannot_be_counted_is_said(chromium_pages: Pages, counted: Path, tm
         assert rows_of(browser) == [[f"{HOSTILE} (east) to far (east)", "1", "1", "0 (0 %)", "0.0"]]
         assert browser.run("document.getElementById('hand-download')") is None
         assert browser.run("document.documentElement.scrollWidth") <= 390
+        # A file that begins later than the footage has its times in the footage, also after the page is loaded anew.
+        browser.run("document.getElementById('hand-offset').value = 2.5")
+        browser.run("document.getElementById('hand-video').currentTime = 3")
+        browser.until("!document.getElementById('hand-video').seeking")
+        browser.run("document.querySelector('[name=hand-what][value=crossings]').click()")
+        click(browser, "begin")
+        step_to(browser, 3.9)
+        browser.press("1")
+        for k in range(2):
+            told = browser.run("document.getElementById('hand-list').textContent")
+            assert told.startswith("0:00:06.4"), told
+            assert float(browser.run("document.getElementById('hand-offset').value")) == 2.5
+            if not k:
+                browser.open(page.as_uri())
+                browser.until("document.readyState === 'complete' && !document.getElementById('hand').hidden")
+                played(browser, counted / "clip.webm")
+                browser.until("Math.abs(document.getElementById('hand-video').currentTime - 3.9) < 0.1")
         # What the page has not kept itself is not believed.
         key = "'skope-hand-count:' + JSON.parse(document.getElementById('hand-data').textContent).key"
         for text in ("nonsense", '{"done": [{"begin": 1}]}', '{"done": [], "current": {"sides": [99]}}'):

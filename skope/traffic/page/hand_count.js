@@ -54,16 +54,17 @@ const compared = (file) => {
   const lasts = part.end_s - offset(), lines = [];
   if (Math.abs(video.duration - lasts) > Math.max(2, 0.01 * lasts))
     lines.push(`The file lasts ${spoken(video.duration)}, the footage that was measured ${spoken(lasts)}: is it another one, or a part that begins at another second?`);
-  const stem = (name) => name.replace(/\.[^.]*$/, "");
   if (part.source && stem(file) !== stem(part.source)) lines.push(`The footage was called ${part.source}, the file ${file}.`);
   return lines;
 };
 let fileName = "";
+const stem = (name) => name.replace(/\.[^.]*$/, "");
 const opened = (file) => {
   URL.revokeObjectURL(video.src);
   fileName = file.name;
-  const same = data.recordings.findIndex((one) => one.source === file.name);
-  if (same >= 0) chosenRecording(same);
+  // A count that is not finished goes on at the second at which its file begins.
+  const same = data.recordings.findIndex((one) => stem(one.source) === stem(file.name));
+  if (same >= 0 && !state.current) chosenRecording(same);
   video.hidden = true;
   video.src = URL.createObjectURL(file);
   show();
@@ -80,7 +81,7 @@ const failed = () => {
 };
 video.addEventListener("error", () => video.getAttribute("src") && failed());
 video.addEventListener("loadedmetadata", () => {
-  if (!video.videoWidth) return failed();
+  if (!loaded()) return failed();
   video.hidden = false;
   $("seek").max = video.duration;
   const goOn = state.current ? state.current.seen : null;
@@ -198,7 +199,7 @@ const begin = () => {
   if (second >= last || unobserved(data.spans, second, second + 1).seconds > 0.5)
     return say(`At ${spoken(second)} nothing was observed: the footage was measured from ${spoken(first)} to ${spoken(last)}. Begin elsewhere.`);
   video.pause();
-  state.current = { begin: second, seen: second, presses: [], ...asked };
+  state.current = { begin: second, seen: second, offset: offset(), presses: [], ...asked };
   video.currentTime = Math.max(0, second - offset());
   pending = null;
   keep();
@@ -238,7 +239,7 @@ const finish = () => {
   if (hole.seconds > 1)
     return say(`From ${spoken(hole.first)} on ${hole.seconds.toFixed(1)} s were not observed: frames are missing, or the camera was moved. A count cannot go over that: throw it away, and finish the next one before it.`);
   video.pause();
-  const { seen, ...whole } = current;
+  const { seen, offset: from, ...whole } = current;
   state.done.push({ ...whole, end });
   state.current = null;
   pending = null;
@@ -366,6 +367,7 @@ const show = () => {
   const counting = Boolean(state.current);
   document.body.classList.toggle("hand-is-counting", counting);
   root.classList.toggle("hand-ready", loaded());
+  $("offset").disabled = $("recording").disabled = counting;
   if (counting) {
     sideButtons();
     listed();
@@ -423,5 +425,6 @@ data.sides.forEach((side, k) => {
   $("sides").append(label);
 });
 chosenRecording(0);
+if (state.current) $("offset").value = state.current.offset;
 root.hidden = false;
 show();

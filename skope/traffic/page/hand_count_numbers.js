@@ -98,6 +98,6 @@ const checkedState = (data, value) => {
     Array.isArray(one.sides) && one.sides.length && one.sides.every(side) && Array.isArray(one.presses) && one.presses.every(press) &&
     one.presses.every((p) => (one.what === "movements") === (p.to !== undefined));
   const finished = (one) => count(one) && Number.isInteger(one.end) && one.end > one.begin;
-  const good = value && Array.isArray(value.done) && value.done.every(finished) && (!value.current || (count(value.current) && second(value.current.seen)));
+  const good = value && Array.isArray(value.done) && value.done.every(finished) && (!value.current || (count(value.current) && second(value.current.seen) && Number.isFinite(value.current.offset)));
   return good ? { done: value.done, current: value.current || null } : { done: [], current: null };
 };
