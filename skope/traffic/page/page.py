@@ -185,7 +185,7 @@ def _by_interval(report: TrafficReport) -> str:
     rows = []
     for interval in report.intervals[:_MOST_INTERVALS]:
         begin = f"{interval.begin:%a %d %b %H:%M}" if interval.begin else f"{interval.begin_s / 60:.0f} min"
-        row = [begin]
+        row = [begin.replace(" ", "\u00a0")]
         for side in sides:
             one = cells[(interval.begin_s, *side)]
             row.append(

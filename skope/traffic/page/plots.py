@@ -21,6 +21,8 @@ _FEWEST: Final = 5
 """Fewer than these are no distribution."""
 _PARTS: Final = 5
 """An axis has so many parts."""
+_MARKS: Final = 48
+"""A line has so many marks at most."""
 _LINES: Final = 4
 """A chart tells so many lines apart."""
 
@@ -47,7 +49,7 @@ def counts_over_time(report: TrafficReport) -> Iterator[str]:
             end = max(x for line in lines for x in line.x) or 1.0
             top = max(y for line in lines for y in line.y if y is not None)
             axes = Axes(x_label=_hours(report), y_label="road users an hour", x_end=_round(end), y_end=_round(top))
-            yield chart(f"{gate.name}: over time", axes, lines)
+            yield chart(f"{gate.name}: over time", axes, lines, every=math.ceil(len(report.intervals) / _MARKS))
 
 
 def _hours(report: TrafficReport) -> str:
