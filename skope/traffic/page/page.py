@@ -14,7 +14,7 @@ from skope.page import document
 from skope.page.html_pieces import details, table, tag
 from skope.traffic.count_interval import in_words
 from skope.traffic.counts import ALL, Count
-from skope.traffic.length_bins import UNTOLD
+from skope.traffic.length_bins import LONGEST_M, UNTOLD
 from skope.traffic.page.flow_diagram import flow_diagram
 from skope.traffic.page.hand_count_panel import hand_count_panel
 from skope.traffic.page.plots import counts_over_time, headway_histograms, speed_histograms
@@ -129,7 +129,8 @@ def _lengths(report: TrafficReport) -> str:
     first, second = report.site.traffic.length_bins_m
     head = ["gate", f"short, up to {first:g} m", f"medium, up to {second:g} m", "long", "not sure"]
     rows = [[escape(f"{gate} ({direction})"), *own] for (gate, direction), own in cells.items()]
-    return table(head, rows, caption="Vehicles by length, and how many there were of each")
+    untold = f"; of those over {LONGEST_M:g} m that is not known" if second >= LONGEST_M else ""
+    return table(head, rows, caption=f"Vehicles by length, and how many there were of each{untold}")
 
 
 def _movements(report: TrafficReport) -> list[str]:
