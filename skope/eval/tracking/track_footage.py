@@ -63,8 +63,8 @@ class TrackJob:
 def run(job: TrackJob, console: Console) -> Iterator[str]:
     """Follow the vehicles and write their tracks under `job.out`; yields lines that say what was written and found."""
     scene = job.scene
-    times = _times(scene, job.fps)
     begins = _begins(job)
+    times = _times(scene, job.fps)
     progress = Progress(job.out / _PROGRESS, ("sights",))
     if progress.count:
         console.say(f"{scene.file.name}: going on after the poses of {progress.count} images")

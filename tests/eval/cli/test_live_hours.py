@@ -53,18 +53,34 @@ def begins_of(path: str) -> datetime:
     return datetime.fromisoformat(json.loads(Path(path).read_text())["begins"])
 
 
-def test_recordings_of_a_stream_know_when_they_began(skope: Skope, random_run: Path) -> None:
-    first, last = predicted(skope, random_run, "seen/0", "--end", "1.3", fps=15)
-    frames = json.loads(Path("seen/0/frames.json").read_text())
+def test_a_stream_knows_when_it_began(skope: Skope, random_run: Path) -> None:
+    first, last = predicted(skope, random_run, "seen", "--end", "0.4")
+    frames = json.loads(Path("seen/frames.json").read_text())
     begin = datetime.fromisoformat(frames["info"]["begins"])
     assert first - timedelta(milliseconds=1) <= begin <= last
+    code, _, err = skope("eval", "traffic", "seen", "--site", "site.toml", "--out", "image")
+    assert code == 0, err
+    assert datetime.fromisoformat(json.loads(Path("image/summary.json").read_text())["start"]) == begin
+    frames["info"]["begins"] = "noon"
+    write_json(Path("seen/frames.json"), frames)
+    code, _, err = skope("eval", "track", "seen", "--out", "other")
+    assert (code, "info.begins: expected a time" in err) == (2, True)
+
+
+@pytest.mark.slow
+def test_hours_of_a_stream_make_one_report(skope: Skope, random_run: Path) -> None:
+    predicted(skope, random_run, "seen/0", "--end", "3.6", fps=8)
+    frames = json.loads(Path("seen/0/frames.json").read_text())
+    begin = datetime.fromisoformat(frames["info"]["begins"])
     # The next hour, in the same loop.
     shutil.copytree("seen/0", "seen/1")
     frames["info"]["begins"] = (begin + timedelta(hours=1)).isoformat()
     write_json(Path("seen/1/frames.json"), frames)
     for k in range(2):
-        code, _, err = skope("eval", "track", f"seen/{k}", "--out", f"tracks/{k}")
+        code, _, err = skope("eval", "track", f"seen/{k}", "--out", f"tracking/{k}")
         assert code == 0, err
+        # Finished hours lie apart, as the loop in docs/traffic.md has it.
+        shutil.move(f"tracking/{k}", f"tracks/{k}")
         assert begins_of(f"tracks/{k}/footage.json") == begin + timedelta(hours=k)
     assert skope("eval", "traffic", "tracks/0", "--site", "site.toml", "--out", "reports/0")[0] == 0
     code, _, err = skope("eval", "traffic", "tracks/0", "tracks/1", "--site", "site.toml", "--out", "reports/1")
@@ -80,15 +96,6 @@ def test_recordings_of_a_stream_know_when_they_began(skope: Skope, random_run: P
         assert datetime.fromisoformat(next(csv.DictReader(file))["begin"]).tzinfo
     code, _, err = skope("eval", "traffic", "tracks/0", "tracks/1", "--site", "site.toml", "--out", "reports/0")
     assert (code, "other work" in err) == (2, True), "the report of all is another folder"
-
-    # In the image alone it is known too.
-    code, _, err = skope("eval", "traffic", "seen/0", "--site", "site.toml", "--out", "image")
-    assert code == 0, err
-    assert datetime.fromisoformat(json.loads(Path("image/summary.json").read_text())["start"]) == begin
-    frames["info"]["begins"] = "noon"
-    write_json(Path("seen/1/frames.json"), frames)
-    code, _, err = skope("eval", "track", "seen/1", "--out", "other")
-    assert (code, "info.begins: expected a time" in err) == (2, True)
 
 
 @pytest.mark.slow
