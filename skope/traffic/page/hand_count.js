@@ -301,10 +301,11 @@ const countTable = (count, number) => {
   table.append(node("caption", `Count ${number}: ${kindName(count.kind)}, from ${spoken(count.begin)} to ${spoken(count.end)}${clock ? ` (${clock} to ${clockAt(data.clocks, count.end)})` : ""}`));
   for (const title of [count.what === "crossings" ? "gate" : "movement", "by hand", "counted", "off", "GEH"]) head.append(node("th", title, { scope: "col" }));
   const cells = ({ what, hand, counted }) => {
-    const row = node("tr"), signed = (value) => (value > 0 ? "+" : "") + value;
-    const off = counted === null ? "–" : signed(counted - hand) + (hand ? ` (${signed(Math.round((100 * (counted - hand)) / hand))} %)` : "");
-    row.append(node("th", what, { scope: "row" }));
-    for (const text of [hand, counted === null ? "–" : counted, off, counted === null ? "–" : gehOf(hand, counted, count.end - count.begin).toFixed(1)]) row.append(node("td", String(text)));
+    const row = node("tr"), signed = (value) => (value > 0 ? "+" : "") + value, held = counted !== null;
+    const off = node("td", held ? signed(counted - hand) + (hand ? " " : "") : "–");
+    if (held && hand) off.append(node("small", `(${signed(Math.round((100 * (counted - hand)) / hand))} %)`));
+    const geh = held ? gehOf(hand, counted, count.end - count.begin).toFixed(1) : "–";
+    row.append(node("th", what, { scope: "row" }), node("td", hand), node("td", held ? counted : "–"), off, node("td", geh));
     return row;
   };
   body.append(...rows.map(cells));
