@@ -36,7 +36,8 @@ from skope.eval.inference.settings import Settings
 from skope.eval.inference.view_changes import Looks, ViewChange
 from skope.eval.pose.camera_motion import MOTION, CameraMotion
 from skope.files.atomic import replacing
-from skope.files.output_folders import claim_output
+from skope.files.json_files import read_json
+from skope.files.output_folders import WORK, claim_output
 from skope.files.progress import Progress
 from skope.files.reading import sha256_of
 from skope.keypoints import Scheme
@@ -100,6 +101,8 @@ class PredictJob:
 def predict(job: PredictJob, console: Console) -> list[Path]:
     """Run a checkpoint over footage, and write what it finds under `job.out`; a stopped run goes on.
 
+    A live stream comes once: where a run of it was killed, what that one has is written, and nothing more is read.
+
     Args:
         job: What to run, on what.
         console: Where messages and progress go.
@@ -120,13 +123,18 @@ def predict(job: PredictJob, console: Console) -> list[Path]:
     last_key, names, last_look_s = 1, list[int](), None
     for row in progress.rows():
         images.append(coco.image_from_dict(row["image"]))
+        if BEGINS in row["image"]:
+            job.footage.begins = datetime.fromisoformat(row["image"][BEGINS])
         if row["key"]:
             last_key, names = images[-1].id, [result.get("track_id", 0) for result in row["results"]]
         if row["look"] is not None:
             last_look_s = images[-1].time_s
         job.footage.skipped += [reason for reason in row["skipped"] if reason not in job.footage.skipped]
     last = images[-1].id if images else 0
-    if images:
+    killed = job.footage.live and bool(images)
+    if killed:
+        console.say(f"{job.footage.name}: a run was killed here after {counted(last, 'image')}: writing what it has")
+    elif images:
         console.say(f"{job.footage.name}: going on after frame {last}")
     bars = console.bar(total=len(job.footage) or None, unit="image", label=job.footage.name)
     with bars as bar, _ended_by_terminate(job.footage):
@@ -134,11 +142,14 @@ def predict(job: PredictJob, console: Console) -> list[Path]:
         try:
             looks, sway = Looks(last_look_s), _sway_watch(job, last)
             watched = (looks, sway)
-            for bare, found, key in found_in(
-                job, predictor, last=last, last_key=last_key, names=names, watched=watched
-            ):
+            further = found_in(job, predictor, last=last, last_key=last_key, names=names, watched=watched)
+            for bare, found, key in () if killed else further:
                 image = with_camera(bare, job.camera)
-                entry = {"image": coco.image_to_dict(image), "results": list(map(coco.result_to_dict, found))}
+                begins = {} if job.footage.begins is None else {BEGINS: job.footage.begins.isoformat()}
+                entry = {
+                    "image": {**coco.image_to_dict(image), **begins},
+                    "results": list(map(coco.result_to_dict, found)),
+                }
                 look = looks.taken.pop(image.id, None)
                 motion = motion_to_row(sway.measured.pop(image.id, None))
                 skipped = list(job.footage.skipped)
@@ -308,7 +319,7 @@ def _claim(job: PredictJob, files: Sequence[Path]) -> None:
     """Take the output folder for this footage, a predictor's files and settings; overlays may come later."""
     cut, settings = job.footage.cut, job.settings
     options = {
-        "source": content_of(job.footage),
+        "source": _killed_source(job) or content_of(job.footage),
         "every": cut.every,
         "start": cut.start_s,
         "end": cut.end_s if math.isfinite(cut.end_s) else None,
@@ -322,6 +333,16 @@ def _claim(job: PredictJob, files: Sequence[Path]) -> None:
         "camera": job.camera.to_dict() if job.camera else None,
     }
     claim_output(job.out, "skope eval predict", files, options)
+
+
+def _killed_source(job: PredictJob) -> str | None:
+    """What a run of a live stream was of that was killed in the output folder; None: there was none."""
+    if not job.footage.live or not (job.out / _PROGRESS).is_file() or not (job.out / WORK).is_file():
+        return None
+    held = read_json(job.out / WORK)
+    options = held.get("options") if isinstance(held, dict) else None
+    source = options.get("source") if isinstance(options, dict) else None
+    return source if isinstance(source, str) and source.startswith(f"{job.footage.name} of ") else None
 
 
 def content_of(footage: Footage) -> str:

@@ -99,6 +99,34 @@ def test_hours_of_a_stream_make_one_report(skope: Skope, random_run: Path) -> No
 
 
 @pytest.mark.slow
+def test_what_a_killed_run_has_is_written_by_the_same_command(
+    skope: Skope, random_run: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    begun = datetime.now(UTC)
+    with monkeypatch.context() as patch:
+        patch.setattr("skope.eval.inference.predict_footage._kept", _killed)
+        with pytest.raises(SystemError):
+            predicted(skope, random_run, "seen", "--end", "3.6", fps=8)
+    rows = Path("seen/.predict.jsonl").read_text().splitlines()
+    assert rows
+    assert not Path("seen/frames.json").exists()
+    ended = datetime.now(UTC)
+    predicted(skope, random_run, "seen", "--end", "3.6")
+    frames = json.loads(Path("seen/frames.json").read_text())
+    assert len(frames["images"]) == len(rows), "nothing of the stream that plays now"
+    assert begun <= datetime.fromisoformat(frames["info"]["begins"]) <= ended
+    assert not any("begins" in image for image in frames["images"])
+    with streams.mjpeg(31, 20) as address:
+        words = ("--checkpoint", random_run, "--camera", "camera.json", "--out", "seen", "--end", "3.6")
+        code, _, err = skope("eval", "predict", address, *words)
+    assert (code, "other work" in err) == (2, True), "what is finished is another recording"
+
+
+def _killed(*_: object) -> None:
+    raise SystemError("killed")
+
+
+@pytest.mark.slow
 def test_a_service_that_is_stopped_writes_what_has_come(skope: Skope, random_run: Path) -> None:
     ignored: list[Any] = []
     before = signal.signal(signal.SIGTERM, lambda *_: ignored.append(1))
