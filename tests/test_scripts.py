@@ -14,6 +14,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -545,3 +546,16 @@ def test_the_demonstration_does_what_is_not_done(make: Any, tmp_path: Path) -> N
         (tmp_path / "runs" / "demo" / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / "runs" / "demo" / name).touch()
     assert words() == ["skope eval compare", "python scripts/demo_page.py"]
+
+
+def test_tables_of_the_legs_have_what_their_log_says(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.syspath_prepend(str(SCRIPTS))
+    table = importlib.import_module("legs_table")
+    rows = [json.loads(line) for line in (SCRIPTS / "legs.jsonl").read_text().splitlines()]
+    found = list(table.points(rows))
+    assert [one.name for one in found] == ["start", *(row["leg"] for row in rows)]
+    assert found[-1].visits == sum(one["visits"] for row in rows for one in row["rounds"])
+    night = [row["figures"]["end"]["conditions_4711"]["night"]["box_ap50"] for row in rows]
+    (line,) = (one for one in table.splits_table(found, table.ap50).splitlines() if one.startswith("| night"))
+    assert [cell.strip() for cell in line.split("|")[3:-1]] == [f"{100 * value:.1f}" for value in night]
+    assert ElementTree.fromstring(table.curve(found)).tag.endswith("svg")
