@@ -42,6 +42,12 @@ class Point:
         return fmean(map(value, splits.values())) if splits else None
 
 
+def read_log() -> list[dict[str, Any]]:
+    """The legs of road33, in their order."""
+    rows = [json.loads(line) for line in LOG.read_text().splitlines()]
+    return [row for row in rows if row["leg"].isdecimal()]
+
+
 def points(log: Sequence[Mapping[str, Any]]) -> Iterator[Point]:
     """The start, and the end of each leg."""
     visits = 0
@@ -155,7 +161,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--curve", type=Path, help="SVG to write")
     options = parser.parse_args()
-    log = [json.loads(line) for line in LOG.read_text().splitlines()]
+    log = read_log()
     found = list(points(log))
     print(legs_table(log, found))
     print("\nAP50 of boxes, percent:\n")
