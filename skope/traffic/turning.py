@@ -78,7 +78,13 @@ class TurningCount:
     """None: nothing was observed."""
     expected: CountInterval | None
     """Between which numbers the truth is; None where nothing was observed, where too few of them are seen at one of the
-    two gates, or for who was not seen at one of the two: these went somewhere in truth."""
+    two gates, where people on foot are among those at either, or for who was not seen at one of the two: these went
+    somewhere in truth."""
+
+
+def on_foot(movement: Movement) -> bool:
+    """Whether somebody walks."""
+    return movement.trajectory.category == "pedestrian"
 
 
 def _side(crossing: GateCrossing | None) -> Side:
@@ -177,7 +183,11 @@ def _expected(
     members: Sequence[Movement], pair: tuple[Side, Side], kinds: Sequence[SeenAlike], classes: Collection[str]
 ) -> CountInterval | None:
     """Who was lost after the first gate may have gone this way: nearly none of them, or nearly all, as where they went
-    has no gate, or has one that loses them."""
+    has no gate, or has one that loses them.
+
+    None where people are among those at either gate: more than half of their tracks go over to others on the way."""
+    if any(on_foot(one) and (one.sides[0] == pair[0] or one.sides[1] == pair[1]) for one in members):
+        return None
     groups = []
     for kind in kinds:
         own = [one for one in members if one.trajectory.class_name in kind.classes]

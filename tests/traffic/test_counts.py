@@ -262,6 +262,21 @@ def test_who_walks_beside_others_makes_no_movement() -> None:
     assert between == [1]
 
 
+def test_where_people_walk_movements_are_known_of_vehicles_alone() -> None:
+    settings = TrafficSettings()
+    walker = replace(turn(9, "south", "east", 40), category="pedestrian", class_name="pedestrian")
+    tracks = [*(turn(k, "west", "east", 5.0 * k) for k in range(3)), turn(3, "west", "north", 30.0), walker]
+    found = movements(crossings(tracks, ARMS, NO_LANES, settings), settings, 0.1)
+    told = {
+        (one.destination[0], one.class_name): one.expected
+        for one in turning_counts(found, ARMS, clock_intervals(None, 0, 60, 1), watched(60), settings, Unseen())
+        if one.origin == ("west", "in")
+    }
+    assert told["east", ALL] is None, "one of those who walk may have come from there"
+    assert told["east", "vehicle"] is not None
+    assert told["north", ALL] is not None
+
+
 def test_movements_count_between_the_gates_that_are_named() -> None:
     settings = TrafficSettings(turning=("north", "south"))
     tracks = [turn(1, "north", "east", 0), turn(2, "north", "south", 5), turn(3, "west", "south", 9)]
