@@ -13,7 +13,7 @@ from typing import Final
 from skope.site.marks import Gate
 from skope.site.traffic_settings import TrafficSettings
 from skope.traffic.clock import ClockInterval
-from skope.traffic.count_interval import CountInterval, joint_interval
+from skope.traffic.count_interval import CountInterval, Group, joint_interval
 from skope.traffic.counts import classes_of, row_classes
 from skope.traffic.event_probability import COUNTED_FROM, SeenAlike, same_probability
 from skope.traffic.gates import GateCrossing, direction_names
@@ -25,6 +25,8 @@ Side = tuple[str, str]
 """A gate and the name of a direction."""
 _LOST: Final = (0.2, 0.2)
 """The share of the lost who went a way, as a Beta distribution: nothing says which."""
+_NOBODY: Final = (0.0, 1.0)
+"""The share that is missed, where nobody is."""
 NOWHERE: Final[Side] = ("", "")
 """Not seen at a gate before, or after."""
 
@@ -197,5 +199,7 @@ def _expected(
             return None
         went = [one.probability for one in own if one.sides == pair]
         lost = sum(one.sides == (pair[0], NOWHERE) for one in own)
-        groups.append(kind.group(went, lost).with_came(_LOST))
+        # Where lost ones alone may have gone this way, nobody is missed besides: that is told by those who are seen.
+        group = Group((), _NOBODY, possible=lost) if lost and not went else kind.group(went, lost)
+        groups.append(group.with_came(_LOST))
     return joint_interval(groups)
