@@ -32,6 +32,8 @@ CHANGES: Final = "view_changes"
 SIGHT: Final = "sight"
 """Under this name the `info` of frames says how bright a video is and how much contrast it has: rows of time (s),
 brightness (0 to 1) and contrast."""
+BEGINS: Final = "begins"
+"""Under this name the `info` of frames says when second 0 of a live stream was, as a time with its offset."""
 
 _CARD_FIELDS: Final[dict[str, type]] = {
     **dict.fromkeys(("counts", "fleet", "localizer_difference_m", "occlusion_rules", "parameters", "versions"), dict),

@@ -10,13 +10,17 @@ from importlib import resources
 from skope.page.html_pieces import tag
 
 
-def document(title: str, *body: str) -> str:
-    """The whole page around its parts, which are markup."""
+def document(title: str, *body: str, plays_files: bool = False) -> str:
+    """The whole page around its parts, which are markup.
+
+    With `plays_files` it may play videos that its reader chooses on their own computer.
+    """
+    media = " media-src blob:;" if plays_files else ""
     head = (
         '<meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">'
         # No request leaves the page, whatever it holds.
-        '<meta http-equiv="Content-Security-Policy" content="default-src \'none\'; img-src data:; '
-        "style-src 'unsafe-inline'; script-src 'unsafe-inline'\">"
+        '<meta http-equiv="Content-Security-Policy" content="default-src \'none\'; img-src data:;'
+        f"{media} style-src 'unsafe-inline'; script-src 'unsafe-inline'\">"
         '<link rel="icon" href="data:,">'
     )
     end = tag("div", id="tip", role="status", hidden="hidden") + tag("script", _text("page.js"))

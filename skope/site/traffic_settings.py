@@ -48,6 +48,9 @@ class TrafficSettings:
     """Names of the gates between which movements are counted; None: all."""
     trajectory_interval_s: float = 0.5
     """Trajectories are written with a row so often."""
+    length_bins_m: tuple[float, float] = (6.55, 14.94)
+    """From which lengths on vehicles are medium, and long: 21.5 and 49 feet (Minge and others, "Loop- and length-based
+    vehicle classification", Federal Highway Administration's pooled fund TPF-5(192), 2012)."""
 
     def to_dict(self) -> dict[str, Any]:
         """The settings as JSON has them."""
@@ -67,6 +70,9 @@ _RANGES: Final = {
     "trajectory_interval_s": (0.0, 60.0),
 }
 """Settings that are numbers, and what they can be."""
+_LENGTHS_M: Final = (5.0, 30.0)
+"""Between which limits of lengths may lie: cars are told apart by length no better than their errors, which are alike
+for all of a model."""
 
 
 def read_traffic(table: TomlTable, gates: tuple[str, ...], unknown: list[str]) -> TrafficSettings:
@@ -88,6 +94,7 @@ def read_traffic(table: TomlTable, gates: tuple[str, ...], unknown: list[str]) -
         classes=_names(table, "classes", CLASSES, "classes") or plain.classes,
         turning=_names(table, "turning", gates, "gates of this file"),
         free_flow_kmh=free_flow,
+        length_bins_m=_length_bins(table) or plain.length_bins_m,
         **numbers,
     )
     if settings.queue_end_kmh < settings.queue_speed_kmh:
@@ -101,6 +108,19 @@ def _interval(table: TomlTable, default: int) -> int:
     if minutes % 1 or _DAY_MINUTES % minutes:
         raise table.wrong("interval_minutes", f"expected whole minutes that a day is a multiple of, got {minutes:g}")
     return int(minutes)
+
+
+def _length_bins(table: TomlTable) -> tuple[float, float] | None:
+    """The two limits; None where the key is missing."""
+    if "length_bins_m" not in table:
+        return None
+    first, second = table.numbers("length_bins_m", 2)
+    low, high = _LENGTHS_M
+    if not low <= first < second <= high:
+        raise table.wrong(
+            "length_bins_m", f"expected two lengths that rise, from {low:g} to {high:g} m, got {first:g} and {second:g}"
+        )
+    return first, second
 
 
 def _names(table: TomlTable, key: str, known: tuple[str, ...], what: str) -> tuple[str, ...] | None:

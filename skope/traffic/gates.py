@@ -151,7 +151,7 @@ def _of_one(
 def _rule(trajectory: Trajectory, gate: Gate, signed: Array, settings: TrafficSettings) -> dict[str, float]:
     """How far it has to be seen on the other side, and how far it has to move: more where places are less certain."""
     near = trajectory.covariance[np.abs(signed) < _NEAR_M]
-    normal = _normal(gate)
+    normal = normal_of(gate)
     spread = float(np.median(np.einsum("i,mij,j->m", normal, near, normal))) if len(near) else 0.0
     hysteresis = max(settings.hysteresis_m, _SURE * math.sqrt(max(0.0, spread)))
     return {"hysteresis": hysteresis, "least_travel": max(settings.least_travel_m, hysteresis)}
@@ -162,7 +162,7 @@ def _sigma(direction: Array, covariance: Array) -> float:
     return math.sqrt(max(0.0, float(direction @ covariance @ direction)))
 
 
-def _normal(gate: Gate) -> Array:
+def normal_of(gate: Gate) -> Array:
     """(2,) unit vector to the left of the gate."""
     _, along = _axis(gate)
     return np.array([-along[1], along[0]])
@@ -179,7 +179,7 @@ def _crossing(
     between: float,
 ) -> GateCrossing:
     time_s = passage.time_s
-    normal = _normal(gate)
+    normal = normal_of(gate)
     velocity = trajectory.at(trajectory.velocity, time_s)
     covariance = trajectory.at(trajectory.covariance, time_s)
     sigma_m = _sigma(normal, covariance)

@@ -97,7 +97,9 @@ class _Line:
         return UserError(f"{self.path}: line {self.number}: {column}: {said}")
 
     def one_of(self, column: str, known: Sequence[str]) -> str:
-        text = self.text(column)
+        # A name may begin or end with a space.
+        text = self.cells[column] or ""
+        text = text if text in known else text.strip()
         if text not in known:
             raise self.wrong(column, f"expected one of {', '.join(known) or 'none'}, got {text!r:.{_SHOWN}}")
         return text

@@ -82,6 +82,8 @@ def count_in_image(
         lane_changes=(),
         counts=tuple(counts(crossed, gates, [], intervals, observation, settings, missed)),
         counts_total=total_counts(crossed, gates, observation, settings, missed),
+        lengths=(),
+        lengths_total=(),
         unseen=missed,
         hand_checks=tuple(checks),
         movements=tuple(moved),

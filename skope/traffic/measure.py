@@ -20,6 +20,7 @@ from skope.traffic.hand_count_file import HandCount
 from skope.traffic.headways import headways, occupancies
 from skope.traffic.joining import joined
 from skope.traffic.lanes import LaneMap, lane_changes
+from skope.traffic.length_bins import length_counts
 from skope.traffic.observation import Observation
 from skope.traffic.queues import delays, queues
 from skope.traffic.recordings import SiteRecording
@@ -89,6 +90,8 @@ def measure(
         lane_changes=tuple(lane_changes(trajectories, lanes, settings.hysteresis_m)),
         counts=tuple(counts(crossed, site.gates, names, intervals, observation, settings, missed)),
         counts_total=total_counts(crossed, site.gates, observation, settings, missed),
+        lengths=tuple(length_counts(crossed, site.gates, intervals, observation, settings, missed)),
+        lengths_total=tuple(length_counts(crossed, site.gates, [whole], observation, settings, missed)),
         unseen=missed,
         hand_checks=tuple(checks),
         movements=tuple(moved),

@@ -167,18 +167,18 @@ def recording_lines(recordings: Sequence[SiteRecording], observation: Observatio
 
 def _only(folder: Path, said: datetime | None, site: "SiteFile") -> RecordedTraffic:
     observation = read_observation(folder)
-    start = _begin(said, observation, site) or local_start(site)
+    start = begin_of(said, observation, site) or local_start(site)
     return RecordedTraffic(tracks=tuple(read_trajectories(folder, observation)), observation=observation, start=start)
 
 
-def _begin(said: datetime | None, observation: Observation, site: "SiteFile") -> datetime | None:
-    """When a recording begins: as somebody says, else as it says itself."""
+def begin_of(said: datetime | None, observation: Observation, site: "SiteFile") -> datetime | None:
+    """When a recording begins, in the site's time: as somebody says, else as it says itself; None: neither does."""
     return local_time(observation.begins, site) if said is None and observation.begins is not None else said
 
 
 def _placed(folder: Path, said: datetime | None, site: "SiteFile", where: str) -> _Placed:
     observation = read_observation(folder)
-    begin = _begin(said, observation, site)
+    begin = begin_of(said, observation, site)
     guess = begin_in_name(observation.source, site) if begin is None else None
     if begin is None and guess is None:
         zone = "" if site.time_zone else f", and {site.path} has no time_zone"

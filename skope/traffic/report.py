@@ -13,6 +13,7 @@ from skope.traffic.gates import GateCrossing, upwards
 from skope.traffic.hand_checks import HandCheck
 from skope.traffic.headways import Headway, Occupancy
 from skope.traffic.lanes import LaneChange
+from skope.traffic.length_bins import LengthCount
 from skope.traffic.observation import Observation
 from skope.traffic.queues import Delay, QueueRecord
 from skope.traffic.recordings import SiteRecording
@@ -43,6 +44,10 @@ class TrafficReport:
     counts: tuple[Count, ...]
     counts_total: tuple[Count, ...]
     """Those of the whole footage, whole gates: of all, and of vehicles."""
+    lengths: tuple[LengthCount, ...]
+    """Counts of vehicles by length; empty without metres."""
+    lengths_total: tuple[LengthCount, ...]
+    """Those of the whole footage."""
     unseen: Unseen
     """Who may have crossed gates and is not counted."""
     hand_checks: tuple[HandCheck, ...]

@@ -14,6 +14,8 @@ from skope.traffic.clock import ClockInterval
 from skope.traffic.count_interval import in_cells
 from skope.traffic.counts import observed_word
 from skope.traffic.gates import GateCrossing
+from skope.traffic.length_bins import LONGEST_M, WHY_NOT, LengthCount, has_length, length_bin, length_sigma_m
+from skope.traffic.otc_classes import OTC_CLASSES
 from skope.traffic.report import TrafficReport
 from skope.traffic.sight import sight_in
 from skope.traffic.speed_percentiles import PERCENTILES
@@ -42,6 +44,7 @@ def report_tables(report: TrafficReport) -> dict[str, ReportTable]:
         **always,
         "trajectories": _trajectories(report),
         "counts": _counts(report),
+        "lengths": _lengths(report),
         "turning": _turning(report),
         "speeds": _speeds(report),
         "headways": _headways(report),
@@ -87,30 +90,45 @@ def _events(report: TrafficReport) -> ReportTable:
             place = one.place.tolist() if report.metres else [one.place[0], -one.place[1]]
             ends = (one.speed * KMH, one.speed_sigma * KMH, one.front_s, one.rear_s)
             tail = (*place, *(ends if report.metres else (None,) * 4), None, one.probability, one.doubt)
-            where = one.gate, one.direction_name, one.lane
-            yield one.time_s, ("gate", one.sigma_s, *_who(one.trajectory), *where, *tail)
+            tail = (*tail, *_length(report, one.trajectory))
+            who = ("gate", one.sigma_s, *_who(one.trajectory), one.gate, one.direction_name, one.lane)
+            yield one.time_s, (*who, *tail)
         for visit in report.visits:
             borders = ("enter", visit.enter_s, None), ("leave", visit.leave_s, visit.dwell_s)
             for (event, time_s, dwell), sigma in zip(borders, visit.sigmas_s, strict=True):
                 if not math.isnan(time_s):
                     place = visit.trajectory.at(visit.trajectory.place, time_s).tolist()
-                    where = (visit.zone, None, None, *place, None, None, None, None, dwell, None, None)
+                    where = (visit.zone, None, None, *place, None, None, None, None, dwell, None, None, *_NO_LENGTH)
                     yield time_s, (event, sigma, *_who(visit.trajectory), *where)
         for change in report.lane_changes:
             place = change.place.tolist()
-            where = (change.from_lane, change.to_lane, change.to_lane, *place, *(None,) * 5, change.probability, None)
+            lanes = (change.from_lane, change.to_lane, change.to_lane)
+            where = (*lanes, *place, *(None,) * 5, change.probability, None, *_NO_LENGTH)
             yield change.time_s, ("lane change", None, *_who(change.trajectory), *where)
         for brake in report.brakings:
             told = f"{brake.deceleration:.1f} m/s2 (sigma {brake.sigma:.1f})"
-            where = (None, None, None, *brake.place.tolist(), *(None,) * 5, brake.probability, told)
+            where = (None, None, None, *brake.place.tolist(), *(None,) * 5, brake.probability, told, *_NO_LENGTH)
             yield brake.time_s, ("hard braking", None, *_who(brake.trajectory), *where)
 
     ordered = sorted(rows(), key=lambda pair: pair[0])
     return _table(
         "event time_s time sigma_s track class class_confidence place direction lane x y speed_kmh speed_sigma_kmh "
-        f"front_s rear_s dwell_s probability remark{_RECORDING if report.recordings else ''}",
+        f"front_s rear_s dwell_s probability remark otc_class length_m length_sigma_m length_bin "
+        f"length_bin_probability{_RECORDING if report.recordings else ''}",
         ((row[0], time_s, clock(report, time_s), *row[1:], *_recording(report, time_s)) for time_s, row in ordered),
     )
+
+
+_NO_LENGTH: Final = (None,) * 5
+
+
+def _length(report: TrafficReport, one: Trajectory) -> Row:
+    """What OpenTrafficCam calls somebody, the length, its standard deviation, the bin and its probability."""
+    otc = OTC_CLASSES[one.class_name]
+    if not report.metres or not has_length(one):
+        return otc, *_NO_LENGTH[1:]
+    common = report.observation.common_sigma
+    return otc, one.length, length_sigma_m(one, common), *length_bin(one, report.site.traffic.length_bins_m, common)
 
 
 def _trajectories(report: TrafficReport) -> ReportTable:
@@ -163,7 +181,7 @@ def _counts(report: TrafficReport) -> ReportTable:
     seen = report.observation
     poor_s = {one: sight_in(seen, one.begin_s, one.end_s).poor_s for one in report.intervals}
     return _table(
-        "begin end begin_s end_s observed observed_s poor_sight_s gate direction lane class count low high",
+        "begin end begin_s end_s observed observed_s poor_sight_s gate direction lane class count low high otc_class",
         (
             (
                 *_of_interval(one.interval),
@@ -178,10 +196,33 @@ def _counts(report: TrafficReport) -> ReportTable:
                     one.count,
                 ),
                 *in_cells(one.expected),
+                OTC_CLASSES.get(one.class_name),
             )
             for one in report.counts
         ),
     )
+
+
+def _lengths(report: TrafficReport) -> ReportTable:
+    return _table(
+        "begin end begin_s end_s observed gate direction length_bin from_m to_m count low high remark",
+        (
+            (
+                *_of_interval(one.interval),
+                *(one.observed, one.gate, one.direction, one.bin_name, *_bounds(one), one.count),
+                *in_cells(one.expected),
+                WHY_NOT if one.between_m and one.between_m[0] >= LONGEST_M else None,
+            )
+            for one in report.lengths
+        ),
+    )
+
+
+def _bounds(one: LengthCount) -> Row:
+    """From which length to which, metres; the last one has no end."""
+    if one.between_m is None:
+        return None, None
+    return tuple(end if math.isfinite(end) else None for end in one.between_m)
 
 
 def _hand_count(report: TrafficReport) -> ReportTable:

@@ -139,6 +139,10 @@ def test_on_the_map_everything_is_where_it_is_on_the_road(tmp_path: Path, world:
     assert (x[:-1] * y[1:] - x[1:] * y[:-1]).sum() / 2 == pytest.approx(16, abs=0.1)  # counter-clockwise
     assert metres(first["geometry"]["coordinates"])[[0, -1]] == pytest.approx(np.array([[-30, 0], [30, 0]]), abs=0.02)
     assert len(first["properties"]["times_s"]) == len(first["geometry"]["coordinates"])
+    told = [one["properties"] for one in features if one["properties"]["kind"] == "track"]
+    assert [one["otc_class"] for one in told] == ["car", "car", "pedestrian"]
+    assert [one.get("length_bin") for one in told] == ["short", "short", None]
+    assert told[0]["length_bin_probability"] > 0.98
     counts = gate["properties"]["counts"]
     assert {name: row["all"]["count"] for name, row in counts.items()} == {"in": 2, 'aus, "Süd"': 0}
     assert all(row["vehicle"]["low"] <= row["vehicle"]["count"] <= row["vehicle"]["high"] for row in counts.values())

@@ -20,10 +20,11 @@ import pytest
 
 from skope.errors import UserError
 from skope.site.site_file import SiteFile, parse_site, read_site
-from skope.traffic.exports.otanalytics import CLASSES, write_otanalytics
+from skope.traffic.exports.otanalytics import write_otanalytics
 from skope.traffic.image_counts import count_in_image
 from skope.traffic.measure import measure
 from skope.traffic.observation import Observation
+from skope.traffic.otc_classes import OTC_CLASSES
 from skope.traffic.report import TrafficReport
 from skope.traffic.trajectories import Trajectory
 from tests.eval.sightings import CAMERA
@@ -178,7 +179,7 @@ def test_tracks_have_all_that_the_format_asks_for(tmp_path: Path) -> None:
         assert (video["number_of_frames"], video["recorded_fps"]) == (6001, pytest.approx(10))
         assert video["length"] == "0:10:01"
         assert video["recorded_start_date"] == START
-        assert sorted(metadata["detection"]["model"]["classes"].values()) == sorted(CLASSES.values())
+        assert sorted(metadata["detection"]["model"]["classes"].values()) == sorted(OTC_CLASSES.values())
         assert {"tracking_run_id", "frame_group"} <= metadata["tracking"].keys()
         needed = {"class", "confidence", "x", "y", "w", "h", "frame", "occurrence", "interpolated-detection"}
         assert all((needed | {"track-id", "first", "finished"}) <= row.keys() for row in rows)
@@ -353,7 +354,7 @@ def test_otanalytics_counts_what_we_count(otanalytics: Path, tmp_path: Path, vie
             datetime.fromtimestamp((START + one.time_s) // 300 * 300, tz=UTC).strftime("%Y-%m-%d %H:%M:%S"),
             one.origin.gate,
             one.destination.gate,
-            CLASSES[one.origin.trajectory.class_name],
+            OTC_CLASSES[one.origin.trajectory.class_name],
         )
         for one in report.movements
         if one.origin is not None and one.destination is not None

@@ -40,6 +40,11 @@ def test_it_says_what_the_tables_say() -> None:
     assert page.count('class="flow ') == 4
     assert "2026-11-26 10:00:00 to 2026-11-26 10:05:00, Europe/Berlin" in page
     assert "Nothing was counted by hand" in page
+    (short,) = (one for one in report.lengths_total if (one.direction, one.bin_name) == ("to the east", "short"))
+    assert short.expected
+    row = f">{short.gate} ({short.direction})</th><td>{short.count} <small>{short.expected.low} to"
+    assert row in page
+    assert "of those over 12 m that is not known" in page
     for line in report.refused:
         assert f"<li>{line}</li>".replace("'", "&#x27;") in page
 

@@ -253,8 +253,10 @@ def test_footage_is_detected_and_tracked_first_and_once(
     """A run that was stopped goes on after what it has: finished tracks are not made again."""
     numbered_video(Path("v.mp4"), 8)
     site = Path("site.toml")
-    site.write_text(HEAD + '[[gates]]\nname = "g"\nline = [[0, 20], [9, 20]]\n')
     call = ("eval", "traffic", "v.mp4", "--checkpoint", random_run, "--device", "cpu", "--out", "r")
+    site.write_text(HEAD)
+    assert "site.toml: has no gates: nothing will be counted" in skope(*call)[2], "said before minutes are spent"
+    site.write_text(HEAD + '[[gates]]\nname = "g"\nline = [[0, 20], [9, 20]]\n')
     code, _, err = skope(*call)
     assert (code, "camera: missing" in err, Path("r").exists()) == (2, True, False)
     camera = "[camera]\nsize = [96, 64]\nfov_deg = 60.0\nposition = [0, 0, 6]\nyaw_deg = 90.0\npitch_deg = 20.0\n"

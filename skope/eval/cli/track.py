@@ -20,7 +20,7 @@ def track(
         data_option(
             metavar="TIME",
             help="When second 0 of the footage was, as 2026-11-26T10:00:00+01:00; `skope eval traffic` reads it.",
-            show_default="not said",
+            show_default="as a live stream's frames say",
         ),
     ] = None,
     noise: NoiseOption = 0.0,

@@ -166,6 +166,11 @@ def _report_of_footage(
             f"--hand-count: needs tracks, not footage: `{_COMMAND} {source} --site {site.path} --out {out}` first, "
             f"then `{_COMMAND} {out / TRACKS}` with --hand-count and another --out"
         )
+    if not site.gates:
+        console.warn(
+            f"{site.path}: has no gates: nothing will be counted; `skope eval site {source} --site {site.path}` draws "
+            f"them, and `{_COMMAND} {out / TRACKS}` then counts without detecting again"
+        )
     options = _options(_isoformat(start), None)
     folder = tracked_footage(source, site, checkpoint, hardware, out, _COMMAND, options, console)
     observation = read_observation(folder)
@@ -209,8 +214,9 @@ def _written(
         for path in write_format(name, folder, report, site.camera.camera if site.camera else None):
             yield f"wrote {path}"
     road = None if tracks is None else read_road_picture(tracks)
+    said = ", ".join([source] if isinstance(source, str) else source)
     for path in (
-        write_page(out, report, tracks=", ".join([source] if isinstance(source, str) else source), road=road),
+        write_page(out, report, tracks=said, road=road, camera=site.camera.camera if site.camera else None),
         *write_report(out, report, tracks=source, revision=site.revision),
     ):
         yield f"wrote {path}"
@@ -234,6 +240,7 @@ def _report_in_image(
     from skope.eval.tracking.image_trajectories import read_image_trajectories
     from skope.traffic.exports.formats import checked_formats
     from skope.traffic.image_counts import count_in_image
+    from skope.traffic.recordings import begin_of
 
     if not site.image_gates:
         raise UserError(
@@ -242,12 +249,13 @@ def _report_in_image(
         )
     formats = checked_formats(also, site, metres=False)
     tracks, observation = read_image_trajectories(folder)
-    counted = _counted_by_hand(hand_count, site, site.image_gates, start, observation)
+    begin = begin_of(start, observation, site)
+    counted = _counted_by_hand(hand_count, site, site.image_gates, begin, observation)
     inputs = [folder / FRAMES, folder / PREDICTIONS, site.path]
     options = _options(_isoformat(start), hand_count)
     claim_output(out, _COMMAND, inputs, options)
     further = _claimed(out, inputs, options, site, formats)
-    report = count_in_image(tracks, observation, site, start, counted)
+    report = count_in_image(tracks, observation, site, begin, counted)
     yield from _written(report, str(folder), site, out, further)
 
 

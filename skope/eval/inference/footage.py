@@ -9,6 +9,7 @@ import os
 from collections import deque
 from collections.abc import Callable, Generator, Iterator
 from dataclasses import dataclass, field
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Final
 
@@ -83,6 +84,8 @@ class Footage:
     clip: Clip | None = None
     skipped: list[str] = field(default_factory=list)
     """What could not be read, a line of text each."""
+    begins: datetime | None = None
+    """When second 0 of a live stream was, by this computer's clock, once its first frame has come; else None."""
 
     @property
     def names(self) -> list[str]:
@@ -200,6 +203,8 @@ class Footage:
                 for number, (at, time_s, bgr) in enumerate(wanted, start=1):
                     if time_s >= self.cut.end_s:
                         return
+                    if self.begins is None:
+                        self.begins = datetime.now(UTC) - timedelta(seconds=time_s)
                     yield self._frame(number, at, time_s, bgr)
             except stream.BrokenOffError as error:
                 self._skip(f"{clip.address}: {error}")

@@ -3,8 +3,11 @@
 import hashlib
 import math
 import os
+import signal
+import threading
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
 from datetime import UTC, datetime
 from functools import partial
@@ -16,7 +19,7 @@ import numpy as np
 from skope.camera.model import Camera
 from skope.dataset import coco
 from skope.dataset.camera_of_file import with_camera
-from skope.dataset.folder import CHANGES, FOLLOWED, FRAMES, PREDICTIONS, SIGHT
+from skope.dataset.folder import BEGINS, CHANGES, FOLLOWED, FRAMES, PREDICTIONS, SIGHT
 from skope.detections import AnyResult, apart
 from skope.detector.device import choose_device
 from skope.errors import UserError
@@ -125,7 +128,8 @@ def predict(job: PredictJob, console: Console) -> list[Path]:
     last = images[-1].id if images else 0
     if images:
         console.say(f"{job.footage.name}: going on after frame {last}")
-    with console.bar(total=len(job.footage) or None, unit="image", label=job.footage.name) as bar:
+    bars = console.bar(total=len(job.footage) or None, unit="image", label=job.footage.name)
+    with bars as bar, _ended_by_terminate(job.footage):
         bar.update(last)
         try:
             looks, sway = Looks(last_look_s), _sway_watch(job, last)
@@ -176,6 +180,23 @@ def predict(job: PredictJob, console: Console) -> list[Path]:
     return written
 
 
+@contextmanager
+def _ended_by_terminate(footage: Footage) -> Iterator[None]:
+    """Take the signal that ends services (SIGTERM) as Ctrl+C: what has come of a live stream is then written."""
+    if not footage.live or threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGTERM, interrupt)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
 def _info(
     job: PredictJob,
     looked: Sequence[tuple[float, str]],
@@ -184,6 +205,8 @@ def _info(
 ) -> dict[str, Any]:
     """What the `info` of the frames says of the footage."""
     info: dict[str, Any] = {"source": job.footage.name, "fps": job.footage.fps, **_found_at(job), **job.camera_info}
+    if job.footage.begins is not None:
+        info[BEGINS] = job.footage.begins.isoformat(timespec="milliseconds")
     if job.key_every > 1:
         info[FOLLOWED] = True
     if looked:

@@ -7,13 +7,13 @@ from typing import Final
 import numpy as np
 
 from skope.dataset import coco
-from skope.dataset.folder import CHANGES, FRAMES, PREDICTIONS, SIGHT
+from skope.dataset.folder import BEGINS, CHANGES, FRAMES, PREDICTIONS, SIGHT
 from skope.errors import UserError
 from skope.eval.tracking.box_doubles import FOOT, INSIDE, inside_and_apart
 from skope.metrics.read_inputs import read_all_results
 from skope.schema import CATEGORIES
 from skope.site.traffic_settings import UNKNOWN
-from skope.traffic.observation import Observation, checked_sight
+from skope.traffic.observation import Observation, checked_sight, read_begins
 from skope.traffic.trajectories import VEHICLE, Trajectory
 from skope.types import Array
 
@@ -60,6 +60,7 @@ def read_image_trajectories(folder: Path) -> tuple[list[Trajectory], Observation
         source=source,
         moved_s=np.array(sorted(later)),
         sight=checked_sight(file.info.get(SIGHT), f"{folder / FRAMES}: info.{SIGHT}"),
+        begins=read_begins(file.info[BEGINS], f"{folder / FRAMES}: info.{BEGINS}") if BEGINS in file.info else None,
     )
     return [one for one in made if one.confirmed], observation
 

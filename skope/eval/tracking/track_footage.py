@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skope.camera.model import Camera
-from skope.dataset.folder import FOLLOWED, SIGHT
+from skope.dataset.folder import BEGINS, FOLLOWED, SIGHT
 from skope.errors import UserError
 from skope.eval.pose.records import locate_view
 from skope.eval.pose.views import Scene
@@ -30,7 +30,7 @@ from skope.files.progress import Progress
 from skope.pictures.video import write_video
 from skope.schema import CATEGORIES, Labelled
 from skope.terminal.console import Console, counted
-from skope.traffic.observation import FOOTAGE, Observation, checked_sight
+from skope.traffic.observation import FOOTAGE, Observation, checked_sight, read_begins
 from skope.traffic.road_picture import write_road_picture
 
 _PROGRESS: Final = ".poses.jsonl"
@@ -47,7 +47,7 @@ class TrackJob:
     fps: float | None
     """Images a second; None: the images tell their times."""
     begins: datetime | None
-    """When second 0 was, with its zone; None: not known."""
+    """When second 0 was, with its zone; None: as the file of frames says, which does so of live streams."""
     noise: float
     """Standard deviation of the noise that is added to labelled keypoints, pixels."""
     score: float
@@ -64,6 +64,7 @@ def run(job: TrackJob, console: Console) -> Iterator[str]:
     """Follow the vehicles and write their tracks under `job.out`; yields lines that say what was written and found."""
     scene = job.scene
     times = _times(scene, job.fps)
+    begins = _begins(job)
     progress = Progress(job.out / _PROGRESS, ("sights",))
     if progress.count:
         console.say(f"{scene.file.name}: going on after the poses of {progress.count} images")
@@ -81,7 +82,7 @@ def run(job: TrackJob, console: Console) -> Iterator[str]:
     export.write_csv(job.out / "tracks.csv", tracks, index)
     export.write_mot(job.out / "mot.txt", tracks)
     export.write_fcd(job.out / "fcd.xml", tracks, times, road_users)
-    _write_footage(job, times)
+    _write_footage(job, times, begins)
     written = ["tracks.csv", "mot.txt", "fcd.xml", FOOTAGE, "birdseye.png"]
     road = _road(job, camera, console)
     birdseye.draw(job.out / "birdseye.png", tracks, camera, scene.ground, road, road_users)
@@ -124,7 +125,14 @@ def run(job: TrackJob, console: Console) -> Iterator[str]:
         yield from speed_errors(scene, tracks)
 
 
-def _write_footage(job: TrackJob, times: list[float]) -> None:
+def _begins(job: TrackJob) -> datetime | None:
+    """When second 0 was; None: nothing says it."""
+    said = job.scene.file.info.get(BEGINS)
+    where = f"{job.scene.file.name}: info.{BEGINS}"
+    return read_begins(said, where) if job.begins is None and said is not None else job.begins
+
+
+def _write_footage(job: TrackJob, times: list[float], begins: datetime | None) -> None:
     """Write when the road was observed, which no track tells: `skope.traffic` counts by it."""
     scene = job.scene
     moved = np.array([scene.moved_in(image) for image in scene.file.images])
@@ -141,7 +149,7 @@ def _write_footage(job: TrackJob, times: list[float]) -> None:
         road_sigma_m=0.0 if scene.ground is None else scene.ground.height_sigma,
         moved_s=seconds[moved],
         sight=checked_sight(scene.file.info.get(SIGHT), f"{scene.file.name}: info.{SIGHT}"),
-        begins=job.begins,
+        begins=begins,
     )
     write_bytes(job.out / FOOTAGE, json_bytes(observation.to_dict()))
 

@@ -15,6 +15,8 @@ from skope.site.marks import Outline
 from skope.site.on_earth import on_earth
 from skope.traffic.count_interval import in_json
 from skope.traffic.gates import direction_names, may_count
+from skope.traffic.length_bins import has_length, length_bin, length_sigma_m
+from skope.traffic.otc_classes import OTC_CLASSES
 from skope.traffic.report import TrafficReport
 from skope.traffic.report_tables import clock, thinned
 from skope.traffic.trajectories import KMH, Trajectory
@@ -97,10 +99,26 @@ def _of_track(report: TrafficReport, one: Trajectory, rows: Sequence[int]) -> di
         "track": one.number,
         "class": one.class_name,
         "class_confidence": round(one.class_confidence, 3),
+        "otc_class": OTC_CLASSES[one.class_name],
+        **_length(report, one),
         "begin": _moment(report, float(one.times_s[0])),
         "times_s": np.round(one.times_s[rows], 3).tolist(),
         "speed_kmh": np.round(one.speed[rows] * KMH, 2).tolist(),
         "speed_sigma_kmh": np.round(one.speed_sigma[rows] * KMH, 2).tolist(),
+    }
+
+
+def _length(report: TrafficReport, one: Trajectory) -> dict[str, Any]:
+    """Length, its standard deviation, bin and probability of a vehicle; nothing of others, who have none."""
+    if not has_length(one):
+        return {}
+    common = report.observation.common_sigma
+    name, probability = length_bin(one, report.site.traffic.length_bins_m, common)
+    return {
+        "length_m": one.length,
+        "length_sigma_m": round(length_sigma_m(one, common), 3),
+        "length_bin": name,
+        "length_bin_probability": round(probability, 3),
     }
 
 

@@ -22,21 +22,11 @@ from skope.files.atomic import replacing, write_text
 from skope.files.json_files import json_bytes
 from skope.traffic.exports.otanalytics_view import OtView, image_view, pixel_view, plan_view
 from skope.traffic.gates import may_count
+from skope.traffic.otc_classes import OTC_CLASSES
 from skope.traffic.report import TrafficReport
 from skope.traffic.trajectories import Trajectory
 from skope.version import __version__
 
-CLASSES: Final = {
-    "car": "car",
-    "van": "delivery_van",
-    "lorry": "truck",
-    "bus": "bus",
-    "unknown": "other",
-    "motorcycle": "motorcyclist",
-    "bicycle": "bicyclist",
-    "pedestrian": "pedestrian",
-}
-"""What OpenTrafficCam calls the classes."""
 _LONGEST: Final = 12_000
 """OTAnalytics leaves out tracks of more detections than these: they are thinned."""
 _HOST: Final = re.compile(r"[A-Za-z0-9]+_.*")
@@ -114,7 +104,7 @@ def _metadata(report: TrafficReport, view: OtView) -> dict[str, Any]:
         },
         "detection": {
             "otvision_version": f"skope {__version__}",
-            "model": {"name": "skope", "classes": {str(k): name for k, name in enumerate(CLASSES.values())}},
+            "model": {"name": "skope", "classes": {str(k): name for k, name in enumerate(OTC_CLASSES.values())}},
         },
         # Tracks of several files are told apart by this.
         "tracking": {"otvision_version": f"skope {__version__}", "tracking_run_id": run[:12], "frame_group": "0"},
@@ -133,7 +123,7 @@ def _detections(track: Trajectory, report: TrafficReport, view: OtView) -> Itera
     start = _epoch(report)
     for row in rows:
         yield {
-            "class": CLASSES[track.class_name],
+            "class": OTC_CLASSES[track.class_name],
             "confidence": track.class_confidence,
             "x": pixels[row][0],
             "y": pixels[row][1],

@@ -4,32 +4,40 @@ import math
 from collections.abc import Iterator, Sequence
 from html import escape
 from pathlib import Path
-from typing import Final
+from typing import Final, TypeVar
 
 import numpy as np
 
+from skope.camera.model import Camera
 from skope.files.atomic import write_text
 from skope.page import document
-from skope.page.html_pieces import table, tag
+from skope.page.html_pieces import details, table, tag
 from skope.traffic.count_interval import in_words
 from skope.traffic.counts import ALL, Count
+from skope.traffic.length_bins import LONGEST_M, UNTOLD
 from skope.traffic.page.flow_diagram import flow_diagram
+from skope.traffic.page.hand_count_panel import hand_count_panel
 from skope.traffic.page.plots import counts_over_time, headway_histograms, speed_histograms
 from skope.traffic.page.road_map import road_map
 from skope.traffic.report import TrafficReport
 from skope.traffic.report_tables import clock
 from skope.traffic.road_picture import RoadPicture
 from skope.traffic.speed_percentiles import PERCENTILES, Percentile
-from skope.traffic.trajectories import KMH
+from skope.traffic.speeds import MOTOR
+from skope.traffic.trajectories import KMH, VEHICLE
+from skope.traffic.turning import TurningCount
 from skope.version import __version__
 
 FILE: Final = "report.html"
 _CONFLICTS: Final = 20
+_Counted = TypeVar("_Counted", Count, TurningCount)
 _MOST_INTERVALS: Final = 400
 """Rows of counts by interval; the rest is in counts.csv."""
 
 
-def write_page(out: Path, report: TrafficReport, *, tracks: str, road: RoadPicture | None = None) -> Path:
+def write_page(
+    out: Path, report: TrafficReport, *, tracks: str, road: RoadPicture | None = None, camera: Camera | None = None
+) -> Path:
     """Write a report as `report.html`.
 
     Args:
@@ -37,26 +45,30 @@ def write_page(out: Path, report: TrafficReport, *, tracks: str, road: RoadPictu
         report: What was measured.
         tracks: What the tracks were read from.
         road: The empty road from above, that the tracks are drawn on; None: there is no picture.
+        camera: What the footage was seen with, to draw gates over a video; None: not known.
 
     Returns:
         The file.
     """
     path = out / FILE
-    write_text(path, traffic_page(report, tracks=tracks, road=road))
+    write_text(path, traffic_page(report, tracks=tracks, road=road, camera=camera))
     return path
 
 
-def traffic_page(report: TrafficReport, *, tracks: str, road: RoadPicture | None = None) -> str:
+def traffic_page(
+    report: TrafficReport, *, tracks: str, road: RoadPicture | None = None, camera: Camera | None = None
+) -> str:
     """The page's text."""
     name = report.observation.source or tracks
+    by_hand = hand_count_panel(report, camera)
     sections = {
-        "Counts": _counts(report),
+        "Counts": [*_counts(report), _lengths(report)],
         "Movements": _movements(report),
         "Speeds": [_speeds(report), *_figures(speed_histograms(report))] if report.metres else [],
         "Headways": _figures(headway_histograms(report)) if report.metres else [],
         "Over time": [*_figures(counts_over_time(report)), _by_interval(report)],
         "Conflicts": [_conflicts(report)] if report.metres else [],
-        "Accuracy": [_accuracy(report)],
+        "Accuracy": [_accuracy(report), by_hand],
         "What to know": [_remarks(report)],
     }
     parts = [tag("h1", escape(f"Traffic: {name}")), tag("p", escape(_what(report))), road_map(report, road)]
@@ -64,7 +76,7 @@ def traffic_page(report: TrafficReport, *, tracks: str, road: RoadPicture | None
         if any(found):
             parts += [tag("h2", title), *found]
     parts.append(tag("p", tag("small", escape(f"skope {__version__}; tracks of {tracks}; intervals hold 90%"))))
-    return document(f"Traffic: {name}", *parts)
+    return document(f"Traffic: {name}", *parts, plays_files=True)
 
 
 def _what(report: TrafficReport) -> str:
@@ -83,20 +95,42 @@ def _what(report: TrafficReport) -> str:
 
 def _figures(found: Iterator[str]) -> list[str]:
     every = list(found)
-    return [tag("div", *every, class_="grid")] if every else []
+    return [tag("div", *every, class_="grid figures")] if every else []
 
 
 def _number(one: Count) -> str:
     return "–" if one.count is None else str(one.count)
 
 
+def _without_repeats(report: TrafficReport, rows: Sequence[_Counted]) -> list[_Counted]:
+    """The rows, but those of vehicles where nobody else was counted: they say what those of all say."""
+    mixed = any(one.trajectory.category != VEHICLE for one in (*report.crossings, *report.unseen.doubtful))
+    return [one for one in rows if mixed or one.class_name != VEHICLE]
+
+
 def _counts(report: TrafficReport) -> list[str]:
     rows = [
         [escape(f"{one.gate} ({one.direction})"), escape(one.class_name), _number(one), in_words(one.expected)]
-        for one in report.counts_total
+        for one in _without_repeats(report, report.counts_total)
     ]
     head = ["gate", "class", "counted", "there were"]
     return [table(head, rows, caption="How many crossed each gate, and how many there were")] if rows else []
+
+
+def _lengths(report: TrafficReport) -> str:
+    """Vehicles by length, a row for each gate and direction; nothing where nobody was told."""
+    cells: dict[tuple[str, str], list[str]] = {}
+    for one in report.lengths_total:
+        number = "–" if one.count is None else str(one.count)
+        bounds = "" if one.bin_name == UNTOLD else f" <small>{in_words(one.expected)}</small>"
+        cells.setdefault((one.gate, one.direction), []).append(number + bounds)
+    if not any(one.count for one in report.lengths_total):
+        return ""
+    first, second = report.site.traffic.length_bins_m
+    head = ["gate", f"short, up to {first:g} m", f"medium, up to {second:g} m", "long", "not sure"]
+    rows = [[escape(f"{gate} ({direction})"), *own] for (gate, direction), own in cells.items()]
+    untold = f"; of those over {LONGEST_M:g} m that is not known" if second >= LONGEST_M else ""
+    return table(head, rows, caption=f"Vehicles by length, and how many there were of each{untold}")
 
 
 def _movements(report: TrafficReport) -> list[str]:
@@ -105,7 +139,7 @@ def _movements(report: TrafficReport) -> list[str]:
             *(escape(f"{side[0]} ({side[1]})") if side[0] else "not seen" for side in (one.origin, one.destination)),
             *(escape(one.class_name), "–" if one.count is None else str(one.count), in_words(one.expected)),
         ]
-        for one in report.turning_total
+        for one in _without_repeats(report, report.turning_total)
         if one.count
     ]
     if not rows:
@@ -115,25 +149,31 @@ def _movements(report: TrafficReport) -> list[str]:
 
 
 def _speeds(report: TrafficReport) -> str:
+    """Speeds of all motor vehicles, and those of single classes where somebody opens them."""
     whole = [one for one in report.speeds if one.interval is None]
     groups = [one for one in whole if any(part.value is not None for part in one.percentiles.values())]
-    rows = [
+    rows, of_classes = (
         [
-            escape(one.where),
-            *(escape(one.kind), escape(one.class_name), str(one.number)),
-            *(_speed(one.percentiles[name]) for name in PERCENTILES),
+            [
+                escape(one.where.replace(" -> ", " → ")),
+                *(escape(one.kind), escape(one.class_name), str(one.number)),
+                *(_speed(one.percentiles[name]) for name in PERCENTILES),
+            ]
+            for one in groups
+            if (one.class_name == MOTOR) == together
         ]
-        for one in groups
-    ]
+        for together in (True, False)
+    )
     head = ["where", "kind", "class", "vehicles", *(f"{name}, km/h" for name in PERCENTILES)]
     caption = "Speeds, of whom there are enough (speeds.csv says of how many others)"
-    return table(head, rows, caption=caption) if rows else ""
+    shown = table(head, rows, caption=caption) if rows else ""
+    return shown + (details("By class", table(head, of_classes, caption="Speeds by class")) if of_classes else "")
 
 
 def _speed(one: Percentile) -> str:
     if one.value is None or one.low is None or one.high is None:
         return "–"
-    return f"{one.value * KMH:.1f} ({one.low * KMH:.1f} to {one.high * KMH:.1f})"
+    return f"{one.value * KMH:.1f} <small>{one.low * KMH:.1f} to {one.high * KMH:.1f}</small>"
 
 
 def _by_interval(report: TrafficReport) -> str:
@@ -146,7 +186,7 @@ def _by_interval(report: TrafficReport) -> str:
     rows = []
     for interval in report.intervals[:_MOST_INTERVALS]:
         begin = f"{interval.begin:%a %d %b %H:%M}" if interval.begin else f"{interval.begin_s / 60:.0f} min"
-        row = [begin]
+        row = [begin.replace(" ", "\u00a0")]
         for side in sides:
             one = cells[(interval.begin_s, *side)]
             row.append(
@@ -168,13 +208,20 @@ def _conflicts(report: TrafficReport) -> str:
     for one in worst:
         moment = clock(report, one.time_s)
         ttc = "–" if math.isnan(one.ttc_s) else f"{one.ttc_s:.1f} ({one.ttc_low_s:.1f} to {_end(one.ttc_high_s)})"
-        pet = "–" if math.isnan(one.pet_places_s) else f"{one.pet_places_s:.1f} ± {1.64 * one.pet_sigma_s:.1f}"
+        pet = (
+            "–" if math.isnan(one.pet_places_s) else f"{one.pet_places_s:.1f} ± {_upwards(1.64 * one.pet_sigma_s):.1f}"
+        )
         who = f"{one.first.class_name} {one.first.number}, {one.second.class_name} {one.second.number}"
         when = f"{one.time_s:.1f} s" if moment is None else f"{moment:%H:%M:%S}"
         rows.append([when, escape(who), escape(one.kind), escape(one.zone), ttc, pet])
     head = ["when", "who", "kind", "zone", "TTC, s", "PET (SSAM), s"]
     more = f": the {len(rows)} nearest of {len(found)}" if len(found) > len(rows) else ""
     return table(head, rows, caption=f"Conflicts{more}; places to look at, not numbers") if rows else ""
+
+
+def _upwards(value: float) -> float:
+    """An uncertainty to one digit, which is not rounded to nothing."""
+    return math.ceil(10 * value) / 10 if math.isfinite(value) else value
 
 
 def _end(value: float) -> str:

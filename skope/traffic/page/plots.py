@@ -19,6 +19,10 @@ _LONGEST_S: Final = 20.0
 """Headways beyond this are no longer of vehicles that follow each other."""
 _FEWEST: Final = 5
 """Fewer than these are no distribution."""
+_PARTS: Final = 5
+"""An axis has so many parts."""
+_MARKS: Final = 48
+"""A line has so many marks at most."""
 _LINES: Final = 4
 """A chart tells so many lines apart."""
 
@@ -44,10 +48,13 @@ def counts_over_time(report: TrafficReport) -> Iterator[str]:
         if lines:
             end = max(x for line in lines for x in line.x) or 1.0
             top = max(y for line in lines for y in line.y if y is not None)
-            axes = Axes(
-                x_label="hours of the footage", y_label="road users an hour", x_end=_round(end), y_end=_round(top)
-            )
-            yield chart(f"{gate.name}: over time", axes, lines)
+            axes = Axes(x_label=_hours(report), y_label="road users an hour", x_end=_round(end), y_end=_round(top))
+            yield chart(f"{gate.name}: over time", axes, lines, every=math.ceil(len(report.intervals) / _MARKS))
+
+
+def _hours(report: TrafficReport) -> str:
+    """What hours count from."""
+    return "hours of the footage" if report.start is None else f"hours after {report.start:%H:%M:%S on %d %b %Y}"
 
 
 def _hourly(count: int | None, observed_s: float) -> float | None:
@@ -87,7 +94,9 @@ def _histogram(title: str, unit: str, groups: dict[str, list[float]], step: floa
     enough = {name: values for name, values in known.items() if len(values) >= _FEWEST}
     if not enough:
         return
-    end = step * max(1, math.ceil(max(float(values.max()) for values in enough.values()) / step + 1e-9))
+    # So long that the axis, which has five parts, has whole numbers.
+    part = _PARTS * step
+    end = part * max(1, math.ceil(max(float(values.max()) for values in enough.values()) / part + 1e-9))
     bands = np.arange(0, end + step / 2, step)
     middles = ((bands[:-1] + bands[1:]) / 2).tolist()
     lines = [
@@ -103,4 +112,4 @@ def _round(value: float) -> float:
     if value <= 0:
         return 1.0
     power = 10.0 ** math.floor(math.log10(value))
-    return next(step * power for step in (1, 2, 2.5, 5, 10) if step * power >= value - 1e-9)
+    return next(step * power for step in (1, 1.5, 2, 2.5, 3, 4, 5, 6, 8, 10) if step * power >= value - 1e-9)

@@ -1,0 +1,159 @@
+"""What the page needs so that somebody can count by hand in it: gates, when the road was observed, who crossed when.
+
+Times of crossings are whole milliseconds, each as what it is later than the one before, with a letter behind it for the
+class: some five bytes for each.
+"""
+
+import hashlib
+import json
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from datetime import datetime
+from typing import Any, Final
+
+import numpy as np
+
+from skope.camera.model import Camera
+from skope.site.marks import Gate
+from skope.site.traffic_settings import CLASSES, UNKNOWN
+from skope.traffic.clock import ClockInterval
+from skope.traffic.counts import ALL
+from skope.traffic.exports.otanalytics_view import OtView, image_view, pixel_view
+from skope.traffic.gates import direction_names, normal_of
+from skope.traffic.report import TrafficReport
+from skope.traffic.speeds import MOTOR, MOTOR_CLASSES
+from skope.types import Array
+
+LETTERS: Final[Mapping[str, str]] = {name: chr(ord("a") + k) for k, name in enumerate(CLASSES)}
+"""What each class is written as."""
+MOST_CROSSINGS: Final = 100_000
+"""So many crossings are held by the page: about 0.6 MB. Of more it has none."""
+_ARROW_M: Final = 3.0
+_ARROW_PX: Final = 20.0
+"""From a gate's middle to the end of the arrow that shows a direction."""
+_DIGITS: Final = 1
+
+
+def hand_count_data(report: TrafficReport, camera: Camera | None) -> dict[str, Any]:
+    """What the page's script reads, as JSON has it.
+
+    Args:
+        report: The report.
+        camera: What the footage was seen with; None: not known, and no gate is drawn over the video.
+    """
+    sides = [(gate.name, name) for gate in report.gates for name in direction_names(gate)]
+    turning = report.site.traffic.turning
+    start = None if report.start is None else report.start.isoformat()
+    recordings = _recordings(report)
+    identity = json.dumps([recordings[0]["source"], start, sides])
+    return {
+        "key": hashlib.sha256(identity.encode()).hexdigest()[:16],
+        "sides": [
+            {"gate": gate, "direction": name, "moves": turning is None or gate in turning} for gate, name in sides
+        ],
+        "kinds": _kinds(report),
+        "recordings": recordings,
+        "spans": np.round(report.observation.spans, 3).tolist(),
+        "clocks": list(_clocks(report.intervals)),
+        "step_s": _step(report.observation.times_s),
+        "view": _view(report, camera),
+        **_machine(report, sides),
+    }
+
+
+def _kinds(report: TrafficReport) -> list[list[str]]:
+    """What can be counted, and the letters of the classes that it is."""
+    classes = report.site.traffic.classes
+    whole = {ALL: frozenset(CLASSES), MOTOR: MOTOR_CLASSES, **{name: frozenset({name}) for name in classes}}
+    return [
+        [name, "".join(LETTERS[one] for one in CLASSES if one in members)]
+        for name, members in whole.items()
+        if name != UNKNOWN and members & set(classes)
+    ]
+
+
+def _recordings(report: TrafficReport) -> list[dict[str, Any]]:
+    """Name of each recording, when its own second 0 was, and when it ended: seconds of the report."""
+    parts = report.observation.parts or (report.observation,)
+    begins = [one.begin_s for one in report.recordings] or [0.0]
+    names = [one.source for one in report.recordings] or [report.observation.source]
+    return [
+        {"source": name, "begin_s": round(begin, 3), "end_s": round(part.extent[1], 3)}
+        for name, begin, part in zip(names, begins, parts, strict=True)
+    ]
+
+
+def _clocks(intervals: Sequence[ClockInterval]) -> Iterable[list[float]]:
+    """The clock's second of the day at seconds of the footage: at the first one, and wherever clocks are changed."""
+    offset: object = None
+    for one in intervals:
+        if one.begin is not None and one.begin.utcoffset() != offset:
+            offset = one.begin.utcoffset()
+            yield [round(one.begin_s, 3), _second_of_day(one.begin)]
+
+
+def _second_of_day(time: datetime) -> float:
+    return round(time.hour * 3600 + time.minute * 60 + time.second + time.microsecond / 1e6, 3)
+
+
+def _step(times_s: Array) -> float:
+    """Usual time from frame to frame, seconds."""
+    return round(float(np.median(np.diff(times_s))), 4) if len(times_s) > 1 else 0.1
+
+
+def _view(report: TrafficReport, camera: Camera | None) -> dict[str, Any] | None:
+    """Where gates lie in the picture: lines, and from where to where the first direction goes, pixels."""
+    if report.metres and camera is None:
+        return None
+    view = pixel_view(report.site) if camera is None or not report.metres else image_view(report.site, camera)
+    lines = {gate.name: line for gate, line in view.gates}
+    gates = [
+        {
+            "gate": gate.name,
+            "line": np.round(np.array(lines[gate.name]), _DIGITS).tolist(),
+            "arrow": _arrow(gate, view, _ARROW_M if report.metres else _ARROW_PX),
+        }
+        for gate in report.gates
+        if gate.name in lines
+    ]
+    return {"size": view.size, "gates": gates}
+
+
+def _arrow(gate: Gate, view: OtView, length: float) -> list[list[float]] | None:
+    """From the left of a gate to its right, pixels; None where that cannot be seen."""
+    middle = np.mean(np.array(gate.line), axis=0)
+    ends = view.pixels(np.stack([middle + length * normal_of(gate), middle - length * normal_of(gate)]))
+    return np.round(ends, _DIGITS).tolist() if np.isfinite(ends).all() else None
+
+
+def _machine(report: TrafficReport, sides: Sequence[tuple[str, str]]) -> dict[str, Any]:
+    """Who crossed each gate and direction when, and who went from one to another; None where these are too many."""
+    if len(report.crossings) > MOST_CROSSINGS:
+        return {"crossings": None, "movements": None}
+    numbers = {side: k for k, side in enumerate(sides)}
+    crossed: list[list[tuple[float, str]]] = [[] for _ in sides]
+    for one in report.crossings:
+        crossed[numbers[one.gate, one.direction_name]].append((one.time_s, one.trajectory.class_name))
+    moved: dict[tuple[int, int], list[tuple[float, str]]] = {}
+    for way in report.movements:
+        if way.origin is not None and way.destination is not None:
+            origin, destination = way.sides
+            pair = numbers[origin], numbers[destination]
+            moved.setdefault(pair, []).append((way.time_s, way.trajectory.class_name))
+    return {
+        "crossings": [packed(events) for events in crossed],
+        "movements": [[*pair, packed(events)] for pair, events in sorted(moved.items())],
+    }
+
+
+def packed(events: Iterable[tuple[float, str]]) -> str:
+    """Times (seconds) and classes as text: for each the milliseconds since the one before, and the class's letter.
+
+    Milliseconds are rounded down, so that who crosses before a whole second stays before it.
+    """
+    out, last = [], 0
+    for time_s, class_name in sorted(events):
+        now = math.floor(time_s * 1000 + 1e-6)
+        out.append(f"{now - last}{LETTERS[class_name]}")
+        last = now
+    return "".join(out)
