@@ -75,7 +75,7 @@ STAGES: Final = {
 def predictor_of(options: argparse.Namespace, way: str, size: int) -> Predictor:
     backend, precision = WAYS[way]
     settings = Settings(device=options.device, backend=backend, precision=precision, min_size=size, min_score=WEAK)
-    return Predictor(options.checkpoint, settings, Console(quiet=True))
+    return Predictor.load(options.checkpoint, settings, Console(quiet=True))
 
 
 def clips(options: argparse.Namespace) -> list[tuple[Path, Footage]]:

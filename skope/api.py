@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 from skope.camera.model import Camera
 from skope.dataset import coco, folder
 from skope.dataset.folder import Dataset
-from skope.detections import AnyResult, apart
+from skope.detections import apart
 from skope.detector import weights
 from skope.errors import UserError
-from skope.schema import AnnotationFile
+from skope.schema import AnnotationFile, AnyResult
 
 if TYPE_CHECKING:
     from skope.detections import Detections
@@ -143,7 +143,7 @@ def load_detector(
     from skope.terminal.console import Console
 
     settings = Settings(device=device, backend=backend, precision=precision, min_score=min_score, tiles=tiles)
-    return Detector(Predictor(Path(checkpoint), settings, Console(quiet=True)))
+    return Detector(Predictor.load(Path(checkpoint), settings, Console(quiet=True)))
 
 
 def read_camera(path: str | Path) -> Camera:

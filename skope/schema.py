@@ -8,7 +8,7 @@ import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import Any, Final, TypeVar
+from typing import Any, Final, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -378,3 +378,6 @@ class RoadUserResult(Found, _Categorised):
     def __post_init__(self) -> None:
         super().__post_init__()
         _check_road_user(self.category_id)
+
+
+AnyResult: TypeAlias = Result | RoadUserResult

@@ -274,7 +274,7 @@ def run_folder(path: Path, seed: int) -> Path:
 def found_dataset(root: Path, run: Path) -> Path:
     """A dataset whose vehicles are what a detector finds."""
     make_dataset(root, splits=("train",))
-    predictor = Predictor(run, Settings(device="cpu"), Console(quiet=True))
+    predictor = Predictor.load(run, Settings(device="cpu"), Console(quiet=True))
     path = root / "annotations/train.json"
     file = coco.read(path)
     found = predictor.split(file, root)[:12]

@@ -10,7 +10,7 @@ from skope import keypoints
 from skope.dataset import coco, shards
 from skope.dataset.folder import read_image
 from skope.dataset.image_selection import take
-from skope.detections import AnyResult, apart
+from skope.detections import apart
 from skope.errors import UserError
 from skope.eval import report
 from skope.eval.inference.settings import Settings
@@ -24,7 +24,7 @@ from skope.metrics.counts import Options
 from skope.metrics.read_inputs import GroundTruth
 from skope.metrics.split_scores import measure, to_tallies
 from skope.pictures import draw
-from skope.schema import CATEGORIES, VEHICLE_ALONE, AnnotationFile, Result, RoadUserResult, far_outside
+from skope.schema import CATEGORIES, VEHICLE_ALONE, AnnotationFile, AnyResult, Result, RoadUserResult, far_outside
 from skope.terminal.console import Console, counted
 
 if TYPE_CHECKING:
@@ -138,7 +138,7 @@ def _predictor(job: EvalJob, console: Console) -> "Predictor":
 
     assert job.checkpoint is not None
     settings = replace(job.settings, min_score=job.options.score) if job.fast else job.settings
-    predictor = Predictor(job.checkpoint, settings, console)
+    predictor = Predictor.load(job.checkpoint, settings, console)
     predictor.check_scheme(job.truth.scheme, job.truth.root)
     return predictor
 

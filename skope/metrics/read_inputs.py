@@ -10,12 +10,11 @@ from skope import keypoints
 from skope.dataset import coco
 from skope.dataset.folder import CARD, MANIFEST, open_dataset
 from skope.dataset.image_selection import take
-from skope.detections import AnyResult
 from skope.errors import UserError, one_of
 from skope.keypoints import Scheme
 from skope.metrics.breakdown import FleetInfo
 from skope.metrics.match import box_of
-from skope.schema import AnnotationFile, Found, Result, RoadUserResult
+from skope.schema import AnnotationFile, AnyResult, Found, Result, RoadUserResult
 
 F = TypeVar("F", bound=Found)
 

@@ -56,7 +56,7 @@ def calibrate(job: CalibrationJob, console: Console) -> Path:
     elif shipped(weights):
         raise UserError(f"--checkpoint {job.checkpoint}: comes with skope; copy {weights} and calibrate the copy")
     least = job.score if job.out is None else min(job.score, calibrated_weights.LEAST)
-    predictor = Predictor(weights, replace(job.settings, calibrated=False, min_score=least), console)
+    predictor = Predictor.load(weights, replace(job.settings, calibrated=False, min_score=least), console)
     truth = read_inputs.read_dataset(job.data, [job.split])
     predictor.check_scheme(truth.scheme, job.data)
     share = _share(job, predictor.metadata)

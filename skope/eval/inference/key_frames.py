@@ -20,9 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skope import boxes as box_math
-from skope.detections import AnyResult
 from skope.eval.assignment import cheapest_pairs
-from skope.schema import Image, Result
+from skope.schema import AnyResult, Image, Result
 from skope.types import Array
 
 Pixels = NDArray[np.uint8]

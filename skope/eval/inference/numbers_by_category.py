@@ -5,9 +5,8 @@ from typing import Protocol
 
 import numpy as np
 
-from skope.detections import AnyResult
 from skope.eval.box_links import BoxLinks, Integers
-from skope.schema import CATEGORIES, Found
+from skope.schema import CATEGORIES, AnyResult, Found
 
 
 class Numbering(Protocol):
