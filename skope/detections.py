@@ -114,7 +114,7 @@ class Detections:
             scale: The picture is enlarged so many times, for small images.
 
         Returns:
-            (scale H, scale W, 3) RGB pixels; `skope.draw.write` writes them.
+            (scale H, scale W, 3) RGB pixels; `draw.write` writes them.
         """
         if image.shape[:2] != self.size[::-1]:
             width, height = self.size
@@ -132,7 +132,7 @@ class Detections:
             UserError: The name does not end in .json, or the file cannot be written.
         """
         if Path(path).suffix.lower() != ".json":
-            raise UserError(f"{path}: detections are saved as .json; `skope.draw.write` writes what `draw` gives")
+            raise UserError(f"{path}: detections are saved as .json; `draw.write` writes what `draw` gives")
         coco.write_results(Path(path), self.all_results(image_id))
 
     def to_results(self, image_id: int) -> list[Result]:

@@ -92,7 +92,7 @@ def sum_of(bbox: np.ndarray) -> np.ndarray:
 
 
 def test_a_detector_answers_as_its_model(random_run: Path, dataset: Path) -> None:
-    detector = door.load_detector(random_run, device="cpu")
+    detector = door.load_detector(random_run, device="cpu", backend="torch", precision="float32")
     image = next(iter(door.open_dataset(dataset)))
     found = detector(image.pixels())
     model, _, _ = load_weights(detector.checkpoint, "cpu")

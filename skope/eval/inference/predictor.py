@@ -116,10 +116,14 @@ class Predictor:
         name = self.weights.stem if shipped(self.weights) else self.weights
         return f"{name} on {self._device} in {number} ({sides}; {scores} keypoint scores)"
 
-    def with_min_score(self, score: float) -> "Predictor":
-        """The same detector, with the same weights in memory, that reports what scores above `score`."""
+    def reporting(self, min_score: float, *, batch_size: int | None = None) -> "Predictor":
+        """The same detector, with the same weights in memory, that reports what scores above `min_score`.
+
+        `batch_size` images of one size go through the network together, at most; None: as before.
+        """
         other = copy.copy(self)
-        other._settings = replace(self._settings, min_score=score)
+        other.batch_size = batch_size or self.batch_size
+        other._settings = replace(self._settings, min_score=min_score, batch_size=other.batch_size)
         return other
 
     @property

@@ -62,9 +62,13 @@ _FRONT: Final = [i for i, name in enumerate(keypoints.NAMES) if name.startswith(
 _REAR: Final = [i for i, name in enumerate(keypoints.NAMES) if name.startswith("taillight")]
 
 
+_MEASURED: Final = ("T_world_vehicle", "points", "size_lwh", "covariance", "rms_px")
+"""Fields of `Poses` that are numbers, NaN for a vehicle without a pose."""
+
+
 @dataclass(frozen=True, eq=False)
 class Poses:
-    """Poses and shapes of N vehicles; where `refusal` is not None the numbers mean nothing."""
+    """Poses and shapes of N vehicles; where `refusal` is not None the numbers are NaN."""
 
     T_world_vehicle: Array
     """(N, 4, 4) from the vehicle frame (x forward, y left, z up, origin on the ground under its middle) to the world,
@@ -114,15 +118,22 @@ class Poses:
             given = dict(zip(at.tolist(), values, strict=True))
             return tuple(given.get(i, fill) for i in range(count))
 
-        arrays = ("T_world_vehicle", "points", "size_lwh", "covariance", "rms_px")
         return replace(
             self,
-            **{name: spread(getattr(self, name), np.nan) for name in arrays},
+            **{name: spread(getattr(self, name), np.nan) for name in _MEASURED},
             used=spread(self.used, False),
             types=shared_out(self.types, ""),
             refusal=shared_out(self.refusal, refusal),
             flags=shared_out(self.flags, ()),
         )
+
+    def without_refused(self) -> Self:
+        """The same with NaN for the numbers of vehicles that are refused."""
+        refused = np.array([reason is not None for reason in self.refusal], dtype=bool)
+        blank = {name: getattr(self, name).copy() for name in _MEASURED}
+        for values in blank.values():
+            values[refused] = np.nan
+        return replace(self, **blank)
 
     @property
     def position(self) -> Array:
@@ -165,7 +176,7 @@ def locate(
     rng = np.random.default_rng(0)  # which subsets are tried must not depend on what was run before
     parts = [slice(i, i + _CHUNK) for i in range(0, len(found), _CHUNK)]
     chunks = [_locate_chunk(camera, found[part], sigma[part], at_edge[part], ground, space, rng) for part in parts]
-    return _joined(chunks)
+    return _joined(chunks).without_refused()
 
 
 def levelled(camera: Camera, ground: Ground) -> tuple[Camera, Ground]:

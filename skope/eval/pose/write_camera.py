@@ -5,7 +5,7 @@ import math
 import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -15,6 +15,7 @@ from skope.eval.pose import fit_camera
 from skope.eval.pose.bundle_adjustment import Known
 from skope.eval.pose.camera_doubts import sigma_of_ways, why_not
 from skope.eval.pose.camera_unknowns import CAMERA, FOCAL, HEIGHT
+from skope.eval.pose.fit_camera import CameraEstimate
 from skope.eval.pose.known_lengths import KnownLength, corrected
 from skope.eval.pose.vehicle_sample import sample
 from skope.eval.pose.views import Scene
@@ -23,6 +24,50 @@ from skope.terminal.console import counted
 
 _SURE: Final = 0.02
 """Standard deviation of a height or a field of view that somebody gives, as a share of it."""
+
+
+class VehicleCamera(NamedTuple):
+    """A camera that vehicles have told."""
+
+    estimate: CameraEstimate
+    told: str
+    """Who has told it, in words."""
+    numbered: bool
+    """Whether it was known which views are of the same vehicle."""
+
+
+def camera_of_vehicles(
+    scene: Scene,
+    count: int,
+    *,
+    score: float = 0.9,
+    noise: float = 0.0,
+    sigma_px: float | None = None,
+    height: float | None = None,
+    fov_deg: float | None = None,
+) -> VehicleCamera:
+    """Fit a camera to the vehicles of a scene.
+
+    Args:
+        scene: Images of one camera, and the keypoints in them.
+        count: Use at most so many vehicles.
+        score: Detections above this are taken.
+        noise: Standard deviation of the noise that is added to labelled keypoints, pixels.
+        sigma_px: Standard deviation of a keypoint, pixels; None as in `Scene.views`.
+        height: The camera's height over the road, metres, if that is known.
+        fov_deg: The horizontal field of view, degrees, if that is known.
+
+    Raises:
+        UserError: The vehicles do not tell the camera, or the camera that they tell does not hold together.
+    """
+    drawn = sample(scene, count, score=score, noise=noise, sigma_px=sigma_px)
+    fit = fit_camera.fit_camera(drawn.views, known_of(height, fov_deg, drawn.views.size[0]))
+    told = f"{scene.file.name}: {counted(fit.vehicles, 'vehicle')} in {counted(len(drawn.views.found), 'view')}"
+    if reason := why_not(fit, drawn.lower_edges):
+        raise UserError(
+            f"{told}: the camera cannot be told from them, {reason}. Marked points on the road tell it (--points)"
+        )
+    return VehicleCamera(fit, told, drawn.numbered)
 
 
 def from_vehicles(
@@ -45,12 +90,10 @@ def from_vehicles(
     """
     if scene.left_out:
         yield scene.left_out
-    drawn = sample(scene, count, score=score, noise=noise, sigma_px=sigma_px)
-    fit = fit_camera.fit_camera(drawn.views, known_of(height, fov_deg, drawn.views.size[0]))
+    fit, told, numbered = camera_of_vehicles(
+        scene, count, score=score, noise=noise, sigma_px=sigma_px, height=height, fov_deg=fov_deg
+    )
     _, pitch, _ = fit.camera.angles
-    told = f"{scene.file.name}: {counted(fit.vehicles, 'vehicle')} in {counted(len(drawn.views.found), 'view')}"
-    if reason := why_not(fit, drawn.lower_edges):
-        raise UserError(f"{told} do not tell the camera: {reason}. Marked points on the road tell it (--points)")
     fit = corrected(fit, lengths)
     ways = sigma_of_ways(fit)
     sigma = {
@@ -67,7 +110,7 @@ def from_vehicles(
         "calibrated": {"from": told, **_part_of(scene)},
     }
     yield from write_camera(out, fit.camera, besides)
-    yield told if drawn.numbered else f"{told}; nothing tells which are the same vehicle, so that each counts as one"
+    yield told if numbered else f"{told}; nothing tells which are the same vehicle, so that each counts as one"
     yield from camera_figures(
         focal=(fit.camera.K[0, 0], fit.sigma_focal),
         pitch=(pitch, fit.sigma_pitch),

@@ -52,10 +52,11 @@ def frames(
     for image, pixels in open_footage(str(source)).frames():
         frame = place.get(-1 if image.frame_index is None else image.frame_index)
         if frame is not None:
-            yield _drawn(pixels, present.get(frame, []))
+            yield drawn(pixels, present.get(frame, []))
 
 
-def _drawn(pixels: Pixels, present: Sequence[tuple[Track | RoadUserTrack, int]]) -> Pixels:
+def drawn(pixels: Pixels, present: Sequence[tuple[Track | RoadUserTrack, int]]) -> Pixels:
+    """A copy of a frame (H, W, 3) with the tracks that are seen in it, each with its row there."""
     picture = pixels.copy()
     for track, i in present:
         x, y, w, h = track.boxes[i].tolist()
