@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from skope.api.training import train_detector as train_detector
     from skope.camera.model import Camera as Camera
     from skope.dataset import coco as coco
+    from skope.dataset.folder import read_image as read_image
     from skope.detections import Detections as Detections
     from skope.errors import UserError as UserError
     from skope.pictures import draw as draw
@@ -47,6 +48,7 @@ _PLACES = {
     "measure_traffic": "skope.api.traffic",
     "open_dataset": "skope.api.datasets",
     "read_camera": "skope.api.metres",
+    "read_image": "skope.dataset.folder",
     "read_site": "skope.api.traffic",
     "save_camera": "skope.api.cameras",
     "score": "skope.api.scores",

@@ -138,6 +138,7 @@ def test_the_camera_is_told_by_vehicles_or_not(detector: door.Detector, seen: Pa
     ("arguments", "told"),
     [
         ({"score": 1.5}, r"score: expected a number from 0 to 1, got 1\.5"),
+        ({"fps": 0}, r"fps: expected a number from 0\.001 to 1000, got 0"),
         ({"every": 0}, "every: expected a number from 1, got 0"),
         ({"end_s": 0.0}, "end_s: expected a time after start_s, 0, got 0"),
         ({"ground": "level"}, "ground: expected metres"),
@@ -147,6 +148,16 @@ def test_the_camera_is_told_by_vehicles_or_not(detector: door.Detector, seen: Pa
 def test_what_is_wrong_is_said(detector: door.Detector, seen: Path, arguments: dict[str, Any], told: str) -> None:
     with pytest.raises(door.UserError, match=told):
         detector.video(seen / "v.mp4", **arguments)
+
+
+def test_image_files_need_to_be_told_their_times(detector: door.Detector, tmp_path: Path) -> None:
+    for i in range(FRAMES):
+        door.draw.write(tmp_path / f"{i}.png", np.full((360, 640, 3), LEVELS * i, dtype=np.uint8))
+    with pytest.raises(door.UserError, match="carry no times"):
+        detector.video(tmp_path, camera=CAMERA).tracks()
+    video = detector.video(tmp_path, camera=CAMERA, fps=FPS)
+    assert sorted(round(float(np.median(track.speed))) for track in video.tracks()) == [0, 4]
+    assert [frame.time_s for frame in video] == [i / FPS for i in range(FRAMES)]
 
 
 def test_without_a_camera_there_are_no_tracks(detector: door.Detector, seen: Path) -> None:

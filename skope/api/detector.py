@@ -84,6 +84,7 @@ class Detector:
         start_s: float = 0.0,
         end_s: float | None = None,
         every_frame: bool = False,
+        fps: float | None = None,
     ) -> Video:
         """Look at a video, a stream or a folder of images, frame by frame; nothing is computed before it is asked for.
 
@@ -98,6 +99,7 @@ class Detector:
             end_s: End before this second of a video; None: at its end.
             every_frame: Run the detector on every frame of a video. By default, as `skope eval predict` does, on a CPU
                 it runs twice a second, and points on the vehicles are followed between.
+            fps: Images a second of image files, which carry no times.
 
         Returns:
             The footage: a for loop goes through its frames.
@@ -114,6 +116,7 @@ class Detector:
             every=every,
             seconds=(start_s, end_s),
             every_frame=every_frame,
+            fps=fps,
         )
 
 

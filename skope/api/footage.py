@@ -43,7 +43,7 @@ class VideoFrame:
     name: str
     """Name of the image's file; of a video its own and the frame's number in it."""
     time_s: float | None
-    """Seconds since the video's first frame; None for image files."""
+    """Seconds since the video's first frame; None for image files of which nothing says how many a second there are."""
     detections: Detections
     """The vehicles, with their `numbers` where they are followed from frame to frame, and other road users."""
     tracks: "tuple[TrackedVehicle, ...]" = ()
@@ -65,13 +65,20 @@ class Video:
     are left out then, and each frame has its `tracks`.
     """
 
-    def __init__(self, job: "PredictJob", predictor: "Predictor", ground: RoadHeight) -> None:
-        self._job, self._predictor, self._ground = job, predictor, ground
+    def __init__(
+        self, job: "PredictJob", predictor: "Predictor", *, ground: RoadHeight = "auto", image_fps: float | None = None
+    ) -> None:
+        self._job, self._predictor = job, predictor
+        self._ground, self._image_fps = ground, image_fps
 
     @property
     def fps(self) -> float | None:
-        """Frames a second; None for image files and live streams."""
-        return self._footage.fps
+        """Frames a second; None for live streams, and for image files of which nothing says it."""
+        return self._image_fps or self._footage.fps
+
+    def _time(self, image: Image, index: int) -> float | None:
+        """Second of a frame."""
+        return image.time_s if self._image_fps is None else index / self._image_fps
 
     @property
     def skipped(self) -> tuple[str, ...]:
@@ -97,7 +104,7 @@ class Video:
                 image=pictures.taken.pop(image.id),
                 index=index,
                 name=image.file_name,
-                time_s=image.time_s,
+                time_s=self._time(image, index),
                 detections=self._detections(kept, image),
             )
 
@@ -120,7 +127,7 @@ class Video:
                 image=pixels,
                 index=index,
                 name=image.file_name,
-                time_s=image.time_s,
+                time_s=self._time(image, index),
                 detections=self._detections(own, image),
                 tracks=tracks.at(index),
                 _all_tracks=tracks,
@@ -137,7 +144,7 @@ class Video:
             each of a vehicle's M `frames`. Its `to_csv` writes them, `skope.count` and `skope.measure_traffic` take it.
 
         Raises:
-            UserError: The video has no camera, no vehicles' times, or cannot be read.
+            UserError: The video has no camera or cannot be read, or its images carry no times (`fps` says them).
         """
         if self._job.camera is None:
             raise UserError(f"{self._footage.name}: tracks need a camera: video(source, camera=...)")
@@ -167,7 +174,7 @@ class Video:
             video=False,
             overlay=False,
         )
-        times = times_of(scene, None)
+        times = times_of(scene, self._image_fps)
         progress = poses_kept(folder)
         try:
             tracks, road_users = followed(job, times, progress, Counter[str](), SilentConsole())
@@ -246,6 +253,7 @@ def open_video(
     every: int,
     seconds: tuple[float, float | None],
     every_frame: bool,
+    fps: float | None,
 ) -> Video:
     """What `Detector.video` gives; `seconds` are begin and end. Raises UserError."""
     from skope.dataset.camera_of_file import read_camera
@@ -263,6 +271,8 @@ def open_video(
         raise UserError(f'ground: expected metres, "auto", "fit" or None, got {ground!r}')
     if ground is not None and not isinstance(ground, str):
         in_range("ground", ground, -_HIGHEST_M, _HIGHEST_M)
+    if fps is not None:
+        in_range("fps", fps, 0.001, 1000.0)
     known: Mapping[str, Any] = {}
     if isinstance(camera, str | Path):
         known, camera = camera_info(Path(camera)), read_camera(Path(camera))[0]
@@ -277,4 +287,6 @@ def open_video(
         camera_info=known,
         every_frame=every_frame,
     )
-    return Video(job, predictor.reporting(job.least_score, batch_size=1 if footage.live else None), ground)
+    return Video(
+        job, predictor.reporting(job.least_score, batch_size=1 if footage.live else None), ground=ground, image_fps=fps
+    )

@@ -228,13 +228,22 @@ def _jpeg_ends(data: bytes) -> bool:
     return False
 
 
-def read_image(path: Path, size: tuple[int, int] | None = None) -> NDArray[np.uint8]:
-    """Decode an image file to (H, W, 3) RGB; a missing, broken or truncated one is a UserError.
+def read_image(path: str | Path, size: tuple[int, int] | None = None) -> NDArray[np.uint8]:
+    """Decode an image file.
 
-    `size` (width, height), when given, is what the file must have.
+    Args:
+        path: The file, also one inside a shard.
+        size: Width and height that the image must have, pixels; None: any.
+
+    Returns:
+        (H, W, 3) RGB pixels.
+
+    Raises:
+        UserError: The file is missing, broken or truncated, or has another size.
     """
     import cv2
 
+    path = Path(path)
     data = shards.read(path)
     # OpenCV fills the missing rows of a truncated JPEG with grey and says nothing.
     if data[:2] == b"\xff\xd8" and not _jpeg_ends(data):

@@ -234,8 +234,9 @@ def contact_sheet(images: Sequence[Pixels], columns: int, *, gap: int = 4) -> Pi
     return sheet
 
 
-def write(path: Path, image: Pixels) -> None:
-    """Write an RGB image atomically, in the format of the path's suffix."""
+def write(path: str | Path, image: Pixels) -> None:
+    """Write an image, (H, W, 3) RGB, in one step, in the format of the path's suffix. Raises UserError."""
+    path = Path(path)
     # In memory: OpenCV itself ends the process at a path that is not UTF-8.
     encoded, data = cv2.imencode(path.suffix, cv2.cvtColor(image, cv2.COLOR_RGB2BGR))
     if not encoded:
