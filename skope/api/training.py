@@ -59,7 +59,6 @@ def train_detector(
     from skope.terminal.console import Console
     from skope.train import configure
     from skope.train.loop import Saving, train
-    from skope.train.run_folder import resumable
 
     for name, number in (("epochs", epochs), ("batch_size", batch_size), ("max_images", max_images)):
         if number is not None:
@@ -88,12 +87,8 @@ def train_detector(
         "mix": None,
         "seed": seed,
     }
-    resume = resumable(run)
-    if resume:
-        config = configure.again(run, folders, {**flags, "recipe": None if recipe == "auto" else str(recipe)})
-    else:
-        bfloat16 = not on_gpu and has_bfloat16(where)
-        config = configure.new(folders, flags, gpu=on_gpu, bfloat16=bfloat16)
+    bfloat16 = not on_gpu and has_bfloat16(where)
+    config, resume = configure.new_or_same(run, folders, flags, gpu=on_gpu, bfloat16=bfloat16)
     loading = configure.loading_workers(gpu=on_gpu) if workers is None else workers
     return train(
         config, run, device=where, workers=loading, resume=resume, console=Console(quiet=quiet), saving=Saving()

@@ -181,8 +181,13 @@ def exclusive(run: Path) -> Iterator[None]:
 
 def start(run: Path, config: RunConfig, fingerprints: Sequence[str], device: torch.device) -> TrainingState:
     """Begin a run in a folder that holds none. Raises UserError where it holds one, or other files."""
-    if resumable(run) or checkpoints(run):
+    if resumable(run):
         raise UserError(f"{run}: holds a run already; go on with it by --resume, or choose another folder by --out")
+    if checkpoints(run):
+        raise UserError(
+            f"{run}: holds checkpoints, and no state to go on from ({_RESUME} is missing); choose another folder by "
+            "--out"
+        )
     # Where several processes train together, the first one may already have written the configuration.
     if run.is_dir() and any(run.glob("[!.]*")) and not _begun(run):
         raise UserError(

@@ -1,4 +1,4 @@
-"""`skope eval calibrate`: run a checkpoint on what it has not learnt from, and fit its scores to the truth."""
+"""`skope eval calibrate-scores`: run a checkpoint on what it has not learnt from, and fit its scores to the truth."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -121,6 +121,7 @@ def _work(job: CalibrationJob, files: Sequence[Path], share: float) -> dict[str,
     """What identifies the calibration in `work.json`: checkpoint, data and options."""
     options = {"split": job.split, "last": share, "score": job.score, "max_images": job.max_images}
     settings = {name: getattr(job.settings, name) for name in ("backend", "precision", "min_size")}
+    # The command was called so when the first calibrations were written, which stay valid.
     return work_of("skope eval calibrate", files, {**options, **settings})
 
 

@@ -179,7 +179,7 @@ def read(weights: Path, scheme: str = keypoints.SCHEME) -> ScoreCalibration | No
         if document.get(name) != expected:
             raise UserError(
                 f"{path}: {name}: expected {expected!r}, got {document.get(name)!r}; it was fitted for other weights: "
-                "move it away, and run `skope eval calibrate`"
+                "move it away, and run `skope eval calibrate-scores`"
             )
     return _parsed(path, document)
 

@@ -62,12 +62,13 @@ def camera_of_vehicles(
     """
     drawn = sample(scene, count, score=score, noise=noise, sigma_px=sigma_px)
     fit = fit_camera.fit_camera(drawn.views, known_of(height, fov_deg, drawn.views.size[0]))
-    told = f"{scene.file.name}: {counted(fit.vehicles, 'vehicle')} in {counted(len(drawn.views.found), 'view')}"
+    who = f"{counted(fit.vehicles, 'vehicle')} in {counted(len(drawn.views.found), 'view')}"
     if reason := why_not(fit, drawn.lower_edges):
         raise UserError(
-            f"{told}: the camera cannot be told from them, {reason}. Marked points on the road tell it (--points)"
+            f"{scene.file.name}: no camera can be calibrated from {who}: {reason}. Points marked on the road give one "
+            "(--points)"
         )
-    return VehicleCamera(fit, told, drawn.numbered)
+    return VehicleCamera(fit, f"{scene.file.name}: {who}", drawn.numbered)
 
 
 def from_vehicles(

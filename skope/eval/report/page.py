@@ -102,7 +102,7 @@ def _about(document: Mapping[str, Any]) -> str:
     scores = {
         None: "as the detector's own program gives them",
         True: "calibrated probabilities of being visible and near enough",
-        False: "not calibrated (skope eval calibrate)",
+        False: "not calibrated (skope eval calibrate-scores)",
     }[document["calibrated"]]
     least = document["keypoint_score_threshold"]
     facts = (

@@ -18,7 +18,6 @@ from skope.terminal.command_options import (
     SHEETS,
     SIZE,
     VIDEOS,
-    Formerly,
     JsonOption,
     PortOption,
     option,
@@ -113,7 +112,6 @@ def show(
     sites: Annotated[
         str | None,
         option(metavar=LIST, help="A sheet of each of these sites instead of one of each split."),
-        Formerly("--site"),
     ] = None,
     keypoints: Annotated[bool, layer("--keypoints", help="Boxes, keypoints and skeletons.")] = False,
     boxes_3d: Annotated[bool, layer("--boxes-3d", help="3D boxes.")] = False,
@@ -149,7 +147,6 @@ def report(
     max_images: Annotated[
         int,
         option(least=1, help="At most so many images, spread over splits, sites and recordings."),
-        Formerly("--images"),
     ] = 48,
     out: Annotated[
         Path | None,
