@@ -73,7 +73,10 @@ def new_or_same(
     wanted = new(data, flags, gpu=gpu, bfloat16=bfloat16)
     if not resumable(out):
         return wanted, False
-    held = RunConfig.read(out)
+    try:
+        held = RunConfig.read(out)
+    except UserError as error:
+        raise UserError(f"{error}; choose another folder by --out, or move this one away") from None
     if other := changed(_flat(held), _flat(_completed(wanted, held))):
         raise UserError(
             f"{out}: holds another run: {'; '.join(other)}. --resume goes on with it as it was begun, for longer with "
