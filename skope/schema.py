@@ -21,7 +21,7 @@ from skope.files import safe_names
 from skope.keypoints import SKOPE33, Scheme
 from skope.types import Array
 
-VERSION: Final = 1
+SCHEMA_VERSION: Final = 1
 CATEGORIES: Final = ("vehicle", "bicycle", "motorcycle", "pedestrian")
 """Names of the categories, whose ids count from 1. Only a vehicle has keypoints; a rider belongs to what is ridden."""
 VEHICLE_ALONE: Final = CATEGORIES[:1]

@@ -25,8 +25,8 @@ from skope.eval.inference.settings import BACKENDS, PRECISIONS, TILES
 from skope.gen.formats.convert import READERS, WRITERS
 from skope.gen.labels.annotate import OCCLUSION_RULES
 from skope.gen.labels.localize import LOCALIZERS
-from skope.gen.output.frames import FORMATS as IMAGE_FORMATS
-from skope.gen.output.writers import FORMATS
+from skope.gen.output.frames import IMAGE_SUFFIXES
+from skope.gen.output.writers import DATASET_FORMATS
 from skope.gen.pipeline.presets import presets
 from skope.gen.render.choose_renderer import RENDERERS
 from skope.gen.scene.conditions import TIMES_OF_DAY
@@ -36,7 +36,7 @@ from skope.metrics.read_inputs import SCHEMES
 from skope.terminal import command_options
 from skope.terminal.command_options import Commands, option
 from skope.terminal.console import Console
-from skope.train.export import FORMATS as EXPORTS
+from skope.train.export import EXPORT_SUFFIXES
 from skope.train.init_weights import INITS
 from skope.train.recipe import CHOICES, SUPERVISE
 from tests.samples import make_dataset
@@ -154,12 +154,12 @@ CHOSEN = {
     "--renderer": RENDERERS,
     "--localizer": LOCALIZERS,
     "--occlusion-rule": OCCLUSION_RULES,
-    "--image-format": tuple(IMAGE_FORMATS),
-    "skope gen --format": FORMATS,
-    "skope gen simulate --format": FORMATS,
+    "--image-format": tuple(IMAGE_SUFFIXES),
+    "skope gen --format": DATASET_FORMATS,
+    "skope gen simulate --format": DATASET_FORMATS,
     "skope gen convert --to": WRITERS,
     "skope gen convert --from": READERS,
-    "skope train export --to": tuple(EXPORTS),
+    "skope train export --to": tuple(EXPORT_SUFFIXES),
     "--weather": schema.WEATHERS,
     "--time-of-day": TIMES_OF_DAY,
     "--engine": ("local", "ray"),
@@ -245,7 +245,7 @@ def test_a_flag_is_written_alike_everywhere() -> None:
             kinds[parameter.opts[0]].add(kind)
     assert {flag: kind for flag, kind in kinds.items() if len(kind) > 1} == {
         "--out": {"DIR", "FILE"},  # what is written
-        "--to": {f"[{'|'.join(WRITERS)}]", f"[{'|'.join(EXPORTS)}]"},
+        "--to": {f"[{'|'.join(WRITERS)}]", f"[{'|'.join(EXPORT_SUFFIXES)}]"},
         "--noise": {"A,B,..", float},
         "--keypoints": {"A,B,..", "flag"},  # names of points to write, and a layer to draw
         "--split": {"A,B,..", "NAME"},

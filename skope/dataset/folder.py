@@ -29,7 +29,7 @@ FOLLOWED: Final = "followed"
 """Under this name the `info` of frames says whether vehicles were followed by points on them from image to image."""
 CHANGES: Final = "view_changes"
 """Under this name the `info` of frames says when a video shows another view: objects with `time_s`, `cut`, `shift`."""
-SIGHT: Final = "sight"
+SIGHT_FIELD: Final = "sight"
 """Under this name the `info` of frames says how bright a video is and how much contrast it has: rows of time (s),
 brightness (0 to 1) and contrast."""
 
@@ -168,7 +168,7 @@ def read_card(root: Path) -> dict[str, Any]:
         keypoints.scheme_in(card if isinstance(card, dict) else {})
     except UserError as error:
         raise UserError(f"{path}: {error}") from None
-    check_version(path, card.get("version", schema.VERSION), schema.VERSION)
+    check_version(path, card.get("version", schema.SCHEMA_VERSION), schema.SCHEMA_VERSION)
     for name, kind in _CARD_FIELDS.items():
         if not isinstance(card.get(name, kind()), kind):
             raise UserError(f"{path}: {name}: expected {_NAMES[kind]}, got {card[name]!r:.60}")

@@ -17,7 +17,7 @@ from torchvision.models.detection.keypoint_rcnn import KeypointRCNNHeads, Keypoi
 from torchvision.ops import FrozenBatchNorm2d
 
 from skope import keypoints, schema
-from skope.detector.backbones import BACKBONES, DEFAULT, with_pyramid
+from skope.detector.backbones import BACKBONES, DEFAULT_BACKBONE, with_pyramid
 from skope.errors import UserError, one_of
 
 NORMS: Final = ("frozen", "batch")
@@ -69,7 +69,7 @@ class DetectorConfig:
     Vehicles are label 1, and they alone have keypoints."""
     box_passes: int = 1
     """How often the box head looks at what is found: 2 lets it correct each box once more, from the box itself."""
-    backbone: str = DEFAULT
+    backbone: str = DEFAULT_BACKBONE
     """What makes the feature maps: a name in `skope.detector.backbones.BACKBONES`."""
     pyramid_width: int = PYRAMID_WIDTH
     """Channels of the pyramid's maps, and of the proposals' head on them."""
@@ -116,7 +116,7 @@ class DetectorConfig:
     @property
     def stock(self) -> bool:
         """Whether backbone and widths are those of torchvision's own Keypoint R-CNN."""
-        return (self.backbone, self.pyramid_width, self.heads) == (DEFAULT, PYRAMID_WIDTH, HEADS)
+        return (self.backbone, self.pyramid_width, self.heads) == (DEFAULT_BACKBONE, PYRAMID_WIDTH, HEADS)
 
     @property
     def architecture(self) -> str:
@@ -151,7 +151,7 @@ _UNNAMED: Final[dict[str, Any]] = {
     "keypoint_edition": 1,
     "categories": schema.VEHICLE_ALONE,
     "box_passes": 1,
-    "backbone": DEFAULT,
+    "backbone": DEFAULT_BACKBONE,
     "pyramid_width": PYRAMID_WIDTH,
     "keypoint_layers": HEADS[0],
     "keypoint_width": HEADS[1],

@@ -22,7 +22,7 @@ FARTHEST_S: Final = 0.3
 """Frames that are farther apart say nothing of each other: vehicles cannot be linked by their boxes."""
 LOST_S: Final = 1.0
 """A vehicle that is not seen for so long is another one when it comes back, seconds."""
-_REACH: Final = 0.7
+_REACH_SIZES: Final = 0.7
 """How far from where it is expected a vehicle may be, in its sizes."""
 _FIRST_REACH: Final = 1.5
 """The same while its speed is not known."""
@@ -117,7 +117,7 @@ class BoxLinks:
         known = [self._live[i] for i in vehicles]
         expected = np.array([one.expected(time_s) for one in known])
         size = np.array([size_of(one.box) for one in known])[:, None]
-        reach = np.array([_REACH if one.seen > 1 else _FIRST_REACH for one in known])[:, None]
+        reach = np.array([_REACH_SIZES if one.seen > 1 else _FIRST_REACH for one in known])[:, None]
         away = np.linalg.norm((_middles(expected)[:, None] - _middles(rectangles)[None]), axis=-1) / size
         ratio = np.sqrt(box_math.area(rectangles))[None] / size
         cost = np.where((away < reach) & (np.maximum(ratio, 1 / ratio) < _ALIKE), away, np.inf)

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from skope.eval.inference.predictor import Predictor
 
 REPORT: Final = "report.html"
-OVERLAYS: Final = 4
+OVERLAY_COUNT: Final = 4
 """How many pictures of each split are drawn."""
 
 
@@ -101,7 +101,9 @@ def evaluate(job: EvalJob, console: Console, width: int) -> dict[str, Any]:
     document = precision_recall.document(job.options, entries, calibrated=calibrated, scheme=job.scheme, work=work)
     write_json(job.out / "metrics.json", document)
     tallies = {split.file.name: to_tallies(split) for split in measured}
-    write_text(job.out / "tallies.json", json.dumps({"version": precision_recall.VERSION, "splits": tallies}) + "\n")
+    write_text(
+        job.out / "tallies.json", json.dumps({"version": precision_recall.METRICS_VERSION, "splits": tallies}) + "\n"
+    )
     beside = table.published() if job.beside_paper else None
     subject = f"{job.checkpoint or job.predictions} on {job.truth.root}"
     page = report.render(document, measured, job.truth.root, job.options, job.protocol, beside, subject)
@@ -203,7 +205,7 @@ def _doubts(
 
 def _overlays(job: EvalJob, file: AnnotationFile, results: Sequence[AnyResult], console: Console) -> list[Path]:
     """Draw a few images with ground truth and predictions beside each other; those whose file is there."""
-    few = take(file, OVERLAYS)
+    few = take(file, OVERLAY_COUNT)
     truth, users = few.by_image(), few.road_users_by_image()
     written = []
     for i, image in enumerate(few.images, start=1):

@@ -17,7 +17,7 @@ from skope.schema import Annotation, Image
 
 DISTANCES_M: Final = (20.0, 40.0, 60.0)
 HEIGHTS_PX: Final = (25.0, 50.0, 100.0, 200.0)
-OCCLUSIONS: Final = (0.1, 0.4)
+OCCLUSION_EDGES: Final = (0.1, 0.4)
 TRUNCATIONS: Final = (0.1, 0.4)
 
 # Bounds of the part that the paper reports by itself: vehicles that nothing hides, within 40 m.
@@ -77,7 +77,7 @@ def _parts(images: Sequence[Image], matches: Matches, fleet: FleetInfo) -> dict[
     parts = {
         "distance": _by_band([v.distance for v in vehicles], DISTANCES_M),
         "height": _by_band((matches.gt_boxes_xyxy[:, 3] - matches.gt_boxes_xyxy[:, 1]).tolist(), HEIGHTS_PX),
-        "occlusion": _by_band([v.occlusion for v in vehicles], OCCLUSIONS, last="1"),
+        "occlusion": _by_band([v.occlusion for v in vehicles], OCCLUSION_EDGES, last="1"),
         "truncation": _by_band([v.truncation for v in vehicles], TRUNCATIONS, last="1"),
         "unoccluded_within_40_m": _by_yes_or_no(vehicles, _paper_cell, {True: "yes", False: "no"}),
         "vehicle_type": _by_name([v.vehicle_type for v in vehicles]),

@@ -13,16 +13,16 @@ from skope.keypoints import FLIP, OTHER_END
 from skope.metrics.counts import Floats, Integers, Options, Outcomes, lengths
 from skope.metrics.match import Matches
 
-KINDS: Final = ("left_right", "front_rear", "jitter")
+ERROR_KINDS: Final = ("left_right", "front_rear", "jitter")
 """Kinds of wrong keypoints: where the other side's counterpart is, where the other end's is (of either side), and
 anywhere else."""
 RIGHT: Final = -1
 """Stands in place of a kind for a keypoint that is not wrong."""
-LEFT_RIGHT, FRONT_REAR, JITTER = range(len(KINDS))
+LEFT_RIGHT, FRONT_REAR, JITTER = range(len(ERROR_KINDS))
 
 
 def wrong_points(matches: Matches, outcomes: Outcomes, options: Options) -> Integers:
-    """(G, 33) index in `KINDS` of each wrong keypoint; -1 where it is right, unlabelled, not predicted or not found.
+    """(G, 33) index in `ERROR_KINDS` of each wrong keypoint; -1: right, unlabelled, not predicted or not found.
 
     A keypoint is wrong when it is labelled and farther than alpha L from its place. It is swapped when it lies within
     alpha L of a counterpart whose place is known (v > 0); of several, the nearest names the kind.
@@ -66,7 +66,7 @@ def counts(matches: Matches, outcomes: Outcomes, options: Options) -> dict[str, 
     return {
         "missed": int((~outcomes.found).sum()),
         "false": int(false_detections(matches, outcomes).sum()),
-        **{name: int((kinds == i).sum()) for i, name in enumerate(KINDS)},
+        **{name: int((kinds == i).sum()) for i, name in enumerate(ERROR_KINDS)},
     }
 
 

@@ -28,7 +28,7 @@ __all__ = [
     "summary",
 ]
 
-VERSION: Final = 1
+METRICS_VERSION: Final = 1
 """Version of the layout of `metrics.json`."""
 
 STRICT_ALPHA: Final = 0.05
@@ -57,7 +57,7 @@ def document(
         work: What `skope.files.output_folders.claim_output` says of the files that were read, the version and the date.
     """
     return {
-        "version": VERSION,
+        "version": METRICS_VERSION,
         "score_threshold": options.score,
         "alpha": options.alpha,
         "labelled": options.labelled,

@@ -20,7 +20,7 @@ from skope.types import Array
 
 Pixels = NDArray[np.uint8]
 Floats = NDArray[np.float32]
-_LEVELS: Final = np.arange(256, dtype=np.uint8)
+_PIXEL_LEVELS: Final = np.arange(256, dtype=np.uint8)
 """Each value that a pixel can have: what changes values alone is looked up."""
 
 _MARGIN_ROWS: Final = 5
@@ -168,16 +168,16 @@ def _photometric(change: Callable[[Pixels, np.random.Generator], Pixels]) -> Ste
 
 
 def _color(pixels: Pixels, rng: np.random.Generator) -> Pixels:
-    levels = _LEVELS.astype(np.float32)
+    levels = _PIXEL_LEVELS.astype(np.float32)
     hue = (levels + rng.uniform(-12, 12)) % 180  # OpenCV's hue has half degrees
     turned = np.stack([hue, levels * rng.uniform(0, 1.6), levels], axis=-1)
     hsv = cv2.LUT(cv2.cvtColor(pixels, cv2.COLOR_RGB2HSV), _bytes(turned)[None])
-    balance = _bytes(_LEVELS[:, None] * rng.uniform(0.8, 1.2, 3))
+    balance = _bytes(_PIXEL_LEVELS[:, None] * rng.uniform(0.8, 1.2, 3))
     return _pixels(cv2.LUT(cv2.cvtColor(hsv, cv2.COLOR_HSV2RGB), balance[None]))
 
 
 def _brightness(pixels: Pixels, rng: np.random.Generator) -> Pixels:
-    linear = (_LEVELS / np.float32(255)) ** np.float32(2.2) * np.float32(2 ** rng.uniform(-2.5, 1.5))
+    linear = (_PIXEL_LEVELS / np.float32(255)) ** np.float32(2.2) * np.float32(2 ** rng.uniform(-2.5, 1.5))
     return _pixels(cv2.LUT(pixels, _bytes(255 * np.clip(linear, 0, 1) ** (rng.uniform(0.6, 1.6) / 2.2))))
 
 

@@ -13,7 +13,7 @@ from torchvision.models.detection.keypoint_rcnn import KeypointRCNNPredictor
 
 from skope import keypoints
 from skope.detector import weights
-from skope.detector.backbones import BACKBONES, DEFAULT
+from skope.detector.backbones import BACKBONES, DEFAULT_BACKBONE
 from skope.detector.build import DetectorConfig, build
 from skope.detector.checkpoint import HEADER, find_checkpoint, read_checkpoint
 from skope.errors import UserError
@@ -167,7 +167,7 @@ def _from_file(
 def _plain(norm: str, network: NetworkShape) -> DetectorConfig:
     """The config of weights that say nothing of it but what their tensors show."""
     asked = network.asked
-    eps = BACKBONES[asked.get("backbone", DEFAULT)].norm_eps
+    eps = BACKBONES[asked.get("backbone", DEFAULT_BACKBONE)].norm_eps
     return DetectorConfig(norm=norm, norm_eps=eps, min_size=SMALL_SIZE[0], max_size=SMALL_SIZE[1], **asked)
 
 

@@ -192,7 +192,7 @@ _PAPER: Final[dict[str, Any]] = {
 }
 
 # A step on two cores spends its time on pixels, and on the keypoint head: 22 GFLOP a region forward and backward.
-_SMALL: Final[dict[str, Any]] = {
+_SMALL_NETWORK: Final[dict[str, Any]] = {
     "min_size": None,
     "max_size": None,
     "keypoint_regions": 48,
@@ -219,8 +219,8 @@ _FROM_NOTHING: Final[dict[str, Any]] = {
 RECIPES: Final[Mapping[str, Recipe]] = MappingProxyType(
     {
         "paper": Recipe(**{**_PAPER, "name": "paper"}),
-        "laptop": Recipe(**{**_PAPER, **_SMALL, "name": "laptop"}),
-        "scratch": Recipe(**{**_PAPER, **_SMALL, **_FROM_NOTHING, "name": "scratch"}),
+        "laptop": Recipe(**{**_PAPER, **_SMALL_NETWORK, "name": "laptop"}),
+        "scratch": Recipe(**{**_PAPER, **_SMALL_NETWORK, **_FROM_NOTHING, "name": "scratch"}),
     }
 )
 CHOICES: Final = ("auto", *RECIPES)

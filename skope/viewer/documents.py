@@ -23,7 +23,7 @@ from skope.viewer.pictures import Picture
 STEPS: Final = 1000
 """Score thresholds are whole numbers from 0 to this, so that browser and server mean the same."""
 _THRESHOLDS: Final = np.arange(STEPS + 1) / STEPS
-_KEPT: Final = 8
+_KEPT_THRESHOLDS: Final = 8
 """Score thresholds whose counts are kept."""
 _FACETS: Final[dict[str, Callable[[Image], str | None]]] = {
     "split": lambda image: image.split,
@@ -41,7 +41,7 @@ class Documents:
         self._collection = collection
         self._splits = [_SplitDocuments(split, collection) for split in collection.splits]
         self._ends = list(itertools.accumulate(len(split.file.images) for split in collection.splits))
-        self.scores = lru_cache(maxsize=_KEPT)(self._scores)
+        self.scores = lru_cache(maxsize=_KEPT_THRESHOLDS)(self._scores)
 
     @property
     def has_predictions(self) -> bool:

@@ -23,7 +23,7 @@ from skope.viewer.local_server import (
 
 _IMAGE: Final = re.compile(r"/images/([0-9]{1,9})(\.json)?")
 _SCORES: Final = re.compile(r"/scores/([0-9]{1,4})\.json")
-_FILES: Final = {
+_SERVED_FILES: Final = {
     "/": ("skope.viewer", "viewer.html", HTML),
     "/page.css": ("skope.page", "page.css", CSS),
     "/viewer.css": ("skope.viewer", "viewer.css", CSS),
@@ -67,7 +67,7 @@ class _Handler(LocalHandler):
 
     def answer_to(self, path: str) -> Answer | None:
         documents = self.server.documents
-        if file := _FILES.get(path):
+        if file := _SERVED_FILES.get(path):
             return file[2], read_resource(*file[:2])
         if path == "/index.json":
             return JSON, self.server.index

@@ -18,7 +18,7 @@ from skope.schema import Result
 from skope.viewer import vehicle_filters
 from skope.viewer.collection import Collection, ShownSplit
 from skope.viewer.documents import STEPS, Documents
-from skope.viewer.vehicle_filters import HEIGHT, OCCLUSION, QUALITIES, TYPE, kind_number
+from skope.viewer.vehicle_filters import HEIGHT_QUALITY, OCCLUSION, QUALITIES, TYPE, kind_number
 from tests.samples import make_annotation, make_dataset
 from tests.viewer.conftest import HOSTILE
 
@@ -79,7 +79,11 @@ def test_bands_are_those_of_the_breakdown(height: float, occlusion: float, bands
     vehicle = replace(make_annotation(1, 1, (0, 0, 9, height)), occlusion=occlusion)
     for boxes in ("full", "visible"):
         assert values_of(kind_number(vehicle, boxes))[1:] == bands[::-1]
-    assert [quality["name"] for quality in vehicle_filters.described()] == [TYPE.name, OCCLUSION.name, HEIGHT.name]
+    assert [quality["name"] for quality in vehicle_filters.described()] == [
+        TYPE.name,
+        OCCLUSION.name,
+        HEIGHT_QUALITY.name,
+    ]
 
 
 def test_images_of_several_splits_are_numbered_through(labelled: Collection, tmp_path: Path) -> None:

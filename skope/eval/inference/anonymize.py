@@ -13,7 +13,7 @@ from skope.types import Array
 
 Pixels = NDArray[np.uint8]
 
-_PARTS: Final = tuple(
+_BLURRED_PARTS: Final = tuple(
     tuple(INDEX[name] for name in names)
     for names in (
         ("roof_front_right", "roof_front_left", "windscreen_base_left", "windscreen_base_right"),
@@ -25,7 +25,7 @@ _PARTS: Final = tuple(
     )
 )
 """Windscreen, rear window, side windows, and the lower middle of either end, where plates are."""
-_CELLS: Final = 8
+_BLUR_CELLS: Final = 8
 """A plate is about a quarter of a vehicle's width: nothing smaller than an eighth survives."""
 _UPPER: Final = 0.4
 """Share of the box of somebody on foot or on two wheels that holds the head, whatever the posture."""
@@ -48,10 +48,10 @@ def blurred(image: Pixels, found: Iterable[Result], road_users: Iterable[RoadUse
         if not patch.size:
             continue
         mask = np.zeros(patch.shape[:2], dtype=np.uint8)
-        for part in _PARTS:
+        for part in _BLURRED_PARTS:
             corners = np.clip(result.keypoints[list(part), :2] - [x0, y0], -1e4, 1e4)
             cv2.fillConvexPoly(mask, cv2.convexHull(np.rint(corners).astype(np.int32)), 1)
-        patch[mask > 0] = _averaged(patch, _CELLS)[mask > 0]
+        patch[mask > 0] = _averaged(patch, _BLUR_CELLS)[mask > 0]
     return out
 
 

@@ -21,7 +21,7 @@ _RAYLEIGH_95: Final = 2.448
 """Within so many of these standard deviations 95% of shifts lie."""
 _AROUND_S: Final = 3.0
 """Over so long before and after a move the image's mean place is compared: masts sway several times meanwhile."""
-_FEWEST: Final = 3
+_FEWEST_FRAMES: Final = 3
 """Frames that such a mean needs."""
 
 
@@ -97,7 +97,7 @@ class SwayRecord:
     def _unmeasured(self, time_s: float) -> bool:
         """Whether too few frames tell where the image lies from a time on."""
         soon = (self.times_s >= time_s) & (self.times_s < time_s + _AROUND_S)
-        return int(np.isfinite(self._values[soon, 0]).sum()) < _FEWEST
+        return int(np.isfinite(self._values[soon, 0]).sum()) < _FEWEST_FRAMES
 
     def _moves(self) -> list[ViewChange]:
         """Where the mean place of the image, over some seconds, has moved."""
@@ -107,7 +107,7 @@ class SwayRecord:
             return []
         ends = np.searchsorted(times, times + _AROUND_S)
         # Windows that the footage cuts short say less.
-        whole = (ends - np.arange(len(times)) >= _FEWEST) & (times + _AROUND_S <= times[-1] + 1e-6)
+        whole = (ends - np.arange(len(times)) >= _FEWEST_FRAMES) & (times + _AROUND_S <= times[-1] + 1e-6)
         sums = np.concatenate([np.zeros((1, 2)), np.cumsum(places, axis=0)])
         means = (sums[ends] - sums[: len(times)]) / np.maximum(ends - np.arange(len(times)), 1)[:, None]
         out, begin = list[ViewChange](), 0

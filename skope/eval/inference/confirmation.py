@@ -20,15 +20,15 @@ from skope.types import Array
 WEAK: Final = 0.2
 """Detections above this continue a vehicle that is seen more surely in other frames."""
 
-_FEWEST: Final = 3
+_FEWEST_FRAMES: Final = 3
 """A vehicle is seen surely in so many frames, or there is none."""
 _FEWEST_KEYS: Final = 2
 """The same where the detector sees key frames only."""
 _NEARLY_ALWAYS: Final = 0.8
 """Weak detections stay of a vehicle that is sure in more than this share of those that it has."""
-_STANDS: Final = 0.3
+_STANDS_SIZES: Final = 0.3
 """What never moves by more of its size stands."""
-_DRIVES: Final = 1.0
+_DRIVES_SIZES: Final = 1.0
 """What moves by more of its size drives."""
 
 
@@ -80,7 +80,7 @@ class Confirmation:
     def __init__(self, score: float, *, every: int = 1) -> None:
         """What scores above `score` is sure; the detector sees each `every`-th frame."""
         self._sure = score
-        self._fewest = _FEWEST if every == 1 else _FEWEST_KEYS
+        self._fewest = _FEWEST_FRAMES if every == 1 else _FEWEST_KEYS
         self._links = BoxLinks()
         self._vehicles: dict[int, _Vehicle] = {}
         """By number; those that were lost before they were surely seen are gone."""
@@ -115,8 +115,10 @@ class Confirmation:
         Vehicles are numbered in the order in which they are first seen.
         """
         seen = {i: one for i, one in self._vehicles.items() if one.sure >= self._fewest}
-        sizes = ExpectedSizes([one.samples for one in seen.values() if one.moved > _DRIVES])
-        stay = {i for i, one in seen.items() if one.moved > _STANDS or sizes.allow((*one.samples[0][:2], one.size))}
+        sizes = ExpectedSizes([one.samples for one in seen.values() if one.moved > _DRIVES_SIZES])
+        stay = {
+            i for i, one in seen.items() if one.moved > _STANDS_SIZES or sizes.allow((*one.samples[0][:2], one.size))
+        }
         constant = {i for i in stay if seen[i].sure > _NEARLY_ALWAYS * seen[i].found}
         names = {number: name for name, number in enumerate(sorted(stay))}
         return [

@@ -14,7 +14,7 @@ from skope.detector.weights import shipped
 from skope.errors import UserError
 from skope.eval.inference import calibrated_weights, score_calibration
 from skope.eval.inference.predictor import CALIBRATED, Predictor
-from skope.eval.inference.score_calibration import ALPHA, IOU
+from skope.eval.inference.score_calibration import ALPHA, CALIBRATION_IOU
 from skope.eval.inference.settings import Settings
 from skope.files.output_folders import check_file, work_of, write_new
 from skope.metrics import read_inputs, score_reliability
@@ -68,8 +68,8 @@ def calibrate(job: CalibrationJob, console: Console) -> Path:
         raise UserError(f"{job.data}: split {job.split}: the last {share:g} of its recordings is less than one image")
     results = predictor.split(file, truth.root)
 
-    matches = match(file, results, score=job.score, thresholds=(IOU,))
-    outcomes = outcomes_at(matches, IOU, Options(alpha=ALPHA, iou=(IOU,)))
+    matches = match(file, results, score=job.score, thresholds=(CALIBRATION_IOU,))
+    outcomes = outcomes_at(matches, CALIBRATION_IOU, Options(alpha=ALPHA, iou=(CALIBRATION_IOU,)))
     points = matches.det_keypoints[outcomes.detection[outcomes.found]]
     right = outcomes.correct(ALPHA)[outcomes.found]
     if not len(matches.gt_image):
@@ -86,7 +86,7 @@ def calibrate(job: CalibrationJob, console: Console) -> Path:
         "images": len(file.images),
         "vehicles": len(points),
         "alpha": ALPHA,
-        "iou": IOU,
+        "iou": CALIBRATION_IOU,
         "score": job.score,
     }
     fitted = score_calibration.fit(score_calibration.raw_maxima(points[..., 2]), right, fitted_on)

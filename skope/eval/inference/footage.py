@@ -25,10 +25,10 @@ from skope.schema import Image
 Pixels = NDArray[np.uint8]
 
 IMAGES: Final = (".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp", ".ppm", ".pgm")
-_GLOB: Final = frozenset("*?[")
+_GLOB_CHARS: Final = frozenset("*?[")
 _SAME_S: Final = 5e-4
 """Times that differ by less are the same: containers count in thousandths of a second, or finer."""
-_FAR: Final = 50
+SEEK_FRAMES: Final = 50
 """So many frames are as soon decoded as jumped over."""
 
 
@@ -241,7 +241,7 @@ def _on_this_machine(source: str, cut: Cut) -> Footage:
         if not found:
             raise UserError(f"{source}: no images in it ({', '.join(IMAGES)})")
         return Footage(path.name, cut, images=tuple(found))
-    if not path.exists() and _GLOB & set(source):
+    if not path.exists() and _GLOB_CHARS & set(source):
         matches = map(Path, glob.glob(source, recursive=True))  # noqa: PTH207 (absolute patterns too)
         found = sorted(matches, key=safe_names.counting_order)
         if not found:
@@ -286,7 +286,7 @@ def _decoded(clip: Clip, first: int) -> Generator[tuple[int, Callable[[], NDArra
     """Numbers of the frames of a file from `first` on or somewhat before, each with what gives its pixels."""
     with _opened(clip.address) as capture:
         at = -1
-        if first >= _FAR and capture.set(cv2.CAP_PROP_POS_FRAMES, first):
+        if first >= SEEK_FRAMES and capture.set(cv2.CAP_PROP_POS_FRAMES, first):
             at = _number(clip, capture) if capture.grab() else len(clip.times_s)
             if at > first:  # where frames last differently long, the decoder can only guess
                 capture.release()

@@ -16,7 +16,7 @@ import numpy as np
 from skope.camera.model import Camera
 from skope.dataset import coco
 from skope.dataset.camera_of_file import with_camera
-from skope.dataset.folder import CHANGES, FOLLOWED, FRAMES, PREDICTIONS, SIGHT
+from skope.dataset.folder import CHANGES, FOLLOWED, FRAMES, PREDICTIONS, SIGHT_FIELD
 from skope.detections import apart
 from skope.detector.device import choose_device
 from skope.errors import UserError
@@ -42,9 +42,9 @@ from skope.pictures.video import write_video
 from skope.schema import CATEGORIES, AnnotationFile, AnyResult, Image
 from skope.terminal.console import Console, counted
 
-_PROGRESS: Final = ".predict.jsonl"
-OVERLAY: Final = "overlay.mp4"
-OVERLAYS: Final = "overlays"
+_PROGRESS_FILE: Final = ".predict.jsonl"
+OVERLAY_VIDEO: Final = "overlay.mp4"
+OVERLAY_FOLDER: Final = "overlays"
 
 
 class Watcher(Protocol):
@@ -147,7 +147,7 @@ class Prediction:
     def __init__(self, job: PredictJob, predictor: Predictor) -> None:
         """Go on after what a stopped run has kept in the job's output folder."""
         self._job, self._predictor = job, predictor
-        self._progress = Progress(job.out / _PROGRESS, ("image", "results", "skipped", "key", "look", "motion"))
+        self._progress = Progress(job.out / _PROGRESS_FILE, ("image", "results", "skipped", "key", "look", "motion"))
         self.images: list[Image] = []
         """The frames so far, with the job's camera."""
         self._last_key, self._last_look_s = 1, None
@@ -241,7 +241,7 @@ def _info(
     if job.key_every > 1:
         info[FOLLOWED] = True
     if looked:
-        info[SIGHT] = sight_rows(looked)
+        info[SIGHT_FIELD] = sight_rows(looked)
     if changed:
         info[CHANGES] = [asdict(change) for change in changed]
     if sways:
@@ -392,13 +392,13 @@ def _overlay(job: PredictJob, progress: Progress, kept: Kept, count: int, scheme
     """Draw what was found: a video of a video, images of images."""
     drawn = console.bar(_drawn(job, progress, kept, scheme), total=count, unit="image", label="overlay")
     if job.footage.clip is None:
-        folder = job.out / OVERLAYS
+        folder = job.out / OVERLAY_FOLDER
         shared = Counter(PurePath(name).with_suffix("") for name in job.footage.names)
         for image, pixels in drawn:
             bare = PurePath(image.file_name).with_suffix("")
             draw.write(folder / f"{bare if shared[bare] == 1 else image.file_name}.jpg", pixels)
         return folder
-    path = job.out / OVERLAY
+    path = job.out / OVERLAY_VIDEO
     with replacing(path) as temporary:
         write_video(temporary, (pixels for _, pixels in drawn), job.footage.fps or 25.0)
     return path

@@ -32,15 +32,16 @@ from skope.eval.pose.write_camera import write_camera
 from skope.terminal.console import counted
 from skope.types import Array
 
-_WIDTH: Final = 1280
+_MATCHED_WIDTH_PX: Final = 1280
 """Corners are followed in pictures that are so wide at most, pixels."""
 _AS_WELL: Final = 2.0
 """A turn explains what corners do if it leaves no more than so many times what a free bending of the picture leaves."""
 _LEAST_PX: Final = 0.3
-"""Least that such a bending is taken to leave, pixels of pictures `_WIDTH` wide: how exactly corners are followed."""
+"""Least that such a bending is taken to leave, pixels of pictures `_MATCHED_WIDTH_PX` wide: corners are followed so
+exactly."""
 _NEAR_M: Final = 60.0
 """The road up to there tells whether a camera was moved too; its nearer half must agree."""
-_FEWEST: Final = 8
+_FEWEST_MATCHES: Final = 8
 _LEAST_SHARE: Final = 0.5
 """Share of the corners there that must be where a turn puts them: traffic hides some."""
 _REST_S: Final = 3.0
@@ -127,7 +128,7 @@ def registration(before: Pixels, after: Pixels, known: UncertainCamera, name: st
 
     Raises UserError where a turn does not explain what is seen.
     """
-    reference = ReferencePicture(before, _WIDTH)
+    reference = ReferencePicture(before, _MATCHED_WIDTH_PX)
     motion, followed = reference.motion(after), reference.followed(after)
     if motion is None or followed is None:
         raise UserError(f"{name}: too little of one picture is found in the other to tell how the camera was turned")
@@ -136,7 +137,7 @@ def registration(before: Pixels, after: Pixels, known: UncertainCamera, name: st
     camera, off = _turn(known.camera, rays, corners, motion)
     # Half the squares of normal errors an axis have a median of 0.69 variances.
     off_px = math.sqrt(float(np.median((off**2).sum(axis=1))) / (2 * math.log(2)))
-    scale = max(1.0, known.camera.width / _WIDTH)
+    scale = max(1.0, known.camera.width / _MATCHED_WIDTH_PX)
     lens = _by_the_lens(known, camera, rays)
     allowed = math.hypot(_AS_WELL * max(corners.sigma_px, _LEAST_PX * scale), lens)
     if not off_px <= allowed:
@@ -157,9 +158,9 @@ def _near_road(old: Camera, turned: Camera, corners: FollowedCorners, within_px:
     away = np.linalg.norm(places - old.position, axis=1)
     seen, _, valid = turned.project(np.where(np.isfinite(places), places, old.position))
     there = np.flatnonzero(valid & turned.inside(seen) & (away < _NEAR_M))
-    if len(there) < _FEWEST:
+    if len(there) < _FEWEST_MATCHES:
         raise UserError(f"{name}: too few corners on the road near by to tell a turn of the camera from a move")
-    nearer = there[np.argsort(away[there])][: max(_FEWEST, len(there) // 2)]
+    nearer = there[np.argsort(away[there])][: max(_FEWEST_MATCHES, len(there) // 2)]
     apart = np.linalg.norm(corners.all_before[nearer, None] - corners.before, axis=-1)
     match = apart.argmin(axis=1)
     good = (apart.min(axis=1) < 0.01) & (np.linalg.norm(corners.after[match] - seen[nearer], axis=1) < within_px)

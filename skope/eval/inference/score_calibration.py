@@ -20,14 +20,14 @@ from skope.files.output_folders import differences
 from skope.files.reading import sha256_of
 from skope.types import Array
 
-VERSION: Final = 1
+CALIBRATION_VERSION: Final = 1
 ALPHA: Final = 0.1
-IOU: Final = 0.6
+CALIBRATION_IOU: Final = 0.6
 
 # How firmly each keypoint's two numbers are held to those of all keypoints together, in units of one observation: what
 # is hardly ever seen takes theirs, what is seen hundreds of times its own.
 _HOLD: Final = 1.0
-_STEPS: Final = 50
+_FIT_STEPS: Final = 50
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -101,7 +101,7 @@ def _logistic(x: Array, y: Array, start: Array, hold: float) -> Array:
 
     ab: Array = start.copy()
     value = loss(ab)
-    for _ in range(_STEPS):
+    for _ in range(_FIT_STEPS):
         p = sigmoid(ab[0] * x + ab[1])
         w, r = p * (1 - p), p - y
         gradient = np.stack([(r * x).sum(axis=0), r.sum(axis=0)]) + hold * (ab - start)
@@ -110,7 +110,7 @@ def _logistic(x: Array, y: Array, start: Array, hold: float) -> Array:
             aa * bb - ab_**2
         )
         size = np.ones(x.shape[1])
-        for _ in range(_STEPS):
+        for _ in range(_FIT_STEPS):
             trial = loss(ab - size * step)
             worse = trial > value
             if not worse.any():
@@ -162,7 +162,7 @@ def write(
     path = path_beside(weights)
     fields = asdict(calibration)
     numbers = {name: fields[name].tolist() for name in ("scale", "offset")}
-    head = {"version": VERSION, "scheme": scheme, "weights_sha256": sha256_of(weights)}
+    head = {"version": CALIBRATION_VERSION, "scheme": scheme, "weights_sha256": sha256_of(weights)}
     write_json(path, {**head, "work": dict(work), "fitted_on": calibration.fitted_on, **numbers})
     return path
 
@@ -175,7 +175,11 @@ def read(weights: Path, scheme: str = keypoints.SCHEME) -> ScoreCalibration | No
     document = read_json(path)
     if not isinstance(document, dict):
         raise UserError(f"{path}: expected an object, got a {type(document).__name__}")
-    for name, expected in (("version", VERSION), ("scheme", scheme), ("weights_sha256", sha256_of(weights))):
+    for name, expected in (
+        ("version", CALIBRATION_VERSION),
+        ("scheme", scheme),
+        ("weights_sha256", sha256_of(weights)),
+    ):
         if document.get(name) != expected:
             raise UserError(
                 f"{path}: {name}: expected {expected!r}, got {document.get(name)!r}; it was fitted for other weights: "

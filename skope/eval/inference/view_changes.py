@@ -22,7 +22,7 @@ Pixels = NDArray[np.uint8]
 
 EVERY_S: Final = 0.5
 """Looks are so far apart, seconds."""
-_QUALITY: Final = 80
+_JPEG_QUALITY: Final = 80
 _LASTS: Final = 4
 """Looks that a change has to last to be a new view."""
 
@@ -101,7 +101,7 @@ def _shows(one: Array, other: Array) -> bool:
 
 
 def _packed(pixels: Pixels) -> str:
-    _, encoded = cv2.imencode(".jpg", small_grey(pixels), [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
+    _, encoded = cv2.imencode(".jpg", small_grey(pixels), [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
     return base64.b64encode(encoded.tobytes()).decode()
 
 

@@ -46,14 +46,14 @@ _BEHIND: Final = 1e6
 """Squared distance of a keypoint that would lie behind the camera."""
 _START_CAP: Final = 300.0
 """What a view can cost at most where the vehicle's body type is chosen."""
-ROAD: Final = Ground(height_sigma=0.03, tilt_sigma=math.radians(0.7))
+START_ROAD: Final = Ground(height_sigma=0.03, tilt_sigma=math.radians(0.7))
 """On it vehicles are placed before they are adjusted."""
-_DAMPING: Final = 1e-3
+_FIRST_DAMPING: Final = 1e-3
 _STUCK: Final = 1e4
 """Damping from which the search gives up."""
-_STEPS: Final = 20
+_MOST_STEPS: Final = 20
 """Steps of a search for everything but body types, at most."""
-_ROUNDS: Final = 3
+_TYPE_ROUNDS: Final = 3
 """How often body types are chosen anew, at most."""
 _LITTLE: Final = 0.01
 """A round that gains less is the last."""
@@ -67,7 +67,7 @@ _SETTLED: Final = 1e-5
 _GROUPS: Final = sorted({tuple(sorted((i, other))) for i, other in enumerate(keypoints.FLIP)})
 """Keypoints with their mirror images; those in the vehicle's middle are their own."""
 _GROUP: Final = np.array([next(g for g, pair in enumerate(_GROUPS) if i in pair) for i in range(keypoints.K)])
-_SIDE: Final = np.array([-1.0 if name.endswith("_right") else 1.0 for name in keypoints.NAMES])
+_SIDE_SIGNS: Final = np.array([-1.0 if name.endswith("_right") else 1.0 for name in keypoints.NAMES])
 _UNKNOWNS: Final = len(CAMERA) + 3 * len(_GROUPS)
 
 
@@ -203,9 +203,9 @@ class BundleAdjustment:
 
     def refined(self, bundle: Bundle) -> Solved:
         """Search on from a bundle, by turns for the body types and for all else."""
-        best = self.solve(self.with_likeliest_types(bundle), _STEPS)
-        for _ in range(_ROUNDS):
-            again = self.solve(self.with_likeliest_types(best.bundle), _STEPS)
+        best = self.solve(self.with_likeliest_types(bundle), _MOST_STEPS)
+        for _ in range(_TYPE_ROUNDS):
+            again = self.solve(self.with_likeliest_types(best.bundle), _MOST_STEPS)
             if again.cost > best.cost - _LITTLE:
                 break
             same = (again.bundle.kind == best.bundle.kind).all()
@@ -216,7 +216,7 @@ class BundleAdjustment:
 
     def solve(self, bundle: Bundle, steps: int) -> Solved:
         """Search on from a bundle: camera, offsets, shapes and places, with the body types that it has."""
-        vehicle, damping = self._views.vehicle, np.full(self._views.count, _DAMPING)
+        vehicle, damping = self._views.vehicle, np.full(self._views.count, _FIRST_DAMPING)
         counted = self._counted(bundle)
         here = self._linearised(bundle, counted)
         for step in range(steps):
@@ -255,7 +255,7 @@ class BundleAdjustment:
     def _fitted(self, bundle: Bundle) -> tuple[Bundle, Array]:
         """The bundle with likelier shapes and places, and (N,) what each vehicle costs so."""
         vehicle, still = self._views.vehicle, np.zeros(_UNKNOWNS)
-        damping = np.full(self._views.count, _DAMPING)
+        damping = np.full(self._views.count, _FIRST_DAMPING)
         counted = self._counted(bundle)
         here = self._linearised(bundle, counted, by="nothing")
         for step in range(_FEW_STEPS):
@@ -293,7 +293,7 @@ class BundleAdjustment:
 
     def _starts(self, camera: Array) -> Starts:
         seen = observe(camera_of(camera, self._views.size), self._views.found, self._views.sigma_px)
-        return initialize.on_ground(seen, self._shapes, ROAD)
+        return initialize.on_ground(seen, self._shapes, START_ROAD)
 
     def _placed(self, shared: Array, starts: Starts, kind: NDArray[np.intp]) -> Bundle:
         row, column = np.arange(len(self._views.vehicle)), kind[self._views.vehicle]
@@ -361,7 +361,7 @@ class BundleAdjustment:
             by_shared = np.zeros((*away.shape, _UNKNOWNS))
             # Places are multiples of the height, and grow with it.
             by_shared[..., : len(CAMERA)] = by_camera(camera, views.size, world, foot)
-            mirrored = np.stack([np.ones_like(_SIDE), _SIDE, np.ones_like(_SIDE)], axis=-1)
+            mirrored = np.stack([np.ones_like(_SIDE_SIGNS), _SIDE_SIGNS, np.ones_like(_SIDE_SIGNS)], axis=-1)
             column = len(CAMERA) + 3 * _GROUP[:, None] + np.arange(3)
             for k in range(keypoints.K):
                 by_shared[:, k, :, column[k]] = np.moveaxis(by_body[:, k] * mirrored[k], -1, 0)
@@ -380,5 +380,5 @@ def _offset_sigma(edition: int) -> Array:
 def _offsets(shared: Array) -> Array:
     """(33, 3) the offset of each keypoint in the vehicle frame, metres."""
     offsets = shared[len(CAMERA) :].reshape(-1, 3)[_GROUP]
-    offsets[:, 1] *= _SIDE
+    offsets[:, 1] *= _SIDE_SIGNS
     return np.asarray(offsets)

@@ -25,7 +25,7 @@ MOTION: Final = "camera_motion"
 MOVED: Final = "camera_moved"
 """Why a vehicle has no place: the camera was moved after it had been calibrated."""
 _TURNS: Final = ("pitch", "roll", "yaw")
-_STEPS: Final = np.array([0.5, 0.5, 1e-3])
+_DIFFERENCE_STEPS: Final = np.array([0.5, 0.5, 1e-3])
 """Steps of numeric derivatives by x and y (pixels) and turn (radians)."""
 
 
@@ -149,7 +149,7 @@ def covariance_of_turns(camera: Camera, sigmas: tuple[float, float, float]) -> A
     """(3, 3) covariance of pitch, roll and yaw, by standard deviations of x, y (pixels) and turn (radians)."""
     which = [PARAMETERS.index(name) for name in _TURNS]
     columns = []
-    for step in np.diag(_STEPS):
+    for step in np.diag(_DIFFERENCE_STEPS):
         ahead, behind = (values_of(turned_camera(camera, *(sign * step).tolist()))[which] for sign in (1, -1))
         away = ahead - behind
         columns.append((np.mod(away + np.pi, 2 * np.pi) - np.pi) / (2 * step.sum()))

@@ -15,11 +15,11 @@ from skope.types import Array
 
 Kinds = NDArray[np.intp]
 
-FEWEST: Final = {True: 4, False: 6}
+FEWEST_KEYPOINTS: Final = {True: 4, False: 6}
 """Keypoints that a pose needs, with (True) and without (False) a known ground."""
 INLIER: Final = 9.0
 """Squared distance, in variances, up to which a keypoint agrees."""
-_KEPT: Final = 2
+_KEPT_TYPES: Final = 2
 """Body types that go on from the start."""
 
 
@@ -30,7 +30,7 @@ def starts_of(seen: Observed, shapes: Shapes, ground: Ground | None, chosen: Mas
 
 def refined(seen: Observed, shapes: Shapes, ground: Ground | None, starts: Starts, kinds: Kinds) -> Fits:
     """(N, kept) fits from the best starts of each vehicle, the best first."""
-    chosen = np.argsort(starts.cost, axis=1)[:, : min(_KEPT, starts.cost.shape[1])]
+    chosen = np.argsort(starts.cost, axis=1)[:, : min(_KEPT_TYPES, starts.cost.shape[1])]
     return refine(seen, shapes, ground, starts.take(chosen), kinds[chosen]).ordered()
 
 

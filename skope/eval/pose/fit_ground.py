@@ -31,13 +31,13 @@ _SLOPE: Final = 0.05
 """Standard deviation of a road's slope: 8% is steep."""
 _LOWEST: Final = 0.5
 """Height of a camera over the road, metres, from which the search begins at least."""
-_FEWEST: Final = 3
+_FEWEST_ON_ROAD: Final = 3
 """Vehicles that a road needs; a known camera tells more of each than an unknown one."""
 _FEWEST_PLACES: Final = 3
 """Places that a plane goes through."""
-_UNEVEN: Final = (0.04, 0.08, 0.16, 0.32, 0.64)
+_TRIED_SIGMAS_M: Final = (0.04, 0.08, 0.16, 0.32, 0.64)
 """Standard deviations of the road's height over its plane, metres, that are tried."""
-_ROUNDS: Final = 5
+_WEIGHT_ROUNDS: Final = 5
 """Rounds of reweighting for the first plane."""
 _VEHICLES: Final = 40
 """So many vehicles are used at most."""
@@ -127,7 +127,7 @@ def _fit(scene: Scene, asked: str, *, score: float, noise: float, sigma_px: floa
     """
     assert scene.ground is not None
     camera = scene.camera_of(scene.file.images[0])
-    views = sample(scene, _VEHICLES, score=score, noise=noise, sigma_px=sigma_px, fewest=_FEWEST).views
+    views = sample(scene, _VEHICLES, score=score, noise=noise, sigma_px=sigma_px, fewest=_FEWEST_ON_ROAD).views
     begun = _through_free_fits(views, camera)
     if asked == "auto":
         level, other = (_adjusted(views, camera, ground, free=False).cost for ground in (scene.ground, begun))
@@ -192,13 +192,13 @@ def _through_free_fits(views: VehicleViews, camera: Camera) -> Ground:
     prior = np.diag([0.0, 1.0, 1.0]) / _SLOPE**2
     weight = 1 / sigma**2
     at = np.zeros(3)
-    for _ in range(_ROUNDS):
+    for _ in range(_WEIGHT_ROUNDS):
         normal = (A.T * weight) @ A + prior
         at = np.linalg.solve(normal, (A.T * weight) @ points[:, 2])
         weight = 1 / (sigma**2 + (A @ at - points[:, 2]) ** 2)
     return Ground(
         height=float(at[0]),
-        height_sigma=_UNEVEN[2],
+        height_sigma=_TRIED_SIGMAS_M[2],
         tilt_sigma=math.radians(1.5),
         slope=(float(at[1]), float(at[2])),
         about=(float(middle[0]), float(middle[1])),
@@ -214,4 +214,4 @@ def _unevenness(views: VehicleViews, camera: Camera, ground: Ground) -> float:
         _, spread = np.linalg.slogdet(fits.normal[:, 0])
         return float((capped(fits.cost[:, 0]) + spread).sum() + 2 * len(spread) * math.log(sigma))
 
-    return min(_UNEVEN, key=surprise)
+    return min(_TRIED_SIGMAS_M, key=surprise)

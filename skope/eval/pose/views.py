@@ -33,16 +33,16 @@ if TYPE_CHECKING:
 
 MATCH_IOU: Final = 0.6
 """IoU from which a detection's box and a ground-truth vehicle's belong together."""
-_SHARE: Final = 0.02
+_SIGMA_SHARE: Final = 0.02
 """Standard deviation of a predicted keypoint as a share of its box's longer edge, at least a pixel."""
-_NEAR: Final = 0.04
+_EDGE_SHARE: Final = 0.04
 """How far from the image's edge a predicted box may end that the image cuts, as a share of the box's longer edge."""
-_NEAR_PX: Final = 4.0
+_EDGE_PX: Final = 4.0
 """Least of that distance, pixels."""
-_AT: Final = 0.02
+_PUSHED_SHARE: Final = 0.02
 """How far from the edge that cuts its box a keypoint may lie to be taken for one that the detector pushed there, as a
 share of the box's longer edge."""
-_AT_PX: Final = 2.0
+_PUSHED_PX: Final = 2.0
 """Least of that distance, pixels."""
 
 
@@ -224,14 +224,16 @@ def _predicted(image: Image, pairs: list[tuple[Result, Annotation | None]], sigm
     found = np.array([r.keypoints for r in results]).reshape(-1, keypoints.K, 3)
     boxes = np.array([r.bbox for r in results]).reshape(-1, 4)
     spread = (
-        np.maximum(1.0, _SHARE * boxes[:, 2:].max(axis=1, initial=0.0)) if sigma is None else np.full(len(boxes), sigma)
+        np.maximum(1.0, _SIGMA_SHARE * boxes[:, 2:].max(axis=1, initial=0.0))
+        if sigma is None
+        else np.full(len(boxes), sigma)
     )
     scores = np.array([r.score for r in results])
     longer = boxes[:, 2:].max(axis=1, initial=0.0)
-    reached = _margins(image, boxes) <= np.maximum(_NEAR_PX, _NEAR * longer)[:, None]
+    reached = _margins(image, boxes) <= np.maximum(_EDGE_PX, _EDGE_SHARE * longer)[:, None]
     # Detectors put keypoints that lie beyond the image at its edge, with high scores: those do not count.
     edges = _margins(image, np.concatenate([found[..., :2], np.zeros_like(found[..., :2])], axis=-1))
-    at_edge = (edges <= np.maximum(_AT_PX, _AT * longer)[:, None, None]) & reached[:, None]
+    at_edge = (edges <= np.maximum(_PUSHED_PX, _PUSHED_SHARE * longer)[:, None, None]) & reached[:, None]
     found[..., 2] = np.where(at_edge.any(axis=-1), 0.0, found[..., 2])
     truth = tuple(vehicle for _, vehicle in pairs)
     interpolated = np.array([r.interpolated for r in results], dtype=bool)

@@ -22,7 +22,7 @@ from skope.eval.pose.views import Scene
 from skope.files.output_folders import write_new
 from skope.terminal.console import counted
 
-_SURE: Final = 0.02
+_KNOWN_SHARE: Final = 0.02
 """Standard deviation of a height or a field of view that somebody gives, as a share of it."""
 
 
@@ -156,9 +156,9 @@ def known_of(height: float | None, fov_deg: float | None, width: int) -> Known:
     known = Known()
     center, sigma = known.center.copy(), known.sigma.copy()
     if height is not None:
-        center[HEIGHT], sigma[HEIGHT] = math.log(height), _SURE
+        center[HEIGHT], sigma[HEIGHT] = math.log(height), _KNOWN_SHARE
     if fov_deg is not None:
-        center[FOCAL], sigma[FOCAL] = math.log(width / 2 / math.tan(math.radians(fov_deg) / 2)), _SURE
+        center[FOCAL], sigma[FOCAL] = math.log(width / 2 / math.tan(math.radians(fov_deg) / 2)), _KNOWN_SHARE
     return Known(center, sigma)
 
 

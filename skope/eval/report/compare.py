@@ -48,10 +48,12 @@ def read(folder: Path) -> Run:
         documents[name] = document = read_json(path)
         if (
             not isinstance(document, dict)
-            or document.get("version") != precision_recall.VERSION
+            or document.get("version") != precision_recall.METRICS_VERSION
             or "splits" not in document
         ):
-            raise UserError(f"{path}: not a file of `skope eval` of version {precision_recall.VERSION}; evaluate again")
+            raise UserError(
+                f"{path}: not a file of `skope eval` of version {precision_recall.METRICS_VERSION}; evaluate again"
+            )
     return Run(name=str(folder), metrics=documents[METRICS], tallies=documents[TALLIES]["splits"])
 
 
@@ -73,7 +75,7 @@ def compare(folders: Sequence[Path]) -> dict[str, Any]:
     if not splits:
         raise UserError(f"{' and '.join(run.name for run in runs)} have no split in common")
     return {
-        "version": precision_recall.VERSION,
+        "version": precision_recall.METRICS_VERSION,
         "runs": [run.name for run in runs],
         "alpha": first.metrics["alpha"],
         "score_thresholds": [run.metrics["score_threshold"] for run in runs],

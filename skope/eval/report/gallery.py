@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from skope.errors import UserError
 from skope.metrics.counts import Floats, Integers, Options, Outcomes, quality
-from skope.metrics.failures import KINDS, false_detections, wrong_points
+from skope.metrics.failures import ERROR_KINDS, false_detections, wrong_points
 from skope.metrics.match import box_of
 from skope.metrics.split_scores import SplitScores
 from skope.page import image_viewer
@@ -118,7 +118,7 @@ def _layers(
             labels.append((box, "missed"))
             words.append(f"{name} missed")
             continue
-        counts = {kind: int((kinds[g] == i).sum()) for i, kind in enumerate(KINDS)}
+        counts = {kind: int((kinds[g] == i).sum()) for i, kind in enumerate(ERROR_KINDS)}
         counts = {kind: count for kind, count in counts.items() if count}
         if counts:
             wrong.append(_strays(points, matches.det_keypoints[outcomes.detection[g]], kinds[g] >= 0))

@@ -10,7 +10,7 @@ from skope.eval.report.gallery import gallery
 from skope.eval.report.table import COLUMNS, SIZES, category_rows, evidence, published_row, row_of
 from skope.metrics.counts import PROTOCOLS, Options
 from skope.metrics.precision_recall import AT_PRECISION
-from skope.metrics.road_users import IOU
+from skope.metrics.road_users import AP50_IOU
 from skope.metrics.split_scores import SplitScores
 from skope.page import document as page
 from skope.page.charts import Axes, chart
@@ -32,7 +32,7 @@ _PRECISIONS: Final = {
     "keypoint_ap": "keypoint AP",
     "keypoint_ap50": "keypoint AP50",
 }
-_PARTS: Final = {
+_BREAKDOWN_TITLES: Final = {
     "distance": "Distance, m",
     "height": "Height of the box, px",
     "occlusion": "Occlusion",
@@ -185,7 +185,7 @@ def _categories(splits: Mapping[str, Any]) -> str:
         "box AP",
         "box AP50",
     )
-    caption = f"People on foot and on two wheels: boxes, precision and recall at IoU {IOU:g}"
+    caption = f"People on foot and on two wheels: boxes, precision and recall at IoU {AP50_IOU:g}"
     return table(head, rows, caption=caption, sortable=True) if rows else ""
 
 
@@ -233,7 +233,9 @@ def _split(measured: SplitScores, options: Options) -> str:
     ]
     # A table of one row would say what the split's own figures say.
     parts = [
-        _part(title, entry["by"][key], loosest) for key, title in _PARTS.items() if len(entry["by"].get(key, ())) > 1
+        _part(title, entry["by"][key], loosest)
+        for key, title in _BREAKDOWN_TITLES.items()
+        if len(entry["by"].get(key, ())) > 1
     ]
     return tag(
         "section",

@@ -20,7 +20,7 @@ from skope.files.atomic import replacing
 
 T = TypeVar("T", bound=GroundTrack)
 
-_COLUMNS: Final = (
+_TRACK_COLUMNS: Final = (
     "track", "type", "frame", "time_s", "seen", "x", "y", "z", "heading_deg", "speed", "vx", "vy", "acceleration",
     "length", "width", "height", "measured", "sigma_position", "sigma_speed", "class", "class_confidence", "flags",
 )  # fmt: skip
@@ -43,7 +43,7 @@ def write_csv(path: Path, tracks: Sequence[Track], frame_index: Sequence[int]) -
     """
     with replacing(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(_COLUMNS)
+        writer.writerow(_TRACK_COLUMNS)
         for track in tracks:
             seen, speed, along = track.seen, track.speed, track.along
             for i, frame in enumerate(track.frames):

@@ -17,7 +17,7 @@ _PACE_S: Final = 0.3
 """How fast a vehicle moves in the image is told by its last box and the newest that is so much older, seconds."""
 _FASTER: Final = 2.0
 """It may have stopped, or moved on so many times as fast: in the image vehicles that come near grow faster."""
-_ASIDE: Final = 0.6
+_ASIDE_DIAGONALS: Final = 0.6
 """How far from that way a vehicle may be found at once, in diagonals of its box."""
 _SWERVES: Final = 0.7
 """How much farther a second later: it may have turned."""
@@ -61,7 +61,7 @@ def whereabouts(track: OpenTrack, time_s: float) -> Whereabouts | None:
     before_x, before_y = _middle(older.detection.bbox)
     times = _FASTER * gap / (last.time_s - older.time_s)
     way = (times * (x - before_x), times * (y - before_y))
-    return Whereabouts((x, y), way, diagonal, _ASIDE + _SWERVES * gap)
+    return Whereabouts((x, y), way, diagonal, _ASIDE_DIAGONALS + _SWERVES * gap)
 
 
 def _seen(steps: Sequence[TrackStep]) -> tuple[TrackStep | None, TrackStep | None]:

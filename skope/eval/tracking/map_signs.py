@@ -24,7 +24,7 @@ OUTLINE: Final = ((1.0, 1.0), (1.0, -1.0), (-1.0, -1.0), (-1.0, 1.0))
 """A vehicle's corners, in halves of its length and width."""
 ROAD_USERS: Final = {"bicycle": "#00796b", "motorcycle": "#e65100", "pedestrian": "#5e35b1"}
 """Colours of the categories that have no outline."""
-_DRIVES: Final = 0.5
+_DRIVES_MPS: Final = 0.5
 """A vehicle that is faster drives, m/s."""
 BARS_M: Final = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
 """Lengths that a scale bar may have."""
@@ -121,7 +121,7 @@ def draw_labels(
 
 def label(track: GroundTrack, i: int) -> str:
     """A track's number, with the speed that who moves has in its i-th frame, and its 95% interval."""
-    if track.speed[i] <= _DRIVES:
+    if track.speed[i] <= _DRIVES_MPS:
         return f"#{track.number}"
     return f"#{track.number}  {track.speed[i] * 3.6:.0f} ± {2 * track.speed_sigma[i] * 3.6:.0f} km/h"
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skope.camera.model import Camera
-from skope.dataset.folder import FOLLOWED, SIGHT
+from skope.dataset.folder import FOLLOWED, SIGHT_FIELD
 from skope.errors import UserError
 from skope.eval.pose.records import locate_view
 from skope.eval.pose.views import Scene
@@ -33,7 +33,7 @@ from skope.terminal.console import Console, counted
 from skope.traffic.observation import FOOTAGE, Observation, checked_sight
 from skope.traffic.road_picture import write_road_picture
 
-_PROGRESS: Final = ".poses.jsonl"
+_PROGRESS_NAME: Final = ".poses.jsonl"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -119,7 +119,7 @@ def run(job: TrackJob, console: Console) -> Iterator[str]:
 
 def poses_kept(folder: Path) -> Progress:
     """The file in a folder that keeps the poses of each image until a run is done."""
-    return Progress(folder / _PROGRESS, ("sights",))
+    return Progress(folder / _PROGRESS_NAME, ("sights",))
 
 
 def followed(
@@ -167,7 +167,7 @@ def observation_of(scene: Scene, times: Sequence[float], begins: datetime | None
         focal_px=float(camera.K[0, 0]),
         road_sigma_m=0.0 if scene.ground is None else scene.ground.height_sigma,
         moved_s=seconds[moved],
-        sight=checked_sight(scene.file.info.get(SIGHT), f"{scene.file.name}: info.{SIGHT}"),
+        sight=checked_sight(scene.file.info.get(SIGHT_FIELD), f"{scene.file.name}: info.{SIGHT_FIELD}"),
         begins=begins,
     )
 

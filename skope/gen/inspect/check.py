@@ -28,7 +28,7 @@ from skope.gen.inspect.check_boxes import (
     wrapped,
 )
 from skope.gen.labels.annotate import POINT_TOLERANCE, SLOPE_CAP
-from skope.gen.output.frames import FORMATS
+from skope.gen.output.frames import IMAGE_SUFFIXES
 from skope.gen.output.writers import rows_of
 from skope.schema import Annotation, AnnotationFile, Image, RoadUser, far_outside
 
@@ -191,7 +191,7 @@ def _check_takes(dataset: Dataset, made: Container[tuple[str | None, str | None,
 
 def _image_of_depth(name: str, sums: Mapping[str, str]) -> str | None:
     stem = name.removeprefix("depth/").removesuffix(".png")
-    return next((image for suffix in FORMATS.values() if (image := f"images/{stem}{suffix}") in sums), None)
+    return next((image for suffix in IMAGE_SUFFIXES.values() if (image := f"images/{stem}{suffix}") in sums), None)
 
 
 def _check_totals(dataset: Dataset, name: str, split: str) -> Iterator[Finding]:

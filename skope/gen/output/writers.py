@@ -22,7 +22,7 @@ from skope.gen.output.card_counts import Counts, Kind, kind_of
 from skope.keypoints import SKOPE33, Scheme
 from skope.schema import CATEGORIES, CATEGORY_ID, ROAD_USER_IDS, VEHICLE_ALONE, Annotation, RoadUser
 
-FORMATS: Final = ("folder", "shards")
+DATASET_FORMATS: Final = ("folder", "shards")
 _IN_MEMORY: Final = 1 << 26
 """Bytes of rows that are kept there."""
 
@@ -177,7 +177,7 @@ class ShardWriter(DatasetWriter):
 def writer_of(
     form: str, root: Path, scheme: Scheme = SKOPE33, categories: tuple[str, ...] = VEHICLE_ALONE
 ) -> DatasetWriter:
-    """The writer of a format of `FORMATS`."""
+    """The writer of a format of `DATASET_FORMATS`."""
     return (ShardWriter if form == "shards" else FolderWriter)(root, scheme, categories)
 
 

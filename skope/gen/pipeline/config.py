@@ -9,7 +9,7 @@ from skope.camera.model import Distortion
 from skope.errors import UserError, one_of
 from skope.gen.labels.annotate import Rules
 from skope.gen.output.parameters import DatasetPlan, OwnSiteRecord, Parameters
-from skope.gen.output.writers import FORMATS
+from skope.gen.output.writers import DATASET_FORMATS
 from skope.gen.pipeline.planned_light import in_asked_light, in_its_light, in_its_split, varied
 from skope.gen.pipeline.presets import presets, range_pairs, tables
 from skope.gen.render.lens import pinhole_of
@@ -40,7 +40,7 @@ class DatasetRequest:
     def __post_init__(self) -> None:
         p = self.parameters
         p.pixels()
-        one_of("--format", p.format, FORMATS)
+        one_of("--format", p.format, DATASET_FORMATS)
         if not all(p.sites) or not p.sites or len(set(p.sites)) < len(p.sites):
             raise UserError("--sites: expected one or more different sites, separated by commas")
         for name in p.sites:

@@ -29,13 +29,13 @@ _STREET_LIGHT: Final = 0.9
 _SIGNAL: Final = 0.4
 _SMEARED: Final = 6.0
 """How much of lamps' glare dirty glass spreads far around them, as a factor on its mean there."""
-_FAR: Final = 0.06
+_FAR_WIDTHS: Final = 0.06
 """How far that is, as a share of the image's width."""
 _FULL: Final = 15.0
 """Distance up to which lamps glare at their strongest, metres."""
-_LEAST: Final = 0.006
+_LEAST_GLARE: Final = 0.006
 """Glare that is weaker than this after exposure is not drawn."""
-_SLACK: Final = 0.35
+_SURFACE_SLACK_M: Final = 0.35
 """How much nearer than a lamp the surface shown there may be without hiding it, metres."""
 
 
@@ -120,14 +120,14 @@ class Glare:
         column, row = pixel.astype(int)
         if ids is not None and ids[row, column] == lamp.index + 1:
             return False
-        return bool(depth[row, column] < z - _SLACK)
+        return bool(depth[row, column] < z - _SURFACE_SLACK_M)
 
 
 def _far_around(light: NDArray[np.float32]) -> NDArray[np.float32]:
     """Light on the grid (h, w, 3), blurred so that little of its places is left."""
     height, width = light.shape[:2]
     small = cv2.resize(light, (max(width // 8, 1), max(height // 8, 1)), interpolation=cv2.INTER_AREA)
-    wide = cv2.GaussianBlur(small, (0, 0), max(_FAR * small.shape[1], 0.5))
+    wide = cv2.GaussianBlur(small, (0, 0), max(_FAR_WIDTHS * small.shape[1], 0.5))
     return np.asarray(cv2.resize(wide, (width, height), interpolation=cv2.INTER_LINEAR), dtype=np.float32)
 
 
@@ -143,10 +143,10 @@ def _point_spread(radius: int, core: float) -> NDArray[np.float32]:
 def _add_spread_light(light: NDArray[np.float32], center: Array, core: float, color: NDArray[np.float32]) -> None:
     """Add a lamp's spread light around `center`, in cells."""
     peak = float(color.max())
-    if peak < _LEAST:
+    if peak < _LEAST_GLARE:
         return
     core = max(core, 0.7)
-    radius = max(2, int(min(9.0, (peak / _LEAST) ** 0.4) * core))
+    radius = max(2, int(min(9.0, (peak / _LEAST_GLARE) ** 0.4) * core))
     height, width = light.shape[:2]
     x, y = (int(v) for v in np.floor(center))
     x0, y0, x1, y1 = max(x - radius, 0), max(y - radius, 0), min(x + radius + 1, width), min(y + radius + 1, height)

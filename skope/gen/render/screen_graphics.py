@@ -29,7 +29,7 @@ class ScreenGraphics:
             rng = recording.rng(Stream.SCREEN_GRAPHICS)
             ink = np.zeros((camera.height, camera.width, 3), dtype=np.uint8)
             cover = np.zeros((camera.height, camera.width), dtype=np.uint8)
-            for draw in rng.choice(np.array(_KINDS, dtype=object), count):
+            for draw in rng.choice(np.array(_GRAPHIC_KINDS, dtype=object), count):
                 mark = np.zeros_like(cover)
                 draw(ink, mark, rng)
                 opaque = rng.choice([1.0, rng.uniform(_LEAST_OPAQUE, 1.0)])
@@ -135,4 +135,4 @@ def _bar(ink: Image, mark: Image, rng: np.random.Generator) -> None:
     _text(ink, mark, _word(rng, 6, 20), (int(0.02 * width), y + int(0.8 * deep)), deep / 38, rng)
 
 
-_KINDS: Final[tuple[_Draw, ...]] = (_letters, _boxed, _logo, _watermark, _arrow, _bar)
+_GRAPHIC_KINDS: Final[tuple[_Draw, ...]] = (_letters, _boxed, _logo, _watermark, _arrow, _bar)

@@ -17,7 +17,7 @@ _FLAKES: Final = 7000
 """Number of flakes in the field of a 1920x1080 image, in snow of 1 mm/h."""
 _FALL: Final = 1.3
 """Speed at which flakes fall, m/s."""
-_FOCAL: Final = 1100.0
+_FLAKE_FOCAL_PX: Final = 1100.0
 """Focal length of the lens that flakes are sized by, pixels of an image 1920 wide."""
 _SIZE: Final = 0.013
 """Typical flake, metres."""
@@ -54,8 +54,8 @@ def _flake_field(size: tuple[int, int], rate: float, wind: float, shutter: float
     count = int(_FLAKES * rate**0.7)
     # Evenly in the volume before the camera: few are near.
     away = (rng.uniform(_NEAREST**3, _FARTHEST**3, count)) ** (1 / 3)
-    radius = _SIZE * rng.uniform(0.4, 1.0, count) * _FOCAL * scale / away / 2
-    way = _FOCAL * scale / away * shutter
+    radius = _SIZE * rng.uniform(0.4, 1.0, count) * _FLAKE_FOCAL_PX * scale / away / 2
+    way = _FLAKE_FOCAL_PX * scale / away * shutter
     x, y = rng.uniform(0, width, count), rng.uniform(0, height, count)
     field: NDArray[Any] = np.zeros((height, width), dtype=np.uint8)
     for near in (False, True):

@@ -27,9 +27,9 @@ _LASTS_S: Final = 0.6
 """Time in which spray thins out to a third."""
 _GONE_S: Final = 1.8
 """Time after which it is not drawn."""
-_APART: Final = 0.6
+_PUFF_SPACING: Final = 0.6
 """Distance between the puffs of a plume, in widths of the vehicle."""
-_WHITE: Final = 0.82
+_SPRAY_BRIGHTNESS: Final = 0.82
 """Brightness of spray, as a share of the picture's bright parts."""
 _MOTTLED: Final = 0.55
 """How far the density varies within a plume, as a share."""
@@ -70,7 +70,7 @@ class Spray:
         y, x = (37 * frame) % _TILE, (53 * frame) % _TILE
         veil = 255 * (1 - np.exp(-thick * self._mottle[y : y + rows, x : x + columns]))
         veil = cv2.resize(veil.astype(np.uint8), (COARSE * columns, COARSE * rows), interpolation=cv2.INTER_LINEAR)
-        light = _WHITE * np.quantile(rgb[::8, ::8].reshape(-1, 3), 0.9, axis=0)
+        light = _SPRAY_BRIGHTNESS * np.quantile(rgb[::8, ::8].reshape(-1, 3), 0.9, axis=0)
         veiled = np.flatnonzero(veil[: rgb.shape[0]].any(axis=1))
         if len(veiled):
             there = slice(int(veiled[0]), int(veiled[-1]) + 1)
@@ -91,7 +91,7 @@ class Spray:
         length, width, height = size
         dense = self._amount * _DENSITY * min((speed - _LEAST_SPEED) / (_FULL_SPEED - _LEAST_SPEED), 1.5)
         dense *= 1.0 + 0.6 * (height > 2.4)
-        behind = np.arange(0.0, speed * _GONE_S, _APART * width)
+        behind = np.arange(0.0, speed * _GONE_S, _PUFF_SPACING * width)
         ages = behind / speed
         heights = 0.35 + 0.55 * np.minimum(ages, 1.0)
         back = np.column_stack([-0.42 * length - behind, np.zeros(len(ages)), heights])

@@ -13,7 +13,7 @@ from skope.gen.scene.recording import Recording
 Image = NDArray[np.uint8]
 
 _YEAR: Final = 2025
-_FONT: Final = cv2.FONT_HERSHEY_SIMPLEX
+_LABEL_FONT: Final = cv2.FONT_HERSHEY_SIMPLEX
 
 
 def streamed(rgb: Image, recording: Recording, frame: int) -> Image:
@@ -52,5 +52,5 @@ def _write_overlay_text(rgb: Image, recording: Recording, frame: int) -> None:
     }
     for text, y in lines.items():
         for dx, dy in ((-line, 0), (line, 0), (0, -line), (0, line)):
-            cv2.putText(rgb, text, (margin + dx, y + dy), _FONT, scale, (20, 20, 20), line, cv2.LINE_AA)
-        cv2.putText(rgb, text, (margin, y), _FONT, scale, (245, 245, 245), line, cv2.LINE_AA)
+            cv2.putText(rgb, text, (margin + dx, y + dy), _LABEL_FONT, scale, (20, 20, 20), line, cv2.LINE_AA)
+        cv2.putText(rgb, text, (margin, y), _LABEL_FONT, scale, (245, 245, 245), line, cv2.LINE_AA)

@@ -24,7 +24,7 @@ DECK: Final = 1.1
 """Thickness of bridge decks, metres."""
 GANTRY_CLEARANCE: Final = 5.7
 """Clearance under signs over the road, metres."""
-_CELL: Final = 3.0
+_DECK_CELL_M: Final = 3.0
 
 
 def structures(layout: Layout) -> Iterator[Mesh]:
@@ -52,8 +52,8 @@ def _bridge(layout: Layout, deck: Polygon, drawn: Any) -> Iterator[Mesh]:
         return lanes.near(places, 40.0)[0]
 
     x0, y0, x1, y1 = deck.buffer(walk).bounds
-    xs, ys = (np.arange(low, high + _CELL, _CELL) for low, high in ((x0, x1), (y0, y1)))
-    cells = np.array([shapely.box(x, y, x + _CELL, y + _CELL) for x in xs for y in ys], dtype=object)
+    xs, ys = (np.arange(low, high + _DECK_CELL_M, _DECK_CELL_M) for low, high in ((x0, x1), (y0, y1)))
+    cells = np.array([shapely.box(x, y, x + _DECK_CELL_M, y + _DECK_CELL_M) for x in xs for y in ys], dtype=object)
     marked = drawn.intersection(deck)
     yield from surfaces([Part("marking", marked, True), Part("asphalt", deck.difference(marked), True)], height, cells)
     whole = _widened_deck(layout.graph, deck, walk)
@@ -66,7 +66,7 @@ def _bridge(layout: Layout, deck: Polygon, drawn: Any) -> Iterator[Mesh]:
     )
     for polygon in polygons(beside_lanes):
         for ring in rings(polygon):
-            line = np.array(shapely.segmentize(LineString(ring), _CELL).coords)
+            line = np.array(shapely.segmentize(LineString(ring), _DECK_CELL_M).coords)
             z = height(line) + kerb
             inner = shapely.distance(deck, shapely.points(line)) < 0.05
             is_kerb = inner[:-1] & inner[1:]

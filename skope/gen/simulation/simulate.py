@@ -18,7 +18,7 @@ from skope.gen.scenery.build import bays_of
 from skope.gen.simulation.parked import MOST, parked
 from skope.gen.simulation.pedestrians import Riders, Walkers
 from skope.gen.simulation.physics import World, at_rest
-from skope.gen.simulation.recorder import REACH, Recorder
+from skope.gen.simulation.recorder import SIMULATED_WITHIN_M, Recorder
 from skope.gen.simulation.smooth_paths import drivable, reach
 from skope.gen.towns.road_graph import RoadGraph
 from skope.gen.towns.sidewalks import sidewalks
@@ -82,7 +82,7 @@ def simulate_together(plans: Sequence[RecordingPlan]) -> list[Recording]:
             duration=(warm_up + steps + ahead) * step,
             rng=rng,
             flows=site.flows,
-            passing=RoadGraph.of(site.town).seen_by(site.road.camera, REACH) if site.road else frozenset(),
+            passing=RoadGraph.of(site.town).seen_by(site.road.camera, SIMULATED_WITHIN_M) if site.road else frozenset(),
             step=step,
             watched=cameras.watch,
             riders=Riding.drawn(first.shared_rng(Stream.RIDERS)) if first.road_users else USUAL_RIDERS,

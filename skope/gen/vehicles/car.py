@@ -61,7 +61,7 @@ _PROFILE: Final = np.array(
 )
 _SOFT: Final = np.array([0, 0, 0, -0.012, -0.018, -0.02, -0.014, 0.006, -0.004, 0, 0, 0])
 """What the side of a body without a shoulder line stands in more than `_PROFILE` says."""
-_RIM, _PIT, _OUTER, _INNER = 2.1, 2.2, 2.4, 2.6
+_DECK_RIM_ROWS, _PIT, _OUTER, _INNER = 2.1, 2.2, 2.4, 2.6
 """Rows of the deck around a bed or the cabin, and of the hood's creases."""
 _CROWN: Final = 0.035
 _CAB_END: Final = 0.06
@@ -217,7 +217,7 @@ class CarBody:
             rows.append(np.column_stack([outline, low + (high - low) * row[1] + row[5]]))
         self._deck_edge = rows[-1]
         rows += self._deck_rows()
-        levels = [FLOOR, INNER, *_PROFILE[:, 0], _RIM, _PIT, _OUTER, _INNER, CENTER]
+        levels = [FLOOR, INNER, *_PROFILE[:, 0], _DECK_RIM_ROWS, _PIT, _OUTER, _INNER, CENTER]
         self.outline = outlines[6]
         self.w = along(self.outline)
         creases = {_SILL, _LEDGE, _OUTER, _INNER} | (set() if self.style.soft else {0.79})
@@ -237,7 +237,8 @@ class CarBody:
             inside[within], floor[within] = 1, height
         crease = self._crease(deck[:, 0])
         levels = (
-            (_RIM, 0.012, 1.0), (_PIT, 0.022, 1.0), (_OUTER, 0, crease), (_INNER, 0, crease - 0.11), (CENTER, 0, 0.0),
+            (_DECK_RIM_ROWS, 0.012, 1.0), (_PIT, 0.022, 1.0), (_OUTER, 0, crease), (_INNER, 0, crease - 0.11),
+            (CENTER, 0, 0.0),
         )  # fmt: skip
         rows = []
         for level, inset, share in levels:
@@ -268,12 +269,15 @@ class CarBody:
         self._draw_tones()
         cabin = self._greenhouse.foot(0.03)
         lower.paint(
-            np.vstack([cabin, [(cabin[-1, 0], -1), (cabin[0, 0], -1)]]), TOP, "dashboard", levels=(_RIM, CENTER)
+            np.vstack([cabin, [(cabin[-1, 0], -1), (cabin[0, 0], -1)]]),
+            TOP,
+            "dashboard",
+            levels=(_DECK_RIM_ROWS, CENTER),
         )
         for (start, end, _), material, top in zip(self._pits(), ("dashboard", "bed"), (_PIT, CENTER), strict=False):
             ends = start - 0.02, end + 0.02
             hollow = [(ends[0], -9), (ends[1], -9), (ends[1], 9), (ends[0], 9)]
-            lower.paint(hollow, TOP, material, levels=(_RIM, top))
+            lower.paint(hollow, TOP, material, levels=(_DECK_RIM_ROWS, top))
         self._draw_livery()
         draw_decal(lower, s, style)
         self._draw_doors()

@@ -22,8 +22,8 @@ CORNERS: Final = tuple(keypoints.NAMES[k].removeprefix("wheel_") for k in keypoi
 """front_right, front_left, rear_right, rear_left."""
 LENGTHS: Final = (2.0, 25.0)
 """Range of a vehicle's length, metres: models beyond it are in another unit."""
-_UNITS: Final = {"millimetres": 0.001, "centimetres": 0.01, "inches": 0.0254, "feet": 0.3048}
-_AXES: Final = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
+_UNIT_METRES: Final = {"millimetres": 0.001, "centimetres": 0.01, "inches": 0.0254, "feet": 0.3048}
+_AXIS_VECTORS: Final = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 LAMPS: Final = ("headlight", "taillight", "brake_light", "indicator_left", "indicator_right", "reverse_light")
 """Materials that light up: a surface whose material has one of these names is such a lamp."""
 _COLOR_STEPS: Final = 16
@@ -252,7 +252,7 @@ def _parse_axis(flag: str, text: str) -> Array:
     match = re.fullmatch(r"([+-]?)([xyz])", text.lower())
     if not match:
         raise UserError(f"{flag}: expected an axis such as +y or -z, got {text!r}")
-    return (-1 if match[1] == "-" else 1) * np.array(_AXES[match[2]])
+    return (-1 if match[1] == "-" else 1) * np.array(_AXIS_VECTORS[match[2]])
 
 
 def _axis_name(axis: Array) -> str:
@@ -294,6 +294,8 @@ def _wheel_corners(path: Path, at: dict[str, Array]) -> dict[str, str]:
 def _check_length(path: Path, length: float, scale: float) -> None:
     if LENGTHS[0] <= length <= LENGTHS[1]:
         return
-    guesses = [f"{unit}: --scale {metres}" for unit, metres in _UNITS.items() if 2.5 < length / scale * metres < 20]
+    guesses = [
+        f"{unit}: --scale {metres}" for unit, metres in _UNIT_METRES.items() if 2.5 < length / scale * metres < 20
+    ]
     hint = f"; in {' or in '.join(guesses)}?" if guesses else f"; --scale {4.5 / (length / scale):.2g} makes it a car's"
     raise UserError(f"{path}: is {length:.4g} m long, expected {LENGTHS[0]:g} to {LENGTHS[1]:g}{hint}")

@@ -11,7 +11,7 @@ from skope.types import Array
 
 ARCH = 1.13
 """Radius of a wheel arch, in radii of its wheel."""
-_EDGE = ((1.3, 0.14, 0.5), (1.65, 0.45, 0.84), (2.0, 1.0, 1.0))
+_ROOF_EDGE_ROWS = ((1.3, 0.14, 0.5), (1.65, 0.45, 0.84), (2.0, 1.0, 1.0))
 """Rows of the edge between wall and roof: shares of its radius inwards and up."""
 
 
@@ -58,7 +58,7 @@ class Tower:
             for outline, share in zip(outlines, shares, strict=True)
         ]
         levels = [FLOOR, INNER, *shares]
-        for level, inward, up in _EDGE:
+        for level, inward, up in _ROOF_EDGE_ROWS:
             plan = _shrunk_plan(walls[-1], inward * self.edge)
             rows.append(np.column_stack([plan.outline(stations), np.full(len(bottom), top + up * self.edge)]))
             levels.append(level)

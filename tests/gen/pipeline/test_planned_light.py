@@ -8,7 +8,7 @@ import pytest
 from skope.gen.pipeline.config import HEAVY
 from skope.gen.pipeline.planned_light import in_its_light, varied
 from skope.gen.pipeline.presets import presets, tables
-from skope.gen.scene.conditions import LIMITS, Conditions, ranges
+from skope.gen.scene.conditions import CONDITION_LIMITS, Conditions, ranges
 from skope.gen.towns.sites import site, sites
 from skope.gen.vehicles.fleet import fleet
 from tests.gen.pipeline.test_config import asked
@@ -72,7 +72,7 @@ def test_a_third_of_world_is_dark_and_most_of_that_night() -> None:
 def test_what_varies_can_be_drawn_and_flags_win_over_it() -> None:
     for wide in tables()["varied_light"].values():
         for name, (low, high) in wide.items():
-            assert LIMITS[name][0] <= low <= high <= LIMITS[name][1]
+            assert CONDITION_LIMITS[name][0] <= low <= high <= CONDITION_LIMITS[name][1]
     plan = next(p for p in asked("world", settings={"glare": (2.0, 2.0)}).plans() if p.site.time_of_day == "night")
     spans = ranges(plan.site.weather, plan.site.time_of_day, {**plan.site.conditions, **plan.settings})
     drawn = Conditions.drawn(spans, np.random.default_rng(0))

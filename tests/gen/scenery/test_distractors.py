@@ -13,7 +13,7 @@ from skope.gen.render.materials import MATERIALS, own_color
 from skope.gen.scenery import build
 from skope.gen.scenery.build import Scenery, scenery
 from skope.gen.scenery.distractor_shapes import STANDING, wall_panel
-from skope.gen.scenery.distractors import CLEARANCE, REACH
+from skope.gen.scenery.distractors import OBJECT_CLEARANCE_M, PLACED_WITHIN_M
 from skope.gen.towns.layout import Layout
 from skope.gen.towns.sites import sites_of
 from skope.gen.towns.town import Mast, Town, Variant
@@ -44,13 +44,17 @@ def test_they_stand_beside_roads_sidewalks_and_buildings(name: str, seed: int) -
     corners = mesh.vertices[mesh.triangles]
     plans = shapely.linearrings(corners[..., :2])
     assert len(plans) > 500
-    for region, gap in ((layout.graph.road, CLEARANCE), (layout.sidewalk, 0.05), (unary_union(plain.buildings), 0.0)):
+    for region, gap in (
+        (layout.graph.road, OBJECT_CLEARANCE_M),
+        (layout.sidewalk, 0.05),
+        (unary_union(plain.buildings), 0.0),
+    ):
         shrunk = region.buffer(gap - 0.02) if gap else region.buffer(-0.02)
         shapely.prepare(shrunk)
         assert not shapely.intersects(shrunk, plans).any()
     middles = corners.mean(axis=1)
     away = np.array([layout.camera_distance(place) for place in middles[:, :2]])
-    assert away.max() < REACH + 30.0
+    assert away.max() < PLACED_WITHIN_M + 30.0
     assert (middles[:, 2] > layout.ground.beside(middles[:, :2]) - 1.0).all()
 
 

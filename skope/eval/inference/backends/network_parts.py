@@ -31,7 +31,7 @@ KEYPOINT_HEAD: Final = "keypoint_head"
 
 INPUT: Final = "x"
 _OPSET: Final = 17
-_LEVELS: Final = 5
+_PYRAMID_LEVELS: Final = 5
 _UPSAMPLED: Final = 2
 """torchvision's keypoint predictor enlarges its maps by this factor."""
 
@@ -117,7 +117,9 @@ class _HandedPyramid(PyramidWithProposals):
 
     def forward(self, images: Tensor) -> OrderedDict[str, Tensor]:
         out = _computed(self._run, images)
-        features, scores, offsets = (out[i : i + _LEVELS] for i in range(0, 3 * _LEVELS, _LEVELS))
+        features, scores, offsets = (
+            out[i : i + _PYRAMID_LEVELS] for i in range(0, 3 * _PYRAMID_LEVELS, _PYRAMID_LEVELS)
+        )
         self.proposals = (scores, offsets)
         return OrderedDict(zip(("0", "1", "2", "3", "pool"), features, strict=True))
 

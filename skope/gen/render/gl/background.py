@@ -36,12 +36,12 @@ from skope.types import Array
 SCALE: Final = 2
 """Samples per pixel and axis of the vehicles' picture, and of the depth that hides it."""
 _MIRROR: Final = 128
-_LIGHT: Final = (
+_LIGHT_CONDITIONS: Final = (
     "sun_elevation_deg", "sun_azimuth_deg", "clouds", "wetness", "puddles",
     "street_lighting", "street_light_k", "street_lights_lit", "lit_windows", "infrared", "snow_cover",
 )  # fmt: skip
 """Conditions that the scenery's light depends on."""
-_PARTS: Final = 4
+_LIGHT_PARTS: Final = 4
 """Of the light's samples, for workers to share."""
 
 
@@ -137,7 +137,7 @@ def _cached_light(stage: Stage, road: Plane | None, digest: str, on_light: Calla
 
     `on_light` is called before each part that is not in the cache.
     """
-    shares = stage.light_parts(_PARTS if stage.device.software else 1)
+    shares = stage.light_parts(_LIGHT_PARTS if stage.device.software else 1)
     works: list[Callable[[], Arrays]] = [*shares]
     if road:
         works.append(partial(stage.mirrored, road))
@@ -222,7 +222,7 @@ def _light_digest(device: Device, recording: Recording) -> str:
         json.dumps(camera.to_dict()),
         f"{camera.width}x{camera.height}",
         str(mesh.materials),
-        *(str(getattr(recording.conditions, name)) for name in _LIGHT),
+        *(str(getattr(recording.conditions, name)) for name in _LIGHT_CONDITIONS),
         str(recording.conditions.visibility_m if recording.conditions.wetness > 0 else 0),
     )
     digest = hashlib.sha256("\n".join(parts).encode())

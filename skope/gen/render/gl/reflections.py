@@ -15,7 +15,7 @@ from skope.gen.render.pixel_windows import TILE, mirror_hull_of, runs, tiles
 
 BLUR: Final = 64
 """How far water blurs a mirror image up and down in an image 1920 pixels wide (see blur.glsl), pixels."""
-FARTHEST: Final = 90.0
+MIRRORED_WITHIN_M: Final = 90.0
 """Vehicles farther from the camera than this are not mirrored, metres."""
 
 
@@ -46,7 +46,7 @@ class Reflections:
         """
         device, camera = self._device, self._camera
         size = (camera.width, camera.height)
-        near = [one for one in placed if one.distance < FARTHEST]
+        near = [one for one in placed if one.distance < MIRRORED_WITHIN_M]
         hulls = [mirror_hull_of(one.vehicle, one.T_world_parts, camera, self._road.mirror) for one in near]
         reach = -(-round(BLUR * size[0] / 1920) // TILE)
         around = cv2.dilate(tiles(hulls, size).astype(np.uint8), np.ones((2 * reach + 1, 3), np.uint8)) > 0

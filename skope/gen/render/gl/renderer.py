@@ -43,7 +43,7 @@ from skope.gen.vehicles.model import TRAILER_PART
 from skope.types import Array
 
 SHADOW_MAP: Final = 2048
-FAR: Final = 30.0
+COARSE_FROM_M: Final = 30.0
 """Vehicles farther from the camera than this are drawn coarsely in colour, with windows that are not transparent,
 metres."""
 SHADOW_RADIUS: Final = 60.0
@@ -245,7 +245,7 @@ class GLRenderer:
             ):
                 continue
             put(program, {"u_model": vehicle.matrices["u_world"], "u_world": vehicle.matrices["u_world"]})
-            (vehicle.mesh if vehicle.distance < FAR else vehicle.coarse).draw(program)
+            (vehicle.mesh if vehicle.distance < COARSE_FROM_M else vehicle.coarse).draw(program)
         self._open.use()
         self._open.clear(1, 1, 1, 1)
         device.context.enable_only(device.gl.BLEND)
@@ -284,8 +284,11 @@ class GLRenderer:
         if peel:
             draw("PEEL", ((vehicle, vehicle.mesh) for vehicle in placed))
             return
-        near = [vehicle for vehicle in placed if vehicle.distance < FAR]
-        draw("SOLID", ((vehicle, vehicle.solid if vehicle.distance < FAR else vehicle.coarse) for vehicle in placed))
+        near = [vehicle for vehicle in placed if vehicle.distance < COARSE_FROM_M]
+        draw(
+            "SOLID",
+            ((vehicle, vehicle.solid if vehicle.distance < COARSE_FROM_M else vehicle.coarse) for vehicle in placed),
+        )
         # Through the windows the insides of the far walls are seen.
         device.context.cull_face = "front"
         draw("SOLID", ((vehicle, vehicle.coarse) for vehicle in near))
