@@ -14,6 +14,7 @@ from skope.errors import UserError
 from skope.keypoints import SKOPE33, Scheme
 from skope.pictures import draw
 from skope.schema import AnyResult, Result, RoadUserResult
+from skope.types import Pixels
 
 Chosen: TypeAlias = int | slice | Sequence[int] | Sequence[bool] | NDArray[np.bool_] | NDArray[np.integer]
 """Rows that are chosen: a number, a slice, numbers in their new order, or whether each row is."""
@@ -106,7 +107,7 @@ class Detections:
         """The detections that score higher than `score`, which is from 0 to 1."""
         return replace(self[self.scores > score], road_users=self.road_users.of(self.road_users.scores > score))
 
-    def draw(self, image: draw.Pixels, *, scale: int = 1) -> draw.Pixels:
+    def draw(self, image: Pixels, *, scale: int = 1) -> Pixels:
         """What was found on a copy of its image, the best on top.
 
         Args:

@@ -13,7 +13,7 @@ from skope.camera.model import Camera
 from skope.dataset import folder
 from skope.detector import weights
 from skope.errors import one_of
-from skope.pictures.draw import Pixels
+from skope.types import Pixels
 
 if TYPE_CHECKING:
     from skope.detections import Detections

@@ -16,8 +16,8 @@ from skope.dataset import coco
 from skope.dataset.folder import FRAMES, PREDICTIONS
 from skope.detections import Detections, detections_of_results
 from skope.errors import UserError
-from skope.pictures.draw import Pixels
 from skope.schema import AnyResult, Image
+from skope.types import Pixels
 
 if TYPE_CHECKING:
     from skope.eval.inference.footage import Footage

@@ -9,14 +9,11 @@ from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from skope import boxes as box_math
 from skope.eval.assignment import cheapest_pairs
 from skope.schema import Found
-from skope.types import Array
-
-Integers = NDArray[np.int32]
+from skope.types import Array, Integers32
 
 FARTHEST_S: Final = 0.3
 """Frames that are farther apart say nothing of each other: vehicles cannot be linked by their boxes."""
@@ -62,7 +59,7 @@ class BoxLinks:
         self._live: dict[int, _Last] = {}
         self._count = 0
 
-    def add(self, time_s: float, found: Sequence[Found], first: Sequence[bool] | None = None) -> Integers:
+    def add(self, time_s: float, found: Sequence[Found], first: Sequence[bool] | None = None) -> Integers32:
         """Take the detections of the next frame, which is later; see `add_boxes`."""
         boxes = np.array([one.bbox for one in found]).reshape(-1, 4)
         return self.add_boxes(time_s, boxes, followed=[one.track_id for one in found], first=first)
@@ -74,7 +71,7 @@ class BoxLinks:
         *,
         followed: Sequence[int | None] | None = None,
         first: Sequence[bool] | None = None,
-    ) -> Integers:
+    ) -> Integers32:
         """Take the boxes of the next frame, which is later.
 
         Args:

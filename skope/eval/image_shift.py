@@ -16,9 +16,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from skope.types import Array
-
-Pixels = NDArray[np.uint8]
+from skope.types import Array, Pixels
 
 COARSE_WIDTH: Final = 160
 """Width of the pictures that are held against each other as a whole, pixels."""

@@ -11,9 +11,10 @@ from typing import Any, Final
 import numpy as np
 
 from skope import keypoints
-from skope.metrics.counts import Mask, Options, Outcomes, outcomes_at, ratio
+from skope.metrics.counts import Options, Outcomes, outcomes_at, ratio
 from skope.metrics.match import Matches
 from skope.schema import Annotation, Image
+from skope.types import Mask
 
 DISTANCES_M: Final = (20.0, 40.0, 60.0)
 HEIGHTS_PX: Final = (25.0, 50.0, 100.0, 200.0)

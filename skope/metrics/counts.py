@@ -17,14 +17,12 @@ from skope import keypoints
 from skope.errors import UserError, one_of
 from skope.keypoints import Scheme
 from skope.metrics.match import BOX_KINDS, THRESHOLDS, Matches
+from skope.types import Array, Integers, Mask
 
 PROTOCOLS: Final = ("pooled", "paper")
 LABELLED: Final = ("visible", "all")
 """Which ground-truth keypoints count: those with v = 2, or all with v > 0."""
 
-Floats = NDArray[np.float64]
-Mask = NDArray[np.bool_]
-Integers = NDArray[np.int64]
 
 Name = tuple[str, str | None]
 """A figure, and its protocol where there are two."""
@@ -89,9 +87,9 @@ class Outcomes:
     """(G, 33) keypoints that are labelled, as `Options.labelled` says."""
     predicted: Mask
     """(G, 33) keypoints that the detection predicts."""
-    offset: Floats
+    offset: Array
     """(G, 33) pixels from the prediction to the ground truth, infinite where no detection took the vehicle."""
-    length: Floats
+    length: Array
     """(G,) longer edge of the ground-truth box, pixels."""
 
     @property
@@ -111,7 +109,7 @@ def predicted(matches: Matches, options: Options) -> Mask:
     return mask & (matches.det_keypoints[:, :, 2] > options.keypoint_score) if options.keypoint_score else mask
 
 
-def lengths(vectors: Floats) -> Floats:
+def lengths(vectors: Array) -> Array:
     """(...,) Euclidean lengths of (..., 2) vectors of pixels: several times faster than hypot, which takes care that
     no square overflows; here such a length is infinite, and as wrong as it was.
     """
@@ -209,7 +207,7 @@ def tally(matches: Matches, threshold: float, options: Options) -> Tally:
     )
 
 
-Quotients = dict[Name, tuple[Floats, Floats]]
+Quotients = dict[Name, tuple[Array, Array]]
 """Figure -> (N,) numerator and (N,) denominator of each image."""
 
 
@@ -246,7 +244,7 @@ def quotients(counts: Tally) -> Quotients:
     return out
 
 
-def quality(counts: Tally) -> Floats:
+def quality(counts: Tally) -> Array:
     """(N,) share of an image's labelled keypoints that are right, times vehicles / (vehicles + false ones).
 
     NaN where nothing is labelled.

@@ -10,8 +10,9 @@ import numpy as np
 
 from skope import keypoints
 from skope.keypoints import FLIP, OTHER_END
-from skope.metrics.counts import Floats, Integers, Options, Outcomes, lengths
+from skope.metrics.counts import Options, Outcomes, lengths
 from skope.metrics.match import Matches
+from skope.types import Array, Integers
 
 ERROR_KINDS: Final = ("left_right", "front_rear", "jitter")
 """Kinds of wrong keypoints: where the other side's counterpart is, where the other end's is (of either side), and
@@ -40,7 +41,7 @@ def wrong_points(matches: Matches, outcomes: Outcomes, options: Options) -> Inte
     return kinds
 
 
-def _apart(matches: Matches, outcomes: Outcomes, counterpart: Any) -> Floats:
+def _apart(matches: Matches, outcomes: Outcomes, counterpart: Any) -> Array:
     """(G, 33) pixels from each prediction to its counterpart's place, infinite where there is none."""
     counterpart = np.asarray(counterpart)
     truth = matches.gt_keypoints[:, counterpart]

@@ -15,8 +15,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from skope.metrics.counts import Floats, Integers, Name, Quotients, nested, ratio
+from skope.metrics.counts import Name, Quotients, nested, ratio
 from skope.schema import Image
+from skope.types import Array, Integers
 
 BLOCK_S: Final = 10.0
 """Length of a block of the only recording, seconds."""
@@ -69,7 +70,7 @@ def blocks_of(images: Sequence[Image]) -> Blocks:
     return Blocks(unit=unit, number=np.array([number[key] for key in keys], dtype=np.int64), sites=sites)
 
 
-def left_out(values: Quotients, blocks: Blocks) -> dict[Name, Floats]:
+def left_out(values: Quotients, blocks: Blocks) -> dict[Name, Array]:
     """(B,) each figure without each of the B blocks; NaN where one says nothing of it, and where nothing is left."""
     out = {}
     for name, columns in values.items():
@@ -79,7 +80,7 @@ def left_out(values: Quotients, blocks: Blocks) -> dict[Name, Floats]:
     return out
 
 
-def error_of(without: Floats) -> tuple[float, int]:
+def error_of(without: Array) -> tuple[float, int]:
     """A figure's standard error by the jackknife, and the degrees of freedom.
 
     `without` (B,) are the figure's values without one block each, NaN where a block says nothing of it. The formula is
@@ -91,7 +92,7 @@ def error_of(without: Floats) -> tuple[float, int]:
     return math.sqrt(max(count - 1, 0) / max(count, 1) * spread), count - 1
 
 
-def share_interval(value: float | None, without: Floats) -> Interval:
+def share_interval(value: float | None, without: Array) -> Interval:
     """Where a share may lie by (B,) its values with one block left out each, worked out in log odds.
 
     None where fewer than two blocks say something, and for exactly 0 or 1: where nothing was ever wrong, the data do
@@ -163,6 +164,6 @@ def difference(a: Quotients, b: Quotients, blocks: Blocks, name: Name) -> Interv
     return gap - reach, gap + reach
 
 
-def _whole(columns: tuple[Floats, Floats]) -> float | None:
+def _whole(columns: tuple[Array, Array]) -> float | None:
     """A figure over all images, from its numerators and denominators; None where there is nothing to divide by."""
     return ratio(*(float(column.sum()) for column in columns))

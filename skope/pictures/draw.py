@@ -21,8 +21,8 @@ from skope.errors import UserError
 from skope.files.atomic import write_bytes
 from skope.keypoints import SKOPE33, Scheme
 from skope.schema import Annotation, Box3D, Labelled, Result, RoadUser, RoadUserResult
+from skope.types import Pixels
 
-Pixels = NDArray[np.uint8]
 Color = tuple[int, int, int]
 
 PALETTE: Final[tuple[Color, ...]] = (

@@ -5,12 +5,10 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from skope.errors import UserError
 from skope.files.safe_names import for_opencv
-
-Pixels = NDArray[np.uint8]
+from skope.types import Pixels
 
 
 def write_video(path: Path, frames: Iterable[Pixels], fps: float, codec: str = "mp4v") -> None:

@@ -16,10 +16,8 @@ from numpy.typing import NDArray
 
 from skope.errors import UserError
 from skope.train.targets import Vehicles
-from skope.types import Array
+from skope.types import Array, Pixels
 
-Pixels = NDArray[np.uint8]
-Floats = NDArray[np.float32]
 _PIXEL_LEVELS: Final = np.arange(256, dtype=np.uint8)
 """Each value that a pixel can have: what changes values alone is looked up."""
 

@@ -14,6 +14,7 @@ from skope.pictures import draw
 from skope.schema import CATEGORIES, Annotation, AnnotationFile
 from skope.terminal.console import counted
 from skope.train import validate
+from skope.types import Pixels
 
 SHEET_IMAGES: Final = 4
 """Images of the progress sheet."""
@@ -68,7 +69,7 @@ def prediction_sheet(
 ) -> None:
     """Write predictions (right) beside ground truth (left) for the first images of `file` that hold vehicles."""
     vehicles, users = file.by_image(), file.road_users_by_image()
-    pairs: list[draw.Pixels] = []
+    pairs: list[Pixels] = []
     # The same images each time, so that one sees them change.
     for image, place in zip(file.images, images, strict=True):
         if len(pairs) == 2 * SHEET_IMAGES:

@@ -11,11 +11,11 @@ import numpy as np
 
 from skope.metrics import counts
 from skope.metrics.failures import false_detections, wrong_points
-from skope.metrics.match import Integers, box_of
+from skope.metrics.match import box_of
 from skope.metrics.precision_recall import match_split
 from skope.pictures import draw
 from skope.schema import Annotation, Image, Result, RoadUser
-from skope.types import Array
+from skope.types import Array, Integers
 from skope.viewer import vehicle_filters
 from skope.viewer.collection import Collection, ShownSplit
 from skope.viewer.pictures import Picture

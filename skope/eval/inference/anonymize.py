@@ -5,13 +5,10 @@ from typing import Final
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from skope.keypoints import INDEX
 from skope.schema import Result, RoadUserResult
-from skope.types import Array
-
-Pixels = NDArray[np.uint8]
+from skope.types import Array, Pixels
 
 _BLURRED_PARTS: Final = tuple(
     tuple(INDEX[name] for name in names)

@@ -7,11 +7,11 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from skope.eval.image_shift import MOVED, ImageMotion, Pixels, ReferencePicture
+from skope.eval.image_shift import MOVED, ImageMotion, ReferencePicture
 from skope.eval.inference.view_changes import ViewChange, changes
 from skope.eval.pose.camera_motion import CameraMotion
 from skope.schema import Image
-from skope.types import Array
+from skope.types import Array, Pixels
 
 _STILL_PX: Final = 0.1
 """A camera stands still whose image moves by less, one standard deviation an axis in a picture 640 pixels wide:

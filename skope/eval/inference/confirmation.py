@@ -12,10 +12,10 @@ from typing import Final
 import numpy as np
 
 from skope import boxes as box_math
-from skope.eval.box_links import LOST_S, BoxLinks, Integers, size_of
+from skope.eval.box_links import LOST_S, BoxLinks, size_of
 from skope.eval.inference.expected_sizes import ExpectedSizes, Sample
 from skope.schema import Found
-from skope.types import Array
+from skope.types import Array, Integers32
 
 WEAK: Final = 0.2
 """Detections above this continue a vehicle that is seen more surely in other frames."""
@@ -86,7 +86,7 @@ class Confirmation:
         """By number; those that were lost before they were surely seen are gone."""
         self._open: set[int] = set()
         """Numbers of those that may be seen again."""
-        self._of: list[tuple[Integers, list[bool]]] = []
+        self._of: list[tuple[Integers32, list[bool]]] = []
         """The vehicles that the detections of each frame belong to, and which of these are sure."""
 
     def add(self, time_s: float, found: Sequence[Found]) -> None:
@@ -109,7 +109,7 @@ class Confirmation:
             if self._vehicles[i].sure < self._fewest:
                 del self._vehicles[i]
 
-    def confirmed(self) -> list[Integers]:
+    def confirmed(self) -> list[Integers32]:
         """For each frame the number of each detection's vehicle, from 0; -1 for what the other frames do not confirm.
 
         Vehicles are numbered in the order in which they are first seen.

@@ -21,8 +21,7 @@ from skope.errors import UserError
 from skope.eval.inference import stream
 from skope.files import safe_names
 from skope.schema import Image
-
-Pixels = NDArray[np.uint8]
+from skope.types import Pixels
 
 IMAGES: Final = (".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp", ".ppm", ".pgm")
 _GLOB_CHARS: Final = frozenset("*?[")

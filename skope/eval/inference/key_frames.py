@@ -17,15 +17,12 @@ from typing import Any, Final, TypeAlias
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from skope import boxes as box_math
 from skope.eval.assignment import cheapest_pairs
 from skope.schema import AnyResult, Image, Result
-from skope.types import Array
+from skope.types import Array, Floats32, Pixels
 
-Pixels = NDArray[np.uint8]
-Points = NDArray[np.float32]
 Frame = tuple[Image, Pixels]
 
 INTERVAL_S: Final = 0.5
@@ -180,7 +177,7 @@ def _followed(grey: Sequence[Pixels], vehicles: Sequence[AnyResult]) -> list[Way
     return ways
 
 
-def _points(vehicle: AnyResult) -> Points:
+def _points(vehicle: AnyResult) -> Floats32:
     """(P, 2) points of a vehicle to follow: its keypoints inside the box, and a grid."""
     at = _keypoints(vehicle)[:, :2]
     low, high = vehicle.bbox[:2], vehicle.bbox[:2] + vehicle.bbox[2:]
@@ -190,7 +187,7 @@ def _points(vehicle: AnyResult) -> Points:
     return np.concatenate([at[inside], grid]).astype(np.float32)
 
 
-def _flow(before: Pixels, after: Pixels, points: Points) -> Points:
+def _flow(before: Pixels, after: Pixels, points: Floats32) -> Floats32:
     """(P, 2) where points of a frame are in the next one; NaN where they cannot be followed there and back."""
     if not len(points):
         return points
@@ -202,7 +199,7 @@ def _flow(before: Pixels, after: Pixels, points: Points) -> Points:
     return np.where(good[:, None], there[:, 0], np.float32(np.nan))
 
 
-def _step(place: _Place | None, old: Points, new: Points) -> _Place | None:
+def _step(place: _Place | None, old: Floats32, new: Floats32) -> _Place | None:
     """A vehicle moved as most of its points are; None where they are too few."""
     if place is None or len(old) < _FEWEST_POINTS:
         return None

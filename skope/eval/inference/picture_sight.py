@@ -6,7 +6,8 @@ from typing import Final
 import cv2
 import numpy as np
 
-from skope.eval.inference.view_changes import Pixels, unpacked
+from skope.eval.inference.view_changes import unpacked
+from skope.types import Pixels
 
 _SQUARE_PX: Final = 9
 """Contrast is that of squares of so many pixels of the small picture."""

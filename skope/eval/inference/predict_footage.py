@@ -24,7 +24,7 @@ from skope.eval.box_links import FARTHEST_S
 from skope.eval.inference.anonymize import blurred
 from skope.eval.inference.camera_sway import SwayRecord, SwayWatch, motion_to_row, record_of_rows
 from skope.eval.inference.confirmation import WEAK, Confirmation
-from skope.eval.inference.footage import FOUND_AT, Footage, Pixels
+from skope.eval.inference.footage import FOUND_AT, Footage
 from skope.eval.inference.key_frames import INTERVAL_S, with_frames_between
 from skope.eval.inference.numbers_by_category import Linked, NumbersByCategory
 from skope.eval.inference.picture_sight import sight_rows
@@ -41,6 +41,7 @@ from skope.pictures import draw
 from skope.pictures.video import write_video
 from skope.schema import CATEGORIES, AnnotationFile, AnyResult, Image
 from skope.terminal.console import Console, counted
+from skope.types import Pixels
 
 _PROGRESS_FILE: Final = ".predict.jsonl"
 OVERLAY_VIDEO: Final = "overlay.mp4"

@@ -32,8 +32,8 @@ from skope.eval.inference.tiles import Tile, joined, tiles_of
 from skope.keypoints import Scheme
 from skope.schema import Annotation, AnnotationFile, AnyResult, Image, Result
 from skope.terminal.console import Console, minutes
+from skope.types import Pixels
 
-Pixels = NDArray[np.uint8]
 T = TypeVar("T")
 
 CALIBRATED: Final = "calibrated"

@@ -23,14 +23,14 @@ from skope.camera.model import Camera
 from skope.camera.uncertain_camera import PARAMETERS, UncertainCamera, moved_camera
 from skope.dataset.camera_of_file import read_camera
 from skope.errors import UserError
-from skope.eval.image_shift import FollowedCorners, ImageMotion, Pixels, ReferencePicture
+from skope.eval.image_shift import FollowedCorners, ImageMotion, ReferencePicture
 from skope.eval.inference.camera_sway import SwayWatch
 from skope.eval.inference.footage import Cut, open_footage
 from skope.eval.pose.camera_from_marks import evidence_of, place_errors
 from skope.eval.pose.camera_motion import covariance_of_turns, turned_camera
 from skope.eval.pose.write_camera import write_camera
 from skope.terminal.console import counted
-from skope.types import Array
+from skope.types import Array, Pixels
 
 _MATCHED_WIDTH_PX: Final = 1280
 """Corners are followed in pictures that are so wide at most, pixels."""

@@ -12,13 +12,10 @@ from typing import Any, Final
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from skope.eval.image_shift import MOVED, coarse_shift, edges, small_grey
 from skope.schema import Image
-from skope.types import Array
-
-Pixels = NDArray[np.uint8]
+from skope.types import Array, Pixels
 
 EVERY_S: Final = 0.5
 """Looks are so far apart, seconds."""

@@ -26,11 +26,11 @@ from skope.eval.pose import cauchy, initialize
 from skope.eval.pose.camera_unknowns import CAMERA, FOCAL, HEIGHT, Pictured, by_camera, camera_of
 from skope.eval.pose.ground import Ground
 from skope.eval.pose.normal_equations import Linearised, Parts, summed
-from skope.eval.pose.observations import LEAST_PROBABILITY, Mask, observe
+from skope.eval.pose.observations import LEAST_PROBABILITY, observe
 from skope.eval.pose.self_occlusion import facing
 from skope.eval.pose.shape_model import Shapes
 from skope.eval.pose.starts import Starts
-from skope.types import Array
+from skope.types import Array, Mask
 
 _STRIDE: Final = np.array([0.3, 0.2, 0.1, 0.3, 0.05])
 """The camera's unknowns change by so much at most in a step."""

@@ -9,8 +9,8 @@ import numpy as np
 from skope.camera.derivatives import slopes
 from skope.camera.ground_plane import ground_places
 from skope.camera.model import Camera, Distortion
-from skope.eval.pose.observations import NEAREST_M, Mask
-from skope.types import Array
+from skope.eval.pose.observations import NEAREST_M
+from skope.types import Array, Mask
 
 CAMERA: Final = ("log_focal", "pitch", "roll", "log_height", "k1")
 """The camera's unknowns: natural logarithms of pixels and metres, radians."""

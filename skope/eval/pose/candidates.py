@@ -7,11 +7,11 @@ from numpy.typing import NDArray
 
 from skope.eval.pose import initialize
 from skope.eval.pose.ground import Ground
-from skope.eval.pose.observations import Mask, Observed
+from skope.eval.pose.observations import Observed
 from skope.eval.pose.optimize import Fits, refine
 from skope.eval.pose.shape_model import Shapes
 from skope.eval.pose.starts import Starts
-from skope.types import Array
+from skope.types import Array, Mask
 
 Kinds = NDArray[np.intp]
 

@@ -12,10 +12,10 @@ import numpy as np
 
 from skope.eval.pose import cauchy
 from skope.eval.pose.ground import Ground
-from skope.eval.pose.observations import NEAREST_M, Mask, Observed
+from skope.eval.pose.observations import NEAREST_M, Observed
 from skope.eval.pose.shape_model import Shapes
 from skope.eval.pose.starts import IMPOSSIBLE, Starts
-from skope.types import Array
+from skope.types import Array, Mask
 
 _MISFIT: Final = 0.12
 """Standard deviation of a keypoint from its type's mean, metres."""

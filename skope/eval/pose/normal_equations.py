@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skope import keypoints
-from skope.eval.pose.observations import Mask
-from skope.types import Array
+from skope.types import Array, Mask
 
 _POSE_STRIDE: Final = np.array([3.0, 3.0, 0.5])
 """A pose changes by so much at most in a step: heights of the camera, radians."""

@@ -9,9 +9,7 @@ from numpy.typing import NDArray
 
 from skope import keypoints
 from skope.camera.model import Camera
-from skope.types import Array
-
-Mask = NDArray[np.bool_]
+from skope.types import Array, Mask
 
 LEAST_PROBABILITY: Final = 0.2
 """Keypoints below this do not count."""

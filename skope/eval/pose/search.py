@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 from skope.camera.model import Camera
 from skope.eval.pose.candidates import FEWEST_KEYPOINTS, best_types, refined, starts_of
 from skope.eval.pose.ground import Ground
-from skope.eval.pose.observations import Mask, Observed
+from skope.eval.pose.observations import Observed
 from skope.eval.pose.optimize import Fits
 from skope.eval.pose.self_occlusion import facing
 from skope.eval.pose.shape_model import Shapes
 from skope.keypoints import FLIP, OTHER_END
-from skope.types import Array
+from skope.types import Array, Mask
 
 Rows = NDArray[np.intp]
 

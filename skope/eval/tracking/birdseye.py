@@ -11,13 +11,13 @@ from skope.camera.model import Camera
 from skope.eval.pose.ground import Ground
 from skope.eval.tracking import map_signs
 from skope.eval.tracking.ground_track import GroundTrack
-from skope.eval.tracking.ground_view import GroundView, Pixels
+from skope.eval.tracking.ground_view import GroundView
 from skope.eval.tracking.road_user_tracks import RoadUserTrack
 from skope.eval.tracking.tracks import Track
 from skope.files.atomic import replacing
 from skope.terminal.console import counted
 from skope.traffic.road_picture import RoadPicture
-from skope.types import Array
+from skope.types import Array, Pixels
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -17,9 +17,8 @@ from skope.eval.tracking.ground_view import GroundView
 from skope.eval.tracking.road_user_tracks import RoadUserTrack
 from skope.eval.tracking.tracks import Track
 from skope.pictures.draw import PALETTE
-from skope.types import Array
+from skope.types import Array, Pixels
 
-Pixels = NDArray[np.uint8]
 T = TypeVar("T", bound=GroundTrack)
 _LONGER_PX: Final = 1200
 """Pixels of the video's longer side."""

@@ -10,7 +10,6 @@ from typing import Final
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from skope.camera.model import Camera
 from skope.errors import UserError
@@ -19,9 +18,7 @@ from skope.eval.pose.records import corners_of, locate_view
 from skope.eval.pose.views import Scene, View
 from skope.eval.tracking.birdseye_video import write
 from skope.eval.tracking.empty_road import footage_of
-from skope.types import Array
-
-Pixels = NDArray[np.uint8]
+from skope.types import Array, Pixels
 
 _GRID_M: Final = (1, 2, 5, 10, 20, 50)
 """Distances of the grid's lines."""

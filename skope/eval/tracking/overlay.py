@@ -6,7 +6,6 @@ from typing import Final
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from skope.errors import UserError
 from skope.eval.inference.footage import open_footage
@@ -17,8 +16,7 @@ from skope.eval.tracking.road_user_tracks import RoadUserTrack
 from skope.eval.tracking.tracks import Track
 from skope.pictures.draw import PALETTE
 from skope.schema import AnnotationFile
-
-Pixels = NDArray[np.uint8]
+from skope.types import Pixels
 
 _LABELLED: Final = 0.05
 """Boxes that are longer than this share of the picture's width have words beside them: far ones lie close together."""

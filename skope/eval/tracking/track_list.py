@@ -8,11 +8,10 @@ import numpy as np
 
 from skope.boxes import xywh_to_xyxy
 from skope.eval.tracking import export, overlay
-from skope.eval.tracking.overlay import Pixels
 from skope.eval.tracking.road_user_tracks import RoadUserTrack
 from skope.eval.tracking.tracks import Track
 from skope.traffic.observation import Observation
-from skope.types import Array
+from skope.types import Array, Pixels
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -5,14 +5,12 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from skope.dataset.folder import Dataset
 from skope.errors import UserError
 from skope.pictures import draw
 from skope.schema import Annotation, Image, RoadUser
-
-Pixels = NDArray[np.uint8]
+from skope.types import Pixels
 
 LAYERS: Final = ("keypoints", "boxes_3d", "mask", "depth", "occlusion")
 """What can be drawn on an image."""

@@ -10,8 +10,8 @@ from skope.gen.scenery.build import scenery
 from skope.gen.towns.layout import HALF_VIEW_DEG, Layout
 from skope.gen.towns.regions import polygons
 from skope.gen.towns.town import Town
+from skope.types import Pixels
 
-Image = NDArray[np.uint8]
 RGB = tuple[int, int, int]
 
 MAP_LONGER_PX: Final = 1600
@@ -38,7 +38,7 @@ SPLITS: Final[dict[str, RGB]] = {
 }
 
 
-def town_map(town: Town) -> Image:
+def town_map(town: Town) -> Pixels:
     """(H, W, 3) RGB: north is up."""
     layout = Layout.of(town)
     x0, y0, x1, y1 = layout.graph.road.buffer(_MAP_FRAME_M).bounds

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from skope.gen.render.rain import FIELD, fallen
 from skope.gen.scene.random_streams import Stream
 from skope.gen.scene.recording import Recording
-
-Image = NDArray[np.uint8]
+from skope.types import Pixels
 
 _FLAKES: Final = 7000
 """Number of flakes in the field of a 1920x1080 image, in snow of 1 mm/h."""
@@ -38,7 +37,7 @@ class Snowfall:
             shutter = max(conditions.shutter_s, 0.002)
             self._field = _flake_field((camera.width, camera.height), round(conditions.snowfall_mm_h, 3), wind, shutter)
 
-    def fall(self, rgb: Image, frame: int) -> Image:
+    def fall(self, rgb: Pixels, frame: int) -> Pixels:
         """The picture (H, W, 3) of a frame with falling snow."""
         if self._field is None:
             return rgb
@@ -46,7 +45,7 @@ class Snowfall:
 
 
 @lru_cache(maxsize=2)
-def _flake_field(size: tuple[int, int], rate: float, wind: float, shutter: float) -> Image:
+def _flake_field(size: tuple[int, int], rate: float, wind: float, shutter: float) -> Pixels:
     """A field of flakes, each as long as it moves while the shutter is open."""
     width, height = (round(FIELD * side) for side in size)
     scale = size[0] / 1920

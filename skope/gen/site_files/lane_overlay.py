@@ -4,14 +4,12 @@ from typing import Final
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from skope.gen.towns.road_graph import RoadGraph, driven
 from skope.gen.towns.town import Town
 from skope.gen.towns.user_road import OwnRoad
-from skope.types import Array
+from skope.types import Array, Pixels
 
-Image = NDArray[np.uint8]
 _DRAWN_WITHIN_M: Final = 200.0
 """Distance up to which lanes are drawn, metres."""
 _SAMPLE_M: Final = 1.0
@@ -22,7 +20,7 @@ _LANE_COLORS, _ARROW, _OCCLUDER, _SHADE = (255, 200, 40), (60, 220, 255), (255, 
 _GREY: Final = 90
 
 
-def overlay(road: OwnRoad) -> Image:
+def overlay(road: OwnRoad) -> Pixels:
     """(H, W, 3) RGB: the photograph, or grey, with both edges of each lane, arrows along it, occluders and shades."""
     camera, graph = road.camera, RoadGraph.of(Town.of(road))
     size = (camera.width, camera.height)
@@ -52,7 +50,7 @@ def _along(line: Array) -> tuple[Array, Array]:
     return middle, left / np.hypot(*ahead.T)[:, None].clip(1e-9)
 
 
-def _draw(image: Image, road: OwnRoad, graph: RoadGraph, line: Array, color: tuple[int, int, int]) -> None:
+def _draw(image: Pixels, road: OwnRoad, graph: RoadGraph, line: Array, color: tuple[int, int, int]) -> None:
     """A line (N, 3) of the graph where it is before the camera."""
     pixels, depth, valid = road.camera.project(graph.world(line))
     near = valid & (depth < _DRAWN_WITHIN_M) & (np.abs(np.nan_to_num(pixels)) < 1e4).all(axis=-1)

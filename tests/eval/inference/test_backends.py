@@ -23,12 +23,13 @@ from skope.detector.checkpoint import find_checkpoint, load_weights
 from skope.detector.detect import detect, detect_on_boxes
 from skope.errors import UserError
 from skope.eval.inference.backends import eight_bits
-from skope.eval.inference.backends.network_parts import Floats, NetworkPart, Run, hand_over, parts_of
+from skope.eval.inference.backends.network_parts import NetworkPart, Run, hand_over, parts_of
 from skope.eval.inference.backends.prepare import prepare
 from skope.eval.inference.backends.region_pooling import RegionPooling
 from skope.eval.inference.backends.suppression import suppress_together
 from skope.schema import CATEGORIES
 from skope.terminal.console import Console
+from skope.types import Floats32
 
 PICTURE = Path(__file__).parents[3] / "docs" / "noon.jpg"
 """A generated junction by day; six of its vehicles stand clear of one another."""
@@ -125,7 +126,7 @@ def test_parts_handed_over_to_torch_itself_answer_as_before(random_run: Path, pi
     """Also in an image without vehicles, of which no region reaches the heads."""
 
     def by_itself(part: NetworkPart) -> Run:
-        def run(x: Floats) -> list[Floats]:
+        def run(x: Floats32) -> list[Floats32]:
             out = part.module(torch.from_numpy(x))
             return [one.numpy() for one in (out if isinstance(out, tuple) else (out,))]
 

@@ -12,17 +12,15 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Final
 
-import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor, nn
 from torchvision.models.detection import KeypointRCNN
 
 from skope.eval.inference.backends.handed_proposals import HandedProposals, PyramidWithProposals
 from skope.eval.inference.backends.region_pooling import RegionPooling
+from skope.types import Floats32
 
-Floats = NDArray[np.float32]
-Run = Callable[[Floats], list[Floats]]
+Run = Callable[[Floats32], list[Floats32]]
 """Computes a part: its input, (N, ...), to its outputs. They may be overwritten by the next call."""
 
 PYRAMID: Final = "pyramid"
