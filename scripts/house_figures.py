@@ -119,7 +119,9 @@ def modules(tree: Path) -> dict[str, Path]:
 
 
 def assigned(node: ast.stmt) -> list[str]:
-    """Names that a statement assigns to."""
+    """Names that a statement assigns to, but those of type variables, which are alike everywhere."""
+    if isinstance(node, ast.Assign) and ast.unparse(node.value).startswith("TypeVar("):
+        return []
     if isinstance(node, ast.AnnAssign):
         targets: list[ast.expr] = [node.target]
     else:

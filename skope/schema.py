@@ -36,7 +36,7 @@ VEHICLE_TYPES: Final = (
     "city_car", "hatchback", "sedan", "coupe", "wagon", "suv", "minivan", "pickup", "van", "box_truck", "bus", "truck",
     "articulated_truck", "articulated_bus", "other",
 )  # fmt: skip
-COLORS: Final = (
+VEHICLE_COLORS: Final = (
     "white", "black", "grey", "silver", "blue", "red", "brown", "green", "orange", "yellow", "gold", "purple", "other",
 )  # fmt: skip
 WEATHERS: Final = ("clear", "cloudy", "overcast", "rain", "after_rain", "fog", "snow")
@@ -230,7 +230,7 @@ class Annotation(Labelled):
             if isinstance(angle, bool) or not isinstance(angle, int | float) or not abs(angle) <= math.pi:
                 raise UserError(f"articulation: expected radians from -pi to pi, got {angle!r}")
         choice("vehicle_type", self.vehicle_type, VEHICLE_TYPES)
-        choice("color", self.color, COLORS)
+        choice("color", self.color, VEHICLE_COLORS)
 
     @property
     def num_keypoints(self) -> int:

@@ -32,7 +32,7 @@ from skope.gen.render.choose_renderer import RENDERERS
 from skope.gen.scene.conditions import TIMES_OF_DAY
 from skope.metrics.counts import LABELLED, PROTOCOLS
 from skope.metrics.match import BOX_KINDS
-from skope.metrics.read_inputs import SCHEMES
+from skope.metrics.read_inputs import RESULT_SCHEMES
 from skope.terminal import command_options
 from skope.terminal.command_options import Commands, option
 from skope.terminal.console import Console
@@ -169,7 +169,7 @@ CHOSEN = {
     "skope train --backbone": tuple(BACKBONES),
     "--labelled": LABELLED,
     "--boxes": (*BOX_KINDS, "given"),
-    "--scheme": SCHEMES,
+    "--scheme": RESULT_SCHEMES,
     "--protocol": PROTOCOLS,
     "--compare": ("paper",),
     "--precision": PRECISIONS,

@@ -65,7 +65,7 @@ def save_camera(path: str | Path, camera: "Camera | UncertainCamera | CameraEsti
         UserError: The file cannot be written, or holds something else.
     """
     from skope.camera.uncertain_camera import UncertainCamera
-    from skope.eval.pose.camera_unknowns import CAMERA
+    from skope.eval.pose.camera_unknowns import UNKNOWN_NAMES
     from skope.eval.pose.write_camera import write_camera
 
     if isinstance(camera, Camera):
@@ -74,6 +74,6 @@ def save_camera(path: str | Path, camera: "Camera | UncertainCamera | CameraEsti
         bare, known = camera.camera, {"covariance": camera.covariance_dict()}
     else:
         bare = camera.camera
-        known = {"covariance": {"of": list(CAMERA), "matrix": camera.covariance.tolist()}}
+        known = {"covariance": {"of": list(UNKNOWN_NAMES), "matrix": camera.covariance.tolist()}}
     for _ in write_camera(Path(path), bare, known):
         pass

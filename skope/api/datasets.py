@@ -103,7 +103,7 @@ def generate(
         # A program that goes on with torch crashes where Mesa's compiler (LLVM) was loaded before torchvision's.
         import torchvision  # noqa: F401
 
-    from skope.gen.cli.options import HOURS, WEATHERS, DatasetOptions, WorkerOptions
+    from skope.gen.cli.options import HOUR_CHOICES, WEATHER_CHOICES, DatasetOptions, WorkerOptions
     from skope.gen.pipeline.generate import generate_dataset
     from skope.terminal.console import Console
 
@@ -122,8 +122,8 @@ def generate(
         recordings=recordings,
         interval=interval,
         size=size if size is None or isinstance(size, str) else "{}x{}".format(*size),
-        weather=_names("weather", weather, WEATHERS),
-        time_of_day=_names("time_of_day", time_of_day, HOURS),
+        weather=_names("weather", weather, WEATHER_CHOICES),
+        time_of_day=_names("time_of_day", time_of_day, HOUR_CHOICES),
         settings=[f"{name}={_range(name, value)}" for name, value in (conditions or {}).items()] or None,
         depth=depth,
         seed=seed,

@@ -122,7 +122,9 @@ class Dataset:
             for shard in shards.shards_of(self.root, split)
             for labels in shards.labels_in(shard)
         )
-        return coco.assembled(rows, self.root / shards.FOLDER / f"{split}-*.tar", split, self.scheme, self.categories)
+        return coco.assembled(
+            rows, self.root / shards.SHARD_FOLDER / f"{split}-*.tar", split, self.scheme, self.categories
+        )
 
     def __iter__(self) -> Iterator[LabelledImage]:
         return (labelled for split in self.splits for labelled in self.images(split))

@@ -37,7 +37,7 @@ HEADS: Final = (8, 512, 1024)
 """Number and width of the layers of the keypoint head of torchvision's own model, and the width of its box head's."""
 BOX_CELLS: Final = 7
 """Cells along each side of a region as the box head sees it, as in torchvision's own model."""
-SIZES: Final[dict[str, tuple[int, int]]] = {
+SIZE_RANGES: Final[dict[str, tuple[int, int]]] = {
     "pyramid_width": (16, 512),
     "keypoint_layers": (1, 16),
     "keypoint_width": (16, 1024),
@@ -87,7 +87,7 @@ class DetectorConfig:
         one_of("norm", self.norm, NORMS)
         check_box_passes(self.box_passes)
         one_of("backbone", self.backbone, tuple(BACKBONES))
-        for name in SIZES:
+        for name in SIZE_RANGES:
             check_size(name, getattr(self, name))
         if isinstance(self.norm_eps, bool) or not isinstance(self.norm_eps, int | float) or not 0 <= self.norm_eps < 1:
             raise UserError(f"norm_eps: expected a number from 0 to 1, got {self.norm_eps!r}")
@@ -176,8 +176,8 @@ def check_box_passes(passes: int) -> None:
 
 
 def check_size(name: str, value: object) -> None:
-    """Raise a UserError unless a field of `SIZES` may have this value."""
-    low, high = SIZES[name]
+    """Raise a UserError unless a field of `SIZE_RANGES` may have this value."""
+    low, high = SIZE_RANGES[name]
     if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
         raise UserError(f"{name}: expected a whole number from {low} to {high}, got {value!r}")
 

@@ -20,7 +20,7 @@ from skope.types import Array, Pixels
 
 COARSE_WIDTH: Final = 160
 """Width of the pictures that are held against each other as a whole, pixels."""
-MOVED: Final = 0.006
+MOVED_SHARE: Final = 0.006
 """A view has moved by more than this share of the image's width, or has not."""
 _BLOCKS: Final = (6, 10)
 """Rows and columns of blocks in which pictures are compared: traffic hides some of them, not all."""

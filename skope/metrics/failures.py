@@ -17,7 +17,7 @@ from skope.types import Array, Integers
 ERROR_KINDS: Final = ("left_right", "front_rear", "jitter")
 """Kinds of wrong keypoints: where the other side's counterpart is, where the other end's is (of either side), and
 anywhere else."""
-RIGHT: Final = -1
+NOT_WRONG: Final = -1
 """Stands in place of a kind for a keypoint that is not wrong."""
 LEFT_RIGHT, FRONT_REAR, JITTER = range(len(ERROR_KINDS))
 
@@ -28,7 +28,7 @@ def wrong_points(matches: Matches, outcomes: Outcomes, options: Options) -> Inte
     A keypoint is wrong when it is labelled and farther than alpha L from its place. It is swapped when it lies within
     alpha L of a counterpart whose place is known (v > 0); of several, the nearest names the kind.
     """
-    kinds = np.full(outcomes.labelled.shape, RIGHT, dtype=np.int64)
+    kinds = np.full(outcomes.labelled.shape, NOT_WRONG, dtype=np.int64)
     wrong = outcomes.labelled & outcomes.predicted & ~outcomes.correct(options.alpha)
     kinds[wrong] = JITTER
     if options.scheme.name != keypoints.SCHEME:  # which keypoints are counterparts is known of skope33 alone

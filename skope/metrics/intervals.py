@@ -23,7 +23,7 @@ BLOCK_S: Final = 10.0
 """Length of a block of the only recording, seconds."""
 ENOUGH_SITES: Final = 3
 """So many sites make sites the blocks."""
-LEVEL: Final = 0.95
+INTERVAL_LEVEL: Final = 0.95
 """Probability that an interval claims to hold the figure."""
 
 Interval = tuple[float, float] | None
@@ -47,7 +47,7 @@ class Blocks:
 
     def to_dict(self) -> dict[str, Any]:
         """What the intervals come from, as `metrics.json` says it."""
-        return {"unit": self.unit, "blocks": self.count, "sites": self.sites, "level": LEVEL}
+        return {"unit": self.unit, "blocks": self.count, "sites": self.sites, "level": INTERVAL_LEVEL}
 
 
 def blocks_of(images: Sequence[Image]) -> Blocks:
@@ -112,13 +112,13 @@ def student(freedom: int) -> float:
 
     Exact for one and two degrees of freedom, else to 0.2% (G. W. Hill, 1970).
     """
-    outside, n = 1 - LEVEL, float(freedom)
+    outside, n = 1 - INTERVAL_LEVEL, float(freedom)
     if freedom == 1:
-        return math.tan(math.pi / 2 * LEVEL)
+        return math.tan(math.pi / 2 * INTERVAL_LEVEL)
     if freedom == 2:
         return math.sqrt(2 / (outside * (2 - outside)) - 2)
     # Hill's expansion about the normal distribution (Cornish and Fisher's series in 1/n).
-    z = NormalDist().inv_cdf((1 + LEVEL) / 2)
+    z = NormalDist().inv_cdf((1 + INTERVAL_LEVEL) / 2)
     terms = (
         (z**3 + z) / 4,
         (5 * z**5 + 16 * z**3 + 3 * z) / 96,

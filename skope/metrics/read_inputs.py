@@ -18,7 +18,7 @@ from skope.schema import AnnotationFile, AnyResult, Found, Result, RoadUserResul
 
 F = TypeVar("F", bound=Found)
 
-SCHEMES: Final = (keypoints.SCHEME, *keypoints.FOREIGN_SCHEMES)
+RESULT_SCHEMES: Final = (keypoints.SCHEME, *keypoints.FOREIGN_SCHEMES)
 """Keypoint schemes of results that can be held against ours."""
 TEST_SPLITS: Final = ("easy", "medium", "hard", "extra")
 
@@ -75,7 +75,7 @@ def read_annotations(path: Path) -> GroundTruth:
 
 def scheme_points(scheme: str, truth: Scheme = keypoints.SKOPE33) -> tuple[int, ...]:
     """The truth's indices of the keypoints that a detector of `scheme` predicts too; a UserError lists the schemes."""
-    one_of("--scheme", scheme, SCHEMES if truth.name == keypoints.SCHEME else (truth.name,))
+    one_of("--scheme", scheme, RESULT_SCHEMES if truth.name == keypoints.SCHEME else (truth.name,))
     if scheme == truth.name:
         return tuple(range(keypoints.K))
     return tuple(sorted(keypoints.FOREIGN_SCHEMES[scheme].values()))

@@ -75,7 +75,7 @@ class Augment:
     def apply(self, pixels: Pixels, vehicles: Vehicles, rng: np.random.Generator) -> tuple[Pixels, Vehicles]:
         """The image and its vehicles after the steps that the generator picks."""
         clean = rng.random() < self.clean
-        for name, step in STEPS.items():
+        for name, step in AUGMENT_STEPS.items():
             # Drawn for every step, so that one step's probability changes no other step.
             chosen, step_rng = rng.random() < getattr(self, name), np.random.default_rng(rng.integers(2**63))
             if chosen and (name in _GEOMETRY or not clean):
@@ -300,6 +300,8 @@ _PHOTOMETRIC: Final = {
     "video": _video,
 }
 """Changes that leave every pixel where it is."""
-STEPS: Final = MappingProxyType({**_GEOMETRY, **{name: _photometric(change) for name, change in _PHOTOMETRIC.items()}})
+AUGMENT_STEPS: Final = MappingProxyType(
+    {**_GEOMETRY, **{name: _photometric(change) for name, change in _PHOTOMETRIC.items()}}
+)
 """The steps by name, in the order of nature: the scene, its light, the lens and sensor, then the encoder."""
-assert (*STEPS, "clean") == tuple(field.name for field in fields(Augment))
+assert (*AUGMENT_STEPS, "clean") == tuple(field.name for field in fields(Augment))

@@ -48,7 +48,7 @@ _BEGINS: Final[dict[str, Callable[[bytes], bool]]] = {
 }
 """Whether a file may be of a format, by its first bytes: a zip archive; the field ir_version; the header's length, then
 the header."""
-IMAGES: Final = 64
+SAMPLE_IMAGES: Final = 64
 """Of a dataset, that tell what the layers' inputs are."""
 OUTPUTS: Final = ("boxes", "scores", "keypoints", "keypoint_scores")
 CATEGORIES_OUTPUT: Final = "categories"
@@ -166,7 +166,7 @@ def export(checkpoint: Path, to: str, out: Path | None, *, data: Path | None = N
 def _moments(model: KeypointRCNN, data: Path, categories: Sequence[str], console: Console) -> dict[str, Tensor]:
     """Second moments of the layers' inputs on some of a dataset's training images, where a GPU is there on it."""
     opened = open_dataset(data)
-    images = image_selection.take(opened.read(SPLIT), IMAGES).images
+    images = image_selection.take(opened.read(SPLIT), SAMPLE_IMAGES).images
     pixels = map(opened.image, images)
     seen = console.bar(pixels, total=len(images), unit="image", label="layers' inputs")
     return input_moments.gather(model.to(choose_device("auto")), seen, categories)

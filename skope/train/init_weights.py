@@ -60,8 +60,8 @@ def initialise(
             backbone trained on ImageNet if it lies in that cache, else random ones; never from the internet. `coco`
             and `imagenet`: downloaded where they are not there. `random`. Anything else is what `find_checkpoint`
             takes: a checkpoint of skope or of torchvision.
-        norm: Normalisation, one of `skope.train.recipe.NORMS`. `given` is frozen for trained weights and learns for
-            random ones, as in torchvision.
+        norm: Normalisation, one of `skope.train.recipe.NORM_CHOICES`. `given` is frozen for trained weights and learns
+            for random ones, as in torchvision.
         min_size: Short side of the images inside the network, pixels; None: that of the first weights if they are a
             checkpoint of skope, else that of `SMALL_SIZE`.
         max_size: Largest long side of the images inside the network, pixels; None: likewise.

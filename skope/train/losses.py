@@ -67,7 +67,8 @@ def detection_losses(
         teacher: A detector whose answers are learnt, too.
 
     Returns:
-        The losses by torchvision's names, and those of `skope.train.teacher.LOSSES` if there is one: float32 scalars.
+        The losses by torchvision's names, and those of `skope.train.teacher.TEACHER_LOSSES` if there is one: float32
+        scalars.
     """
     images, before = network_images(model.transform, pixels)
     batch = TargetBatch.of(

@@ -20,7 +20,7 @@ _ADDED: Final = ("anchors", "average", "box_passes", "cosine_to", "ignore_below"
 """Values that the recipes of older runs lack, and have as the recipe `paper` does."""
 SMALL_SIZE: Final = (360, 640)
 """Short and largest long side of images inside the network where two cores are to learn from them, pixels."""
-NORMS: Final = ("given", "frozen", "batch")
+NORM_CHOICES: Final = ("given", "frozen", "batch")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,7 +91,7 @@ class Recipe:
 
     def __post_init__(self) -> None:
         one_of("supervise", self.supervise, SUPERVISE)
-        one_of("norm", self.norm, NORMS)
+        one_of("norm", self.norm, NORM_CHOICES)
         for name in self.exclude_types:
             one_of("exclude_types", name, VEHICLE_TYPES)
         for name in ("epochs", "batch_size", "step_size", "images_at_once", "regions", "keypoint_regions"):

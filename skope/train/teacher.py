@@ -23,7 +23,7 @@ from skope.train.fold_batchnorm import fold_norms
 from skope.train.target_batch import Size
 from skope.train.teacher_rules import TeacherRules
 
-LOSSES: Final = ("loss_teacher_classes", "loss_teacher_boxes", "loss_teacher_keypoints")
+TEACHER_LOSSES: Final = ("loss_teacher_classes", "loss_teacher_boxes", "loss_teacher_keypoints")
 """Names of the losses that a teacher adds."""
 _BETA: Final = 1 / 9
 """Error of a box's offset from which the loss grows linearly, as where labels are learnt."""

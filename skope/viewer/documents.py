@@ -20,9 +20,9 @@ from skope.viewer import vehicle_filters
 from skope.viewer.collection import Collection, ShownSplit
 from skope.viewer.pictures import Picture
 
-STEPS: Final = 1000
+SCORE_STEPS: Final = 1000
 """Score thresholds are whole numbers from 0 to this, so that browser and server mean the same."""
-_THRESHOLDS: Final = np.arange(STEPS + 1) / STEPS
+_THRESHOLDS: Final = np.arange(SCORE_STEPS + 1) / SCORE_STEPS
 _KEPT_THRESHOLDS: Final = 8
 """Score thresholds whose counts are kept."""
 _FACETS: Final[dict[str, Callable[[Image], str | None]]] = {
@@ -191,7 +191,7 @@ class _SplitDocuments:
         Quality is None where nothing is labelled. Without ground truth there are detections only.
         """
         assert self._options
-        options = replace(self._options, score=step / STEPS)
+        options = replace(self._options, score=step / SCORE_STEPS)
         matches = match_split(self._split.file, self._split.results, options)
         outcomes = counts.outcomes_at(matches, options.loosest, options)
         tally = counts.tally(matches, options.loosest, options)

@@ -10,7 +10,7 @@ from skope.metrics.breakdown import HEIGHTS_PX, OCCLUSION_EDGES, band_names
 from skope.metrics.match import box_of
 from skope.schema import VEHICLE_TYPES, Annotation
 
-UNKNOWN: Final = "unknown"
+UNKNOWN_VALUE: Final = "unknown"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -21,8 +21,8 @@ class Quality:
     values: Sequence[str]
 
 
-TYPE: Final = Quality(name="vehicle type", values=(*VEHICLE_TYPES, UNKNOWN))
-OCCLUSION: Final = Quality(name="hidden share", values=(*band_names(OCCLUSION_EDGES, "1"), UNKNOWN))
+TYPE: Final = Quality(name="vehicle type", values=(*VEHICLE_TYPES, UNKNOWN_VALUE))
+OCCLUSION: Final = Quality(name="hidden share", values=(*band_names(OCCLUSION_EDGES, "1"), UNKNOWN_VALUE))
 HEIGHT_QUALITY: Final = Quality(name="height, px", values=tuple(band_names(HEIGHTS_PX)))
 QUALITIES: Final = (TYPE, OCCLUSION, HEIGHT_QUALITY)
 
@@ -34,7 +34,7 @@ def kind_number(vehicle: Annotation, boxes: str) -> int:
     """
     height = float(box_of(vehicle, boxes)[3])
     places = (
-        TYPE.values.index(vehicle.vehicle_type or UNKNOWN),
+        TYPE.values.index(vehicle.vehicle_type or UNKNOWN_VALUE),
         _band(vehicle.occlusion, OCCLUSION_EDGES, OCCLUSION),
         _band(height, HEIGHTS_PX, HEIGHT_QUALITY),
     )

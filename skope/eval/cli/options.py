@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 data_option, counts, output, machine = map(panel, ("Data", "What counts", "Output", "Machine"))
 
 PAPER = "paper"
-PROTOCOLS = ("pooled", PAPER)
+PROTOCOL_CHOICES = ("pooled", PAPER)
 """How figures of images become one: sums over the split, or the mean of each image's as in the paper."""
 
 BackendOption = Annotated[

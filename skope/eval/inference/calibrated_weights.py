@@ -22,7 +22,7 @@ from skope.metrics.match import match
 from skope.schema import CATEGORY_ID, AnnotationFile, Result
 from skope.types import Array
 
-LEAST: Final = 0.02
+LEAST_SCORE: Final = 0.02
 """Detections above this score are learnt from."""
 FOUND_IOU: Final = 0.5
 """A vehicle is found by a detection whose box overlaps its own by so much."""
@@ -33,11 +33,11 @@ _FLATTEST: Final = 1e-3
 
 
 def vehicle_outcomes(file: AnnotationFile, results: Sequence[Result]) -> tuple[Array, NDArray[np.bool_]]:
-    """Scores of detections above `LEAST` and whether each found a vehicle, (D,) each.
+    """Scores of detections above `LEAST_SCORE` and whether each found a vehicle, (D,) each.
 
     A second detection of a vehicle found none; those on ignored vehicles are left out.
     """
-    matches = match(file, results, score=LEAST, thresholds=(FOUND_IOU,))
+    matches = match(file, results, score=LEAST_SCORE, thresholds=(FOUND_IOU,))
     right = matches.taken[FOUND_IOU] >= 0
     counts = right | ~matches.det_on_ignored
     return matches.det_score[counts], right[counts]

@@ -7,7 +7,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from skope.eval.image_shift import MOVED, ImageMotion, ReferencePicture
+from skope.eval.image_shift import MOVED_SHARE, ImageMotion, ReferencePicture
 from skope.eval.inference.view_changes import ViewChange, changes
 from skope.eval.pose.camera_motion import CameraMotion
 from skope.schema import Image
@@ -112,7 +112,7 @@ class SwayRecord:
         means = (sums[ends] - sums[: len(times)]) / np.maximum(ends - np.arange(len(times)), 1)[:, None]
         out, begin = list[ViewChange](), 0
         while begin < len(times) and whole[begin]:
-            away = np.linalg.norm(means - means[begin], axis=1) > MOVED * self.width
+            away = np.linalg.norm(means - means[begin], axis=1) > MOVED_SHARE * self.width
             later = np.flatnonzero(away & whole & (np.arange(len(times)) > begin))
             if not len(later):
                 break
@@ -120,7 +120,7 @@ class SwayRecord:
             at = low + _split(places[low : np.searchsorted(times, times[later[0]] + 2 * _AROUND_S)])
             if whole[at]:
                 shift = float(np.linalg.norm(means[at] - places[low:at].mean(axis=0))) / self.width
-                if shift > MOVED:
+                if shift > MOVED_SHARE:
                     out.append(ViewChange(float(times[at]), cut=False, shift=shift))
             begin = max(at, begin + 1)
         return out

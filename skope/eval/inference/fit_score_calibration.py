@@ -13,7 +13,7 @@ from skope.detector.checkpoint import checkpoint_bytes, find_checkpoint, load_we
 from skope.detector.weights import shipped
 from skope.errors import UserError
 from skope.eval.inference import calibrated_weights, score_calibration
-from skope.eval.inference.predictor import CALIBRATED, Predictor
+from skope.eval.inference.predictor import CALIBRATED_KEY, Predictor
 from skope.eval.inference.score_calibration import ALPHA, CALIBRATION_IOU
 from skope.eval.inference.settings import Settings
 from skope.files.output_folders import check_file, work_of, write_new
@@ -24,7 +24,7 @@ from skope.schema import AnnotationFile
 from skope.terminal.console import Console
 from skope.types import Array
 
-TRAIN: Final = "train"
+TRAIN_SPLIT: Final = "train"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,7 +55,7 @@ def calibrate(job: CalibrationJob, console: Console) -> Path:
         check_file(job.out, lambda head: head[8:9] == b"{")
     elif shipped(weights):
         raise UserError(f"--checkpoint {job.checkpoint}: comes with skope; copy {weights} and calibrate the copy")
-    least = job.score if job.out is None else min(job.score, calibrated_weights.LEAST)
+    least = job.score if job.out is None else min(job.score, calibrated_weights.LEAST_SCORE)
     predictor = Predictor.load(weights, replace(job.settings, calibrated=False, min_score=least), console)
     truth = read_inputs.read_dataset(job.data, [job.split])
     predictor.check_scheme(truth.scheme, job.data)
@@ -101,7 +101,7 @@ def calibrate(job: CalibrationJob, console: Console) -> Path:
     _tell("vehicles", scores, calibrated_weights.calibrated(scores, *vehicles), hits, console)
     model, config, metadata = load_weights(weights, "cpu")
     calibrated_weights.fold(model, vehicles, fitted)
-    content = checkpoint_bytes(model, config, {**metadata, CALIBRATED: fitted_on})
+    content = checkpoint_bytes(model, config, {**metadata, CALIBRATED_KEY: fitted_on})
     write_new(job.out, content)
     return job.out
 
@@ -131,7 +131,7 @@ def _share(job: CalibrationJob, metadata: dict[str, Any]) -> float:
         if not 0 < job.last <= 1:
             raise UserError(f"--last: expected a share above 0 and up to 1, got {job.last}")
         return job.last
-    if job.split != TRAIN:
+    if job.split != TRAIN_SPLIT:
         return 1.0
     recipe = metadata.get("run", {}).get("recipe", {})
     kept = recipe.get("val_fraction")
@@ -145,6 +145,6 @@ def _share(job: CalibrationJob, metadata: dict[str, Any]) -> float:
 
 def _taken(job: CalibrationJob, file: AnnotationFile, share: float) -> AnnotationFile:
     """What the scores are fitted to: nothing that was learnt from, unless `--last` asks for it."""
-    if job.last is not None or job.split != TRAIN:
+    if job.last is not None or job.split != TRAIN_SPLIT:
         return last_frames(file, share)
     return ignoring(*held_back(file, share))

@@ -23,7 +23,7 @@ from skope.files import safe_names
 from skope.schema import Image
 from skope.types import Pixels
 
-IMAGES: Final = (".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp", ".ppm", ".pgm")
+IMAGE_SUFFIXES: Final = (".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp", ".ppm", ".pgm")
 _GLOB_CHARS: Final = frozenset("*?[")
 _SAME_S: Final = 5e-4
 """Times that differ by less are the same: containers count in thousandths of a second, or finer."""
@@ -235,10 +235,10 @@ def open_footage(source: str, cut: Cut | None = None) -> Footage:
 def _on_this_machine(source: str, cut: Cut) -> Footage:
     path = Path(source)
     if path.is_dir():
-        images = (p for p in path.iterdir() if p.suffix.lower() in IMAGES and not p.name.startswith("."))
+        images = (p for p in path.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES and not p.name.startswith("."))
         found = sorted(images, key=safe_names.counting_order)
         if not found:
-            raise UserError(f"{source}: no images in it ({', '.join(IMAGES)})")
+            raise UserError(f"{source}: no images in it ({', '.join(IMAGE_SUFFIXES)})")
         return Footage(path.name, cut, images=tuple(found))
     if not path.exists() and _GLOB_CHARS & set(source):
         matches = map(Path, glob.glob(source, recursive=True))  # noqa: PTH207 (absolute patterns too)
@@ -248,7 +248,7 @@ def _on_this_machine(source: str, cut: Cut) -> Footage:
         return Footage("images", cut, images=tuple(found))
     if not path.is_file():
         raise UserError(f"{source}: no such file or folder")
-    if path.suffix.lower() in IMAGES:
+    if path.suffix.lower() in IMAGE_SUFFIXES:
         return Footage(path.stem, cut, images=(path,))
     return Footage(path.stem, cut, clip=_open_clip(source))
 

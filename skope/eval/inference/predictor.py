@@ -36,7 +36,7 @@ from skope.types import Pixels
 
 T = TypeVar("T")
 
-CALIBRATED: Final = "calibrated"
+CALIBRATED_KEY: Final = "calibrated"
 """Key of a checkpoint's metadata under which it says what its own scores were calibrated on."""
 _GPU_BATCH: Final = 8
 """Images that go through the network together on a GPU; a CPU gains nothing from batches."""
@@ -148,7 +148,7 @@ class Predictor:
     @property
     def calibrated(self) -> bool:
         """Whether keypoint scores are probabilities that were fitted for these weights, or by these weights."""
-        return self._calibration is not None or CALIBRATED in self.metadata
+        return self._calibration is not None or CALIBRATED_KEY in self.metadata
 
     @property
     def categories(self) -> tuple[str, ...]:

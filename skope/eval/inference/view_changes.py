@@ -13,7 +13,7 @@ from typing import Any, Final
 import cv2
 import numpy as np
 
-from skope.eval.image_shift import MOVED, coarse_shift, edges, small_grey
+from skope.eval.image_shift import MOVED_SHARE, coarse_shift, edges, small_grey
 from skope.schema import Image
 from skope.types import Array, Pixels
 
@@ -75,7 +75,7 @@ def changes(looks: Sequence[tuple[float, str]], stays: Callable[[float], bool] =
             reference = shown
             continue
         moved = _moved(reference, shown)
-        if moved is not None and moved <= MOVED:
+        if moved is not None and moved <= MOVED_SHARE:
             pending = []
             continue
         # What is pending counts as one change only while it shows one view.
@@ -94,7 +94,7 @@ def changes(looks: Sequence[tuple[float, str]], stays: Callable[[float], bool] =
 
 def _shows(one: Array, other: Array) -> bool:
     moved = _moved(one, other)
-    return moved is not None and moved <= MOVED
+    return moved is not None and moved <= MOVED_SHARE
 
 
 def _packed(pixels: Pixels) -> str:

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from skope import keypoints
 from skope.eval.pose import cauchy, initialize
-from skope.eval.pose.camera_unknowns import CAMERA, FOCAL, HEIGHT, Pictured, by_camera, camera_of
+from skope.eval.pose.camera_unknowns import FOCAL, HEIGHT, UNKNOWN_NAMES, Pictured, by_camera, camera_of
 from skope.eval.pose.ground import Ground
 from skope.eval.pose.normal_equations import Linearised, Parts, summed
 from skope.eval.pose.observations import LEAST_PROBABILITY, observe
@@ -68,7 +68,7 @@ _GROUPS: Final = sorted({tuple(sorted((i, other))) for i, other in enumerate(key
 """Keypoints with their mirror images; those in the vehicle's middle are their own."""
 _GROUP: Final = np.array([next(g for g, pair in enumerate(_GROUPS) if i in pair) for i in range(keypoints.K)])
 _SIDE_SIGNS: Final = np.array([-1.0 if name.endswith("_right") else 1.0 for name in keypoints.NAMES])
-_UNKNOWNS: Final = len(CAMERA) + 3 * len(_GROUPS)
+_UNKNOWNS: Final = len(UNKNOWN_NAMES) + 3 * len(_GROUPS)
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,7 +100,7 @@ class VehicleViews:
 class Known:
     """What is known of a camera before any vehicle is looked at: cameras hang level, lenses distort a little."""
 
-    center: Array = field(default_factory=lambda: np.zeros(len(CAMERA)))
+    center: Array = field(default_factory=lambda: np.zeros(len(UNKNOWN_NAMES)))
     """(5,) of the unknowns."""
     sigma: Array = field(default_factory=lambda: np.array([np.inf, np.inf, math.radians(3.0), np.inf, 0.05]))
     """(5,) standard deviations about that; inf for what is free, 0 for what stays as it begins."""
@@ -110,7 +110,7 @@ class Known:
 
         `offset_sigma` (G, 3) are the standard deviations of the keypoints' offsets, metres.
         """
-        camera = np.divide(1.0, self.sigma**2, out=np.zeros(len(CAMERA)), where=self.sigma > 0)
+        camera = np.divide(1.0, self.sigma**2, out=np.zeros(len(UNKNOWN_NAMES)), where=self.sigma > 0)
         return np.concatenate([camera, 1 / offset_sigma.ravel() ** 2])
 
 
@@ -129,8 +129,8 @@ class Bundle:
 
     @property
     def camera(self) -> Array:
-        """(5,) as `CAMERA` names them."""
-        return self.shared[: len(CAMERA)]
+        """(5,) as `UNKNOWN_NAMES` names them."""
+        return self.shared[: len(UNKNOWN_NAMES)]
 
     def moved(self, shared: Array, shape: Array, pose: Array) -> Self:
         """A step away."""
@@ -174,9 +174,9 @@ class Solved:
         prior = np.diag(self.precision)
         inverse = np.linalg.inv(self.information.sum(axis=0) + prior)
         apart = self.pull - self.pull.mean(axis=0)
-        few = len(apart) / max(1, len(apart) - len(CAMERA))
+        few = len(apart) / max(1, len(apart) - len(UNKNOWN_NAMES))
         whole = inverse @ (few * apart.T @ apart + prior) @ inverse
-        return np.asarray(whole[: len(CAMERA), : len(CAMERA)])
+        return np.asarray(whole[: len(UNKNOWN_NAMES), : len(UNKNOWN_NAMES)])
 
 
 class BundleAdjustment:
@@ -187,7 +187,7 @@ class BundleAdjustment:
         known = known or Known()
         self._views, self._shapes = views, views.shapes
         self._directions = np.moveaxis(views.shapes.directions[:, :, :-1], 1, -1)  # (T, 33, 3, M)
-        rest = _UNKNOWNS - len(CAMERA)
+        rest = _UNKNOWNS - len(UNKNOWN_NAMES)
         self._free = np.flatnonzero(np.concatenate([known.sigma > 0, np.ones(rest, dtype=bool)]))
         self._center = np.concatenate([known.center, np.zeros(rest)])
         self._seen = views.found[..., 2] >= LEAST_PROBABILITY
@@ -282,7 +282,7 @@ class BundleAdjustment:
         pull = parts.pull.sum(axis=0) + self._prior * (shared - self._center)
         step = np.zeros(_UNKNOWNS)
         step[self._free] = -np.linalg.solve(normal[np.ix_(self._free, self._free)], pull[self._free])
-        step[: len(CAMERA)] = np.clip(step[: len(CAMERA)], -_STRIDE, _STRIDE)
+        step[: len(UNKNOWN_NAMES)] = np.clip(step[: len(UNKNOWN_NAMES)], -_STRIDE, _STRIDE)
         return step
 
     def _total(self, here: Linearised, bundle: Bundle) -> float:
@@ -360,9 +360,9 @@ class BundleAdjustment:
         elif by == "shared":
             by_shared = np.zeros((*away.shape, _UNKNOWNS))
             # Places are multiples of the height, and grow with it.
-            by_shared[..., : len(CAMERA)] = by_camera(camera, views.size, world, foot)
+            by_shared[..., : len(UNKNOWN_NAMES)] = by_camera(camera, views.size, world, foot)
             mirrored = np.stack([np.ones_like(_SIDE_SIGNS), _SIDE_SIGNS, np.ones_like(_SIDE_SIGNS)], axis=-1)
-            column = len(CAMERA) + 3 * _GROUP[:, None] + np.arange(3)
+            column = len(UNKNOWN_NAMES) + 3 * _GROUP[:, None] + np.arange(3)
             for k in range(keypoints.K):
                 by_shared[:, k, :, column[k]] = np.moveaxis(by_body[:, k] * mirrored[k], -1, 0)
         return Linearised.of(squared, vehicle_cost, weight, away, by_pose, by_shape, by_shared)
@@ -379,6 +379,6 @@ def _offset_sigma(edition: int) -> Array:
 
 def _offsets(shared: Array) -> Array:
     """(33, 3) the offset of each keypoint in the vehicle frame, metres."""
-    offsets = shared[len(CAMERA) :].reshape(-1, 3)[_GROUP]
+    offsets = shared[len(UNKNOWN_NAMES) :].reshape(-1, 3)[_GROUP]
     offsets[:, 1] *= _SIDE_SIGNS
     return np.asarray(offsets)

@@ -20,7 +20,7 @@ from skope.eval.pose.solver import Poses
 from skope.files.json_files import read_json
 from skope.types import Array
 
-CALIBRATED: Final = "camera_calibrated"
+CALIBRATED_FIELD: Final = "camera_calibrated"
 """Under this name `skope eval predict` hands on of which seconds of which footage their camera was calibrated."""
 COVARIANCE: Final = "camera_covariance"
 """Under this name `skope eval predict` hands on, in the `info` of its frames, how well their camera is known."""
@@ -34,7 +34,7 @@ def camera_info(path: Path) -> dict[str, Any]:
     seconds = calibrated_seconds(path)
     return {
         **({COVARIANCE: known.covariance_dict()} if known else {}),
-        **({CALIBRATED: seconds} if seconds else {}),
+        **({CALIBRATED_FIELD: seconds} if seconds else {}),
     }
 
 

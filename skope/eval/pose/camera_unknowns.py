@@ -12,9 +12,9 @@ from skope.camera.model import Camera, Distortion
 from skope.eval.pose.observations import NEAREST_M
 from skope.types import Array, Mask
 
-CAMERA: Final = ("log_focal", "pitch", "roll", "log_height", "k1")
+UNKNOWN_NAMES: Final = ("log_focal", "pitch", "roll", "log_height", "k1")
 """The camera's unknowns: natural logarithms of pixels and metres, radians."""
-FOCAL, PITCH, ROLL, HEIGHT, K1 = range(len(CAMERA))
+FOCAL, PITCH, ROLL, HEIGHT, K1 = range(len(UNKNOWN_NAMES))
 UNKNOWN_STEP: Final = 1e-4
 """Step of the differences that tell derivatives by the camera's unknowns."""
 _LEAST_FALL: Final = 1e-3

@@ -58,7 +58,7 @@ class Rival:
     """Another camera that the search has come to."""
 
     unknowns: Array
-    """(5,) as `skope.eval.pose.camera_unknowns.CAMERA` names them."""
+    """(5,) as `skope.eval.pose.camera_unknowns.UNKNOWN_NAMES` names them."""
     behind: float
     """How much less likely it is, twice the log likelihood."""
 
@@ -71,7 +71,7 @@ class CameraEstimate:
     solved: Solved
     views: VehicleViews
     covariance: Array
-    """(5, 5) of the unknowns that `skope.eval.pose.camera_unknowns.CAMERA` names."""
+    """(5, 5) of the unknowns that `skope.eval.pose.camera_unknowns.UNKNOWN_NAMES` names."""
     unevenness: float
     """How far the views lie off the road, as `BundleAdjustment.unevenness` says; 0.3 to 0.5 on level ones."""
     rival: Rival | None

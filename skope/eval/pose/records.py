@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from skope.camera.model import Camera
 from skope.eval.pose.camera_error import with_camera_error
-from skope.eval.pose.camera_motion import MOVED
+from skope.eval.pose.camera_motion import MOVED_REASON
 from skope.eval.pose.solver import Poses, locate
 from skope.eval.pose.views import Scene, View
 from skope.files.atomic import replacing
@@ -59,7 +59,7 @@ def locate_view(view: View, scene: Scene) -> Located:
     )
     # From frame to frame another error: unlike the calibration's, it is part of what tells places apart.
     poses = with_camera_error(poses, scene.sway_in(image), scene.road_in(image))
-    return Located(view, camera, poses if found.all() else poses.among(found, MOVED if moved else INTERPOLATED))
+    return Located(view, camera, poses if found.all() else poses.among(found, MOVED_REASON if moved else INTERPOLATED))
 
 
 def corners_of(T_world_vehicle: Array, size_lwh: Array) -> Array:

@@ -32,7 +32,7 @@ from skope.types import Array
 REFUSALS: Final = ("few_keypoints", "on_a_line", "no_fit", "inconsistent", "uncertain")
 """Why a vehicle has no pose: fewer keypoints than a pose needs; keypoints on one line; nothing in front of the camera
 fits; more than 60% of the keypoints contradict the rest; the covariance says that the answer is worth nothing."""
-FLAGS: Final = (*EXCHANGES, "outliers", "heading_in_doubt", "end_in_doubt", "cut")
+POSE_FLAGS: Final = (*EXCHANGES, "outliers", "heading_in_doubt", "end_in_doubt", "cut")
 """What a pose should be distrusted for: keypoints that fit only with left and right, or front and rear, or both taken
 for each other; some keypoints left out; another heading fits about as well; the keypoints that are seen belong to the
 end that faces away from the camera; the image shows a part of the vehicle only."""
@@ -88,7 +88,7 @@ class Poses:
     refusal: tuple[str | None, ...]
     """(N,) one of `REFUSALS` for a vehicle without a pose, else None."""
     flags: tuple[tuple[str, ...], ...]
-    """(N,) those of `FLAGS` that hold for each vehicle."""
+    """(N,) those of `POSE_FLAGS` that hold for each vehicle."""
 
     def __len__(self) -> int:
         return len(self.types)

@@ -18,7 +18,7 @@ from skope.dataset.camera_of_file import read_camera, sized
 from skope.dataset.folder import CHANGES, FRAMES, PREDICTIONS
 from skope.dataset.image_selection import part as part_of
 from skope.errors import UserError
-from skope.eval.pose.camera_error import CALIBRATED, calibrated_seconds, camera_of_info
+from skope.eval.pose.camera_error import CALIBRATED_FIELD, calibrated_seconds, camera_of_info
 from skope.eval.pose.camera_motion import CameraMotion, motion_of_info
 from skope.eval.pose.ground import Ground
 from skope.eval.pose.shape_model import Shapes, fleet_shapes
@@ -291,7 +291,7 @@ def read_scene(
             road = None if ground is None else Ground(height=ground)
             return Scene(file, results, None, road, left_out, users, motion=motion)
         read, posed, known = None, True, camera_of_info(file.name, file.info, shown)
-        seconds = file.info.get(CALIBRATED)
+        seconds = file.info.get(CALIBRATED_FIELD)
     else:
         read, posed = read_camera(camera, _size(file))
         shown, known, seconds = read, read_uncertain_camera(camera), calibrated_seconds(camera)

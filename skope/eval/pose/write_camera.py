@@ -14,7 +14,7 @@ from skope.errors import UserError
 from skope.eval.pose import fit_camera
 from skope.eval.pose.bundle_adjustment import Known
 from skope.eval.pose.camera_doubts import sigma_of_ways, why_not
-from skope.eval.pose.camera_unknowns import CAMERA, FOCAL, HEIGHT
+from skope.eval.pose.camera_unknowns import FOCAL, HEIGHT, UNKNOWN_NAMES
 from skope.eval.pose.fit_camera import CameraEstimate
 from skope.eval.pose.known_lengths import KnownLength, corrected
 from skope.eval.pose.vehicle_sample import sample
@@ -107,7 +107,7 @@ def from_vehicles(
     besides = {
         "vehicles": fit.vehicles,
         "sigma": sigma,
-        "covariance": {"of": list(CAMERA), "matrix": fit.covariance.tolist()},
+        "covariance": {"of": list(UNKNOWN_NAMES), "matrix": fit.covariance.tolist()},
         "calibrated": {"from": told, **_part_of(scene)},
     }
     yield from write_camera(out, fit.camera, besides)

@@ -7,7 +7,7 @@ from typing import Any, Final
 
 from skope.eval.report import curves
 from skope.eval.report.gallery import gallery
-from skope.eval.report.table import COLUMNS, SIZES, category_rows, evidence, published_row, row_of
+from skope.eval.report.table import AREA_WORDS, FIGURE_COLUMNS, category_rows, evidence, published_row, row_of
 from skope.metrics.counts import PROTOCOLS, Options
 from skope.metrics.precision_recall import AT_PRECISION
 from skope.metrics.road_users import AP50_IOU
@@ -168,7 +168,12 @@ def _figures(document: Mapping[str, Any], protocol: str, beside: Mapping[str, An
 def _categories(splits: Mapping[str, Any]) -> str:
     """Figures of other road users than vehicles; nothing where none are labelled."""
     rows = [
-        [escape(split), name, SIZES[size], *(str(figures[key]) for key in ("ground_truth", "ignored", "detections"))]
+        [
+            escape(split),
+            name,
+            AREA_WORDS[size],
+            *(str(figures[key]) for key in ("ground_truth", "ignored", "detections")),
+        ]
         + [plain(figures[key]) for key in ("precision", "recall", "ap", "ap50")]
         for split, entry in splits.items()
         for name, size, figures in category_rows(entry)
@@ -203,7 +208,7 @@ def _table(document: Mapping[str, Any], protocol: str, beside: Mapping[str, Any]
             if beside and protocol == "paper":
                 theirs = [_cell(v, None, i == 0) for i, v in enumerate(published_row(beside, name, t))]
                 rows.append([escape(f"{name}, IoU {t}: published"), *theirs])
-    assert len(_TITLES) == len(COLUMNS) + 1
+    assert len(_TITLES) == len(FIGURE_COLUMNS) + 1
     return table(
         ("split, threshold", *_TITLES), rows, caption=f"Protocol {protocol}, with 95% intervals", sortable=True
     )

@@ -17,7 +17,7 @@ _MEANING: Final = {
     "pooled": "pooled (over the whole split; the one to decide by)",
     "paper": "paper (mean of each image's own figures, as published; `pooled` is the one to decide by)",
 }
-COLUMNS: Final = ("box_precision", "box_recall", "keypoint_precision", "keypoint_recall")
+FIGURE_COLUMNS: Final = ("box_precision", "box_recall", "keypoint_precision", "keypoint_recall")
 _SHORT: Final = ("box Pr", "box Re", "keypoint Pr", "keypoint Re")
 _MARGIN_CHARS: Final = 5
 _BLOCK_CHARS: Final = len(" 100.00  0.000 0.000  0.000 0.000")
@@ -82,14 +82,14 @@ def _group(
 
 
 def row_of(figures: Mapping[str, Any], protocol: str) -> list[Any]:
-    """PCK and the four figures of `COLUMNS` at one threshold, or their intervals."""
-    return [figures["pck"], *(figures[name][protocol] for name in COLUMNS)]
+    """PCK and the four figures of `FIGURE_COLUMNS` at one threshold, or their intervals."""
+    return [figures["pck"], *(figures[name][protocol] for name in FIGURE_COLUMNS)]
 
 
 def published_row(table: Mapping[str, Any], split: str, threshold: str) -> list[float | None]:
     """A published table's figures in the order of `row_of`; None where it has no such split or threshold."""
     row = table["splits"].get(split, {}).get(threshold)
-    return list(row) if row else [None] * (1 + len(COLUMNS))
+    return list(row) if row else [None] * (1 + len(FIGURE_COLUMNS))
 
 
 def _cells(values: Sequence[float | None]) -> str:
@@ -109,7 +109,7 @@ def _counts(splits: Mapping[str, Any], score: float) -> list[str]:
     return text_table([*head, "box AP", "box AP50", "keypoint AP", "keypoint AP50", *recalls], rows)
 
 
-SIZES: Final = {"all": "all", "small": "under 32x32 px", "medium": "to 96x96 px", "large": "larger"}
+AREA_WORDS: Final = {"all": "all", "small": "under 32x32 px", "medium": "to 96x96 px", "large": "larger"}
 """COCO's ranges of areas in words."""
 
 
@@ -124,7 +124,7 @@ def category_rows(entry: Mapping[str, Any]) -> Iterator[tuple[str, str, Mapping[
 def _categories(splits: Mapping[str, Any], score: float) -> list[str]:
     """The other road users by category and size; nothing where the ground truth labels none."""
     rows = [
-        [split, name, SIZES[size], figures["ground_truth"], figures["ignored"], figures["detections"]]
+        [split, name, AREA_WORDS[size], figures["ground_truth"], figures["ignored"], figures["detections"]]
         + [number(figures[key]) for key in ("precision", "recall", "ap", "ap50")]
         for split, entry in splits.items()
         for name, size, figures in category_rows(entry)

@@ -131,9 +131,9 @@ def _write_heading(
     if road_users:
         kinds = [name for name in map_signs.ROAD_USERS if any(track.category == name for track in road_users)]
         words = f"dotted: {', '.join(kinds)}, as in road_users.csv"
-        figure.text(_MAP_PLACE["right"], 1 - 0.36 / height, words, fontsize=9, color=map_signs.FAINT, ha="right")
-    figure.text(place, 1 - 0.36 / height, heading, fontsize=14, weight="bold", color=map_signs.INK)
-    figure.text(place, 1 - 0.63 / height, note, fontsize=9, color=map_signs.FAINT)
+        figure.text(_MAP_PLACE["right"], 1 - 0.36 / height, words, fontsize=9, color=map_signs.FAINT_COLOR, ha="right")
+    figure.text(place, 1 - 0.36 / height, heading, fontsize=14, weight="bold", color=map_signs.INK_COLOR)
+    figure.text(place, 1 - 0.63 / height, note, fontsize=9, color=map_signs.FAINT_COLOR)
 
 
 def extent(tracks: Sequence[GroundTrack], camera_xy: Array) -> tuple[Array, Array]:
@@ -181,7 +181,7 @@ def _draw_view(axes: "Axes", view: GroundView, road: Pixels | None) -> None:
             y,
             view.seen.astype(float),
             levels=[0.5],
-            colors=map_signs.CAMERA,
+            colors=map_signs.CAMERA_COLOR,
             linewidths=1.0,
             linestyles="dashed",
             zorder=1,
@@ -232,6 +232,6 @@ def _draw_vehicle(axes: "Axes", track: Track, i: int, color: Any) -> None:
 
     outline, wedge = map_signs.corners(track, i, map_signs.OUTLINE), map_signs.corners(track, i, _WEDGE)
     axes.add_patch(
-        Polygon(outline, facecolor=color, edgecolor=map_signs.INK, linewidth=1.2, joinstyle="round", zorder=6)
+        Polygon(outline, facecolor=color, edgecolor=map_signs.INK_COLOR, linewidth=1.2, joinstyle="round", zorder=6)
     )
     axes.add_patch(Polygon(wedge, facecolor="white", edgecolor="none", zorder=7))

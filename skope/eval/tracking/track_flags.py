@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from skope.eval.tracking.tracks import Track
 from skope.types import Array
 
-FLAGS: Final = ("two_poses", "never_moved", "impossible_motion", "against_traffic")
+TRACK_FLAGS: Final = ("two_poses", "never_moved", "impossible_motion", "against_traffic")
 """Only two poses tell of it; it never moved, and may be a sign as well as a parked car; it was cut out of a track that
 moves as nothing on wheels does, as where two vehicles have one track; all others drive the other way where it does."""
 
@@ -35,7 +35,7 @@ _OPPOSITE: Final = math.radians(150)
 
 
 def flagged(tracks: Sequence[Track]) -> list[Track]:
-    """The tracks, each with those of `FLAGS` that hold, numbered from 1 by their first frames.
+    """The tracks, each with those of `TRACK_FLAGS` that hold, numbered from 1 by their first frames.
 
     Tracks are cut where they accelerate, brake or turn harder than tyres can.
     """
@@ -51,7 +51,7 @@ def flagged(tracks: Sequence[Track]) -> list[Track]:
             "impossible_motion": "impossible_motion" in track.flags,
             "against_traffic": track.number in against,
         }
-        out.append(replace(track, flags=tuple(name for name in FLAGS if holds[name])))
+        out.append(replace(track, flags=tuple(name for name in TRACK_FLAGS if holds[name])))
     return out
 
 

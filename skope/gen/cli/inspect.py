@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from skope.files.output_folders import replaceable_output
-from skope.gen.cli.options import HOURS, WEATHERS, RendererOption, WorkerOptions, camera, output, traffic
+from skope.gen.cli.options import HOUR_CHOICES, WEATHER_CHOICES, RendererOption, WorkerOptions, camera, output, traffic
 from skope.terminal.command_options import (
     DATA,
     DIR,
@@ -196,12 +196,14 @@ def video(
     weather: Annotated[
         str | None,
         camera(
-            choices=WEATHERS,
+            choices=WEATHER_CHOICES,
             help="Weather.",
             show_default="the site's",
         ),
     ] = None,
-    time_of_day: Annotated[str | None, camera(choices=HOURS, help="Time of day.", show_default="the site's")] = None,
+    time_of_day: Annotated[
+        str | None, camera(choices=HOUR_CHOICES, help="Time of day.", show_default="the site's")
+    ] = None,
     road_users: Annotated[
         bool, traffic("--road-users", help="Label people on foot and on two wheels too, and draw more of them.")
     ] = False,

@@ -21,8 +21,8 @@ labels = panel("Labels")
 output = panel("Output")
 machine = panel("Machine")
 
-WEATHERS: Final = ("clear", "cloudy", "overcast", "rain", "after_rain", "fog", "snow")
-HOURS: Final = ("noon", "low_sun", "dawn", "dusk", "night")
+WEATHER_CHOICES: Final = ("clear", "cloudy", "overcast", "rain", "after_rain", "fog", "snow")
+HOUR_CHOICES: Final = ("noon", "low_sun", "dawn", "dusk", "night")
 
 RendererOption = Annotated[
     str, machine(choices=("auto", "gl", "pybullet"), help="What draws the images; auto: gl where OpenGL can be had.")
@@ -96,7 +96,7 @@ class DatasetOptions:
     weather: Annotated[
         str | None,
         camera(
-            choices=WEATHERS,
+            choices=WEATHER_CHOICES,
             several=True,
             help="Draw each recording's weather from these.",
             show_default="the sites' and preset's",
@@ -105,7 +105,7 @@ class DatasetOptions:
     time_of_day: Annotated[
         str | None,
         camera(
-            choices=HOURS,
+            choices=HOUR_CHOICES,
             several=True,
             help="Draw each recording's hour from these.",
             show_default="the sites' and preset's",

@@ -21,7 +21,7 @@ MEMBERS: Final = 2_000_000
 RATIO: Final = 200
 """Most times its packed size that a member larger than `FREE` may unpack to."""
 FREE: Final = 1 << 20
-LARGEST: Final = 64 << 30
+LARGEST_MEMBER_BYTES: Final = 64 << 30
 """Bytes of the largest member."""
 _CHUNK_BYTES: Final = 1 << 20
 _UTF8: Final = 0x800
@@ -71,7 +71,7 @@ class Archive:
     def extract(self, name: str, target: Path) -> None:
         """Write a member to a file."""
         with replacing(target) as temporary, temporary.open("wb") as file:
-            file.writelines(self._chunks(name, LARGEST))
+            file.writelines(self._chunks(name, LARGEST_MEMBER_BYTES))
 
     def _chunks(self, name: str, limit: int) -> Iterator[bytes]:
         if name not in self._infos:

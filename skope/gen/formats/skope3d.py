@@ -41,7 +41,7 @@ SCENES: Final = "scenes.csv"
 """File beside exported archives: split, site and recording of each scene."""
 POINT_MAP_FILE: Final = "map.json"
 """File beside exported archives: names of the keypoints that their numbers stand for."""
-CORNERS: Final = np.array(list(itertools.product((-0.5, 0.5), repeat=3)))
+ARCHIVE_CORNERS: Final = np.array(list(itertools.product((-0.5, 0.5), repeat=3)))
 """(8, 3) corners of the unit box, in the order of exported archives: back before front, right before left, below before
 above."""
 
@@ -290,7 +290,7 @@ def _corners(vehicle: Annotation, image: Image) -> Array:
         return vehicle.box_3d_pixels
     if vehicle.box_3d is not None and image.camera is not None:
         box = vehicle.box_3d
-        pixels, _, valid = image.camera.project(CORNERS * box.size_lwh @ box.R.T + box.center)
+        pixels, _, valid = image.camera.project(ARCHIVE_CORNERS * box.size_lwh @ box.R.T + box.center)
         if valid.all():
             return pixels
     return np.full((8, 2), _NOWHERE)

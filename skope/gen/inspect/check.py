@@ -79,7 +79,7 @@ def check(dataset: Dataset) -> Iterator[Finding]:
     counts, others = Counter[str](), Counter[tuple[str, str]]()
     seen = _Seen(own="own" in dataset.card.get("parameters", {}) and bool(dataset.card["parameters"]["own"]))
     for split in dataset.splits:
-        name = f"{shards.FOLDER}/{split}-*.tar" if dataset.sharded else f"annotations/{split}.json"
+        name = f"{shards.SHARD_FOLDER}/{split}-*.tar" if dataset.sharded else f"annotations/{split}.json"
         try:
             file = dataset.read(split)
         except UserError as error:
@@ -173,7 +173,7 @@ def _check_manifest(dataset: Dataset) -> Iterator[Finding]:
                 yield Finding(name, "sha256: its bytes are not those that were written", image)
         except UserError as error:
             yield Finding(name, str(error).removeprefix(f"{path}: "), image)
-    folders = ("images", "depth", "recordings", "annotations", shards.FOLDER)
+    folders = ("images", "depth", "recordings", "annotations", shards.SHARD_FOLDER)
     found = (path for folder in folders for path in (dataset.root / folder).rglob("*") if path.is_file())
     for name in sorted(path.relative_to(dataset.root).as_posix() for path in found):
         if name not in sums and not added_by_system(name):

@@ -29,7 +29,7 @@ _GROUND, _WALK, _ROAD_COLORS, _DECK, _ISLAND = (
     (188, 202, 168),
 )
 _HOUSE, _TREE, _TEXT = (196, 168, 148), (150, 180, 130), (30, 30, 34)
-SPLITS: Final[dict[str, RGB]] = {
+SPLIT_RGB: Final[dict[str, RGB]] = {
     "train": (40, 110, 200),
     "easy": (50, 150, 70),
     "medium": (220, 140, 30),
@@ -76,11 +76,11 @@ def town_map(town: Town) -> Pixels:
     for site in layout.sites:
         angle = np.radians(site.yaw_deg + np.linspace(-HALF_VIEW_DEG, HALF_VIEW_DEG, 24))
         rim = np.array(site.position[:2]) + VIEW * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-        cv2.fillPoly(cones, [pixels([site.position[:2], *rim])], SPLITS[site.split], cv2.LINE_AA, _PIXEL_SHIFT_BITS)
+        cv2.fillPoly(cones, [pixels([site.position[:2], *rim])], SPLIT_RGB[site.split], cv2.LINE_AA, _PIXEL_SHIFT_BITS)
     image = cv2.addWeighted(cones, 0.35, image, 0.65, 0.0)
     for site in layout.sites:
         x, y = (pixels(site.position) // 2**_PIXEL_SHIFT_BITS).tolist()
-        cv2.circle(image, (x, y), 7, SPLITS[site.split], -1, cv2.LINE_AA)
+        cv2.circle(image, (x, y), 7, SPLIT_RGB[site.split], -1, cv2.LINE_AA)
         cv2.circle(image, (x, y), 7, (255, 255, 255), 2, cv2.LINE_AA)
         label = f"{site.name} ({site.split})"
         width = cv2.getTextSize(label, cv2.FONT_HERSHEY_SIMPLEX, 0.55, 1)[0][0]

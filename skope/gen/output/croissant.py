@@ -160,7 +160,7 @@ def _shards(sums: Mapping[str, str]) -> Json:
     return {
         "distribution": [
             *(_file(path, sums, "application/x-tar") for path in sums if path.endswith(".tar")),
-            _set("shard-indices", f"{shards.FOLDER}/*.json", "application/json", description),
+            _set("shard-indices", f"{shards.SHARD_FOLDER}/*.json", "application/json", description),
             _set("recordings-files", "recordings/*.npz", _MIME[".npz"], _FOLDERS["recordings/*"]),
         ]
     }

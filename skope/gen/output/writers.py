@@ -137,7 +137,7 @@ class ShardWriter(DatasetWriter):
     def add(self, split: str, frames: Iterable[FrameFiles]) -> None:
         number = self._numbers.get(split, 0)
         self._numbers[split] = number + 1
-        path = Path(shards.FOLDER) / f"{split}-{number:06d}.tar"
+        path = Path(shards.SHARD_FOLDER) / f"{split}-{number:06d}.tar"
         shard, loose = self.root / path, list[Path]()
         members = self._members(path, split, frames, loose)
         if shard.with_suffix(".json").is_file():
@@ -205,7 +205,7 @@ def unpack_shards(root: Path) -> None:
 
     A shard without its index was not finished: its frames are still loose files.
     """
-    for shard in sorted((root / shards.FOLDER).glob("*.tar")):
+    for shard in sorted((root / shards.SHARD_FOLDER).glob("*.tar")):
         for name in shards.members_of(shard):
             stem, _, suffix = name.partition(".")
             kind, ending = ("depth", suffix[len("depth.") :]) if suffix.startswith("depth.") else ("images", suffix)

@@ -23,7 +23,7 @@ from skope.gen.traffic.sumo import step_for
 from skope.gen.vehicles.fleet import fleet
 from skope.schema import WEATHERS
 
-HEAVY: Final = frozenset(("bus", "truck", "box_truck", "articulated_truck", "articulated_bus"))
+HEAVY_TYPES: Final = frozenset(("bus", "truck", "box_truck", "articulated_truck", "articulated_bus"))
 """Types of vehicles that a split may have a share of (`heavy` in `presets.toml`)."""
 
 
@@ -195,7 +195,7 @@ class DatasetRequest:
         heavy = [
             name
             for name, entry in models.items()
-            if entry.vehicle.vehicle_type in HEAVY and not (learnt and entry.held_out)
+            if entry.vehicle.vehicle_type in HEAVY_TYPES and not (learnt and entry.held_out)
         ]
         return {"vehicles": tuple(heavy), "vehicle_share": share}
 

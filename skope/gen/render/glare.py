@@ -21,9 +21,9 @@ from skope.gen.scene.recording import Moment
 from skope.gen.scenery.build import Scenery
 from skope.types import Array
 
-COARSE: Final = 4
+GLARE_CELL_PX: Final = 4
 """Pixels of the image per cell of the grid, on each axis."""
-HAZY: Final = 2000.0
+HAZE_GLARE_M: Final = 2000.0
 """Lamps glare by day too when the visibility is below this, metres."""
 _STREET_LIGHT: Final = 0.9
 _SIGNAL: Final = 0.4
@@ -46,11 +46,11 @@ class Glare:
         """`depth` is that of the scenery."""
         self._camera, self._signals = camera, town.signals
         self._dark = conditions.sun_elevation_deg < DARK_DEG
-        self.seen = self._dark or conditions.visibility_m < HAZY
+        self.seen = self._dark or conditions.visibility_m < HAZE_GLARE_M
         self._strength = conditions.glare * (1.0 if self._dark else 0.25)
         self._dirt = conditions.lens_dirt
         self._scatter = 3.0 / conditions.visibility_m
-        shape = (-(-camera.height // COARSE), -(-camera.width // COARSE), 3)
+        shape = (-(-camera.height // GLARE_CELL_PX), -(-camera.width // GLARE_CELL_PX), 3)
         self._still = np.zeros(shape, dtype=np.float32)
         if self._dark and conditions.street_lighting > 0:
             color = tuple(temperature_color(conditions.street_light_k).tolist())
@@ -78,9 +78,11 @@ class Glare:
             light += _SMEARED * self._dirt * _far_around(light)
         veil = np.rint(255 * np.sqrt(1 - np.exp(-1.6 * light))).astype(np.uint8)
         rows = np.flatnonzero(veil.any(axis=(1, 2)))
-        first, end = COARSE * int(rows[0]), min(COARSE * int(rows[-1] + 1), rgb.shape[0])
+        first, end = GLARE_CELL_PX * int(rows[0]), min(GLARE_CELL_PX * int(rows[-1] + 1), rgb.shape[0])
         veil = veil[rows[0] : rows[-1] + 1]
-        veil = cv2.resize(veil, (COARSE * veil.shape[1], COARSE * veil.shape[0]), interpolation=cv2.INTER_LINEAR)
+        veil = cv2.resize(
+            veil, (GLARE_CELL_PX * veil.shape[1], GLARE_CELL_PX * veil.shape[0]), interpolation=cv2.INTER_LINEAR
+        )
         veil, under = veil[: end - first, : rgb.shape[1]], rgb[first:end]
         # Screened: what is bright already has less to gain.
         cv2.add(under, cv2.multiply(veil, cv2.bitwise_not(under), scale=1 / 255), dst=under)
@@ -108,10 +110,10 @@ class Glare:
             color = np.array(lamp.color, dtype=np.float32)
             scale = camera.width / 1920
             through = float(np.exp(-self._scatter * away))
-            _add_spread_light(light, pixels[i] / COARSE, 2.2 * scale, strength * through * color)
+            _add_spread_light(light, pixels[i] / GLARE_CELL_PX, 2.2 * scale, strength * through * color)
             # Drops of fog send light on in about its own direction.
             halo = strength * (1 - np.exp(-self._scatter * min(away, 60.0))) * 0.5
-            _add_spread_light(light, pixels[i] / COARSE, 11.0 * scale, halo * color)
+            _add_spread_light(light, pixels[i] / GLARE_CELL_PX, 11.0 * scale, halo * color)
 
     @staticmethod
     def _is_hidden(

@@ -38,7 +38,7 @@ from skope.types import Array
 Slices = tuple[slice, slice]
 
 FINE: Final = 3
-FAR_PLANE_M: Final = 1200.0
+TINY_FAR_PLANE_M: Final = 1200.0
 SHADOW: Final = 0.45
 """Share of the light that a vehicle's shadow takes from the road."""
 WET_LOSS: Final = 0.4
@@ -125,8 +125,8 @@ class _Stage:
         projection[0, 0], projection[0, 2] = 2 * fx / width, 1 - 2 * cx / width
         projection[1, 1], projection[1, 2] = 2 * fy / height, 2 * cy / height - 1
         projection[2, 2:] = (
-            -(FAR_PLANE_M + CLIP_DEPTH_M) / (FAR_PLANE_M - CLIP_DEPTH_M),
-            -2 * FAR_PLANE_M * CLIP_DEPTH_M / (FAR_PLANE_M - CLIP_DEPTH_M),
+            -(TINY_FAR_PLANE_M + CLIP_DEPTH_M) / (TINY_FAR_PLANE_M - CLIP_DEPTH_M),
+            -2 * TINY_FAR_PLANE_M * CLIP_DEPTH_M / (TINY_FAR_PLANE_M - CLIP_DEPTH_M),
         )
         projection[3, 2] = -1
         view = np.diag([1.0, -1.0, -1.0, 1.0]) @ T_camera_stage
@@ -147,7 +147,7 @@ class _Stage:
         )
         part = np.reshape(np.asarray(segmentation, dtype=np.int32), (height, width))
         depth = np.reshape(np.asarray(buffer, dtype=np.float64), (height, width))
-        z = FAR_PLANE_M * CLIP_DEPTH_M / (FAR_PLANE_M - (FAR_PLANE_M - CLIP_DEPTH_M) * depth)
+        z = TINY_FAR_PLANE_M * CLIP_DEPTH_M / (TINY_FAR_PLANE_M - (TINY_FAR_PLANE_M - CLIP_DEPTH_M) * depth)
         rgb = np.reshape(np.asarray(rgba, dtype=np.uint8), (height, width, 4))[..., :3]
         through = np.exp(-light.haze_density * z).astype(np.float32)[..., None]
         rgb = (rgb * through + 255 * np.array(light.horizon, np.float32) * (1 - through)).astype(np.uint8)

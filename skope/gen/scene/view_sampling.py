@@ -33,7 +33,7 @@ ENOUGH: Final = 20.0
 """Vehicles in view on average, from which more of them make a view no more likely."""
 LEAST_VIEW_ROAD_M: Final = 8.0
 """Least length of lanes that a view must show, metres: a camera over a single vehicle sees little more."""
-LARGEST: Final = (0.1, 0.7)
+LARGEST_VEHICLE_SHARE: Final = (0.1, 0.7)
 """Range of the height of the largest vehicle in a frame, as a share of the image's; drawn evenly in its logarithm."""
 _CLOSE: Final = 0.3
 """Standard deviation of the logarithm of that height around what is wanted."""
@@ -108,7 +108,7 @@ class ViewSampler:
             UserError: No camera was found that sees enough road and none of a test site's.
         """
         empty = rng.random() < EMPTY_SHARE
-        wanted = math.exp(rng.uniform(*np.log(LARGEST)))
+        wanted = math.exp(rng.uniform(*np.log(LARGEST_VEHICLE_SHARE)))
         vehicles = traffic[np.isfinite(traffic[..., 0])]
         found: list[tuple[PlacedCamera, float]] = []
         for _ in range(CANDIDATES):

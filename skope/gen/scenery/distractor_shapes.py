@@ -262,7 +262,7 @@ def wall_panel(width: float, height: float, rng: np.random.Generator) -> Mesh:
     return out.mesh()
 
 
-STANDING: Final[Mapping[Callable[[np.random.Generator], Mesh], float]] = {
+STANDING_OBJECTS: Final[Mapping[Callable[[np.random.Generator], Mesh], float]] = {
     billboard: 4.0,
     poster_stand: 2.5,
     shipping_container: 2.0,

@@ -12,7 +12,7 @@ from shapely import LineString, Polygon
 from shapely.ops import unary_union
 
 from skope.gen.mesh import Mesh
-from skope.gen.scenery.distractor_shapes import STANDING, wall_panel
+from skope.gen.scenery.distractor_shapes import STANDING_OBJECTS, wall_panel
 from skope.gen.scenery.houses import House, covered
 from skope.gen.towns.layout import Layout
 from skope.gen.towns.regions import rectangle
@@ -33,7 +33,7 @@ OPEN_VIEW_M: Final = 24.0
 """Nothing stands in a camera's view of road that is nearer to it than this, metres."""
 ON_WALLS: Final = 0.4
 """Share of them that hangs on walls."""
-STEEP: Final = 0.3
+LARGEST_FALL_M: Final = 0.3
 """Largest fall of the ground under one, metres."""
 _TRIES: Final = 40
 PLACE_SPACING_M: Final = 2.5
@@ -61,7 +61,7 @@ def distractors(
     room = _Room(layout, unary_union([blocked, covered(near).buffer(0.4)]), standing)
     views = [_View.of(mast, layout) for mast in town.variant.masts or map(_mast_at, sites_of(town))]
     along_roads, walls = _Roadside(layout, views), _Walls(views, near)
-    kinds, shares = list(STANDING), np.array(list(STANDING.values()))
+    kinds, shares = list(STANDING_OBJECTS), np.array(list(STANDING_OBJECTS.values()))
     for _ in range(town.variant.distractors):
         view = int(rng.integers(len(views)))
         if rng.random() < ON_WALLS and (panel := walls.draw(view, room, rng)):
@@ -142,7 +142,7 @@ class _Room:
         middle = (low + high)[:2] / 2 @ np.array([[c, s], [-s, c]]) + place
         footprint = rectangle(middle, heading, *size[:2])
         heights = self._layout.ground.beside(np.array(footprint.exterior.coords))
-        if np.ptp(heights) > STEEP or self._blocked.intersects(footprint):
+        if np.ptp(heights) > LARGEST_FALL_M or self._blocked.intersects(footprint):
             return False
         if len(self._obstacles.query(footprint.buffer(0.1), predicate="intersects")):
             return False

@@ -22,7 +22,7 @@ from skope.types import Array
 
 HOUSE_VIEW_M: Final = 38.0
 """Houses do not stand in a camera's view of road that is nearer to it than this, metres."""
-STEEP: Final = 2.2
+HOUSE_FALL_M: Final = 2.2
 """Largest fall of the ground under a house, metres; nothing is built on steeper ground."""
 
 _BRICKS: Final = ("brick", "brick_brown", "brick_buff", "brick_painted")
@@ -135,7 +135,7 @@ class Taken:
     def has_room_for(self, house: House) -> bool:
         """Whether a house fits, with its car park; if so their place is taken."""
         footprint = house.footprint
-        if house.floor - house.footing > STEEP:
+        if house.floor - house.footing > HOUSE_FALL_M:
             return False
         if house.kind.parking:
             x, y = house.size[0] / 2, house.size[1] / 2

@@ -48,7 +48,7 @@ class Pose:
     """(4, 4, 4) front right, front left, rear right, rear left; y is the axle, pointing left."""
     velocity: Array
     """(3,) of the carrier in the world, m/s."""
-    T_world_trailer: Array = field(default_factory=lambda: trailer_motion.NONE)
+    T_world_trailer: Array = field(default_factory=lambda: trailer_motion.NO_TRAILER)
     """(3, 4, 4) a trailer and its wheels rear right, rear left, as in `skope.gen.scene.recording.Moment`."""
 
 

@@ -203,7 +203,7 @@ class Recorder:
         for name, other in others.items():
             if self._distance(other.T_world_body[:2, 3].tolist()) < SIMULATED_WITHIN_M:
                 parts, look = other.part_poses, other.body.look.to_dict()
-                more = np.concatenate([parts[4:], trailer_motion.NONE[: 7 - len(parts)]])
+                more = np.concatenate([parts[4:], trailer_motion.NO_TRAILER[: 7 - len(parts)]])
                 pose = Pose(other.T_world_body, parts[:4], other.velocity, more)
                 dark = bool(self._always)
                 lamps = _rider_lamps(other.body.kind, name, dark) if other.body.jointed else self._always

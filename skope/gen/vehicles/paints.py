@@ -10,7 +10,7 @@ import numpy as np
 from skope.gen.vehicles.fleet import ParametricVehicle, fleet, parametric
 from skope.gen.vehicles.model import Vehicle
 from skope.gen.vehicles.user_models import AddedVehicle
-from skope.schema import COLORS
+from skope.schema import VEHICLE_COLORS
 from skope.types import Array
 
 
@@ -24,7 +24,7 @@ class Paint(NamedTuple):
     livery: tuple[int, int, int]
     """sRGB of parts in a second colour: a stripe, a box, the lower half."""
     color: str
-    """Name of the colour in annotations: one of `skope.schema.COLORS`."""
+    """Name of the colour in annotations: one of `skope.schema.VEHICLE_COLORS`."""
     palette: str
 
 
@@ -200,7 +200,7 @@ def draw_paint(vehicle: Vehicle, rng: np.random.Generator, *, shades: bool = Fal
     return names[rng.choice(len(names), p=shares / shares.sum())]
 
 
-assert {paint.color for paint in PAINTS.values()} <= set(COLORS)
+assert {paint.color for paint in PAINTS.values()} <= set(VEHICLE_COLORS)
 assert {parametric(model).style.palette for model in fleet()} == {paint.palette for paint in PAINTS.values()} - {
     "shades"
 }

@@ -19,7 +19,7 @@ from skope.gen.vehicles.mirrors import arm_mirror
 from skope.gen.vehicles.panels import grown, rectangle
 from skope.gen.vehicles.shape import Shape, VehicleStyle
 from skope.gen.vehicles.truck_faces import draw_face
-from skope.gen.vehicles.upright_shells import ARCH, Tower, arch, corner_w
+from skope.gen.vehicles.upright_shells import ARCH_RADIUS_WHEELS, Tower, arch, corner_w
 from skope.types import Array
 
 _BODY_GAP_M = 0.09
@@ -148,13 +148,13 @@ class TruckBody:
             second = rectangle(self.cab_rear + 0.25, behind - 0.1, base + 0.02, top - 0.02)
             cab.paint(grown(second, 0.035), SIDE, "trim", facing=LEFT_AXIS)
             cab.paint(second, SIDE, "glass", facing=LEFT_AXIS)
-        sill = s.wheel_radius * (1 + ARCH) + 0.04
+        sill = s.wheel_radius * (1 + ARCH_RADIUS_WHEELS) + 0.04
         for x in (ahead - 0.02, behind):
             cab.line([(x, sill), (x, top + 0.06)], SIDE, width=0.014, facing=LEFT_AXIS)
         cab.line([(ahead, sill), (behind, sill)], SIDE, width=0.014, facing=LEFT_AXIS)
         x, z = behind + 0.14, base - 0.16
         self._parts.append(parts.handle((x, cab.side(np.array([x, z])), z), "trim"))
-        step = s.front_axle_x + ARCH * s.wheel_radius
+        step = s.front_axle_x + ARCH_RADIUS_WHEELS * s.wheel_radius
         if self.face - step > 0.5:
             for z in (s.clearance + 0.18, s.clearance + 0.45):
                 tread = rectangle(step + 0.06, self.face - 0.22, z, z + 0.1)

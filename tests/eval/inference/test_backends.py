@@ -255,7 +255,7 @@ def test_an_old_or_broken_runtime_is_one_line_and_auto_says_so(
         "pip install 'skope[openvino]'"
     )
     layers = activation_ranges.rounded_layers(model)
-    ranges = {activation_ranges.KEY: {name: [0.0, 1.0] for name in layers}}
+    ranges = {activation_ranges.RANGES_KEY: {name: [0.0, 1.0] for name in layers}}
     monkeypatch.setattr("skope.eval.inference.backends.prepare.has_bfloat16", lambda _: False)
     said = Said()
     assert prepare(model, ranges, CPU, backend="auto", precision="auto", console=said) == "float32"
@@ -276,7 +276,7 @@ def test_number_formats_that_are_not_there(model: KeypointRCNN) -> None:
     assert refusal(model, backend="onnx", precision="int8") == "--precision int8: backend onnx has float32"
     assert refusal(model, backend="torch", precision="int8") == "--precision int8: backend torch has bfloat16, float32"
     assert "the checkpoint does not say how large its layers' inputs become" in refusal(model, precision="int8")
-    damaged = {activation_ranges.KEY: {"backbone": [0, 1]}}
+    damaged = {activation_ranges.RANGES_KEY: {"backbone": [0, 1]}}
     assert "activation_ranges: expected the least and largest input of each of" in refusal(model, metadata=damaged)
     gpu = torch.device("cuda")
     assert refusal(model, device=gpu) == (

@@ -12,7 +12,7 @@ from skope.gen.mesh import Mesh
 from skope.gen.render.materials import MATERIALS, own_color
 from skope.gen.scenery import build
 from skope.gen.scenery.build import Scenery, scenery
-from skope.gen.scenery.distractor_shapes import STANDING, wall_panel
+from skope.gen.scenery.distractor_shapes import STANDING_OBJECTS, wall_panel
 from skope.gen.scenery.distractors import OBJECT_CLEARANCE_M, PLACED_WITHIN_M
 from skope.gen.towns.layout import Layout
 from skope.gen.towns.sites import sites_of
@@ -67,7 +67,7 @@ def test_the_same_seed_gives_the_same_things() -> None:
 
 
 def test_their_shapes_are_sound() -> None:
-    makes: list[Callable[[np.random.Generator], Mesh]] = [*STANDING, partial(wall_panel, 3.0, 1.0)]
+    makes: list[Callable[[np.random.Generator], Mesh]] = [*STANDING_OBJECTS, partial(wall_panel, 3.0, 1.0)]
     for make in makes:
         for seed in range(5):
             mesh = make(np.random.default_rng(seed))

@@ -25,7 +25,7 @@ from skope.gen.render.gl.context import (
     put,
     shader_sources,
 )
-from skope.gen.render.gl.light import SHADOW_RADIUS, Stage, sun_map_size
+from skope.gen.render.gl.light import SHADOW_MAP_M, Stage, sun_map_size
 from skope.gen.render.gl.street_lights import StreetLights
 from skope.gen.render.gl.water import Plane, plane_of, uniforms_of
 from skope.gen.render.palette import Palette
@@ -96,7 +96,7 @@ def light_the_scenery(device: Device, recording: Recording, on_light: Callable[[
     fine = device.depth_target((SCALE * size[0], SCALE * size[1]))
     stage.draw_depth(fine, projection(camera.K, (0, 0, *size)) @ stage.view, seen=True)
     sun_map = device.shadow_map(sun_map_size(camera))
-    clip, sun_map_from = light_projection(stage.daylight.sun_direction, stage.focus, SHADOW_RADIUS)
+    clip, sun_map_from = light_projection(stage.daylight.sun_direction, stage.focus, SHADOW_MAP_M)
     if recording.photograph is None:
         stage.draw_depth(sun_map, clip)
         light = _cached_light(stage, road if wet else None, _light_digest(device, recording), on_light)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from skope.camera.model import Camera
 from skope.gen.render.gl.context import Device, projection, put
-from skope.gen.render.gl.placed_vehicles import PARTS, PlacedVehicle
+from skope.gen.render.gl.placed_vehicles import PARTS_DEFINITION, PlacedVehicle
 from skope.gen.render.gl.water import Plane
 from skope.gen.render.pixel_windows import TILE, mirror_hull_of, runs, tiles
 
@@ -59,7 +59,9 @@ class Reflections:
         device.prepare(self._target, half, own, "SCENERY", "STEP 1")
         device.context.enable_only(device.gl.DEPTH_TEST | device.gl.CULL_FACE)
         device.context.front_face = "ccw"
-        program = device.program("vehicle.vert.glsl", "vehicle.frag.glsl", PARTS, "REFLECTION", *self._options)
+        program = device.program(
+            "vehicle.vert.glsl", "vehicle.frag.glsl", PARTS_DEFINITION, "REFLECTION", *self._options
+        )
         put(program, {**uniforms, **self._uniforms})
         for one in near:
             put(program, {**one.matrices, "u_model": one.matrices["u_world"], **one.look})

@@ -12,13 +12,13 @@ from skope.gen.render.gl.context import FAR_PLANE_M, projection
 from skope.gen.scene.conditions import Conditions
 from skope.types import Array
 
-MOST: Final = 32
+MOST_LAMPS: Final = 32
 """Lamps that light the scenery."""
 CELLS: Final = 3
 """Shadow maps side by side in a texture, on each axis: the nearest lamps throw shadows."""
 CELL: Final = 1024
 """Texels of each, on each side."""
-OPTIONS: Final = ("LAMPS", f"MOST_LAMPS {MOST}", f"SHADOWED_LAMPS {CELLS**2}", f"LAMP_CELLS {CELLS}")
+OPTIONS: Final = ("LAMPS", f"MOST_LAMPS {MOST_LAMPS}", f"SHADOWED_LAMPS {CELLS**2}", f"LAMP_CELLS {CELLS}")
 LAMP_MAP_PX: Final = 256
 MAP_RADIUS: Final = 128.0
 """The map on the ground reaches so far from the middle of the view, metres."""
@@ -53,12 +53,12 @@ class StreetLights:
         offsets = lamps - camera.position if intensity.any() else np.zeros((0, 3))
         ahead = 0.6 * middle[:2]
         away = np.linalg.norm(offsets[:, :2] - ahead, axis=1)
-        order = away.argsort(kind="stable")[:MOST]
+        order = away.argsort(kind="stable")[:MOST_LAMPS]
         return cls(offsets[order[away[order] < _LIT_WITHIN_M]], intensity, _OWN if infrared else 0.0, middle)
 
     @property
     def uniforms(self) -> dict[str, Any]:
-        padded = np.zeros((MOST, 4))
+        padded = np.zeros((MOST_LAMPS, 4))
         padded[: len(self.positions), :3] = self.positions
         maps = np.zeros((CELLS**2, 4, 4))
         for k in range(self.shadowed):
