@@ -1,4 +1,4 @@
-"""What a detector found in an image."""
+"""Detections of a detector in one image."""
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
@@ -108,7 +108,7 @@ class Detections:
         return replace(self[self.scores > score], road_users=self.road_users.of(self.road_users.scores > score))
 
     def draw(self, image: Pixels, *, scale: int = 1) -> Pixels:
-        """What was found on a copy of its image, the best on top.
+        """Draw what was found on a copy of its image, the best on top.
 
         Args:
             image: (H, W, 3) RGB pixels of type uint8.

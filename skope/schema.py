@@ -135,7 +135,7 @@ class Box3D:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Labelled:
-    """What the labels of vehicles, riders and people on foot have in common, in one image."""
+    """Base of the labels of vehicles, riders and people on foot in one image."""
 
     id: int
     image_id: int
@@ -238,7 +238,7 @@ class Annotation(Labelled):
 
 
 class _Categorised:
-    """What has one of the categories without keypoints."""
+    """Base of everything in a category without keypoints."""
 
     category_id: int
 
@@ -330,7 +330,7 @@ def _grouped(images: Iterable[Image], labels: Iterable[L]) -> dict[int, list[L]]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Found:
-    """What results of vehicles and of other road users have in common."""
+    """Base of the results of vehicles and of other road users."""
 
     image_id: int
     score: float

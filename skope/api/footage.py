@@ -82,7 +82,7 @@ class Video:
 
     @property
     def skipped(self) -> tuple[str, ...]:
-        """What could not be read so far, a line of text each."""
+        """Sources that could not be read so far, a line of text each."""
         return tuple(self._footage.skipped)
 
     @property
@@ -255,7 +255,7 @@ def open_video(
     every_frame: bool,
     fps: float | None,
 ) -> Video:
-    """What `Detector.video` gives; `seconds` are begin and end. Raises UserError."""
+    """The video that `Detector.video` gives; `seconds` are begin and end. Raises UserError."""
     from skope.dataset.camera_of_file import read_camera
     from skope.eval.inference.footage import Cut, open_footage
     from skope.eval.inference.predict_footage import PredictJob

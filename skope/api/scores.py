@@ -1,4 +1,4 @@
-"""How good detections are, against a ground truth."""
+"""Scores of detections against a ground truth."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path

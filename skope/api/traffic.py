@@ -110,7 +110,7 @@ def count(
     begins: str | datetime | Sequence[str | datetime] | None = None,
     times_s: Sequence[float] | None = None,
 ) -> "list[Count]":
-    """How many crossed each gate, by direction, lane, class and interval on the clock.
+    """Count who crossed each gate, by direction, lane, class and interval on the clock.
 
     Args:
         tracks: As `measure_traffic` takes them.

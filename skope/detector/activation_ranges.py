@@ -1,4 +1,4 @@
-"""How large the inputs of a detector's layers become on images: what arithmetic in eight bits needs to know of them.
+"""Ranges of the inputs of a detector's layers on images, as arithmetic in eight bits needs to know of them.
 
 The ranges are part of a checkpoint's metadata. Layers whose weights stay in 16 bits when a checkpoint is packed
 (`skope.detector.compact_weights`), the first and the last ones, have none: they are computed as they are.

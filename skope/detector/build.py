@@ -48,7 +48,7 @@ SIZE_RANGES: Final[dict[str, tuple[int, int]]] = {
 
 @dataclass(frozen=True, kw_only=True)
 class DetectorConfig:
-    """What a state dict does not tell about its model."""
+    """The configuration of a model, which its state dict does not tell."""
 
     norm: str
     """`frozen` (FrozenBatchNorm2d, for weights that were trained before) or `batch` (BatchNorm2d, which learns)."""
@@ -105,7 +105,7 @@ class DetectorConfig:
 
     @property
     def keypoint_scheme(self) -> keypoints.Scheme:
-        """What the keypoints are."""
+        """The scheme of the keypoints."""
         return keypoints.scheme_of(self.scheme, self.keypoint_edition)
 
     @property
@@ -190,7 +190,7 @@ class KeypointNetwork(KeypointRCNN):  # type: ignore[misc]  # torchvision has no
 
 
 def box_passes_of(model: KeypointRCNN) -> int:
-    """How often a model's box head looks: torchvision's own once."""
+    """Number of passes of a model's box head; torchvision's own makes one."""
     return int(getattr(model, "box_passes", 1))
 
 

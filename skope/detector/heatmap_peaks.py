@@ -1,4 +1,4 @@
-"""Where the heat maps of keypoints peak, for many vehicles at once.
+"""Peaks of the keypoints' heat maps, for many vehicles at once.
 
 torchvision enlarges the maps of one vehicle after another to the size of its box, and takes the largest value. That
 is a small call for each of them, and on a GPU a wait too. Bicubic enlargement is linear in the rows and in the columns,

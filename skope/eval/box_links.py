@@ -1,4 +1,4 @@
-"""Which boxes of a video are one vehicle's, from frame to frame.
+"""Links between the boxes of one vehicle from frame to frame of a video.
 
 A box is where its vehicle is expected from the frames before, or where points on the vehicle were followed to (`Result.
 track_id` of `skope.eval.inference.key_frames`); what is not seen for a while and comes back is another vehicle.
@@ -29,7 +29,7 @@ _ALIKE: Final = 1.8
 
 @dataclass(slots=True)
 class _Last:
-    """What was seen last of a vehicle."""
+    """The last sight of a vehicle."""
 
     time_s: float
     box: Array

@@ -37,7 +37,7 @@ OVERLAY_COUNT: Final = 4
 
 @dataclass(frozen=True, kw_only=True)
 class EvalJob:
-    """What to evaluate and how. Either `checkpoint` or `predictions` is given."""
+    """One evaluation. Either `checkpoint` or `predictions` is given."""
 
     truth: GroundTruth
     out: Path

@@ -1,4 +1,4 @@
-"""How far a fixed camera's image has moved since another one: the one measurement of it.
+"""Motion of a fixed camera's image since another one, measured here alone.
 
 Coarsely, whole pictures of edges are held against each other, as light changes and edges of the background stay
 (phase correlation). Finely, corners of the first picture are followed into the other one from there (Lucas and Kanade's
@@ -78,7 +78,7 @@ def edges(grey: Pixels) -> Array | None:
 
 
 def coarse_shift(one: Array, other: Array) -> tuple[float, float] | None:
-    """How far edges have moved from one picture to another, as shares of the width; None: they show different views."""
+    """Shift of the edges from one picture to another, as shares of the width; None: they show different views."""
     height, width = one.shape
     if one.shape != other.shape:
         return None
@@ -111,7 +111,7 @@ def _agreement(one: Array, other: Array) -> float:
 
 @dataclass(frozen=True)
 class ImageMotion:
-    """How an image has moved: what was at the image's middle is now beside it, and everything around it has turned."""
+    """Motion of an image: what was at the image's middle is now beside it, and everything around it has turned."""
 
     x: float
     """Pixels to the right."""
@@ -154,7 +154,8 @@ class ReferencePicture:
         self._corners = np.asarray(np.zeros((0, 2)) if found is None else found.reshape(-1, 2), dtype=np.float32)
 
     def motion(self, pixels: Pixels) -> ImageMotion | None:
-        """How the image has moved up to another picture (H, W, 3) RGB; None: it cannot be told, or shows another view.
+        """Measure how the image has moved up to another picture (H, W, 3) RGB; None: it cannot be told, or shows
+        another view.
 
         Raises ValueError where the sizes differ.
         """
@@ -207,7 +208,7 @@ class ReferencePicture:
 
 @dataclass(frozen=True, eq=False)
 class _Fit:
-    """What most corners do together, in pixels of the pictures in which they were followed."""
+    """The motion that most corners share, in pixels of the pictures in which they were followed."""
 
     x: float
     y: float

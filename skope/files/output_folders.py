@@ -109,7 +109,7 @@ def work_of(command: str, inputs: Iterable[Path], options: Mapping[str, Any]) ->
 
 
 def differences(held: Any, wanted: Mapping[str, Any]) -> str:
-    """What of the work `wanted` (as `work_of` gives it) is different in `held`, in words; empty for the same work."""
+    """Differences of the work `held` from `wanted` (as `work_of` gives it), in words; empty for the same work."""
     if not isinstance(held, dict) or held.get("command") != wanted["command"]:
         return _described(held)
     inputs, options = (held[name] if isinstance(held.get(name), dict) else {} for name in ("inputs", "options"))

@@ -28,7 +28,7 @@ _NEAR_M: Final = 40.0
 
 @dataclass(frozen=True, kw_only=True)
 class FleetInfo:
-    """What a dataset's card says of its vehicle models; empty where there is no card."""
+    """Vehicle models of a dataset, by its card; empty where there is no card."""
 
     held_out: Collection[str] | None = None
     """Models that no training image shows; None where the card does not say."""
@@ -100,7 +100,7 @@ def _unseen(vehicle: Annotation, fleet: FleetInfo) -> bool | None:
 
 
 def band_names(edges: Sequence[float], last: str | None = None) -> list[str]:
-    """What the bands from 0 over `edges` are called, as in "0-20"; the one from the last edge on ends with `last`."""
+    """Names of the bands from 0 over `edges`, as in "0-20"; the one from the last edge on ends with `last`."""
     inner = [f"{low:g}-{high:g}" for low, high in itertools.pairwise((0.0, *edges))]
     return [*inner, f"{edges[-1]:g}-{last}" if last else f"{edges[-1]:g}+"]
 

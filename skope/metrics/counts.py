@@ -38,7 +38,7 @@ FIGURES: Final[tuple[Name, ...]] = (
 
 @dataclass(frozen=True, kw_only=True)
 class Options:
-    """What counts as a detection, a labelled keypoint, a predicted one and a correct one."""
+    """Rules on what counts as a detection, a labelled keypoint, a predicted one and a correct one."""
 
     score: float = 0.9
     """A detection counts when it scores above this."""
@@ -79,7 +79,7 @@ class Options:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Outcomes:
-    """What became of the G vehicles of a split at one IoU threshold: which detection took each, and its errors."""
+    """Outcomes of the G vehicles of a split at one IoU threshold: which detection took each, and its errors."""
 
     detection: Integers
     """(G,) index of the detection in `Matches`, -1 for none."""

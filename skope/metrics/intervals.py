@@ -31,7 +31,7 @@ Interval = tuple[float, float] | None
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Blocks:
-    """Which images of a split are one piece of evidence together."""
+    """Groups of images of a split, each one piece of evidence."""
 
     unit: str
     """What a block is: "site", "recording", "10 s" or "image"."""
@@ -46,7 +46,7 @@ class Blocks:
         return int(self.number.max(initial=-1)) + 1
 
     def to_dict(self) -> dict[str, Any]:
-        """What the intervals come from, as `metrics.json` says it."""
+        """Basis of the intervals, as `metrics.json` says it."""
         return {"unit": self.unit, "blocks": self.count, "sites": self.sites, "level": INTERVAL_LEVEL}
 
 
@@ -71,7 +71,7 @@ def blocks_of(images: Sequence[Image]) -> Blocks:
 
 
 def left_out(values: Quotients, blocks: Blocks) -> dict[Name, Array]:
-    """(B,) each figure without each of the B blocks; NaN where one says nothing of it, and where nothing is left."""
+    """(B,) each figure with one of the B blocks left out; NaN if the block, or the rest, has no denominator."""
     out = {}
     for name, columns in values.items():
         tops, bottoms = (np.bincount(blocks.number, weights=column, minlength=blocks.count) for column in columns)
@@ -93,7 +93,7 @@ def error_of(without: Array) -> tuple[float, int]:
 
 
 def share_interval(value: float | None, without: Array) -> Interval:
-    """Where a share may lie by (B,) its values with one block left out each, worked out in log odds.
+    """Interval of a share from (B,) its values with one block left out each, worked out in log odds.
 
     None where fewer than two blocks say something, and for exactly 0 or 1: where nothing was ever wrong, the data do
     not say how seldom it is.

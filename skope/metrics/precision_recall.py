@@ -47,7 +47,7 @@ def document(
     scheme: str = keypoints.SCHEME,
     work: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
-    """What `metrics.json` holds: the options and the entry of each split.
+    """The content of `metrics.json`: the options and the entry of each split.
 
     Args:
         options: What was measured.
@@ -114,7 +114,7 @@ def figures(pooled: counts.Tally) -> dict[str, Any]:
 
 
 def localisation(outcomes: Outcomes) -> dict[str, Any]:
-    """How near the keypoints of matched vehicles are, beyond one alpha; all in units of the box's longer edge L."""
+    """Errors of the keypoints of matched vehicles, beyond one alpha; all in units of the box's longer edge L."""
     counted = outcomes.labelled & outcomes.found[:, None]
     # A vehicle whose box has no extent can have no error in its units but 0.
     with np.errstate(divide="ignore", invalid="ignore"):

@@ -91,7 +91,7 @@ def color_of(label: Labelled) -> Color:
 
 
 def words_of(vehicle: Annotation | RoadUser) -> str:
-    """What is known of a road user, in a few words."""
+    """Describe a road user in a few words."""
     if isinstance(vehicle, Annotation):
         parts = [f"{vehicle.vehicle_type or 'vehicle'} {number_of(vehicle)}", vehicle.color]
     else:

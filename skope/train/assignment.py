@@ -1,5 +1,5 @@
-"""Which anchors and proposals are whose, and which of them a step learns from: torchvision's rules for all images of
-a batch at once.
+"""Assignment of anchors and proposals to vehicles, and which of them a step learns from: torchvision's rules for all
+images of a batch at once.
 
 torchvision goes through the images one by one, and asks the GPU for numbers of boxes many times in each, for which it
 waits every time. Here every count has a bound that is known beforehand, and what is beyond it is masked.

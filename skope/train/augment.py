@@ -33,7 +33,7 @@ Step = Callable[[Pixels, Vehicles, np.random.Generator], tuple[Pixels, Vehicles]
 
 @dataclass(frozen=True, kw_only=True)
 class Augment:
-    """How often each change is made to an image: probabilities from 0 to 1."""
+    """Frequency of each change to an image: probabilities from 0 to 1."""
 
     flip: float = 0.5
     """Mirror the image: left and right exchanged."""

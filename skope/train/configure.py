@@ -134,7 +134,7 @@ def loading_workers(*, gpu: bool) -> int:
 
 
 def how_to_go_on(out: Path) -> str:
-    """What to do after an interruption, in words."""
+    """Advice after an interruption, in words."""
     if resumable(out):
         return "the same command goes on from here"
     return "nothing was saved yet, so the same command begins again"

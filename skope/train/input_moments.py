@@ -1,4 +1,4 @@
-"""What the layers of a detector get as inputs, gathered from images: second moments, for rounding its weights."""
+"""Statistics of the inputs of a detector's layers, gathered from images: second moments, for rounding its weights."""
 
 from collections.abc import Iterable, Sequence
 from functools import partial

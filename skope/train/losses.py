@@ -38,7 +38,7 @@ _LEAST_SIDE = 1.0
 
 @dataclass(frozen=True)
 class LearningRules:
-    """What a step learns from, besides what the model says."""
+    """Rules of a training step, besides those in the model."""
 
     regions: int
     """Regions of an image that the second stage learns from, at most a quarter of them vehicles and other road

@@ -1,4 +1,4 @@
-"""What a recipe asks of the network: its backbone, and how wide its parts are."""
+"""The shape of the network that a recipe asks for: its backbone, and how wide its parts are."""
 
 from dataclasses import asdict, dataclass
 from typing import Any, Final

@@ -25,7 +25,7 @@ NORM_CHOICES: Final = ("given", "frozen", "batch")
 
 @dataclass(frozen=True, kw_only=True)
 class Recipe:
-    """How a detector is trained. Sizes are pixels, rates per step, counts per image where not said otherwise."""
+    """The parameters of a training. Sizes are pixels, rates per step, counts per image where not said otherwise."""
 
     name: str
     init: str

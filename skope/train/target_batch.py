@@ -18,7 +18,7 @@ Size = tuple[int, int]
 
 @dataclass(frozen=True)
 class TargetBatch:
-    """What is labelled in B images, in pixels inside the network, filled up to the image with most of it."""
+    """Labels of B images, in pixels inside the network, filled up to the image with most of it."""
 
     boxes: Tensor
     """(B, G, 4) float32 xyxy; 0 where there is nothing."""

@@ -63,14 +63,14 @@ class Teacher:
         return cls(model.requires_grad_(False), config, rules)
 
     def lesson(self, images: Tensor) -> "Lesson":
-        """What it sees in (N, 3, H, W) images as they enter the network."""
+        """Look at (N, 3, H, W) images as they enter the network."""
         with torch.no_grad():
             return Lesson(self.model.roi_heads, self.model.backbone(images), self.rules)
 
 
 @dataclass(frozen=True)
 class Lesson:
-    """What a teacher sees in a batch of images."""
+    """Answers of a teacher to a batch of images."""
 
     heads: RoIHeads
     features: dict[str, Tensor]

@@ -53,7 +53,7 @@ class Documents:
         return self._ends[-1]
 
     def index(self) -> dict[str, Any]:
-        """What the page is of, and a row of each image in columns: its name, what filters ask of it and its vehicles.
+        """The title of the page, and a row of each image in columns: its name, what filters ask of it and its vehicles.
 
         Vehicles are numbers of `vehicle_filters`, each once.
         """

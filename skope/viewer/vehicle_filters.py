@@ -1,4 +1,4 @@
-"""What vehicles are filtered by: type, hidden share and height of the box, in one number for each vehicle."""
+"""Filters of vehicles: type, hidden share and height of the box, in one number for each vehicle."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -32,7 +32,7 @@ PrecisionOption = Annotated[
 
 @dataclass(frozen=True, kw_only=True)
 class MachineOptions:
-    """How a checkpoint is run on this machine."""
+    """Options on how a checkpoint is run on this machine."""
 
     device: Annotated[str, machine(metavar="[auto|cpu|cuda|cuda:N]", help="Where to compute.")] = "auto"
     backend: BackendOption = "torch"

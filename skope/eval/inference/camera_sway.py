@@ -1,4 +1,4 @@
-"""How the camera of a video sways, and when it is moved for good: each frame is held against the first one."""
+"""Sway of a video's camera, and when it is moved for good: each frame is held against the first one."""
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -65,7 +65,7 @@ class SwayRecord:
         return sorted([*self._moves(), *changes(looks, self._unmeasured)], key=lambda change: change.time_s)
 
     def motion(self, view_changes: Sequence[ViewChange]) -> CameraMotion | None:
-        """How the camera sways around where it is at rest in each of its views; None: it stands still."""
+        """The camera's sway around its rest in each of its views; None: it stands still."""
         part = np.searchsorted([change.time_s for change in view_changes], self.times_s, side="right")
         values = self._values
         known = np.isfinite(values[:, 0])
@@ -144,7 +144,8 @@ def motion_to_row(motion: ImageMotion | None) -> list[float] | None:
 
 
 def record_of_rows(rows: Iterable[dict[str, Any]], width: int) -> SwayRecord:
-    """What was measured, of rows with `image` and `motion` (by `motion_to_row`); images without times are left out."""
+    """The record of measurements, from rows with `image` and `motion` (by `motion_to_row`); images without times are
+    left out."""
     numbers, times, motions = [], [], list[ImageMotion | None]()
     for row in rows:
         if row["image"].get("time_s") is not None:

@@ -1,4 +1,4 @@
-"""Which detections of a video its other frames confirm.
+"""Confirmation of a video's detections by its other frames.
 
 Boxes are linked from frame to frame (`skope.eval.box_links`). What is seen surely once or twice only is left out; of a
 vehicle that is seen surely nearly always, weak detections stay. What stands all the time is left out where it has no
@@ -25,7 +25,7 @@ _FEWEST_FRAMES: Final = 3
 _FEWEST_KEYS: Final = 2
 """The same where the detector sees key frames only."""
 _NEARLY_ALWAYS: Final = 0.8
-"""Weak detections stay of a vehicle that is sure in more than this share of those that it has."""
+"""A vehicle keeps its weak detections if more than this share of its detections are sure."""
 _STANDS_SIZES: Final = 0.3
 """What never moves by more of its size stands."""
 _DRIVES_SIZES: Final = 1.0
@@ -34,7 +34,7 @@ _DRIVES_SIZES: Final = 1.0
 
 @dataclass(slots=True)
 class _Vehicle:
-    """What was seen of a vehicle, or of what was taken for one; sizes are square roots of boxes' areas, pixels."""
+    """Sights of one vehicle, or of what was taken for one; sizes are square roots of boxes' areas, pixels."""
 
     time_s: float = 0.0
     """Of its last frame."""
@@ -58,7 +58,7 @@ class _Vehicle:
 
     @property
     def moved(self) -> float:
-        """How far its middle has moved, in its sizes."""
+        """Way of its middle, in its sizes."""
         return float((self.highest - self.lowest).max()) / self.size
 
     def see(self, time_s: float, box: Array, *, sure: bool, interpolated: bool) -> None:

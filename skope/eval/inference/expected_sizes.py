@@ -1,4 +1,4 @@
-"""How large vehicles are at each place of a camera's image, told by those that drive through it."""
+"""Expected sizes of vehicles at each place of a camera's image, told by those that drive through it."""
 
 from collections.abc import Sequence
 from typing import Final
@@ -21,7 +21,7 @@ _FIT_ROUNDS: Final = 10
 
 
 class ExpectedSizes:
-    """How large vehicles are at each place of the image.
+    """Expected sizes of vehicles at each place of the image.
 
     On a plane inverse depth is affine in the image's coordinates, and so are sizes, but for the kinds of vehicles.
     """

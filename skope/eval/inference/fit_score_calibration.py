@@ -29,7 +29,7 @@ TRAIN_SPLIT: Final = "train"
 
 @dataclass(frozen=True, kw_only=True)
 class CalibrationJob:
-    """Which checkpoint to calibrate, on which data."""
+    """A calibration of scores: checkpoint and data."""
 
     checkpoint: Path
     data: Path

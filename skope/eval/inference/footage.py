@@ -37,7 +37,7 @@ FOUND_AT: Final = "found_at"
 
 @dataclass(frozen=True, kw_only=True)
 class Cut:
-    """Which frames of a source are wanted."""
+    """The part of a source that is wanted."""
 
     every: int = 1
     """Every so many-th frame is taken."""
@@ -102,7 +102,7 @@ class Footage:
         return self.clip is not None and self.clip.live
 
     def __len__(self) -> int:
-        """How many frames there are, as far as the file says; 0: unknown."""
+        """Number of frames, as far as the file says; 0: unknown."""
         if self.clip is None:
             return len(self.images[:: self.cut.every])
         if self.clip.times_s:

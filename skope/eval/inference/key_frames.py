@@ -115,7 +115,7 @@ def _between(
 
 @dataclass(frozen=True)
 class _Place:
-    """Where a vehicle is in a frame."""
+    """Place of a vehicle in a frame."""
 
     box: Array
     """(4,) x0, y0, x1, y1, pixels."""

@@ -11,7 +11,8 @@ from skope.types import Integers32
 
 
 class Numbering(Protocol):
-    """What numbers the road users of one category, as `skope.eval.inference.confirmation.Confirmation` does."""
+    """Something that numbers the road users of one category, as `skope.eval.inference.confirmation.Confirmation`
+    does."""
 
     def add(self, time_s: float, found: Sequence[Found]) -> None: ...
 

@@ -1,4 +1,4 @@
-"""How bright the frames of a video are, and how much contrast they have: whether the camera saw anything in them."""
+"""Brightness and contrast of a video's frames: whether the camera saw anything in them."""
 
 from collections.abc import Sequence
 from typing import Final

@@ -61,7 +61,7 @@ Kept = Callable[[dict[str, Any]], list[dict[str, Any]]]
 
 @dataclass(frozen=True, kw_only=True)
 class PredictJob:
-    """Which checkpoint to run on which footage, and what to write."""
+    """A run of a checkpoint on footage, and what it writes."""
 
     footage: Footage
     checkpoint: Path
@@ -143,7 +143,7 @@ def predict(job: PredictJob, console: Console) -> list[Path]:
 
 
 class Prediction:
-    """What a detector finds in footage: kept frame by frame in a file of progress, then written as results."""
+    """Detections in footage: kept frame by frame in a file of progress, then written as results."""
 
     def __init__(self, job: PredictJob, predictor: Predictor) -> None:
         """Go on after what a stopped run has kept in the job's output folder."""
@@ -267,7 +267,7 @@ def _watched(progress: Progress, width: int) -> tuple[SwayRecord, list[tuple[flo
 
 @dataclass
 class _Seen:
-    """How much was found."""
+    """Counts of what was found."""
 
     results: Counter[str] = field(default_factory=Counter)
     """By category."""
@@ -357,7 +357,7 @@ def _claim(job: PredictJob, files: Sequence[Path]) -> None:
 
 
 def content_of(footage: Footage) -> str:
-    """What identifies the frames: checksums of their files; for a live stream, which comes once, the time it began."""
+    """Identity of the frames: checksums of their files; for a live stream, which comes once, the time it began."""
     if footage.live:
         return f"{footage.name} of {datetime.now(UTC).isoformat()}"
     if footage.clip and "://" in footage.clip.address:

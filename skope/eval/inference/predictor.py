@@ -263,7 +263,7 @@ class Predictor:
 
 
 def default_batch_size(device: torch.device) -> int:
-    """How many images go through the network together on a device, unless it is said otherwise."""
+    """Number of images that go through the network together on a device, unless it is said otherwise."""
     if device.type != "cuda":
         return 1
     large = torch.cuda.get_device_properties(device).total_memory >= _LARGE_GPU_BYTES

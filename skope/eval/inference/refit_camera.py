@@ -50,7 +50,7 @@ _REST_S: Final = 3.0
 
 @dataclass(frozen=True, eq=False)
 class Registration:
-    """How a camera has been turned between two pictures."""
+    """Turn of a camera between two pictures."""
 
     camera: Camera
     """The old camera, turned."""
@@ -124,7 +124,7 @@ def refit(
 
 
 def registration(before: Pixels, after: Pixels, known: UncertainCamera, name: str) -> Registration:
-    """How the camera of one picture has been turned up to another one; `name` is theirs.
+    """Measure how the camera of one picture has been turned up to another one; `name` is theirs.
 
     Raises UserError where a turn does not explain what is seen.
     """

@@ -133,7 +133,7 @@ def log_loss(score: Array, right: NDArray[np.bool_]) -> float:
 
 
 def path_beside(weights: Path) -> Path:
-    """Where the calibration of a checkpoint lies."""
+    """Path of a checkpoint's calibration."""
     return weights.with_suffix(".calibration.json")
 
 

@@ -1,4 +1,4 @@
-"""What is too small in the whole image: parts of it that overlap go through the network unscaled too.
+"""Tiles for what is too small in the whole image: overlapping parts of it go through the network unscaled too.
 
 The idea is that of slicing-aided inference (Akyon et al., 2022).
 """

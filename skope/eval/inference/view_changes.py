@@ -1,4 +1,4 @@
-"""Where footage shows another view: a cut to another camera, or a camera that was turned or knocked.
+"""Changes of view in footage: a cut to another camera, or a camera that was turned or knocked.
 
 Small pictures of the footage, half a second apart, are held against the first one of a view: their edges, as light
 changes and edges of the background stay. A view that has changed and stays so is a new one; one that comes back was

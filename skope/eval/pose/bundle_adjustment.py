@@ -98,7 +98,7 @@ class VehicleViews:
 
 @dataclass(frozen=True, eq=False)
 class Known:
-    """What is known of a camera before any vehicle is looked at: cameras hang level, lenses distort a little."""
+    """Prior knowledge of a camera: cameras hang level, lenses distort a little."""
 
     center: Array = field(default_factory=lambda: np.zeros(len(UNKNOWN_NAMES)))
     """(5,) of the unknowns."""
@@ -148,7 +148,7 @@ class Bundle:
 
 @dataclass(frozen=True, eq=False)
 class Solved:
-    """Where a search has ended."""
+    """End of a search."""
 
     bundle: Bundle
     precision: Array
@@ -314,7 +314,7 @@ class BundleAdjustment:
         return self._seen & facing(self._shapes, kind, self._shapes.mean[kind, :-1], eye)
 
     def unevenness(self, solved: Solved) -> float:
-        """How far views lie off the road, up or down, in the median and in standard deviations of their heights."""
+        """Median distance of views from the road, up or down, and in standard deviations of their heights."""
         here, count = self._linearised(solved.bundle, solved.counted, by="height"), len(self._views.found)
         parts = here.without_poses(np.arange(count), np.zeros((count, 0)), np.zeros(count))
         information = np.maximum(parts.information[:, 0, 0], 1e-12)

@@ -1,4 +1,4 @@
-"""What the uncertainty of a camera adds to that of places, headings and speeds: one way for poses and tracks.
+"""Uncertainty of places, headings and speeds that comes from the camera's: one way for poses and tracks.
 
 All vehicles are off together, so that it is no part of what tells vehicles apart from frame to frame: it is added to
 what is written.
@@ -29,7 +29,7 @@ DISTANCE_SIGMA: Final = "camera_distance_sigma"
 
 
 def camera_info(path: Path) -> dict[str, Any]:
-    """What frames say of how well the camera of a file is known, for their `info`."""
+    """Fields of frames' `info` on how well the camera of a file is known."""
     known = read_uncertain_camera(path)
     seconds = calibrated_seconds(path)
     return {

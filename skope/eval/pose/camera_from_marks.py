@@ -179,7 +179,7 @@ def _figures(found: SiteCalibration) -> Iterator[str]:
 
 
 def place_errors(found: UncertainCamera) -> str:
-    """How well places on the road are known, at the worst of those that lie so far from the camera, in words."""
+    """Uncertainty of places on the road, at the worst of those that lie so far from the camera, in words."""
     yaw, foot = found.camera.angles[0], found.camera.position[:2]
     told, farthest = [], ""
     for distance in _DISTANCES_M:

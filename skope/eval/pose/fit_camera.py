@@ -79,7 +79,7 @@ class CameraEstimate:
 
     @property
     def vehicles(self) -> int:
-        """How many vehicles it was fitted to."""
+        """Number of vehicles that it was fitted to."""
         return self.views.count
 
     @property

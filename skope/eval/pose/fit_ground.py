@@ -1,4 +1,4 @@
-"""Where the road is, from the vehicles on it: the plane on which all of them are likely, the camera being known.
+"""Fit the road to the vehicles on it: the plane on which all of them are likely, the camera being known.
 
 Each vehicle by itself, placed by its size alone, gives a rough point of the road; a plane through these starts the
 search, and a bundle adjustment of road and vehicles ends it, as for a camera (`skope.eval.pose.fit_camera`).
@@ -51,7 +51,7 @@ class GroundFit:
 
     ground: Ground
     vehicles: int
-    """How many vehicles it was fitted to."""
+    """Number of vehicles that it was fitted to."""
 
 
 def with_fitted_ground(

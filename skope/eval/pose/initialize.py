@@ -1,4 +1,4 @@
-"""Where the search for a pose begins: each body type's mean placed on the keypoints, without iterating over its pose.
+"""Starts of the search for a pose: each body type's mean placed on the keypoints, without iterating over its pose.
 
 On a known ground a vehicle has a place (x, y) and a heading, and x_camera - u z_camera = 0 is linear in x, y, cos and
 sin for keypoints of known height: least squares over the four, whose cos^2 + sin^2 also says how much larger the

@@ -60,7 +60,7 @@ class Linearised:
         )
 
     def without_poses(self, vehicle: NDArray[np.intp], shape: Array, damping: Array) -> "Parts":
-        """What is left when the poses, then the shapes (N, M) are taken out; `damping` (N,) of both."""
+        """Eliminate the poses, then the shapes (N, M) are taken out; `damping` (N,) of both."""
         count, m = len(shape), self.numbers
         pose, rest = slice(0, 3), slice(3, None)
         own = self.normal[:, pose, pose]

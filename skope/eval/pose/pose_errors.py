@@ -1,4 +1,4 @@
-"""How far poses are from the truth of generated data: position, heading, dimensions and overlap, by distance and
+"""Errors of poses against the truth of generated data: position, heading, dimensions and overlap, by distance and
 occlusion."""
 
 import math

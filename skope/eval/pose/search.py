@@ -31,7 +31,8 @@ _SUBSET: Final = 6
 _BETTER: Final = 12.0
 """How much lower (twice the log likelihood) the cost must be for labels to count as exchanged."""
 _HIDDEN: Final = 9.0
-"""What a keypoint costs that lies anywhere: about a box's area over that of its own spread, as a log likelihood."""
+"""Cost of a keypoint that is unrelated to the pose, uniform over the box: about the box's area over that of the
+keypoint's own uncertainty, as a log likelihood."""
 RIVAL: Final = 30.0
 """Difference of cost within which the opposite heading leaves doubt: 2% of the right ones, half of the wrong."""
 _HIDDEN_ROUNDS: Final = 2

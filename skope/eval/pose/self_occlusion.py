@@ -1,4 +1,4 @@
-"""Which keypoints a vehicle's own body hides from a camera: detectors put those anywhere, with high scores.
+"""Keypoints that a vehicle's own body hides from a camera: detectors put those anywhere, with high scores.
 
 `keypoint_visibility.json` is worked out from the fleet by `scripts/vehicle_sight.py`: of each body type and keypoint
 the logistic regression of "seen" on the direction from the keypoint to the eye, which tells 97 to 99% of them right.
@@ -33,7 +33,7 @@ def _fleet_sight(edition: int) -> dict[str, Array]:
 
 
 def facing(shapes: Shapes, kind: NDArray[np.intp], points: Array, eye: Array) -> NDArray[np.bool_]:
-    """Which keypoints a camera sees past the vehicle's own body.
+    """Find the keypoints that a camera sees past the vehicle's own body.
 
     Args:
         shapes: The body types.

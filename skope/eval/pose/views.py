@@ -119,7 +119,7 @@ class Scene:
         return self.motion.camera_in(camera, image.id) if self.motion else camera
 
     def sway_in(self, image: Image) -> UncertainCamera | None:
-        """What the camera's sway leaves uncertain of it in one image; None: it stands still."""
+        """Uncertainty of the camera in one image that its sway leaves; None: it stands still."""
         return self.motion.rest_in(self.camera_of(image), image.id) if self.motion else None
 
     def moved_in(self, image: Image) -> bool:
@@ -131,7 +131,7 @@ class Scene:
         return self.known.of_camera(self.camera_of(image)) if self.known else None
 
     def road_in(self, image: Image) -> Ground | None:
-        """Where the road is in an image; None: unknown."""
+        """The road in an image; None: unknown."""
         return self.roads.get(image.id, self.ground)
 
     def calibrated_part(self) -> "Scene":

@@ -152,7 +152,7 @@ def _logarithmic(value: float, sigma: float, digits: int) -> str:
 
 
 def known_of(height: float | None, fov_deg: float | None, width: int) -> Known:
-    """What is known of a camera whose height over the road (metres) or horizontal field of view somebody gives."""
+    """Prior knowledge of a camera whose height over the road (metres) or horizontal field of view somebody gives."""
     known = Known()
     center, sigma = known.center.copy(), known.sigma.copy()
     if height is not None:
@@ -174,7 +174,7 @@ def known_length(text: str) -> KnownLength:
 
 
 def doubt(name: Path | str, ways_sigma: float) -> str:
-    """How far off all distances may be under a camera, in words."""
+    """Common error of all distances under a camera, in words."""
     return f"{name}: all distances and speeds may be off by {2 * ways_sigma:.0%}, in one direction (95%)"
 
 

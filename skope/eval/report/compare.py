@@ -32,7 +32,7 @@ _CATEGORY_FIGURES: Final = {"precision": "precision", "recall": "recall", "ap": 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Run:
-    """What an evaluation wrote to its folder."""
+    """Results of an evaluation, as its folder has them."""
 
     name: str
     metrics: Mapping[str, Any]
@@ -41,7 +41,7 @@ class Run:
 
 
 def read(folder: Path) -> Run:
-    """What `skope eval` wrote to a folder; a UserError names what is missing or of another version."""
+    """Read what `skope eval` wrote to a folder; a UserError names what is missing or of another version."""
     documents = {}
     for name in (METRICS, TALLIES):
         path = folder / name

@@ -185,7 +185,7 @@ def _intervals(splits: Mapping[str, Any], protocol: str) -> list[str]:
 
 
 def evidence(intervals: Mapping[str, Any]) -> str:
-    """What a split's intervals come from, and what they say nothing about, in words."""
+    """Basis of a split's intervals, and what they say nothing about, in words."""
     blocks, sites, unit = intervals["blocks"], intervals["sites"], intervals["unit"]
     words = f"blocks of {unit}" if unit.endswith(" s") else f"{unit}s"
     words = f"{blocks} {words}" if blocks > 1 else f"none, as there are fewer than two {words}"

@@ -30,7 +30,7 @@ _LABEL_FONT: Final = cv2.FONT_HERSHEY_SIMPLEX
 
 
 class _Map:
-    """Where places of the road are in the pictures, and what all of them show."""
+    """The map of the road that all pictures share."""
 
     def __init__(
         self, tracks: Sequence[Track | RoadUserTrack], camera: Camera, ground: Ground | None, road: Pixels | None

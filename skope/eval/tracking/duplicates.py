@@ -14,7 +14,7 @@ from skope.types import Array
 _DUPLICATE_S: Final = 0.5
 """Two tracks that have been in one place for so long are one vehicle, seconds."""
 _SHADOWING_M: Final = 2.0
-"""A duplicate whose median distance from the kept track was less than this, metres, was no vehicle before either."""
+"""A duplicate that stayed within this median distance of the kept track, metres, is dropped from its start."""
 
 
 def encloses(track: OpenTrack, place: Array, covariance: Array) -> bool:

@@ -1,4 +1,4 @@
-"""Where people on foot and on two wheels stand: the bottom middle of a box, taken to the road."""
+"""Ground points of people on foot and on two wheels: the bottom middle of a box, taken to the road."""
 
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence

@@ -1,4 +1,4 @@
-"""Where in the image a vehicle that is followed can be: what is far from there is another vehicle.
+"""Region of the image that a followed vehicle can be in: what is far from there is another vehicle.
 
 Along the line of sight a pose is uncertain by metres, which are a lane or a whole vehicle for what is far away; in the
 image a vehicle goes on as it went, by pixels. After a gap poses alone would let a track go on with whatever is there.
@@ -27,7 +27,7 @@ _FIRST: Final = (1.0, 8.0)
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Whereabouts:
-    """Where in an image the middle of a track's box should be: near a line from where it was."""
+    """Region of an image for the middle of a track's box: near a line from where it was."""
 
     middle: tuple[float, float]
     """Where it was, pixels."""
@@ -49,7 +49,7 @@ class Whereabouts:
 
 
 def whereabouts(track: OpenTrack, time_s: float) -> Whereabouts | None:
-    """Where the vehicle of a track should be in the image of its latest frame, at `time_s`; None: anywhere."""
+    """Region for the vehicle of a track in the image of its latest frame, at `time_s`; None: anywhere."""
     last, older = _seen(track.steps)
     if last is None or last.detection is None:
         return None

@@ -1,4 +1,5 @@
-"""What `skope eval predict` has followed through a video, in pixels: for counts where no camera gives metres."""
+"""Trajectories in pixels of what `skope eval predict` has followed through a video: for counts where no camera gives
+metres."""
 
 from collections import defaultdict
 from pathlib import Path
@@ -28,7 +29,7 @@ Rows = list[tuple[float, ...]]
 
 
 def read_image_trajectories(folder: Path) -> tuple[list[Trajectory], Observation]:
-    """Where boxes stand in the images of a video, by the numbers that they have, and when the view was the first one.
+    """Read the ways of boxes through a video, by the numbers that they have, and when the view was the first one.
 
     Places are columns and negative rows, so that left and right of a line are what they are on the screen.
 

@@ -1,4 +1,4 @@
-"""How a vehicle moves on the road and what a pose says of it: a Kalman filter, and the smoother for when all is known.
+"""A Kalman filter of a vehicle's motion on the road from its poses, and the smoother for when all is known.
 
 The state is x, y, vx, vy, ax, ay: position (metres, world), velocity (m/s) and a slowly changing acceleration (m/s^2).
 Prediction is Singer's model, smoothing is Rauch, Tung and Striebel's.
@@ -82,7 +82,7 @@ def predicted(state: State, F: Array, Q: Array) -> State:
 
 
 def before(state: State, dt: float) -> State:
-    """What a state says of the time `dt` seconds earlier: the model is the same for who drives backwards in time."""
+    """The state `dt` seconds earlier: the model is the same for who drives backwards in time."""
     back = np.diag([1.0, 1.0, -1.0, -1.0, 1.0, 1.0])
     mean, spread = predicted((back @ state[0], back @ state[1] @ back), *motion(dt))
     return back @ mean, back @ spread @ back

@@ -44,7 +44,7 @@ def corners(track: Track, i: int, shape: Sequence[tuple[float, float]]) -> list[
 
 
 def draw_camera(axes: "Axes", camera: Camera) -> "Bbox":
-    """Where the camera hangs, and which way it looks; returns where that is in the picture, in pixels."""
+    """Draw the camera and its view; returns where that is in the picture, in pixels."""
     from matplotlib.patches import Polygon, Wedge
     from matplotlib.patheffects import withStroke
 

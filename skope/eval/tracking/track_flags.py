@@ -1,4 +1,4 @@
-"""What a track should be distrusted for, and where it cannot be one vehicle's."""
+"""Flags of tracks that are to be distrusted, and cuts where one cannot be one vehicle's."""
 
 import math
 from collections.abc import Sequence

@@ -38,7 +38,7 @@ _PROGRESS_NAME: Final = ".poses.jsonl"
 
 @dataclass(frozen=True, kw_only=True)
 class TrackJob:
-    """What to follow, and where to write it."""
+    """A run that follows vehicles, and what it writes."""
 
     scene: Scene
     place: Path
@@ -269,7 +269,7 @@ def _write_truth(path: Path, scene: Scene, labels: Sequence[Labelled]) -> None:
 
 
 def speed_errors(scene: Scene, tracks: list[Track]) -> Iterator[str]:
-    """How far speeds are from the simulation's, over frames in which a vehicle drives at 2 m/s or more."""
+    """Errors of speeds against the simulation's, over frames in which a vehicle drives at 2 m/s or more."""
     labelled = scene.file.by_image()
     truth = {
         (image.id, a.track_id): float(np.linalg.norm(a.velocity))

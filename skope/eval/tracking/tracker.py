@@ -52,7 +52,7 @@ _JUMP_OVERLAP: Final = 0.5
 _FRESH_S: Final = 0.15
 """For how long a box says where in the image a vehicle is by itself, seconds."""
 _CLEAR: Final = 2.0
-"""How many times as large as that with any other box the overlap of two boxes is that are clearly one vehicle's."""
+"""Two boxes are one vehicle's when their IoU is at least this many times the next best IoU of either."""
 _JUMPS: Final = 3
 """After so many poses elsewhere that is where the vehicle is."""
 _LOST_S: Final = 3.0

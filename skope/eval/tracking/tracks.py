@@ -19,7 +19,7 @@ from skope.eval.tracking.vehicle_classes import vehicle_class
 from skope.types import Array
 
 _BOX_S: Final = 0.5
-"""For how long an unseen vehicle's last box says where it is in the image, and boxes without a pose what it does."""
+"""Seconds for which a track's last box still locates it in the image, and for which boxes alone extend it."""
 _CONFIRMED_POSES: Final = 2
 """A track has at least this many poses."""
 _CONFIRMED_S: Final = 0.4
@@ -158,12 +158,12 @@ class OpenTrack:
 
     @property
     def link(self) -> int | None:
-        """What its detections share (`Detection.link`), by the latest one."""
+        """The `Detection.link` of its latest detection."""
         return next((step.detection.link for step in reversed(self.steps) if step.detection is not None), None)
 
     @property
     def poses(self) -> int:
-        """How many poses it has."""
+        """Number of its poses."""
         return self.kinds.total()
 
     def box(self, time_s: float) -> Array | None:

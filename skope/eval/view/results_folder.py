@@ -21,7 +21,7 @@ from skope.viewer.pictures import read_picture
 
 
 def read_results_folder(folder: Path, console: Console) -> Collection:
-    """What is seen of a folder that `skope eval` or `skope eval predict` wrote.
+    """Read for the viewer a folder that `skope eval` or `skope eval predict` wrote.
 
     Raises UserError where it is no such folder, or what it was made of is missing or another one by now.
     """

@@ -46,7 +46,7 @@ _MAST_ASIDE_M: Final = (0.8, 9.0)
 _SEEN_PX: Final = 16.0
 """Height of a car in an image of 1080 rows from which it counts as seen, pixels."""
 _CAR_EXTENT_M: Final = 3.0
-"""Length of a car as seen from above, between that of its side and that of its front, metres."""
+"""Typical apparent length of a car, between its width and its length, metres."""
 _STEEP_DEG: Final = 55.0
 """Cameras that look down more steeply hang over the road, on a gantry, a bridge or an arm."""
 _OVER_ROAD: Final = 6.0

@@ -305,7 +305,7 @@ def _half_precision(pixels: NDArray[np.float32]) -> NDArray[np.float16]:
 
 
 def _signed_water(water: NDArray[np.float32], samples: int) -> NDArray[np.float32]:
-    """Means of samples that have STANDING more where water stands -> means without, negative where most have it."""
+    """Means of samples that have STANDING_WATER more where water stands -> means without; negative: most have it."""
     standing = np.floor(water * (samples / STANDING_WATER) + 1e-3)
     share = np.maximum(water - standing * (STANDING_WATER / samples), 0.0)
     return np.asarray(np.where(2 * standing > samples, -share, share), dtype=np.float32)
