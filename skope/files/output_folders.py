@@ -102,7 +102,13 @@ def replaceable_output(
 
 
 def work_of(command: str, inputs: Iterable[Path], options: Mapping[str, Any]) -> dict[str, Any]:
-    """Identify a work by its command, contents of `inputs` (files) and `options` (JSON values), as `work.json` does."""
+    """Identify a work, as `work.json` does.
+
+    Args:
+        command: The command, as in "skope eval track".
+        inputs: Files, by whose contents the work is identified.
+        options: JSON values by name.
+    """
     parts = {"command": command, "inputs": {str(path): sha256_of(path) for path in inputs}, "options": dict(options)}
     work: dict[str, Any] = parse_json(json_bytes(parts))
     return work

@@ -118,7 +118,13 @@ def lengths(vectors: Array) -> Array:
 
 
 def outcomes_at(matches: Matches, threshold: float, options: Options) -> Outcomes:
-    """Compare each vehicle with the detection that took it at the IoU `threshold`, one of `matches.taken`."""
+    """Compare each vehicle with the detection that took it.
+
+    Args:
+        matches: Vehicles and detections, matched.
+        threshold: The IoU threshold, one of `matches.taken`.
+        options: What counts, and when a keypoint is correct.
+    """
     taken = matches.taken[threshold]
     matched = np.flatnonzero(taken >= 0)
     detection = np.full(len(matches.gt_image), -1, dtype=np.int64)

@@ -23,10 +23,18 @@ LEFT_RIGHT, FRONT_REAR, JITTER = range(len(ERROR_KINDS))
 
 
 def wrong_points(matches: Matches, outcomes: Outcomes, options: Options) -> Integers:
-    """(G, 33) index in `ERROR_KINDS` of each wrong keypoint; -1: right, unlabelled, not predicted or not found.
+    """Tell the kinds of wrong keypoints.
 
     A keypoint is wrong when it is labelled and farther than alpha L from its place. It is swapped when it lies within
     alpha L of a counterpart whose place is known (v > 0); of several, the nearest names the kind.
+
+    Args:
+        matches: Vehicles and detections, matched.
+        outcomes: Who was taken by which detection, at one IoU.
+        options: What counts, and alpha.
+
+    Returns:
+        (G, 33) index in `ERROR_KINDS` of each wrong keypoint; -1: right, unlabelled, not predicted or not found.
     """
     kinds = np.full(outcomes.labelled.shape, NOT_WRONG, dtype=np.int64)
     wrong = outcomes.labelled & outcomes.predicted & ~outcomes.correct(options.alpha)

@@ -90,7 +90,13 @@ def score_split(file: AnnotationFile, results: Sequence[Result], options: Option
 
 
 def match_split(file: AnnotationFile, results: Sequence[Result], options: Options) -> Matches:
-    """Match the results to the ground truth at the thresholds of `options`, as `skope.metrics.match.match` does."""
+    """Match results to the ground truth, as `skope.metrics.match.match` does.
+
+    Args:
+        file: The ground truth.
+        results: Vehicles that were found in its images.
+        options: The thresholds, and what counts.
+    """
     return match(file, results, score=options.score, boxes=options.boxes, thresholds=options.iou)
 
 
@@ -142,7 +148,16 @@ def ranked(matches: Matches, threshold: float) -> tuple[NDArray[np.float64], NDA
 
 
 def recalls(file: AnnotationFile, results: Sequence[Result], options: Options) -> dict[str, float | None]:
-    """Box recall at each of `AT_PRECISION`, at the loosest IoU and whatever score it takes; keys as in JSON."""
+    """Box recall at each precision of `AT_PRECISION`, at the loosest IoU and whatever score it takes.
+
+    Args:
+        file: The ground truth.
+        results: Vehicles that were found in its images.
+        options: The thresholds, and what counts.
+
+    Returns:
+        Recalls, None without vehicles, by precision as a key of JSON.
+    """
     every = match_split(file, results, replace(options, score=0.0, iou=(options.loosest,)))
     scores, hits = ranked(every, options.loosest)
     truth = len(every.vehicles)
@@ -152,10 +167,16 @@ def recalls(file: AnnotationFile, results: Sequence[Result], options: Options) -
 def recall_at_precision(
     scores: NDArray[np.float64], hit: NDArray[np.bool_], truth: int, precision: float
 ) -> dict[str, float | None]:
-    """The greatest recall over all least scores at which `precision` is reached, and the highest such least score.
+    """The greatest recall over all least scores at which a precision is reached, and the highest such least score.
 
-    `scores` and `hit` are (D,), of the detections that count; `truth` is the number of vehicles. 0 where the precision
-    is never reached, None without vehicles.
+    Args:
+        scores: (D,) of the detections that count.
+        hit: (D,) whether each is of a vehicle.
+        truth: Number of vehicles.
+        precision: Share of detections that must be right, 0 to 1.
+
+    Returns:
+        `recall` and `score`: 0 where the precision is never reached, None without vehicles.
     """
     order = np.argsort(-scores, kind="stable")
     hits = np.cumsum(hit[order])

@@ -82,15 +82,30 @@ def scheme_points(scheme: str, truth: Scheme = keypoints.SKOPE33) -> tuple[int, 
 
 
 def read_results(path: Path, file: AnnotationFile, scheme: str | None = None) -> tuple[Result, ...]:
-    """The vehicles of a detector of `scheme`, by default that of `file`, for its images.
+    """Read the vehicles of a results file.
 
-    A UserError names a result that is for none of them.
+    Args:
+        path: COCO results.
+        file: The images, whose ids the results have.
+        scheme: Keypoint scheme of the detector; None: that of `file`.
+
+    Raises:
+        UserError: The file is malformed, or has a result that is for none of the images.
     """
     return tuple(_for_file(path, file, scheme))
 
 
 def read_all_results(path: Path, file: AnnotationFile, scheme: str | None = None) -> tuple[AnyResult, ...]:
-    """The results of `read_results` and those of other road users, in the order of the results file."""
+    """Read the vehicles and the other road users of a results file, in its order.
+
+    Args:
+        path: COCO results.
+        file: The images, whose ids the results have.
+        scheme: Keypoint scheme of the detector; None: that of `file`.
+
+    Raises:
+        UserError: As `read_results` does.
+    """
     return tuple(_all_for_file(path, file, scheme))
 
 

@@ -19,9 +19,14 @@ CURVE_POINTS: Final = 101
 
 
 def confidence(matches: Matches, outcomes: Outcomes, options: Options) -> dict[str, Any]:
-    """The entry `confidence` of a split in `metrics.json`, at the IoU threshold of `outcomes`.
+    """The entry `confidence` of a split in `metrics.json`.
 
     Other programs' scores may be logits or visibilities; those outside 0..1 claim no probability, only an order.
+
+    Args:
+        matches: Vehicles and detections, matched.
+        outcomes: Who was taken by which detection, at one IoU.
+        options: What counts.
     """
     found = outcomes.found
     points = np.array(options.points)

@@ -58,10 +58,20 @@ def annotations(
     scale: int = 1,
     scheme: Scheme = SKOPE33,
 ) -> Pixels:
-    """Draw ground truth on a copy of (H, W, 3) `image`, enlarged `scale` times.
+    """Draw ground truth on a copy of an image.
 
     Keypoints are filled where visible (v = 2) and hollow where hidden (v = 1); who is ignored is a dashed box with the
     reason. The label is the track's number, or the annotation's id; that of other road users begins with a letter.
+
+    Args:
+        image: (H, W, 3) RGB.
+        vehicles: The image's annotations, boxes and keypoints in its pixels.
+        road_users: People on foot and on two wheels.
+        scale: The picture is enlarged so many times.
+        scheme: What the keypoints are.
+
+    Returns:
+        (scale H, scale W, 3) RGB.
     """
     canvas = _Canvas(image, scale, scheme)
     labels: list[Annotation | RoadUser] = [*vehicles, *road_users]
@@ -108,7 +118,16 @@ def words_of(vehicle: Annotation | RoadUser) -> str:
 
 
 def numbered(image: Pixels, vehicles: Iterable[Annotation], *, scale: int = 1) -> Pixels:
-    """Like `annotations`, with the number of each keypoint beside it and without boxes' labels."""
+    """Draw ground truth with the number of each keypoint beside it and without boxes' labels.
+
+    Args:
+        image: (H, W, 3) RGB.
+        vehicles: The image's annotations.
+        scale: The picture is enlarged so many times.
+
+    Returns:
+        (scale H, scale W, 3) RGB.
+    """
     canvas = _Canvas(image, scale)
     for vehicle in vehicles:
         seen = vehicle.keypoints[:, 2]
@@ -126,11 +145,21 @@ def results(
     scale: int = 1,
     scheme: Scheme = SKOPE33,
 ) -> Pixels:
-    """Draw what was found on a copy of (H, W, 3) `image`, enlarged `scale` times, the best on top.
+    """Draw what was found on a copy of an image, the best on top.
 
     Keypoints are filled from a probability of 0.5 on; below they are hollow and faint, and below 0.15 left out. Small
     vehicles have neither skeleton nor label, which would hide the next ones. The label is the score; that of other road
     users, who have a box in the colour of their category, begins with its first letter.
+
+    Args:
+        image: (H, W, 3) RGB.
+        found: Vehicles, in pixels of the image.
+        road_users: People on foot and on two wheels.
+        scale: The picture is enlarged so many times.
+        scheme: What the keypoints are.
+
+    Returns:
+        (scale H, scale W, 3) RGB.
     """
     canvas = _Canvas(image, scale, scheme)
     for user in sorted(road_users, key=lambda r: r.score):
@@ -149,7 +178,13 @@ def results(
 
 
 def boxes_3d(image: Pixels, vehicles: Iterable[Labelled], camera: Camera) -> Pixels:
-    """The edges of road users' 3D boxes on a copy of (H, W, 3) `image`, those of the front end thicker."""
+    """Draw the edges of road users' 3D boxes on a copy of an image, those of the front end thicker.
+
+    Args:
+        image: (H, W, 3) RGB.
+        vehicles: Labels of vehicles or others; those without `box_3d` are left out.
+        camera: The image's camera.
+    """
     canvas = _Canvas(image, 1)
     for vehicle in vehicles:
         if vehicle.box_3d is None:
@@ -180,7 +215,13 @@ def mask_of(vehicle: Labelled) -> NDArray[np.bool_] | None:
 
 
 def masks(image: Pixels, vehicles: Iterable[Labelled], *, strength: float = 0.45) -> Pixels:
-    """Road users' visible pixels tinted on a copy of (H, W, 3) `image`."""
+    """Tint road users' visible pixels on a copy of an image.
+
+    Args:
+        image: (H, W, 3) RGB.
+        vehicles: Labels of vehicles or others; those whose mask is not given as RLE are left out.
+        strength: Share of the tint, 0 to 1.
+    """
     out = image.astype(np.float32)
     for vehicle in vehicles:
         inside = mask_of(vehicle)
@@ -221,7 +262,16 @@ def caption(image: Pixels, text: str) -> Pixels:
 
 
 def contact_sheet(images: Sequence[Pixels], columns: int, *, gap: int = 4) -> Pixels:
-    """Images (H, W, 3) in rows of `columns`, each at the top left of a cell as large as the largest of them."""
+    """Put images in rows, each at the top left of a cell as large as the largest of them.
+
+    Args:
+        images: (H, W, 3) RGB each, of any sizes; one at least.
+        columns: Images in a row.
+        gap: Pixels between cells.
+
+    Raises:
+        ValueError: There is no image, or no column.
+    """
     if not images or columns < 1:
         raise ValueError("a contact sheet needs at least one image and one column")
     columns = min(columns, len(images))

@@ -31,9 +31,12 @@ _CELLS_OF_HEADS: Final = 3
 
 
 def blurred(image: Pixels, found: Iterable[Result], road_users: Iterable[RoadUserResult] = ()) -> Pixels:
-    """A copy of (H, W, 3) `image` with the glass and plates of `found` averaged away, hidden sides' too.
+    """A copy of an image without glass, plates and heads, which are averaged away.
 
-    Of `road_users` it is the upper part of the box, where the head is.
+    Args:
+        image: (H, W, 3) RGB.
+        found: Vehicles, of which glass and plates go, hidden sides' too.
+        road_users: People on foot and on two wheels, of whom the upper part of the box goes, where the head is.
     """
     out = image.copy()
     for user in road_users:

@@ -309,10 +309,18 @@ def found_in(
     names: Sequence[int] = (),
     watched: Sequence[Watcher] = (),
 ) -> Iterator[tuple[Image, list[AnyResult], bool]]:
-    """The frames after number `last`, with what is found in them, and whether the detector has seen them.
+    """Find vehicles and others in the frames of footage, from one number on.
 
-    `last_key` is the number of the last of them that it had seen, `names` are the `track_id` of what it found there.
-    `watched` look at the frames on the way.
+    Args:
+        job: The footage, and how often it is looked at.
+        predictor: The detector.
+        last: Frames up to this number are left out.
+        last_key: Number of the last of them that the detector had seen.
+        names: The `track_id` of each road user that it found there.
+        watched: Look at the frames on the way.
+
+    Yields:
+        A frame, what is found in it, and whether the detector has seen it.
     """
 
     def watch(frames: Iterator[tuple[Image, Pixels]]) -> Iterator[tuple[Image, Pixels]]:

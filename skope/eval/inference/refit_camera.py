@@ -124,9 +124,16 @@ def refit(
 
 
 def registration(before: Pixels, after: Pixels, known: UncertainCamera, name: str) -> Registration:
-    """Measure how the camera of one picture has been turned up to another one; `name` is theirs.
+    """Measure how a camera has been turned between two pictures.
 
-    Raises UserError where a turn does not explain what is seen.
+    Args:
+        before: (H, W, 3) RGB, which `known` took.
+        after: (H, W, 3) RGB, from where it hangs now.
+        known: The camera before.
+        name: Name of the pictures, for errors.
+
+    Raises:
+        UserError: A turn does not explain what is seen.
     """
     reference = ReferencePicture(before, _MATCHED_WIDTH_PX)
     motion, followed = reference.motion(after), reference.followed(after)

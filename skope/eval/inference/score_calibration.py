@@ -62,7 +62,13 @@ def raw_maxima(p: Array) -> Array:
 
 
 def fit(raw: Array, right: NDArray[np.bool_], fitted_on: dict[str, Any]) -> ScoreCalibration:
-    """The calibration of (N, 33) raw maxima by whether each point was visible and near enough."""
+    """Fit a calibration to right and wrong keypoints.
+
+    Args:
+        raw: (N, 33) raw maxima of the heat maps.
+        right: (N, 33) whether each point was visible and near enough.
+        fitted_on: Of what data they are, for the file.
+    """
     if not len(raw):
         raise UserError("nothing to calibrate on: no detection matched a vehicle")
     x, y = np.asarray(raw, dtype=np.float64), _targets(right)
@@ -158,7 +164,17 @@ def check_free(weights: Path, work: Mapping[str, Any]) -> None:
 def write(
     weights: Path, calibration: ScoreCalibration, work: Mapping[str, Any], scheme: str = keypoints.SCHEME
 ) -> Path:
-    """Write a calibration, and the `work` that it is, beside the checkpoint that it is for; returns its path."""
+    """Write a calibration beside the checkpoint that it is for.
+
+    Args:
+        weights: The checkpoint.
+        calibration: Its calibration.
+        work: What identifies the calibration, as `work_of` gives it.
+        scheme: Name of the keypoint scheme.
+
+    Returns:
+        The file's path.
+    """
     path = path_beside(weights)
     fields = asdict(calibration)
     numbers = {name: fields[name].tolist() for name in ("scale", "offset")}

@@ -29,13 +29,30 @@ def starts_of(seen: Observed, shapes: Shapes, ground: Ground | None, chosen: Mas
 
 
 def refined(seen: Observed, shapes: Shapes, ground: Ground | None, starts: Starts, kinds: Kinds) -> Fits:
-    """(N, kept) fits from the best starts of each vehicle, the best first."""
+    """Optimise the best starts of each vehicle.
+
+    Args:
+        seen: Keypoints of N vehicles.
+        shapes: The body types.
+        ground: The road; None: unknown.
+        starts: A start for each vehicle and type.
+        kinds: (N, kept) types that go on.
+
+    Returns:
+        (N, kept) fits, the best first.
+    """
     chosen = np.argsort(starts.cost, axis=1)[:, : min(_KEPT_TYPES, starts.cost.shape[1])]
     return refine(seen, shapes, ground, starts.take(chosen), kinds[chosen]).ordered()
 
 
 def best_types(seen: Observed, shapes: Shapes, ground: Ground | None) -> Fits:
-    """Fits of the likeliest body types to each vehicle, the best first; no search as in `skope.eval.pose.search`."""
+    """Fit the likeliest body types to each vehicle, the best first; no search as in `skope.eval.pose.search`.
+
+    Args:
+        seen: Keypoints of N vehicles.
+        shapes: The body types to choose from.
+        ground: The road; None: unknown.
+    """
     return refined(seen, shapes, ground, starts_of(seen, shapes, ground), np.arange(len(shapes.types)))
 
 

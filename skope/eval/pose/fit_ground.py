@@ -59,8 +59,17 @@ def with_fitted_ground(
 ) -> tuple[Scene, str | None]:
     """The scene with the road that its vehicles show, and a line that says so.
 
-    `asked` is "fit" for always, "auto" for: where the vehicles clearly contradict the level plane that the scene has.
     Each of several cameras has a road of its own.
+
+    Args:
+        scene: Vehicles, and the level plane to begin with.
+        asked: "fit" for always; "auto" for: where the vehicles clearly contradict that plane.
+        score: Detections above this are taken.
+        noise: Standard deviation of the noise that is added to labelled keypoints, pixels.
+        sigma_px: Standard deviation of a keypoint, pixels; None as in `Scene.views`.
+
+    Raises:
+        UserError: "fit" was asked for, and the vehicles do not tell the road.
     """
     if scene.ground is None or not scene.file.images:
         if asked == "fit" and scene.file.images:
@@ -147,7 +156,13 @@ def _words(fit: GroundFit, asked: str) -> str:
 
 
 def fit_ground(views: VehicleViews, camera: Camera, begun: Ground) -> GroundFit:
-    """The plane under vehicles that `camera` sees, near `begun`; how far they lie off it is its `height_sigma`."""
+    """Fit a plane under vehicles; how far they lie off it is its `height_sigma`.
+
+    Args:
+        views: Keypoints of the vehicles.
+        camera: The camera that sees them, with its pose.
+        begun: The plane near which the search begins.
+    """
     solved = _adjusted(views, camera, begun, free=True)
     ground = _plane(camera, solved.bundle.camera, begun)
     ground = replace(ground, height_sigma=_unevenness(views, camera, ground))

@@ -60,7 +60,13 @@ class Linearised:
         )
 
     def without_poses(self, vehicle: NDArray[np.intp], shape: Array, damping: Array) -> "Parts":
-        """Eliminate the poses, then the shapes (N, M) are taken out; `damping` (N,) of both."""
+        """The equations after the poses, then the shapes are taken out (Schur complements).
+
+        Args:
+            vehicle: (B,) the vehicle of each view.
+            shape: (N, M) the vehicles' shapes.
+            damping: (N,) damping of poses and shapes.
+        """
         count, m = len(shape), self.numbers
         pose, rest = slice(0, 3), slice(3, None)
         own = self.normal[:, pose, pose]
@@ -125,7 +131,16 @@ def _inverses(matrices: Array) -> Array:
 
 
 def summed(values: Array, vehicle: NDArray[np.intp], count: int) -> Array:
-    """(N, ...) sums over the views (B, ...) of each vehicle."""
+    """Sum over the views of each vehicle.
+
+    Args:
+        values: (B, ...) a value for each view.
+        vehicle: (B,) the vehicle of each view.
+        count: Number N of vehicles.
+
+    Returns:
+        (N, ...) sums.
+    """
     out = np.zeros((count, *values.shape[1:]))
     np.add.at(out, vehicle, values)
     return out

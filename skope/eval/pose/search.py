@@ -44,7 +44,16 @@ _ORDERS: Final = (list(FLIP), list(OTHER_END), [FLIP[i] for i in OTHER_END])
 def retry_from_subsets(
     seen: Observed, fits: Fits, poor: Rows, shapes: Shapes, ground: Ground | None, rng: np.random.Generator
 ) -> None:
-    """Fit the vehicles `poor` from starts by random few keypoints; `fits` takes what fits all keypoints better."""
+    """Fit vehicles from starts by random few keypoints; `fits` takes what fits all keypoints better.
+
+    Args:
+        seen: Keypoints of N vehicles.
+        fits: The fits so far, changed in place.
+        poor: Rows of the vehicles that are tried again.
+        shapes: The body types.
+        ground: The road; None: unknown.
+        rng: Draws the keypoints.
+    """
     times = _SUBSETS[ground is not None]
     some, again = seen.take(poor), seen.take(np.tile(poor, times))
     starts = starts_of(again, shapes, ground, again.subsets(_SUBSET, rng)).gathered(times)

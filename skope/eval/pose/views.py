@@ -154,9 +154,14 @@ class Scene:
     def views(
         self, *, score: float = 0.5, sigma_px: float | None = None, noise: float = 0.0, seed: int = 0
     ) -> Iterator[View]:
-        """Every image with its detections above `score`, or its labelled vehicles with `noise` pixels added.
+        """Every image with its detections, or its labelled vehicles, one after the other.
 
-        `sigma_px` is the standard deviation that a pose search shall reckon with; None: 2% of the box, or the noise.
+        Args:
+            score: Detections above this are taken.
+            sigma_px: Standard deviation of a keypoint that a pose search shall reckon with, pixels; None: 2% of the
+                box, or the noise.
+            noise: Standard deviation of the noise that is added to labelled keypoints, pixels.
+            seed: Seed of that noise.
         """
         rng = np.random.default_rng(seed)
         if self.results is None:

@@ -152,7 +152,13 @@ def _logarithmic(value: float, sigma: float, digits: int) -> str:
 
 
 def known_of(height: float | None, fov_deg: float | None, width: int) -> Known:
-    """Prior knowledge of a camera whose height over the road (metres) or horizontal field of view somebody gives."""
+    """Prior knowledge of a camera of which somebody gives the height or the field of view.
+
+    Args:
+        height: Height over the road, metres; None: not given.
+        fov_deg: Horizontal field of view, degrees; None: not given.
+        width: Width of the image, pixels.
+    """
     known = Known()
     center, sigma = known.center.copy(), known.sigma.copy()
     if height is not None:
@@ -179,7 +185,16 @@ def doubt(name: Path | str, ways_sigma: float) -> str:
 
 
 def write_camera(out: Path, camera: Camera, besides: Mapping[str, Any]) -> Iterator[str]:
-    """Write a camera file, unless the same one is there; yields that."""
+    """Write a camera file, unless the same one is there; yields that.
+
+    Args:
+        out: The .json file.
+        camera: The camera.
+        besides: Further fields of the file, as JSON values.
+
+    Raises:
+        UserError: The file cannot be written, or holds something else.
+    """
     document = {"width": camera.width, "height": camera.height, **camera.to_dict(), **besides}
     write_new(out, (json.dumps(document, indent=1, allow_nan=False) + "\n").encode())
     yield f"wrote {out}"

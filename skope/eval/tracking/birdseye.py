@@ -106,7 +106,14 @@ def draw(
 
 
 def road_picture(tracks: Sequence[GroundTrack], camera: Camera, ground: Ground, road: Pixels) -> RoadPicture:
-    """The empty road (H, W, 3), as a camera shows it, from above: the rectangle that `draw` shows."""
+    """The empty road from above: the rectangle that `draw` shows.
+
+    Args:
+        tracks: Tracks, which the rectangle holds.
+        camera: The camera, with its pose.
+        ground: The road.
+        road: (H, W, 3) the empty road as the camera shows it.
+    """
     low, high = extent(tracks, camera.position[:2])
     cell = float((high - low).max()) / _FEWER_CELLS
     view = GroundView(camera=camera, ground=ground, low=low, high=high, cell_m=cell)

@@ -85,7 +85,13 @@ def frames(
 ) -> Iterator[Pixels]:
     """A picture (H, W, 3) from above for each time, y upwards: outlines with a line to their front, number and km/h.
 
-    Camera, ground, the picture of the empty road and other road users, who are dots, are as `birdseye.draw` takes them.
+    Args:
+        tracks: The vehicles' tracks.
+        times_s: Time of each picture, seconds.
+        camera: The camera, with its pose.
+        ground: The road; None: unknown.
+        road: (H, W, 3) the empty road as the camera shows it; None: not at hand.
+        road_users: Tracks of people on foot and on two wheels, who are dots.
     """
     shown = _Map([*tracks, *road_users], camera, ground, road)
     for frame, time_s in enumerate(times_s):
@@ -126,7 +132,15 @@ def _draw_dot(picture: Pixels, shown: _Map, track: RoadUserTrack, i: int) -> Non
 def write(
     picture: Pixels, text: str, place: tuple[int, int], color: tuple[int, int, int] = _INK, size: float = 0.45
 ) -> None:
-    """Write a text with a white edge, its lower left corner at a place, moved where it would leave the picture."""
+    """Write a text with a white edge, moved where it would leave the picture.
+
+    Args:
+        picture: (H, W, 3), changed in place.
+        text: One line.
+        place: Column and row of its lower left corner, pixels.
+        color: RGB.
+        size: Size of the letters, as OpenCV has it.
+    """
     text = text.replace("±", "+-")  # OpenCV's letters are ASCII's
     (width, height), _ = cv2.getTextSize(text, _LABEL_FONT, size, 1)
     x = int(np.clip(place[0], 2, max(2, picture.shape[1] - width - 4)))

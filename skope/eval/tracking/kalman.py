@@ -48,9 +48,12 @@ def first_state(pose: PoseMeasurement) -> State:
 
 
 def first_state_at(place: Array, covariance: Array, speed_sigma: float) -> State:
-    """State of somebody who is seen for the first time, at a place (2,) of covariance (2, 2), and may go anywhere.
+    """State of somebody who is seen for the first time and may go anywhere.
 
-    `speed_sigma` is the standard deviation of the speed in any direction, m/s.
+    Args:
+        place: (2,) world x, y, metres.
+        covariance: (2, 2) of the place, square metres.
+        speed_sigma: Standard deviation of the speed in any direction, m/s.
     """
     spread = np.zeros((6, 6))
     spread[:2, :2] = covariance
@@ -76,7 +79,13 @@ def motion(dt: float) -> tuple[Array, Array]:
 
 
 def predicted(state: State, F: Array, Q: Array) -> State:
-    """A state after one step of `motion`, before anything is measured."""
+    """A state after one step of `motion`, before anything is measured.
+
+    Args:
+        state: Mean (6,) and covariance (6, 6).
+        F: (6, 6) transition.
+        Q: (6, 6) covariance of what is added in the step.
+    """
     mean, spread = state
     return F @ mean, F @ spread @ F.T + Q
 
@@ -94,7 +103,13 @@ def updated(state: State, pose: PoseMeasurement) -> State:
 
 
 def updated_at(state: State, place: Array, covariance: Array) -> State:
-    """A state that has taken in a place (2,) of covariance (2, 2)."""
+    """A state that has taken in a place.
+
+    Args:
+        state: Mean (6,) and covariance (6, 6).
+        place: (2,) world x, y, metres.
+        covariance: (2, 2) of the place, square metres.
+    """
     mean, spread = state
     gain = np.linalg.solve(spread[:2, :2] + covariance, spread[:2]).T
     kept = np.eye(len(mean))

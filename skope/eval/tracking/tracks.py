@@ -176,7 +176,14 @@ class OpenTrack:
         return self.steps[-2].detection.bbox if len(self.steps) > 1 and self.steps[-2].detection is not None else None
 
     def predict(self, frame: int, time_s: float, F: Array, Q: Array) -> None:
-        """Go on to a frame, whose detections are not known yet, with `kalman.motion` F and Q."""
+        """Go on to a frame, whose detections are not known yet.
+
+        Args:
+            frame: The frame, from 0.
+            time_s: Its time, seconds.
+            F: (6, 6) transition, of `kalman.motion`.
+            Q: (6, 6) covariance of what is added in the step.
+        """
         ahead = kalman.predicted(self.state, F, Q)
         self.steps.append(TrackStep(frame, time_s, F, ahead, ahead))
 
@@ -222,7 +229,15 @@ class OpenTrack:
 def begin(
     frame: int, time_s: float, detection: Detection, pose: PoseMeasurement, approach: Sequence[Sighting] = ()
 ) -> OpenTrack:
-    """The track of a vehicle that has had no pose before; `approach` is what was seen of it, latest first."""
+    """The track of a vehicle that has had no pose before.
+
+    Args:
+        frame: The frame, from 0.
+        time_s: Its time, seconds.
+        detection: What was seen of the vehicle there.
+        pose: Where it stands.
+        approach: What was seen of it before, latest first.
+    """
     state = kalman.first_state(pose)
     step = TrackStep(frame, time_s, np.eye(6), state, state, detection)
     return OpenTrack([step], pose, kinds=Counter([pose.kind]), last_pose_s=time_s, approach=list(approach))
