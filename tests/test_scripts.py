@@ -130,6 +130,7 @@ RUNS: Final[Sequence[Run]] = (
         says="| mine | ",
         slow=True,
     ),
+    Run("house_figures.py", "{out}", says="has no folder skope", code=2),  # of a small tree: test_house_figures.py
     Run("infer_order.py", "{out}", says="no scene_K.zip", code=2),  # from scenes: test_infer_order.py
     Run("reference_run.py", "nonsense", says="invalid choice: 'nonsense'", code=2),
     Run("reference_table.py", "{metrics}", says="| dataset easy | 0.6 |"),
