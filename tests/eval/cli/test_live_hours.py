@@ -54,7 +54,7 @@ def begins_of(path: str) -> datetime:
 
 
 def test_recordings_of_a_stream_know_when_they_began(skope: Skope, random_run: Path) -> None:
-    first, last = predicted(skope, random_run, "seen/0", "--end", "1.3", fps=15)
+    first, last = predicted(skope, random_run, "seen/0", "--end", "3.5", fps=8)
     frames = json.loads(Path("seen/0/frames.json").read_text())
     begin = datetime.fromisoformat(frames["info"]["begins"])
     assert first - timedelta(milliseconds=1) <= begin <= last
