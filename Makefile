@@ -84,8 +84,7 @@ $(RUN)/eval/metrics.json: $(RUN)/.trained | $(STAMP)
 paper: $(STAMP)
 	$(SKOPE) gen --preset paper --out data/paper
 	$(SKOPE) gen --preset extra --out data/extra
-	if [ ! -f runs/paper/.trained ]; then if [ -f runs/paper/resume.pt ]; then $(SKOPE) train --out runs/paper --resume; \
-	else $(SKOPE) train --data data/paper --recipe $(RECIPE) --out runs/paper; fi && touch runs/paper/.trained; fi
+	$(SKOPE) train --data data/paper --recipe $(RECIPE) --out runs/paper
 	$(SKOPE) eval --data data/paper --checkpoint runs/paper --compare paper
 	$(SKOPE) eval --data data/extra --checkpoint runs/paper --split extra --out runs/paper/extra
 

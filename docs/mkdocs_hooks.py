@@ -1,4 +1,4 @@
-"""What mkdocs.yml needs besides docs/: the README as the first page, and a page on the command line made from the code.
+"""What mkdocs.yml needs besides docs/: the README as the first page, and pages on commands and Python from the code.
 
 mkdocs calls the functions by their names. Links that leave docs/ become plain text, as what they name is not published.
 """
@@ -12,6 +12,7 @@ import typer
 from mkdocs.config.defaults import MkDocsConfig
 from mkdocs.structure.files import File, Files
 from mkdocs.structure.pages import Page
+from python_reference import python_reference
 
 from skope import cli
 
@@ -22,7 +23,11 @@ _LINK: Final = re.compile(r"(?<!!)\[([^\]]*)\]\(([^)\s]+)\)")
 def on_files(files: Files, config: MkDocsConfig) -> Files:
     """Add the generated pages."""
     readme = (ROOT / "README.md").read_text(encoding="utf-8").replace("](docs/", "](")
-    for name, text in {"index.md": readme, "command-line.md": command_line()}.items():
+    for name, text in {
+        "index.md": readme,
+        "command-line.md": command_line(),
+        "python-reference.md": python_reference(),
+    }.items():
         files.append(File.generated(config, name, content=text))
     return files
 

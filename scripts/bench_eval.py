@@ -190,7 +190,7 @@ def bench_inference(
     where, quiet = choose_device(device), Console(quiet=True)
 
     def predictor(**settings: Any) -> Predictor:
-        return Predictor(checkpoint, Settings(device=device, calibrated=False, **settings), quiet)
+        return Predictor.load(checkpoint, Settings(device=device, calibrated=False, **settings), quiet)
 
     ways: dict[str, Stock | Predictor] = {
         "torchvision": Stock(checkpoint, where, floor),

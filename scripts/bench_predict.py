@@ -38,12 +38,13 @@ from skope.detections import results
 from skope.detector.checkpoint import load_weights
 from skope.detector.detect import MIN_SCORE, as_tensor
 from skope.eval.inference.confirmation import WEAK, Confirmation
-from skope.eval.inference.footage import Cut, Footage, Pixels, open_footage
+from skope.eval.inference.footage import Cut, Footage, open_footage
 from skope.eval.inference.predict_footage import PredictJob, found_in
 from skope.eval.inference.predictor import Predictor
 from skope.eval.inference.settings import Settings
 from skope.schema import AnnotationFile, Image, Result
 from skope.terminal.console import Console
+from skope.types import Pixels
 
 SCORE: Final = 0.5
 WAYS: Final = {
@@ -75,7 +76,7 @@ STAGES: Final = {
 def predictor_of(options: argparse.Namespace, way: str, size: int) -> Predictor:
     backend, precision = WAYS[way]
     settings = Settings(device=options.device, backend=backend, precision=precision, min_size=size, min_score=WEAK)
-    return Predictor(options.checkpoint, settings, Console(quiet=True))
+    return Predictor.load(options.checkpoint, settings, Console(quiet=True))
 
 
 def clips(options: argparse.Namespace) -> list[tuple[Path, Footage]]:

@@ -148,14 +148,17 @@ class Peer:
                     )
 
     def draw(self) -> None:
-        from skope.gen.render.pixel_windows import NEAR
-        from skope.gen.render.tiny_renderer import FAR
+        from skope.gen.render.pixel_windows import CLIP_DEPTH_M
+        from skope.gen.render.tiny_renderer import TINY_FAR_PLANE_M
 
         camera = self.recording.camera
         width, height, f = camera.width, camera.height, camera.K[0, 0]
         projection = np.zeros((4, 4))
         projection[0, 0], projection[1, 1] = 2 * f / width, 2 * f / height
-        projection[2, 2:] = -(FAR + NEAR) / (FAR - NEAR), -2 * FAR * NEAR / (FAR - NEAR)
+        projection[2, 2:] = (
+            -(TINY_FAR_PLANE_M + CLIP_DEPTH_M) / (TINY_FAR_PLANE_M - CLIP_DEPTH_M),
+            -2 * TINY_FAR_PLANE_M * CLIP_DEPTH_M / (TINY_FAR_PLANE_M - CLIP_DEPTH_M),
+        )
         projection[3, 2] = -1
         view = np.diag([1.0, -1.0, -1.0, 1.0]) @ camera.T_camera_world
         self.image = self.engine.getCameraImage(

@@ -180,7 +180,7 @@ def calibrate(clock: Clock, options: argparse.Namespace, full: Path) -> Path:
     out: Path = options.out / "calibrated.safetensors"
     if not out.is_file():
         what = ["--data", str(options.data / CALIBRATION), "--split", "train", "--last", "0.17", "--score", "0.5"]
-        clock.run(["eval", "calibrate", "--checkpoint", str(full), *what, "--out", str(out)])
+        clock.run(["eval", "calibrate-scores", "--checkpoint", str(full), *what, "--out", str(out)])
     return out
 
 

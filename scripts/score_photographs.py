@@ -386,12 +386,12 @@ def run(options: argparse.Namespace) -> None:
     given = weights = None
     if options.checkpoint:
         settings = Settings(device=options.device, backend=options.backend, precision=options.precision)
-        predictor = Predictor(options.checkpoint, settings, Console())
+        predictor = Predictor.load(options.checkpoint, settings, Console())
         predictor.check_scheme(photographs.file.scheme, photographs.source)
         weights = predictor.weights
         claim_folder(options, photographs, predictor.files)
         results = predict(predictor, photographs)
-        in_boxes = Predictor(weights, replace(settings, given=True), Console(quiet=True))
+        in_boxes = Predictor.load(weights, replace(settings, given=True), Console(quiet=True))
         given = predict(in_boxes, photographs)
     else:
         results = read_results(options.predictions, photographs.file)

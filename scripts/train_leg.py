@@ -1,13 +1,14 @@
-"""Train `road33` on for as long as a machine is to be had: one leg of its training, whole, within a time that is told.
+"""Train a shipped detector for as long as a machine is to be had: one leg, whole, within a time that is told.
 
     python scripts/train_leg.py run 2 --state runs/legs/1 --minutes 24 --gpus 0,1 --out runs/legs/2
     python scripts/train_leg.py join runs/legs/2 --out road33_2.safetensors
 
 A leg (legs.toml) goes on from the weights of the one before. Its places are simulated and drawn beside the training,
-which runs in rounds: each learns from all that is drawn when it begins, at a constant rate (leg.toml), and hands the
-running mean of its weights to the next. At the end the tests are measured, and the weights are packed for the way: in
-16 bits, norms and counts as they are, in parts of at most 15 MiB with their SHA-256 in parts.json. `join` puts them
-together again where all are there and whole. leg.json has what was done and found.
+which runs in rounds: each learns from all that is drawn when it begins, at a constant rate (leg.toml, lite.toml), and
+hands the running mean of its weights to the next; the last one may have a lower rate. At the end the tests are
+measured, and the weights are packed for the way: in 16 bits, norms and counts as they are, in parts of at most 15 MiB
+with their SHA-256 in parts.json. `join` puts them together again where all are there and whole. leg.json has what was
+done and found.
 
 What is finished is not done again: after an interruption the same command goes on. --miniature tries a leg on a laptop.
 """
@@ -47,6 +48,8 @@ ROUND_S: Final = 240.0
 LEAST_ROUND_S: Final = 60.0
 MEASURING_S: Final = 150.0
 """Of a leg's time, for measuring and packing."""
+RANDOM: Final = "random"
+"""Where a leg begins from nothing."""
 AT_ONCE: Final = 4
 """Datasets that are simulated side by side."""
 TINY_PLACES: Final = {"--frames": "1", "--size": "480x270"}
@@ -60,18 +63,29 @@ class Leg:
 
     name: str
     start: str
-    """Weights that come with skope; of a leg with --state, which has those of the leg before, nothing."""
+    """Weights that come with skope, or `RANDOM`; of a leg with --state, which has those of the leg before, nothing."""
     places: tuple[str, ...]
     """Options of `skope gen simulate`, a dataset each."""
+    recipe: str
+    """A recipe's file beside this one."""
     settings: tuple[str, ...] = ()
     """Values of the recipe, as --set takes them."""
+    last: tuple[str, ...] = ()
+    """More of them, for the last round."""
 
 
 def read_legs(path: Path = HERE / "legs.toml") -> tuple[dict[str, Leg], dict[str, dict[str, str]]]:
     """The legs by name, and the tests: dataset -> its `places` and `splits`."""
     values = tomllib.loads(path.read_text())
     legs = [
-        Leg(str(row["name"]), row.get("start", ""), tuple(row["places"]), tuple(row.get("settings", ())))
+        Leg(
+            name=str(row["name"]),
+            start=row.get("start", ""),
+            places=tuple(row["places"]),
+            recipe=row.get("recipe", "leg.toml"),
+            settings=tuple(row.get("settings", ())),
+            last=tuple(row.get("last", ())),
+        )
         for row in values["legs"]
     ]
     return {leg.name: leg for leg in legs}, values["tests"]
@@ -164,17 +178,27 @@ def placed(options: str, miniature: bool) -> str:
 
 
 def train_round(
-    options: argparse.Namespace, leg: Leg, number: int, start: Path, data: Sequence[Path], seconds: float
-) -> Path:
-    """Train on some datasets for so long; returns the mean weights."""
+    options: argparse.Namespace,
+    leg: Leg,
+    number: int,
+    start: Path | None,
+    data: Sequence[Path],
+    seconds: float,
+    *,
+    last: bool,
+) -> Path | None:
+    """Train on some datasets for so long, from weights or from nothing; returns the mean weights.
+
+    Where it ended before anything was saved, these are those that it began with.
+    """
     run: Path = options.out / f"round_{number}"
     weights = run.with_suffix(".safetensors")
     if weights.is_file():
         return weights
-    settings = leg.settings
+    settings = (*leg.settings, *(leg.last if last else ()))
     if options.miniature:
         settings = (*settings, *TINY_SETTINGS)
-    new = ["--recipe", str(HERE / "leg.toml"), "--init", str(start), "--seed", str(number)]
+    new = ["--recipe", str(HERE / leg.recipe), "--init", str(start or RANDOM), "--seed", str(number)]
     new += [word for setting in settings for word in ("--set", setting)]
     if number > 1:
         new += ["--set", "warmup_steps=50"]
@@ -318,6 +342,17 @@ def note(out: Path, what: str, values: Any) -> None:
     write_json(path, {**(read_json(path) if path.is_file() else {}), what: values})
 
 
+def begin(options: argparse.Namespace, leg: Leg) -> Path | None:
+    """The weights that a leg begins with; None: it begins from nothing."""
+    note(options.out, "start", "the leg before" if options.state else leg.start)
+    if not options.state:
+        return None if leg.start == RANDOM else find_checkpoint(Path(leg.start))
+    start: Path = options.out / "start.safetensors"
+    if not start.is_file():
+        join(options.state, start)
+    return start
+
+
 def run(options: argparse.Namespace) -> None:
     """A leg."""
     end = time.monotonic() + 60 * options.minutes
@@ -331,10 +366,7 @@ def run(options: argparse.Namespace) -> None:
     wanted |= {name: test["places"] for name, test in tests.items()}
     places = Places(options.data, {name: placed(wanted[name], options.miniature) for name in order}, options.workers)
     try:
-        start = options.out / "start.safetensors" if options.state else find_checkpoint(Path(leg.start))
-        if options.state and not start.is_file():
-            join(options.state, start)
-        note(options.out, "start", "the leg before" if options.state else leg.start)
+        start = begin(options, leg)
         weights, number = start, 0
         learning_ends = end - MEASURING_S
         while (left := learning_ends - time.monotonic()) > LEAST_ROUND_S:
@@ -344,15 +376,18 @@ def run(options: argparse.Namespace) -> None:
             if not here or left <= 0:
                 break
             number += 1
-            seconds = left if left < 2 * ROUND_S else ROUND_S
-            weights = train_round(options, leg, number, weights, [options.data / name for name in here], seconds)
+            last = left < 2 * ROUND_S
+            data, seconds = [options.data / name for name in here], left if last else ROUND_S
+            weights = train_round(options, leg, number, weights, data, seconds, last=last)
         places.wait_for(list(tests), time.monotonic() + 5)
     finally:
         places.stop()
     note(options.out, "places", {"drawn": places.drawn, "failed": places.failed})
+    if weights is None:
+        raise UserError(f"{options.out}: no round saved anything; --minutes {options.minutes:g} is too short")
     pack(weights, options.out / "state")
     forms = {"end": weights}
-    if options.measure_start:
+    if options.measure_start and start is not None:
         forms["start"] = start
     note(options.out, "figures", measure(options, forms, max(30.0, end - time.monotonic())))
     print("done")

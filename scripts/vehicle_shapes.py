@@ -19,7 +19,7 @@ import numpy as np
 from skope import keypoints
 from skope.files.atomic import write_text
 from skope.gen.labels.annotate import box_around
-from skope.gen.traffic.demand import HEAVY
+from skope.gen.traffic.demand import HEAVY_FROM_KG
 from skope.gen.vehicles.fleet import build, fleet
 from skope.gen.vehicles.model import ON_TRAILER, Vehicle
 from skope.gen.vehicles.shape_jitter import jittered
@@ -74,7 +74,7 @@ def main() -> None:
             samples += [row(vehicle, bend) for bend in np.unique([bends, -bends])]
         kinds.setdefault(kind, []).append(np.stack(samples))
         weights.setdefault(kind, []).append(entry.share)
-        heavy[kind] = entry.vehicle.mass > HEAVY
+        heavy[kind] = entry.vehicle.mass > HEAVY_FROM_KG
         # Further models of a type share its traffic with the others.
         if not entry.further or kind not in usual:
             shares[kind] = shares.get(kind, 0.0) + entry.share

@@ -1,19 +1,18 @@
 """The command line: mounts the three groups and turns users' errors into one line and exit code 2."""
 
 import sys
-from typing import Any
+from typing import Any, Final
 
 import typer
-from typer.core import TyperGroup
 
 from skope.errors import UserError
 from skope.eval.cli.app import app as eval_app
 from skope.gen.cli.app import app as gen_app
-from skope.terminal.command_options import Commands
+from skope.terminal.command_options import CommandGroup, Commands
 from skope.train.cli import app as train_app
 
 
-class _Root(TyperGroup):
+class _Root(CommandGroup):
     """The `skope` command itself, which says that it was stopped: typer would end without a word."""
 
     def invoke(self, ctx: Any) -> Any:
@@ -24,15 +23,39 @@ class _Root(TyperGroup):
             raise typer.Exit(130) from None
 
 
+_HELP: Final = "\n\n".join(
+    (
+        "Vehicles before fixed roadside cameras: synthetic images with 33 keypoints per vehicle, a detector that "
+        "learns from them and comes with the package, and from footage tracks in metres, counts, speeds and conflicts.",
+        "A dataset, a detector, its figures: skope gen, skope train, skope eval.",
+        "A video to a report on traffic: skope eval predict, track, traffic; before that skope eval site draws camera "
+        "and gates in the browser.",
+    )
+)
+"""What stands above the commands: what the package is for, and which commands follow each other."""
+
 app = Commands(
     cls=_Root,
-    help="Synthetic roadside images with 33 keypoints per vehicle, a detector trained on them, and its measurement.",
+    help=_HELP,
     no_args_is_help=True,
     pretty_exceptions_enable=False,
 )
-app.add_typer(gen_app, name="gen")
-app.add_typer(train_app, name="train")
-app.add_typer(eval_app, name="eval")
+for name, group, holds in (
+    (
+        "gen",
+        gen_app,
+        "Generate annotated roadside images: sites, vehicles, video; check, stats, show, report, view, convert, merge, "
+        "doctor.",
+    ),
+    ("train", train_app, "Train a detector on them: export."),
+    (
+        "eval",
+        eval_app,
+        "Measure a detector: compare, view, calibrate-scores; and traffic: predict, track, pose, traffic, camera, "
+        "site.",
+    ),
+):
+    app.add_typer(group, name=name, short_help=holds)
 
 
 @app.callback()

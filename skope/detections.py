@@ -1,17 +1,23 @@
-"""What a detector found in an image."""
+"""Detections of a detector in one image."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Self, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from skope import boxes
+from skope import boxes, keypoints
+from skope.dataset import coco
+from skope.errors import UserError
 from skope.keypoints import SKOPE33, Scheme
-from skope.schema import Result, RoadUserResult
+from skope.pictures import draw
+from skope.schema import AnyResult, Result, RoadUserResult
+from skope.types import Pixels
 
-AnyResult: TypeAlias = Result | RoadUserResult
+Chosen: TypeAlias = int | slice | Sequence[int] | Sequence[bool] | NDArray[np.bool_] | NDArray[np.integer]
+"""Rows that are chosen: a number, a slice, numbers in their new order, or whether each row is."""
 
 
 @dataclass(frozen=True)
@@ -69,29 +75,106 @@ class Detections:
     """What the keypoints are, and by which edition of their definition they are marked."""
     road_users: RoadUserDetections = field(default_factory=RoadUserDetections)
     """Who else was found, by a detector that has learnt other categories; no vehicles."""
+    numbers: NDArray[np.int64] | None = None
+    """(N,) number of the vehicle, which the frames of its video share; -1 where not known. None: of a single image."""
+    interpolated: NDArray[np.bool_] | None = None
+    """(N,) whether it was followed from other frames of its video. None: of a single image, where all were found."""
 
     def __len__(self) -> int:
         return len(self.scores)
 
+    def __getitem__(self, chosen: Chosen) -> Self:
+        """Some of the vehicles, as detections again: `found[0]`, `found[:5]`, `found[found.scores > 0.8]`.
+
+        The other road users of the image stay.
+        """
+        rows = np.array([chosen]) if isinstance(chosen, int | np.integer) else chosen
+        if not isinstance(rows, slice):
+            rows = np.asarray(rows)
+            rows = rows if rows.size else rows.astype(np.int64)
+            if rows.dtype == bool and rows.shape != (len(self),):
+                raise IndexError(f"expected ({len(self)},) whether each vehicle is chosen, got {rows.shape}")
+        columns = ("boxes_xyxy", "scores", "keypoints", "numbers", "interpolated")
+        given = {name: values for name in columns if (values := getattr(self, name)) is not None}
+        return replace(self, **{name: values[rows] for name, values in given.items()})
+
+    def __iter__(self) -> Iterator[Self]:
+        """One vehicle after the other, each as detections of one, without the other road users."""
+        alone = replace(self, road_users=RoadUserDetections())
+        return (alone[i] for i in range(len(self)))
+
     def above(self, score: float) -> Self:
         """The detections that score higher than `score`, which is from 0 to 1."""
-        kept = self.scores > score
-        others = self.road_users.of(self.road_users.scores > score)
-        return replace(
-            self,
-            boxes_xyxy=self.boxes_xyxy[kept],
-            scores=self.scores[kept],
-            keypoints=self.keypoints[kept],
-            road_users=others,
-        )
+        return replace(self[self.scores > score], road_users=self.road_users.of(self.road_users.scores > score))
+
+    def draw(self, image: Pixels, *, scale: int = 1) -> Pixels:
+        """Draw what was found on a copy of its image, the best on top.
+
+        Args:
+            image: (H, W, 3) RGB pixels of type uint8.
+            scale: The picture is enlarged so many times, for small images.
+
+        Returns:
+            (scale H, scale W, 3) RGB pixels; `draw.write` writes them.
+        """
+        if image.shape[:2] != self.size[::-1]:
+            width, height = self.size
+            raise ValueError(f"image: expected ({height}, {width}, 3) as it was seen, got {image.shape}")
+        return draw.results(image, self.to_results(1), self.road_users.to_results(1), scale=scale, scheme=self.scheme)
+
+    def save(self, path: str | Path, *, image_id: int = 1) -> None:
+        """Write vehicles and other road users as COCO results, in one step.
+
+        Args:
+            path: The .json file.
+            image_id: The image's id in the file.
+
+        Raises:
+            UserError: The name does not end in .json, or the file cannot be written.
+        """
+        if Path(path).suffix.lower() != ".json":
+            raise UserError(f"{path}: detections are saved as .json; `draw.write` writes what `draw` gives")
+        coco.write_results(Path(path), self.all_results(image_id))
 
     def to_results(self, image_id: int) -> list[Result]:
         """The vehicles as COCO results of image `image_id`, for `skope.dataset.coco` and `skope.score`."""
-        return results(image_id, self.boxes_xyxy, self.scores, self.keypoints)
+        made = results(image_id, self.boxes_xyxy, self.scores, self.keypoints)
+        if self.numbers is not None:
+            numbers = self.numbers.tolist()
+            made = [replace(one, track_id=n if n >= 0 else None) for one, n in zip(made, numbers, strict=True)]
+        if self.interpolated is not None:
+            followed = self.interpolated.tolist()
+            made = [replace(one, interpolated=yes) for one, yes in zip(made, followed, strict=True)]
+        return made
 
     def all_results(self, image_id: int) -> list[AnyResult]:
         """Vehicles, then other road users, as COCO results of image `image_id`, for `skope.dataset.coco`."""
         return [*self.to_results(image_id), *self.road_users.to_results(image_id)]
+
+
+def detections_of_results(found: Iterable[AnyResult], size: tuple[int, int], scheme: Scheme = SKOPE33) -> Detections:
+    """The results of one frame of a video as `Detections`.
+
+    Args:
+        found: Vehicles and other road users, best first.
+        size: Width and height of the image, pixels.
+        scheme: What the keypoints are.
+    """
+    vehicles, others = apart(found)
+    return Detections(
+        boxes_xyxy=boxes.xywh_to_xyxy(np.array([one.bbox for one in vehicles]).reshape(-1, 4)),
+        scores=np.array([one.score for one in vehicles], dtype=np.float64),
+        keypoints=np.array([one.keypoints for one in vehicles]).reshape(-1, keypoints.K, 3),
+        size=size,
+        scheme=scheme,
+        road_users=RoadUserDetections(
+            boxes.xywh_to_xyxy(np.array([one.bbox for one in others]).reshape(-1, 4)),
+            np.array([one.score for one in others], dtype=np.float64),
+            np.array([one.category_id for one in others], dtype=np.int64),
+        ),
+        numbers=np.array([-1 if one.track_id is None else one.track_id for one in vehicles], dtype=np.int64),
+        interpolated=np.array([one.interpolated for one in vehicles], dtype=bool),
+    )
 
 
 def apart(found: Iterable[AnyResult]) -> tuple[list[Result], list[RoadUserResult]]:

@@ -204,7 +204,7 @@ class Scheme:
         return self.name if self.edition == 1 else f"{self.name} (edition {self.edition})"
 
     def fields(self) -> dict[str, Any]:
-        """What files say of it, as `scheme_in` reads it."""
+        """Fields of files that name it, as `scheme_in` reads them."""
         return {"keypoint_scheme": self.name} | ({"keypoint_edition": self.edition} if self.edition > 1 else {})
 
     def __post_init__(self) -> None:

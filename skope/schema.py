@@ -8,7 +8,7 @@ import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import Any, Final, TypeVar
+from typing import Any, Final, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +21,7 @@ from skope.files import safe_names
 from skope.keypoints import SKOPE33, Scheme
 from skope.types import Array
 
-VERSION: Final = 1
+SCHEMA_VERSION: Final = 1
 CATEGORIES: Final = ("vehicle", "bicycle", "motorcycle", "pedestrian")
 """Names of the categories, whose ids count from 1. Only a vehicle has keypoints; a rider belongs to what is ridden."""
 VEHICLE_ALONE: Final = CATEGORIES[:1]
@@ -36,7 +36,7 @@ VEHICLE_TYPES: Final = (
     "city_car", "hatchback", "sedan", "coupe", "wagon", "suv", "minivan", "pickup", "van", "box_truck", "bus", "truck",
     "articulated_truck", "articulated_bus", "other",
 )  # fmt: skip
-COLORS: Final = (
+VEHICLE_COLORS: Final = (
     "white", "black", "grey", "silver", "blue", "red", "brown", "green", "orange", "yellow", "gold", "purple", "other",
 )  # fmt: skip
 WEATHERS: Final = ("clear", "cloudy", "overcast", "rain", "after_rain", "fog", "snow")
@@ -135,7 +135,7 @@ class Box3D:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Labelled:
-    """What the labels of vehicles, riders and people on foot have in common, in one image."""
+    """Base of the labels of vehicles, riders and people on foot in one image."""
 
     id: int
     image_id: int
@@ -230,7 +230,7 @@ class Annotation(Labelled):
             if isinstance(angle, bool) or not isinstance(angle, int | float) or not abs(angle) <= math.pi:
                 raise UserError(f"articulation: expected radians from -pi to pi, got {angle!r}")
         choice("vehicle_type", self.vehicle_type, VEHICLE_TYPES)
-        choice("color", self.color, COLORS)
+        choice("color", self.color, VEHICLE_COLORS)
 
     @property
     def num_keypoints(self) -> int:
@@ -238,7 +238,7 @@ class Annotation(Labelled):
 
 
 class _Categorised:
-    """What has one of the categories without keypoints."""
+    """Base of everything in a category without keypoints."""
 
     category_id: int
 
@@ -330,7 +330,7 @@ def _grouped(images: Iterable[Image], labels: Iterable[L]) -> dict[int, list[L]]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Found:
-    """What results of vehicles and of other road users have in common."""
+    """Base of the results of vehicles and of other road users."""
 
     image_id: int
     score: float
@@ -378,3 +378,6 @@ class RoadUserResult(Found, _Categorised):
     def __post_init__(self) -> None:
         super().__post_init__()
         _check_road_user(self.category_id)
+
+
+AnyResult: TypeAlias = Result | RoadUserResult

@@ -1,7 +1,17 @@
-"""The array type that the whole package uses."""
+"""The array types that the whole package uses; docstrings give the shape, as in (N, 33, 3)."""
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-"""Numbers of type float64; docstrings give the shape, as in (N, 33, 3)."""
+"""Numbers of type float64, as nearly all are."""
+Floats32 = NDArray[np.float32]
+"""Numbers of type float32: what networks and optical flow take."""
+Integers = NDArray[np.int64]
+"""Whole numbers, as indices and ids."""
+Integers32 = NDArray[np.int32]
+"""Whole numbers that are kept by the million."""
+Mask = NDArray[np.bool_]
+"""Whether something holds, element by element."""
+Pixels = NDArray[np.uint8]
+"""(H, W, 3) RGB, or (H, W) grey, 0 to 255."""

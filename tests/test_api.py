@@ -92,7 +92,7 @@ def sum_of(bbox: np.ndarray) -> np.ndarray:
 
 
 def test_a_detector_answers_as_its_model(random_run: Path, dataset: Path) -> None:
-    detector = door.load_detector(random_run, device="cpu")
+    detector = door.load_detector(random_run, device="cpu", backend="torch", precision="float32")
     image = next(iter(door.open_dataset(dataset)))
     found = detector(image.pixels())
     model, _, _ = load_weights(detector.checkpoint, "cpu")
@@ -207,3 +207,64 @@ def test_other_road_users_are_found_and_scored_beside_vehicles(
     assert "categories" not in door.score(perfect[:2], file)
     coco.write_results(tmp_path / "found.json", perfect)
     assert door.score(tmp_path / "found.json", root / "annotations" / "train.json") == entry
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        ({"weathers": "rain"}, "weathers: no option of `skope gen`; there are camera_jitter, "),
+        ({"weather": ["rain", "hail"]}, "weather: 'hail' is not one of clear, cloudy"),
+        ({"sites": "t01_mill_corner"}, r"sites: expected several names, as in \['t01_mill_corner'\], got a text"),
+        (
+            {"conditions": {"rain": "much"}},
+            "conditions: rain: expected a number or the two ends of a range, got 'much'",
+        ),
+        ({"conditions": {"hail": 1.0}}, "hail"),
+        ({"seed": -1}, "seed: expected a number from 0, got -1"),
+        ({"size": (0, 48)}, "--size"),
+    ],
+)
+def test_what_cannot_be_generated_is_said_before_anything_is_written(
+    tmp_path: Path, options: dict[str, Any], told: str
+) -> None:
+    with pytest.raises(UserError, match=told):
+        door.generate(tmp_path / "made", **options)
+    assert not (tmp_path / "made").exists()
+
+
+def test_a_camera_is_calibrated_saved_and_read(tmp_path: Path) -> None:
+    places = np.array([[12, 4, 0], [14, -5, 0], [20, 6, 0], [25, -8, 0], [32, 3, 0], [28, 9, 1]], dtype=float)
+    true = door.Camera.looking([0, 0, 6.5], yaw=0.0, pitch_down=0.3, size=(1920, 1080))
+    found = door.calibrate_camera((true.project(places)[0], places), size=(1920, 1080))
+    np.testing.assert_allclose(found.camera.position, true.position, atol=0.1)
+    door.save_camera(tmp_path / "camera.json", found)
+    np.testing.assert_allclose(door.read_camera(tmp_path / "camera.json").K, found.camera.K)
+    assert json.loads((tmp_path / "camera.json").read_text())["covariance"]["of"] == list(found.parameters)
+    door.save_camera(tmp_path / "bare.json", true)
+    np.testing.assert_array_equal(door.read_camera(tmp_path / "bare.json").T_camera_world, true.T_camera_world)
+    with pytest.raises(UserError, match="size: expected width and height"):
+        door.calibrate_camera((places[:, :2], places))
+    with pytest.raises(UserError, match=r"marks: expected \(N, 2\) pixels and \(N, 3\) places"):
+        door.calibrate_camera((places, places), size=(1920, 1080))
+
+
+def test_training_is_refused_in_one_line(dataset: Path, tmp_path: Path) -> None:
+    for options, told in (
+        ({"epochs": 0}, "epochs: expected a number from 1"),
+        ({"supervise": "none"}, "supervise: 'none' is not one of visible, all"),
+        ({"settings": {"augment.blurr": 1}}, "blurr"),
+        ({"init": "nowhere"}, "nowhere"),
+        ({"categories": ["tram"]}, "tram"),
+    ):
+        with pytest.raises(UserError, match=told):
+            door.train_detector(dataset, tmp_path / "run", device="cpu", **options)
+    with pytest.raises(UserError, match="data: expected one or more dataset folders"):
+        door.train_detector([], tmp_path / "run")
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_site_is_read(tmp_path: Path) -> None:
+    (tmp_path / "site.toml").write_text('[[gates]]\nname = "north"\nline = [[0, 0], [5, 0]]\n')
+    assert [gate.name for gate in door.read_site(tmp_path / "site.toml").gates] == ["north"]
+    with pytest.raises(UserError, match=r"none\.toml"):
+        door.read_site(tmp_path / "none.toml")

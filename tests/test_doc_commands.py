@@ -76,7 +76,7 @@ OPTIONS: Final = {
     r"skope train(?! export)(?!.*--init)": {"--init": "random"},
     r"skope train(?! export)(?!.*--out)": {"--out": "runs/trained_{number}"},
     r"skope eval(?! \w)(?!.*--predictions)": {"--min-size": "64", "--device": "cpu", "--checkpoint": "{run}"},
-    r"skope eval calibrate": {"--split": "val", "--score": "0.01"},
+    r"skope eval calibrate-scores": {"--split": "val", "--score": "0.01"},
     r"skope eval predict": {"--min-size": "64", "--device": "cpu", "--checkpoint": "{run}"},
 }
 """What is added to commands, by how they begin, unless they say it; `number` is the line's, `run` a small run."""

@@ -1,5 +1,6 @@
 """README and docs: short where they should be, links that lead somewhere, commands whose options exist."""
 
+import inspect
 import os
 import re
 import shlex
@@ -11,6 +12,7 @@ from typing import Any
 import pytest
 import typer
 
+import skope
 from skope import cli
 
 ROOT = Path(__file__).parents[1]
@@ -58,6 +60,22 @@ def test_the_website_is_built_without_a_warning(tmp_path: Path) -> None:
     assert all(
         f"<code>{words}</code>" in page for words in ("skope gen", "skope eval predict", "--frames", "--every-frame")
     )
+    reference = (tmp_path / "site" / "python-reference" / "index.html").read_text(encoding="utf-8")
+    named = [
+        name for name in skope.__all__ if inspect.isfunction(value := getattr(skope, name)) or inspect.isclass(value)
+    ]
+    assert [name for name in named if f"<code>skope.{name}</code>" not in reference] == []
+    assert "<code>Detector.video</code>" in reference
+
+
+def test_what_python_calls_says_what_it_takes() -> None:
+    functions = [value for name in skope.__all__ if inspect.isfunction(value := getattr(skope, name))]
+    assert len(functions) > 10
+    for function in functions:
+        told = inspect.getdoc(function) or ""
+        arguments = [name for name in inspect.signature(function).parameters if f"\n    {name}: " not in told]
+        assert arguments == [], function.__name__
+        assert "Raises:" in told
 
 
 def test_the_readme_is_read_to_its_end() -> None:

@@ -47,7 +47,7 @@ def test_the_files_of_the_own_road_can_be_made_again(tmp_path: Path) -> None:
 
 def test_every_example_is_run() -> None:
     names = {path.name for path in (ROOT / "examples").glob("*.py")}
-    assert names == {"generate_and_look.py", "label_images.py", "locate_vehicles.py"}
+    assert names == {"count_vehicles.py", "generate_and_look.py", "label_images.py", "locate_vehicles.py"}
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     assert all(f"examples/{name}" in readme for name in names)
 

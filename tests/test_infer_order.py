@@ -16,7 +16,7 @@ from skope.camera.model import Camera
 from skope.dataset import coco
 from skope.errors import UserError
 from skope.files.json_files import read_json, write_json
-from skope.gen.formats.skope3d import CORNERS
+from skope.gen.formats.skope3d import ARCHIVE_CORNERS
 from skope.gen.formats.skope3d_scenes import ArchiveVehicle
 from skope.gen.vehicles.fleet import fleet
 from skope.keypoints import PUBLISHED, SKOPE3D, K
@@ -48,7 +48,7 @@ def annotations() -> list[Annotation]:
         world = vehicle.points @ R.T + at
         box = Box3D(center=at + [0, 0, size[2] / 2], size_lwh=size, yaw=yaw, R=R)
         pixels, _, valid = CAMERA.project(world)
-        corners, _, in_front = CAMERA.project(CORNERS * size @ R.T + box.center)
+        corners, _, in_front = CAMERA.project(ARCHIVE_CORNERS * size @ R.T + box.center)
         if not (valid.all() and in_front.all() and (corners > 1).all() and (corners < [319, 179]).all()):
             continue
         outward = (vehicle.points - [0, 0, size[2] / 2]) @ R.T
@@ -76,7 +76,7 @@ def vehicles(annotations: list[Annotation]) -> list[ArchiveVehicle]:
     out = []
     for a in annotations:
         assert a.box_3d is not None
-        corners, _, _ = CAMERA.project(CORNERS * a.box_3d.size_lwh @ a.box_3d.R.T + a.box_3d.center)
+        corners, _, _ = CAMERA.project(ARCHIVE_CORNERS * a.box_3d.size_lwh @ a.box_3d.R.T + a.box_3d.center)
         points = np.column_stack([a.keypoints[:, :2], a.keypoints[:, 2] == 2])
         out.append(ArchiveVehicle(a.bbox, points.round(2), a.id, "model", corners.round(2)))
     return out
@@ -159,7 +159,7 @@ def test_places_in_the_cube_are_those_of_the_points(script: ModuleType, astray: 
         R = np.array([[np.cos(yaw), -np.sin(yaw), 0], [np.sin(yaw), np.cos(yaw), 0], [0, 0, 1]])
         at = [rng.uniform(14, 24), rng.uniform(-6, 6), 0.8]
         points, _, _ = CAMERA.project(body * half @ R.T + at)
-        corners, _, _ = CAMERA.project(CORNERS * 2 * half @ R.T + at)
+        corners, _, _ = CAMERA.project(ARCHIVE_CORNERS * 2 * half @ R.T + at)
         seen = np.column_stack([points, np.ones(K)])
         seen[rng.random(K) < astray] += [9, -7, 0]
         out.append(ArchiveVehicle(np.zeros(4), seen, 0, "", corners))

@@ -14,6 +14,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -82,6 +83,7 @@ RUNS: Final[Sequence[Run]] = (
         "{footage}/v.mp4 --camera {camera} --checkpoint {checkpoint}",
         says="v.mp4                 track",
     ),
+    Run("legs_table.py", "--curve {out}/legs.svg", says="| wet_night |"),
     Run("research/camera_errors.py", "{road}", says="1 cameras answered"),
     Run("research/camera_sway.py", "{road} --picture {photograph}", says="| 10 px | "),
     Run(
@@ -128,6 +130,7 @@ RUNS: Final[Sequence[Run]] = (
         says="| mine | ",
         slow=True,
     ),
+    Run("house_figures.py", "{out}", says="has no folder skope", code=2),  # of a small tree: test_house_figures.py
     Run("infer_order.py", "{out}", says="no scene_K.zip", code=2),  # from scenes: test_infer_order.py
     Run("reference_run.py", "nonsense", says="invalid choice: 'nonsense'", code=2),
     Run("reference_table.py", "{metrics}", says="| dataset easy | 0.6 |"),
@@ -283,7 +286,7 @@ def test_every_script_is_listed() -> None:
     assert sorted({run.script for run in RUNS}) == PYTHON
     files = [path for path in SCRIPTS.rglob("*") if path.is_file()]
     others = {path.name for path in files if path.suffix not in (".py", ".sh", ".pyc")}
-    recipes = {"leg.toml", "reference.toml", "world.toml"}
+    recipes = {"leg.toml", "lite.toml", "reference.toml", "world.toml"}
     assert others == {*recipes, "legs.toml", "legs.jsonl"}
     for name in recipes:
         assert choose(str(SCRIPTS / name), gpu=True, bfloat16=True).name == Path(name).stem
@@ -439,7 +442,9 @@ def test_places_of_the_legs_can_be_made(skope: Any, monkeypatch: pytest.MonkeyPa
     monkeypatch.syspath_prepend(str(SCRIPTS))
     leg = importlib.import_module("train_leg")
     legs, tests = leg.read_legs()
-    assert list(legs) == [str(number) for number in range(1, len(legs) + 1)]
+    light = [name for name in legs if name.startswith("lite-")]
+    assert [name for name in legs if name not in light] == [str(k) for k in range(1, len(legs) - len(light) + 1)]
+    assert light == [f"lite-{k}" for k in range(1, len(light) + 1)]
     places = [text for one in legs.values() for text in one.places]
     seeds = [text.split()[text.split().index("--seed") + 1] for text in places]
     assert len(set(seeds)) == len(seeds), "no leg learns from the places of another"
@@ -546,3 +551,16 @@ def test_the_demonstration_does_what_is_not_done(make: Any, tmp_path: Path) -> N
         (tmp_path / "runs" / "demo" / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / "runs" / "demo" / name).touch()
     assert words() == ["skope eval compare", "python scripts/demo_page.py"]
+
+
+def test_tables_of_the_legs_have_what_their_log_says(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.syspath_prepend(str(SCRIPTS))
+    table = importlib.import_module("legs_table")
+    rows = table.read_log()
+    found = list(table.points(rows))
+    assert [one.name for one in found] == ["start", *(row["leg"] for row in rows)]
+    assert found[-1].visits == sum(one["visits"] for row in rows for one in row["rounds"])
+    night = [row["figures"]["end"]["conditions_4711"]["night"]["box_ap50"] for row in rows]
+    (line,) = (one for one in table.splits_table(found, table.ap50).splitlines() if one.startswith("| night"))
+    assert [cell.strip() for cell in line.split("|")[3:-1]] == [f"{100 * value:.1f}" for value in night]
+    assert ElementTree.fromstring(table.curve(found)).tag.endswith("svg")

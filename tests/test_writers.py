@@ -160,7 +160,6 @@ WRITERS = {
     "train": Row(
         own=f"train --data IN/one --out OUT {_TRAIN}",
         other=f"train --data IN/two --out OUT --seed 1 {_TRAIN}",
-        again="train --out OUT --resume --device cpu",
         lost=only("recipe.json", "tensorboard"),
         passing=("tensorboard",),
     ),
@@ -176,16 +175,16 @@ WRITERS = {
         own="eval compare IN/scores_a IN/scores_a --out OUT.json",
         other="eval compare IN/scores_b IN/scores_b --out OUT.json",
     ),
-    "eval calibrate": Row(
-        own=f"eval calibrate --checkpoint OUT --data IN/found {_FIT}",
-        other=f"eval calibrate --checkpoint OUT --data IN/found --max-images 1 {_FIT}",
+    "eval calibrate-scores": Row(
+        own=f"eval calibrate-scores --checkpoint OUT --data IN/found {_FIT}",
+        other=f"eval calibrate-scores --checkpoint OUT --data IN/found --max-images 1 {_FIT}",
         ready="IN/run",
         lost=without("*.calibration.json"),
         foreign="not a safetensors file|no checkpoint in",
     ),
-    "eval calibrate --out": Row(
-        own=f"eval calibrate --checkpoint IN/run --data IN/found {_FIT} --out OUT.safetensors",
-        other=f"eval calibrate --checkpoint IN/rerun --data IN/found {_FIT} --out OUT.safetensors",
+    "eval calibrate-scores --out": Row(
+        own=f"eval calibrate-scores --checkpoint IN/run --data IN/found {_FIT} --out OUT.safetensors",
+        other=f"eval calibrate-scores --checkpoint IN/rerun --data IN/found {_FIT} --out OUT.safetensors",
     ),
     "eval predict": Row(
         own="eval predict IN/frames --checkpoint IN/run --device cpu --overlay --out OUT",
@@ -274,7 +273,7 @@ def run_folder(path: Path, seed: int) -> Path:
 def found_dataset(root: Path, run: Path) -> Path:
     """A dataset whose vehicles are what a detector finds."""
     make_dataset(root, splits=("train",))
-    predictor = Predictor(run, Settings(device="cpu"), Console(quiet=True))
+    predictor = Predictor.load(run, Settings(device="cpu"), Console(quiet=True))
     path = root / "annotations/train.json"
     file = coco.read(path)
     found = predictor.split(file, root)[:12]

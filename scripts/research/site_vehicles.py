@@ -33,7 +33,7 @@ from skope.camera.uncertain_camera import UncertainCamera
 from skope.errors import UserError
 from skope.eval.pose.bundle_adjustment import VehicleViews
 from skope.eval.pose.camera_doubts import why_not
-from skope.eval.pose.camera_unknowns import CAMERA
+from skope.eval.pose.camera_unknowns import UNKNOWN_NAMES
 from skope.eval.pose.fit_camera import fit_camera
 from skope.eval.pose.self_occlusion import facing
 from skope.eval.pose.shape_model import Shapes, fleet_shapes
@@ -112,7 +112,7 @@ def from_vehicles(camera: Camera, rng: np.random.Generator, traffic: Traffic) ->
     boxes = [(np.ptp(view[:, 0]) / 2 + view[:, 0].min(), view[:, 1].max()) for view in views.found]
     if reason := why_not(fit, np.array(boxes)):
         raise UserError(reason)
-    return UncertainCamera.from_dict(fit.camera, {"of": list(CAMERA), "matrix": fit.covariance.tolist()})
+    return UncertainCamera.from_dict(fit.camera, {"of": list(UNKNOWN_NAMES), "matrix": fit.covariance.tolist()})
 
 
 def together(cameras: Cameras, count: int, traffic: Traffic, alone: bool = False) -> Iterator[str]:

@@ -39,7 +39,16 @@ def read_camera(path: Path, size: tuple[int, int] | None = None) -> tuple[Camera
 
 
 def sized(camera: Camera, size: tuple[int, int], name: str) -> Camera:
-    """The camera at an image's size; a UserError where its shape is another."""
+    """The camera at an image's size.
+
+    Args:
+        camera: The camera, of the image's shape.
+        size: Width and height of the image, pixels.
+        name: Name of the image, for errors.
+
+    Raises:
+        UserError: The camera's shape is not the image's.
+    """
     if (camera.width, camera.height) == size:
         return camera
     if abs(camera.width * size[1] - camera.height * size[0]) > 0.01 * camera.width * size[1]:

@@ -86,7 +86,7 @@ def assembled(
         images += images_of(path, [image])
         labels += _parse_rows(path, "annotations", annotation_rows, parse)
     _check_ids(path, images, labels)
-    info = {"split": split, **scheme.fields(), "schema_version": schema.VERSION}
+    info = {"split": split, **scheme.fields(), "schema_version": schema.SCHEMA_VERSION}
     return AnnotationFile(
         images=tuple(images), info=info, name=split, scheme=scheme, categories=categories, **_by_kind(labels)
     )
@@ -368,7 +368,7 @@ def _rounded(values: Any, digits: int) -> Any:
     return (np.round(array, digits) + 0.0).tolist()
 
 
-_DIGITS = {
+_FIELD_DIGITS = {
     **dict.fromkeys(("bbox", "bbox_visible", "box_3d_pixels"), 2),
     **dict.fromkeys(("keypoints_3d", "velocity", "distance", "occlusion", "truncation"), 4),
     "contrast": 2,
@@ -413,8 +413,8 @@ def _label_row(label: Labelled, fields: Iterable[str]) -> dict[str, Any]:
                 "yaw": value.yaw,
                 "R": value.R.tolist(),
             }
-        elif name in _DIGITS:
-            value = _rounded(value, _DIGITS[name])
+        elif name in _FIELD_DIGITS:
+            value = _rounded(value, _FIELD_DIGITS[name])
         row[name] = value
     return row
 
@@ -461,7 +461,7 @@ def write_lines(
     categories: tuple[str, ...] = schema.VEHICLE_ALONE,
 ) -> None:
     """Write records that are JSON already as an annotation file, a line each."""
-    head = {**scheme.fields(), "schema_version": schema.VERSION, "skope": __version__}
+    head = {**scheme.fields(), "schema_version": schema.SCHEMA_VERSION, "skope": __version__}
     head |= {name: value for name, value in info.items() if name != "keypoint_edition"} | scheme.fields()
     listed = json.dumps(schema.category_rows(categories, scheme))
     begin = f'{{"info":{json.dumps(head)},\n"categories":{listed},\n"images":[\n'

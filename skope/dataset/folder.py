@@ -29,7 +29,7 @@ FOLLOWED: Final = "followed"
 """Under this name the `info` of frames says whether vehicles were followed by points on them from image to image."""
 CHANGES: Final = "view_changes"
 """Under this name the `info` of frames says when a video shows another view: objects with `time_s`, `cut`, `shift`."""
-SIGHT: Final = "sight"
+SIGHT_FIELD: Final = "sight"
 """Under this name the `info` of frames says how bright a video is and how much contrast it has: rows of time (s),
 brightness (0 to 1) and contrast."""
 BEGINS: Final = "begins"
@@ -124,7 +124,9 @@ class Dataset:
             for shard in shards.shards_of(self.root, split)
             for labels in shards.labels_in(shard)
         )
-        return coco.assembled(rows, self.root / shards.FOLDER / f"{split}-*.tar", split, self.scheme, self.categories)
+        return coco.assembled(
+            rows, self.root / shards.SHARD_FOLDER / f"{split}-*.tar", split, self.scheme, self.categories
+        )
 
     def __iter__(self) -> Iterator[LabelledImage]:
         return (labelled for split in self.splits for labelled in self.images(split))
@@ -170,7 +172,7 @@ def read_card(root: Path) -> dict[str, Any]:
         keypoints.scheme_in(card if isinstance(card, dict) else {})
     except UserError as error:
         raise UserError(f"{path}: {error}") from None
-    check_version(path, card.get("version", schema.VERSION), schema.VERSION)
+    check_version(path, card.get("version", schema.SCHEMA_VERSION), schema.SCHEMA_VERSION)
     for name, kind in _CARD_FIELDS.items():
         if not isinstance(card.get(name, kind()), kind):
             raise UserError(f"{path}: {name}: expected {_NAMES[kind]}, got {card[name]!r:.60}")
@@ -230,13 +232,22 @@ def _jpeg_ends(data: bytes) -> bool:
     return False
 
 
-def read_image(path: Path, size: tuple[int, int] | None = None) -> NDArray[np.uint8]:
-    """Decode an image file to (H, W, 3) RGB; a missing, broken or truncated one is a UserError.
+def read_image(path: str | Path, size: tuple[int, int] | None = None) -> NDArray[np.uint8]:
+    """Decode an image file.
 
-    `size` (width, height), when given, is what the file must have.
+    Args:
+        path: The file, also one inside a shard.
+        size: Width and height that the image must have, pixels; None: any.
+
+    Returns:
+        (H, W, 3) RGB pixels.
+
+    Raises:
+        UserError: The file is missing, broken or truncated, or has another size.
     """
     import cv2
 
+    path = Path(path)
     data = shards.read(path)
     # OpenCV fills the missing rows of a truncated JPEG with grey and says nothing.
     if data[:2] == b"\xff\xd8" and not _jpeg_ends(data):

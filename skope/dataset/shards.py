@@ -18,7 +18,7 @@ from skope.files.json_files import parse_json, read_json, write_json
 from skope.files.reading import read_bytes
 from skope.files.safe_names import is_relative
 
-FOLDER: Final = "shards"
+SHARD_FOLDER: Final = "shards"
 _INDEX: Final = 4096
 """Indices that are kept in memory."""
 
@@ -107,12 +107,12 @@ def _index(path: Path, _there: bool) -> Mapping[str, tuple[int, int]]:
 
 def shards_of(root: Path, split: str) -> list[Path]:
     """A split's shards in their order."""
-    return sorted((root / FOLDER).glob(f"{split}-[0-9][0-9][0-9][0-9][0-9][0-9].tar"))
+    return sorted((root / SHARD_FOLDER).glob(f"{split}-[0-9][0-9][0-9][0-9][0-9][0-9].tar"))
 
 
 def splits_of(root: Path) -> tuple[str, ...]:
     """Splits that have shards, in alphabetical order."""
-    return tuple(sorted({path.name.rpartition("-")[0] for path in (root / FOLDER).glob("[!.]*-*.tar")}))
+    return tuple(sorted({path.name.rpartition("-")[0] for path in (root / SHARD_FOLDER).glob("[!.]*-*.tar")}))
 
 
 def labels_in(shard: Path) -> Iterator[dict[str, Any]]:

@@ -1,4 +1,4 @@
-"""How large the inputs of a detector's layers become on images: what arithmetic in eight bits needs to know of them.
+"""Ranges of the inputs of a detector's layers on images, as arithmetic in eight bits needs to know of them.
 
 The ranges are part of a checkpoint's metadata. Layers whose weights stay in 16 bits when a checkpoint is packed
 (`skope.detector.compact_weights`), the first and the last ones, have none: they are computed as they are.
@@ -14,7 +14,7 @@ from torch import Tensor, nn
 from skope.detector.compact_weights import DELICATE
 from skope.errors import UserError
 
-KEY: Final = "activation_ranges"
+RANGES_KEY: Final = "activation_ranges"
 """Key of a checkpoint's metadata under which they are."""
 
 Ranges = Mapping[str, tuple[float, float]]
@@ -62,7 +62,9 @@ def noted(model: nn.Module) -> Iterator[dict[str, tuple[float, float]]]:
 def to_metadata(model: nn.Module, ranges: Ranges) -> dict[str, Any]:
     """What a checkpoint's metadata says of ranges: nothing where a layer has none."""
     return (
-        {KEY: {name: list(ends) for name, ends in ranges.items()}} if set(ranges) == set(rounded_layers(model)) else {}
+        {RANGES_KEY: {name: list(ends) for name, ends in ranges.items()}}
+        if set(ranges) == set(rounded_layers(model))
+        else {}
     )
 
 
@@ -72,12 +74,12 @@ def read(model: nn.Module, metadata: Mapping[str, Any]) -> Ranges | None:
     Raises:
         UserError: They are not those of the layers of `model`.
     """
-    stored = metadata.get(KEY)
+    stored = metadata.get(RANGES_KEY)
     if stored is None:
         return None
     names = set(rounded_layers(model))
     if not isinstance(stored, dict) or set(stored) != names or not all(map(_is_range, stored.values())):
-        raise UserError(f"{KEY}: expected the least and largest input of each of {len(names)} layers")
+        raise UserError(f"{RANGES_KEY}: expected the least and largest input of each of {len(names)} layers")
     return {name: (float(low), float(high)) for name, (low, high) in stored.items()}
 
 

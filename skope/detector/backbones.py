@@ -59,11 +59,11 @@ _MOBILENET: Final = (
     ("13", "14", "15", "16"),
 )
 
-DEFAULT: Final = "resnet50"
+DEFAULT_BACKBONE: Final = "resnet50"
 """The paper's."""
 BACKBONES: Final[Mapping[str, Backbone]] = MappingProxyType(
     {
-        DEFAULT: Backbone(
+        DEFAULT_BACKBONE: Backbone(
             title="ResNet50",
             make=resnet50,
             stages=_RESNET,

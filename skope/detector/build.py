@@ -17,7 +17,7 @@ from torchvision.models.detection.keypoint_rcnn import KeypointRCNNHeads, Keypoi
 from torchvision.ops import FrozenBatchNorm2d
 
 from skope import keypoints, schema
-from skope.detector.backbones import BACKBONES, DEFAULT, with_pyramid
+from skope.detector.backbones import BACKBONES, DEFAULT_BACKBONE, with_pyramid
 from skope.errors import UserError, one_of
 
 NORMS: Final = ("frozen", "batch")
@@ -37,7 +37,7 @@ HEADS: Final = (8, 512, 1024)
 """Number and width of the layers of the keypoint head of torchvision's own model, and the width of its box head's."""
 BOX_CELLS: Final = 7
 """Cells along each side of a region as the box head sees it, as in torchvision's own model."""
-SIZES: Final[dict[str, tuple[int, int]]] = {
+SIZE_RANGES: Final[dict[str, tuple[int, int]]] = {
     "pyramid_width": (16, 512),
     "keypoint_layers": (1, 16),
     "keypoint_width": (16, 1024),
@@ -48,7 +48,7 @@ SIZES: Final[dict[str, tuple[int, int]]] = {
 
 @dataclass(frozen=True, kw_only=True)
 class DetectorConfig:
-    """What a state dict does not tell about its model."""
+    """The configuration of a model, which its state dict does not tell."""
 
     norm: str
     """`frozen` (FrozenBatchNorm2d, for weights that were trained before) or `batch` (BatchNorm2d, which learns)."""
@@ -69,7 +69,7 @@ class DetectorConfig:
     Vehicles are label 1, and they alone have keypoints."""
     box_passes: int = 1
     """How often the box head looks at what is found: 2 lets it correct each box once more, from the box itself."""
-    backbone: str = DEFAULT
+    backbone: str = DEFAULT_BACKBONE
     """What makes the feature maps: a name in `skope.detector.backbones.BACKBONES`."""
     pyramid_width: int = PYRAMID_WIDTH
     """Channels of the pyramid's maps, and of the proposals' head on them."""
@@ -87,7 +87,7 @@ class DetectorConfig:
         one_of("norm", self.norm, NORMS)
         check_box_passes(self.box_passes)
         one_of("backbone", self.backbone, tuple(BACKBONES))
-        for name in SIZES:
+        for name in SIZE_RANGES:
             check_size(name, getattr(self, name))
         if isinstance(self.norm_eps, bool) or not isinstance(self.norm_eps, int | float) or not 0 <= self.norm_eps < 1:
             raise UserError(f"norm_eps: expected a number from 0 to 1, got {self.norm_eps!r}")
@@ -105,7 +105,7 @@ class DetectorConfig:
 
     @property
     def keypoint_scheme(self) -> keypoints.Scheme:
-        """What the keypoints are."""
+        """The scheme of the keypoints."""
         return keypoints.scheme_of(self.scheme, self.keypoint_edition)
 
     @property
@@ -116,7 +116,7 @@ class DetectorConfig:
     @property
     def stock(self) -> bool:
         """Whether backbone and widths are those of torchvision's own Keypoint R-CNN."""
-        return (self.backbone, self.pyramid_width, self.heads) == (DEFAULT, PYRAMID_WIDTH, HEADS)
+        return (self.backbone, self.pyramid_width, self.heads) == (DEFAULT_BACKBONE, PYRAMID_WIDTH, HEADS)
 
     @property
     def architecture(self) -> str:
@@ -151,7 +151,7 @@ _UNNAMED: Final[dict[str, Any]] = {
     "keypoint_edition": 1,
     "categories": schema.VEHICLE_ALONE,
     "box_passes": 1,
-    "backbone": DEFAULT,
+    "backbone": DEFAULT_BACKBONE,
     "pyramid_width": PYRAMID_WIDTH,
     "keypoint_layers": HEADS[0],
     "keypoint_width": HEADS[1],
@@ -176,8 +176,8 @@ def check_box_passes(passes: int) -> None:
 
 
 def check_size(name: str, value: object) -> None:
-    """Raise a UserError unless a field of `SIZES` may have this value."""
-    low, high = SIZES[name]
+    """Raise a UserError unless a field of `SIZE_RANGES` may have this value."""
+    low, high = SIZE_RANGES[name]
     if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
         raise UserError(f"{name}: expected a whole number from {low} to {high}, got {value!r}")
 
@@ -190,7 +190,7 @@ class KeypointNetwork(KeypointRCNN):  # type: ignore[misc]  # torchvision has no
 
 
 def box_passes_of(model: KeypointRCNN) -> int:
-    """How often a model's box head looks: torchvision's own once."""
+    """Number of passes of a model's box head; torchvision's own makes one."""
     return int(getattr(model, "box_passes", 1))
 
 

@@ -44,10 +44,15 @@ def checkpoint_bytes(
     packed: bool = False,
     moments: Mapping[str, torch.Tensor] | None = None,
 ) -> bytes:
-    """A checkpoint: safetensors whose header holds scheme, config and `metadata` (JSON values) as JSON.
+    """A checkpoint: safetensors whose header holds scheme, config and metadata as JSON.
 
-    The tensors are the model's, or, `packed`, what `skope.detector.compact_weights` makes of them: a seventh of the
-    bytes, with a checksum, where `moments` are those that `pack` takes. The same model gives the same bytes.
+    Args:
+        model: The model; the same one gives the same bytes.
+        config: What its state dict does not tell.
+        metadata: JSON values.
+        packed: Whether the tensors are what `skope.detector.compact_weights` makes of them: a seventh of the bytes,
+            with a checksum.
+        moments: What `pack` takes.
     """
     header: dict[str, Any] = {
         "version": _FORMAT_VERSION,

@@ -35,15 +35,15 @@ DELICATE: Final = (
     "roi_heads.keypoint_predictor.",
 )
 """Beginnings of the names of weights that keep 16 bits."""
-_LARGEST: Final = 127
+_LARGEST_STEP: Final = 127
 _FINEST: Final = 2.0**-12
 _COARSEST: Final = 4.0
 """Factors between which the one of the largest tensor is looked for."""
 _HALVINGS: Final = 12
 _SAMPLED: Final = 16
 """The search looks at one weight of so many."""
-_STEPS: Final = ".steps"
-_MOST: Final = 1 << 28
+_STEPS_SUFFIX: Final = ".steps"
+_MOST_WEIGHTS: Final = 1 << 28
 """More weights than a detector has: a file that claims them is refused before memory is asked for."""
 
 State = Mapping[str, Tensor]
@@ -78,7 +78,7 @@ def pack(
     out = {name: tensor for name, tensor in state.items() if kept[name]["kept"] == "exact"}
     out |= {name: tensor.half() for name, tensor in state.items() if kept[name]["kept"] == "half"}
     for name, (data, steps) in _deflated(rounded, most_bytes, moments or {}).items():
-        out[name], out[name + _STEPS] = torch.frombuffer(bytearray(data), dtype=torch.uint8), steps
+        out[name], out[name + _STEPS_SUFFIX] = torch.frombuffer(bytearray(data), dtype=torch.uint8), steps
     return out, kept
 
 
@@ -96,10 +96,10 @@ class _Weight:
         self._rounding = None if moments is None else CompensatedRounding(moments)
         self._sample = tensor.flatten(1)[:, ::_SAMPLED].contiguous()
         self._mean_square = relative * tensor.flatten(1).square().mean(1).sqrt()
-        self._finest = tensor.flatten(1).abs().amax(1) / _LARGEST
+        self._finest = tensor.flatten(1).abs().amax(1) / _LARGEST_STEP
 
     def steps(self, factor: float) -> Tensor:
-        """(C,) a step for each channel; never so fine that an integer exceeds `_LARGEST`."""
+        """(C,) a step for each channel; never so fine that an integer exceeds `_LARGEST_STEP`."""
         return torch.maximum(factor * self._mean_square, self._finest)
 
     def integers(self, factor: float) -> Tensor:
@@ -114,7 +114,7 @@ class _Weight:
 
     def bits(self, factor: float) -> float:
         """Entropy of all integers, estimated from a sample."""
-        counts = torch.bincount(_integers(self._sample, self.steps(factor)).flatten().int() + _LARGEST).double()
+        counts = torch.bincount(_integers(self._sample, self.steps(factor)).flatten().int() + _LARGEST_STEP).double()
         shares = counts[counts > 0] / counts.sum()
         return float(-(shares * shares.log2()).sum()) * self._tensor.numel()
 
@@ -122,7 +122,7 @@ class _Weight:
 def _integers(tensor: Tensor, steps: Tensor) -> Tensor:
     """int8 of the tensor's shape; zeros where a channel is zero."""
     inverse = torch.where(steps > 0, 1 / steps, 0).view(-1, *[1] * (tensor.ndim - 1))
-    return (tensor * inverse).round().clamp(-_LARGEST, _LARGEST).to(torch.int8)
+    return (tensor * inverse).round().clamp(-_LARGEST_STEP, _LARGEST_STEP).to(torch.int8)
 
 
 def _deflated(weights: State, most_bytes: int, moments: State) -> dict[str, tuple[bytes, Tensor]]:
@@ -166,13 +166,13 @@ def unpack(stored: State, kept: Kept) -> dict[str, Tensor]:
     """The float32 state dict that `pack` was given, rounded; a DamagedError where the two do not belong together."""
     if not isinstance(kept, dict) or not all(_is_way(way) for way in kept.values()):
         raise DamagedError("the header says in a damaged way how the weights are kept")
-    steps = {name + _STEPS for name, way in kept.items() if way["kept"] == "integers"}
+    steps = {name + _STEPS_SUFFIX for name, way in kept.items() if way["kept"] == "integers"}
     if set(stored) != set(kept) | steps:
         raise DamagedError("the tensors are not those that the header lists")
     out = {}
     for name, way in kept.items():
         if way["kept"] == "integers":
-            out[name] = _inflated(name, stored[name], stored[name + _STEPS], way["shape"])
+            out[name] = _inflated(name, stored[name], stored[name + _STEPS_SUFFIX], way["shape"])
         else:
             out[name] = stored[name].float() if way["kept"] == "half" else stored[name]
     return out
@@ -186,7 +186,7 @@ def _is_way(way: Any) -> bool:
 
 def _inflated(name: str, data: Tensor, steps: Tensor, shape: list[int]) -> Tensor:
     size = math.prod(shape)
-    if not shape or size > _MOST or steps.shape != (shape[0],):
+    if not shape or size > _MOST_WEIGHTS or steps.shape != (shape[0],):
         raise DamagedError(f"tensor {name}: shape {shape} is impossible")
     stream = zlib.decompressobj()
     try:

@@ -10,9 +10,9 @@ from typing import Final
 import torch
 from torch import Tensor
 
-_DAMPING: Final = 0.01
+_MOMENT_DAMPING: Final = 0.01
 """Added to the moments' diagonal, as a share of its mean: they come from a sample."""
-_COLUMNS: Final = 128
+_COLUMNS_AT_ONCE: Final = 128
 """Columns whose errors are carried over to all later ones at once."""
 
 
@@ -24,7 +24,7 @@ class CompensatedRounding:
         self.device = moments.device
         damped = moments.double()
         diagonal = damped.diagonal()
-        diagonal += _DAMPING * diagonal.mean() + torch.finfo(torch.float32).tiny
+        diagonal += _MOMENT_DAMPING * diagonal.mean() + torch.finfo(torch.float32).tiny
         self._order = torch.argsort(diagonal, descending=True, stable=True)
         damped = damped[self._order][:, self._order]
         inverse = torch.cholesky_inverse(torch.linalg.cholesky(damped))
@@ -36,8 +36,8 @@ class CompensatedRounding:
         influence = self._influence
         left = weights.to(self.device)[:, self._order]
         rounded = torch.empty_like(left)
-        for begin in range(0, len(influence), _COLUMNS):
-            block = left[:, begin : begin + _COLUMNS]
+        for begin in range(0, len(influence), _COLUMNS_AT_ONCE):
+            block = left[:, begin : begin + _COLUMNS_AT_ONCE]
             end = begin + block.shape[1]
             errors, near = torch.empty_like(block), influence[begin:end, begin:end]
             for i in range(end - begin):

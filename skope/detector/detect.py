@@ -1,9 +1,14 @@
-"""Run a detector on images: vehicles and their keypoints, other road users, or keypoints in given boxes."""
+"""Run a detector on images: vehicles and their keypoints, other road users, or keypoints in given boxes.
+
+Threads may share a model: each call has it for itself.
+"""
 
 import contextlib
+import threading
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Final
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import torch
@@ -20,6 +25,9 @@ from skope.detector.heatmap_peaks import heatmap_peaks
 
 MIN_SCORE: Final = 0.05
 """Detections that score less are not reported."""
+_LOCKS: Final[WeakKeyDictionary[KeypointRCNN, threading.RLock]] = WeakKeyDictionary()
+"""One for each model, and not in it: models are copied and saved."""
+_ALL_LOCKS: Final = threading.Lock()
 _REGIONS_AT_ONCE: Final = 128
 """Given boxes that go through the keypoint head together, so that memory stays small."""
 
@@ -209,16 +217,23 @@ def detect_on_boxes(
 
 @contextlib.contextmanager
 def _inference(model: KeypointRCNN, min_score: float, max_detections: int) -> Iterator[None]:
+    """Keep a model to this thread, with these thresholds, and as it was before afterwards."""
     heads = model.roi_heads
-    before = model.training, heads.score_thresh, heads.detections_per_img
-    model.eval()
-    heads.score_thresh, heads.detections_per_img = min_score, max_detections
-    try:
-        with torch.inference_mode():
+    with _lock_of(model), torch.inference_mode():
+        before = model.training, heads.score_thresh, heads.detections_per_img
+        model.eval()
+        heads.score_thresh, heads.detections_per_img = min_score, max_detections
+        try:
             yield
-    finally:
-        model.train(before[0])
-        heads.score_thresh, heads.detections_per_img = before[1:]
+        finally:
+            model.train(before[0])
+            heads.score_thresh, heads.detections_per_img = before[1:]
+
+
+def _lock_of(model: KeypointRCNN) -> threading.RLock:
+    """The lock that a call holds while it changes a model: thresholds, mode, what its parts hand on."""
+    with _ALL_LOCKS:
+        return _LOCKS.setdefault(model, threading.RLock())
 
 
 def as_tensor(image: NDArray[np.uint8], device: torch.device | str) -> torch.Tensor:

@@ -1,4 +1,4 @@
-"""What torch computes on: the device of a `--device` flag, and whether it has bfloat16."""
+"""The device that torch computes on: that of a `--device` flag, and whether it has bfloat16."""
 
 import os
 import re

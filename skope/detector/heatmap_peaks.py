@@ -1,4 +1,4 @@
-"""Where the heat maps of keypoints peak, for many vehicles at once.
+"""Peaks of the keypoints' heat maps, for many vehicles at once.
 
 torchvision enlarges the maps of one vehicle after another to the size of its box, and takes the largest value. That
 is a small call for each of them, and on a GPU a wait too. Bicubic enlargement is linear in the rows and in the columns,
@@ -13,7 +13,7 @@ from torch.nn.functional import pad
 
 _VALUES_AT_ONCE: Final = {"cuda": 2**27, "cpu": 2**20}
 """Values of enlarged maps that are held together, by the kind of device."""
-_REACH: Final = 2
+_KERNEL_CELLS: Final = 2
 """The bicubic kernel reaches over so many cells on either side; beyond a map's edge its last ones are repeated."""
 _SHARPNESS: Final = -0.75
 """Parameter of the bicubic kernel (Keys, 1981), as in torch's `interpolate`."""
@@ -62,7 +62,7 @@ def _largest(maps: Tensor, sizes: Tensor, width: int, height: int) -> tuple[Tens
 
     `width` and `height` are the largest of these.
     """
-    maps = pad(maps, (_REACH,) * 4, mode="replicate")
+    maps = pad(maps, (_KERNEL_CELLS,) * 4, mode="replicate")
     number, keypoints, rows, columns = maps.shape
     wide = maps.reshape(number, keypoints * rows, columns) @ _enlargement(sizes[:, 0], width, columns).mT
     wide = wide.view(number, keypoints, rows, width).transpose(1, 2).reshape(number, rows, keypoints * width)
@@ -78,9 +78,9 @@ def _enlargement(sizes: Tensor, longest: int, cells: int) -> Tensor:
     """(N, longest, cells) matrices that enlarge padded cells to each of the sizes, and then repeat the last value."""
     target = torch.arange(longest, device=sizes.device)
     target = torch.minimum(target, sizes[:, None] - 1)
-    at = (target + 0.5) * ((cells - 2 * _REACH) / sizes[:, None]) - 0.5 + _REACH
+    at = (target + 0.5) * ((cells - 2 * _KERNEL_CELLS) / sizes[:, None]) - 0.5 + _KERNEL_CELLS
     distance = (at[..., None] - torch.arange(cells, device=sizes.device)).abs()
     a = _SHARPNESS
     near = ((a + 2) * distance - (a + 3)) * distance * distance + 1
     far = ((a * distance - 5 * a) * distance + 8 * a) * distance - 4 * a
-    return torch.where(distance <= 1, near, far.masked_fill_(distance >= _REACH, 0.0))
+    return torch.where(distance <= 1, near, far.masked_fill_(distance >= _KERNEL_CELLS, 0.0))

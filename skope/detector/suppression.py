@@ -17,7 +17,7 @@ _PAIRS: Final = 1 << 26
 
 
 def not_overlapped(boxes: Tensor, good: Tensor, most: float) -> Tensor:
-    """Which boxes stay when each that stays removes the worse ones of its group that overlap it much.
+    """Boxes that stay when each that stays removes the worse ones of its group that overlap it much.
 
     Args:
         boxes: (G, P, 4) xyxy, each group's from the best to the worst.

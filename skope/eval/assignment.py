@@ -1,4 +1,4 @@
-"""Which rows and columns belong together at the least cost."""
+"""Assignment of rows to columns at the least cost."""
 
 from typing import Final
 

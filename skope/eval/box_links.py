@@ -1,4 +1,4 @@
-"""Which boxes of a video are one vehicle's, from frame to frame.
+"""Links between the boxes of one vehicle from frame to frame of a video.
 
 A box is where its vehicle is expected from the frames before, or where points on the vehicle were followed to (`Result.
 track_id` of `skope.eval.inference.key_frames`); what is not seen for a while and comes back is another vehicle.
@@ -9,20 +9,17 @@ from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from skope import boxes as box_math
 from skope.eval.assignment import cheapest_pairs
 from skope.schema import Found
-from skope.types import Array
-
-Integers = NDArray[np.int32]
+from skope.types import Array, Integers32
 
 FARTHEST_S: Final = 0.3
 """Frames that are farther apart say nothing of each other: vehicles cannot be linked by their boxes."""
 LOST_S: Final = 1.0
 """A vehicle that is not seen for so long is another one when it comes back, seconds."""
-_REACH: Final = 0.7
+_REACH_SIZES: Final = 0.7
 """How far from where it is expected a vehicle may be, in its sizes."""
 _FIRST_REACH: Final = 1.5
 """The same while its speed is not known."""
@@ -32,7 +29,7 @@ _ALIKE: Final = 1.8
 
 @dataclass(slots=True)
 class _Last:
-    """What was seen last of a vehicle."""
+    """The last sight of a vehicle."""
 
     time_s: float
     box: Array
@@ -62,7 +59,7 @@ class BoxLinks:
         self._live: dict[int, _Last] = {}
         self._count = 0
 
-    def add(self, time_s: float, found: Sequence[Found], first: Sequence[bool] | None = None) -> Integers:
+    def add(self, time_s: float, found: Sequence[Found], first: Sequence[bool] | None = None) -> Integers32:
         """Take the detections of the next frame, which is later; see `add_boxes`."""
         boxes = np.array([one.bbox for one in found]).reshape(-1, 4)
         return self.add_boxes(time_s, boxes, followed=[one.track_id for one in found], first=first)
@@ -74,7 +71,7 @@ class BoxLinks:
         *,
         followed: Sequence[int | None] | None = None,
         first: Sequence[bool] | None = None,
-    ) -> Integers:
+    ) -> Integers32:
         """Take the boxes of the next frame, which is later.
 
         Args:
@@ -117,7 +114,7 @@ class BoxLinks:
         known = [self._live[i] for i in vehicles]
         expected = np.array([one.expected(time_s) for one in known])
         size = np.array([size_of(one.box) for one in known])[:, None]
-        reach = np.array([_REACH if one.seen > 1 else _FIRST_REACH for one in known])[:, None]
+        reach = np.array([_REACH_SIZES if one.seen > 1 else _FIRST_REACH for one in known])[:, None]
         away = np.linalg.norm((_middles(expected)[:, None] - _middles(rectangles)[None]), axis=-1) / size
         ratio = np.sqrt(box_math.area(rectangles))[None] / size
         cost = np.where((away < reach) & (np.maximum(ratio, 1 / ratio) < _ALIKE), away, np.inf)

@@ -10,7 +10,7 @@ from skope import keypoints
 from skope.dataset import coco, shards
 from skope.dataset.folder import read_image
 from skope.dataset.image_selection import take
-from skope.detections import AnyResult, apart
+from skope.detections import apart
 from skope.errors import UserError
 from skope.eval import report
 from skope.eval.inference.settings import Settings
@@ -24,20 +24,20 @@ from skope.metrics.counts import Options
 from skope.metrics.read_inputs import GroundTruth
 from skope.metrics.split_scores import measure, to_tallies
 from skope.pictures import draw
-from skope.schema import CATEGORIES, VEHICLE_ALONE, AnnotationFile, Result, RoadUserResult, far_outside
+from skope.schema import CATEGORIES, VEHICLE_ALONE, AnnotationFile, AnyResult, Result, RoadUserResult, far_outside
 from skope.terminal.console import Console, counted
 
 if TYPE_CHECKING:
     from skope.eval.inference.predictor import Predictor
 
 REPORT: Final = "report.html"
-OVERLAYS: Final = 4
+OVERLAY_COUNT: Final = 4
 """How many pictures of each split are drawn."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class EvalJob:
-    """What to evaluate and how. Either `checkpoint` or `predictions` is given."""
+    """One evaluation. Either `checkpoint` or `predictions` is given."""
 
     truth: GroundTruth
     out: Path
@@ -101,7 +101,9 @@ def evaluate(job: EvalJob, console: Console, width: int) -> dict[str, Any]:
     document = precision_recall.document(job.options, entries, calibrated=calibrated, scheme=job.scheme, work=work)
     write_json(job.out / "metrics.json", document)
     tallies = {split.file.name: to_tallies(split) for split in measured}
-    write_text(job.out / "tallies.json", json.dumps({"version": precision_recall.VERSION, "splits": tallies}) + "\n")
+    write_text(
+        job.out / "tallies.json", json.dumps({"version": precision_recall.METRICS_VERSION, "splits": tallies}) + "\n"
+    )
     beside = table.published() if job.beside_paper else None
     subject = f"{job.checkpoint or job.predictions} on {job.truth.root}"
     page = report.render(document, measured, job.truth.root, job.options, job.protocol, beside, subject)
@@ -138,7 +140,7 @@ def _predictor(job: EvalJob, console: Console) -> "Predictor":
 
     assert job.checkpoint is not None
     settings = replace(job.settings, min_score=job.options.score) if job.fast else job.settings
-    predictor = Predictor(job.checkpoint, settings, console)
+    predictor = Predictor.load(job.checkpoint, settings, console)
     predictor.check_scheme(job.truth.scheme, job.truth.root)
     return predictor
 
@@ -203,7 +205,7 @@ def _doubts(
 
 def _overlays(job: EvalJob, file: AnnotationFile, results: Sequence[AnyResult], console: Console) -> list[Path]:
     """Draw a few images with ground truth and predictions beside each other; those whose file is there."""
-    few = take(file, OVERLAYS)
+    few = take(file, OVERLAY_COUNT)
     truth, users = few.by_image(), few.road_users_by_image()
     written = []
     for i, image in enumerate(few.images, start=1):

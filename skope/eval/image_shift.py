@@ -1,4 +1,4 @@
-"""How far a fixed camera's image has moved since another one: the one measurement of it.
+"""Motion of a fixed camera's image since another one, measured here alone.
 
 Coarsely, whole pictures of edges are held against each other, as light changes and edges of the background stay
 (phase correlation). Finely, corners of the first picture are followed into the other one from there (Lucas and Kanade's
@@ -16,21 +16,19 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from skope.types import Array
-
-Pixels = NDArray[np.uint8]
+from skope.types import Array, Pixels
 
 COARSE_WIDTH: Final = 160
 """Width of the pictures that are held against each other as a whole, pixels."""
-MOVED: Final = 0.006
+MOVED_SHARE: Final = 0.006
 """A view has moved by more than this share of the image's width, or has not."""
 _BLOCKS: Final = (6, 10)
 """Rows and columns of blocks in which pictures are compared: traffic hides some of them, not all."""
-_BLOCK: Final = 0.6
+_SAME_CORRELATION: Final = 0.6
 """Correlation of edges from which two blocks show the same."""
 _BARE: Final = 0.3
 """Deviation of edges, in that of the whole picture, under which a block shows nothing."""
-_SAME: Final = 0.2
+_SAME_SHARE: Final = 0.2
 """Share of the blocks that show the same from which two pictures show one view."""
 _AS_WELL: Final = 0.9
 """A view that fits as well where it was, but for this factor, has not moved."""
@@ -39,18 +37,18 @@ _STRONG: Final = 0.03
 
 _FINE_WIDTH: Final = 640
 """Width of the pictures in which corners are followed, pixels at most."""
-_CORNERS: Final = 300
+_MOST_CORNERS: Final = 300
 _APART_PX: Final = 10.0
 """Corners are so far apart at least, pixels of these pictures."""
 _WINDOW: Final = 15
 """Side of what is followed around a corner, pixels."""
 _THERE_AND_BACK_PX: Final = 0.3
 """A corner that is followed back must come out so near to where it was."""
-_FEWEST: Final = 12
+_FEWEST_CORNERS: Final = 12
 """So many corners must move together, and this share of all that the first picture has: what fills the image and
 drives by has few of them."""
 _LEAST_SHARE: Final = 0.3
-_ROUNDS: Final = 12
+_FIT_ROUNDS: Final = 12
 _FLOOR_PX: Final = 0.03
 """Standard deviation that stays however many corners there are: pictures are interpolated in steps of 1/32 pixel, and
 all corners are off by that together."""
@@ -80,7 +78,7 @@ def edges(grey: Pixels) -> Array | None:
 
 
 def coarse_shift(one: Array, other: Array) -> tuple[float, float] | None:
-    """How far edges have moved from one picture to another, as shares of the width; None: they show different views."""
+    """Shift of the edges from one picture to another, as shares of the width; None: they show different views."""
     height, width = one.shape
     if one.shape != other.shape:
         return None
@@ -90,7 +88,7 @@ def coarse_shift(one: Array, other: Array) -> tuple[float, float] | None:
     back = np.array([[1.0, 0.0, -x], [0.0, 1.0, -y]])
     aligned: Any = cv2.warpAffine(other, back, (width, height), flags=cv2.INTER_LINEAR)
     here, there = (_agreement(one, picture) for picture in (other, aligned))
-    if max(here, there) < _SAME:
+    if max(here, there) < _SAME_SHARE:
         return None
     return (0.0, 0.0) if here >= _AS_WELL * there else (x / width, y / width)
 
@@ -104,7 +102,7 @@ def _agreement(one: Array, other: Array) -> float:
         a, b = a - a.mean(), b - b.mean()
         if a.std() < _BARE and b.std() < _BARE:
             continue
-        good.append((a * b).mean() >= _BLOCK * max(a.std() * b.std(), 1e-9))
+        good.append((a * b).mean() >= _SAME_CORRELATION * max(a.std() * b.std(), 1e-9))
     return float(np.mean(good)) if good else 0.0
 
 
@@ -113,7 +111,7 @@ def _agreement(one: Array, other: Array) -> float:
 
 @dataclass(frozen=True)
 class ImageMotion:
-    """How an image has moved: what was at the image's middle is now beside it, and everything around it has turned."""
+    """Motion of an image: what was at the image's middle is now beside it, and everything around it has turned."""
 
     x: float
     """Pixels to the right."""
@@ -152,11 +150,12 @@ class ReferencePicture:
         self._scale = min(1.0, width / self.size[0])
         self._edges = edges(small_grey(pixels))
         self._even = self._evened(pixels)
-        found: Any = cv2.goodFeaturesToTrack(self._even, _CORNERS, 0.01, _APART_PX, blockSize=7)
+        found: Any = cv2.goodFeaturesToTrack(self._even, _MOST_CORNERS, 0.01, _APART_PX, blockSize=7)
         self._corners = np.asarray(np.zeros((0, 2)) if found is None else found.reshape(-1, 2), dtype=np.float32)
 
     def motion(self, pixels: Pixels) -> ImageMotion | None:
-        """How the image has moved up to another picture (H, W, 3) RGB; None: it cannot be told, or shows another view.
+        """Measure how the image has moved up to another picture (H, W, 3) RGB; None: it cannot be told, or shows
+        another view.
 
         Raises ValueError where the sizes differ.
         """
@@ -182,7 +181,7 @@ class ReferencePicture:
             raise ValueError(f"expected a picture of {self.size}, got {pixels.shape[1::-1]}")
         there = edges(small_grey(pixels))
         shift = coarse_shift(self._edges, there) if self._edges is not None and there is not None else None
-        if shift is None or len(self._corners) < _FEWEST:
+        if shift is None or len(self._corners) < _FEWEST_CORNERS:
             return None
         even = self._evened(pixels)
         begin = (self._corners + np.array(shift) * self.size[0] * self._scale).astype(np.float32)
@@ -190,9 +189,9 @@ class ReferencePicture:
         back, home = _follow(even, self._even, after, self._corners)
         near = np.linalg.norm(back - self._corners, axis=1) < _THERE_AND_BACK_PX
         kept = good & home & near
-        if kept.sum() < _FEWEST:
+        if kept.sum() < _FEWEST_CORNERS:
             return None
-        least = max(_FEWEST, math.ceil(_LEAST_SHARE * len(self._corners)))
+        least = max(_FEWEST_CORNERS, math.ceil(_LEAST_SHARE * len(self._corners)))
         return _fitted(self._corners[kept].astype(float), after[kept].astype(float), self._even.shape, least)
 
     def _evened(self, pixels: Pixels) -> Pixels:
@@ -209,7 +208,7 @@ class ReferencePicture:
 
 @dataclass(frozen=True, eq=False)
 class _Fit:
-    """What most corners do together, in pixels of the pictures in which they were followed."""
+    """The motion that most corners share, in pixels of the pictures in which they were followed."""
 
     x: float
     y: float
@@ -249,7 +248,7 @@ def _fitted(before: Array, after: Array, shape: tuple[int, ...], least: int) -> 
     # A turned camera's shift grows towards the edges by about as much again; that of one that stands still does not.
     bend = float(np.hypot(*middle)) + 1e-3
     weight, spread = np.exp(-np.linalg.norm(way - middle, axis=1)), 1.0
-    for _ in range(_ROUNDS):
+    for _ in range(_FIT_ROUNDS):
         told = np.repeat(weight, 2)[:, None] * design
         # What is known of the bend counts as much as a corner that is as uncertain as these.
         normal = design.T @ told + np.diag([0.0] * 4 + [(spread / bend) ** 2] * 6)

@@ -105,14 +105,15 @@ def writing(path: Path, *parts: Path) -> Iterator[None]:
 
 
 def unwritable(path: Path, error: OSError) -> UserError:
-    """What to raise where the file or folder `path` cannot be written; says which file stands in a folder's place."""
+    """The error to raise where the file or folder `path` cannot be written; says which file stands in a folder's
+    place."""
     misplaced = isinstance(error, FileExistsError | NotADirectoryError)
     file = file_in_place_of(path) if misplaced else None
     return UserError(f"{path}: cannot be written: {f'{file} is a file' if file else error.strerror or error}")
 
 
 def file_in_place_of(folder: Path) -> Path | None:
-    """What stands where `folder`, or a folder above it, should be; None where nothing does."""
+    """The file that stands where `folder`, or a folder above it, should be; None where nothing does."""
     for path in (folder, *folder.parents):
         with contextlib.suppress(OSError):  # a folder that may not be looked into
             if path.exists() and not path.is_dir():

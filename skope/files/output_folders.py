@@ -102,14 +102,20 @@ def replaceable_output(
 
 
 def work_of(command: str, inputs: Iterable[Path], options: Mapping[str, Any]) -> dict[str, Any]:
-    """Identify a work by its command, contents of `inputs` (files) and `options` (JSON values), as `work.json` does."""
+    """Identify a work, as `work.json` does.
+
+    Args:
+        command: The command, as in "skope eval track".
+        inputs: Files, by whose contents the work is identified.
+        options: JSON values by name.
+    """
     parts = {"command": command, "inputs": {str(path): sha256_of(path) for path in inputs}, "options": dict(options)}
     work: dict[str, Any] = parse_json(json_bytes(parts))
     return work
 
 
 def differences(held: Any, wanted: Mapping[str, Any]) -> str:
-    """What of the work `wanted` (as `work_of` gives it) is different in `held`, in words; empty for the same work."""
+    """Differences of the work `held` from `wanted` (as `work_of` gives it), in words; empty for the same work."""
     if not isinstance(held, dict) or held.get("command") != wanted["command"]:
         return _described(held)
     inputs, options = (held[name] if isinstance(held.get(name), dict) else {} for name in ("inputs", "options"))

@@ -11,13 +11,14 @@ from typing import Any, Final
 import numpy as np
 
 from skope import keypoints
-from skope.metrics.counts import Mask, Options, Outcomes, outcomes_at, ratio
+from skope.metrics.counts import Options, Outcomes, outcomes_at, ratio
 from skope.metrics.match import Matches
 from skope.schema import Annotation, Image
+from skope.types import Mask
 
 DISTANCES_M: Final = (20.0, 40.0, 60.0)
 HEIGHTS_PX: Final = (25.0, 50.0, 100.0, 200.0)
-OCCLUSIONS: Final = (0.1, 0.4)
+OCCLUSION_EDGES: Final = (0.1, 0.4)
 TRUNCATIONS: Final = (0.1, 0.4)
 
 # Bounds of the part that the paper reports by itself: vehicles that nothing hides, within 40 m.
@@ -27,7 +28,7 @@ _NEAR_M: Final = 40.0
 
 @dataclass(frozen=True, kw_only=True)
 class FleetInfo:
-    """What a dataset's card says of its vehicle models; empty where there is no card."""
+    """Vehicle models of a dataset, by its card; empty where there is no card."""
 
     held_out: Collection[str] | None = None
     """Models that no training image shows; None where the card does not say."""
@@ -77,7 +78,7 @@ def _parts(images: Sequence[Image], matches: Matches, fleet: FleetInfo) -> dict[
     parts = {
         "distance": _by_band([v.distance for v in vehicles], DISTANCES_M),
         "height": _by_band((matches.gt_boxes_xyxy[:, 3] - matches.gt_boxes_xyxy[:, 1]).tolist(), HEIGHTS_PX),
-        "occlusion": _by_band([v.occlusion for v in vehicles], OCCLUSIONS, last="1"),
+        "occlusion": _by_band([v.occlusion for v in vehicles], OCCLUSION_EDGES, last="1"),
         "truncation": _by_band([v.truncation for v in vehicles], TRUNCATIONS, last="1"),
         "unoccluded_within_40_m": _by_yes_or_no(vehicles, _paper_cell, {True: "yes", False: "no"}),
         "vehicle_type": _by_name([v.vehicle_type for v in vehicles]),
@@ -99,7 +100,7 @@ def _unseen(vehicle: Annotation, fleet: FleetInfo) -> bool | None:
 
 
 def band_names(edges: Sequence[float], last: str | None = None) -> list[str]:
-    """What the bands from 0 over `edges` are called, as in "0-20"; the one from the last edge on ends with `last`."""
+    """Names of the bands from 0 over `edges`, as in "0-20"; the one from the last edge on ends with `last`."""
     inner = [f"{low:g}-{high:g}" for low, high in itertools.pairwise((0.0, *edges))]
     return [*inner, f"{edges[-1]:g}-{last}" if last else f"{edges[-1]:g}+"]
 

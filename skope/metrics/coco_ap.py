@@ -13,7 +13,7 @@ from skope.metrics.counts import Options
 from skope.metrics.match import box_of
 from skope.schema import Annotation, AnnotationFile, Found, Labelled, Result
 
-MAX_DETECTIONS: Final = 300
+AP_DETECTIONS: Final = 300
 """Detections an image that count; pycocotools' own default for keypoints, 20, is fewer than a queue has vehicles."""
 NO_PRECISION: Final = dict.fromkeys(("box_ap", "box_ap50", "keypoint_ap", "keypoint_ap50"))
 """What is reported where results leave out what scores low: AP of those would mean nothing."""
@@ -30,7 +30,7 @@ def average_precision(file: AnnotationFile, results: Sequence[Result], options: 
 
     Args:
         file: The ground truth of a split.
-        results: All detections, whatever they score; `MAX_DETECTIONS` an image count.
+        results: All detections, whatever they score; `AP_DETECTIONS` an image count.
         options: Only labelled, boxes, points and scheme play a part.
 
     Returns:
@@ -117,7 +117,7 @@ def evaluated(
     # pycocotools prints as it goes, and squares of far-off keypoints overflow in it.
     with contextlib.redirect_stdout(io.StringIO()), np.errstate(over="ignore"):
         evaluation = COCOeval(_index(images, truth), _index(images, found), iouType=kind)
-        evaluation.params.maxDets = [MAX_DETECTIONS]
+        evaluation.params.maxDets = [AP_DETECTIONS]
         evaluation.params.areaRng, evaluation.params.areaRngLbl = [list(a) for a in areas.values()], list(areas)
         evaluation.params.kpt_oks_sigmas = np.array(sigmas)
         evaluation.evaluate()

@@ -17,14 +17,12 @@ from skope import keypoints
 from skope.errors import UserError, one_of
 from skope.keypoints import Scheme
 from skope.metrics.match import BOX_KINDS, THRESHOLDS, Matches
+from skope.types import Array, Integers, Mask
 
 PROTOCOLS: Final = ("pooled", "paper")
 LABELLED: Final = ("visible", "all")
 """Which ground-truth keypoints count: those with v = 2, or all with v > 0."""
 
-Floats = NDArray[np.float64]
-Mask = NDArray[np.bool_]
-Integers = NDArray[np.int64]
 
 Name = tuple[str, str | None]
 """A figure, and its protocol where there are two."""
@@ -40,7 +38,7 @@ FIGURES: Final[tuple[Name, ...]] = (
 
 @dataclass(frozen=True, kw_only=True)
 class Options:
-    """What counts as a detection, a labelled keypoint, a predicted one and a correct one."""
+    """Rules on what counts as a detection, a labelled keypoint, a predicted one and a correct one."""
 
     score: float = 0.9
     """A detection counts when it scores above this."""
@@ -81,7 +79,7 @@ class Options:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Outcomes:
-    """What became of the G vehicles of a split at one IoU threshold: which detection took each, and its errors."""
+    """Outcomes of the G vehicles of a split at one IoU threshold: which detection took each, and its errors."""
 
     detection: Integers
     """(G,) index of the detection in `Matches`, -1 for none."""
@@ -89,9 +87,9 @@ class Outcomes:
     """(G, 33) keypoints that are labelled, as `Options.labelled` says."""
     predicted: Mask
     """(G, 33) keypoints that the detection predicts."""
-    offset: Floats
+    offset: Array
     """(G, 33) pixels from the prediction to the ground truth, infinite where no detection took the vehicle."""
-    length: Floats
+    length: Array
     """(G,) longer edge of the ground-truth box, pixels."""
 
     @property
@@ -111,7 +109,7 @@ def predicted(matches: Matches, options: Options) -> Mask:
     return mask & (matches.det_keypoints[:, :, 2] > options.keypoint_score) if options.keypoint_score else mask
 
 
-def lengths(vectors: Floats) -> Floats:
+def lengths(vectors: Array) -> Array:
     """(...,) Euclidean lengths of (..., 2) vectors of pixels: several times faster than hypot, which takes care that
     no square overflows; here such a length is infinite, and as wrong as it was.
     """
@@ -120,7 +118,13 @@ def lengths(vectors: Floats) -> Floats:
 
 
 def outcomes_at(matches: Matches, threshold: float, options: Options) -> Outcomes:
-    """Compare each vehicle with the detection that took it at the IoU `threshold`, one of `matches.taken`."""
+    """Compare each vehicle with the detection that took it.
+
+    Args:
+        matches: Vehicles and detections, matched.
+        threshold: The IoU threshold, one of `matches.taken`.
+        options: What counts, and when a keypoint is correct.
+    """
     taken = matches.taken[threshold]
     matched = np.flatnonzero(taken >= 0)
     detection = np.full(len(matches.gt_image), -1, dtype=np.int64)
@@ -209,7 +213,7 @@ def tally(matches: Matches, threshold: float, options: Options) -> Tally:
     )
 
 
-Quotients = dict[Name, tuple[Floats, Floats]]
+Quotients = dict[Name, tuple[Array, Array]]
 """Figure -> (N,) numerator and (N,) denominator of each image."""
 
 
@@ -246,7 +250,7 @@ def quotients(counts: Tally) -> Quotients:
     return out
 
 
-def quality(counts: Tally) -> Floats:
+def quality(counts: Tally) -> Array:
     """(N,) share of an image's labelled keypoints that are right, times vehicles / (vehicles + false ones).
 
     NaN where nothing is labelled.

@@ -10,24 +10,33 @@ import numpy as np
 
 from skope import keypoints
 from skope.keypoints import FLIP, OTHER_END
-from skope.metrics.counts import Floats, Integers, Options, Outcomes, lengths
+from skope.metrics.counts import Options, Outcomes, lengths
 from skope.metrics.match import Matches
+from skope.types import Array, Integers
 
-KINDS: Final = ("left_right", "front_rear", "jitter")
+ERROR_KINDS: Final = ("left_right", "front_rear", "jitter")
 """Kinds of wrong keypoints: where the other side's counterpart is, where the other end's is (of either side), and
 anywhere else."""
-RIGHT: Final = -1
+NOT_WRONG: Final = -1
 """Stands in place of a kind for a keypoint that is not wrong."""
-LEFT_RIGHT, FRONT_REAR, JITTER = range(len(KINDS))
+LEFT_RIGHT, FRONT_REAR, JITTER = range(len(ERROR_KINDS))
 
 
 def wrong_points(matches: Matches, outcomes: Outcomes, options: Options) -> Integers:
-    """(G, 33) index in `KINDS` of each wrong keypoint; -1 where it is right, unlabelled, not predicted or not found.
+    """Tell the kinds of wrong keypoints.
 
     A keypoint is wrong when it is labelled and farther than alpha L from its place. It is swapped when it lies within
     alpha L of a counterpart whose place is known (v > 0); of several, the nearest names the kind.
+
+    Args:
+        matches: Vehicles and detections, matched.
+        outcomes: Who was taken by which detection, at one IoU.
+        options: What counts, and alpha.
+
+    Returns:
+        (G, 33) index in `ERROR_KINDS` of each wrong keypoint; -1: right, unlabelled, not predicted or not found.
     """
-    kinds = np.full(outcomes.labelled.shape, RIGHT, dtype=np.int64)
+    kinds = np.full(outcomes.labelled.shape, NOT_WRONG, dtype=np.int64)
     wrong = outcomes.labelled & outcomes.predicted & ~outcomes.correct(options.alpha)
     kinds[wrong] = JITTER
     if options.scheme.name != keypoints.SCHEME:  # which keypoints are counterparts is known of skope33 alone
@@ -40,7 +49,7 @@ def wrong_points(matches: Matches, outcomes: Outcomes, options: Options) -> Inte
     return kinds
 
 
-def _apart(matches: Matches, outcomes: Outcomes, counterpart: Any) -> Floats:
+def _apart(matches: Matches, outcomes: Outcomes, counterpart: Any) -> Array:
     """(G, 33) pixels from each prediction to its counterpart's place, infinite where there is none."""
     counterpart = np.asarray(counterpart)
     truth = matches.gt_keypoints[:, counterpart]
@@ -66,7 +75,7 @@ def counts(matches: Matches, outcomes: Outcomes, options: Options) -> dict[str, 
     return {
         "missed": int((~outcomes.found).sum()),
         "false": int(false_detections(matches, outcomes).sum()),
-        **{name: int((kinds == i).sum()) for i, name in enumerate(KINDS)},
+        **{name: int((kinds == i).sum()) for i, name in enumerate(ERROR_KINDS)},
     }
 
 

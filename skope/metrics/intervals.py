@@ -15,14 +15,15 @@ from typing import Any, Final
 
 import numpy as np
 
-from skope.metrics.counts import Floats, Integers, Name, Quotients, nested, ratio
+from skope.metrics.counts import Name, Quotients, nested, ratio
 from skope.schema import Image
+from skope.types import Array, Integers
 
 BLOCK_S: Final = 10.0
 """Length of a block of the only recording, seconds."""
 ENOUGH_SITES: Final = 3
 """So many sites make sites the blocks."""
-LEVEL: Final = 0.95
+INTERVAL_LEVEL: Final = 0.95
 """Probability that an interval claims to hold the figure."""
 
 Interval = tuple[float, float] | None
@@ -30,7 +31,7 @@ Interval = tuple[float, float] | None
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Blocks:
-    """Which images of a split are one piece of evidence together."""
+    """Groups of images of a split, each one piece of evidence."""
 
     unit: str
     """What a block is: "site", "recording", "10 s" or "image"."""
@@ -45,8 +46,8 @@ class Blocks:
         return int(self.number.max(initial=-1)) + 1
 
     def to_dict(self) -> dict[str, Any]:
-        """What the intervals come from, as `metrics.json` says it."""
-        return {"unit": self.unit, "blocks": self.count, "sites": self.sites, "level": LEVEL}
+        """Basis of the intervals, as `metrics.json` says it."""
+        return {"unit": self.unit, "blocks": self.count, "sites": self.sites, "level": INTERVAL_LEVEL}
 
 
 def blocks_of(images: Sequence[Image]) -> Blocks:
@@ -69,8 +70,8 @@ def blocks_of(images: Sequence[Image]) -> Blocks:
     return Blocks(unit=unit, number=np.array([number[key] for key in keys], dtype=np.int64), sites=sites)
 
 
-def left_out(values: Quotients, blocks: Blocks) -> dict[Name, Floats]:
-    """(B,) each figure without each of the B blocks; NaN where one says nothing of it, and where nothing is left."""
+def left_out(values: Quotients, blocks: Blocks) -> dict[Name, Array]:
+    """(B,) each figure with one of the B blocks left out; NaN if the block, or the rest, has no denominator."""
     out = {}
     for name, columns in values.items():
         tops, bottoms = (np.bincount(blocks.number, weights=column, minlength=blocks.count) for column in columns)
@@ -79,7 +80,7 @@ def left_out(values: Quotients, blocks: Blocks) -> dict[Name, Floats]:
     return out
 
 
-def error_of(without: Floats) -> tuple[float, int]:
+def error_of(without: Array) -> tuple[float, int]:
     """A figure's standard error by the jackknife, and the degrees of freedom.
 
     `without` (B,) are the figure's values without one block each, NaN where a block says nothing of it. The formula is
@@ -91,8 +92,8 @@ def error_of(without: Floats) -> tuple[float, int]:
     return math.sqrt(max(count - 1, 0) / max(count, 1) * spread), count - 1
 
 
-def share_interval(value: float | None, without: Floats) -> Interval:
-    """Where a share may lie by (B,) its values with one block left out each, worked out in log odds.
+def share_interval(value: float | None, without: Array) -> Interval:
+    """Interval of a share from (B,) its values with one block left out each, worked out in log odds.
 
     None where fewer than two blocks say something, and for exactly 0 or 1: where nothing was ever wrong, the data do
     not say how seldom it is.
@@ -111,13 +112,13 @@ def student(freedom: int) -> float:
 
     Exact for one and two degrees of freedom, else to 0.2% (G. W. Hill, 1970).
     """
-    outside, n = 1 - LEVEL, float(freedom)
+    outside, n = 1 - INTERVAL_LEVEL, float(freedom)
     if freedom == 1:
-        return math.tan(math.pi / 2 * LEVEL)
+        return math.tan(math.pi / 2 * INTERVAL_LEVEL)
     if freedom == 2:
         return math.sqrt(2 / (outside * (2 - outside)) - 2)
     # Hill's expansion about the normal distribution (Cornish and Fisher's series in 1/n).
-    z = NormalDist().inv_cdf((1 + LEVEL) / 2)
+    z = NormalDist().inv_cdf((1 + INTERVAL_LEVEL) / 2)
     terms = (
         (z**3 + z) / 4,
         (5 * z**5 + 16 * z**3 + 3 * z) / 96,
@@ -163,6 +164,6 @@ def difference(a: Quotients, b: Quotients, blocks: Blocks, name: Name) -> Interv
     return gap - reach, gap + reach
 
 
-def _whole(columns: tuple[Floats, Floats]) -> float | None:
+def _whole(columns: tuple[Array, Array]) -> float | None:
     """A figure over all images, from its numerators and denominators; None where there is nothing to divide by."""
     return ratio(*(float(column.sum()) for column in columns))

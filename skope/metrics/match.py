@@ -8,12 +8,12 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from skope import boxes as box_math
 from skope import keypoints
 from skope.errors import UserError, one_of
 from skope.schema import Annotation, AnnotationFile, Labelled, Result
+from skope.types import Array, Integers, Mask
 
 THRESHOLDS: Final = (0.9, 0.8, 0.7, 0.6)
 """IoU thresholds of the paper's table, in its order."""
@@ -21,9 +21,6 @@ THRESHOLDS: Final = (0.9, 0.8, 0.7, 0.6)
 BOX_KINDS: Final = ("full", "visible")
 """Which of a vehicle's boxes a detection has to meet: the whole silhouette's, or that of its visible pixels."""
 
-Floats = NDArray[np.float64]
-Integers = NDArray[np.int64]
-Mask = NDArray[np.bool_]
 
 _PAIRS_AT_ONCE: Final = 1 << 20
 """Pairs of boxes that are compared at once, so that memory stays small."""
@@ -45,17 +42,17 @@ class Matches:
     """The G ground-truth vehicles."""
     gt_image: Integers
     """(G,) number of the image that shows the vehicle."""
-    gt_boxes_xyxy: Floats
+    gt_boxes_xyxy: Array
     """(G, 4) boxes of the asked kind, pixels."""
-    gt_keypoints: Floats
+    gt_keypoints: Array
     """(G, 33, 3) x, y, v."""
     det_image: Integers
     """(D,) number of the image that the detection is in."""
     det_result: Integers
     """(D,) index in the results."""
-    det_score: Floats
+    det_score: Array
     """(D,) scores, 0 to 1."""
-    det_keypoints: Floats
+    det_keypoints: Array
     """(D, 33, 3) x, y, score."""
     det_on_ignored: Mask
     """(D,) whether the detection lies to half of its area or more inside the box of one ignored vehicle."""
@@ -63,7 +60,7 @@ class Matches:
     """IoU threshold -> (D,) the ground-truth vehicle that each detection took, -1 for none."""
 
 
-def box_of(annotation: Labelled, kind: str) -> Floats:
+def box_of(annotation: Labelled, kind: str) -> Array:
     """(4,) x, y, width, height of the box of `kind` "full" or "visible"; a UserError where it is not annotated."""
     box = annotation.bbox_visible if kind == "visible" else annotation.bbox
     if box is None:
@@ -134,23 +131,23 @@ def match(
     )
 
 
-def _xyxy(boxes_xywh: list[Floats]) -> Floats:
+def _xyxy(boxes_xywh: list[Array]) -> Array:
     return box_math.xywh_to_xyxy(np.array(boxes_xywh, dtype=np.float64).reshape(-1, 4))
 
 
-def _keypoints(points: list[Floats]) -> Floats:
+def _keypoints(points: list[Array]) -> Array:
     return np.array(points, dtype=np.float64).reshape(-1, keypoints.K, 3)
 
 
 def _pairs(
     a_image: Integers,
-    a_boxes: Floats,
+    a_boxes: Array,
     b_image: Integers,
-    b_boxes: Floats,
-    measure: Callable[[Floats, Floats], Floats],
+    b_boxes: Array,
+    measure: Callable[[Array, Array], Array],
     *,
     least: float,
-) -> tuple[Integers, Integers, Floats]:
+) -> tuple[Integers, Integers, Array]:
     """Indices (P,), (P,) and values (P,) of the pairs of one image whose measure is at least `least`.
 
     The columns of image numbers are sorted, so that the boxes of `b` that share an image with one of `a` are a range.
@@ -175,7 +172,7 @@ def _pairs(
     return np.concatenate(rows), np.concatenate(columns), np.concatenate(values)
 
 
-def _greedy(detections: int, truths: int, det: Integers, gt: Integers, iou: Floats, threshold: float) -> Integers:
+def _greedy(detections: int, truths: int, det: Integers, gt: Integers, iou: Array, threshold: float) -> Integers:
     """(D,) ground truth taken by each detection, -1 for none, from the pairs that overlap."""
     taken, free = [-1] * detections, [True] * truths
     # Detections stand in the order in which they choose, ground truth by id: sorting the pairs by detection, falling

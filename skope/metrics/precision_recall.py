@@ -28,7 +28,7 @@ __all__ = [
     "summary",
 ]
 
-VERSION: Final = 1
+METRICS_VERSION: Final = 1
 """Version of the layout of `metrics.json`."""
 
 STRICT_ALPHA: Final = 0.05
@@ -47,7 +47,7 @@ def document(
     scheme: str = keypoints.SCHEME,
     work: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
-    """What `metrics.json` holds: the options and the entry of each split.
+    """The content of `metrics.json`: the options and the entry of each split.
 
     Args:
         options: What was measured.
@@ -57,7 +57,7 @@ def document(
         work: What `skope.files.output_folders.claim_output` says of the files that were read, the version and the date.
     """
     return {
-        "version": VERSION,
+        "version": METRICS_VERSION,
         "score_threshold": options.score,
         "alpha": options.alpha,
         "labelled": options.labelled,
@@ -90,7 +90,13 @@ def score_split(file: AnnotationFile, results: Sequence[Result], options: Option
 
 
 def match_split(file: AnnotationFile, results: Sequence[Result], options: Options) -> Matches:
-    """Match the results to the ground truth at the thresholds of `options`, as `skope.metrics.match.match` does."""
+    """Match results to the ground truth, as `skope.metrics.match.match` does.
+
+    Args:
+        file: The ground truth.
+        results: Vehicles that were found in its images.
+        options: The thresholds, and what counts.
+    """
     return match(file, results, score=options.score, boxes=options.boxes, thresholds=options.iou)
 
 
@@ -114,7 +120,7 @@ def figures(pooled: counts.Tally) -> dict[str, Any]:
 
 
 def localisation(outcomes: Outcomes) -> dict[str, Any]:
-    """How near the keypoints of matched vehicles are, beyond one alpha; all in units of the box's longer edge L."""
+    """Errors of the keypoints of matched vehicles, beyond one alpha; all in units of the box's longer edge L."""
     counted = outcomes.labelled & outcomes.found[:, None]
     # A vehicle whose box has no extent can have no error in its units but 0.
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -142,7 +148,16 @@ def ranked(matches: Matches, threshold: float) -> tuple[NDArray[np.float64], NDA
 
 
 def recalls(file: AnnotationFile, results: Sequence[Result], options: Options) -> dict[str, float | None]:
-    """Box recall at each of `AT_PRECISION`, at the loosest IoU and whatever score it takes; keys as in JSON."""
+    """Box recall at each precision of `AT_PRECISION`, at the loosest IoU and whatever score it takes.
+
+    Args:
+        file: The ground truth.
+        results: Vehicles that were found in its images.
+        options: The thresholds, and what counts.
+
+    Returns:
+        Recalls, None without vehicles, by precision as a key of JSON.
+    """
     every = match_split(file, results, replace(options, score=0.0, iou=(options.loosest,)))
     scores, hits = ranked(every, options.loosest)
     truth = len(every.vehicles)
@@ -152,10 +167,16 @@ def recalls(file: AnnotationFile, results: Sequence[Result], options: Options) -
 def recall_at_precision(
     scores: NDArray[np.float64], hit: NDArray[np.bool_], truth: int, precision: float
 ) -> dict[str, float | None]:
-    """The greatest recall over all least scores at which `precision` is reached, and the highest such least score.
+    """The greatest recall over all least scores at which a precision is reached, and the highest such least score.
 
-    `scores` and `hit` are (D,), of the detections that count; `truth` is the number of vehicles. 0 where the precision
-    is never reached, None without vehicles.
+    Args:
+        scores: (D,) of the detections that count.
+        hit: (D,) whether each is of a vehicle.
+        truth: Number of vehicles.
+        precision: Share of detections that must be right, 0 to 1.
+
+    Returns:
+        `recall` and `score`: 0 where the precision is never reached, None without vehicles.
     """
     order = np.argsort(-scores, kind="stable")
     hits = np.cumsum(hit[order])

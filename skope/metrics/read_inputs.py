@@ -10,16 +10,15 @@ from skope import keypoints
 from skope.dataset import coco
 from skope.dataset.folder import CARD, MANIFEST, open_dataset
 from skope.dataset.image_selection import take
-from skope.detections import AnyResult
 from skope.errors import UserError, one_of
 from skope.keypoints import Scheme
 from skope.metrics.breakdown import FleetInfo
 from skope.metrics.match import box_of
-from skope.schema import AnnotationFile, Found, Result, RoadUserResult
+from skope.schema import AnnotationFile, AnyResult, Found, Result, RoadUserResult
 
 F = TypeVar("F", bound=Found)
 
-SCHEMES: Final = (keypoints.SCHEME, *keypoints.FOREIGN_SCHEMES)
+RESULT_SCHEMES: Final = (keypoints.SCHEME, *keypoints.FOREIGN_SCHEMES)
 """Keypoint schemes of results that can be held against ours."""
 TEST_SPLITS: Final = ("easy", "medium", "hard", "extra")
 
@@ -76,22 +75,37 @@ def read_annotations(path: Path) -> GroundTruth:
 
 def scheme_points(scheme: str, truth: Scheme = keypoints.SKOPE33) -> tuple[int, ...]:
     """The truth's indices of the keypoints that a detector of `scheme` predicts too; a UserError lists the schemes."""
-    one_of("--scheme", scheme, SCHEMES if truth.name == keypoints.SCHEME else (truth.name,))
+    one_of("--scheme", scheme, RESULT_SCHEMES if truth.name == keypoints.SCHEME else (truth.name,))
     if scheme == truth.name:
         return tuple(range(keypoints.K))
     return tuple(sorted(keypoints.FOREIGN_SCHEMES[scheme].values()))
 
 
 def read_results(path: Path, file: AnnotationFile, scheme: str | None = None) -> tuple[Result, ...]:
-    """The vehicles of a detector of `scheme`, by default that of `file`, for its images.
+    """Read the vehicles of a results file.
 
-    A UserError names a result that is for none of them.
+    Args:
+        path: COCO results.
+        file: The images, whose ids the results have.
+        scheme: Keypoint scheme of the detector; None: that of `file`.
+
+    Raises:
+        UserError: The file is malformed, or has a result that is for none of the images.
     """
     return tuple(_for_file(path, file, scheme))
 
 
 def read_all_results(path: Path, file: AnnotationFile, scheme: str | None = None) -> tuple[AnyResult, ...]:
-    """The results of `read_results` and those of other road users, in the order of the results file."""
+    """Read the vehicles and the other road users of a results file, in its order.
+
+    Args:
+        path: COCO results.
+        file: The images, whose ids the results have.
+        scheme: Keypoint scheme of the detector; None: that of `file`.
+
+    Raises:
+        UserError: As `read_results` does.
+    """
     return tuple(_all_for_file(path, file, scheme))
 
 

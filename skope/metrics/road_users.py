@@ -12,7 +12,7 @@ from skope.metrics.coco_ap import evaluated, found_box, mean_precision, truth_bo
 from skope.metrics.counts import ratio
 from skope.schema import CATEGORIES, AnnotationFile, RoadUserResult
 
-IOU: Final = 0.5
+AP50_IOU: Final = 0.5
 """IoU at which a detection matches, that of AP50."""
 
 
@@ -67,7 +67,7 @@ def _by_size(
     params = Params(iouType="bbox")
     areas = dict(zip(params.areaRngLbl, params.areaRng, strict=True))
     evaluation = evaluated(images, truth, found, "bbox", areas)
-    at = int(np.flatnonzero(np.isclose(evaluation.params.iouThrs, IOU))[0])
+    at = int(np.flatnonzero(np.isclose(evaluation.params.iouThrs, AP50_IOU))[0])
     precision = evaluation.eval["precision"]  # (IoU thresholds, recalls, categories, areas, maxDets), -1 for none
     out = {}
     for i, (size, area) in enumerate(areas.items()):

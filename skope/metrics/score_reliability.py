@@ -8,8 +8,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from skope.metrics.counts import Floats, Integers, Mask, Options, Outcomes, predicted, ratio
+from skope.metrics.counts import Options, Outcomes, predicted, ratio
 from skope.metrics.match import Matches
+from skope.types import Array, Integers, Mask
 
 BINS: Final = 10
 """Bins of the reliability diagram."""
@@ -18,9 +19,14 @@ CURVE_POINTS: Final = 101
 
 
 def confidence(matches: Matches, outcomes: Outcomes, options: Options) -> dict[str, Any]:
-    """The entry `confidence` of a split in `metrics.json`, at the IoU threshold of `outcomes`.
+    """The entry `confidence` of a split in `metrics.json`.
 
     Other programs' scores may be logits or visibilities; those outside 0..1 claim no probability, only an order.
+
+    Args:
+        matches: Vehicles and detections, matched.
+        outcomes: Who was taken by which detection, at one IoU.
+        options: What counts.
     """
     found = outcomes.found
     points = np.array(options.points)
@@ -42,7 +48,7 @@ def confidence(matches: Matches, outcomes: Outcomes, options: Options) -> dict[s
     }
 
 
-def reliability(score: Floats, right: Mask) -> list[dict[str, Any]]:
+def reliability(score: Array, right: Mask) -> list[dict[str, Any]]:
     """Reliability diagram: for each tenth of scores that occurs, how many of its keypoints are right.
 
     Args:
@@ -77,7 +83,7 @@ def calibration_error(table: list[dict[str, Any]]) -> float | None:
     return ratio(sum(row["count"] * abs(row["score"] - row["right"]) for row in table), total)
 
 
-def auc(positive: Floats, negative: Floats) -> float | None:
+def auc(positive: Array, negative: Array) -> float | None:
     """Probability that a positive outscores a negative, ties counting half (Mann and Whitney); None without either."""
     if not positive.size or not negative.size:
         return None
@@ -104,7 +110,7 @@ def _average_precision(matches: Matches, outcomes: Outcomes, options: Options) -
     }
 
 
-def curve(score: Floats, right: Mask, total: int) -> tuple[Floats, Floats]:
+def curve(score: Array, right: Mask, total: int) -> tuple[Array, Array]:
     """Precision over recall as COCO has it: at each recall the best precision there or at a higher one.
 
     Args:

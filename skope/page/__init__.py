@@ -1,4 +1,4 @@
-"""What the reports share: one HTML file with its style, its script and its pictures inside.
+"""The page that reports share: one HTML file with its style, its script and its pictures inside.
 
 `html_pieces` are pieces of markup, `charts` and `vehicle_outline` drawings with their numbers below, `image_viewer`
 photographs with layers.

@@ -10,8 +10,8 @@ from typing import Final
 
 from skope.page.html_pieces import details, plain, table, tag
 
-WIDTH, HEIGHT = 460, 320
-LEFT, RIGHT, TOP, BOTTOM = 48, 14, 14, 44
+PLOT_WIDTH, PLOT_HEIGHT = 460, 320
+PLOT_LEFT, PLOT_RIGHT, PLOT_TOP, PLOT_BOTTOM = 48, 14, 14, 44
 _MARKERS: Final = ("circle", "square", "diamond", "triangle")
 _SHAPES: Final = {
     "circle": "M{0} {1}m-4 0a4 4 0 1 0 8 0a4 4 0 1 0-8 0",
@@ -43,8 +43,8 @@ class Axes:
 
     def place(self, x: float, y: float) -> tuple[float, float]:
         """Position of the point (x, y) in the drawing."""
-        across, up = WIDTH - LEFT - RIGHT, HEIGHT - TOP - BOTTOM
-        return round(LEFT + x / self.x_end * across, 1), round(TOP + (1 - y / self.y_end) * up, 1)
+        across, up = PLOT_WIDTH - PLOT_LEFT - PLOT_RIGHT, PLOT_HEIGHT - PLOT_TOP - PLOT_BOTTOM
+        return round(PLOT_LEFT + x / self.x_end * across, 1), round(PLOT_TOP + (1 - y / self.y_end) * up, 1)
 
 
 def chart(title: str, axes: Axes, lines: Sequence[Line], *, diagonal: bool = False, every: int = 1) -> str:
@@ -67,7 +67,7 @@ def _figure(title: str, axes: Axes, lines: Sequence[Line], parts: Sequence[str],
     drawing = tag(
         "svg",
         *parts,
-        viewBox=f"0 0 {WIDTH} {HEIGHT}",
+        viewBox=f"0 0 {PLOT_WIDTH} {PLOT_HEIGHT}",
         role="img",
         aria_label=f"{title}. The numbers are in the table below.",
         tabindex=0,
@@ -82,12 +82,13 @@ def _grid(axes: Axes) -> str:
     for i in range(6):
         x, y = axes.x_end * i / 5, axes.y_end * i / 5
         (px, bottom), (left, py) = axes.place(x, 0), axes.place(0, y)
-        marks.append(f'<path class="grid" d="M{px} {TOP}V{bottom}M{left} {py}H{WIDTH - RIGHT}"/>')
+        marks.append(f'<path class="grid" d="M{px} {PLOT_TOP}V{bottom}M{left} {py}H{PLOT_WIDTH - PLOT_RIGHT}"/>')
         marks.append(f'<text x="{px}" y="{bottom + 16}" text-anchor="middle">{x:g}</text>')
         marks.append(f'<text x="{left - 6}" y="{py + 4}" text-anchor="end">{y:g}</text>')
-    middle = TOP + (HEIGHT - TOP - BOTTOM) / 2
+    middle = PLOT_TOP + (PLOT_HEIGHT - PLOT_TOP - PLOT_BOTTOM) / 2
+    across = (PLOT_LEFT + PLOT_WIDTH - PLOT_RIGHT) / 2
     marks.append(
-        f'<text x="{(LEFT + WIDTH - RIGHT) / 2}" y="{HEIGHT - 8}" text-anchor="middle">{escape(axes.x_label)}</text>'
+        f'<text x="{across}" y="{PLOT_HEIGHT - 8}" text-anchor="middle">{escape(axes.x_label)}</text>'
         f'<text transform="translate(12 {middle}) rotate(-90)" text-anchor="middle">{escape(axes.y_label)}</text>'
     )
     return "".join(marks)

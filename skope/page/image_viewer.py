@@ -14,9 +14,7 @@ from skope import keypoints
 from skope.boxes import xywh_to_xyxy
 from skope.dataset.folder import read_image
 from skope.page.html_pieces import tag
-
-Floats = NDArray[np.float64]
-Flags = NDArray[np.bool_]
+from skope.types import Array, Mask
 
 LONGEST: Final = 960
 """Pixels of the longer edge of an embedded photograph."""
@@ -76,10 +74,10 @@ def path(d: str, class_: str) -> str:
 
 
 def points(
-    at: Floats,
-    placed: Flags,
-    sure: Flags,
-    joined: Flags,
+    at: Array,
+    placed: Mask,
+    sure: Mask,
+    joined: Mask,
     scale: float,
     skeleton: Sequence[tuple[int, int]],
     shown: Collection[int] = range(keypoints.K),
@@ -105,7 +103,7 @@ def points(
     return path(edges, "edges") + path(rings, "rings") + path(dots, "dots")
 
 
-def place(point: Floats) -> str:
+def place(point: Array) -> str:
     """A position (2 or more,), of which x and y count, as SVG paths have it."""
     return f"{point[0]:.1f} {point[1]:.1f}"
 
@@ -119,7 +117,7 @@ def labels(of: Sequence[tuple[ArrayLike, str]], size: tuple[int, int]) -> str:
     width, height = size
     letters = _LETTERS * unit(width)
     high = 1.25 * letters
-    taken: list[Floats] = []
+    taken: list[Array] = []
     out = []
     for box_xywh, text in sorted(of, key=lambda pair: -float(np.asarray(pair[0])[3])):
         x0, y0, _, y1 = xywh_to_xyxy(box_xywh)
@@ -141,6 +139,6 @@ def labels(of: Sequence[tuple[ArrayLike, str]], size: tuple[int, int]) -> str:
     return "".join(out)
 
 
-def _overlap(a: Floats, b: Floats) -> bool:
+def _overlap(a: Array, b: Array) -> bool:
     """Whether two rectangles (4,) xyxy have a point inside both."""
     return bool((np.maximum(a[:2], b[:2]) < np.minimum(a[2:], b[2:])).all())

@@ -34,7 +34,7 @@ assert {"front_logo", *(f"{part}_{side}" for part in _PLAN for side in ("right",
 
 
 def plan(name: str) -> tuple[float, float]:
-    """Where a keypoint stands in the outline: x to the right is forward, y down is the vehicle's right."""
+    """Place of a keypoint in the outline: x to the right is forward, y down is the vehicle's right."""
     if name == "front_logo":
         return _LOGO
     stem, side = name.rsplit("_", 1)
@@ -44,7 +44,7 @@ def plan(name: str) -> tuple[float, float]:
 
 @dataclass(frozen=True, kw_only=True)
 class Point:
-    """What the outline says of a keypoint."""
+    """A keypoint of the outline."""
 
     share: float | None
     """Share from 0 to 1, drawn in percent; None where there was nothing to divide by."""

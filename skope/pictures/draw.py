@@ -21,8 +21,8 @@ from skope.errors import UserError
 from skope.files.atomic import write_bytes
 from skope.keypoints import SKOPE33, Scheme
 from skope.schema import Annotation, Box3D, Labelled, Result, RoadUser, RoadUserResult
+from skope.types import Pixels
 
-Pixels = NDArray[np.uint8]
 Color = tuple[int, int, int]
 
 PALETTE: Final[tuple[Color, ...]] = (
@@ -37,16 +37,16 @@ PALETTE: Final[tuple[Color, ...]] = (
 )
 """Colours of vehicles, by track: Okabe and Ito's, brightened where they would drown in asphalt."""
 IGNORED: Final[Color] = (200, 200, 200)
-_DARK: Final[Color] = (16, 16, 16)
-_FONT: Final = cv2.FONT_HERSHEY_SIMPLEX
-_SURE: Final = 0.5
-_FAINT: Final = 0.15
-"""Keypoints of a lower probability are not drawn; from here to `_SURE` they are faint."""
+_DARK_RGB: Final[Color] = (16, 16, 16)
+_LABEL_FONT: Final = cv2.FONT_HERSHEY_SIMPLEX
+_SURE_KEYPOINT: Final = 0.5
+_FAINT_KEYPOINT: Final = 0.15
+"""Keypoints of a lower probability are not drawn; from here to `_SURE_KEYPOINT` they are faint."""
 _FAINTNESS: Final = 0.4
 """Share of a faint keypoint's colour in the picture."""
-_SMALL: Final = 36
+_SMALL_PX: Final = 36
 """Longer side of a box that is small, pixels of the enlarged image at 960x540."""
-_SHIFT: Final = 4
+SUBPIXEL_BITS: Final = 4
 """OpenCV takes sub-pixel positions as integers of 1 / 2**_SHIFT pixel."""
 
 
@@ -58,10 +58,20 @@ def annotations(
     scale: int = 1,
     scheme: Scheme = SKOPE33,
 ) -> Pixels:
-    """Draw ground truth on a copy of (H, W, 3) `image`, enlarged `scale` times.
+    """Draw ground truth on a copy of an image.
 
     Keypoints are filled where visible (v = 2) and hollow where hidden (v = 1); who is ignored is a dashed box with the
     reason. The label is the track's number, or the annotation's id; that of other road users begins with a letter.
+
+    Args:
+        image: (H, W, 3) RGB.
+        vehicles: The image's annotations, boxes and keypoints in its pixels.
+        road_users: People on foot and on two wheels.
+        scale: The picture is enlarged so many times.
+        scheme: What the keypoints are.
+
+    Returns:
+        (scale H, scale W, 3) RGB.
     """
     canvas = _Canvas(image, scale, scheme)
     labels: list[Annotation | RoadUser] = [*vehicles, *road_users]
@@ -91,7 +101,7 @@ def color_of(label: Labelled) -> Color:
 
 
 def words_of(vehicle: Annotation | RoadUser) -> str:
-    """What is known of a road user, in a few words."""
+    """Describe a road user in a few words."""
     if isinstance(vehicle, Annotation):
         parts = [f"{vehicle.vehicle_type or 'vehicle'} {number_of(vehicle)}", vehicle.color]
     else:
@@ -108,7 +118,16 @@ def words_of(vehicle: Annotation | RoadUser) -> str:
 
 
 def numbered(image: Pixels, vehicles: Iterable[Annotation], *, scale: int = 1) -> Pixels:
-    """Like `annotations`, with the number of each keypoint beside it and without boxes' labels."""
+    """Draw ground truth with the number of each keypoint beside it and without boxes' labels.
+
+    Args:
+        image: (H, W, 3) RGB.
+        vehicles: The image's annotations.
+        scale: The picture is enlarged so many times.
+
+    Returns:
+        (scale H, scale W, 3) RGB.
+    """
     canvas = _Canvas(image, scale)
     for vehicle in vehicles:
         seen = vehicle.keypoints[:, 2]
@@ -126,11 +145,21 @@ def results(
     scale: int = 1,
     scheme: Scheme = SKOPE33,
 ) -> Pixels:
-    """Draw what was found on a copy of (H, W, 3) `image`, enlarged `scale` times, the best on top.
+    """Draw what was found on a copy of an image, the best on top.
 
     Keypoints are filled from a probability of 0.5 on; below they are hollow and faint, and below 0.15 left out. Small
     vehicles have neither skeleton nor label, which would hide the next ones. The label is the score; that of other road
     users, who have a box in the colour of their category, begins with its first letter.
+
+    Args:
+        image: (H, W, 3) RGB.
+        found: Vehicles, in pixels of the image.
+        road_users: People on foot and on two wheels.
+        scale: The picture is enlarged so many times.
+        scheme: What the keypoints are.
+
+    Returns:
+        (scale H, scale W, 3) RGB.
     """
     canvas = _Canvas(image, scale, scheme)
     for user in sorted(road_users, key=lambda r: r.score):
@@ -149,7 +178,13 @@ def results(
 
 
 def boxes_3d(image: Pixels, vehicles: Iterable[Labelled], camera: Camera) -> Pixels:
-    """The edges of road users' 3D boxes on a copy of (H, W, 3) `image`, those of the front end thicker."""
+    """Draw the edges of road users' 3D boxes on a copy of an image, those of the front end thicker.
+
+    Args:
+        image: (H, W, 3) RGB.
+        vehicles: Labels of vehicles or others; those without `box_3d` are left out.
+        camera: The image's camera.
+    """
     canvas = _Canvas(image, 1)
     for vehicle in vehicles:
         if vehicle.box_3d is None:
@@ -180,7 +215,13 @@ def mask_of(vehicle: Labelled) -> NDArray[np.bool_] | None:
 
 
 def masks(image: Pixels, vehicles: Iterable[Labelled], *, strength: float = 0.45) -> Pixels:
-    """Road users' visible pixels tinted on a copy of (H, W, 3) `image`."""
+    """Tint road users' visible pixels on a copy of an image.
+
+    Args:
+        image: (H, W, 3) RGB.
+        vehicles: Labels of vehicles or others; those whose mask is not given as RLE are left out.
+        strength: Share of the tint, 0 to 1.
+    """
     out = image.astype(np.float32)
     for vehicle in vehicles:
         inside = mask_of(vehicle)
@@ -193,7 +234,7 @@ def depth(metres: NDArray[np.float32], *, near: float = 4.0) -> Pixels:
     """(H, W) metres as colours by nearness, from red at `near` to blue far away; sky is dark."""
     nearness = np.clip(255 * near / np.maximum(metres, near), 0, 255).astype(np.uint8)
     colors = cv2.cvtColor(cv2.applyColorMap(nearness, cv2.COLORMAP_TURBO), cv2.COLOR_BGR2RGB)
-    colors[~np.isfinite(metres)] = _DARK
+    colors[~np.isfinite(metres)] = _DARK_RGB
     return np.asarray(colors, dtype=np.uint8)
 
 
@@ -212,30 +253,40 @@ def occlusion(image: Pixels, vehicles: Iterable[Labelled]) -> Pixels:
 def caption(image: Pixels, text: str) -> Pixels:
     """A copy of (H, W, 3) `image` with a line of text on a dark strip above it, shortened where it is too long."""
     size = max(0.4, image.shape[1] / 1600)
-    strip = np.full((round(36 * size) + 4, image.shape[1], 3), _DARK, dtype=np.uint8)
+    strip = np.full((round(36 * size) + 4, image.shape[1], 3), _DARK_RGB, dtype=np.uint8)
     # The Hershey fonts have ASCII only, about 18 pixels a letter.
     text = text.encode("ascii", "replace").decode()[: int(image.shape[1] / (18 * size))]
     origin = (round(8 * size), round(26 * size) + 2)
-    cv2.putText(strip, text, origin, _FONT, 0.8 * size, (255, 255, 255), max(1, round(size)), cv2.LINE_AA)
+    cv2.putText(strip, text, origin, _LABEL_FONT, 0.8 * size, (255, 255, 255), max(1, round(size)), cv2.LINE_AA)
     return np.concatenate([strip, image])
 
 
 def contact_sheet(images: Sequence[Pixels], columns: int, *, gap: int = 4) -> Pixels:
-    """Images (H, W, 3) in rows of `columns`, each at the top left of a cell as large as the largest of them."""
+    """Put images in rows, each at the top left of a cell as large as the largest of them.
+
+    Args:
+        images: (H, W, 3) RGB each, of any sizes; one at least.
+        columns: Images in a row.
+        gap: Pixels between cells.
+
+    Raises:
+        ValueError: There is no image, or no column.
+    """
     if not images or columns < 1:
         raise ValueError("a contact sheet needs at least one image and one column")
     columns = min(columns, len(images))
     rows = -(-len(images) // columns)
     height, width = (max(image.shape[axis] for image in images) + gap for axis in (0, 1))
-    sheet = np.full((rows * height - gap, columns * width - gap, 3), _DARK, dtype=np.uint8)
+    sheet = np.full((rows * height - gap, columns * width - gap, 3), _DARK_RGB, dtype=np.uint8)
     for i, image in enumerate(images):
         y, x = i // columns * height, i % columns * width
         sheet[y : y + image.shape[0], x : x + image.shape[1]] = image
     return sheet
 
 
-def write(path: Path, image: Pixels) -> None:
-    """Write an RGB image atomically, in the format of the path's suffix."""
+def write(path: str | Path, image: Pixels) -> None:
+    """Write an image, (H, W, 3) RGB, in one step, in the format of the path's suffix. Raises UserError."""
+    path = Path(path)
     # In memory: OpenCV itself ends the process at a path that is not UTF-8.
     encoded, data = cv2.imencode(path.suffix, cv2.cvtColor(image, cv2.COLOR_RGB2BGR))
     if not encoded:
@@ -269,7 +320,7 @@ class _Canvas:
 
     def prediction(self, bbox: ArrayLike, points: NDArray[np.float64], color: Color) -> None:
         """A predicted vehicle: a box, and of keypoints (33, 3: x, y, probability) and skeleton what is sure."""
-        sure = points[:, 2] >= _SURE
+        sure = points[:, 2] >= _SURE_KEYPOINT
         self._box(bbox, color, max(1, self._line // 2) if self.is_small(bbox) else self._line)
         if not self.is_small(bbox):
             self._skeleton(points, sure, sure, color)
@@ -277,14 +328,14 @@ class _Canvas:
 
     def is_small(self, bbox: ArrayLike) -> bool:
         """Whether what is drawn in a box would cover all of it."""
-        return bool(max(np.asarray(bbox)[2:]) * self._scale < _SMALL * self._unit)
+        return bool(max(np.asarray(bbox)[2:]) * self._scale < _SMALL_PX * self._unit)
 
     def faint_points(self, found: Iterable[Result]) -> None:
         """The keypoints of predicted vehicles that are not sure, but not improbable either."""
         before = self.pixels.copy()
         for result in found:
             probability = result.keypoints[:, 2]
-            faint = (probability >= _FAINT) & (probability < _SURE)
+            faint = (probability >= _FAINT_KEYPOINT) & (probability < _SURE_KEYPOINT)
             self._points(result.bbox, result.keypoints, faint, ~faint)
         cv2.addWeighted(self.pixels, _FAINTNESS, before, 1 - _FAINTNESS, 0, dst=self.pixels)
 
@@ -337,43 +388,45 @@ class _Canvas:
     def label(self, bbox: ArrayLike, text: str, color: Color) -> None:
         """Text in a filled tag on top of a box, kept inside the image."""
         size = 0.4 * self._unit
-        (width, height), base = cv2.getTextSize(text, _FONT, size, self._line)
+        (width, height), base = cv2.getTextSize(text, _LABEL_FONT, size, self._line)
         x, y = (int(v * self._scale) for v in np.asarray(bbox)[:2])
         x = max(0, min(x, self.pixels.shape[1] - width - 2))
         bottom = min(max(y, height + base), self.pixels.shape[0] - 1)
         cv2.rectangle(self.pixels, (x, bottom - height - base), (x + width + 2, bottom), color, -1)
-        cv2.putText(self.pixels, text, (x + 1, bottom - base // 2 - 1), _FONT, size, _DARK, self._line, cv2.LINE_AA)
+        cv2.putText(
+            self.pixels, text, (x + 1, bottom - base // 2 - 1), _LABEL_FONT, size, _DARK_RGB, self._line, cv2.LINE_AA
+        )
 
     def number(self, at: ArrayLike, number: int, *, bold: bool) -> None:
         """A keypoint's number, to the upper right of it."""
         x, y = (int(v * self._scale) for v in np.asarray(at))
         size, color = 0.36 * self._unit, (255, 255, 255) if bold else IGNORED
         origin = (x + round(3 * self._unit), y - round(3 * self._unit))
-        for ink, thickness in ((_DARK, 3 * self._line), (color, self._line)):
-            cv2.putText(self.pixels, str(number), origin, _FONT, size, ink, thickness, cv2.LINE_AA)
+        for ink, thickness in ((_DARK_RGB, 3 * self._line), (color, self._line)):
+            cv2.putText(self.pixels, str(number), origin, _LABEL_FONT, size, ink, thickness, cv2.LINE_AA)
 
     def note(self, bbox: ArrayLike, text: str, color: Color) -> None:
         """Small text below a box, without a tag: what is ignored must not hide what counts."""
         x, y, _, height = np.asarray(bbox, dtype=np.float64) * self._scale
         size = 0.3 * self._unit
-        (_, text_height), _ = cv2.getTextSize(text, _FONT, size, 1)
+        (_, text_height), _ = cv2.getTextSize(text, _LABEL_FONT, size, 1)
         origin = (int(x), min(int(y + height) + text_height + 2, self.pixels.shape[0] - 2))
-        cv2.putText(self.pixels, text, origin, _FONT, size, color, 1, cv2.LINE_AA)
+        cv2.putText(self.pixels, text, origin, _LABEL_FONT, size, color, 1, cv2.LINE_AA)
 
     def _fixed(self, points: ArrayLike) -> NDArray[np.int32]:
-        at = (np.asarray(points, dtype=np.float64) * self._scale - 0.5) * (1 << _SHIFT)
+        at = (np.asarray(points, dtype=np.float64) * self._scale - 0.5) * (1 << SUBPIXEL_BITS)
         # A stray prediction must not overflow OpenCV's fixed-point numbers.
         return np.rint(np.clip(at, -(2**26), 2**26)).astype(np.int32)
 
     def _polyline(self, points: ArrayLike, color: Sequence[int], thickness: int) -> None:
-        cv2.polylines(self.pixels, [self._fixed(points)], False, color, thickness, cv2.LINE_AA, _SHIFT)
+        cv2.polylines(self.pixels, [self._fixed(points)], False, color, thickness, cv2.LINE_AA, SUBPIXEL_BITS)
 
     def _point(self, at: ArrayLike, radius: float, color: Color, *, filled: bool) -> None:
         x, y = self._fixed(at).tolist()
-        fixed_radius = round(radius * (1 << _SHIFT))
+        fixed_radius = round(radius * (1 << SUBPIXEL_BITS))
         if filled:
-            rim = round(min(1.0, radius / 3) * (1 << _SHIFT))
-            cv2.circle(self.pixels, (x, y), fixed_radius + rim, _DARK, -1, cv2.LINE_AA, _SHIFT)
-            cv2.circle(self.pixels, (x, y), fixed_radius, color, -1, cv2.LINE_AA, _SHIFT)
+            rim = round(min(1.0, radius / 3) * (1 << SUBPIXEL_BITS))
+            cv2.circle(self.pixels, (x, y), fixed_radius + rim, _DARK_RGB, -1, cv2.LINE_AA, SUBPIXEL_BITS)
+            cv2.circle(self.pixels, (x, y), fixed_radius, color, -1, cv2.LINE_AA, SUBPIXEL_BITS)
         else:
-            cv2.circle(self.pixels, (x, y), fixed_radius, color, self._line, cv2.LINE_AA, _SHIFT)
+            cv2.circle(self.pixels, (x, y), fixed_radius, color, self._line, cv2.LINE_AA, SUBPIXEL_BITS)

@@ -5,16 +5,21 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from skope.errors import UserError
 from skope.files.safe_names import for_opencv
-
-Pixels = NDArray[np.uint8]
+from skope.types import Pixels
 
 
 def write_video(path: Path, frames: Iterable[Pixels], fps: float, codec: str = "mp4v") -> None:
-    """RGB frames of one size as a video file; `codec` is a FourCC that the path's suffix goes with."""
+    """Write frames as a video file.
+
+    Args:
+        path: The file.
+        frames: (H, W, 3) RGB, all of one size.
+        fps: Frames a second.
+        codec: FourCC that goes with the path's suffix.
+    """
     writer: cv2.VideoWriter | None = None
     try:
         for pixels in frames:

@@ -27,7 +27,7 @@ from skope.types import Array
 
 Size = tuple[int, int]
 
-SIZE: Final = (1920, 1080)
+DEFAULT_SIZE_PX: Final = (1920, 1080)
 _WORST: Final = 0.05
 """Largest reprojection error of a control point, as a share of the image's width; a larger one is a mistake."""
 
@@ -111,7 +111,7 @@ def _size(table: TomlTable, read: CameraCalibration | None, picture: Size | None
         return int(width), int(height)
     if read and read.size:
         return read.size
-    return picture or SIZE
+    return picture or DEFAULT_SIZE_PX
 
 
 def _intrinsics(table: TomlTable, read: CameraCalibration | None, size: Size) -> Array | None:

@@ -9,7 +9,7 @@ from typing import Any, Final, Self
 from skope.errors import UserError
 from skope.files.reading import read_text
 
-_LARGEST: Final = 1e300
+_LARGEST_NUMBER: Final = 1e300
 _MOST_SHOWN: Final = 60
 """Letters of a wrong value that a message shows."""
 
@@ -71,7 +71,7 @@ class TomlTable:
     def _checked(self, key: str, value: Any, low: float = -math.inf, high: float = math.inf) -> float:
         plain = isinstance(value, int | float) and not isinstance(value, bool)
         # Whole numbers have any length in TOML: those that no float holds are no numbers here.
-        if not plain or abs(value) >= _LARGEST or not low <= value <= high:
+        if not plain or abs(value) >= _LARGEST_NUMBER or not low <= value <= high:
             limits = "" if (low, high) == (-math.inf, math.inf) else f" from {low:g} to {high:g}"
             raise self.wrong(key, f"expected a number{limits}, got {_shown(value)}" if key in self else "missing")
         return float(value)

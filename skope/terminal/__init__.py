@@ -1,1 +1,1 @@
-"""What commands say and are asked: options, messages, progress, tables."""
+"""Dialogue of the commands: options, messages, progress, tables."""

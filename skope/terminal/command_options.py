@@ -2,12 +2,14 @@
 
 import inspect
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import fields, is_dataclass
+from difflib import get_close_matches
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Final, TypeVar, get_args
+from typing import Annotated, Any, Final, TypeVar
 
 import typer
+from typer.core import TyperGroup
 
 from skope.errors import UserError, one_of
 from skope.terminal.console import Console
@@ -36,13 +38,6 @@ SITE: Final = "NAME|FILE"
 SIZE: Final = "WIDTHxHEIGHT"
 
 C = TypeVar("C", bound=Callable[..., Any])
-
-
-@dataclass(frozen=True)
-class Formerly:
-    """An older spelling of an option, in its annotation: still accepted, no longer shown."""
-
-    flag: str
 
 
 def option(
@@ -131,6 +126,39 @@ PortOption = Annotated[
 JsonOption = Annotated[bool, option("--json", help="Print one JSON document with the same content instead.")]
 
 
+class CommandGroup(TyperGroup):
+    """A group that answers a word it does not know with the command that is called so, or nearly so."""
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        word = args[0]
+        if self.get_command(ctx, word) is None and not word.startswith("-"):
+            place = " ".join(["skope", *ctx.command_path.split(" ")[ctx.find_root().command_path.count(" ") + 1 :]])
+            raise UserError(f"{word}: `{place}` has no such command; {_meant(ctx.find_root().command, word)}")
+        return super().resolve_command(ctx, args)
+
+
+def _meant(root: Any, word: str) -> str:
+    """Which commands of the whole program a word may mean, in words."""
+    names = {path: path.rpartition(" ")[2] for path in _paths(root, "skope")}
+    near = get_close_matches(word, names.values(), n=2, cutoff=0.7)
+    for alike in (
+        lambda name: name == word,
+        lambda name: word in name.split("-"),
+        lambda name: word.startswith(name) or name in near,
+    ):
+        if found := [f"`{path}`" for path, name in names.items() if alike(name)]:
+            return f"there is {' and '.join(found)}"
+    return "`skope --help` lists what there is"
+
+
+def _paths(group: Any, path: str) -> Iterator[str]:
+    """The full names of all commands below a group, but of hidden ones."""
+    for name, command in getattr(group, "commands", {}).items():
+        if not command.hidden:
+            yield f"{path} {name}"
+            yield from _paths(command, f"{path} {name}")
+
+
 class Commands(typer.Typer):
     """A group whose commands, and itself where it is one, take `--quiet` and `--version` beside their own options.
 
@@ -138,6 +166,9 @@ class Commands(typer.Typer):
     dataclass stands for the options that are its fields. Where a group runs by itself, `skope gen` for example, its
     function is not called when one of its commands follows.
     """
+
+    def __init__(self, *, cls: type[CommandGroup] = CommandGroup, **settings: Any) -> None:
+        super().__init__(cls=cls, **settings)
 
     def command(self, *args: Any, **settings: Any) -> Callable[[C], C]:
         return _registering(super().command(*args, **settings))
@@ -160,18 +191,15 @@ def _for_typer(function: Callable[..., Any]) -> Callable[..., Any]:
     """The function that typer calls in place of `function`: it also has the options of `Commands`."""
     parameters = inspect.signature(function).parameters
     options = [one for parameter in parameters.values() for one in _options(parameter)]
-    renamed = [(one, older) for one in options if (older := _older(one))]
 
     def run(context: typer.Context, **values: Any) -> None:
         if context.invoked_subcommand is not None:
             _refuse_flags(context)
             return
-        values |= {one.name: values[older.name] for one, older in renamed if _given(context, older.name)}
         function(**{name: _argument(parameter, context, values) for name, parameter in parameters.items()})
 
     shared = (_keyword("quiet", QuietOption, False), _keyword("version", VersionOption, False))
-    everything = [*options, *(older for _, older in renamed), *shared]
-    signature = inspect.Signature([_keyword("context", typer.Context, inspect.Parameter.empty), *everything])
+    signature = inspect.Signature([_keyword("context", typer.Context, inspect.Parameter.empty), *options, *shared])
     run.__signature__ = signature  # type: ignore[attr-defined]
     run.__annotations__ = {name: parameter.annotation for name, parameter in signature.parameters.items()}
     run.__name__, run.__doc__ = function.__name__, function.__doc__
@@ -189,17 +217,6 @@ def _options(parameter: inspect.Parameter) -> Iterator[inspect.Parameter]:
     group = is_dataclass(parameter.annotation)
     for one in inspect.signature(parameter.annotation).parameters.values() if group else (parameter,):
         yield _keyword(one.name, one.annotation, one.default)
-
-
-def _older(parameter: inspect.Parameter) -> inspect.Parameter | None:
-    """The hidden parameter for the older spelling of an option; None where there was none."""
-    kind, *annotations = get_args(parameter.annotation) or (None,)
-    flags = [one.flag for one in annotations if isinstance(one, Formerly)]
-    if not flags:
-        return None
-    (info,) = (one for one in annotations if not isinstance(one, Formerly))
-    again = typer.Option(flags[0], hidden=True, callback=info.callback, autocompletion=info.autocompletion)
-    return _keyword(f"{parameter.name}_before", Annotated[kind, again], parameter.default)
 
 
 def _argument(parameter: inspect.Parameter, context: typer.Context, values: dict[str, Any]) -> Any:

@@ -48,6 +48,19 @@ class Console:
         return kind(items, total=total, unit=unit, desc=label, disable=self.quiet, dynamic_ncols=True)
 
 
+class SilentConsole(Console):
+    """For callers in Python: what was found is what a function returns, and nothing is printed but warnings."""
+
+    def __init__(self) -> None:
+        super().__init__(quiet=True)
+
+    def result(self, text: str) -> None:
+        """Print nothing."""
+
+    def document(self, value: Any) -> None:
+        """Print nothing."""
+
+
 class _Lines(tqdm):  # type: ignore[misc]
     """A bar for logs: a plain line each tenth of the way, or each half minute."""
 

@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Sequence
 from typing import Final
 
-_SIDES: Final = {"l": "left", "r": "right"}
+_ALIGNMENTS: Final = {"l": "left", "r": "right"}
 
 
 def text_table(head: Sequence[str], rows: Iterable[Sequence[object]], align: str = "l") -> list[str]:
@@ -16,7 +16,7 @@ def text_table(head: Sequence[str], rows: Iterable[Sequence[object]], align: str
     """
     from tabulate import tabulate  # only where something is printed
 
-    sides = [_SIDES[side] for side in align.ljust(len(head), "r")]
+    sides = [_ALIGNMENTS[side] for side in align.ljust(len(head), "r")]
     cells = [[str(cell) for cell in row] for row in rows]
     text = tabulate(cells, headers=list(head), tablefmt="plain", colalign=sides, disable_numparse=True)
     return [line.rstrip() for line in text.split("\n")]

@@ -7,7 +7,7 @@ d itself is known as a Beta distribution.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -74,6 +74,11 @@ class Group:
     """The share of these that there were, as a Beta distribution; (1, 1): any number is as probable as any other."""
     learnt: LearntShares | None = None
     """What a hand count says of these shares, in place of the distributions over all gates; None: there is none."""
+
+    def with_came(self, came: Beta) -> "Group":
+        """The group where of those who may have been there as many came as a Beta distribution says."""
+        learnt = None if self.learnt is None else self.learnt.with_came(came)
+        return replace(self, came=came, learnt=learnt)
 
     def happened(self) -> tuple[Array, Array]:
         """(K,) numbers of events that were seen or possible and happened, and (K,) their probabilities."""

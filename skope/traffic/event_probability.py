@@ -14,8 +14,10 @@ import numpy as np
 from skope.site.traffic_settings import CLASSES, OF_VEHICLES, UNKNOWN
 from skope.traffic.count_interval import Group
 from skope.traffic.gate_shares import Beta, LearntShares
-from skope.traffic.trajectories import VEHICLE, Trajectory
+from skope.traffic.trajectories import VEHICLE, Trajectory, worst_sigma
 
+COUNTED_FROM: Final = 0.5
+"""What is less probable is not counted."""
 _MOST_PLACES: Final = 48
 """More places than this say no more."""
 _DOUBTED: Final = 0.75
@@ -38,6 +40,15 @@ _FASTEST: Final[Mapping[str, float]] = {"bicycle": 16.0, "pedestrian": 6.0}
 as fast."""
 _JUMPS: Final = 0.1
 """Factor for such a crossing."""
+_SAME_VEHICLE: Final = (6.13, -3.55, -1.54)
+"""Of the log odds that a track is one vehicle from one gate to the next: constant, and what they change with the
+logarithms of the longest time without a place meanwhile (and 0.1 s) and of the time between (and 1 s). Of 526 such
+13 had gone over to another vehicle, 12 of them where nothing was seen for a second or longer."""
+_SAME_WALKER: Final = (-1.91, -4.54)
+"""The same of people: constant, and what they change with the logarithm of the largest standard deviation of their
+place meanwhile (and 0.05 m). Of 43 tracks 25 had gone over to somebody who walks beside."""
+_SAME_RIDER: Final = 0.976
+"""The same of two-wheelers: 41 of 42 were one."""
 _FEW_VANISH: Final = 2
 """So many vanish at any gate."""
 
@@ -61,6 +72,11 @@ class SeenAlike:
     learnt: LearntShares | None = None
     """What hand counts tell of one gate's shares; None: nothing."""
 
+    @property
+    def mean_missed(self) -> float:
+        """The share that is missed without a trace, in the mean."""
+        return self.missed[0] / sum(self.missed) if self.learnt is None else float(self.learnt.missed.mean())
+
     def loses(self, crossed: int, vanished: int) -> bool:
         """Whether a gate sees so few of those who come there that nothing can be said of their number."""
         return self.too_small or (self.refused and vanished > max(_FEW_VANISH, crossed))
@@ -74,7 +90,8 @@ _VEHICLES: Final = SeenAlike(OF_VEHICLES, missed=(0.09, 1.94), came=(0.04, 0.52)
 _LARGE: Final = 17.0
 _SMALL: Final = 12.7
 """Pixels of a metre where who walks is 29 and 22 pixels high."""
-_OTHERS: Final = (frozenset({"bicycle", "motorcycle"}), frozenset({"pedestrian"}))
+_TWO_WHEELED: Final = frozenset({"bicycle", "motorcycle"})
+_OTHERS: Final = (_TWO_WHEELED, frozenset({"pedestrian"}))
 
 
 def seen_in_metres(pixels_per_metre: float | None) -> tuple[SeenAlike, ...]:
@@ -140,6 +157,29 @@ def crossing_evidence(trajectory: Trajectory, time_s: float, step_s: float) -> t
         math.log(0.1 + max(0.0, trajectory.longest_gap(time_s, _AROUND_S) - step_s) + _USUAL_STEP_S),
         float(trajectory.class_name == UNKNOWN),
     )
+
+
+def same_probability(trajectory: Trajectory, begin_s: float, end_s: float, step_s: float) -> float:
+    """Probability that a track, in metres, is one road user's all the time from one moment to another.
+
+    Args:
+        trajectory: The track.
+        begin_s: The one moment, seconds.
+        end_s: The other moment, seconds.
+        step_s: Usual time from place to place in the footage (`usual_step`).
+    """
+    if trajectory.category in _TWO_WHEELED:
+        return _SAME_RIDER
+    if trajectory.category == VEHICLE:
+        gap_s = max(0.0, trajectory.longest_gap((begin_s + end_s) / 2, (end_s - begin_s) / 2) - step_s)
+        constant, of_gap, of_time = _SAME_VEHICLE
+        logit = constant + of_gap * math.log(0.1 + gap_s) + of_time * math.log(1 + end_s - begin_s)
+    else:
+        between = trajectory.times_s[(trajectory.times_s > begin_s) & (trajectory.times_s < end_s)]
+        covariances = trajectory.at(trajectory.covariance, np.array([begin_s, *between, end_s]))
+        constant, of_sigma = _SAME_WALKER
+        logit = constant + of_sigma * math.log(0.05 + float(worst_sigma(covariances).max()))
+    return 1 / (1 + math.exp(-logit))
 
 
 def usual_step(trajectories: Sequence[Trajectory]) -> float:

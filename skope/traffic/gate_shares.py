@@ -4,7 +4,7 @@ Gates differ in what is missed and counted wrongly there. Each share is known as
 count tells of one gate is a number of equally probable values for it (`LearntShares`).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -53,6 +53,11 @@ class LearntShares:
     """The share of the vanished who did cross."""
     levels: Array
     """The share of gates that have fewer events that are one, which `chances_at` takes."""
+
+    def with_came(self, came: Beta) -> "LearntShares":
+        """These shares, where of the vanished as many did cross as a Beta distribution says, whatever was learnt."""
+        levels = np.random.default_rng(0).permutation(len(self.came)) + 0.5
+        return replace(self, came=share_at(came, levels / len(self.came)))
 
     def drawn(
         self, real: Beta | None, probabilities: Array, possible: int, repeats: int, rng: np.random.Generator

@@ -10,7 +10,7 @@ import numpy as np
 
 from skope.site.marks import Gate
 from skope.site.traffic_settings import TrafficSettings
-from skope.traffic.event_probability import crossing_probability, event_probability, usual_step
+from skope.traffic.event_probability import COUNTED_FROM, crossing_probability, event_probability, usual_step
 from skope.traffic.lanes import LaneMap
 from skope.traffic.normal_distribution import at_most
 from skope.traffic.passages import Passage, passages
@@ -24,8 +24,6 @@ _SURE: Final = 3.0
 """The hysteresis is so many standard deviations of a place along the normal at least: who stands jitters by that."""
 _NEAR_M: Final = 5.0
 """So near to a gate it counts how certain places are."""
-_LEAST_PROBABILITY: Final = 0.5
-"""Whose track crosses with less is not counted."""
 _ALONG_M: Final = {"bus": 0.6, "bicycle": 0.6, "lorry": 0.15}
 """By so much the middles of some bodies are off along the way besides, all the way, one standard deviation: of 16, 36
 and 12 in generated clips by 0.2, 0.5 and 0 m in the median, and by 0.54, 0.45 and 0.17 m from there."""
@@ -209,7 +207,7 @@ def _crossing(
         lane_probability=lane_probability,
         probability=real * sure * between,
         doubt=" ".join(word for word, holds in doubts.items() if holds),
-        counts=inside and real >= _LEAST_PROBABILITY,
+        counts=inside and real >= COUNTED_FROM,
     )
 
 

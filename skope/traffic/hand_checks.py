@@ -1,7 +1,7 @@
 """What was counted by hand beside what skope counted, and what that changes in what is said of the gates."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
 from functools import partial
@@ -11,8 +11,8 @@ import numpy as np
 
 from skope.site.marks import Gate
 from skope.site.traffic_settings import TrafficSettings
-from skope.traffic.count_interval import CountInterval, Group, joint_draws, joint_interval
-from skope.traffic.counts import ALL, group_of
+from skope.traffic.count_interval import CountInterval, Group, in_words, joint_draws
+from skope.traffic.counts import ALL, expected, group_of
 from skope.traffic.gates import GateCrossing
 from skope.traffic.hand_count_file import HandCount
 from skope.traffic.learn_shares import CountEvidence, hand_sigma, learnt_shares
@@ -30,10 +30,12 @@ class HandCheck:
     hand: HandCount
     count: int
     """How many skope counted."""
+    near: bool
+    """Whether anybody was ever seen near the gate: of another one nothing is learnt."""
     expected: CountInterval | None
-    """Between which numbers the truth is by what was seen alone; None where nobody was ever seen near the gate."""
+    """Between which numbers the truth is by what was seen alone; None where counts have no interval either."""
     contradicts: bool
-    """Whether the hand count is so far from it that one of the two must be wrong."""
+    """Whether the hand count is so far from what was seen that one of the two must be wrong."""
 
     @property
     def geh(self) -> float:
@@ -50,14 +52,16 @@ def hand_checks(
     """Each hand count beside what was counted (`crossings`)."""
     out = []
     for one in hands:
+        near = one.gate not in unseen.gates
+        kinds, most = unseen.kinds_at(one.gate, one.direction), _most(one, unseen)
         groups = _groups(one, crossings, unseen, settings)
-        known = one.gate not in unseen.gates
         out.append(
             HandCheck(
                 hand=one,
                 count=sum(_counts(one, crossing) for crossing in crossings),
-                expected=joint_interval(list(groups.values())) if known else None,
-                contradicts=known and _contradicts(one.number, list(groups.values())),
+                near=near,
+                expected=expected(_seen(one, crossings, unseen), kinds, most, ALL, one.classes) if near else None,
+                contradicts=near and _contradicts(one.number, list(groups.values())),
             )
         )
     return out
@@ -70,13 +74,14 @@ def hand_lines(checks: Sequence[HandCheck]) -> Iterator[str]:
         ends = (hand.interval.begin or hand.interval.begin_s, hand.interval.end or hand.interval.end_s)
         begin, end = (f"{end:%H:%M:%S}" if isinstance(end, datetime) else f"{end:g} s" for end in ends)
         where = f"gate {hand.gate!r} ({hand.direction_name}), {hand.class_name} from {begin} to {end}"
-        if one.expected is None:
+        if not one.near:
             yield f"{where}: {hand.number} counted by hand where nobody was ever seen: its counts stay unknown"
         elif one.contradicts:
             yield (
-                f"{where}: {hand.number} counted by hand, {one.count} by skope, {one.expected.low} to "
-                f"{one.expected.high} expected: they contradict each other (gate, direction, class or clock of the "
-                "hand count, or a gate like no other); intervals at this gate hold both, others learn nothing from it"
+                f"{where}: {hand.number} counted by hand, {one.count} by skope, "
+                f"{in_words(one.expected)} expected: they contradict each other (gate, direction, class or clock of "
+                "the hand count, or a gate like no other); intervals at this gate hold both, others learn "
+                "nothing from it"
             )
 
 
@@ -88,7 +93,7 @@ def adjusted(
     settings: TrafficSettings,
 ) -> Unseen:
     """What may have been missed, with what hand counts tell of it."""
-    told = [one for one in checks if one.expected is not None]
+    told = [one for one in checks if one.near]
     evidence = [
         CountEvidence(
             side=(one.hand.gate, one.hand.direction),
@@ -112,19 +117,28 @@ def _counts(hand: HandCount, crossing: GateCrossing) -> bool:
     return here and then and crossing.trajectory.class_name in hand.classes
 
 
+def _seen(hand: HandCount, crossings: Sequence[GateCrossing], unseen: Unseen) -> list[GateCrossing]:
+    """The crossings of the gate and direction, doubtful ones too, while somebody counted."""
+    side, interval = (hand.gate, hand.direction), hand.interval
+    return [
+        one
+        for one in (*crossings, *unseen.doubtful)
+        if (one.gate, one.direction) == side and interval.begin_s <= one.time_s < interval.end_s
+    ]
+
+
+def _most(hand: HandCount, unseen: Unseen) -> Callable[[Collection[str]], int]:
+    """How many more may have crossed meanwhile, of classes."""
+    return partial(unseen.most, hand.gate, hand.direction, hand.interval)
+
+
 def _groups(
     hand: HandCount, crossings: Sequence[GateCrossing], unseen: Unseen, settings: TrafficSettings
 ) -> dict[int, Group]:
     """What was seen while somebody counted, by which of the gate's kinds it is."""
-    interval = hand.interval
-    own = [
-        one
-        for one in (*crossings, *unseen.doubtful)
-        if (one.gate, one.direction) == (hand.gate, hand.direction) and interval.begin_s <= one.time_s < interval.end_s
-    ]
-    most = partial(unseen.most, hand.gate, hand.direction, interval)
+    own = _seen(hand, crossings, unseen)
     found = {
-        k: group_of(kind, own, most, ALL, hand.classes)
+        k: group_of(kind, own, _most(hand, unseen), ALL, hand.classes)
         for k, kind in enumerate(unseen.kinds_at(hand.gate, hand.direction))
         if kind.classes & set(settings.classes)
     }

@@ -13,6 +13,7 @@ from skope.traffic.braking import hard_brakings
 from skope.traffic.clock import ClockInterval, clock_intervals, local_start
 from skope.traffic.conflicts import conflicts
 from skope.traffic.counts import Count, counts
+from skope.traffic.event_probability import usual_step
 from skope.traffic.gates import GateCrossing, crossings
 from skope.traffic.hand_checks import adjusted, hand_checks
 from skope.traffic.hand_count_file import HandCount
@@ -72,7 +73,7 @@ def measure(
     crossed = [one for one in every if one.counts]
     checks = hand_checks(hand_counts, crossed, missed, settings)
     missed = adjusted(checks, crossed, missed, site.gates, settings)
-    moved = movements(crossed, settings)
+    moved = movements(crossed, settings, usual_step(trajectories) if broken else None)
     sections = section_passes(moved)
     speeds = speed_groups(crossed, sections, intervals, observation, settings)
     search = conflicts(trajectories, settings, np.random.default_rng(_SEED), site.zones)
@@ -94,8 +95,8 @@ def measure(
         unseen=missed,
         hand_checks=tuple(checks),
         movements=tuple(moved),
-        turning=tuple(turning_counts(moved, site.gates, intervals, observation, settings, missed.kinds)),
-        turning_total=tuple(turning_counts(moved, site.gates, [whole], observation, settings, missed.kinds)),
+        turning=tuple(turning_counts(moved, site.gates, intervals, observation, settings, missed)),
+        turning_total=tuple(turning_counts(moved, site.gates, [whole], observation, settings, missed)),
         sections=tuple(sections),
         speeds=tuple(speeds),
         headways=tuple(headways(crossed, observation)),

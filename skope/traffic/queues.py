@@ -29,6 +29,8 @@ _STEP_S: Final = 1.0
 """Queues are looked at so often."""
 _STOP_S: Final = 1.0
 """Who is slow for a shorter time has not stopped."""
+_SHIFTS: Final = (-Z, -Z / 2, Z / 2, Z)
+"""Speeds are tried so many standard deviations away: what is one stop at one speed may be two or none at another."""
 Queue = tuple[float, float, tuple[float, ...]]
 """Length and its standard deviation, metres, and how probable each of the vehicles is."""
 _NOBODY: Final[Queue] = (0.0, 0.0, ())
@@ -62,6 +64,8 @@ class Delay:
 
     section: SectionPass
     stops: int
+    stops_between: CountInterval
+    """Between which numbers of stops there were: where all speeds are off by as much as their errors allow."""
     stopped_s: float
     delay_s: float
     """Seconds; NaN where the speed of free flow is not known."""
@@ -79,13 +83,24 @@ def standing(speed: Array, begin: float, end: float) -> NDArray[np.bool_]:
     return np.asarray((latest >= 0) & (told[known[latest.clip(0)]] == 1))
 
 
-def stops(trajectory: Trajectory, begin_s: float, end_s: float, settings: TrafficSettings) -> tuple[int, float]:
-    """How often somebody has stopped between two times, and for how many seconds in all."""
+def stops(
+    trajectory: Trajectory, begin_s: float, end_s: float, settings: TrafficSettings, shift: float = 0.0
+) -> tuple[int, float]:
+    """How often somebody has stopped between two times, and for how many seconds in all.
+
+    Args:
+        trajectory: Who it is.
+        begin_s: The one time, seconds.
+        end_s: The other time, seconds.
+        settings: From which speed on somebody stands.
+        shift: By how many of their standard deviations all speeds are taken to be larger.
+    """
     times = trajectory.times_s
     rows = np.flatnonzero((times >= begin_s) & (times <= end_s))
     if not len(rows):
         return 0, 0.0
-    slow = standing(trajectory.speed[rows], settings.stop_kmh / KMH, 2 * settings.stop_kmh / KMH)
+    speed = trajectory.speed[rows] + shift * trajectory.speed_sigma[rows]
+    slow = standing(speed, settings.stop_kmh / KMH, 2 * settings.stop_kmh / KMH)
     runs = np.split(np.arange(len(rows)), np.flatnonzero(np.diff(slow)) + 1)
     lengths = [float(times[rows[run[-1]]] - times[rows[run[0]]]) for run in runs if slow[run[0]]]
     lasting = [length for length in lengths if length >= _STOP_S]
@@ -204,13 +219,16 @@ def delays(sections: Sequence[SectionPass], groups: Sequence[SpeedGroup], settin
         origin, destination = one.movement.origin, one.movement.destination
         assert origin is not None
         assert destination is not None
-        number, stopped_s = stops(origin.trajectory, origin.time_s, destination.time_s, settings)
+        told_of = origin.trajectory, origin.time_s, destination.time_s, settings
+        number, stopped_s = stops(*told_of)
+        numbers = [number, *(stops(*told_of, shift)[0] for shift in _SHIFTS)]
         told = settings.free_flow_kmh
         speed, sigma = (told / KMH, 0.0) if told else free.get(one.name, (math.nan, math.nan))
         out.append(
             Delay(
                 section=one,
                 stops=number,
+                stops_between=CountInterval(min(numbers), max(numbers)),
                 stopped_s=stopped_s,
                 delay_s=one.seconds - one.length_m / speed,
                 sigma_s=math.hypot(one.seconds_sigma, one.length_m / speed * sigma / speed),

@@ -12,6 +12,7 @@ from skope.traffic.hand_checks import hand_lines
 from skope.traffic.recordings import recording_lines
 from skope.traffic.sight import sight_lines
 from skope.traffic.trajectories import VEHICLE, wandering
+from skope.traffic.turning import NOWHERE, on_foot
 
 if TYPE_CHECKING:
     from skope.traffic.report import TrafficReport
@@ -68,6 +69,12 @@ def remarks_on_counts(report: "TrafficReport") -> Iterator[str]:
             )
     if missed.doubtful:
         yield f"{len(missed.doubtful)} crossings are more probably none than one: they are in the intervals alone"
+    between = any(NOWHERE not in (one.origin, one.destination) for one in report.turning_total)
+    if between and any(on_foot(one) for one in report.movements):
+        yield (
+            "movements: tracks of people go over to others who walk beside: how many of all went from gate to gate is "
+            "known of vehicles alone where people walk"
+        )
     yield from hand_lines(report.hand_checks)
     yield from sight_lines(report.observation)
 

@@ -328,12 +328,12 @@ def _delays(report: TrafficReport) -> ReportTable:
                 *(first.time_s, clock(report, first.time_s), first.trajectory.number, first.trajectory.class_name),
                 *(section.name, section.length_m, section.seconds, section.seconds_sigma),
                 *(section.speed * KMH, section.speed_sigma * KMH),
-                *(one.stops, one.stopped_s, one.delay_s, one.sigma_s),
+                *(one.stops, *in_cells(one.stops_between), one.stopped_s, one.delay_s, one.sigma_s),
             )
 
     return _table(
-        "time_s time track class section length_m travel_s travel_sigma_s speed_kmh speed_sigma_kmh stops stopped_s "
-        "delay_s delay_sigma_s",
+        "time_s time track class section length_m travel_s travel_sigma_s speed_kmh speed_sigma_kmh stops stops_low "
+        "stops_high stopped_s delay_s delay_sigma_s",
         rows(),
     )
 

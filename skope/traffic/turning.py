@@ -6,24 +6,27 @@ all.
 """
 
 import itertools
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
 from typing import Final
 
 from skope.site.marks import Gate
 from skope.site.traffic_settings import TrafficSettings
 from skope.traffic.clock import ClockInterval
-from skope.traffic.count_interval import CountInterval, joint_interval
+from skope.traffic.count_interval import CountInterval, Group, joint_interval
 from skope.traffic.counts import classes_of, row_classes
-from skope.traffic.event_probability import SEEN_IN_METRES, SeenAlike
+from skope.traffic.event_probability import COUNTED_FROM, SeenAlike, same_probability
 from skope.traffic.gates import GateCrossing, direction_names
 from skope.traffic.observation import Observation
 from skope.traffic.trajectories import Trajectory
+from skope.traffic.vanished import Unseen
 
 Side = tuple[str, str]
 """A gate and the name of a direction."""
 _LOST: Final = (0.2, 0.2)
 """The share of the lost who went a way, as a Beta distribution: nothing says which."""
+_NOBODY: Final = (0.0, 1.0)
+"""The share that is missed, where nobody is."""
 NOWHERE: Final[Side] = ("", "")
 """Not seen at a gate before, or after."""
 
@@ -34,6 +37,8 @@ class Movement:
 
     origin: GateCrossing | None
     destination: GateCrossing | None
+    same: float = 1.0
+    """Probability that both are one road user's."""
 
     @property
     def time_s(self) -> float:
@@ -58,8 +63,8 @@ class Movement:
 
     @property
     def probability(self) -> float:
-        """Probability that it happened: both of its crossings did."""
-        return min(one.probability for one in (self.origin, self.destination) if one is not None)
+        """Probability that it happened: both of its crossings did, and are one road user's."""
+        return self.same * min(one.probability for one in (self.origin, self.destination) if one is not None)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,25 +80,54 @@ class TurningCount:
     """None: nothing was observed."""
     expected: CountInterval | None
     """Between which numbers the truth is; None where nothing was observed, where too few of them are seen at one of the
-    two gates, or for who was not seen at one of the two: these went somewhere in truth."""
+    two gates, where people on foot are among those at either, or for who was not seen at one of the two: these went
+    somewhere in truth."""
+
+
+def on_foot(movement: Movement) -> bool:
+    """Whether somebody walks."""
+    return movement.trajectory.category == "pedestrian"
 
 
 def _side(crossing: GateCrossing | None) -> Side:
     return NOWHERE if crossing is None else (crossing.gate, crossing.direction_name)
 
 
-def movements(crossings: Sequence[GateCrossing], settings: TrafficSettings) -> list[Movement]:
-    """The movements between the gates that `settings.turning` names, or all, in order of time."""
+def movements(
+    crossings: Sequence[GateCrossing], settings: TrafficSettings, step_s: float | None = None
+) -> list[Movement]:
+    """The movements between the gates that `settings.turning` names, or all, in order of time.
+
+    A track that is more probably two road users' than one's between two gates makes no movement: somebody crosses the
+    one and is not seen after, and somebody the other and is not seen before.
+
+    Args:
+        crossings: Everyone at all gates.
+        settings: Which gates count.
+        step_s: Usual time from place to place in the footage (`usual_step`); None: no track is two road users', or how
+            probable that is is not known.
+    """
     chosen = [one for one in crossings if settings.turning is None or one.gate in settings.turning]
     by_track: dict[int, list[GateCrossing]] = {}
     for one in chosen:
         by_track.setdefault(one.trajectory.number, []).append(one)
     found = [
-        Movement(origin=before, destination=after)
+        movement
         for chain in by_track.values()
         for before, after in itertools.pairwise([None, *chain, None])
+        for movement in _between(before, after, step_s)
     ]
     return sorted(found, key=lambda one: one.time_s)
+
+
+def _between(before: GateCrossing | None, after: GateCrossing | None, step_s: float | None) -> list[Movement]:
+    """What two crossings of a track that follow each other make: one movement, or two that lack the other gate."""
+    if before is None or after is None or step_s is None:
+        return [Movement(origin=before, destination=after)]
+    same = same_probability(before.trajectory, before.time_s, after.time_s, step_s)
+    if same >= COUNTED_FROM:
+        return [Movement(origin=before, destination=after, same=same)]
+    return [Movement(origin=before, destination=None), Movement(origin=None, destination=after)]
 
 
 def turning_counts(
@@ -102,15 +136,21 @@ def turning_counts(
     intervals: Sequence[ClockInterval],
     observation: Observation,
     settings: TrafficSettings,
-    kinds: Mapping[str, Sequence[SeenAlike]] | None = None,
+    missed: Unseen,
 ) -> list[TurningCount]:
     """The matrix of each interval: a count for each pair that anybody has driven in the whole footage, of all and of
     vehicles.
 
     A movement counts in the interval of the crossing that it comes from, or, without one, of that which it goes to.
-    `kinds` are who is missed at each gate; of a movement that which misses more counts.
+    Of what is `missed` at the two gates of a movement that of the gate and direction which misses more counts, with
+    what hand counts tell of it.
     """
     chosen = [gate for gate in gates if settings.turning is None or gate.name in settings.turning]
+    kinds = {
+        (gate.name, name): missed.kinds_at(gate.name, k)
+        for gate in chosen
+        for k, name in enumerate(direction_names(gate))
+    }
     order = {side: k for k, side in enumerate([*((g.name, d) for g in chosen for d in direction_names(g)), NOWHERE])}
     pairs = sorted({one.sides for one in found}, key=lambda pair: (order[pair[0]], order[pair[1]]))
     out = []
@@ -118,7 +158,7 @@ def turning_counts(
         observed = observation.seconds_in(interval.begin_s, interval.end_s) > 0
         there = [one for one in found if interval.begin_s <= one.time_s < interval.end_s]
         for pair in pairs:
-            missed = None if not observed or NOWHERE in pair else _missed_more(pair, kinds or {})
+            alike = None if not observed or NOWHERE in pair else _missed_more(kinds[pair[0]], kinds[pair[1]])
             for class_name in row_classes(settings):
                 classes = classes_of(class_name, settings)
                 members = [one for one in there if one.trajectory.class_name in classes]
@@ -129,23 +169,27 @@ def turning_counts(
                         destination=pair[1],
                         class_name=class_name,
                         count=sum(one.sides == pair for one in members) if observed else None,
-                        expected=None if missed is None else _expected(members, pair, missed, classes),
+                        expected=None if alike is None else _expected(members, pair, alike, classes),
                     )
                 )
     return out
 
 
-def _missed_more(pair: tuple[Side, Side], kinds: Mapping[str, Sequence[SeenAlike]]) -> list[SeenAlike]:
+def _missed_more(origin: Sequence[SeenAlike], destination: Sequence[SeenAlike]) -> list[SeenAlike]:
     """The kinds as the one of two gates misses them that misses more of them."""
-    both = (kinds.get(gate, SEEN_IN_METRES) for gate, _ in pair)
-    return [max(alike, key=lambda kind: kind.missed[0] / sum(kind.missed)) for alike in zip(*both, strict=True)]
+    pairs = zip(origin, destination, strict=True)
+    return [max(alike, key=lambda kind: (kind.too_small, kind.mean_missed)) for alike in pairs]
 
 
 def _expected(
     members: Sequence[Movement], pair: tuple[Side, Side], kinds: Sequence[SeenAlike], classes: Collection[str]
 ) -> CountInterval | None:
     """Who was lost after the first gate may have gone this way: nearly none of them, or nearly all, as where they went
-    has no gate, or has one that loses them."""
+    has no gate, or has one that loses them.
+
+    None where people are among those at either gate: more than half of their tracks go over to others on the way."""
+    if any(on_foot(one) and (one.sides[0] == pair[0] or one.sides[1] == pair[1]) for one in members):
+        return None
     groups = []
     for kind in kinds:
         own = [one for one in members if one.trajectory.class_name in kind.classes]
@@ -155,5 +199,7 @@ def _expected(
             return None
         went = [one.probability for one in own if one.sides == pair]
         lost = sum(one.sides == (pair[0], NOWHERE) for one in own)
-        groups.append(replace(kind.group(went, lost), came=_LOST))
+        # Where lost ones alone may have gone this way, nobody is missed besides: that is told by those who are seen.
+        group = Group((), _NOBODY, possible=lost) if lost and not went else kind.group(went, lost)
+        groups.append(group.with_came(_LOST))
     return joint_interval(groups)

@@ -1,5 +1,5 @@
-"""Which anchors and proposals are whose, and which of them a step learns from: torchvision's rules for all images of
-a batch at once.
+"""Assignment of anchors and proposals to vehicles, and which of them a step learns from: torchvision's rules for all
+images of a batch at once.
 
 torchvision goes through the images one by one, and asks the GPU for numbers of boxes many times in each, for which it
 waits every time. Here every count has a bound that is known beforehand, and what is beyond it is masked.
@@ -18,7 +18,7 @@ DISCARD: Final = -1
 """Label of what is neither of a category nor background."""
 
 _BELOW, _BETWEEN = -1, -2
-_SHARE: Final = 0.5
+_IGNORED_SHARE: Final = 0.5
 """Share of a box's area inside an ignored box from which it lies on what is ignored."""
 _IOU: Final = 0.5
 """IoU with a box of the ground truth from which a box is that one's, whatever it lies on."""
@@ -92,7 +92,7 @@ def _match(quality: Tensor, present: Tensor, low: float, high: float, *, low_qua
 def _inside(boxes: Tensor, ignored: Tensor) -> Tensor:
     """(B, N) bool: lies to half of its area inside one of (B, M, 4) ignored boxes."""
     own = _area(boxes)
-    return (_shared(ignored, boxes).amax(dim=1) >= _SHARE * own) & (own > 0)
+    return (_shared(ignored, boxes).amax(dim=1) >= _IGNORED_SHARE * own) & (own > 0)
 
 
 def sample(labels: Tensor, count: int, share: float) -> tuple[Tensor, Tensor]:

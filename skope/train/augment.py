@@ -16,11 +16,9 @@ from numpy.typing import NDArray
 
 from skope.errors import UserError
 from skope.train.targets import Vehicles
-from skope.types import Array
+from skope.types import Array, Pixels
 
-Pixels = NDArray[np.uint8]
-Floats = NDArray[np.float32]
-_LEVELS: Final = np.arange(256, dtype=np.uint8)
+_PIXEL_LEVELS: Final = np.arange(256, dtype=np.uint8)
 """Each value that a pixel can have: what changes values alone is looked up."""
 
 _MARGIN_ROWS: Final = 5
@@ -35,7 +33,7 @@ Step = Callable[[Pixels, Vehicles, np.random.Generator], tuple[Pixels, Vehicles]
 
 @dataclass(frozen=True, kw_only=True)
 class Augment:
-    """How often each change is made to an image: probabilities from 0 to 1."""
+    """Frequency of each change to an image: probabilities from 0 to 1."""
 
     flip: float = 0.5
     """Mirror the image: left and right exchanged."""
@@ -77,7 +75,7 @@ class Augment:
     def apply(self, pixels: Pixels, vehicles: Vehicles, rng: np.random.Generator) -> tuple[Pixels, Vehicles]:
         """The image and its vehicles after the steps that the generator picks."""
         clean = rng.random() < self.clean
-        for name, step in STEPS.items():
+        for name, step in AUGMENT_STEPS.items():
             # Drawn for every step, so that one step's probability changes no other step.
             chosen, step_rng = rng.random() < getattr(self, name), np.random.default_rng(rng.integers(2**63))
             if chosen and (name in _GEOMETRY or not clean):
@@ -168,16 +166,16 @@ def _photometric(change: Callable[[Pixels, np.random.Generator], Pixels]) -> Ste
 
 
 def _color(pixels: Pixels, rng: np.random.Generator) -> Pixels:
-    levels = _LEVELS.astype(np.float32)
+    levels = _PIXEL_LEVELS.astype(np.float32)
     hue = (levels + rng.uniform(-12, 12)) % 180  # OpenCV's hue has half degrees
     turned = np.stack([hue, levels * rng.uniform(0, 1.6), levels], axis=-1)
     hsv = cv2.LUT(cv2.cvtColor(pixels, cv2.COLOR_RGB2HSV), _bytes(turned)[None])
-    balance = _bytes(_LEVELS[:, None] * rng.uniform(0.8, 1.2, 3))
+    balance = _bytes(_PIXEL_LEVELS[:, None] * rng.uniform(0.8, 1.2, 3))
     return _pixels(cv2.LUT(cv2.cvtColor(hsv, cv2.COLOR_HSV2RGB), balance[None]))
 
 
 def _brightness(pixels: Pixels, rng: np.random.Generator) -> Pixels:
-    linear = (_LEVELS / np.float32(255)) ** np.float32(2.2) * np.float32(2 ** rng.uniform(-2.5, 1.5))
+    linear = (_PIXEL_LEVELS / np.float32(255)) ** np.float32(2.2) * np.float32(2 ** rng.uniform(-2.5, 1.5))
     return _pixels(cv2.LUT(pixels, _bytes(255 * np.clip(linear, 0, 1) ** (rng.uniform(0.6, 1.6) / 2.2))))
 
 
@@ -302,6 +300,8 @@ _PHOTOMETRIC: Final = {
     "video": _video,
 }
 """Changes that leave every pixel where it is."""
-STEPS: Final = MappingProxyType({**_GEOMETRY, **{name: _photometric(change) for name, change in _PHOTOMETRIC.items()}})
+AUGMENT_STEPS: Final = MappingProxyType(
+    {**_GEOMETRY, **{name: _photometric(change) for name, change in _PHOTOMETRIC.items()}}
+)
 """The steps by name, in the order of nature: the scene, its light, the lens and sensor, then the encoder."""
-assert (*STEPS, "clean") == tuple(field.name for field in fields(Augment))
+assert (*AUGMENT_STEPS, "clean") == tuple(field.name for field in fields(Augment))

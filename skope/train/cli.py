@@ -6,7 +6,7 @@ from typing import Annotated, Any
 import typer
 
 from skope.errors import UserError
-from skope.terminal.command_options import DATA, DIR, FILE, LIST, RUN, Commands, Formerly, option, panel
+from skope.terminal.command_options import DATA, DIR, FILE, LIST, RUN, Commands, option, panel
 from skope.terminal.console import Console
 
 _RECIPES = "the recipe's"
@@ -95,13 +95,21 @@ def run(
     ] = None,
     seed: Annotated[int | None, training(help="Seed of weights, order, changes and samples.", show_default="0")] = None,
     out: Annotated[Path, output(metavar=DIR, help="Run folder for checkpoints.")] = RUN,
-    resume: Annotated[bool, output("--resume", help="Go on with the run in --out where it was saved.")] = False,
+    resume: Annotated[
+        bool,
+        output(
+            "--resume", help="Go on with the run in --out without saying its options again; with --epochs for longer."
+        ),
+    ] = False,
     keep: Annotated[int, output(help="Checkpoints of epochs to keep, beside the best one.")] = 1,
     save_minutes: Annotated[float, output(help="Save the state so often within an epoch.")] = 10,
     device: Annotated[str, machine(metavar="[auto|cpu|cuda|cuda:N]", help="Where to compute.")] = "auto",
     workers: Annotated[int | None, machine(help="Processes that load images; changes no result.")] = None,
 ) -> None:
-    """Train on split `train` of a dataset folder, with a checkpoint after each epoch (one a minute at most)."""
+    """Train on split `train` of a dataset folder, with a checkpoint after each epoch (one a minute at most).
+
+    The same command goes on where a stopped one was.
+    """
     for name, value in (("epochs", epochs), ("batch-size", batch_size), ("max-images", max_images), ("keep", keep)):
         if value is not None and value < 1:
             raise UserError(f"--{name}: expected at least 1, got {value}")
@@ -136,7 +144,7 @@ def run(
         config = configure.again(out, data or (), flags)
     else:
         bfloat16 = not on_gpu and has_bfloat16(where)
-        config = configure.new(data or (DATA,), flags, gpu=on_gpu, bfloat16=bfloat16)
+        config, resume = configure.new_or_same(out, data or (DATA,), flags, gpu=on_gpu, bfloat16=bfloat16)
     if workers is None:
         workers = configure.loading_workers(gpu=on_gpu)
     saving = Saving(keep=keep, state_interval_s=60 * save_minutes)
@@ -156,7 +164,6 @@ def export(
     to: Annotated[
         str,
         option(choices=("torchscript", "onnx", "compact", "state_dict"), help="Form; onnx needs the extra `onnx`."),
-        Formerly("--format"),
     ] = "torchscript",
     out: Annotated[
         Path | None, option(metavar=FILE, help="File to write.", show_default="beside the checkpoint")

@@ -9,6 +9,7 @@ from typing import Any
 
 from skope.detector.checkpoint import find_checkpoint
 from skope.errors import UserError
+from skope.files.output_folders import changed
 from skope.schema import checked_categories
 from skope.train import init_weights
 from skope.train import recipe as recipes
@@ -54,6 +55,53 @@ def new(data: Sequence[Path], flags: Mapping[str, Any], *, gpu: bool, bfloat16: 
     )
 
 
+def new_or_same(
+    out: Path, data: Sequence[Path], flags: Mapping[str, Any], *, gpu: bool, bfloat16: bool
+) -> tuple[RunConfig, bool]:
+    """Configuration of a new run, or of the one in `out` where that was begun by the same flags, and which it is.
+
+    Args:
+        out: The run folder.
+        data: Dataset folders.
+        flags: As `new` takes them.
+        gpu: Whether a GPU trains.
+        bfloat16: Whether the processor multiplies in bfloat16.
+
+    Raises:
+        UserError: A flag is wrong, or `out` holds a run that was begun by others.
+    """
+    wanted = new(data, flags, gpu=gpu, bfloat16=bfloat16)
+    if not resumable(out):
+        return wanted, False
+    try:
+        held = RunConfig.read(out)
+    except UserError as error:
+        raise UserError(f"{error}; choose another folder by --out, or move this one away") from None
+    if other := changed(_flat(held), _flat(_completed(wanted, held))):
+        raise UserError(
+            f"{out}: holds another run: {'; '.join(other)}. --resume goes on with it as it was begun, for longer with "
+            "--epochs; or choose another folder by --out"
+        )
+    return replace(held, data=wanted.data), True
+
+
+def _completed(wanted: RunConfig, held: RunConfig) -> RunConfig:
+    """A configuration with what the datasets of a run have decided."""
+    recipe = wanted.recipe
+    if held.recipe.augment.flip == 0:  # of keypoints without mirror partners
+        recipe = replace(recipe, augment=replace(recipe.augment, flip=0.0))
+    return replace(wanted, recipe=recipe, categories=wanted.categories or held.categories)
+
+
+def _flat(config: RunConfig) -> dict[str, Any]:
+    """The values that shape a run, by the names that flags and `--set` have."""
+    values: dict[str, Any] = {"seed": config.seed, "mix": config.mix, "max_images": config.max_images}
+    values |= {"datasets": len(config.data), "categories": ",".join(config.detector_categories)}
+    for name, value in config.recipe.to_dict().items():
+        values |= {f"{name}.{part}": one for part, one in value.items()} if isinstance(value, dict) else {name: value}
+    return values
+
+
 def again(out: Path, data: Sequence[Path], flags: Mapping[str, Any]) -> RunConfig:
     """Configuration of the run in `out`, to go on with; only its length, and the datasets' places, may change."""
     if not out.is_dir():
@@ -86,9 +134,9 @@ def loading_workers(*, gpu: bool) -> int:
 
 
 def how_to_go_on(out: Path) -> str:
-    """What to do after an interruption, in words."""
+    """Advice after an interruption, in words."""
     if resumable(out):
-        return "the same command with --resume goes on from here"
+        return "the same command goes on from here"
     return "nothing was saved yet, so the same command begins again"
 
 

@@ -19,7 +19,7 @@ from skope.schema import Image
 from skope.train.augment import Augment
 from skope.train.recipe import SUPERVISE
 from skope.train.splits import SPLIT, TrainingSource
-from skope.train.target_batch import KEY
+from skope.train.target_batch import IGNORED_KEY
 from skope.train.targets import Vehicles, vehicles_of
 
 Draw = tuple[int, int, int]
@@ -133,7 +133,7 @@ def to_sample(name: str, pixels: NDArray[np.uint8], vehicles: Vehicles, supervis
         "boxes": torch.as_tensor(boxes, dtype=torch.float32),
         "labels": torch.as_tensor(labels, dtype=torch.int64),
         "keypoints": torch.as_tensor(points, dtype=torch.float32),
-        KEY: torch.as_tensor(vehicles.ignored_xyxy, dtype=torch.float32),
+        IGNORED_KEY: torch.as_tensor(vehicles.ignored_xyxy, dtype=torch.float32),
     }
     return TrainingSample(name, torch.as_tensor(np.ascontiguousarray(pixels.transpose(2, 0, 1))), target)
 

@@ -34,7 +34,7 @@ from skope.train import input_moments
 from skope.train.splits import SPLIT
 from skope.train.torchvision_code import torchvision_code
 
-FORMATS: Final = {
+EXPORT_SUFFIXES: Final = {
     "torchscript": ".torchscript.pt",
     "onnx": ".onnx",
     "compact": ".compact.safetensors",
@@ -48,7 +48,7 @@ _BEGINS: Final[dict[str, Callable[[bytes], bool]]] = {
 }
 """Whether a file may be of a format, by its first bytes: a zip archive; the field ir_version; the header's length, then
 the header."""
-IMAGES: Final = 64
+SAMPLE_IMAGES: Final = 64
 """Of a dataset, that tell what the layers' inputs are."""
 OUTPUTS: Final = ("boxes", "scores", "keypoints", "keypoint_scores")
 CATEGORIES_OUTPUT: Final = "categories"
@@ -117,7 +117,7 @@ def export(checkpoint: Path, to: str, out: Path | None, *, data: Path | None = N
 
     Args:
         checkpoint: A file or a run folder.
-        to: One of `FORMATS`.
+        to: One of `EXPORT_SUFFIXES`.
         out: The file; None: beside the checkpoint.
         data: A dataset, whose training images tell what the layers' inputs are: a compact file's weights are rounded so
             that the layers' outputs change least, and the file says how large the inputs are, as eight bits need it.
@@ -129,14 +129,14 @@ def export(checkpoint: Path, to: str, out: Path | None, *, data: Path | None = N
     Raises:
         UserError: The checkpoint or the dataset cannot be read, or something else is in the file's place.
     """
-    one_of("--to", to, tuple(FORMATS))
+    one_of("--to", to, tuple(EXPORT_SUFFIXES))
     if data and to != "compact":
         raise UserError("--data is for --to compact")
     if to == "onnx" and importlib.util.find_spec("onnx") is None:
         raise UserError("--to onnx: needs the package onnx: pip install 'skope[onnx]'")
     path = find_checkpoint(checkpoint)
     folder = Path() if weights.shipped(path) else path.parent
-    out = out or folder / (path.name.removesuffix(path.suffix) + FORMATS[to])
+    out = out or folder / (path.name.removesuffix(path.suffix) + EXPORT_SUFFIXES[to])
     check_file(out, _BEGINS[to])
     model, config, metadata = load_weights(path, "cpu")
     if to == "compact":
@@ -166,7 +166,7 @@ def export(checkpoint: Path, to: str, out: Path | None, *, data: Path | None = N
 def _moments(model: KeypointRCNN, data: Path, categories: Sequence[str], console: Console) -> dict[str, Tensor]:
     """Second moments of the layers' inputs on some of a dataset's training images, where a GPU is there on it."""
     opened = open_dataset(data)
-    images = image_selection.take(opened.read(SPLIT), IMAGES).images
+    images = image_selection.take(opened.read(SPLIT), SAMPLE_IMAGES).images
     pixels = map(opened.image, images)
     seen = console.bar(pixels, total=len(images), unit="image", label="layers' inputs")
     return input_moments.gather(model.to(choose_device("auto")), seen, categories)

@@ -13,7 +13,7 @@ from torchvision.models.detection.keypoint_rcnn import KeypointRCNNPredictor
 
 from skope import keypoints
 from skope.detector import weights
-from skope.detector.backbones import BACKBONES, DEFAULT
+from skope.detector.backbones import BACKBONES, DEFAULT_BACKBONE
 from skope.detector.build import DetectorConfig, build
 from skope.detector.checkpoint import HEADER, find_checkpoint, read_checkpoint
 from skope.errors import UserError
@@ -60,8 +60,8 @@ def initialise(
             backbone trained on ImageNet if it lies in that cache, else random ones; never from the internet. `coco`
             and `imagenet`: downloaded where they are not there. `random`. Anything else is what `find_checkpoint`
             takes: a checkpoint of skope or of torchvision.
-        norm: Normalisation, one of `skope.train.recipe.NORMS`. `given` is frozen for trained weights and learns for
-            random ones, as in torchvision.
+        norm: Normalisation, one of `skope.train.recipe.NORM_CHOICES`. `given` is frozen for trained weights and learns
+            for random ones, as in torchvision.
         min_size: Short side of the images inside the network, pixels; None: that of the first weights if they are a
             checkpoint of skope, else that of `SMALL_SIZE`.
         max_size: Largest long side of the images inside the network, pixels; None: likewise.
@@ -167,7 +167,7 @@ def _from_file(
 def _plain(norm: str, network: NetworkShape) -> DetectorConfig:
     """The config of weights that say nothing of it but what their tensors show."""
     asked = network.asked
-    eps = BACKBONES[asked.get("backbone", DEFAULT)].norm_eps
+    eps = BACKBONES[asked.get("backbone", DEFAULT_BACKBONE)].norm_eps
     return DetectorConfig(norm=norm, norm_eps=eps, min_size=SMALL_SIZE[0], max_size=SMALL_SIZE[1], **asked)
 
 

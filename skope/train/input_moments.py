@@ -1,4 +1,4 @@
-"""What the layers of a detector get as inputs, gathered from images: second moments, for rounding its weights."""
+"""Statistics of the inputs of a detector's layers, gathered from images: second moments, for rounding its weights."""
 
 from collections.abc import Iterable, Sequence
 from functools import partial
@@ -13,7 +13,7 @@ from torchvision.models.detection import KeypointRCNN
 from skope.detector.detect import detect
 from skope.schema import VEHICLE_ALONE
 
-_SAMPLES: Final = 256
+_CALL_SAMPLES: Final = 256
 """Positions, or regions, that each call of a layer gives."""
 
 
@@ -74,6 +74,6 @@ def _sample(module: nn.Module, x: Tensor, generator: torch.Generator) -> Tensor:
 
 
 def _some(count: int, generator: torch.Generator) -> Tensor:
-    if count <= _SAMPLES:
+    if count <= _CALL_SAMPLES:
         return torch.arange(count)
-    return torch.randint(count, (_SAMPLES,), generator=generator)
+    return torch.randint(count, (_CALL_SAMPLES,), generator=generator)

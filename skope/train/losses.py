@@ -38,7 +38,7 @@ _LEAST_SIDE = 1.0
 
 @dataclass(frozen=True)
 class LearningRules:
-    """What a step learns from, besides what the model says."""
+    """Rules of a training step, besides those in the model."""
 
     regions: int
     """Regions of an image that the second stage learns from, at most a quarter of them vehicles and other road
@@ -67,7 +67,8 @@ def detection_losses(
         teacher: A detector whose answers are learnt, too.
 
     Returns:
-        The losses by torchvision's names, and those of `skope.train.teacher.LOSSES` if there is one: float32 scalars.
+        The losses by torchvision's names, and those of `skope.train.teacher.TEACHER_LOSSES` if there is one: float32
+        scalars.
     """
     images, before = network_images(model.transform, pixels)
     batch = TargetBatch.of(

@@ -14,11 +14,12 @@ from skope.pictures import draw
 from skope.schema import CATEGORIES, Annotation, AnnotationFile
 from skope.terminal.console import counted
 from skope.train import validate
+from skope.types import Pixels
 
-OVERLAYS: Final = 4
+SHEET_IMAGES: Final = 4
 """Images of the progress sheet."""
 
-_SURE = 0.5
+_SURE_SCORE = 0.5
 _SHARES: Final = {
     "pck": "PCK@0.1 of found vehicles",
     "pck_given": "PCK@0.1 in given boxes",
@@ -68,16 +69,16 @@ def prediction_sheet(
 ) -> None:
     """Write predictions (right) beside ground truth (left) for the first images of `file` that hold vehicles."""
     vehicles, users = file.by_image(), file.road_users_by_image()
-    pairs: list[draw.Pixels] = []
+    pairs: list[Pixels] = []
     # The same images each time, so that one sees them change.
     for image, place in zip(file.images, images, strict=True):
-        if len(pairs) == 2 * OVERLAYS:
+        if len(pairs) == 2 * SHEET_IMAGES:
             break
         truth: list[Annotation] = vehicles[image.id]
         if all(vehicle.ignored for vehicle in truth):
             continue
         pixels = read_image(place, size=(image.width, image.height))
-        found, others = validate.detect_in_image(model, pixels, image.id, device, _SURE, file.categories)
+        found, others = validate.detect_in_image(model, pixels, image.id, device, _SURE_SCORE, file.categories)
         labels = draw.annotations(pixels, truth, users[image.id], scheme=file.scheme)
         answers = draw.results(pixels, found, others, scheme=file.scheme)
         pairs.append(draw.caption(labels, f"{image.file_name}: ground truth"))

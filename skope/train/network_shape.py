@@ -1,10 +1,10 @@
-"""What a recipe asks of the network: its backbone, and how wide its parts are."""
+"""The shape of the network that a recipe asks for: its backbone, and how wide its parts are."""
 
 from dataclasses import asdict, dataclass
 from typing import Any, Final
 
 from skope.detector.backbones import BACKBONES
-from skope.detector.build import SIZES, check_size
+from skope.detector.build import SIZE_RANGES, check_size
 from skope.errors import one_of
 
 
@@ -26,7 +26,7 @@ class NetworkShape:
     def __post_init__(self) -> None:
         if self.backbone is not None:
             one_of("backbone", self.backbone, tuple(BACKBONES))
-        for name in SIZES:
+        for name in SIZE_RANGES:
             if getattr(self, name) is not None:
                 check_size(name, getattr(self, name))
 

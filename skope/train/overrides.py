@@ -13,7 +13,7 @@ from skope.files.reading import read_text
 
 T = TypeVar("T")
 
-NONE = "none"
+NONE_WORD = "none"
 """How people write None, for which TOML has no word."""
 
 
@@ -70,7 +70,7 @@ def changed(base: T, values: Mapping[str, Any], where: str) -> T:
 
 def _typed(value: Any, hint: Any, where: str) -> Any:
     choices = get_args(hint) if get_origin(hint) in (Union, types.UnionType) else (hint,)
-    if type(None) in choices and value in (None, NONE):
+    if type(None) in choices and value in (None, NONE_WORD):
         return None
     for choice in choices:
         if choice is float and isinstance(value, int | float) and not isinstance(value, bool):
@@ -84,7 +84,7 @@ def _typed(value: Any, hint: Any, where: str) -> Any:
         float: "a number",
         bool: "true or false",
         str: "text",
-        type(None): NONE,
+        type(None): NONE_WORD,
         tuple[int, ...]: "a list of whole numbers",
         tuple[str, ...]: "a list of texts",
     }

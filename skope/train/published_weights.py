@@ -17,7 +17,7 @@ _NO_WEIGHTS: Final = "not a file of weights of torch's, or one that did not arri
 
 
 def cached(weights: WeightsEnum) -> Path:
-    """Where torchvision keeps the file of published weights, whether or not it is there."""
+    """Path at which torchvision keeps the file of published weights, whether or not it is there."""
     return Path(torch.hub.get_dir()) / "checkpoints" / Path(urlparse(weights.url).path).name
 
 

@@ -20,12 +20,12 @@ _ADDED: Final = ("anchors", "average", "box_passes", "cosine_to", "ignore_below"
 """Values that the recipes of older runs lack, and have as the recipe `paper` does."""
 SMALL_SIZE: Final = (360, 640)
 """Short and largest long side of images inside the network where two cores are to learn from them, pixels."""
-NORMS: Final = ("given", "frozen", "batch")
+NORM_CHOICES: Final = ("given", "frozen", "batch")
 
 
 @dataclass(frozen=True, kw_only=True)
 class Recipe:
-    """How a detector is trained. Sizes are pixels, rates per step, counts per image where not said otherwise."""
+    """The parameters of a training. Sizes are pixels, rates per step, counts per image where not said otherwise."""
 
     name: str
     init: str
@@ -91,7 +91,7 @@ class Recipe:
 
     def __post_init__(self) -> None:
         one_of("supervise", self.supervise, SUPERVISE)
-        one_of("norm", self.norm, NORMS)
+        one_of("norm", self.norm, NORM_CHOICES)
         for name in self.exclude_types:
             one_of("exclude_types", name, VEHICLE_TYPES)
         for name in ("epochs", "batch_size", "step_size", "images_at_once", "regions", "keypoint_regions"):
@@ -192,7 +192,7 @@ _PAPER: Final[dict[str, Any]] = {
 }
 
 # A step on two cores spends its time on pixels, and on the keypoint head: 22 GFLOP a region forward and backward.
-_SMALL: Final[dict[str, Any]] = {
+_SMALL_NETWORK: Final[dict[str, Any]] = {
     "min_size": None,
     "max_size": None,
     "keypoint_regions": 48,
@@ -219,8 +219,8 @@ _FROM_NOTHING: Final[dict[str, Any]] = {
 RECIPES: Final[Mapping[str, Recipe]] = MappingProxyType(
     {
         "paper": Recipe(**{**_PAPER, "name": "paper"}),
-        "laptop": Recipe(**{**_PAPER, **_SMALL, "name": "laptop"}),
-        "scratch": Recipe(**{**_PAPER, **_SMALL, **_FROM_NOTHING, "name": "scratch"}),
+        "laptop": Recipe(**{**_PAPER, **_SMALL_NETWORK, "name": "laptop"}),
+        "scratch": Recipe(**{**_PAPER, **_SMALL_NETWORK, **_FROM_NOTHING, "name": "scratch"}),
     }
 )
 CHOICES: Final = ("auto", *RECIPES)

@@ -39,7 +39,7 @@ from skope.train import init_weights, validate
 from skope.train.recipe import Recipe
 from skope.train.teacher import Teacher
 
-_VERSION = 2
+_RUN_VERSION = 2
 _CONFIG = "recipe.json"
 _METRICS = "metrics.jsonl"
 _RESUME = "resume.pt"
@@ -82,7 +82,7 @@ class RunConfig:
 
     def to_dict(self) -> dict[str, Any]:
         return {
-            "version": _VERSION,
+            "version": _RUN_VERSION,
             "scheme": self.scheme.name,
             "recipe": self.recipe.to_dict(),
             "seed": self.seed,
@@ -99,8 +99,8 @@ class RunConfig:
         """The configuration that a run folder records."""
         values = read_json(run / _CONFIG)
         try:
-            if not isinstance(values, dict) or values.get("version") != _VERSION:
-                raise UserError(f"version: expected {_VERSION}")
+            if not isinstance(values, dict) or values.get("version") != _RUN_VERSION:
+                raise UserError(f"version: expected {_RUN_VERSION}")
             names = ("seed", "mix", "max_images")
             recipe, data = Recipe.from_dict(values["recipe"]), tuple(values["data"])
             categories = checked_categories(values.get("categories", VEHICLE_ALONE))
@@ -181,8 +181,13 @@ def exclusive(run: Path) -> Iterator[None]:
 
 def start(run: Path, config: RunConfig, fingerprints: Sequence[str], device: torch.device) -> TrainingState:
     """Begin a run in a folder that holds none. Raises UserError where it holds one, or other files."""
-    if resumable(run) or checkpoints(run):
+    if resumable(run):
         raise UserError(f"{run}: holds a run already; go on with it by --resume, or choose another folder by --out")
+    if checkpoints(run):
+        raise UserError(
+            f"{run}: holds checkpoints, and no state to go on from ({_RESUME} is missing); choose another folder by "
+            "--out"
+        )
     # Where several processes train together, the first one may already have written the configuration.
     if run.is_dir() and any(run.glob("[!.]*")) and not _begun(run):
         raise UserError(

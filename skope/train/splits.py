@@ -1,4 +1,4 @@
-"""Which images are learnt from and which validated on: datasets, their recordings, and what they must hold."""
+"""Choice of the images to learn from and to validate on: datasets, their recordings, and what they must hold."""
 
 import hashlib
 import itertools

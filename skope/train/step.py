@@ -22,7 +22,7 @@ LOSSES: Final = ("loss_classifier", "loss_box_reg", "loss_keypoint", "loss_objec
 
 def loss_names(training: TrainingState) -> tuple[str, ...]:
     """Names of the losses that a step of a run has."""
-    return LOSSES if training.teacher is None else (*LOSSES, *teacher.LOSSES)
+    return LOSSES if training.teacher is None else (*LOSSES, *teacher.TEACHER_LOSSES)
 
 
 def seed(seed: int, epoch: int, step: int, processes: ProcessGroup) -> None:

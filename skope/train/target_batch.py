@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 from torch.nn.utils.rnn import pad_sequence
 
-KEY = "ignored_boxes"
+IGNORED_KEY = "ignored_boxes"
 """Targets carry the ignored boxes, (M, 4) xyxy, under this key."""
 
 Target = dict[str, Tensor]
@@ -18,7 +18,7 @@ Size = tuple[int, int]
 
 @dataclass(frozen=True)
 class TargetBatch:
-    """What is labelled in B images, in pixels inside the network, filled up to the image with most of it."""
+    """Labels of B images, in pixels inside the network, filled up to the image with most of it."""
 
     boxes: Tensor
     """(B, G, 4) float32 xyxy; 0 where there is nothing."""
@@ -59,14 +59,14 @@ class TargetBatch:
             "boxes": torch.zeros(most, 4),
             "labels": torch.zeros(most, dtype=torch.int64),
             "keypoints": torch.zeros(most, *shape),
-            KEY: torch.zeros(1, 4),
+            IGNORED_KEY: torch.zeros(1, 4),
         }
         filled = {
             name: pad_sequence([*(row[name] for row in rows), longest], batch_first=True)[:-1]
             for name, longest in padding.items()
         }
         present = torch.arange(most) < counts[:, None]
-        parts = (filled["boxes"], filled["labels"], filled["keypoints"], present, filled[KEY])
+        parts = (filled["boxes"], filled["labels"], filled["keypoints"], present, filled[IGNORED_KEY])
         return cls(*(to_device(part, device) for part in parts))
 
 
@@ -77,7 +77,7 @@ def _resized(target: Target, before: Size, inside: Size, ignore_below: float) ->
         for new, old in zip(inside, before, strict=True)
     )
     factors = torch.stack([width, height, width, height])
-    boxes, ignored = target["boxes"] * factors, target[KEY] * factors
+    boxes, ignored = target["boxes"] * factors, target[IGNORED_KEY] * factors
     points = torch.cat([target["keypoints"][..., :2] * factors[:2], target["keypoints"][..., 2:]], dim=-1)
     small = (boxes[:, 2:] - boxes[:, :2]).amin(dim=1) < ignore_below
     kept = ~small
@@ -85,7 +85,7 @@ def _resized(target: Target, before: Size, inside: Size, ignore_below: float) ->
         "boxes": boxes[kept],
         "labels": target["labels"][kept],
         "keypoints": points[kept],
-        KEY: torch.cat([ignored, boxes[small]]),
+        IGNORED_KEY: torch.cat([ignored, boxes[small]]),
     }
 
 

@@ -23,7 +23,7 @@ from skope.train.fold_batchnorm import fold_norms
 from skope.train.target_batch import Size
 from skope.train.teacher_rules import TeacherRules
 
-LOSSES: Final = ("loss_teacher_classes", "loss_teacher_boxes", "loss_teacher_keypoints")
+TEACHER_LOSSES: Final = ("loss_teacher_classes", "loss_teacher_boxes", "loss_teacher_keypoints")
 """Names of the losses that a teacher adds."""
 _BETA: Final = 1 / 9
 """Error of a box's offset from which the loss grows linearly, as where labels are learnt."""
@@ -63,14 +63,14 @@ class Teacher:
         return cls(model.requires_grad_(False), config, rules)
 
     def lesson(self, images: Tensor) -> "Lesson":
-        """What it sees in (N, 3, H, W) images as they enter the network."""
+        """Look at (N, 3, H, W) images as they enter the network."""
         with torch.no_grad():
             return Lesson(self.model.roi_heads, self.model.backbone(images), self.rules)
 
 
 @dataclass(frozen=True)
 class Lesson:
-    """What a teacher sees in a batch of images."""
+    """Answers of a teacher to a batch of images."""
 
     heads: RoIHeads
     features: dict[str, Tensor]

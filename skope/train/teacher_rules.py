@@ -1,4 +1,4 @@
-"""What a recipe says of a detector that is learnt from."""
+"""Rules of a recipe on a detector that is learnt from."""
 
 from dataclasses import dataclass
 
@@ -7,7 +7,7 @@ from skope.errors import UserError
 
 @dataclass(frozen=True, kw_only=True)
 class TeacherRules:
-    """Which detector's answers are learnt beside the labels, and how much each kind counts; labels count 1."""
+    """The detector whose answers are learnt beside the labels, and the weight of each kind; labels count 1."""
 
     checkpoint: str | None = None
     """A name, run folder or file, as `--checkpoint` takes it; None: labels alone are learnt."""

@@ -40,7 +40,7 @@ def detect_in_image(
 
 @dataclass(frozen=True)
 class ValidationResults:
-    """What a model finds in the images of a split."""
+    """Results of a model on the images of a split."""
 
     detected: list[Result]
     """The vehicles that it detects."""

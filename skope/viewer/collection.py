@@ -1,4 +1,5 @@
-"""What is looked at: splits with their vehicles, what a detector found in them, and where their pictures come from."""
+"""A collection to be looked at: splits with their vehicles, what a detector found in them, and where their pictures
+come from."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -11,19 +11,19 @@ import numpy as np
 
 from skope.metrics import counts
 from skope.metrics.failures import false_detections, wrong_points
-from skope.metrics.match import Integers, box_of
+from skope.metrics.match import box_of
 from skope.metrics.precision_recall import match_split
 from skope.pictures import draw
 from skope.schema import Annotation, Image, Result, RoadUser
-from skope.types import Array
+from skope.types import Array, Integers
 from skope.viewer import vehicle_filters
 from skope.viewer.collection import Collection, ShownSplit
 from skope.viewer.pictures import Picture
 
-STEPS: Final = 1000
+SCORE_STEPS: Final = 1000
 """Score thresholds are whole numbers from 0 to this, so that browser and server mean the same."""
-_THRESHOLDS: Final = np.arange(STEPS + 1) / STEPS
-_KEPT: Final = 8
+_THRESHOLDS: Final = np.arange(SCORE_STEPS + 1) / SCORE_STEPS
+_KEPT_THRESHOLDS: Final = 8
 """Score thresholds whose counts are kept."""
 _FACETS: Final[dict[str, Callable[[Image], str | None]]] = {
     "split": lambda image: image.split,
@@ -41,7 +41,7 @@ class Documents:
         self._collection = collection
         self._splits = [_SplitDocuments(split, collection) for split in collection.splits]
         self._ends = list(itertools.accumulate(len(split.file.images) for split in collection.splits))
-        self.scores = lru_cache(maxsize=_KEPT)(self._scores)
+        self.scores = lru_cache(maxsize=_KEPT_THRESHOLDS)(self._scores)
 
     @property
     def has_predictions(self) -> bool:
@@ -53,7 +53,7 @@ class Documents:
         return self._ends[-1]
 
     def index(self) -> dict[str, Any]:
-        """What the page is of, and a row of each image in columns: its name, what filters ask of it and its vehicles.
+        """The title of the page, and a row of each image in columns: its name, what filters ask of it and its vehicles.
 
         Vehicles are numbers of `vehicle_filters`, each once.
         """
@@ -191,7 +191,7 @@ class _SplitDocuments:
         Quality is None where nothing is labelled. Without ground truth there are detections only.
         """
         assert self._options
-        options = replace(self._options, score=step / STEPS)
+        options = replace(self._options, score=step / SCORE_STEPS)
         matches = match_split(self._split.file, self._split.results, options)
         outcomes = counts.outcomes_at(matches, options.loosest, options)
         tally = counts.tally(matches, options.loosest, options)

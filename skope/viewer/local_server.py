@@ -26,7 +26,7 @@ HTML: Final = "text/html; charset=utf-8"
 CSS: Final = "text/css; charset=utf-8"
 SCRIPT: Final = "text/javascript; charset=utf-8"
 _HOST: Final = re.compile(r"(localhost|127\.0\.0\.1|\[::1\])(:[0-9]{1,5})?", re.IGNORECASE)
-_LARGEST: Final = 1 << 25
+_LARGEST_REQUEST_BYTES: Final = 1 << 25
 """Bytes that a request may bring along."""
 _HEADERS: Final = {
     # The page asks this server alone, runs its own script alone, and stands in no other page.
@@ -99,8 +99,12 @@ class LocalHandler(BaseHTTPRequestHandler):
         if self.headers.get("Origin") is None or self.headers.get("Content-Type") != JSON:
             self.send_error(HTTPStatus.FORBIDDEN, "is for this server's own page")
             return
-        if not re.fullmatch("[0-9]{1,9}", length) or int(length) > _LARGEST or "Transfer-Encoding" in self.headers:
-            self.send_error(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"expected at most {_LARGEST >> 20} MB")
+        if (
+            not re.fullmatch("[0-9]{1,9}", length)
+            or int(length) > _LARGEST_REQUEST_BYTES
+            or "Transfer-Encoding" in self.headers
+        ):
+            self.send_error(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"expected at most {_LARGEST_REQUEST_BYTES >> 20} MB")
             return
         data = self.rfile.read(int(length))
         self.close_connection = not kept_open

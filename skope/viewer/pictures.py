@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 from skope.dataset import shards
 from skope.dataset.folder import read_image
 
-_SHOWN: Final = {".jpg": "image/jpeg", ".jpeg": "image/jpeg", ".png": "image/png", ".webp": "image/webp"}
+_MEDIA_TYPES: Final = {".jpg": "image/jpeg", ".jpeg": "image/jpeg", ".png": "image/png", ".webp": "image/webp"}
 """Media types of the files that every browser shows, by suffix."""
-_QUALITY: Final = 90
+_JPEG_QUALITY: Final = 90
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,7 +26,7 @@ class Picture:
 
 def read_picture(path: Path) -> Picture:
     """The picture in a file, or in a shard's member; a UserError says what is wrong with it."""
-    media_type = _SHOWN.get(path.suffix.lower())
+    media_type = _MEDIA_TYPES.get(path.suffix.lower())
     if media_type is None:
         return encoded(read_image(path))
     return Picture(media_type=media_type, data=shards.read(path))
@@ -34,6 +34,8 @@ def read_picture(path: Path) -> Picture:
 
 def encoded(pixels: NDArray[np.uint8]) -> Picture:
     """(H, W, 3) RGB as a picture."""
-    done, data = cv2.imencode(".jpg", cv2.cvtColor(pixels, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
+    done, data = cv2.imencode(
+        ".jpg", cv2.cvtColor(pixels, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY]
+    )
     assert done
     return Picture(media_type="image/jpeg", data=data.tobytes())

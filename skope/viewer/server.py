@@ -7,7 +7,7 @@ from skope.errors import UserError
 from skope.files.json_files import json_bytes
 from skope.terminal.console import Console
 from skope.viewer.collection import Collection
-from skope.viewer.documents import STEPS, Documents
+from skope.viewer.documents import SCORE_STEPS, Documents
 from skope.viewer.local_server import (
     CSS,
     HTML,
@@ -23,7 +23,7 @@ from skope.viewer.local_server import (
 
 _IMAGE: Final = re.compile(r"/images/([0-9]{1,9})(\.json)?")
 _SCORES: Final = re.compile(r"/scores/([0-9]{1,4})\.json")
-_FILES: Final = {
+_SERVED_FILES: Final = {
     "/": ("skope.viewer", "viewer.html", HTML),
     "/page.css": ("skope.page", "page.css", CSS),
     "/viewer.css": ("skope.viewer", "viewer.css", CSS),
@@ -67,11 +67,11 @@ class _Handler(LocalHandler):
 
     def answer_to(self, path: str) -> Answer | None:
         documents = self.server.documents
-        if file := _FILES.get(path):
+        if file := _SERVED_FILES.get(path):
             return file[2], read_resource(*file[:2])
         if path == "/index.json":
             return JSON, self.server.index
-        if (scores := _SCORES.fullmatch(path)) and int(scores[1]) <= STEPS and documents.has_predictions:
+        if (scores := _SCORES.fullmatch(path)) and int(scores[1]) <= SCORE_STEPS and documents.has_predictions:
             return JSON, json_bytes(documents.scores(int(scores[1])))
         if (image := _IMAGE.fullmatch(path)) and (number := int(image[1])) < len(documents):
             if image[2]:

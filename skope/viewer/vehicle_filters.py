@@ -1,4 +1,4 @@
-"""What vehicles are filtered by: type, hidden share and height of the box, in one number for each vehicle."""
+"""Filters of vehicles: type, hidden share and height of the box, in one number for each vehicle."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -6,11 +6,11 @@ from typing import Any, Final
 
 import numpy as np
 
-from skope.metrics.breakdown import HEIGHTS_PX, OCCLUSIONS, band_names
+from skope.metrics.breakdown import HEIGHTS_PX, OCCLUSION_EDGES, band_names
 from skope.metrics.match import box_of
 from skope.schema import VEHICLE_TYPES, Annotation
 
-UNKNOWN: Final = "unknown"
+UNKNOWN_VALUE: Final = "unknown"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -21,10 +21,10 @@ class Quality:
     values: Sequence[str]
 
 
-TYPE: Final = Quality(name="vehicle type", values=(*VEHICLE_TYPES, UNKNOWN))
-OCCLUSION: Final = Quality(name="hidden share", values=(*band_names(OCCLUSIONS, "1"), UNKNOWN))
-HEIGHT: Final = Quality(name="height, px", values=tuple(band_names(HEIGHTS_PX)))
-QUALITIES: Final = (TYPE, OCCLUSION, HEIGHT)
+TYPE: Final = Quality(name="vehicle type", values=(*VEHICLE_TYPES, UNKNOWN_VALUE))
+OCCLUSION: Final = Quality(name="hidden share", values=(*band_names(OCCLUSION_EDGES, "1"), UNKNOWN_VALUE))
+HEIGHT_QUALITY: Final = Quality(name="height, px", values=tuple(band_names(HEIGHTS_PX)))
+QUALITIES: Final = (TYPE, OCCLUSION, HEIGHT_QUALITY)
 
 
 def kind_number(vehicle: Annotation, boxes: str) -> int:
@@ -34,9 +34,9 @@ def kind_number(vehicle: Annotation, boxes: str) -> int:
     """
     height = float(box_of(vehicle, boxes)[3])
     places = (
-        TYPE.values.index(vehicle.vehicle_type or UNKNOWN),
-        _band(vehicle.occlusion, OCCLUSIONS, OCCLUSION),
-        _band(height, HEIGHTS_PX, HEIGHT),
+        TYPE.values.index(vehicle.vehicle_type or UNKNOWN_VALUE),
+        _band(vehicle.occlusion, OCCLUSION_EDGES, OCCLUSION),
+        _band(height, HEIGHTS_PX, HEIGHT_QUALITY),
     )
     number = 0
     for place, quality in zip(places, QUALITIES, strict=True):

@@ -41,7 +41,7 @@ def test_it_is_small_enough_to_travel_and_says_where_it_is_from() -> None:
     assert header["metadata"]["run"]["data"] == ["data/paper_22", "data/world_31", "data/world_51", "data/varied_22"]
     assert header["config"]["norm"] == "frozen"  # small batches of who goes on from it have no statistics
     assert header["metadata"]["calibrated"]["data"] not in header["metadata"]["run"]["data"]
-    assert activation_ranges.KEY in header["metadata"]
+    assert activation_ranges.RANGES_KEY in header["metadata"]
     assert sum(tensor.numel() for tensor in state.values()) > 59_000_000
     assert ROAD33.with_suffix(".md").read_text().startswith("# road33\n")
 

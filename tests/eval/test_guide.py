@@ -19,9 +19,9 @@ SMALLER = {
     "--noise 0,1,2,5": "--noise 0,2",
     "--overlay --blur": "--overlay --blur --every 10 --score 0.05",
     "eval track seen": "eval track seen --score 0.05",
-    "found.json": "found.json --vehicles 30",
+    "found.json": "found.json --max-vehicles 30",
     "crossing.mp4 --overlay": "crossing.mp4 --overlay --end 0.6",
-    "eval camera crossing": "eval camera --annotations footage/site.json --noise 1 --vehicles 30",
+    "eval camera crossing": "eval camera --annotations footage/site.json --noise 1 --max-vehicles 30",
 }
 
 

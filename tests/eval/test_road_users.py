@@ -93,7 +93,7 @@ def test_a_calibration_says_whom_it_leaves_out(skope: Any, categories_run: Path,
         for i, one in enumerate(found, start=1)
     ]
     coco.write(path, replace(coco.read(path), annotations=tuple(vehicles), road_users=()))
-    code, said, error = skope("eval", "calibrate", *common, "--score", "0.05", "--out", "a.safetensors")
+    code, said, error = skope("eval", "calibrate-scores", *common, "--score", "0.05", "--out", "a.safetensors")
     assert code == 0, error
     assert "scores of bicycle, motorcycle, pedestrian are not calibrated" in said
 

@@ -7,13 +7,14 @@ from zoneinfo import ZoneInfo
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from skope.site.marks import Gate
 from skope.site.traffic_settings import TrafficSettings
 from skope.traffic.clock import clock_intervals
 from skope.traffic.count_interval import Group, count_interval, joint_interval, poisson_binomial
 from skope.traffic.counts import ALL, counts
-from skope.traffic.event_probability import SEEN_IN_METRES
+from skope.traffic.event_probability import SEEN_IN_METRES, usual_step
 from skope.traffic.gates import crossings
 from skope.traffic.lanes import LaneMap
 from skope.traffic.observation import Observation
@@ -197,7 +198,7 @@ def test_movements_with_u_turns_add_up_to_the_gates_counts() -> None:
     found = crossings(tracks, ARMS, NO_LANES, settings)
     moved = movements(found, settings)
     intervals = clock_intervals(None, 0, 520, 1)
-    every = turning_counts(moved, ARMS, intervals, watched(520), settings)
+    every = turning_counts(moved, ARMS, intervals, watched(520), settings, Unseen())
     rows, vehicles = ([one for one in every if one.class_name == name] for name in (ALL, "vehicle"))
     assert [one.count for one in vehicles] == [one.count for one in rows]  # there is nobody else
     per_gate = counts(found, ARMS, [], intervals, watched(520), settings, Unseen())
@@ -223,6 +224,57 @@ def test_movements_with_u_turns_add_up_to_the_gates_counts() -> None:
     lost = [one for one in rows if one.destination == NOWHERE and one.origin[1] == "in"]
     assert sum(one.count or 0 for one in lost) > 20
     assert all(one.expected is None for one in lost)
+
+
+def test_a_track_that_nothing_was_seen_of_for_long_is_no_movement_and_stays_in_the_gates_counts() -> None:
+    settings = TrafficSettings()
+    seen = turn(1, "west", "east", 0)
+    sides = [seen, *(replace(seen, number=k, measured=hidden(seen, around_s)) for k, around_s in ((2, 0.5), (3, 1.5)))]
+    step_s = usual_step(sides)
+    found = movements(crossings(sides, ARMS, NO_LANES, settings), settings, step_s)
+    way = (("west", "in"), ("east", "out"))
+    assert [one.trajectory.number for one in found if one.sides == way] == [1, 2]
+    third = [one.sides for one in found if one.trajectory.number == 3]
+    for k in (0, 1):
+        assert [sides[k] for sides in third].count(way[k]) == 1, "each crossing is in one row and in one column"
+    same = {one.trajectory.number: one.same for one in found if one.sides == way}
+    assert same[1] > 0.99
+    assert 0.7 < same[2] < 0.97
+    unbroken = movements(crossings(sides, ARMS, NO_LANES, settings), settings)
+    assert [one.sides for one in unbroken].count(way) == 3, "a simulation's tracks are whole"
+
+
+def hidden(track: Trajectory, around_s: float) -> NDArray[np.bool_]:
+    """Nothing is seen of it for so long before and after its middle."""
+    middle = track.times_s.mean()
+    return np.asarray(np.abs(track.times_s - middle) > around_s)
+
+
+def test_who_walks_beside_others_makes_no_movement() -> None:
+    settings = TrafficSettings()
+    walkers = [
+        replace(turn(k, "west", "east", 0), category="pedestrian", class_name="pedestrian", covariance=covariance)
+        for k, sigma in ((1, 0.2), (2, 0.8))
+        for covariance in [np.tile(sigma**2 * np.eye(2), (80, 1, 1))]
+    ]
+    found = movements(crossings(walkers, ARMS, NO_LANES, settings), settings, 0.1)
+    between = [one.trajectory.number for one in found if NOWHERE not in one.sides]
+    assert between == [1]
+
+
+def test_where_people_walk_movements_are_known_of_vehicles_alone() -> None:
+    settings = TrafficSettings()
+    walker = replace(turn(9, "south", "east", 40), category="pedestrian", class_name="pedestrian")
+    tracks = [*(turn(k, "west", "east", 5.0 * k) for k in range(3)), turn(3, "west", "north", 30.0), walker]
+    found = movements(crossings(tracks, ARMS, NO_LANES, settings), settings, 0.1)
+    told = {
+        (one.destination[0], one.class_name): one.expected
+        for one in turning_counts(found, ARMS, clock_intervals(None, 0, 60, 1), watched(60), settings, Unseen())
+        if one.origin == ("west", "in")
+    }
+    assert told["east", ALL] is None, "one of those who walk may have come from there"
+    assert told["east", "vehicle"] is not None
+    assert told["north", ALL] is not None
 
 
 def test_movements_count_between_the_gates_that_are_named() -> None:

@@ -201,6 +201,35 @@ def test_a_slip_of_the_counting_hand_is_no_contradiction() -> None:
     ]
 
 
+def test_a_gate_whose_count_has_no_interval_has_none_beside_the_hand_count_and_learns() -> None:
+    lost = [straight(k, (-45, 0), (10, 0), 4.0, begin_s=2.0 + k) for k in range(20)]
+    through = [straight(20 + k, (-45, 0), (10, 0), 9.0, begin_s=30.0 + k) for k in range(5)]
+    plain, told = (
+        measure([*lost, *through], watched(60.0), SITE, hand_counts=hands) for hands in ((), [by_hand(24, 0.0, 60.0)])
+    )
+    assert all(one.expected is None for one in plain.counts_total if one.direction == "west")
+    (check,) = told.hand_checks
+    assert (check.near, check.count, check.expected) == (True, 5, None)
+    learnt = between(told, "g", "west")
+    assert learnt.low <= 24 <= learnt.high
+
+
+def test_movements_learn_what_is_missed_at_their_gates() -> None:
+    plain, few = report_of(), report_of(by_hand(130, 0.0, 606.0))
+    moved = [
+        next(
+            one.expected
+            for one in report.turning_total
+            if (one.origin, one.destination, one.class_name) == (("g", "west"), ("h", "west"), "all")
+        )
+        for report in (plain, few)
+    ]
+    assert moved[0] is not None
+    assert moved[1] is not None
+    assert moved[1].low <= 130 <= moved[1].high
+    assert moved[1].high > moved[0].high + 10, "a quarter of those who pass both are missed at the first one"
+
+
 def test_nothing_is_learnt_where_nobody_was_ever_seen() -> None:
     unseen = Unseen(gates=frozenset({"far"}))
     settings = TrafficSettings()

@@ -1,6 +1,7 @@
 """Speeds, headways, gaps, occupancy, queues, stops and delays, against what was driven."""
 
 import math
+from dataclasses import replace
 from statistics import NormalDist
 
 import numpy as np
@@ -85,6 +86,19 @@ def test_section_speed_is_the_way_over_the_time() -> None:
     assert (late.stops, late.stopped_s) == (1, pytest.approx(15, abs=0.3))
     assert late.delay_s == pytest.approx(one.seconds - 6, abs=0.1)
     assert math.isnan(delays([one], [], SETTINGS)[0].delay_s), "no speed of free flow, no delay"
+
+
+def test_a_stop_that_speeds_leave_open_is_one_perhaps() -> None:
+    """Down to 0.7 m/s (2.5 km/h) for three seconds: a stop, or none where speeds are half a metre a second higher."""
+    speed = np.interp(np.arange(0, 30, 0.1), [0, 5, 8, 11, 14], [10, 10, 0.7, 0.7, 10])
+    slow = along_x(1, -10 + 0.1 * np.cumsum(speed))
+    told = []
+    for sigma in (0.01, 0.3):
+        track = replace(slow, speed_sigma=np.full(300, sigma))
+        (one,) = section_passes(movements(crossings([track], [GATE, FAR_GATE], NO_LANES, SETTINGS), SETTINGS))
+        (late,) = delays([one], [], SETTINGS)
+        told.append((late.stops, late.stops_between.low, late.stops_between.high))
+    assert told == [(1, 1, 1), (1, 0, 1)]
 
 
 def test_free_flow_is_the_sections_own_85th_percentile() -> None:

@@ -11,7 +11,7 @@ from skope import schema
 from skope.detector.build import DetectorConfig, build
 from skope.train.assignment import assign, iou, sample
 from skope.train.losses import LearningRules, detection_losses
-from skope.train.target_batch import KEY, Target, TargetBatch
+from skope.train.target_batch import IGNORED_KEY, Target, TargetBatch
 
 VEHICLES = torch.tensor([[10.0, 10, 50, 40]])
 IGNORED = torch.tensor([[100.0, 100, 160, 160]])
@@ -35,7 +35,7 @@ pytestmark = pytest.mark.usefixtures("small_detectors")
 
 def target(boxes: torch.Tensor, ignored: torch.Tensor, label: int = 1) -> Target:
     labels = torch.full((len(boxes),), label)
-    return {"boxes": boxes, "labels": labels, "keypoints": torch.zeros(len(boxes), 33, 3), KEY: ignored}
+    return {"boxes": boxes, "labels": labels, "keypoints": torch.zeros(len(boxes), 33, 3), IGNORED_KEY: ignored}
 
 
 def batch(*targets: Target, size: tuple[int, int] = (256, 256), ignore_below: float = 0.0) -> TargetBatch:

@@ -22,13 +22,13 @@ from skope.detector.detect import MIN_SCORE, detect
 from skope.errors import UserError
 from skope.terminal.console import Console
 from skope.train import init_weights, input_moments, loop, splits
-from skope.train.augment import STEPS, Augment
+from skope.train.augment import AUGMENT_STEPS, Augment
 from skope.train.data import DetectionDataset, TrainingSet
 from skope.train.export import CATEGORIES_OUTPUT, OUTPUTS, DeployedCategories, export
 from skope.train.loop import Saving
 from skope.train.recipe import Recipe
 from skope.train.run_folder import RunConfig
-from skope.train.target_batch import KEY
+from skope.train.target_batch import IGNORED_KEY
 from skope.train.targets import LEAST_INSIDE, Vehicles
 from skope.train.torchvision_code import torchvision_code
 from tests import road_users, samples
@@ -78,7 +78,7 @@ def test_ignored_road_users_are_ignored_regions(tmp_path: Path) -> None:
     target = TrainingSet([part], seed=0, augment=Augment(flip=0.0), supervise="visible")[0, 0, 0].target
     assert target["labels"].tolist() == [1, 1]
     x, y, w, h = road_users.PLACES["pedestrian"]
-    assert target[KEY].tolist() == [[x, y, x + w, y + h]]
+    assert target[IGNORED_KEY].tolist() == [[x, y, x + w, y + h]]
 
 
 @pytest.mark.parametrize("step", ["flip", "crop"])
@@ -89,7 +89,7 @@ def test_what_moves_pixels_moves_road_users(step: str) -> None:
         pixels = np.zeros((90, 120, 3), np.uint8)
         pixels[30:40, 20:28] = 255
         users = replace(NOBODY, others_xyxy=np.array([[20.0, 30, 28, 40]]), other_labels=np.array([3]))
-        after, there = STEPS[step](pixels, users, np.random.default_rng(seed))
+        after, there = AUGMENT_STEPS[step](pixels, users, np.random.default_rng(seed))
         if not len(there.others_xyxy):
             continue
         assert there.other_labels.tolist() == [3]

@@ -82,7 +82,15 @@ def test_trains_and_says_what_is_next(tmp_path: Path, monkeypatch: pytest.Monkey
     assert json.loads(Path("runs/skope/recipe.json").read_text())["seed"] == 4
 
     again = CliRunner().invoke(cli.app, ["--device", "cpu", "--quiet"])
-    assert "--resume" in str(again.exception)
+    assert again.stdout.splitlines() == [last]
+    for other, words in (
+        (replace(config, seed=5), "seed = 4, now 5"),
+        (replace(config, recipe=replace(TINY, epochs=3)), "epochs = 2, now 3"),
+        (replace(config, data=("a", "b")), "datasets = 1, now 2"),
+    ):
+        monkeypatch.setattr(configure, "new", lambda *_, other=other, **__: other)
+        refused = str(CliRunner().invoke(cli.app, ["--device", "cpu", "--quiet"]).exception)
+        assert refused.startswith(f"runs/skope: holds another run: {words}. --resume goes on with it")
     done = CliRunner().invoke(cli.app, ["--device", "cpu", "--quiet", "--resume"])
     assert done.stdout.splitlines() == [last]
     other = CliRunner().invoke(cli.app, ["--device", "cpu", "--resume", "--batch-size", "2"])
@@ -100,8 +108,11 @@ def test_an_interruption_says_how_to_go_on(tmp_path: Path, monkeypatch: pytest.M
     assert "skope: stopped; nothing was saved yet" in result.stderr
     Path("runs/skope").mkdir(parents=True)
     Path("runs/skope/resume.pt").touch()
+    config = new()
+    monkeypatch.setattr(configure, "new", lambda *_, **__: config)
+    write_json(Path("runs/skope/recipe.json"), replace(config, categories=("vehicle",)).to_dict())
     result = CliRunner().invoke(cli.app, ["--device", "cpu"])
-    assert "the same command with --resume goes on" in result.stderr
+    assert "skope: stopped; the same command goes on from here" in result.stderr
 
 
 def test_flags_change_the_recipe() -> None:

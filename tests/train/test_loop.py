@@ -20,7 +20,7 @@ from skope.detector.checkpoint import BEST, checkpoints, load_weights
 from skope.errors import UserError
 from skope.terminal.console import Console
 from skope.train import loop, run_folder, step
-from skope.train.augment import STEPS, Augment
+from skope.train.augment import AUGMENT_STEPS, Augment
 from skope.train.loop import Saving
 from skope.train.recipe import RECIPES, Recipe
 from skope.train.run_folder import RunConfig
@@ -85,7 +85,7 @@ def test_a_resumed_run_equals_an_uninterrupted_one(
     """Whatever the step it is stopped at, in whatever way, and with every augmentation."""
     before = signal.getsignal(signal.SIGINT)
     data = samples.make_dataset(tmp_path / "data", images=5, splits=("train",))
-    often = Augment(**dict.fromkeys(STEPS, 0.5))
+    often = Augment(**dict.fromkeys(AUGMENT_STEPS, 0.5))
     recipe = replace(TINY, batch_size=2, augment=often, average=0.6, cosine_to=0.1)
     state = torch.get_rng_state()
     whole = tmp_path / "whole"
@@ -210,7 +210,7 @@ def test_a_folder_with_a_run_is_not_overwritten(tmp_path: Path) -> None:
     data = samples.make_dataset(tmp_path / "data", images=1, splits=("train",))
     (tmp_path / "run").mkdir()
     (tmp_path / "run" / "epoch_001.safetensors").touch()
-    with pytest.raises(UserError, match=r"holds a run already; go on with it by --resume, or .* --out"):
+    with pytest.raises(UserError, match=r"holds checkpoints, and no state to go on from .* --out"):
         train(data, tmp_path / "run", TINY)
     with pytest.raises(UserError, match="nothing saved yet to resume from"):
         train(data, tmp_path / "run", TINY, resume=True)

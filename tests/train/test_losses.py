@@ -10,7 +10,7 @@ from skope import keypoints
 from skope.detector.build import DetectorConfig, build
 from skope.train import losses
 from skope.train.losses import LearningRules, detection_losses
-from skope.train.target_batch import KEY, Target
+from skope.train.target_batch import IGNORED_KEY, Target
 
 ALL = 1 << 20
 """More regions than there are: nothing is left to chance."""
@@ -27,7 +27,7 @@ def target(boxes: list[list[float]], labels: list[int], generator: torch.Generat
         "boxes": corners,
         "labels": torch.tensor(labels, dtype=torch.int64),
         "keypoints": points,
-        KEY: torch.zeros(0, 4),
+        IGNORED_KEY: torch.zeros(0, 4),
     }
 
 
@@ -62,7 +62,7 @@ def test_losses_and_gradients_equal_torchvisions(model: KeypointRCNN, sizes: tup
     for name in ("stock", "ours"):
         model.zero_grad()
         if name == "stock":
-            plain = [{key: value for key, value in one.items() if key != KEY} for one in targets]
+            plain = [{key: value for key, value in one.items() if key != IGNORED_KEY} for one in targets]
             losses = model([image.float() / 255 for image in pixels], plain)
         else:
             losses = detection_losses(model, pixels, targets, LearningRules(ALL, None, 0.0))

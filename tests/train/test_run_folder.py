@@ -14,7 +14,7 @@ from skope.detector.build import DetectorConfig, build
 from skope.detector.checkpoint import checkpoint_name, save_weights
 from skope.errors import UserError
 from skope.terminal.console import Console
-from skope.train.export import FORMATS, export
+from skope.train.export import EXPORT_SUFFIXES, export
 from tests.detector.test_detector import SMALL
 from tests.train.conftest import shrink
 
@@ -65,7 +65,7 @@ def test_an_export_without_room_leaves_nothing(to: str, out: str, checkpoint: Pa
 
 
 @pytest.mark.parametrize(
-    "to", ["compact", *(pytest.param(to, marks=pytest.mark.slow) for to in FORMATS if to != "compact")]
+    "to", ["compact", *(pytest.param(to, marks=pytest.mark.slow) for to in EXPORT_SUFFIXES if to != "compact")]
 )
 def test_an_export_is_made_again_and_overwrites_nothing_else(to: str, checkpoint: Path, tmp_path: Path) -> None:
     console, path = Console(quiet=True), tmp_path / "a"
@@ -87,7 +87,7 @@ def test_an_export_is_made_again_and_overwrites_nothing_else(to: str, checkpoint
         ("below", "cannot be written: .*file is a file"),
     ],
 )
-@pytest.mark.parametrize("to", FORMATS)
+@pytest.mark.parametrize("to", EXPORT_SUFFIXES)
 def test_an_export_looks_at_its_target_first(
     to: str, kind: str, said: str, checkpoint: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

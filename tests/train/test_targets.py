@@ -5,7 +5,7 @@ import pytest
 
 from skope import keypoints
 from skope.train import augment
-from skope.train.augment import STEPS, Augment
+from skope.train.augment import AUGMENT_STEPS, Augment
 from skope.train.targets import Vehicles
 
 WIDTH, HEIGHT = 120, 90
@@ -34,7 +34,7 @@ def middle(pixels: np.ndarray, floor: float = 60.0) -> np.ndarray:
 @pytest.mark.parametrize("k", range(keypoints.K))
 def test_a_flip_moves_pixel_and_keypoint_together(k: int) -> None:
     pixels, vehicles, _ = dot(k)
-    flipped_pixels, flipped = STEPS["flip"](pixels, vehicles, np.random.default_rng(0))
+    flipped_pixels, flipped = AUGMENT_STEPS["flip"](pixels, vehicles, np.random.default_rng(0))
     partner = keypoints.FLIP[k]
     assert flipped.keypoints[0, partner, :2] == pytest.approx(middle(flipped_pixels))
     assert flipped.keypoints[0, partner, 2] == 2
@@ -42,7 +42,7 @@ def test_a_flip_moves_pixel_and_keypoint_together(k: int) -> None:
     rows, cols = np.nonzero(flipped_pixels[..., 0])
     assert flipped.boxes_xyxy[0].tolist() == [cols.min(), rows.min(), cols.max() + 1, rows.max() + 1]
     assert flipped.ignored_xyxy[0].tolist() == [cols.min() - 1, rows.min() + 1, cols.max(), rows.max() + 2]
-    back_pixels, back = STEPS["flip"](flipped_pixels, flipped, np.random.default_rng(0))
+    back_pixels, back = AUGMENT_STEPS["flip"](flipped_pixels, flipped, np.random.default_rng(0))
     assert np.array_equal(back_pixels, pixels)
     assert np.array_equal(back.keypoints, vehicles.keypoints)
     assert np.array_equal(back.boxes_xyxy, vehicles.boxes_xyxy)
@@ -53,7 +53,7 @@ def test_a_crop_moves_pixel_and_keypoint_together(k: int) -> None:
     stayed = left = 0
     for seed in range(24):
         pixels, vehicles, _ = dot(k)
-        moved_pixels, moved = STEPS["crop"](pixels, vehicles, np.random.default_rng(seed))
+        moved_pixels, moved = AUGMENT_STEPS["crop"](pixels, vehicles, np.random.default_rng(seed))
         assert moved_pixels.shape == pixels.shape
         inside = moved.keypoints[:, k, 2] == 2
         if not inside.any():
@@ -72,12 +72,12 @@ def test_a_crop_moves_pixel_and_keypoint_together(k: int) -> None:
     assert stayed > 2, (stayed, left)
 
 
-@pytest.mark.parametrize("name", [name for name in STEPS if name not in ("flip", "crop", "occluders")])
+@pytest.mark.parametrize("name", [name for name in AUGMENT_STEPS if name not in ("flip", "crop", "occluders")])
 def test_the_others_leave_pixels_where_they_are(name: str) -> None:
     for k in range(keypoints.K):
         pixels, vehicles, (col, row) = dot(k)
         for seed in range(3):
-            changed, same = STEPS[name](pixels, vehicles, np.random.default_rng((seed, k)))
+            changed, same = AUGMENT_STEPS[name](pixels, vehicles, np.random.default_rng((seed, k)))
             assert same is vehicles
             assert (changed.shape, changed.dtype) == (pixels.shape, np.uint8)
             around = changed[row - 8 : row + 9, col - 8 : col + 9].astype(float).mean(axis=2)
@@ -96,7 +96,7 @@ def test_every_step_changes_a_real_looking_image_and_repeats() -> None:
     pixels = np.clip(rough + rng.normal(0, 6, rough.shape), 0, 255).astype(np.uint8)
     eight = np.array([[10.0 * i, 20, 10 * i + 40, 50] for i in range(8)])  # of which a few get an occluder
     vehicles = Vehicles(eight, np.zeros((8, keypoints.K, 3)), NO_BOXES)
-    for name in STEPS:
+    for name in AUGMENT_STEPS:
         once = Augment(**{"flip": 0.0, name: 1.0})
         one, _ = once.apply(pixels, vehicles, np.random.default_rng(8))
         two, _ = once.apply(pixels, vehicles, np.random.default_rng(8))
@@ -116,7 +116,7 @@ def test_parts_of_an_image_have_all_scales_and_often_cut_vehicles(monkeypatch: p
         monkeypatch.setattr(augment, "_CUTTING", share)
         scales = []
         for seed in range(400):
-            _, moved = STEPS["crop"](pixels, vehicles, np.random.default_rng(seed))
+            _, moved = AUGMENT_STEPS["crop"](pixels, vehicles, np.random.default_rng(seed))
             for x0, y0, x1, y1 in [*moved.boxes_xyxy, *moved.ignored_xyxy]:
                 if x0 > 0 and y0 > 0 and x1 < WIDTH and y1 < HEIGHT:
                     scales.append((x1 - x0) / 12)
@@ -134,8 +134,8 @@ def test_around_a_reduced_image_nothing_can_be_made_out() -> None:
     marked = Vehicles(np.array([[0.0, 0, 300, 200]]), np.zeros((1, keypoints.K, 3)), NO_BOXES)
     reduced = 0
     for seed in range(30):
-        moved, _ = STEPS["crop"](pixels, none, np.random.default_rng(seed))
-        _, where = STEPS["crop"](pixels, marked, np.random.default_rng(seed))
+        moved, _ = AUGMENT_STEPS["crop"](pixels, none, np.random.default_rng(seed))
+        _, where = AUGMENT_STEPS["crop"](pixels, marked, np.random.default_rng(seed))
         x0, y0, x1, y1 = np.rint(where.boxes_xyxy[0]).astype(int)
         if (x1 - x0) * (y1 - y0) > 0.5 * 200 * 300:
             continue
@@ -150,7 +150,7 @@ def test_spectrum_keeps_what_is_shown() -> None:
     pixels = rng.integers(40, 200, (9, 12, 3), dtype=np.uint8).repeat(10, axis=0).repeat(10, axis=1)
     none = Vehicles(NO_BOXES, np.zeros((0, keypoints.K, 3)), NO_BOXES)
     for seed in range(10):
-        changed, _ = STEPS["spectrum"](pixels, none, np.random.default_rng(seed))
+        changed, _ = AUGMENT_STEPS["spectrum"](pixels, none, np.random.default_rng(seed))
         assert np.abs(changed.mean(axis=(0, 1)) - pixels.mean(axis=(0, 1))).max() < 3
         assert np.corrcoef(changed.ravel(), pixels.ravel())[0, 1] > 0.5
         assert (np.abs(changed.astype(int) - pixels) > 4).mean() > 0.2
@@ -160,7 +160,7 @@ def test_clean_images_are_moved_and_nothing_more() -> None:
     pixels = np.zeros((40, 60, 3), np.uint8)
     pixels[:, :30] = 200
     none = Vehicles(NO_BOXES, np.zeros((0, keypoints.K, 3)), NO_BOXES)
-    often = dict.fromkeys(STEPS, 1.0) | {"crop": 0.0}
+    often = dict.fromkeys(AUGMENT_STEPS, 1.0) | {"crop": 0.0}
     for seed in range(4):
         clean, _ = Augment(**often, clean=1.0).apply(pixels, none, np.random.default_rng(seed))
         assert np.array_equal(clean, pixels[:, ::-1])
@@ -170,7 +170,7 @@ def test_clean_images_are_moved_and_nothing_more() -> None:
 
 def test_infrared_is_grey() -> None:
     pixels = np.random.default_rng(0).integers(0, 256, (20, 30, 3), dtype=np.uint8)
-    grey, _ = STEPS["infrared"](
+    grey, _ = AUGMENT_STEPS["infrared"](
         pixels, Vehicles(NO_BOXES, np.zeros((0, keypoints.K, 3)), NO_BOXES), np.random.default_rng(1)
     )
     assert (grey == grey[..., :1]).all()
@@ -184,7 +184,7 @@ def test_what_an_occluder_covers_is_hidden(k: int) -> None:
         points = np.zeros((1, keypoints.K, 3))
         points[0, k] = [55 + k / 4, 45.5, 2]
         vehicles = Vehicles(np.array([[40.0, 30, 80, 62]]), points, NO_BOXES)
-        covered_pixels, covered = STEPS["occluders"](pixels, vehicles, np.random.default_rng((seed, k)))
+        covered_pixels, covered = AUGMENT_STEPS["occluders"](pixels, vehicles, np.random.default_rng((seed, k)))
         x, y, v = covered.keypoints[0, k]
         assert [x, y] == points[0, k, :2].tolist()
         under = bool(covered_pixels[int(y), int(x)].any())

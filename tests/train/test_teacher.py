@@ -49,9 +49,9 @@ def test_a_teacher_that_counts_nothing_changes_nothing() -> None:
     student = drawn(NARROW, 1)
     without, beside = (taught(student, one) for one in (None, teacher_of(drawn(CONFIG, 2), **nothing)))
     assert without.keys() == set(step.LOSSES)
-    assert beside.keys() == {*step.LOSSES, *teacher.LOSSES}
+    assert beside.keys() == {*step.LOSSES, *teacher.TEACHER_LOSSES}
     assert all(torch.equal(beside[name], loss) for name, loss in without.items())
-    assert all(beside[name] == 0 for name in teacher.LOSSES)
+    assert all(beside[name] == 0 for name in teacher.TEACHER_LOSSES)
     assert Teacher.load(TeacherRules(checkpoint="no such file", **nothing), NARROW, torch.device("cpu")) is None
     assert Teacher.load(TeacherRules(), NARROW, torch.device("cpu")) is None
 
@@ -60,7 +60,7 @@ def test_nothing_is_learnt_from_oneself() -> None:
     student = drawn(CONFIG, 1)
     with torch.no_grad():
         itself, other = (taught(student, teacher_of(drawn(CONFIG, seed))) for seed in (1, 2))
-    for name in teacher.LOSSES:
+    for name in teacher.TEACHER_LOSSES:
         assert abs(float(itself[name])) < 1e-3 * float(other[name]), name
 
 
@@ -78,7 +78,7 @@ def test_heat_maps_that_calibration_has_flattened_are_sharpened() -> None:
 def test_the_student_comes_nearer_and_the_teacher_stays() -> None:
     student, lessons = drawn(NARROW, 1), teacher_of(drawn(CONFIG, 2), temperature=2.0)
     before = [one.clone() for one in lessons.model.state_dict().values()]
-    for name in teacher.LOSSES:
+    for name in teacher.TEACHER_LOSSES:
         student.zero_grad()
         taught(student, lessons)[name].backward()  # type: ignore[no-untyped-call]
         assert float(student.backbone.body.conv1.weight.grad.abs().max()) > 0, name
@@ -89,7 +89,7 @@ def test_the_student_comes_nearer_and_the_teacher_stays() -> None:
     for _ in range(4):
         sgd.zero_grad()
         losses = taught(student, lessons)
-        total = sum(losses[name] for name in teacher.LOSSES)
+        total = sum(losses[name] for name in teacher.TEACHER_LOSSES)
         total.backward()
         sgd.step()
         sums.append(float(total.detach()))
@@ -137,6 +137,6 @@ def test_a_run_with_a_teacher(tmp_path: Path) -> None:
     assert f"learns from {run} beside the labels" in done.output
     assert "has learnt keypoints of edition 1, the data holds edition 2" in done.output
     (row,) = (json.loads(line) for line in (tmp_path / "out" / "metrics.jsonl").read_text().splitlines())
-    names = (*step.LOSSES, *teacher.LOSSES)
+    names = (*step.LOSSES, *teacher.TEACHER_LOSSES)
     assert all(row[name] > 0 for name in names)
     assert row["loss"] == pytest.approx(sum(row[name] for name in names), rel=1e-5)

@@ -17,8 +17,8 @@ from skope.metrics.split_scores import SplitScores, measure
 from skope.schema import Result
 from skope.viewer import vehicle_filters
 from skope.viewer.collection import Collection, ShownSplit
-from skope.viewer.documents import STEPS, Documents
-from skope.viewer.vehicle_filters import HEIGHT, OCCLUSION, QUALITIES, TYPE, kind_number
+from skope.viewer.documents import SCORE_STEPS, Documents
+from skope.viewer.vehicle_filters import HEIGHT_QUALITY, OCCLUSION, QUALITIES, TYPE, kind_number
 from tests.samples import make_annotation, make_dataset
 from tests.viewer.conftest import HOSTILE
 
@@ -79,7 +79,11 @@ def test_bands_are_those_of_the_breakdown(height: float, occlusion: float, bands
     vehicle = replace(make_annotation(1, 1, (0, 0, 9, height)), occlusion=occlusion)
     for boxes in ("full", "visible"):
         assert values_of(kind_number(vehicle, boxes))[1:] == bands[::-1]
-    assert [quality["name"] for quality in vehicle_filters.described()] == [TYPE.name, OCCLUSION.name, HEIGHT.name]
+    assert [quality["name"] for quality in vehicle_filters.described()] == [
+        TYPE.name,
+        OCCLUSION.name,
+        HEIGHT_QUALITY.name,
+    ]
 
 
 def test_images_of_several_splits_are_numbered_through(labelled: Collection, tmp_path: Path) -> None:
@@ -149,7 +153,7 @@ def measured(collection: Collection, score: float) -> SplitScores:
 def test_counts_are_those_of_the_metrics_at_every_threshold(predicted: Collection, step: int) -> None:
     documents = Documents(predicted)
     scores = documents.scores(step)
-    expected = measured(predicted, step / STEPS).entry
+    expected = measured(predicted, step / SCORE_STEPS).entry
     assert sum(scores["detections"]) == expected["detections"]
     assert sum(scores["false"]) == expected["failures"]["0.6"]["false"]
     assert sum(map(len, scores["missed"])) == expected["failures"]["0.6"]["missed"]
@@ -192,11 +196,11 @@ def test_browser_and_server_agree_on_what_lies_above_a_threshold(predicted: Coll
     found = Result(image_id=1, score=score, bbox=np.array([0.0, 0, 9, 9]), keypoints=np.zeros((K, 3)))
     documents = Documents(replace(predicted, splits=(replace(split, results=(found,)),)))
     drawn = documents.details(0)["detections"]
-    for step in range(STEPS):
+    for step in range(SCORE_STEPS):
         above = [one for one in drawn if one["step"] > step]
-        assert len(above) == (score > step / STEPS)
+        assert len(above) == (score > step / SCORE_STEPS)
     for step in (0, 69, 70, 71, 290, 500, 900, 999):
-        assert documents.scores(step)["detections"][0] == (score > step / STEPS)
+        assert documents.scores(step)["detections"][0] == (score > step / SCORE_STEPS)
 
 
 def test_footage_has_detections_and_nothing_is_false(predicted: Collection) -> None:

@@ -15,7 +15,7 @@ from skope.terminal.command_options import Commands
 app = Commands(help="Measure a detector: PCK, precision and recall over IoU 0.6 to 0.9, COCO AP.")
 app.callback(invoke_without_command=True)(evaluate_or_score)
 app.command(name="compare")(compare_runs)
-app.command(name="calibrate")(calibrate_scores)
+app.command(name="calibrate-scores")(calibrate_scores)
 app.command(name="predict")(predict)
 app.command(name="pose")(pose)
 app.command(name="track")(track)

@@ -1,4 +1,4 @@
-"""`skope eval calibrate`: scores that are probabilities."""
+"""`skope eval calibrate-scores`: scores that are probabilities."""
 
 from pathlib import Path
 from typing import Annotated

@@ -8,7 +8,7 @@ from skope.errors import UserError
 from skope.eval.cli.checks import check_pixels, check_probability
 from skope.eval.cli.options import counts, data_option, output
 from skope.eval.cli.scene_options import KeypointOptions, NoiseOption, ScoreOption, SigmaOption
-from skope.terminal.command_options import CAMERA_FILE, FILE, SIZE, Formerly, panel
+from skope.terminal.command_options import CAMERA_FILE, FILE, SIZE, panel
 from skope.terminal.console import Console
 
 turned = panel("A camera that was turned")
@@ -29,7 +29,7 @@ def find_camera(
         str | None,
         data_option(metavar=SIZE, help="Size of the image that --points were marked in; a site.toml may say it."),
     ] = None,
-    max_vehicles: Annotated[int, counts(least=5, help="Use at most so many vehicles."), Formerly("--vehicles")] = 40,
+    max_vehicles: Annotated[int, counts(least=5, help="Use at most so many vehicles.")] = 40,
     height: Annotated[
         float | None, data_option(help="The camera's height over the road, metres, if that is known.")
     ] = None,
@@ -61,10 +61,7 @@ def find_camera(
     ] = None,
     out: Annotated[Path, output(metavar=FILE, help="Camera file to write.")] = CAMERA_FILE,
 ) -> None:
-    """Find a camera's focal length, height and tilt from vehicles on a level road, or all of it from marked points.
-
-    (`skope eval calibrate` is about a detector's keypoint scores.)
-    """
+    """Calibrate a camera: focal length, height and tilt from vehicles on a level road, or all from marked points."""
     from skope.eval.pose.camera_from_marks import camera_from_marks
     from skope.eval.pose.write_camera import from_vehicles, known_length
 

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from skope.eval.cli.options import PROTOCOLS
+from skope.eval.cli.options import PROTOCOL_CHOICES
 from skope.terminal.command_options import FILE, option
 from skope.terminal.console import Console
 
@@ -15,7 +15,7 @@ def compare_runs(
         list[Path], typer.Argument(metavar="FOLDER", help="Folders that `skope eval` wrote (its --out).")
     ],
     console: Console,
-    protocol: Annotated[str, option(choices=PROTOCOLS, help="What the table shows.")] = "pooled",
+    protocol: Annotated[str, option(choices=PROTOCOL_CHOICES, help="What the table shows.")] = "pooled",
     out: Annotated[Path | None, option(metavar=FILE, help="Also write everything to this JSON file.")] = None,
 ) -> None:
     """Put evaluations side by side, with paired intervals of their differences from the first."""

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 from skope import keypoints
 from skope.detector import weights
 from skope.errors import UserError
-from skope.eval.cli.options import PAPER, PROTOCOLS, MachineOptions, counts, data_option, machine, output
+from skope.eval.cli.options import PAPER, PROTOCOL_CHOICES, MachineOptions, counts, data_option, machine, output
 from skope.terminal.command_options import DATA, DIR, FILE, LIST, RUN, separated
 from skope.terminal.console import Console
 
@@ -81,7 +81,7 @@ def evaluate_or_score(
     protocol: Annotated[
         str | None,
         output(
-            choices=PROTOCOLS,
+            choices=PROTOCOL_CHOICES,
             help="What the table shows.",
             show_default="pooled, or paper beside the paper's rows",
         ),

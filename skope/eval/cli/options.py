@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 data_option, counts, output, machine = map(panel, ("Data", "What counts", "Output", "Machine"))
 
 PAPER = "paper"
-PROTOCOLS = ("pooled", PAPER)
+PROTOCOL_CHOICES = ("pooled", PAPER)
 """How figures of images become one: sums over the split, or the mean of each image's as in the paper."""
 
 BackendOption = Annotated[
@@ -32,7 +32,7 @@ PrecisionOption = Annotated[
 
 @dataclass(frozen=True, kw_only=True)
 class MachineOptions:
-    """How a checkpoint is run on this machine."""
+    """Options on how a checkpoint is run on this machine."""
 
     device: Annotated[str, machine(metavar="[auto|cpu|cuda|cuda:N]", help="Where to compute.")] = "auto"
     backend: BackendOption = "torch"

@@ -41,7 +41,7 @@ SigmaOption = Annotated[
 
 @dataclass(frozen=True, kw_only=True)
 class KeypointOptions:
-    """Where the keypoints of vehicles come from: a folder of predictions, or files."""
+    """Options on the source of vehicles' keypoints: a folder of predictions, or files."""
 
     folder: Annotated[Path | None, typer.Argument(metavar="FOLDER", help="Folder that `skope eval predict` wrote.")] = (
         None

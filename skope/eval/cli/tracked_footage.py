@@ -13,7 +13,7 @@ from skope.terminal.console import Console
 if TYPE_CHECKING:
     from skope.site.site_file import SiteFile
 
-_CAMERA: Final = "camera.json"
+_CAMERA_NAME: Final = "camera.json"
 _SEEN: Final = "seen"
 TRACKS: Final = "tracks"
 """The folder of tracks below the output."""
@@ -77,15 +77,15 @@ def tracked_footage(
     if (tracks / FOOTAGE).is_file() and not list(tracks.glob(".*")):
         console.say(f"{tracks}: has the tracks of {footage.name}")
         return tracks
-    for line in write_camera(out / _CAMERA, site.camera.camera, besides):
+    for line in write_camera(out / _CAMERA_NAME, site.camera.camera, besides):
         console.say(line)
     job = PredictJob(
         footage=footage,
         checkpoint=checkpoint,
         out=out / _SEEN,
         settings=hardware.settings(tiles="none"),
-        camera=read_camera(out / _CAMERA)[0],
-        camera_info=camera_info(out / _CAMERA),
+        camera=read_camera(out / _CAMERA_NAME)[0],
+        camera_info=camera_info(out / _CAMERA_NAME),
     )
     for path in predict(job, console):
         console.say(f"wrote {path}")

@@ -5,15 +5,12 @@ from typing import Final
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from skope.keypoints import INDEX
 from skope.schema import Result, RoadUserResult
-from skope.types import Array
+from skope.types import Array, Pixels
 
-Pixels = NDArray[np.uint8]
-
-_PARTS: Final = tuple(
+_BLURRED_PARTS: Final = tuple(
     tuple(INDEX[name] for name in names)
     for names in (
         ("roof_front_right", "roof_front_left", "windscreen_base_left", "windscreen_base_right"),
@@ -25,7 +22,7 @@ _PARTS: Final = tuple(
     )
 )
 """Windscreen, rear window, side windows, and the lower middle of either end, where plates are."""
-_CELLS: Final = 8
+_BLUR_CELLS: Final = 8
 """A plate is about a quarter of a vehicle's width: nothing smaller than an eighth survives."""
 _UPPER: Final = 0.4
 """Share of the box of somebody on foot or on two wheels that holds the head, whatever the posture."""
@@ -34,9 +31,12 @@ _CELLS_OF_HEADS: Final = 3
 
 
 def blurred(image: Pixels, found: Iterable[Result], road_users: Iterable[RoadUserResult] = ()) -> Pixels:
-    """A copy of (H, W, 3) `image` with the glass and plates of `found` averaged away, hidden sides' too.
+    """A copy of an image without glass, plates and heads, which are averaged away.
 
-    Of `road_users` it is the upper part of the box, where the head is.
+    Args:
+        image: (H, W, 3) RGB.
+        found: Vehicles, of which glass and plates go, hidden sides' too.
+        road_users: People on foot and on two wheels, of whom the upper part of the box goes, where the head is.
     """
     out = image.copy()
     for user in road_users:
@@ -48,10 +48,10 @@ def blurred(image: Pixels, found: Iterable[Result], road_users: Iterable[RoadUse
         if not patch.size:
             continue
         mask = np.zeros(patch.shape[:2], dtype=np.uint8)
-        for part in _PARTS:
+        for part in _BLURRED_PARTS:
             corners = np.clip(result.keypoints[list(part), :2] - [x0, y0], -1e4, 1e4)
             cv2.fillConvexPoly(mask, cv2.convexHull(np.rint(corners).astype(np.int32)), 1)
-        patch[mask > 0] = _averaged(patch, _CELLS)[mask > 0]
+        patch[mask > 0] = _averaged(patch, _BLUR_CELLS)[mask > 0]
     return out
 
 

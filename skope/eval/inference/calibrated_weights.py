@@ -22,23 +22,23 @@ from skope.metrics.match import match
 from skope.schema import CATEGORY_ID, AnnotationFile, Result
 from skope.types import Array
 
-LEAST: Final = 0.02
+LEAST_SCORE: Final = 0.02
 """Detections above this score are learnt from."""
-IOU: Final = 0.5
+FOUND_IOU: Final = 0.5
 """A vehicle is found by a detection whose box overlaps its own by so much."""
-_LARGEST: Final = 16.0
+_LARGEST_LOGIT_GAP: Final = 16.0
 """Largest difference of logits that a score in float32 still tells."""
 _FLATTEST: Final = 1e-3
 """Least scale: with 0 the place of a heat map's maximum would be lost, and the order of the vehicles."""
 
 
 def vehicle_outcomes(file: AnnotationFile, results: Sequence[Result]) -> tuple[Array, NDArray[np.bool_]]:
-    """Scores of detections above `LEAST` and whether each found a vehicle, (D,) each.
+    """Scores of detections above `LEAST_SCORE` and whether each found a vehicle, (D,) each.
 
     A second detection of a vehicle found none; those on ignored vehicles are left out.
     """
-    matches = match(file, results, score=LEAST, thresholds=(IOU,))
-    right = matches.taken[IOU] >= 0
+    matches = match(file, results, score=LEAST_SCORE, thresholds=(FOUND_IOU,))
+    right = matches.taken[FOUND_IOU] >= 0
     counts = right | ~matches.det_on_ignored
     return matches.det_score[counts], right[counts]
 
@@ -55,7 +55,7 @@ def calibrated(scores: Array, scale: float, offset: float) -> Array:
 
 
 def _logits(scores: Array) -> Array:
-    return np.clip(raw_maxima(scores), -_LARGEST, _LARGEST)
+    return np.clip(raw_maxima(scores), -_LARGEST_LOGIT_GAP, _LARGEST_LOGIT_GAP)
 
 
 def fold(model: KeypointRCNN, vehicles: tuple[float, float], points: ScoreCalibration) -> None:

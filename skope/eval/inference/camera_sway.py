@@ -1,4 +1,4 @@
-"""How the camera of a video sways, and when it is moved for good: each frame is held against the first one."""
+"""Sway of a video's camera, and when it is moved for good: each frame is held against the first one."""
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -7,11 +7,11 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from skope.eval.image_shift import MOVED, ImageMotion, Pixels, ReferencePicture
+from skope.eval.image_shift import MOVED_SHARE, ImageMotion, ReferencePicture
 from skope.eval.inference.view_changes import ViewChange, changes
 from skope.eval.pose.camera_motion import CameraMotion
 from skope.schema import Image
-from skope.types import Array
+from skope.types import Array, Pixels
 
 _STILL_PX: Final = 0.1
 """A camera stands still whose image moves by less, one standard deviation an axis in a picture 640 pixels wide:
@@ -21,7 +21,7 @@ _RAYLEIGH_95: Final = 2.448
 """Within so many of these standard deviations 95% of shifts lie."""
 _AROUND_S: Final = 3.0
 """Over so long before and after a move the image's mean place is compared: masts sway several times meanwhile."""
-_FEWEST: Final = 3
+_FEWEST_FRAMES: Final = 3
 """Frames that such a mean needs."""
 
 
@@ -65,7 +65,7 @@ class SwayRecord:
         return sorted([*self._moves(), *changes(looks, self._unmeasured)], key=lambda change: change.time_s)
 
     def motion(self, view_changes: Sequence[ViewChange]) -> CameraMotion | None:
-        """How the camera sways around where it is at rest in each of its views; None: it stands still."""
+        """The camera's sway around its rest in each of its views; None: it stands still."""
         part = np.searchsorted([change.time_s for change in view_changes], self.times_s, side="right")
         values = self._values
         known = np.isfinite(values[:, 0])
@@ -97,7 +97,7 @@ class SwayRecord:
     def _unmeasured(self, time_s: float) -> bool:
         """Whether too few frames tell where the image lies from a time on."""
         soon = (self.times_s >= time_s) & (self.times_s < time_s + _AROUND_S)
-        return int(np.isfinite(self._values[soon, 0]).sum()) < _FEWEST
+        return int(np.isfinite(self._values[soon, 0]).sum()) < _FEWEST_FRAMES
 
     def _moves(self) -> list[ViewChange]:
         """Where the mean place of the image, over some seconds, has moved."""
@@ -107,12 +107,12 @@ class SwayRecord:
             return []
         ends = np.searchsorted(times, times + _AROUND_S)
         # Windows that the footage cuts short say less.
-        whole = (ends - np.arange(len(times)) >= _FEWEST) & (times + _AROUND_S <= times[-1] + 1e-6)
+        whole = (ends - np.arange(len(times)) >= _FEWEST_FRAMES) & (times + _AROUND_S <= times[-1] + 1e-6)
         sums = np.concatenate([np.zeros((1, 2)), np.cumsum(places, axis=0)])
         means = (sums[ends] - sums[: len(times)]) / np.maximum(ends - np.arange(len(times)), 1)[:, None]
         out, begin = list[ViewChange](), 0
         while begin < len(times) and whole[begin]:
-            away = np.linalg.norm(means - means[begin], axis=1) > MOVED * self.width
+            away = np.linalg.norm(means - means[begin], axis=1) > MOVED_SHARE * self.width
             later = np.flatnonzero(away & whole & (np.arange(len(times)) > begin))
             if not len(later):
                 break
@@ -120,7 +120,7 @@ class SwayRecord:
             at = low + _split(places[low : np.searchsorted(times, times[later[0]] + 2 * _AROUND_S)])
             if whole[at]:
                 shift = float(np.linalg.norm(means[at] - places[low:at].mean(axis=0))) / self.width
-                if shift > MOVED:
+                if shift > MOVED_SHARE:
                     out.append(ViewChange(float(times[at]), cut=False, shift=shift))
             begin = max(at, begin + 1)
         return out
@@ -144,7 +144,8 @@ def motion_to_row(motion: ImageMotion | None) -> list[float] | None:
 
 
 def record_of_rows(rows: Iterable[dict[str, Any]], width: int) -> SwayRecord:
-    """What was measured, of rows with `image` and `motion` (by `motion_to_row`); images without times are left out."""
+    """The record of measurements, from rows with `image` and `motion` (by `motion_to_row`); images without times are
+    left out."""
     numbers, times, motions = [], [], list[ImageMotion | None]()
     for row in rows:
         if row["image"].get("time_s") is not None:

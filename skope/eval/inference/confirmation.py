@@ -1,4 +1,4 @@
-"""Which detections of a video its other frames confirm.
+"""Confirmation of a video's detections by its other frames.
 
 Boxes are linked from frame to frame (`skope.eval.box_links`). What is seen surely once or twice only is left out; of a
 vehicle that is seen surely nearly always, weak detections stay. What stands all the time is left out where it has no
@@ -12,29 +12,29 @@ from typing import Final
 import numpy as np
 
 from skope import boxes as box_math
-from skope.eval.box_links import LOST_S, BoxLinks, Integers, size_of
+from skope.eval.box_links import LOST_S, BoxLinks, size_of
 from skope.eval.inference.expected_sizes import ExpectedSizes, Sample
 from skope.schema import Found
-from skope.types import Array
+from skope.types import Array, Integers32
 
 WEAK: Final = 0.2
 """Detections above this continue a vehicle that is seen more surely in other frames."""
 
-_FEWEST: Final = 3
+_FEWEST_FRAMES: Final = 3
 """A vehicle is seen surely in so many frames, or there is none."""
 _FEWEST_KEYS: Final = 2
 """The same where the detector sees key frames only."""
 _NEARLY_ALWAYS: Final = 0.8
-"""Weak detections stay of a vehicle that is sure in more than this share of those that it has."""
-_STANDS: Final = 0.3
+"""A vehicle keeps its weak detections if more than this share of its detections are sure."""
+_STANDS_SIZES: Final = 0.3
 """What never moves by more of its size stands."""
-_DRIVES: Final = 1.0
+_DRIVES_SIZES: Final = 1.0
 """What moves by more of its size drives."""
 
 
 @dataclass(slots=True)
 class _Vehicle:
-    """What was seen of a vehicle, or of what was taken for one; sizes are square roots of boxes' areas, pixels."""
+    """Sights of one vehicle, or of what was taken for one; sizes are square roots of boxes' areas, pixels."""
 
     time_s: float = 0.0
     """Of its last frame."""
@@ -58,7 +58,7 @@ class _Vehicle:
 
     @property
     def moved(self) -> float:
-        """How far its middle has moved, in its sizes."""
+        """Way of its middle, in its sizes."""
         return float((self.highest - self.lowest).max()) / self.size
 
     def see(self, time_s: float, box: Array, *, sure: bool, interpolated: bool) -> None:
@@ -80,13 +80,13 @@ class Confirmation:
     def __init__(self, score: float, *, every: int = 1) -> None:
         """What scores above `score` is sure; the detector sees each `every`-th frame."""
         self._sure = score
-        self._fewest = _FEWEST if every == 1 else _FEWEST_KEYS
+        self._fewest = _FEWEST_FRAMES if every == 1 else _FEWEST_KEYS
         self._links = BoxLinks()
         self._vehicles: dict[int, _Vehicle] = {}
         """By number; those that were lost before they were surely seen are gone."""
         self._open: set[int] = set()
         """Numbers of those that may be seen again."""
-        self._of: list[tuple[Integers, list[bool]]] = []
+        self._of: list[tuple[Integers32, list[bool]]] = []
         """The vehicles that the detections of each frame belong to, and which of these are sure."""
 
     def add(self, time_s: float, found: Sequence[Found]) -> None:
@@ -109,14 +109,16 @@ class Confirmation:
             if self._vehicles[i].sure < self._fewest:
                 del self._vehicles[i]
 
-    def confirmed(self) -> list[Integers]:
+    def confirmed(self) -> list[Integers32]:
         """For each frame the number of each detection's vehicle, from 0; -1 for what the other frames do not confirm.
 
         Vehicles are numbered in the order in which they are first seen.
         """
         seen = {i: one for i, one in self._vehicles.items() if one.sure >= self._fewest}
-        sizes = ExpectedSizes([one.samples for one in seen.values() if one.moved > _DRIVES])
-        stay = {i for i, one in seen.items() if one.moved > _STANDS or sizes.allow((*one.samples[0][:2], one.size))}
+        sizes = ExpectedSizes([one.samples for one in seen.values() if one.moved > _DRIVES_SIZES])
+        stay = {
+            i for i, one in seen.items() if one.moved > _STANDS_SIZES or sizes.allow((*one.samples[0][:2], one.size))
+        }
         constant = {i for i in stay if seen[i].sure > _NEARLY_ALWAYS * seen[i].found}
         names = {number: name for name, number in enumerate(sorted(stay))}
         return [

@@ -1,4 +1,4 @@
-"""How large vehicles are at each place of a camera's image, told by those that drive through it."""
+"""Expected sizes of vehicles at each place of a camera's image, told by those that drive through it."""
 
 from collections.abc import Sequence
 from typing import Final
@@ -10,25 +10,25 @@ from skope.types import Array
 Sample = tuple[float, float, float]
 """Where a box stands on the road, x and y, and its size there, the square root of its area; pixels."""
 
-_FEWEST: Final = 4
+_FEWEST_DRIVERS: Final = 4
 """So many vehicles must have driven before they tell how large others are."""
 _TYPICAL: Final = 0.25
 """Relative standard deviation of vehicles' sizes at one place."""
 _SPREADS: Final = 2.0
-_KINDS: Final = 2.0
+_SIZE_FACTOR: Final = 2.0
 """A vehicle differs from the expected size by this factor at most, and by so many standard deviations of that."""
-_ROUNDS: Final = 10
+_FIT_ROUNDS: Final = 10
 
 
 class ExpectedSizes:
-    """How large vehicles are at each place of the image.
+    """Expected sizes of vehicles at each place of the image.
 
     On a plane inverse depth is affine in the image's coordinates, and so are sizes, but for the kinds of vehicles.
     """
 
     def __init__(self, vehicles: Sequence[Sequence[Sample]]) -> None:
         """`vehicles` are the samples of each vehicle that drove."""
-        self._enough = len(vehicles) >= _FEWEST
+        self._enough = len(vehicles) >= _FEWEST_DRIVERS
         if self._enough:
             samples = np.array([sample for samples in vehicles for sample in samples])
             self._parameters, self._covariance = _fitted(samples)
@@ -41,7 +41,7 @@ class ExpectedSizes:
         at = np.array([1.0, *place])
         expected = float(at @ self._parameters)
         spread = _SPREADS * float(np.sqrt(at @ self._covariance @ at))
-        return (expected - spread) / _KINDS < size < (expected + spread) * _KINDS
+        return (expected - spread) / _SIZE_FACTOR < size < (expected + spread) * _SIZE_FACTOR
 
 
 def _fitted(samples: Array) -> tuple[Array, Array]:
@@ -51,7 +51,7 @@ def _fitted(samples: Array) -> tuple[Array, Array]:
     """
     design = np.column_stack([np.ones(len(samples)), samples[:, :2]]) / samples[:, 2:]
     weights = np.ones(len(samples))
-    for _ in range(_ROUNDS):
+    for _ in range(_FIT_ROUNDS):
         normal = design.T @ (design * weights[:, None])
         parameters = np.linalg.lstsq(normal, design.T @ weights, rcond=None)[0]
         errors = np.abs(design @ parameters - 1)

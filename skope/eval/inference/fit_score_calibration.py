@@ -1,4 +1,4 @@
-"""`skope eval calibrate`: run a checkpoint on what it has not learnt from, and fit its scores to the truth."""
+"""`skope eval calibrate-scores`: run a checkpoint on what it has not learnt from, and fit its scores to the truth."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -13,8 +13,8 @@ from skope.detector.checkpoint import checkpoint_bytes, find_checkpoint, load_we
 from skope.detector.weights import shipped
 from skope.errors import UserError
 from skope.eval.inference import calibrated_weights, score_calibration
-from skope.eval.inference.predictor import CALIBRATED, Predictor
-from skope.eval.inference.score_calibration import ALPHA, IOU
+from skope.eval.inference.predictor import CALIBRATED_KEY, Predictor
+from skope.eval.inference.score_calibration import ALPHA, CALIBRATION_IOU
 from skope.eval.inference.settings import Settings
 from skope.files.output_folders import check_file, work_of, write_new
 from skope.metrics import read_inputs, score_reliability
@@ -24,12 +24,12 @@ from skope.schema import AnnotationFile
 from skope.terminal.console import Console
 from skope.types import Array
 
-TRAIN: Final = "train"
+TRAIN_SPLIT: Final = "train"
 
 
 @dataclass(frozen=True, kw_only=True)
 class CalibrationJob:
-    """Which checkpoint to calibrate, on which data."""
+    """A calibration of scores: checkpoint and data."""
 
     checkpoint: Path
     data: Path
@@ -55,8 +55,8 @@ def calibrate(job: CalibrationJob, console: Console) -> Path:
         check_file(job.out, lambda head: head[8:9] == b"{")
     elif shipped(weights):
         raise UserError(f"--checkpoint {job.checkpoint}: comes with skope; copy {weights} and calibrate the copy")
-    least = job.score if job.out is None else min(job.score, calibrated_weights.LEAST)
-    predictor = Predictor(weights, replace(job.settings, calibrated=False, min_score=least), console)
+    least = job.score if job.out is None else min(job.score, calibrated_weights.LEAST_SCORE)
+    predictor = Predictor.load(weights, replace(job.settings, calibrated=False, min_score=least), console)
     truth = read_inputs.read_dataset(job.data, [job.split])
     predictor.check_scheme(truth.scheme, job.data)
     share = _share(job, predictor.metadata)
@@ -68,8 +68,8 @@ def calibrate(job: CalibrationJob, console: Console) -> Path:
         raise UserError(f"{job.data}: split {job.split}: the last {share:g} of its recordings is less than one image")
     results = predictor.split(file, truth.root)
 
-    matches = match(file, results, score=job.score, thresholds=(IOU,))
-    outcomes = outcomes_at(matches, IOU, Options(alpha=ALPHA, iou=(IOU,)))
+    matches = match(file, results, score=job.score, thresholds=(CALIBRATION_IOU,))
+    outcomes = outcomes_at(matches, CALIBRATION_IOU, Options(alpha=ALPHA, iou=(CALIBRATION_IOU,)))
     points = matches.det_keypoints[outcomes.detection[outcomes.found]]
     right = outcomes.correct(ALPHA)[outcomes.found]
     if not len(matches.gt_image):
@@ -86,7 +86,7 @@ def calibrate(job: CalibrationJob, console: Console) -> Path:
         "images": len(file.images),
         "vehicles": len(points),
         "alpha": ALPHA,
-        "iou": IOU,
+        "iou": CALIBRATION_IOU,
         "score": job.score,
     }
     fitted = score_calibration.fit(score_calibration.raw_maxima(points[..., 2]), right, fitted_on)
@@ -101,7 +101,7 @@ def calibrate(job: CalibrationJob, console: Console) -> Path:
     _tell("vehicles", scores, calibrated_weights.calibrated(scores, *vehicles), hits, console)
     model, config, metadata = load_weights(weights, "cpu")
     calibrated_weights.fold(model, vehicles, fitted)
-    content = checkpoint_bytes(model, config, {**metadata, CALIBRATED: fitted_on})
+    content = checkpoint_bytes(model, config, {**metadata, CALIBRATED_KEY: fitted_on})
     write_new(job.out, content)
     return job.out
 
@@ -121,6 +121,7 @@ def _work(job: CalibrationJob, files: Sequence[Path], share: float) -> dict[str,
     """What identifies the calibration in `work.json`: checkpoint, data and options."""
     options = {"split": job.split, "last": share, "score": job.score, "max_images": job.max_images}
     settings = {name: getattr(job.settings, name) for name in ("backend", "precision", "min_size")}
+    # The command was called so when the first calibrations were written, which stay valid.
     return work_of("skope eval calibrate", files, {**options, **settings})
 
 
@@ -130,7 +131,7 @@ def _share(job: CalibrationJob, metadata: dict[str, Any]) -> float:
         if not 0 < job.last <= 1:
             raise UserError(f"--last: expected a share above 0 and up to 1, got {job.last}")
         return job.last
-    if job.split != TRAIN:
+    if job.split != TRAIN_SPLIT:
         return 1.0
     recipe = metadata.get("run", {}).get("recipe", {})
     kept = recipe.get("val_fraction")
@@ -144,6 +145,6 @@ def _share(job: CalibrationJob, metadata: dict[str, Any]) -> float:
 
 def _taken(job: CalibrationJob, file: AnnotationFile, share: float) -> AnnotationFile:
     """What the scores are fitted to: nothing that was learnt from, unless `--last` asks for it."""
-    if job.last is not None or job.split != TRAIN:
+    if job.last is not None or job.split != TRAIN_SPLIT:
         return last_frames(file, share)
     return ignoring(*held_back(file, share))

@@ -22,14 +22,13 @@ from skope.errors import UserError
 from skope.eval.inference import stream
 from skope.files import safe_names
 from skope.schema import Image
+from skope.types import Pixels
 
-Pixels = NDArray[np.uint8]
-
-IMAGES: Final = (".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp", ".ppm", ".pgm")
-_GLOB: Final = frozenset("*?[")
+IMAGE_SUFFIXES: Final = (".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp", ".ppm", ".pgm")
+_GLOB_CHARS: Final = frozenset("*?[")
 _SAME_S: Final = 5e-4
 """Times that differ by less are the same: containers count in thousandths of a second, or finer."""
-_FAR: Final = 50
+SEEK_FRAMES: Final = 50
 """So many frames are as soon decoded as jumped over."""
 
 
@@ -39,7 +38,7 @@ FOUND_AT: Final = "found_at"
 
 @dataclass(frozen=True, kw_only=True)
 class Cut:
-    """Which frames of a source are wanted."""
+    """The part of a source that is wanted."""
 
     every: int = 1
     """Every so many-th frame is taken."""
@@ -106,7 +105,7 @@ class Footage:
         return self.clip is not None and self.clip.live
 
     def __len__(self) -> int:
-        """How many frames there are, as far as the file says; 0: unknown."""
+        """Number of frames, as far as the file says; 0: unknown."""
         if self.clip is None:
             return len(self.images[:: self.cut.every])
         if self.clip.times_s:
@@ -241,12 +240,12 @@ def open_footage(source: str, cut: Cut | None = None) -> Footage:
 def _on_this_machine(source: str, cut: Cut) -> Footage:
     path = Path(source)
     if path.is_dir():
-        images = (p for p in path.iterdir() if p.suffix.lower() in IMAGES and not p.name.startswith("."))
+        images = (p for p in path.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES and not p.name.startswith("."))
         found = sorted(images, key=safe_names.counting_order)
         if not found:
-            raise UserError(f"{source}: no images in it ({', '.join(IMAGES)})")
+            raise UserError(f"{source}: no images in it ({', '.join(IMAGE_SUFFIXES)})")
         return Footage(path.name, cut, images=tuple(found))
-    if not path.exists() and _GLOB & set(source):
+    if not path.exists() and _GLOB_CHARS & set(source):
         matches = map(Path, glob.glob(source, recursive=True))  # noqa: PTH207 (absolute patterns too)
         found = sorted(matches, key=safe_names.counting_order)
         if not found:
@@ -254,7 +253,7 @@ def _on_this_machine(source: str, cut: Cut) -> Footage:
         return Footage("images", cut, images=tuple(found))
     if not path.is_file():
         raise UserError(f"{source}: no such file or folder")
-    if path.suffix.lower() in IMAGES:
+    if path.suffix.lower() in IMAGE_SUFFIXES:
         return Footage(path.stem, cut, images=(path,))
     return Footage(path.stem, cut, clip=_open_clip(source))
 
@@ -291,7 +290,7 @@ def _decoded(clip: Clip, first: int) -> Generator[tuple[int, Callable[[], NDArra
     """Numbers of the frames of a file from `first` on or somewhat before, each with what gives its pixels."""
     with _opened(clip.address) as capture:
         at = -1
-        if first >= _FAR and capture.set(cv2.CAP_PROP_POS_FRAMES, first):
+        if first >= SEEK_FRAMES and capture.set(cv2.CAP_PROP_POS_FRAMES, first):
             at = _number(clip, capture) if capture.grab() else len(clip.times_s)
             if at > first:  # where frames last differently long, the decoder can only guess
                 capture.release()

@@ -17,36 +17,32 @@ from typing import Any, Final, TypeAlias
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from skope import boxes as box_math
-from skope.detections import AnyResult
 from skope.eval.assignment import cheapest_pairs
-from skope.schema import Image, Result
-from skope.types import Array
+from skope.schema import AnyResult, Image, Result
+from skope.types import Array, Floats32, Pixels
 
-Pixels = NDArray[np.uint8]
-Points = NDArray[np.float32]
 Frame = tuple[Image, Pixels]
 
 INTERVAL_S: Final = 0.5
 """Key frames are so far apart, seconds."""
 
 _WINDOW: Final = (15, 15)
-_LEVELS: Final = 4
+_PYRAMID_LEVELS: Final = 4
 _RETURN_PX: Final = 0.5
 """A point that is followed to the next frame and back has to come out so near to where it began."""
-_ACROSS: Final = (0.2, 0.4, 0.6, 0.8)
+_GRID_SHARES: Final = (0.2, 0.4, 0.6, 0.8)
 """Beside the keypoints a grid of points is followed: shares of the box's edges."""
 _BODY: Final = (0.35, 0.5, 0.65)
 """Of people on foot and on two wheels only these shares of the width: beside them the road shows."""
-_FEWEST: Final = 4
+_FEWEST_POINTS: Final = 4
 """A vehicle is lost where fewer of its points can be followed."""
-_ASIDE: Final = 0.02
+_ASIDE_SHARE: Final = 0.02
 """Points move with their vehicle that are so near to where it takes them, as a share of its size, a pixel at least."""
 _GROWTH: Final = 1.25
 """From frame to frame a vehicle grows or shrinks by no more than this factor."""
-_OVERLAP: Final = 0.3
+_SAME_IOU: Final = 0.3
 """IoU from which a vehicle that was followed to the other key frame is the one that is found there."""
 _SMALLEST_PX: Final = 4.0
 """Boxes with a shorter edge inside the image are left out."""
@@ -119,7 +115,7 @@ def _between(
 
 @dataclass(frozen=True)
 class _Place:
-    """Where a vehicle is in a frame."""
+    """Place of a vehicle in a frame."""
 
     box: Array
     """(4,) x0, y0, x1, y1, pixels."""
@@ -181,36 +177,36 @@ def _followed(grey: Sequence[Pixels], vehicles: Sequence[AnyResult]) -> list[Way
     return ways
 
 
-def _points(vehicle: AnyResult) -> Points:
+def _points(vehicle: AnyResult) -> Floats32:
     """(P, 2) points of a vehicle to follow: its keypoints inside the box, and a grid."""
     at = _keypoints(vehicle)[:, :2]
     low, high = vehicle.bbox[:2], vehicle.bbox[:2] + vehicle.bbox[2:]
     inside = ((at > low) & (at < high)).all(axis=1)
-    across = _ACROSS if isinstance(vehicle, Result) else _BODY
-    grid = low + np.stack(np.meshgrid(across, _ACROSS), axis=-1).reshape(-1, 2) * vehicle.bbox[2:]
+    across = _GRID_SHARES if isinstance(vehicle, Result) else _BODY
+    grid = low + np.stack(np.meshgrid(across, _GRID_SHARES), axis=-1).reshape(-1, 2) * vehicle.bbox[2:]
     return np.concatenate([at[inside], grid]).astype(np.float32)
 
 
-def _flow(before: Pixels, after: Pixels, points: Points) -> Points:
+def _flow(before: Pixels, after: Pixels, points: Floats32) -> Floats32:
     """(P, 2) where points of a frame are in the next one; NaN where they cannot be followed there and back."""
     if not len(points):
         return points
     follow: Any = cv2.calcOpticalFlowPyrLK  # its types ask for an array to write to
-    there, found, _ = follow(before, after, points[:, None], None, winSize=_WINDOW, maxLevel=_LEVELS)
-    again, found_again, _ = follow(after, before, there, None, winSize=_WINDOW, maxLevel=_LEVELS)
+    there, found, _ = follow(before, after, points[:, None], None, winSize=_WINDOW, maxLevel=_PYRAMID_LEVELS)
+    again, found_again, _ = follow(after, before, there, None, winSize=_WINDOW, maxLevel=_PYRAMID_LEVELS)
     away = np.linalg.norm(again[:, 0] - points, axis=1)
     good = (found[:, 0] > 0) & (found_again[:, 0] > 0) & (away < _RETURN_PX)
     return np.where(good[:, None], there[:, 0], np.float32(np.nan))
 
 
-def _step(place: _Place | None, old: Points, new: Points) -> _Place | None:
+def _step(place: _Place | None, old: Floats32, new: Floats32) -> _Place | None:
     """A vehicle moved as most of its points are; None where they are too few."""
-    if place is None or len(old) < _FEWEST:
+    if place is None or len(old) < _FEWEST_POINTS:
         return None
-    aside = max(1.0, _ASIDE * float(np.ptp(old, axis=0).max()))
+    aside = max(1.0, _ASIDE_SHARE * float(np.ptp(old, axis=0).max()))
     motion: Any
     motion, agreeing = cv2.estimateAffinePartial2D(old, new, method=cv2.RANSAC, ransacReprojThreshold=aside)
-    return place.moved(motion) if motion is not None and agreeing.sum() >= _FEWEST else None
+    return place.moved(motion) if motion is not None and agreeing.sum() >= _FEWEST_POINTS else None
 
 
 def _same(first: Sequence[AnyResult], ahead: Sequence[Way], last: Sequence[AnyResult]) -> list[tuple[int, int]]:
@@ -223,7 +219,7 @@ def _same(first: Sequence[AnyResult], ahead: Sequence[Way], last: Sequence[AnyRe
             continue
         ends = np.array([[place for place in ahead[i] if place is not None][-1].box for i in before])
         there = box_math.xywh_to_xyxy(np.array([last[j].bbox for j in after]))
-        out += [(before[i], after[j]) for i, j in cheapest_pairs(1 - box_math.iou(ends, there), 1 - _OVERLAP)]
+        out += [(before[i], after[j]) for i, j in cheapest_pairs(1 - box_math.iou(ends, there), 1 - _SAME_IOU)]
     return out
 
 

@@ -5,17 +5,18 @@ from typing import Protocol
 
 import numpy as np
 
-from skope.detections import AnyResult
-from skope.eval.box_links import BoxLinks, Integers
-from skope.schema import CATEGORIES, Found
+from skope.eval.box_links import BoxLinks
+from skope.schema import CATEGORIES, AnyResult, Found
+from skope.types import Integers32
 
 
 class Numbering(Protocol):
-    """What numbers the road users of one category, as `skope.eval.inference.confirmation.Confirmation` does."""
+    """Something that numbers the road users of one category, as `skope.eval.inference.confirmation.Confirmation`
+    does."""
 
     def add(self, time_s: float, found: Sequence[Found]) -> None: ...
 
-    def confirmed(self) -> list[Integers]: ...
+    def confirmed(self) -> list[Integers32]: ...
 
 
 class Linked:
@@ -23,14 +24,14 @@ class Linked:
 
     def __init__(self, score: float) -> None:
         self._score, self._links = score, BoxLinks()
-        self._numbers: list[Integers] = []
+        self._numbers: list[Integers32] = []
 
     def add(self, time_s: float, found: Sequence[Found]) -> None:
         """Take the detections of the next frame, which is later."""
         sure = np.array([one.score > self._score for one in found], dtype=bool)
         self._numbers.append(np.where(sure, self._links.add(time_s, found), -1).astype(np.int32))
 
-    def confirmed(self) -> list[Integers]:
+    def confirmed(self) -> list[Integers32]:
         """For each frame the number of each detection, from 0; -1 for those that score less."""
         return self._numbers
 
@@ -40,7 +41,7 @@ class NumbersByCategory:
 
     def __init__(self, make: Callable[[], Numbering]) -> None:
         self._of_category = {number: make() for number in range(1, 1 + len(CATEGORIES))}
-        self._categories: list[Integers] = []
+        self._categories: list[Integers32] = []
         """(N,) of each frame, ids of its detections' categories."""
 
     def add(self, time_s: float, found: Sequence[AnyResult]) -> None:
@@ -50,7 +51,7 @@ class NumbersByCategory:
         for category, numbering in self._of_category.items():
             numbering.add(time_s, [one for one in found if one.category_id == category])
 
-    def confirmed(self) -> list[Integers]:
+    def confirmed(self) -> list[Integers32]:
         """For each frame the number of each detection's road user, from 0; -1 for what is not confirmed."""
         out = [np.full(len(categories), -1, dtype=np.int32) for categories in self._categories]
         count = 0

@@ -1,4 +1,4 @@
-"""How bright the frames of a video are, and how much contrast they have: whether the camera saw anything in them."""
+"""Brightness and contrast of a video's frames: whether the camera saw anything in them."""
 
 from collections.abc import Sequence
 from typing import Final
@@ -6,13 +6,14 @@ from typing import Final
 import cv2
 import numpy as np
 
-from skope.eval.inference.view_changes import Pixels, unpacked
+from skope.eval.inference.view_changes import unpacked
+from skope.types import Pixels
 
-_BLOCK: Final = 9
+_SQUARE_PX: Final = 9
 """Contrast is that of squares of so many pixels of the small picture."""
 _BLACK: Final = 0.02
 """Brightness that is added where contrast is set against it: noise in the dark is no contrast."""
-_SHARE: Final = 75
+_CONTRAST_PERCENT: Final = 75
 """So many percent of the squares have less contrast than what is taken: an empty road has hardly any."""
 
 
@@ -28,8 +29,8 @@ def brightness_and_contrast(grey: Pixels) -> tuple[float, float]:
     of all have less than.
     """
     values = grey.astype(np.float32) / 255
-    size = (_BLOCK, _BLOCK)
+    size = (_SQUARE_PX, _SQUARE_PX)
     mean = cv2.blur(values, size)
     deviation = np.sqrt(np.maximum(cv2.blur(values * values, size) - mean * mean, 0))
-    contrast = np.percentile(deviation / (mean + _BLACK), _SHARE)
+    contrast = np.percentile(deviation / (mean + _BLACK), _CONTRAST_PERCENT)
     return round(float(values.mean()), 4), round(float(contrast), 4)

@@ -12,22 +12,22 @@ from dataclasses import asdict, dataclass, field, replace
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path, PurePath
-from typing import Any, Final
+from typing import Any, Final, Protocol
 
 import numpy as np
 
 from skope.camera.model import Camera
 from skope.dataset import coco
 from skope.dataset.camera_of_file import with_camera
-from skope.dataset.folder import BEGINS, CHANGES, FOLLOWED, FRAMES, PREDICTIONS, SIGHT
-from skope.detections import AnyResult, apart
+from skope.dataset.folder import BEGINS, CHANGES, FOLLOWED, FRAMES, PREDICTIONS, SIGHT_FIELD
+from skope.detections import apart
 from skope.detector.device import choose_device
 from skope.errors import UserError
 from skope.eval.box_links import FARTHEST_S
 from skope.eval.inference.anonymize import blurred
 from skope.eval.inference.camera_sway import SwayRecord, SwayWatch, motion_to_row, record_of_rows
 from skope.eval.inference.confirmation import WEAK, Confirmation
-from skope.eval.inference.footage import FOUND_AT, Footage, Pixels
+from skope.eval.inference.footage import FOUND_AT, Footage
 from skope.eval.inference.key_frames import INTERVAL_S, with_frames_between
 from skope.eval.inference.numbers_by_category import Linked, NumbersByCategory
 from skope.eval.inference.picture_sight import sight_rows
@@ -43,12 +43,21 @@ from skope.files.reading import sha256_of
 from skope.keypoints import Scheme
 from skope.pictures import draw
 from skope.pictures.video import write_video
-from skope.schema import CATEGORIES, AnnotationFile, Image
+from skope.schema import CATEGORIES, AnnotationFile, AnyResult, Image
 from skope.terminal.console import Console, counted
+from skope.types import Pixels
 
-_PROGRESS: Final = ".predict.jsonl"
-OVERLAY: Final = "overlay.mp4"
-OVERLAYS: Final = "overlays"
+_PROGRESS_FILE: Final = ".predict.jsonl"
+OVERLAY_VIDEO: Final = "overlay.mp4"
+OVERLAY_FOLDER: Final = "overlays"
+
+
+class Watcher(Protocol):
+    """Looks at frames on their way to the detector."""
+
+    def watch(self, frames: Iterator[tuple[Image, Pixels]]) -> Iterator[tuple[Image, Pixels]]:
+        """The same frames, in their order."""
+
 
 Kept = Callable[[dict[str, Any]], list[dict[str, Any]]]
 """The results of a frame, of its row in the file of progress, that stay."""
@@ -56,7 +65,7 @@ Kept = Callable[[dict[str, Any]], list[dict[str, Any]]]
 
 @dataclass(frozen=True, kw_only=True)
 class PredictJob:
-    """Which checkpoint to run on which footage, and what to write."""
+    """A run of a checkpoint on footage, and what it writes."""
 
     footage: Footage
     checkpoint: Path
@@ -87,6 +96,11 @@ class PredictJob:
         return max(1, round(INTERVAL_S * (self.footage.fps or 0.0)))
 
     @property
+    def least_score(self) -> float:
+        """Score from which the detector makes detections: weak ones continue vehicles of a video."""
+        return min(self.score, WEAK) if self.confirms else self.score
+
+    @property
     def confirms(self) -> bool:
         """Whether frames are held against each other: those of a video, so far as it says how dense they are."""
         return self.links and not self.unconfirmed
@@ -113,82 +127,125 @@ def predict(job: PredictJob, console: Console) -> list[Path]:
     Raises:
         UserError: No image can be read, or the output folder holds other work.
     """
-    least = min(job.score, WEAK) if job.confirms else job.score
     # The frames of a live stream do not wait for a batch to be full.
     batch_size = job.settings.batch_size or (1 if job.footage.live else None)
-    predictor = Predictor(job.checkpoint, replace(job.settings, min_score=least, batch_size=batch_size), console)
+    settings = replace(job.settings, min_score=job.least_score, batch_size=batch_size)
+    predictor = Predictor.load(job.checkpoint, settings, console)
     _claim(job, predictor.files)
-    progress = Progress(job.out / _PROGRESS, ("image", "results", "skipped", "key", "look", "motion"))
-    images: list[Image] = []
-    last_key, names, last_look_s = 1, list[int](), None
-    for row in progress.rows():
-        images.append(coco.image_from_dict(row["image"]))
-        if BEGINS in row["image"]:
-            job.footage.begins = datetime.fromisoformat(row["image"][BEGINS])
-        if row["key"]:
-            last_key, names = images[-1].id, [result.get("track_id", 0) for result in row["results"]]
-        if row["look"] is not None:
-            last_look_s = images[-1].time_s
-        job.footage.skipped += [reason for reason in row["skipped"] if reason not in job.footage.skipped]
-    last = images[-1].id if images else 0
-    killed = job.footage.live and bool(images)
-    if killed:
-        console.say(f"{job.footage.name}: a run was killed here after {counted(last, 'image')}: writing what it has")
-    elif images:
-        console.say(f"{job.footage.name}: going on after frame {last}")
+    prediction = Prediction(job, predictor)
+    done = prediction.last
+    if prediction.killed:
+        console.say(f"{job.footage.name}: a run was killed here after {counted(done, 'image')}: writing what it has")
+    elif done:
+        console.say(f"{job.footage.name}: going on after frame {done}")
     bars = console.bar(total=len(job.footage) or None, unit="image", label=job.footage.name)
     with bars as bar, _ended_by_terminate(job.footage):
-        bar.update(last)
+        bar.update(done)
         try:
-            looks, sway = Looks(last_look_s), _sway_watch(job, last)
-            watched = (looks, sway)
-            further = found_in(job, predictor, last=last, last_key=last_key, names=names, watched=watched)
-            for bare, found, key in () if killed else further:
-                image = with_camera(bare, job.camera)
-                begins = {} if job.footage.begins is None else {BEGINS: job.footage.begins.isoformat()}
-                entry = {
-                    "image": {**coco.image_to_dict(image), **begins},
-                    "results": list(map(coco.result_to_dict, found)),
-                }
-                look = looks.taken.pop(image.id, None)
-                motion = motion_to_row(sway.measured.pop(image.id, None))
-                skipped = list(job.footage.skipped)
-                progress.add({**entry, "skipped": skipped, "key": key, "look": look, "motion": motion})
-                images.append(image)
+            for image, _ in prediction.frames():
                 bar.update(image.id - bar.n)
         except KeyboardInterrupt:
             if not job.footage.live:
                 raise
-            console.say(f"{job.footage.name}: stopped after {len(images)} images")
-    if not images:
+            console.say(f"{job.footage.name}: stopped after {len(prediction.images)} images")
+    return prediction.write(console)
+
+
+class Prediction:
+    """Detections in footage: kept frame by frame in a file of progress, then written as results."""
+
+    def __init__(self, job: PredictJob, predictor: Predictor) -> None:
+        """Go on after what a stopped run has kept in the job's output folder."""
+        self._job, self._predictor = job, predictor
+        self._progress = Progress(job.out / _PROGRESS_FILE, ("image", "results", "skipped", "key", "look", "motion"))
+        self.images: list[Image] = []
+        """The frames so far, with the job's camera."""
+        self._last_key, self._last_look_s = 1, None
+        self._last_numbers: list[int] = []
+        """The `track_id` of each road user of the last key frame."""
+        for row in self._progress.rows():
+            self.images.append(coco.image_from_dict(row["image"]))
+            if BEGINS in row["image"]:
+                job.footage.begins = datetime.fromisoformat(row["image"][BEGINS])
+            if row["key"]:
+                self._last_key = self.images[-1].id
+                self._last_numbers = [result.get("track_id", 0) for result in row["results"]]
+            if row["look"] is not None:
+                self._last_look_s = self.images[-1].time_s
+            job.footage.skipped += [reason for reason in row["skipped"] if reason not in job.footage.skipped]
+        self.killed = job.footage.live and bool(self.images)
+        """Whether a run of a live stream was killed here: it comes once, and nothing is added to what that run has."""
+
+    @property
+    def last(self) -> int:
+        """Number of the last frame that was looked at, from 1; 0: none."""
+        return self.images[-1].id if self.images else 0
+
+    def frames(self, watched: Sequence["Watcher"] = ()) -> Iterator[tuple[Image, list[AnyResult]]]:
+        """The frames that are left, each with all that is found in it, also what `write` will drop.
+
+        `watched` see the frames with their pixels before the detector does.
+        """
+        job, last = self._job, self.last
+        if self.killed:
+            return
+        looks, sway = Looks(self._last_look_s), _sway_watch(job, last)
+        for bare, found, key in found_in(
+            job,
+            self._predictor,
+            last=last,
+            last_key=self._last_key,
+            names=self._last_numbers,
+            watched=(looks, sway, *watched),
+        ):
+            image = with_camera(bare, job.camera)
+            begins = {} if job.footage.begins is None else {BEGINS: job.footage.begins.isoformat()}
+            row = {**coco.image_to_dict(image), **begins}
+            entry = {"image": row, "results": list(map(coco.result_to_dict, found))}
+            look = looks.taken.pop(image.id, None)
+            motion = motion_to_row(sway.measured.pop(image.id, None))
+            skipped = list(job.footage.skipped)
+            self._progress.add({**entry, "skipped": skipped, "key": key, "look": look, "motion": motion})
+            self.images.append(image)
+            yield image, found
+
+    def write(self, console: Console) -> list[Path]:
+        """Write predictions, frames and, where the job asks for them, overlays; returns their paths.
+
+        Raises:
+            UserError: No frame could be read.
+        """
+        job, progress, images = self._job, self._progress, self.images
+        if not images:
+            progress.end()
+            why = "; ".join(job.footage.skipped) or "there are none between --start and --end"
+            raise UserError(f"{job.footage.name}: none of its images can be read: {why}")
+        scheme = self._predictor.scheme
+        kept = _kept(job, progress, images)
+        written = [job.out / PREDICTIONS, job.out / FRAMES]
+        seen = _Seen()
+        coco.write_result_rows(written[0], (seen.noted(result) for row in progress.rows() for result in kept(row)))
+        record, looked = _watched(progress, images[0].width)
+        changed = record.view_changes(looked) if job.footage.clip else []
+        sways = record.motion(changed) if job.footage.clip else None
+        for change in changed:
+            console.result(f"{job.footage.name}: {change}; its parts count apart")
+        if sways:
+            console.result(f"{job.footage.name}: {sways}")
+        frames_file = AnnotationFile(
+            images=tuple(images),
+            annotations=(),
+            info=_info(job, looked, changed, sways),
+            name=job.footage.name,
+            scheme=scheme,
+            categories=self._predictor.categories,
+        )
+        coco.write(written[1], frames_file)
+        if job.overlay:
+            written.append(_overlay(job, progress, kept, len(images), scheme, console))
         progress.end()
-        why = "; ".join(job.footage.skipped) or "there are none between --start and --end"
-        raise UserError(f"{job.footage.name}: none of its images can be read: {why}")
-    kept = _kept(job, progress, images)
-    written = [job.out / PREDICTIONS, job.out / FRAMES]
-    seen = _Seen()
-    coco.write_result_rows(written[0], (seen.noted(result) for row in progress.rows() for result in kept(row)))
-    record, looked = _watched(progress, images[0].width)
-    changed = record.view_changes(looked) if job.footage.clip else []
-    sways = record.motion(changed) if job.footage.clip else None
-    for change in changed:
-        console.result(f"{job.footage.name}: {change}; its parts count apart")
-    if sways:
-        console.result(f"{job.footage.name}: {sways}")
-    frames_file = AnnotationFile(
-        images=tuple(images),
-        annotations=(),
-        info=_info(job, looked, changed, sways),
-        name=job.footage.name,
-        scheme=predictor.scheme,
-        categories=predictor.categories,
-    )
-    coco.write(written[1], frames_file)
-    if job.overlay:
-        written.append(_overlay(job, progress, kept, len(images), predictor.scheme, console))
-    progress.end()
-    console.result(f"{seen} in {counted(len(images), 'image')}")
-    return written
+        console.result(f"{seen} in {counted(len(images), 'image')}")
+        return written
 
 
 @contextmanager
@@ -221,7 +278,7 @@ def _info(
     if job.key_every > 1:
         info[FOLLOWED] = True
     if looked:
-        info[SIGHT] = sight_rows(looked)
+        info[SIGHT_FIELD] = sight_rows(looked)
     if changed:
         info[CHANGES] = [asdict(change) for change in changed]
     if sways:
@@ -246,7 +303,7 @@ def _watched(progress: Progress, width: int) -> tuple[SwayRecord, list[tuple[flo
 
 @dataclass
 class _Seen:
-    """How much was found."""
+    """Counts of what was found."""
 
     results: Counter[str] = field(default_factory=Counter)
     """By category."""
@@ -286,12 +343,20 @@ def found_in(
     last: int = 0,
     last_key: int = 1,
     names: Sequence[int] = (),
-    watched: Sequence[Looks | SwayWatch] = (),
+    watched: Sequence[Watcher] = (),
 ) -> Iterator[tuple[Image, list[AnyResult], bool]]:
-    """The frames after number `last`, with what is found in them, and whether the detector has seen them.
+    """Find vehicles and others in the frames of footage, from one number on.
 
-    `last_key` is the number of the last of them that it had seen, `names` are the `track_id` of what it found there.
-    `watched` look at the frames on the way.
+    Args:
+        job: The footage, and how often it is looked at.
+        predictor: The detector.
+        last: Frames up to this number are left out.
+        last_key: Number of the last of them that the detector had seen.
+        names: The `track_id` of each road user that it found there.
+        watched: Look at the frames on the way.
+
+    Yields:
+        A frame, what is found in it, and whether the detector has seen it.
     """
 
     def watch(frames: Iterator[tuple[Image, Pixels]]) -> Iterator[tuple[Image, Pixels]]:
@@ -337,7 +402,7 @@ def _claim(job: PredictJob, files: Sequence[Path]) -> None:
 
 def _killed_source(job: PredictJob) -> str | None:
     """What a run of a live stream was of that was killed in the output folder; None: there was none."""
-    if not job.footage.live or not (job.out / _PROGRESS).is_file() or not (job.out / WORK).is_file():
+    if not job.footage.live or not (job.out / _PROGRESS_FILE).is_file() or not (job.out / WORK).is_file():
         return None
     held = read_json(job.out / WORK)
     options = held.get("options") if isinstance(held, dict) else None
@@ -346,7 +411,7 @@ def _killed_source(job: PredictJob) -> str | None:
 
 
 def content_of(footage: Footage) -> str:
-    """What identifies the frames: checksums of their files; for a live stream, which comes once, the time it began."""
+    """Identity of the frames: checksums of their files; for a live stream, which comes once, the time it began."""
     if footage.live:
         return f"{footage.name} of {datetime.now(UTC).isoformat()}"
     if footage.clip and "://" in footage.clip.address:
@@ -382,13 +447,13 @@ def _overlay(job: PredictJob, progress: Progress, kept: Kept, count: int, scheme
     """Draw what was found: a video of a video, images of images."""
     drawn = console.bar(_drawn(job, progress, kept, scheme), total=count, unit="image", label="overlay")
     if job.footage.clip is None:
-        folder = job.out / OVERLAYS
+        folder = job.out / OVERLAY_FOLDER
         shared = Counter(PurePath(name).with_suffix("") for name in job.footage.names)
         for image, pixels in drawn:
             bare = PurePath(image.file_name).with_suffix("")
             draw.write(folder / f"{bare if shared[bare] == 1 else image.file_name}.jpg", pixels)
         return folder
-    path = job.out / OVERLAY
+    path = job.out / OVERLAY_VIDEO
     with replacing(path) as temporary:
         write_video(temporary, (pixels for _, pixels in drawn), job.footage.fps or 25.0)
     return path

@@ -1,5 +1,6 @@
 """Run the detector over many images: they are decoded beside the computing, in batches where that helps."""
 
+import copy
 import itertools
 import time
 from collections import deque
@@ -16,7 +17,8 @@ from torchvision.models.detection import KeypointRCNN
 
 from skope import boxes
 from skope.dataset.folder import read_image
-from skope.detections import AnyResult, Detections, apart
+from skope.detections import Detections, apart
+from skope.detector.build import DetectorConfig
 from skope.detector.checkpoint import find_checkpoint, load_weights
 from skope.detector.detect import MIN_SCORE, detect, detect_on_boxes
 from skope.detector.device import choose_device
@@ -28,13 +30,13 @@ from skope.eval.inference.read_ahead import read_ahead
 from skope.eval.inference.settings import Settings
 from skope.eval.inference.tiles import Tile, joined, tiles_of
 from skope.keypoints import Scheme
-from skope.schema import Annotation, AnnotationFile, Image, Result
+from skope.schema import Annotation, AnnotationFile, AnyResult, Image, Result
 from skope.terminal.console import Console, minutes
+from skope.types import Pixels
 
-Pixels = NDArray[np.uint8]
 T = TypeVar("T")
 
-CALIBRATED: Final = "calibrated"
+CALIBRATED_KEY: Final = "calibrated"
 """Key of a checkpoint's metadata under which it says what its own scores were calibrated on."""
 _GPU_BATCH: Final = 8
 """Images that go through the network together on a GPU; a CPU gains nothing from batches."""
@@ -48,37 +50,86 @@ _DECODERS: Final = 2
 class Predictor:
     """A detector on a device, with the calibration of its scores if there is one."""
 
-    def __init__(self, checkpoint: Path, settings: Settings, console: Console) -> None:
-        self._settings, self._console = settings, console
-        self._device = choose_device(settings.device)
-        self.batch_size = settings.batch_size or default_batch_size(self._device)
-        """Images of one size that go through the network together, at most."""
-        self.weights = find_checkpoint(checkpoint)
-        self.model: KeypointRCNN
+    def __init__(
+        self,
+        model: KeypointRCNN,
+        config: DetectorConfig,
+        metadata: dict[str, Any],
+        *,
+        weights: Path,
+        calibration: score_calibration.ScoreCalibration | None,
+        settings: Settings,
+        device: torch.device,
+        console: Console,
+    ) -> None:
+        self.model = model
         """The network, whose parts a backend may have taken over."""
-        self.model, self.config, self.metadata = load_weights(self.weights, self._device)
-        self.scheme = self.config.keypoint_scheme
-        self._calibration = score_calibration.read(self.weights, self.config.scheme) if settings.calibrated else None
+        self.config, self.metadata = config, metadata
+        self.weights = weights
+        self._calibration, self._settings = calibration, settings
+        self._device, self._console = device, console
+        self.batch_size = settings.batch_size or default_batch_size(device)
+        """Images of one size that go through the network together, at most."""
+        self.scheme = config.keypoint_scheme
+
+    @classmethod
+    def load(cls, checkpoint: Path, settings: Settings, console: Console) -> "Predictor":
+        """Load a checkpoint, and let a backend compute as `settings` has it.
+
+        Args:
+            checkpoint: A checkpoint file, a run folder, or the name of weights that come with skope.
+            settings: How it is run.
+            console: Hears what is run, and how.
+
+        Raises:
+            UserError: There is no such checkpoint, device or backend, or a file is damaged.
+        """
+        device = choose_device(settings.device)
+        weights = find_checkpoint(checkpoint)
+        model, config, metadata = load_weights(weights, device)
+        calibration = score_calibration.read(weights, config.scheme) if settings.calibrated else None
         if settings.min_size is not None:
-            self.config = self.config.with_min_size(settings.min_size)
-            self.model.transform.min_size, self.model.transform.max_size = (
-                (self.config.min_size,),
-                self.config.max_size,
-            )
+            config = config.with_min_size(settings.min_size)
+            model.transform.min_size, model.transform.max_size = (config.min_size,), config.max_size
         number = prepare(
-            self.model,
-            self.metadata,
-            self._device,
-            backend=settings.backend,
-            precision=settings.precision,
+            model, metadata, device, backend=settings.backend, precision=settings.precision, console=console
+        )
+        predictor = cls(
+            model,
+            config,
+            metadata,
+            weights=weights,
+            calibration=calibration,
+            settings=settings,
+            device=device,
             console=console,
         )
+        console.say(predictor.described(number))
+        if len(config.categories) > 1:
+            console.say(f"finds {', '.join(config.categories)}; keypoints of vehicles alone")
+        return predictor
+
+    def described(self, number: str) -> str:
+        """The detector in words; `number` are backend and number format."""
         sides = f"short side {self.config.min_size}, long side at most {self.config.max_size} px"
         scores = "calibrated" if self.calibrated else "uncalibrated"
         name = self.weights.stem if shipped(self.weights) else self.weights
-        console.say(f"{name} on {self._device} in {number} ({sides}; {scores} keypoint scores)")
-        if len(self.categories) > 1:
-            console.say(f"finds {', '.join(self.categories)}; keypoints of vehicles alone")
+        return f"{name} on {self._device} in {number} ({sides}; {scores} keypoint scores)"
+
+    def reporting(self, min_score: float, *, batch_size: int | None = None) -> "Predictor":
+        """The same detector, with the same weights in memory, that reports what scores above `min_score`.
+
+        `batch_size` images of one size go through the network together, at most; None: as before.
+        """
+        other = copy.copy(self)
+        other.batch_size = batch_size or self.batch_size
+        other._settings = replace(self._settings, min_score=min_score, batch_size=other.batch_size)
+        return other
+
+    @property
+    def settings(self) -> Settings:
+        """How the checkpoint is run."""
+        return self._settings
 
     def check_scheme(self, scheme: Scheme, data: Path) -> None:
         """Raise a UserError unless the keypoints of `data` mean what this checkpoint's do; say so where they are marked
@@ -97,7 +148,7 @@ class Predictor:
     @property
     def calibrated(self) -> bool:
         """Whether keypoint scores are probabilities that were fitted for these weights, or by these weights."""
-        return self._calibration is not None or CALIBRATED in self.metadata
+        return self._calibration is not None or CALIBRATED_KEY in self.metadata
 
     @property
     def categories(self) -> tuple[str, ...]:
@@ -212,7 +263,7 @@ class Predictor:
 
 
 def default_batch_size(device: torch.device) -> int:
-    """How many images go through the network together on a device, unless it is said otherwise."""
+    """Number of images that go through the network together on a device, unless it is said otherwise."""
     if device.type != "cuda":
         return 1
     large = torch.cuda.get_device_properties(device).total_memory >= _LARGE_GPU_BYTES

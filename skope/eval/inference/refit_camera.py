@@ -23,24 +23,25 @@ from skope.camera.model import Camera
 from skope.camera.uncertain_camera import PARAMETERS, UncertainCamera, moved_camera
 from skope.dataset.camera_of_file import read_camera
 from skope.errors import UserError
-from skope.eval.image_shift import FollowedCorners, ImageMotion, Pixels, ReferencePicture
+from skope.eval.image_shift import FollowedCorners, ImageMotion, ReferencePicture
 from skope.eval.inference.camera_sway import SwayWatch
 from skope.eval.inference.footage import Cut, open_footage
 from skope.eval.pose.camera_from_marks import evidence_of, place_errors
 from skope.eval.pose.camera_motion import covariance_of_turns, turned_camera
 from skope.eval.pose.write_camera import write_camera
 from skope.terminal.console import counted
-from skope.types import Array
+from skope.types import Array, Pixels
 
-_WIDTH: Final = 1280
+_MATCHED_WIDTH_PX: Final = 1280
 """Corners are followed in pictures that are so wide at most, pixels."""
 _AS_WELL: Final = 2.0
 """A turn explains what corners do if it leaves no more than so many times what a free bending of the picture leaves."""
 _LEAST_PX: Final = 0.3
-"""Least that such a bending is taken to leave, pixels of pictures `_WIDTH` wide: how exactly corners are followed."""
+"""Least that such a bending is taken to leave, pixels of pictures `_MATCHED_WIDTH_PX` wide: corners are followed so
+exactly."""
 _NEAR_M: Final = 60.0
 """The road up to there tells whether a camera was moved too; its nearer half must agree."""
-_FEWEST: Final = 8
+_FEWEST_MATCHES: Final = 8
 _LEAST_SHARE: Final = 0.5
 """Share of the corners there that must be where a turn puts them: traffic hides some."""
 _REST_S: Final = 3.0
@@ -49,7 +50,7 @@ _REST_S: Final = 3.0
 
 @dataclass(frozen=True, eq=False)
 class Registration:
-    """How a camera has been turned between two pictures."""
+    """Turn of a camera between two pictures."""
 
     camera: Camera
     """The old camera, turned."""
@@ -123,11 +124,18 @@ def refit(
 
 
 def registration(before: Pixels, after: Pixels, known: UncertainCamera, name: str) -> Registration:
-    """How the camera of one picture has been turned up to another one; `name` is theirs.
+    """Measure how a camera has been turned between two pictures.
 
-    Raises UserError where a turn does not explain what is seen.
+    Args:
+        before: (H, W, 3) RGB, which `known` took.
+        after: (H, W, 3) RGB, from where it hangs now.
+        known: The camera before.
+        name: Name of the pictures, for errors.
+
+    Raises:
+        UserError: A turn does not explain what is seen.
     """
-    reference = ReferencePicture(before, _WIDTH)
+    reference = ReferencePicture(before, _MATCHED_WIDTH_PX)
     motion, followed = reference.motion(after), reference.followed(after)
     if motion is None or followed is None:
         raise UserError(f"{name}: too little of one picture is found in the other to tell how the camera was turned")
@@ -136,7 +144,7 @@ def registration(before: Pixels, after: Pixels, known: UncertainCamera, name: st
     camera, off = _turn(known.camera, rays, corners, motion)
     # Half the squares of normal errors an axis have a median of 0.69 variances.
     off_px = math.sqrt(float(np.median((off**2).sum(axis=1))) / (2 * math.log(2)))
-    scale = max(1.0, known.camera.width / _WIDTH)
+    scale = max(1.0, known.camera.width / _MATCHED_WIDTH_PX)
     lens = _by_the_lens(known, camera, rays)
     allowed = math.hypot(_AS_WELL * max(corners.sigma_px, _LEAST_PX * scale), lens)
     if not off_px <= allowed:
@@ -157,9 +165,9 @@ def _near_road(old: Camera, turned: Camera, corners: FollowedCorners, within_px:
     away = np.linalg.norm(places - old.position, axis=1)
     seen, _, valid = turned.project(np.where(np.isfinite(places), places, old.position))
     there = np.flatnonzero(valid & turned.inside(seen) & (away < _NEAR_M))
-    if len(there) < _FEWEST:
+    if len(there) < _FEWEST_MATCHES:
         raise UserError(f"{name}: too few corners on the road near by to tell a turn of the camera from a move")
-    nearer = there[np.argsort(away[there])][: max(_FEWEST, len(there) // 2)]
+    nearer = there[np.argsort(away[there])][: max(_FEWEST_MATCHES, len(there) // 2)]
     apart = np.linalg.norm(corners.all_before[nearer, None] - corners.before, axis=-1)
     match = apart.argmin(axis=1)
     good = (apart.min(axis=1) < 0.01) & (np.linalg.norm(corners.after[match] - seen[nearer], axis=1) < within_px)

@@ -20,14 +20,14 @@ from skope.files.output_folders import differences
 from skope.files.reading import sha256_of
 from skope.types import Array
 
-VERSION: Final = 1
+CALIBRATION_VERSION: Final = 1
 ALPHA: Final = 0.1
-IOU: Final = 0.6
+CALIBRATION_IOU: Final = 0.6
 
 # How firmly each keypoint's two numbers are held to those of all keypoints together, in units of one observation: what
 # is hardly ever seen takes theirs, what is seen hundreds of times its own.
 _HOLD: Final = 1.0
-_STEPS: Final = 50
+_FIT_STEPS: Final = 50
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -62,7 +62,13 @@ def raw_maxima(p: Array) -> Array:
 
 
 def fit(raw: Array, right: NDArray[np.bool_], fitted_on: dict[str, Any]) -> ScoreCalibration:
-    """The calibration of (N, 33) raw maxima by whether each point was visible and near enough."""
+    """Fit a calibration to right and wrong keypoints.
+
+    Args:
+        raw: (N, 33) raw maxima of the heat maps.
+        right: (N, 33) whether each point was visible and near enough.
+        fitted_on: Of what data they are, for the file.
+    """
     if not len(raw):
         raise UserError("nothing to calibrate on: no detection matched a vehicle")
     x, y = np.asarray(raw, dtype=np.float64), _targets(right)
@@ -101,7 +107,7 @@ def _logistic(x: Array, y: Array, start: Array, hold: float) -> Array:
 
     ab: Array = start.copy()
     value = loss(ab)
-    for _ in range(_STEPS):
+    for _ in range(_FIT_STEPS):
         p = sigmoid(ab[0] * x + ab[1])
         w, r = p * (1 - p), p - y
         gradient = np.stack([(r * x).sum(axis=0), r.sum(axis=0)]) + hold * (ab - start)
@@ -110,7 +116,7 @@ def _logistic(x: Array, y: Array, start: Array, hold: float) -> Array:
             aa * bb - ab_**2
         )
         size = np.ones(x.shape[1])
-        for _ in range(_STEPS):
+        for _ in range(_FIT_STEPS):
             trial = loss(ab - size * step)
             worse = trial > value
             if not worse.any():
@@ -133,7 +139,7 @@ def log_loss(score: Array, right: NDArray[np.bool_]) -> float:
 
 
 def path_beside(weights: Path) -> Path:
-    """Where the calibration of a checkpoint lies."""
+    """Path of a checkpoint's calibration."""
     return weights.with_suffix(".calibration.json")
 
 
@@ -158,11 +164,21 @@ def check_free(weights: Path, work: Mapping[str, Any]) -> None:
 def write(
     weights: Path, calibration: ScoreCalibration, work: Mapping[str, Any], scheme: str = keypoints.SCHEME
 ) -> Path:
-    """Write a calibration, and the `work` that it is, beside the checkpoint that it is for; returns its path."""
+    """Write a calibration beside the checkpoint that it is for.
+
+    Args:
+        weights: The checkpoint.
+        calibration: Its calibration.
+        work: What identifies the calibration, as `work_of` gives it.
+        scheme: Name of the keypoint scheme.
+
+    Returns:
+        The file's path.
+    """
     path = path_beside(weights)
     fields = asdict(calibration)
     numbers = {name: fields[name].tolist() for name in ("scale", "offset")}
-    head = {"version": VERSION, "scheme": scheme, "weights_sha256": sha256_of(weights)}
+    head = {"version": CALIBRATION_VERSION, "scheme": scheme, "weights_sha256": sha256_of(weights)}
     write_json(path, {**head, "work": dict(work), "fitted_on": calibration.fitted_on, **numbers})
     return path
 
@@ -175,11 +191,15 @@ def read(weights: Path, scheme: str = keypoints.SCHEME) -> ScoreCalibration | No
     document = read_json(path)
     if not isinstance(document, dict):
         raise UserError(f"{path}: expected an object, got a {type(document).__name__}")
-    for name, expected in (("version", VERSION), ("scheme", scheme), ("weights_sha256", sha256_of(weights))):
+    for name, expected in (
+        ("version", CALIBRATION_VERSION),
+        ("scheme", scheme),
+        ("weights_sha256", sha256_of(weights)),
+    ):
         if document.get(name) != expected:
             raise UserError(
                 f"{path}: {name}: expected {expected!r}, got {document.get(name)!r}; it was fitted for other weights: "
-                "move it away, and run `skope eval calibrate`"
+                "move it away, and run `skope eval calibrate-scores`"
             )
     return _parsed(path, document)
 

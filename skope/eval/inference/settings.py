@@ -1,4 +1,4 @@
-"""How a checkpoint is run; apart from what runs it, so that the command line can say what is wrong without torch."""
+"""Settings of inference; apart from what runs it, so that the command line can say what is wrong without torch."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -14,7 +14,7 @@ TILES: Final = ("none", "auto")
 
 @dataclass(frozen=True, kw_only=True)
 class Settings:
-    """How a checkpoint is run."""
+    """Settings of inference."""
 
     device: str = "auto"
     """Where the network runs: "cpu", "cuda", "cuda:N", or "auto" for a GPU where there is one."""

@@ -112,7 +112,7 @@ def _again(opened: Callable[[], AbstractContextManager[cv2.VideoCapture]], strea
 
 
 class _Stream:
-    """What goes on from one opening of a stream to the next: the count of its frames and their time."""
+    """State that lasts from one opening of a stream to the next: the count of its frames and their time."""
 
     def __init__(self, every: int, camera_clock: bool, newest: _Newest) -> None:
         self.newest = newest

@@ -1,4 +1,4 @@
-"""What is too small in the whole image: parts of it that overlap go through the network unscaled too.
+"""Tiles for what is too small in the whole image: overlapping parts of it go through the network unscaled too.
 
 The idea is that of slicing-aided inference (Akyon et al., 2022).
 """
@@ -18,13 +18,13 @@ from skope.detections import Detections, RoadUserDetections
 
 _WORTH: Final = 1.25
 """An image is cut into tiles where it is larger than inside the network by more than this."""
-_OVERLAP: Final = 0.15
+_TILE_OVERLAP: Final = 0.15
 """Neighbours have at least this share of their sides in common."""
 _EDGE_PX: Final = 3.0
 """A box that ends so near to an edge of its tile is one that the tile cuts."""
 _SAME_IOU: Final = 0.5
 """Boxes that overlap more are of one vehicle, as inside the network."""
-_PART: Final = 0.7
+_INSIDE_SHARE: Final = 0.7
 """A box of which this share lies inside a vehicle that its tile cuts is a part of that."""
 
 _Scored: TypeAlias = tuple[NDArray[np.float64], NDArray[np.float64]]
@@ -62,8 +62,8 @@ def tiles_of(width: int, height: int, *, short: int, long: int) -> list[Tile]:
 
 
 def _begins(whole: int, part: int) -> list[int]:
-    """Where parts begin that cover a side evenly, each a share of `_OVERLAP` or more over the next one."""
-    count = max(1, math.ceil((whole - _OVERLAP * part) / ((1 - _OVERLAP) * part)))
+    """Where parts begin that cover a side evenly, each a share of `_TILE_OVERLAP` or more over the next one."""
+    count = max(1, math.ceil((whole - _TILE_OVERLAP * part) / ((1 - _TILE_OVERLAP) * part)))
     return [round(i * (whole - part) / max(1, count - 1)) for i in range(count)]
 
 
@@ -128,4 +128,4 @@ def _uncut(tile: Tile, size: tuple[int, int], part: _Scored, whole: _Scored) -> 
     beyond = np.concatenate([boxes_xyxy[:, :2] < corner, boxes_xyxy[:, 2:] > end], axis=1).any(axis=1)
     inside = boxes.share_inside(rectangles, boxes_xyxy[beyond])
     better = surer[beyond] > scores[:, None]
-    return np.asarray(~cut.any(axis=1) & ~((inside > _PART) & better).any(axis=1))
+    return np.asarray(~cut.any(axis=1) & ~((inside > _INSIDE_SHARE) & better).any(axis=1))

@@ -1,4 +1,4 @@
-"""Where footage shows another view: a cut to another camera, or a camera that was turned or knocked.
+"""Changes of view in footage: a cut to another camera, or a camera that was turned or knocked.
 
 Small pictures of the footage, half a second apart, are held against the first one of a view: their edges, as light
 changes and edges of the background stay. A view that has changed and stays so is a new one; one that comes back was
@@ -12,17 +12,14 @@ from typing import Any, Final
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-from skope.eval.image_shift import MOVED, coarse_shift, edges, small_grey
+from skope.eval.image_shift import MOVED_SHARE, coarse_shift, edges, small_grey
 from skope.schema import Image
-from skope.types import Array
-
-Pixels = NDArray[np.uint8]
+from skope.types import Array, Pixels
 
 EVERY_S: Final = 0.5
 """Looks are so far apart, seconds."""
-_QUALITY: Final = 80
+_JPEG_QUALITY: Final = 80
 _LASTS: Final = 4
 """Looks that a change has to last to be a new view."""
 
@@ -78,7 +75,7 @@ def changes(looks: Sequence[tuple[float, str]], stays: Callable[[float], bool] =
             reference = shown
             continue
         moved = _moved(reference, shown)
-        if moved is not None and moved <= MOVED:
+        if moved is not None and moved <= MOVED_SHARE:
             pending = []
             continue
         # What is pending counts as one change only while it shows one view.
@@ -97,11 +94,11 @@ def changes(looks: Sequence[tuple[float, str]], stays: Callable[[float], bool] =
 
 def _shows(one: Array, other: Array) -> bool:
     moved = _moved(one, other)
-    return moved is not None and moved <= MOVED
+    return moved is not None and moved <= MOVED_SHARE
 
 
 def _packed(pixels: Pixels) -> str:
-    _, encoded = cv2.imencode(".jpg", small_grey(pixels), [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
+    _, encoded = cv2.imencode(".jpg", small_grey(pixels), [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
     return base64.b64encode(encoded.tobytes()).decode()
 
 

@@ -23,14 +23,14 @@ from numpy.typing import NDArray
 
 from skope import keypoints
 from skope.eval.pose import cauchy, initialize
-from skope.eval.pose.camera_unknowns import CAMERA, FOCAL, HEIGHT, Pictured, by_camera, camera_of
+from skope.eval.pose.camera_unknowns import FOCAL, HEIGHT, UNKNOWN_NAMES, Pictured, by_camera, camera_of
 from skope.eval.pose.ground import Ground
 from skope.eval.pose.normal_equations import Linearised, Parts, summed
-from skope.eval.pose.observations import LEAST_PROBABILITY, Mask, observe
+from skope.eval.pose.observations import LEAST_PROBABILITY, observe
 from skope.eval.pose.self_occlusion import facing
 from skope.eval.pose.shape_model import Shapes
 from skope.eval.pose.starts import Starts
-from skope.types import Array
+from skope.types import Array, Mask
 
 _STRIDE: Final = np.array([0.3, 0.2, 0.1, 0.3, 0.05])
 """The camera's unknowns change by so much at most in a step."""
@@ -46,14 +46,14 @@ _BEHIND: Final = 1e6
 """Squared distance of a keypoint that would lie behind the camera."""
 _START_CAP: Final = 300.0
 """What a view can cost at most where the vehicle's body type is chosen."""
-ROAD: Final = Ground(height_sigma=0.03, tilt_sigma=math.radians(0.7))
+START_ROAD: Final = Ground(height_sigma=0.03, tilt_sigma=math.radians(0.7))
 """On it vehicles are placed before they are adjusted."""
-_DAMPING: Final = 1e-3
+_FIRST_DAMPING: Final = 1e-3
 _STUCK: Final = 1e4
 """Damping from which the search gives up."""
-_STEPS: Final = 20
+_MOST_STEPS: Final = 20
 """Steps of a search for everything but body types, at most."""
-_ROUNDS: Final = 3
+_TYPE_ROUNDS: Final = 3
 """How often body types are chosen anew, at most."""
 _LITTLE: Final = 0.01
 """A round that gains less is the last."""
@@ -67,8 +67,8 @@ _SETTLED: Final = 1e-5
 _GROUPS: Final = sorted({tuple(sorted((i, other))) for i, other in enumerate(keypoints.FLIP)})
 """Keypoints with their mirror images; those in the vehicle's middle are their own."""
 _GROUP: Final = np.array([next(g for g, pair in enumerate(_GROUPS) if i in pair) for i in range(keypoints.K)])
-_SIDE: Final = np.array([-1.0 if name.endswith("_right") else 1.0 for name in keypoints.NAMES])
-_UNKNOWNS: Final = len(CAMERA) + 3 * len(_GROUPS)
+_SIDE_SIGNS: Final = np.array([-1.0 if name.endswith("_right") else 1.0 for name in keypoints.NAMES])
+_UNKNOWNS: Final = len(UNKNOWN_NAMES) + 3 * len(_GROUPS)
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,9 +98,9 @@ class VehicleViews:
 
 @dataclass(frozen=True, eq=False)
 class Known:
-    """What is known of a camera before any vehicle is looked at: cameras hang level, lenses distort a little."""
+    """Prior knowledge of a camera: cameras hang level, lenses distort a little."""
 
-    center: Array = field(default_factory=lambda: np.zeros(len(CAMERA)))
+    center: Array = field(default_factory=lambda: np.zeros(len(UNKNOWN_NAMES)))
     """(5,) of the unknowns."""
     sigma: Array = field(default_factory=lambda: np.array([np.inf, np.inf, math.radians(3.0), np.inf, 0.05]))
     """(5,) standard deviations about that; inf for what is free, 0 for what stays as it begins."""
@@ -110,7 +110,7 @@ class Known:
 
         `offset_sigma` (G, 3) are the standard deviations of the keypoints' offsets, metres.
         """
-        camera = np.divide(1.0, self.sigma**2, out=np.zeros(len(CAMERA)), where=self.sigma > 0)
+        camera = np.divide(1.0, self.sigma**2, out=np.zeros(len(UNKNOWN_NAMES)), where=self.sigma > 0)
         return np.concatenate([camera, 1 / offset_sigma.ravel() ** 2])
 
 
@@ -129,8 +129,8 @@ class Bundle:
 
     @property
     def camera(self) -> Array:
-        """(5,) as `CAMERA` names them."""
-        return self.shared[: len(CAMERA)]
+        """(5,) as `UNKNOWN_NAMES` names them."""
+        return self.shared[: len(UNKNOWN_NAMES)]
 
     def moved(self, shared: Array, shape: Array, pose: Array) -> Self:
         """A step away."""
@@ -148,7 +148,7 @@ class Bundle:
 
 @dataclass(frozen=True, eq=False)
 class Solved:
-    """Where a search has ended."""
+    """End of a search."""
 
     bundle: Bundle
     precision: Array
@@ -174,9 +174,9 @@ class Solved:
         prior = np.diag(self.precision)
         inverse = np.linalg.inv(self.information.sum(axis=0) + prior)
         apart = self.pull - self.pull.mean(axis=0)
-        few = len(apart) / max(1, len(apart) - len(CAMERA))
+        few = len(apart) / max(1, len(apart) - len(UNKNOWN_NAMES))
         whole = inverse @ (few * apart.T @ apart + prior) @ inverse
-        return np.asarray(whole[: len(CAMERA), : len(CAMERA)])
+        return np.asarray(whole[: len(UNKNOWN_NAMES), : len(UNKNOWN_NAMES)])
 
 
 class BundleAdjustment:
@@ -187,7 +187,7 @@ class BundleAdjustment:
         known = known or Known()
         self._views, self._shapes = views, views.shapes
         self._directions = np.moveaxis(views.shapes.directions[:, :, :-1], 1, -1)  # (T, 33, 3, M)
-        rest = _UNKNOWNS - len(CAMERA)
+        rest = _UNKNOWNS - len(UNKNOWN_NAMES)
         self._free = np.flatnonzero(np.concatenate([known.sigma > 0, np.ones(rest, dtype=bool)]))
         self._center = np.concatenate([known.center, np.zeros(rest)])
         self._seen = views.found[..., 2] >= LEAST_PROBABILITY
@@ -203,9 +203,9 @@ class BundleAdjustment:
 
     def refined(self, bundle: Bundle) -> Solved:
         """Search on from a bundle, by turns for the body types and for all else."""
-        best = self.solve(self.with_likeliest_types(bundle), _STEPS)
-        for _ in range(_ROUNDS):
-            again = self.solve(self.with_likeliest_types(best.bundle), _STEPS)
+        best = self.solve(self.with_likeliest_types(bundle), _MOST_STEPS)
+        for _ in range(_TYPE_ROUNDS):
+            again = self.solve(self.with_likeliest_types(best.bundle), _MOST_STEPS)
             if again.cost > best.cost - _LITTLE:
                 break
             same = (again.bundle.kind == best.bundle.kind).all()
@@ -216,7 +216,7 @@ class BundleAdjustment:
 
     def solve(self, bundle: Bundle, steps: int) -> Solved:
         """Search on from a bundle: camera, offsets, shapes and places, with the body types that it has."""
-        vehicle, damping = self._views.vehicle, np.full(self._views.count, _DAMPING)
+        vehicle, damping = self._views.vehicle, np.full(self._views.count, _FIRST_DAMPING)
         counted = self._counted(bundle)
         here = self._linearised(bundle, counted)
         for step in range(steps):
@@ -255,7 +255,7 @@ class BundleAdjustment:
     def _fitted(self, bundle: Bundle) -> tuple[Bundle, Array]:
         """The bundle with likelier shapes and places, and (N,) what each vehicle costs so."""
         vehicle, still = self._views.vehicle, np.zeros(_UNKNOWNS)
-        damping = np.full(self._views.count, _DAMPING)
+        damping = np.full(self._views.count, _FIRST_DAMPING)
         counted = self._counted(bundle)
         here = self._linearised(bundle, counted, by="nothing")
         for step in range(_FEW_STEPS):
@@ -282,7 +282,7 @@ class BundleAdjustment:
         pull = parts.pull.sum(axis=0) + self._prior * (shared - self._center)
         step = np.zeros(_UNKNOWNS)
         step[self._free] = -np.linalg.solve(normal[np.ix_(self._free, self._free)], pull[self._free])
-        step[: len(CAMERA)] = np.clip(step[: len(CAMERA)], -_STRIDE, _STRIDE)
+        step[: len(UNKNOWN_NAMES)] = np.clip(step[: len(UNKNOWN_NAMES)], -_STRIDE, _STRIDE)
         return step
 
     def _total(self, here: Linearised, bundle: Bundle) -> float:
@@ -293,7 +293,7 @@ class BundleAdjustment:
 
     def _starts(self, camera: Array) -> Starts:
         seen = observe(camera_of(camera, self._views.size), self._views.found, self._views.sigma_px)
-        return initialize.on_ground(seen, self._shapes, ROAD)
+        return initialize.on_ground(seen, self._shapes, START_ROAD)
 
     def _placed(self, shared: Array, starts: Starts, kind: NDArray[np.intp]) -> Bundle:
         row, column = np.arange(len(self._views.vehicle)), kind[self._views.vehicle]
@@ -314,7 +314,7 @@ class BundleAdjustment:
         return self._seen & facing(self._shapes, kind, self._shapes.mean[kind, :-1], eye)
 
     def unevenness(self, solved: Solved) -> float:
-        """How far views lie off the road, up or down, in the median and in standard deviations of their heights."""
+        """Median distance of views from the road, up or down, and in standard deviations of their heights."""
         here, count = self._linearised(solved.bundle, solved.counted, by="height"), len(self._views.found)
         parts = here.without_poses(np.arange(count), np.zeros((count, 0)), np.zeros(count))
         information = np.maximum(parts.information[:, 0, 0], 1e-12)
@@ -360,9 +360,9 @@ class BundleAdjustment:
         elif by == "shared":
             by_shared = np.zeros((*away.shape, _UNKNOWNS))
             # Places are multiples of the height, and grow with it.
-            by_shared[..., : len(CAMERA)] = by_camera(camera, views.size, world, foot)
-            mirrored = np.stack([np.ones_like(_SIDE), _SIDE, np.ones_like(_SIDE)], axis=-1)
-            column = len(CAMERA) + 3 * _GROUP[:, None] + np.arange(3)
+            by_shared[..., : len(UNKNOWN_NAMES)] = by_camera(camera, views.size, world, foot)
+            mirrored = np.stack([np.ones_like(_SIDE_SIGNS), _SIDE_SIGNS, np.ones_like(_SIDE_SIGNS)], axis=-1)
+            column = len(UNKNOWN_NAMES) + 3 * _GROUP[:, None] + np.arange(3)
             for k in range(keypoints.K):
                 by_shared[:, k, :, column[k]] = np.moveaxis(by_body[:, k] * mirrored[k], -1, 0)
         return Linearised.of(squared, vehicle_cost, weight, away, by_pose, by_shape, by_shared)
@@ -379,6 +379,6 @@ def _offset_sigma(edition: int) -> Array:
 
 def _offsets(shared: Array) -> Array:
     """(33, 3) the offset of each keypoint in the vehicle frame, metres."""
-    offsets = shared[len(CAMERA) :].reshape(-1, 3)[_GROUP]
-    offsets[:, 1] *= _SIDE
+    offsets = shared[len(UNKNOWN_NAMES) :].reshape(-1, 3)[_GROUP]
+    offsets[:, 1] *= _SIDE_SIGNS
     return np.asarray(offsets)

@@ -7,14 +7,14 @@ from typing import Final
 import numpy as np
 
 from skope.camera.derivatives import slopes
-from skope.eval.pose.camera_unknowns import FOCAL, HEIGHT, STEP, camera_of, on_road
+from skope.eval.pose.camera_unknowns import FOCAL, HEIGHT, UNKNOWN_STEP, camera_of, on_road
 from skope.eval.pose.candidates import INLIER
 from skope.eval.pose.fit_camera import CameraEstimate
 from skope.types import Array
 
 _LEAST_AGREEMENT: Final = 0.92
 """Share of the keypoints that are not hidden which must agree; of right cameras it is 0.95 to 1."""
-_UNEVEN: Final = 0.6
+_UNEVEN_SIGMAS: Final = 0.6
 """How far views may lie off the road, in the median and in standard deviations."""
 _UNKNOWN: Final = 0.12
 """Standard deviation of ways on the road, as a share of them, from which a camera is worth nothing."""
@@ -24,7 +24,7 @@ _AS_LIKELY: Final = 6.0
 """A camera that is behind by less (twice the log likelihood) may be the right one."""
 _OTHER: Final = 0.1
 """Ways on the road that differ by more, as a share of them, make another camera."""
-_TURNED: Final = math.radians(6.0)
+_TURNED_RAD: Final = math.radians(6.0)
 """Angle between the way that vehicles go and where they head, in the median, from which the road is no plane or the
 camera another."""
 _WAY_M: Final = 3.0
@@ -57,7 +57,7 @@ def why_not(estimate: CameraEstimate, lower_edges: Array) -> str | None:
 
 def sigma_of_ways(estimate: CameraEstimate) -> float:
     """Relative standard deviation of ways that the vehicles go on the road, at the ninth in ten of their places."""
-    J = slopes(lambda unknowns: _log_ways(estimate, unknowns), estimate.solved.bundle.camera, STEP)
+    J = slopes(lambda unknowns: _log_ways(estimate, unknowns), estimate.solved.bundle.camera, UNKNOWN_STEP)
     variance = np.einsum("bi,ij,bj->b", J, estimate.covariance, J)
     return float(np.sqrt(np.percentile(variance, 90)))
 
@@ -74,7 +74,7 @@ def _disagreement(estimate: CameraEstimate) -> str | None:
 
 
 def _uneven(estimate: CameraEstimate) -> str | None:
-    if estimate.unevenness <= _UNEVEN:
+    if estimate.unevenness <= _UNEVEN_SIGMAS:
         return None
     return "the vehicles do not stand on one plane, or the lens bends straight lines more than one coefficient says"
 
@@ -122,7 +122,7 @@ def _sideways(estimate: CameraEstimate) -> str | None:
         return None
     turn = np.angle((way[told, 0] + 1j * way[told, 1]) * np.conj(middle[told]))
     away = np.minimum(np.abs(turn), math.pi - np.abs(turn))  # who heads the other way is turned around, not aside
-    if np.median(away) <= _TURNED:
+    if np.median(away) <= _TURNED_RAD:
         return None
     return f"under the likeliest one vehicles move {math.degrees(np.median(away)):.0f} degrees aside of where they head"
 

@@ -1,4 +1,4 @@
-"""What the uncertainty of a camera adds to that of places, headings and speeds: one way for poses and tracks.
+"""Uncertainty of places, headings and speeds that comes from the camera's: one way for poses and tracks.
 
 All vehicles are off together, so that it is no part of what tells vehicles apart from frame to frame: it is added to
 what is written.
@@ -20,7 +20,7 @@ from skope.eval.pose.solver import Poses
 from skope.files.json_files import read_json
 from skope.types import Array
 
-CALIBRATED: Final = "camera_calibrated"
+CALIBRATED_FIELD: Final = "camera_calibrated"
 """Under this name `skope eval predict` hands on of which seconds of which footage their camera was calibrated."""
 COVARIANCE: Final = "camera_covariance"
 """Under this name `skope eval predict` hands on, in the `info` of its frames, how well their camera is known."""
@@ -29,12 +29,12 @@ DISTANCE_SIGMA: Final = "camera_distance_sigma"
 
 
 def camera_info(path: Path) -> dict[str, Any]:
-    """What frames say of how well the camera of a file is known, for their `info`."""
+    """Fields of frames' `info` on how well the camera of a file is known."""
     known = read_uncertain_camera(path)
     seconds = calibrated_seconds(path)
     return {
         **({COVARIANCE: known.covariance_dict()} if known else {}),
-        **({CALIBRATED: seconds} if seconds else {}),
+        **({CALIBRATED_FIELD: seconds} if seconds else {}),
     }
 
 
@@ -45,9 +45,15 @@ def calibrated_seconds(path: Path) -> dict[str, Any] | None:
 
 
 def camera_of_info(name: str, info: Mapping[str, Any], camera: Camera | None) -> UncertainCamera | None:
-    """The camera of frames as well as their `info` says that it is known; None where it says nothing.
+    """The camera of frames, as well as their `info` says that it is known; None where it says nothing.
 
-    Raises UserError where what it says is none; `name` is the file's.
+    Args:
+        name: The file's name, for errors.
+        info: The `info` of the frames' file.
+        camera: The camera of the frames.
+
+    Raises:
+        UserError: A field of `info` is malformed.
     """
     if camera is None:
         return None
@@ -63,7 +69,13 @@ def camera_of_info(name: str, info: Mapping[str, Any], camera: Camera | None) ->
 
 
 def with_camera_error(poses: Poses, known: UncertainCamera | None, ground: Ground | None) -> Poses:
-    """Poses whose covariances hold the camera's error too; unchanged where nothing says it, or there is no road."""
+    """Poses whose covariances hold the camera's error too.
+
+    Args:
+        poses: Poses, whose covariances are those given the camera.
+        known: How well the camera is known; None: nothing says it, and the poses stay as they are.
+        ground: The road; None: unknown, and the poses stay as they are.
+    """
     if known is None or ground is None or not len(poses.covariance):
         return poses
     places = poses.T_world_vehicle[:, :3, 3]
@@ -79,9 +91,18 @@ def with_camera_error(poses: Poses, known: UncertainCamera | None, ground: Groun
 def camera_errors(
     known: UncertainCamera, places: Array, velocities: Array, slope: tuple[float, float]
 ) -> tuple[Array, Array]:
-    """(N, 2, 2) each: what the camera's error adds to places (N, 3) and velocities (N, 2) on a road of that slope.
+    """What the camera's error adds to the covariances of places and velocities.
 
     Where the camera does not see a place, all ways are off by the share that those it sees are.
+
+    Args:
+        known: How well the camera is known.
+        places: (N, 3) on the road, world, metres.
+        velocities: (N, 2) m/s.
+        slope: Metres that the road rises per metre along world x and y.
+
+    Returns:
+        (N, 2, 2) square metres, and (N, 2, 2) (m/s)^2.
     """
     of_place, of_velocity = (
         known.covariance_at(places, slope),

@@ -77,9 +77,9 @@ def camera_from_marks(path: Path, size: str | None, out: Path) -> Iterator[str]:
     yield place_errors(found)
     yield from (_point_line(row) for row in points)
     yield from (
-        f"{one.kind} {one.name}: {one.value:.2f} {_UNITS[one.kind]} off"
+        f"{one.kind} {one.name}: {one.value:.2f} {_RESIDUAL_UNITS[one.kind]} off"
         for one in found.residuals
-        if one.kind in _UNITS
+        if one.kind in _RESIDUAL_UNITS
     )
     yield from (f"warning: {words}" for words in (*marked.said, *found.warnings))
 
@@ -89,7 +89,7 @@ def evidence_of(path: Path, size: str | None) -> Evidence:
     return _read(path, size).evidence
 
 
-_UNITS: Final = {"length": "m", "parallel lines": "deg", "vertical": "px"}
+_RESIDUAL_UNITS: Final = {"length": "m", "parallel lines": "deg", "vertical": "px"}
 
 
 def _read(path: Path, size: str | None) -> _Marked:
@@ -179,7 +179,7 @@ def _figures(found: SiteCalibration) -> Iterator[str]:
 
 
 def place_errors(found: UncertainCamera) -> str:
-    """How well places on the road are known, at the worst of those that lie so far from the camera, in words."""
+    """Uncertainty of places on the road, at the worst of those that lie so far from the camera, in words."""
     yaw, foot = found.camera.angles[0], found.camera.position[:2]
     told, farthest = [], ""
     for distance in _DISTANCES_M:

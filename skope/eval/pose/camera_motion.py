@@ -22,16 +22,16 @@ from skope.types import Array
 
 MOTION: Final = "camera_motion"
 """Under this name the `info` of frames says how the camera swayed: what `CameraMotion.to_dict` makes."""
-MOVED: Final = "camera_moved"
+MOVED_REASON: Final = "camera_moved"
 """Why a vehicle has no place: the camera was moved after it had been calibrated."""
 _TURNS: Final = ("pitch", "roll", "yaw")
-_STEPS: Final = np.array([0.5, 0.5, 1e-3])
+_DIFFERENCE_STEPS: Final = np.array([0.5, 0.5, 1e-3])
 """Steps of numeric derivatives by x and y (pixels) and turn (radians)."""
 
 
 @dataclass(frozen=True, eq=False)
 class CameraMotion:
-    """How a camera swayed while it took footage."""
+    """Sway of a camera while it took footage."""
 
     frames: Mapping[int, ImageMotion]
     """By `Image.id`, how far the image is from where it is at rest; frames of which that is not known are not here."""
@@ -40,12 +40,12 @@ class CameraMotion:
 
     @property
     def median_px(self) -> float:
-        """How far images are from rest, in the median, pixels."""
+        """Median distance of images from rest, pixels."""
         return float(np.median([math.hypot(one.x, one.y) for one in self.frames.values()]))
 
     @property
     def largest_px(self) -> float:
-        """How far images are from rest at most, pixels."""
+        """Largest distance of images from rest, pixels."""
         return max(math.hypot(one.x, one.y) for one in self.frames.values())
 
     def __str__(self) -> str:
@@ -60,7 +60,8 @@ class CameraMotion:
         return camera if motion is None else turned_camera(camera, motion.x, motion.y, motion.turn)
 
     def stilled(self, camera: Camera | None, image: Image, pixels: Array) -> Array:
-        """Where pixels (..., 2) of a frame lie at rest; NaN beyond the lens. Without a camera its lens is not known."""
+        """Move pixels (..., 2) of a frame to where they lie at rest; NaN beyond the lens. Without a camera its lens is
+        not known."""
         motion = self.frames[image.id]
         if camera is None:
             middle = np.array([image.width, image.height]) / 2
@@ -74,13 +75,13 @@ class CameraMotion:
         return np.where((valid & before)[..., None], seen, np.nan)
 
     def rest_in(self, camera: Camera, image_id: int) -> UncertainCamera:
-        """What remains uncertain of the camera in a frame: from frame to frame another error."""
+        """Remaining uncertainty of the camera in a frame: from frame to frame another error."""
         motion = self.frames.get(image_id)
         sigmas = self.sway if motion is None else (motion.sigma_px, motion.sigma_px, motion.sigma_turn)
         return UncertainCamera(self.camera_in(camera, image_id), _TURNS, covariance_of_turns(camera, sigmas))
 
     def at_rest(self, camera: Camera, known: UncertainCamera | None) -> UncertainCamera:
-        """How well the camera at rest is known, which was calibrated somewhere in its sway."""
+        """Uncertainty of the camera at rest, which was calibrated somewhere in its sway."""
         names = known.parameters if known else ()
         whole = tuple(name for name in PARAMETERS if name in names or name in _TURNS)
         covariance = np.zeros((len(whole), len(whole)))
@@ -124,7 +125,7 @@ class CameraMotion:
 
 
 def motion_of_info(name: str, info: Mapping[str, Any]) -> CameraMotion | None:
-    """How the camera of frames swayed, as their `info` says; None: it stood still. Raises UserError."""
+    """Sway of the frames' camera, as their `info` says; None: it stood still. Raises UserError."""
     told = info.get(MOTION)
     return CameraMotion.from_dict(name, told) if isinstance(told, Mapping) else None
 
@@ -149,7 +150,7 @@ def covariance_of_turns(camera: Camera, sigmas: tuple[float, float, float]) -> A
     """(3, 3) covariance of pitch, roll and yaw, by standard deviations of x, y (pixels) and turn (radians)."""
     which = [PARAMETERS.index(name) for name in _TURNS]
     columns = []
-    for step in np.diag(_STEPS):
+    for step in np.diag(_DIFFERENCE_STEPS):
         ahead, behind = (values_of(turned_camera(camera, *(sign * step).tolist()))[which] for sign in (1, -1))
         away = ahead - behind
         columns.append((np.mod(away + np.pi, 2 * np.pi) - np.pi) / (2 * step.sum()))

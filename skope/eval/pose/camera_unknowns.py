@@ -9,13 +9,13 @@ import numpy as np
 from skope.camera.derivatives import slopes
 from skope.camera.ground_plane import ground_places
 from skope.camera.model import Camera, Distortion
-from skope.eval.pose.observations import NEAREST_M, Mask
-from skope.types import Array
+from skope.eval.pose.observations import NEAREST_M
+from skope.types import Array, Mask
 
-CAMERA: Final = ("log_focal", "pitch", "roll", "log_height", "k1")
+UNKNOWN_NAMES: Final = ("log_focal", "pitch", "roll", "log_height", "k1")
 """The camera's unknowns: natural logarithms of pixels and metres, radians."""
-FOCAL, PITCH, ROLL, HEIGHT, K1 = range(len(CAMERA))
-STEP: Final = 1e-4
+FOCAL, PITCH, ROLL, HEIGHT, K1 = range(len(UNKNOWN_NAMES))
+UNKNOWN_STEP: Final = 1e-4
 """Step of the differences that tell derivatives by the camera's unknowns."""
 _LEAST_FALL: Final = 1e-3
 """A ray that goes down by less of its depth meets the road as if it went down by so much."""
@@ -103,5 +103,7 @@ def by_camera(camera: Array, size: tuple[int, int], world: Array, foot: Array) -
     """
     height = math.exp(camera[HEIGHT])
     return slopes(
-        lambda at: Pictured.of(at, size, world + (math.exp(at[HEIGHT]) - height) * foot[:, None]).pixels, camera, STEP
+        lambda at: Pictured.of(at, size, world + (math.exp(at[HEIGHT]) - height) * foot[:, None]).pixels,
+        camera,
+        UNKNOWN_STEP,
     )

@@ -7,19 +7,19 @@ from numpy.typing import NDArray
 
 from skope.eval.pose import initialize
 from skope.eval.pose.ground import Ground
-from skope.eval.pose.observations import Mask, Observed
+from skope.eval.pose.observations import Observed
 from skope.eval.pose.optimize import Fits, refine
 from skope.eval.pose.shape_model import Shapes
 from skope.eval.pose.starts import Starts
-from skope.types import Array
+from skope.types import Array, Mask
 
 Kinds = NDArray[np.intp]
 
-FEWEST: Final = {True: 4, False: 6}
+FEWEST_KEYPOINTS: Final = {True: 4, False: 6}
 """Keypoints that a pose needs, with (True) and without (False) a known ground."""
 INLIER: Final = 9.0
 """Squared distance, in variances, up to which a keypoint agrees."""
-_KEPT: Final = 2
+_KEPT_TYPES: Final = 2
 """Body types that go on from the start."""
 
 
@@ -29,13 +29,30 @@ def starts_of(seen: Observed, shapes: Shapes, ground: Ground | None, chosen: Mas
 
 
 def refined(seen: Observed, shapes: Shapes, ground: Ground | None, starts: Starts, kinds: Kinds) -> Fits:
-    """(N, kept) fits from the best starts of each vehicle, the best first."""
-    chosen = np.argsort(starts.cost, axis=1)[:, : min(_KEPT, starts.cost.shape[1])]
+    """Optimise the best starts of each vehicle.
+
+    Args:
+        seen: Keypoints of N vehicles.
+        shapes: The body types.
+        ground: The road; None: unknown.
+        starts: A start for each vehicle and type.
+        kinds: (N, kept) types that go on.
+
+    Returns:
+        (N, kept) fits, the best first.
+    """
+    chosen = np.argsort(starts.cost, axis=1)[:, : min(_KEPT_TYPES, starts.cost.shape[1])]
     return refine(seen, shapes, ground, starts.take(chosen), kinds[chosen]).ordered()
 
 
 def best_types(seen: Observed, shapes: Shapes, ground: Ground | None) -> Fits:
-    """Fits of the likeliest body types to each vehicle, the best first; no search as in `skope.eval.pose.search`."""
+    """Fit the likeliest body types to each vehicle, the best first; no search as in `skope.eval.pose.search`.
+
+    Args:
+        seen: Keypoints of N vehicles.
+        shapes: The body types to choose from.
+        ground: The road; None: unknown.
+    """
     return refined(seen, shapes, ground, starts_of(seen, shapes, ground), np.arange(len(shapes.types)))
 
 

@@ -16,12 +16,12 @@ import numpy as np
 
 from skope.camera.model import Camera
 from skope.eval.pose import initialize
-from skope.eval.pose.bundle_adjustment import ROAD, BundleAdjustment, Known, Solved, VehicleViews
+from skope.eval.pose.bundle_adjustment import START_ROAD, BundleAdjustment, Known, Solved, VehicleViews
 from skope.eval.pose.camera_unknowns import FOCAL, HEIGHT, K1, PITCH, ROLL, camera_of
 from skope.eval.pose.observations import observe
 from skope.types import Array
 
-_FOCAL: Final = np.geomspace(0.34, 2.9, 10)
+_FOCAL_GRID: Final = np.geomspace(0.34, 2.9, 10)
 """Focal lengths of the grid, as multiples of the image's width: fields of view from 112 to 20 degrees."""
 _PITCH: Final = np.radians([3, 8, 14, 21, 29, 38, 48, 60, 74])
 """Tilts of the grid, downwards."""
@@ -29,17 +29,17 @@ _HEIGHT: Final = (2.6, 3.7, 5.2, 7.4, 10.5, 15.0, 22.0)
 """Heights of the grid over the road, metres."""
 _JUDGED: Final = (20, 60)
 """Views by which the grid is judged, and then the best of it, at most."""
-_LEFT: Final = 100
+_JUDGED_AGAIN: Final = 100
 """How many cameras of the grid are judged by more views."""
 _CAP: Final = 150.0
 """What a view can cost at most, so that a false detection does not decide."""
-_APART: Final = 0.45
+_START_DISTANCE: Final = 0.45
 """Cameras of the grid that are nearer to one another than this, in logarithms and twice radians, are one start."""
 _STARTS: Final = 10
 """How many cameras of the grid, the best, are adjusted."""
 _REFINED: Final = 4
 """How many of those have the body types of their vehicles chosen by full fits."""
-_SAME: Final = 0.02
+_SAME_UNKNOWNS: Final = 0.02
 """Cameras whose unknowns differ by less than this are one."""
 _INFLATION: Final = 1.5
 """Standard deviations are this much larger than what differences between vehicles tell: with this and the two below,
@@ -49,7 +49,7 @@ _FOCAL_FLOOR: Final = 0.03
 _FLOOR: Final = np.array([0.0, 0.0, math.radians(0.5), 0.04, 0.01])
 """The same of the other unknowns: all vehicles of a country are larger or smaller than those of the shape space, which
 nothing in the image tells, and lenses are bent by more than one coefficient says."""
-_STEPS: Final = 10
+_FIRST_STEPS: Final = 10
 """Steps by which each start is adjusted before the best are known."""
 
 
@@ -58,7 +58,7 @@ class Rival:
     """Another camera that the search has come to."""
 
     unknowns: Array
-    """(5,) as `skope.eval.pose.camera_unknowns.CAMERA` names them."""
+    """(5,) as `skope.eval.pose.camera_unknowns.UNKNOWN_NAMES` names them."""
     behind: float
     """How much less likely it is, twice the log likelihood."""
 
@@ -71,7 +71,7 @@ class CameraEstimate:
     solved: Solved
     views: VehicleViews
     covariance: Array
-    """(5, 5) of the unknowns that `skope.eval.pose.camera_unknowns.CAMERA` names."""
+    """(5, 5) of the unknowns that `skope.eval.pose.camera_unknowns.UNKNOWN_NAMES` names."""
     unevenness: float
     """How far the views lie off the road, as `BundleAdjustment.unevenness` says; 0.3 to 0.5 on level ones."""
     rival: Rival | None
@@ -79,7 +79,7 @@ class CameraEstimate:
 
     @property
     def vehicles(self) -> int:
-        """How many vehicles it was fitted to."""
+        """Number of vehicles that it was fitted to."""
         return self.views.count
 
     @property
@@ -119,7 +119,7 @@ def fit_camera(views: VehicleViews, known: Known | None = None) -> CameraEstimat
         The camera under which the vehicles are most likely, over (0, 0) and looking along x, and how certain it is.
     """
     adjustment = BundleAdjustment(views, known)
-    begun = [adjustment.solve(adjustment.begun(at), _STEPS) for at in _starts(views, known or Known())]
+    begun = [adjustment.solve(adjustment.begun(at), _FIRST_STEPS) for at in _starts(views, known or Known())]
     begun.sort(key=lambda solved: solved.cost)
     fits = [adjustment.refined(solved.bundle) for solved in _distinct(begun)[:_REFINED]]
     best, *others = _distinct(sorted(fits, key=lambda solved: solved.cost))
@@ -150,18 +150,18 @@ def _starts(views: VehicleViews, known: Known) -> list[Array]:
 
         def cost(at: Array) -> float:
             seen = observe(camera_of(at, views.size), few.found, few.sigma_px)
-            least = initialize.on_ground(seen, shapes, ROAD).cost.min(axis=1)
+            least = initialize.on_ground(seen, shapes, START_ROAD).cost.min(axis=1)
             return float(capped(least).sum())
 
         return sorted(cameras, key=cost)
 
     grid = [
         np.where(known.sigma < np.inf, known.center, [math.log(f * views.size[0]), pitch, 0.0, math.log(height), 0.0])
-        for f, pitch, height in itertools.product(_FOCAL, _PITCH, _HEIGHT)
+        for f, pitch, height in itertools.product(_FOCAL_GRID, _PITCH, _HEIGHT)
     ]
     out: list[Array] = []
-    for at in best(best(grid, _JUDGED[0])[:_LEFT], _JUDGED[1]):
-        if all(np.abs((at - other) * [1, 2, 0, 1, 0]).sum() > _APART for other in out):
+    for at in best(best(grid, _JUDGED[0])[:_JUDGED_AGAIN], _JUDGED[1]):
+        if all(np.abs((at - other) * [1, 2, 0, 1, 0]).sum() > _START_DISTANCE for other in out):
             out.append(at)
         if len(out) == _STARTS:
             break
@@ -177,6 +177,6 @@ def _distinct(solved: list[Solved]) -> list[Solved]:
     """Of those that have come to one camera the first."""
     out: list[Solved] = []
     for one in solved:
-        if all(np.abs(one.bundle.camera - other.bundle.camera).max() > _SAME for other in out):
+        if all(np.abs(one.bundle.camera - other.bundle.camera).max() > _SAME_UNKNOWNS for other in out):
             out.append(one)
     return out

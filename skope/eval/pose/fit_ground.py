@@ -1,4 +1,4 @@
-"""Where the road is, from the vehicles on it: the plane on which all of them are likely, the camera being known.
+"""Fit the road to the vehicles on it: the plane on which all of them are likely, the camera being known.
 
 Each vehicle by itself, placed by its size alone, gives a rough point of the road; a plane through these starts the
 search, and a bundle adjustment of road and vehicles ends it, as for a camera (`skope.eval.pose.fit_camera`).
@@ -31,13 +31,13 @@ _SLOPE: Final = 0.05
 """Standard deviation of a road's slope: 8% is steep."""
 _LOWEST: Final = 0.5
 """Height of a camera over the road, metres, from which the search begins at least."""
-_FEWEST: Final = 3
+_FEWEST_ON_ROAD: Final = 3
 """Vehicles that a road needs; a known camera tells more of each than an unknown one."""
 _FEWEST_PLACES: Final = 3
 """Places that a plane goes through."""
-_UNEVEN: Final = (0.04, 0.08, 0.16, 0.32, 0.64)
+_TRIED_SIGMAS_M: Final = (0.04, 0.08, 0.16, 0.32, 0.64)
 """Standard deviations of the road's height over its plane, metres, that are tried."""
-_ROUNDS: Final = 5
+_WEIGHT_ROUNDS: Final = 5
 """Rounds of reweighting for the first plane."""
 _VEHICLES: Final = 40
 """So many vehicles are used at most."""
@@ -51,7 +51,7 @@ class GroundFit:
 
     ground: Ground
     vehicles: int
-    """How many vehicles it was fitted to."""
+    """Number of vehicles that it was fitted to."""
 
 
 def with_fitted_ground(
@@ -59,8 +59,17 @@ def with_fitted_ground(
 ) -> tuple[Scene, str | None]:
     """The scene with the road that its vehicles show, and a line that says so.
 
-    `asked` is "fit" for always, "auto" for: where the vehicles clearly contradict the level plane that the scene has.
     Each of several cameras has a road of its own.
+
+    Args:
+        scene: Vehicles, and the level plane to begin with.
+        asked: "fit" for always; "auto" for: where the vehicles clearly contradict that plane.
+        score: Detections above this are taken.
+        noise: Standard deviation of the noise that is added to labelled keypoints, pixels.
+        sigma_px: Standard deviation of a keypoint, pixels; None as in `Scene.views`.
+
+    Raises:
+        UserError: "fit" was asked for, and the vehicles do not tell the road.
     """
     if scene.ground is None or not scene.file.images:
         if asked == "fit" and scene.file.images:
@@ -127,7 +136,7 @@ def _fit(scene: Scene, asked: str, *, score: float, noise: float, sigma_px: floa
     """
     assert scene.ground is not None
     camera = scene.camera_of(scene.file.images[0])
-    views = sample(scene, _VEHICLES, score=score, noise=noise, sigma_px=sigma_px, fewest=_FEWEST).views
+    views = sample(scene, _VEHICLES, score=score, noise=noise, sigma_px=sigma_px, fewest=_FEWEST_ON_ROAD).views
     begun = _through_free_fits(views, camera)
     if asked == "auto":
         level, other = (_adjusted(views, camera, ground, free=False).cost for ground in (scene.ground, begun))
@@ -147,7 +156,13 @@ def _words(fit: GroundFit, asked: str) -> str:
 
 
 def fit_ground(views: VehicleViews, camera: Camera, begun: Ground) -> GroundFit:
-    """The plane under vehicles that `camera` sees, near `begun`; how far they lie off it is its `height_sigma`."""
+    """Fit a plane under vehicles; how far they lie off it is its `height_sigma`.
+
+    Args:
+        views: Keypoints of the vehicles.
+        camera: The camera that sees them, with its pose.
+        begun: The plane near which the search begins.
+    """
     solved = _adjusted(views, camera, begun, free=True)
     ground = _plane(camera, solved.bundle.camera, begun)
     ground = replace(ground, height_sigma=_unevenness(views, camera, ground))
@@ -192,13 +207,13 @@ def _through_free_fits(views: VehicleViews, camera: Camera) -> Ground:
     prior = np.diag([0.0, 1.0, 1.0]) / _SLOPE**2
     weight = 1 / sigma**2
     at = np.zeros(3)
-    for _ in range(_ROUNDS):
+    for _ in range(_WEIGHT_ROUNDS):
         normal = (A.T * weight) @ A + prior
         at = np.linalg.solve(normal, (A.T * weight) @ points[:, 2])
         weight = 1 / (sigma**2 + (A @ at - points[:, 2]) ** 2)
     return Ground(
         height=float(at[0]),
-        height_sigma=_UNEVEN[2],
+        height_sigma=_TRIED_SIGMAS_M[2],
         tilt_sigma=math.radians(1.5),
         slope=(float(at[1]), float(at[2])),
         about=(float(middle[0]), float(middle[1])),
@@ -214,4 +229,4 @@ def _unevenness(views: VehicleViews, camera: Camera, ground: Ground) -> float:
         _, spread = np.linalg.slogdet(fits.normal[:, 0])
         return float((capped(fits.cost[:, 0]) + spread).sum() + 2 * len(spread) * math.log(sigma))
 
-    return min(_UNEVEN, key=surprise)
+    return min(_TRIED_SIGMAS_M, key=surprise)

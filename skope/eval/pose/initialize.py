@@ -1,4 +1,4 @@
-"""Where the search for a pose begins: each body type's mean placed on the keypoints, without iterating over its pose.
+"""Starts of the search for a pose: each body type's mean placed on the keypoints, without iterating over its pose.
 
 On a known ground a vehicle has a place (x, y) and a heading, and x_camera - u z_camera = 0 is linear in x, y, cos and
 sin for keypoints of known height: least squares over the four, whose cos^2 + sin^2 also says how much larger the
@@ -12,10 +12,10 @@ import numpy as np
 
 from skope.eval.pose import cauchy
 from skope.eval.pose.ground import Ground
-from skope.eval.pose.observations import NEAREST_M, Mask, Observed
+from skope.eval.pose.observations import NEAREST_M, Observed
 from skope.eval.pose.shape_model import Shapes
 from skope.eval.pose.starts import IMPOSSIBLE, Starts
-from skope.types import Array
+from skope.types import Array, Mask
 
 _MISFIT: Final = 0.12
 """Standard deviation of a keypoint from its type's mean, metres."""

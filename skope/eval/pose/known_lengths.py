@@ -14,7 +14,7 @@ import numpy as np
 
 from skope.camera.derivatives import slopes
 from skope.errors import UserError
-from skope.eval.pose.camera_unknowns import STEP, camera_of, on_road
+from skope.eval.pose.camera_unknowns import UNKNOWN_STEP, camera_of, on_road
 from skope.eval.pose.fit_camera import CameraEstimate
 from skope.types import Array
 
@@ -51,7 +51,7 @@ def corrected(estimate: CameraEstimate, lengths: Sequence[KnownLength]) -> Camer
     size = estimate.views.size
     for length in lengths:
         says = float(length.log_under(unknowns, size))
-        slope = slopes(partial(length.log_under, size=size), unknowns, STEP)
+        slope = slopes(partial(length.log_under, size=size), unknowns, UNKNOWN_STEP)
         across = covariance @ slope
         variance = float(slope @ across) + _variance(length, unknowns, size)
         away = math.log(length.metres) - says

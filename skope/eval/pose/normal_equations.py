@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skope import keypoints
-from skope.eval.pose.observations import Mask
-from skope.types import Array
+from skope.types import Array, Mask
 
 _POSE_STRIDE: Final = np.array([3.0, 3.0, 0.5])
 """A pose changes by so much at most in a step: heights of the camera, radians."""
@@ -61,7 +60,13 @@ class Linearised:
         )
 
     def without_poses(self, vehicle: NDArray[np.intp], shape: Array, damping: Array) -> "Parts":
-        """What is left when the poses, then the shapes (N, M) are taken out; `damping` (N,) of both."""
+        """The equations after the poses, then the shapes are taken out (Schur complements).
+
+        Args:
+            vehicle: (B,) the vehicle of each view.
+            shape: (N, M) the vehicles' shapes.
+            damping: (N,) damping of poses and shapes.
+        """
         count, m = len(shape), self.numbers
         pose, rest = slice(0, 3), slice(3, None)
         own = self.normal[:, pose, pose]
@@ -126,7 +131,16 @@ def _inverses(matrices: Array) -> Array:
 
 
 def summed(values: Array, vehicle: NDArray[np.intp], count: int) -> Array:
-    """(N, ...) sums over the views (B, ...) of each vehicle."""
+    """Sum over the views of each vehicle.
+
+    Args:
+        values: (B, ...) a value for each view.
+        vehicle: (B,) the vehicle of each view.
+        count: Number N of vehicles.
+
+    Returns:
+        (N, ...) sums.
+    """
     out = np.zeros((count, *values.shape[1:]))
     np.add.at(out, vehicle, values)
     return out

@@ -9,9 +9,7 @@ from numpy.typing import NDArray
 
 from skope import keypoints
 from skope.camera.model import Camera
-from skope.types import Array
-
-Mask = NDArray[np.bool_]
+from skope.types import Array, Mask
 
 LEAST_PROBABILITY: Final = 0.2
 """Keypoints below this do not count."""
@@ -78,9 +76,12 @@ class Observed:
 
 
 def observe(camera: Camera, found: Array, sigma: Array) -> Observed:
-    """Keypoints (N, 33, 3), pixels and probability, with standard deviations (N,) of those of probability 1.
+    """Take keypoints to rays and weights; what is not finite, or beyond what the lens model can undo, does not count.
 
-    What is not finite, or beyond what the lens model can undo, does not count.
+    Args:
+        camera: The camera that took the image.
+        found: (N, 33, 3) x, y in pixels, and the probability that the point is right.
+        sigma: (N,) standard deviation of a keypoint of probability 1, pixels.
     """
     probability = np.where(np.isfinite(found).all(axis=-1), found[..., 2], 0.0)
     pixels = np.where(np.isfinite(found[..., :2]), found[..., :2], 0.0)

@@ -19,7 +19,7 @@ from skope.eval.pose.shape_model import Shapes
 from skope.eval.pose.starts import IMPOSSIBLE, Starts
 from skope.types import Array
 
-_STEPS: Final = 12
+_MOST_ITERATIONS: Final = 12
 """Steps of the optimiser at most."""
 _BEHIND: Final = 1e6
 """Squared distance of a keypoint that would lie behind the camera."""
@@ -140,7 +140,7 @@ class _Problem:
         damping = np.full(len(p), 1e-3)
         cost, squared, variance, normal, gradient = self._linearised(p, R, a)
         live = np.arange(len(p))
-        for _ in range(_STEPS):
+        for _ in range(_MOST_ITERATIONS):
             # Solve (H + damping diag H) step = -gradient for the vehicles that are not settled.
             part = self._part(live)
             H = normal[live].copy()

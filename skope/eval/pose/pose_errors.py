@@ -1,4 +1,4 @@
-"""How far poses are from the truth of generated data: position, heading, dimensions and overlap, by distance and
+"""Errors of poses against the truth of generated data: position, heading, dimensions and overlap, by distance and
 occlusion."""
 
 import math
@@ -16,7 +16,7 @@ from skope.terminal.text_table import text_table
 from skope.types import Array
 
 DISTANCES: Final = ((0.0, 10.0), (10.0, 20.0), (20.0, 30.0), (30.0, 40.0), (40.0, 60.0), (60.0, math.inf))
-OCCLUSIONS: Final = ((0.0, 0.1), (0.1, 0.4), (0.4, 1.01))
+OCCLUSION_BANDS: Final = ((0.0, 0.1), (0.1, 0.4), (0.4, 1.01))
 BENDS_DEG: Final = ((0.0, 5.0), (5.0, 20.0), (20.0, math.inf))
 """Bands of the angle between an articulated vehicle and its trailer."""
 QUANTILES: Final = (50, 90, 99)
@@ -111,7 +111,7 @@ def summary(errors: PoseErrors) -> dict[str, Any]:
     Articulated vehicles, of which the pose is that of the part before the hinge, are listed by how far they bend too.
     """
     out: dict[str, Any] = {"all": _cell(errors)}
-    groups = [("distance", DISTANCES, errors.distance), ("occlusion", OCCLUSIONS, errors.occlusion)]
+    groups = [("distance", DISTANCES, errors.distance), ("occlusion", OCCLUSION_BANDS, errors.occlusion)]
     if np.isfinite(errors.bend).any():
         groups.append(("articulation", BENDS_DEG, errors.bend))
     for name, bands, values in groups:

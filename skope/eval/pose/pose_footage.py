@@ -15,7 +15,7 @@ from skope.files.json_files import write_json
 from skope.files.progress import Progress
 from skope.terminal.console import Console
 
-_PROGRESS: Final = ".vehicles.jsonl"
+_PROGRESS_FILE: Final = ".vehicles.jsonl"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,7 +36,7 @@ class PoseJob:
 def run(job: PoseJob, console: Console) -> Iterator[str]:
     """Work out the poses and write them under `job.out`; yields lines that say what was written and found."""
     scene = job.scene
-    progress = Progress(job.out / _PROGRESS, ("rows",))
+    progress = Progress(job.out / _PROGRESS_FILE, ("rows",))
     if progress.count:
         console.say(f"{scene.file.name}: going on after the poses of {progress.count} images")
     with console.bar(total=len(scene.file.images), unit="image", label="poses") as bar:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from skope.camera.model import Camera
 from skope.eval.pose.camera_error import with_camera_error
-from skope.eval.pose.camera_motion import MOVED
+from skope.eval.pose.camera_motion import MOVED_REASON
 from skope.eval.pose.solver import Poses, locate
 from skope.eval.pose.views import Scene, View
 from skope.files.atomic import replacing
@@ -22,7 +22,7 @@ from skope.types import Array
 
 INTERPOLATED: Final = "interpolated"
 """Why a vehicle has no pose that was followed from other frames: its keypoints measure nothing anew."""
-_CORNERS: Final = np.array(list(itertools.product((0.5, -0.5), (0.5, -0.5), (0.0, 1.0))))
+_BOX_CORNERS: Final = np.array(list(itertools.product((0.5, -0.5), (0.5, -0.5), (0.0, 1.0))))
 """(8, 3) corners of a vehicle's box in its own frame, in lengths, widths and heights: front before rear, left before
 right, low before high."""
 
@@ -59,12 +59,12 @@ def locate_view(view: View, scene: Scene) -> Located:
     )
     # From frame to frame another error: unlike the calibration's, it is part of what tells places apart.
     poses = with_camera_error(poses, scene.sway_in(image), scene.road_in(image))
-    return Located(view, camera, poses if found.all() else poses.among(found, MOVED if moved else INTERPOLATED))
+    return Located(view, camera, poses if found.all() else poses.among(found, MOVED_REASON if moved else INTERPOLATED))
 
 
 def corners_of(T_world_vehicle: Array, size_lwh: Array) -> Array:
     """(8, 3) corners of a vehicle's box, world: front before rear, left before right, low before high."""
-    return np.asarray((_CORNERS * size_lwh) @ T_world_vehicle[:3, :3].T + T_world_vehicle[:3, 3])
+    return np.asarray((_BOX_CORNERS * size_lwh) @ T_world_vehicle[:3, :3].T + T_world_vehicle[:3, 3])
 
 
 def records(located: Located) -> Iterator[dict[str, Any]]:
@@ -106,7 +106,7 @@ def records(located: Located) -> Iterator[dict[str, Any]]:
         yield row
 
 
-_COLUMNS: Final = (
+_CSV_COLUMNS: Final = (
     "image_id", "file_name", "time_s", "vehicle", "score", "refused", "flags", "type",
     "x", "y", "z", "heading_deg", "sigma_x", "sigma_y", "sigma_z", "sigma_heading_deg",
     "length", "width", "height", "camera_x", "camera_y", "camera_z",
@@ -125,7 +125,7 @@ def write_poses(folder: Path, rows: Callable[[], Iterable[dict[str, Any]]]) -> l
         file.writelines(json.dumps(row, allow_nan=False) + "\n" for row in rows())
     with replacing(paths[1]) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(_COLUMNS)
+        writer.writerow(_CSV_COLUMNS)
         writer.writerows(_cells(row) for row in rows())
     return paths
 
@@ -134,7 +134,7 @@ def _cells(row: dict[str, Any]) -> list[Any]:
     head = [row["image_id"], row["file_name"], row["time_s"], row["vehicle"], row["score"], row["refused"]]
     head.append(" ".join(row["flags"]))
     if row["refused"] is not None:
-        return head + [""] * (len(_COLUMNS) - len(head))
+        return head + [""] * (len(_CSV_COLUMNS) - len(head))
     return [
         *head,
         row["type"],

@@ -11,14 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skope.camera.model import Camera
-from skope.eval.pose.candidates import FEWEST, best_types, refined, starts_of
+from skope.eval.pose.candidates import FEWEST_KEYPOINTS, best_types, refined, starts_of
 from skope.eval.pose.ground import Ground
-from skope.eval.pose.observations import Mask, Observed
+from skope.eval.pose.observations import Observed
 from skope.eval.pose.optimize import Fits
 from skope.eval.pose.self_occlusion import facing
 from skope.eval.pose.shape_model import Shapes
 from skope.keypoints import FLIP, OTHER_END
-from skope.types import Array
+from skope.types import Array, Mask
 
 Rows = NDArray[np.intp]
 
@@ -31,10 +31,11 @@ _SUBSET: Final = 6
 _BETTER: Final = 12.0
 """How much lower (twice the log likelihood) the cost must be for labels to count as exchanged."""
 _HIDDEN: Final = 9.0
-"""What a keypoint costs that lies anywhere: about a box's area over that of its own spread, as a log likelihood."""
+"""Cost of a keypoint that is unrelated to the pose, uniform over the box: about the box's area over that of the
+keypoint's own uncertainty, as a log likelihood."""
 RIVAL: Final = 30.0
 """Difference of cost within which the opposite heading leaves doubt: 2% of the right ones, half of the wrong."""
-_ROUNDS: Final = 2
+_HIDDEN_ROUNDS: Final = 2
 """How often the hidden keypoints are worked out from a pose and the pose is fitted again without them."""
 _ORDERS: Final = (list(FLIP), list(OTHER_END), [FLIP[i] for i in OTHER_END])
 """Order of the keypoints after each of `EXCHANGES`."""
@@ -43,7 +44,16 @@ _ORDERS: Final = (list(FLIP), list(OTHER_END), [FLIP[i] for i in OTHER_END])
 def retry_from_subsets(
     seen: Observed, fits: Fits, poor: Rows, shapes: Shapes, ground: Ground | None, rng: np.random.Generator
 ) -> None:
-    """Fit the vehicles `poor` from starts by random few keypoints; `fits` takes what fits all keypoints better."""
+    """Fit vehicles from starts by random few keypoints; `fits` takes what fits all keypoints better.
+
+    Args:
+        seen: Keypoints of N vehicles.
+        fits: The fits so far, changed in place.
+        poor: Rows of the vehicles that are tried again.
+        shapes: The body types.
+        ground: The road; None: unknown.
+        rng: Draws the keypoints.
+    """
     times = _SUBSETS[ground is not None]
     some, again = seen.take(poor), seen.take(np.tile(poor, times))
     starts = starts_of(again, shapes, ground, again.subsets(_SUBSET, rng)).gathered(times)
@@ -76,10 +86,10 @@ def without_hidden(
     rival = np.full(len(poor), np.inf)  # the least cost of heading the other way
     for turned in (False, True):
         guess, reached = best.take(every), np.full(len(poor), np.inf)
-        for attempt in range(_ROUNDS):
+        for attempt in range(_HIDDEN_ROUNDS):
             shown = _shown(camera, guess, shapes, ground, turned=turned and not attempt)
             shown &= _inside(camera, guess, shapes, ground) | ~cut[:, None]
-            enough = (some.counted & shown).sum(axis=1) >= FEWEST[ground is not None]
+            enough = (some.counted & shown).sum(axis=1) >= FEWEST_KEYPOINTS[ground is not None]
             tried = replace(some, counted=some.counted & (shown | ~enough[:, None]))
             guess = best_types(tried, shapes, ground)
             whole = np.where(enough, guess.cost[:, 0] + _HIDDEN * (some.count - tried.count), np.inf)

@@ -1,4 +1,4 @@
-"""Which keypoints a vehicle's own body hides from a camera: detectors put those anywhere, with high scores.
+"""Keypoints that a vehicle's own body hides from a camera: detectors put those anywhere, with high scores.
 
 `keypoint_visibility.json` is worked out from the fleet by `scripts/vehicle_sight.py`: of each body type and keypoint
 the logistic regression of "seen" on the direction from the keypoint to the eye, which tells 97 to 99% of them right.
@@ -17,7 +17,7 @@ from skope.eval.pose.shape_model import Shapes, of_edition
 from skope.files.json_files import read_json
 from skope.types import Array
 
-_NUMBERS: Final = 4
+_FIELD_COUNT: Final = 4
 
 
 @cache
@@ -29,11 +29,11 @@ def _fleet_sight(edition: int) -> dict[str, Array]:
         document = read_json(path)
     if not isinstance(document, dict) or document.get("scheme") != keypoints.SCHEME:
         raise UserError(f"{path}: scheme: expected keypoint scheme {keypoints.SCHEME!r}")
-    return {name: np.reshape(row, (keypoints.K, _NUMBERS)) for name, row in document["types"].items()}
+    return {name: np.reshape(row, (keypoints.K, _FIELD_COUNT)) for name, row in document["types"].items()}
 
 
 def facing(shapes: Shapes, kind: NDArray[np.intp], points: Array, eye: Array) -> NDArray[np.bool_]:
-    """Which keypoints a camera sees past the vehicle's own body.
+    """Find the keypoints that a camera sees past the vehicle's own body.
 
     Args:
         shapes: The body types.

@@ -19,7 +19,7 @@ from skope.errors import UserError
 from skope.files.json_files import read_json
 from skope.types import Array
 
-ROWS: Final = keypoints.K + 1
+SHAPE_ROWS: Final = keypoints.K + 1
 """Rows of a shape: the keypoints and, last, length, width and height."""
 
 
@@ -43,7 +43,7 @@ class Shapes:
     def known(cls, points: ArrayLike, size_lwh: ArrayLike, *, name: str = "known") -> Self:
         """The one shape of a vehicle whose keypoints (33, 3) and dimensions (3,) are known."""
         row = np.concatenate([np.asarray(points, dtype=np.float64), [np.asarray(size_lwh, dtype=np.float64)]])
-        return cls((name,), np.ones(1), row[None], np.zeros((1, 0, ROWS, 3)), np.zeros((1, keypoints.K)))
+        return cls((name,), np.ones(1), row[None], np.zeros((1, 0, SHAPE_ROWS, 3)), np.zeros((1, keypoints.K)))
 
     def mean_vehicle(self) -> Array:
         """(34, 3) keypoints and dimensions of the average vehicle on the road."""
@@ -69,8 +69,8 @@ def read_shapes(path: Path) -> Shapes:
         raise UserError(f"{path}: scheme: expected shapes of keypoint scheme {keypoints.SCHEME!r}")
     types: dict[str, Any] = document.get("types") or {}
     try:
-        mean = np.array([np.reshape(row["mean"], (ROWS, 3)) for row in types.values()])
-        directions = np.array([np.reshape(row["directions"], (-1, ROWS, 3)) for row in types.values()])
+        mean = np.array([np.reshape(row["mean"], (SHAPE_ROWS, 3)) for row in types.values()])
+        directions = np.array([np.reshape(row["directions"], (-1, SHAPE_ROWS, 3)) for row in types.values()])
         rest = np.array([np.reshape(row["rest"], keypoints.K) for row in types.values()])
         share = np.array([float(row["share"]) for row in types.values()])
     except (KeyError, TypeError, ValueError) as error:

@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from skope import keypoints
 from skope.camera.model import Camera
-from skope.eval.pose.candidates import FEWEST, INLIER, best_types, share
+from skope.eval.pose.candidates import FEWEST_KEYPOINTS, INLIER, best_types, share
 from skope.eval.pose.ground import Ground
 from skope.eval.pose.observations import Observed, observe
 from skope.eval.pose.optimize import Fits
@@ -32,25 +32,25 @@ from skope.types import Array
 REFUSALS: Final = ("few_keypoints", "on_a_line", "no_fit", "inconsistent", "uncertain")
 """Why a vehicle has no pose: fewer keypoints than a pose needs; keypoints on one line; nothing in front of the camera
 fits; more than 60% of the keypoints contradict the rest; the covariance says that the answer is worth nothing."""
-FLAGS: Final = (*EXCHANGES, "outliers", "heading_in_doubt", "end_in_doubt", "cut")
+POSE_FLAGS: Final = (*EXCHANGES, "outliers", "heading_in_doubt", "end_in_doubt", "cut")
 """What a pose should be distrusted for: keypoints that fit only with left and right, or front and rear, or both taken
 for each other; some keypoints left out; another heading fits about as well; the keypoints that are seen belong to the
 end that faces away from the camera; the image shows a part of the vehicle only."""
 
-_CHUNK: Final = 128
+_CHUNK_VEHICLES: Final = 128
 """Vehicles that are worked out together; not all at once, so that memory stays small."""
 _AGREE: Final = 0.4
 """Share of the keypoints that must agree with a pose. Detectors that learn from visible keypoints alone put hidden
 ones, half of all, anywhere, with a high score."""
 _DOUBT: Final = 0.8
 """Share of agreeing keypoints under which other starts are tried."""
-_LEVEL: Final = 6.0
+_HEADING_COST_GAP: Final = 6.0
 """Difference of cost within which another heading is as good."""
 _HOPELESS: Final = 1e5
 """Cost from which a fit is impossible."""
-_BESIDE: Final = 6.0
+_BESIDE_M: Final = 6.0
 """Metres before or behind a vehicle's middle from which a camera sees one end of it and not the other."""
-_SHOWN: Final = 0.4
+_LAMP_MARGIN: Final = 0.4
 """How much more probable the lamps of the other end must be to contradict the pose."""
 _WORST_HEADING: Final = math.radians(25)
 """Largest standard deviation of a heading that is worth something."""
@@ -58,13 +58,17 @@ _WORST_DISTANCE: Final = 0.1
 """Largest standard deviation of the position as a share of the distance, at least 1 m."""
 
 
-_FRONT: Final = [i for i, name in enumerate(keypoints.NAMES) if name.startswith(("headlight", "front_logo"))]
-_REAR: Final = [i for i, name in enumerate(keypoints.NAMES) if name.startswith("taillight")]
+_FRONT_LAMPS: Final = [i for i, name in enumerate(keypoints.NAMES) if name.startswith(("headlight", "front_logo"))]
+_REAR_LAMPS: Final = [i for i, name in enumerate(keypoints.NAMES) if name.startswith("taillight")]
+
+
+_MEASURED: Final = ("T_world_vehicle", "points", "size_lwh", "covariance", "rms_px")
+"""Fields of `Poses` that are numbers, NaN for a vehicle without a pose."""
 
 
 @dataclass(frozen=True, eq=False)
 class Poses:
-    """Poses and shapes of N vehicles; where `refusal` is not None the numbers mean nothing."""
+    """Poses and shapes of N vehicles; where `refusal` is not None the numbers are NaN."""
 
     T_world_vehicle: Array
     """(N, 4, 4) from the vehicle frame (x forward, y left, z up, origin on the ground under its middle) to the world,
@@ -84,7 +88,7 @@ class Poses:
     refusal: tuple[str | None, ...]
     """(N,) one of `REFUSALS` for a vehicle without a pose, else None."""
     flags: tuple[tuple[str, ...], ...]
-    """(N,) those of `FLAGS` that hold for each vehicle."""
+    """(N,) those of `POSE_FLAGS` that hold for each vehicle."""
 
     def __len__(self) -> int:
         return len(self.types)
@@ -114,15 +118,22 @@ class Poses:
             given = dict(zip(at.tolist(), values, strict=True))
             return tuple(given.get(i, fill) for i in range(count))
 
-        arrays = ("T_world_vehicle", "points", "size_lwh", "covariance", "rms_px")
         return replace(
             self,
-            **{name: spread(getattr(self, name), np.nan) for name in arrays},
+            **{name: spread(getattr(self, name), np.nan) for name in _MEASURED},
             used=spread(self.used, False),
             types=shared_out(self.types, ""),
             refusal=shared_out(self.refusal, refusal),
             flags=shared_out(self.flags, ()),
         )
+
+    def without_refused(self) -> Self:
+        """The same with NaN for the numbers of vehicles that are refused."""
+        refused = np.array([reason is not None for reason in self.refusal], dtype=bool)
+        blank = {name: getattr(self, name).copy() for name in _MEASURED}
+        for values in blank.values():
+            values[refused] = np.nan
+        return replace(self, **blank)
 
     @property
     def position(self) -> Array:
@@ -163,9 +174,9 @@ def locate(
         level = locate(camera, found, sigma_px=sigma, ground=flat, shapes=space, cut=at_edge)
         return level.moved(ground.T_world_level)
     rng = np.random.default_rng(0)  # which subsets are tried must not depend on what was run before
-    parts = [slice(i, i + _CHUNK) for i in range(0, len(found), _CHUNK)]
+    parts = [slice(i, i + _CHUNK_VEHICLES) for i in range(0, len(found), _CHUNK_VEHICLES)]
     chunks = [_locate_chunk(camera, found[part], sigma[part], at_edge[part], ground, space, rng) for part in parts]
-    return _joined(chunks)
+    return _joined(chunks).without_refused()
 
 
 def levelled(camera: Camera, ground: Ground) -> tuple[Camera, Ground]:
@@ -188,7 +199,7 @@ def _locate_chunk(
     exchanged: dict[int, str] = {}
     doubted: set[int] = set()
     doubtful = (share(seen, fits) < _DOUBT) | (fits.cost[:, 0] > _HOPELESS)
-    poor = np.flatnonzero((doubtful | cut) & (seen.count >= FEWEST[ground is not None]))
+    poor = np.flatnonzero((doubtful | cut) & (seen.count >= FEWEST_KEYPOINTS[ground is not None]))
     if poor.size:
         retry_from_subsets(seen, fits, poor, shapes, ground, rng)
         whole = seen.take(poor)
@@ -234,7 +245,7 @@ def _to_poses(
         types=tuple(shapes.types[k] for k in kind),
         used=used,
         rms_px=np.sqrt(misses / np.maximum(1, agreeing)),
-        refusal=_refusals(camera, seen, fits, T, covariance, agreeing, FEWEST[ground is not None]),
+        refusal=_refusals(camera, seen, fits, T, covariance, agreeing, FEWEST_KEYPOINTS[ground is not None]),
         flags=tuple(
             (*_doubts(camera, seen, fits, T[i], i, exchanged.get(i), i in doubted), *(["cut"] if cut[i] else []))
             for i in range(len(T))
@@ -266,11 +277,11 @@ def _doubts(
     forward = fits.R[i, :, :, 0]
     elsewhere = forward @ forward[0] < math.cos(0.5)
     ahead = float((camera.position - T[:3, 3]) @ T[:3, 0])
-    shown = float(seen.probability[i, _FRONT].mean() - seen.probability[i, _REAR].mean())
+    shown = float(seen.probability[i, _FRONT_LAMPS].mean() - seen.probability[i, _REAR_LAMPS].mean())
     doubts = {
         "outliers": agree.sum() < _DOUBT * seen.counted[i].sum(),
-        "heading_in_doubt": doubted or (elsewhere & (fits.cost[i] < fits.cost[i, 0] + _LEVEL)).any(),
-        "end_in_doubt": abs(ahead) > _BESIDE and abs(shown) > _SHOWN and ahead * shown < 0,
+        "heading_in_doubt": doubted or (elsewhere & (fits.cost[i] < fits.cost[i, 0] + _HEADING_COST_GAP)).any(),
+        "end_in_doubt": abs(ahead) > _BESIDE_M and abs(shown) > _LAMP_MARGIN and ahead * shown < 0,
     }
     return (*((exchanged,) if exchanged else ()), *(name for name, holds in doubts.items() if holds))
 

@@ -11,17 +11,17 @@ from skope import boxes as box_math
 from skope.errors import UserError
 from skope.eval.box_links import LOST_S, BoxLinks
 from skope.eval.pose.bundle_adjustment import VehicleViews
-from skope.eval.pose.observations import LEAST_PROBABILITY, Mask
+from skope.eval.pose.observations import LEAST_PROBABILITY
 from skope.eval.pose.views import Scene, View
-from skope.types import Array
+from skope.types import Array, Mask
 
-FEWEST: Final = 5
+FEWEST_VEHICLES: Final = 5
 """Vehicles that a camera needs."""
 _POINTS: Final = 8
 """Keypoints that a view must show."""
-_EDGE: Final = 48.0
+_LEAST_EDGE_PX: Final = 48.0
 """Pixels that a view's box must measure along its longer edge."""
-_APART: Final = 0.1
+_HIDING_IOU: Final = 0.1
 """Overlap (IoU) with another box from which one vehicle may hide the other."""
 _VIEWS: Final = 6
 """Views of a vehicle at most."""
@@ -55,7 +55,7 @@ class _Candidate:
 
 
 def sample(
-    scene: Scene, count: int, *, score: float, noise: float, sigma_px: float | None, fewest: int = FEWEST
+    scene: Scene, count: int, *, score: float, noise: float, sigma_px: float | None, fewest: int = FEWEST_VEHICLES
 ) -> Sample:
     """Draw vehicles that show enough, moving ones first, and views of each that are apart from one another.
 
@@ -95,8 +95,8 @@ def sample(
             of_vehicle.setdefault(number, []).append(candidate)
     if len(of_vehicle) < fewest:
         raise UserError(
-            f"{scene.file.name}: {len(of_vehicle)} vehicles show {_POINTS} keypoints on {_EDGE:g} px or more, clear of "
-            f"others and of the image's edge; {fewest} are needed"
+            f"{scene.file.name}: {len(of_vehicle)} vehicles show {_POINTS} keypoints on {_LEAST_EDGE_PX:g} px or more, "
+            f"clear of others and of the image's edge; {fewest} are needed"
         )
     spread = {number: _spread_out(candidates) for number, candidates in of_vehicle.items()}
     order = np.random.default_rng(0).permutation(list(spread)).tolist()
@@ -128,11 +128,11 @@ def _numbered(views: Iterator[View]) -> Iterator[tuple[View, NDArray[np.int64]]]
 
 def _shows_enough(view: View) -> Mask:
     """(N,) which vehicles show enough keypoints, large enough, with nothing before them."""
-    large = view.boxes[:, 2:].max(axis=1, initial=0) >= _EDGE
+    large = view.boxes[:, 2:].max(axis=1, initial=0) >= _LEAST_EDGE_PX
     many = (view.found[..., 2] > LEAST_PROBABILITY).sum(axis=1) >= _POINTS
     rectangles = box_math.xywh_to_xyxy(view.boxes)
     overlap = box_math.iou(rectangles, rectangles) * (1 - np.eye(len(rectangles)))
-    return np.asarray(large & many & ~view.cut & ~view.interpolated & (overlap.max(axis=1, initial=0) < _APART))
+    return np.asarray(large & many & ~view.cut & ~view.interpolated & (overlap.max(axis=1, initial=0) < _HIDING_IOU))
 
 
 def _spread_out(candidates: Sequence[_Candidate]) -> list[_Candidate]:

@@ -18,7 +18,7 @@ from skope.dataset.camera_of_file import read_camera, sized
 from skope.dataset.folder import CHANGES, FRAMES, PREDICTIONS
 from skope.dataset.image_selection import part as part_of
 from skope.errors import UserError
-from skope.eval.pose.camera_error import CALIBRATED, calibrated_seconds, camera_of_info
+from skope.eval.pose.camera_error import CALIBRATED_FIELD, calibrated_seconds, camera_of_info
 from skope.eval.pose.camera_motion import CameraMotion, motion_of_info
 from skope.eval.pose.ground import Ground
 from skope.eval.pose.shape_model import Shapes, fleet_shapes
@@ -33,16 +33,16 @@ if TYPE_CHECKING:
 
 MATCH_IOU: Final = 0.6
 """IoU from which a detection's box and a ground-truth vehicle's belong together."""
-_SHARE: Final = 0.02
+_SIGMA_SHARE: Final = 0.02
 """Standard deviation of a predicted keypoint as a share of its box's longer edge, at least a pixel."""
-_NEAR: Final = 0.04
+_EDGE_SHARE: Final = 0.04
 """How far from the image's edge a predicted box may end that the image cuts, as a share of the box's longer edge."""
-_NEAR_PX: Final = 4.0
+_EDGE_PX: Final = 4.0
 """Least of that distance, pixels."""
-_AT: Final = 0.02
+_PUSHED_SHARE: Final = 0.02
 """How far from the edge that cuts its box a keypoint may lie to be taken for one that the detector pushed there, as a
 share of the box's longer edge."""
-_AT_PX: Final = 2.0
+_PUSHED_PX: Final = 2.0
 """Least of that distance, pixels."""
 
 
@@ -119,7 +119,7 @@ class Scene:
         return self.motion.camera_in(camera, image.id) if self.motion else camera
 
     def sway_in(self, image: Image) -> UncertainCamera | None:
-        """What the camera's sway leaves uncertain of it in one image; None: it stands still."""
+        """Uncertainty of the camera in one image that its sway leaves; None: it stands still."""
         return self.motion.rest_in(self.camera_of(image), image.id) if self.motion else None
 
     def moved_in(self, image: Image) -> bool:
@@ -131,7 +131,7 @@ class Scene:
         return self.known.of_camera(self.camera_of(image)) if self.known else None
 
     def road_in(self, image: Image) -> Ground | None:
-        """Where the road is in an image; None: unknown."""
+        """The road in an image; None: unknown."""
         return self.roads.get(image.id, self.ground)
 
     def calibrated_part(self) -> "Scene":
@@ -154,9 +154,14 @@ class Scene:
     def views(
         self, *, score: float = 0.5, sigma_px: float | None = None, noise: float = 0.0, seed: int = 0
     ) -> Iterator[View]:
-        """Every image with its detections above `score`, or its labelled vehicles with `noise` pixels added.
+        """Every image with its detections, or its labelled vehicles, one after the other.
 
-        `sigma_px` is the standard deviation that a pose search shall reckon with; None: 2% of the box, or the noise.
+        Args:
+            score: Detections above this are taken.
+            sigma_px: Standard deviation of a keypoint that a pose search shall reckon with, pixels; None: 2% of the
+                box, or the noise.
+            noise: Standard deviation of the noise that is added to labelled keypoints, pixels.
+            seed: Seed of that noise.
         """
         rng = np.random.default_rng(seed)
         if self.results is None:
@@ -224,14 +229,16 @@ def _predicted(image: Image, pairs: list[tuple[Result, Annotation | None]], sigm
     found = np.array([r.keypoints for r in results]).reshape(-1, keypoints.K, 3)
     boxes = np.array([r.bbox for r in results]).reshape(-1, 4)
     spread = (
-        np.maximum(1.0, _SHARE * boxes[:, 2:].max(axis=1, initial=0.0)) if sigma is None else np.full(len(boxes), sigma)
+        np.maximum(1.0, _SIGMA_SHARE * boxes[:, 2:].max(axis=1, initial=0.0))
+        if sigma is None
+        else np.full(len(boxes), sigma)
     )
     scores = np.array([r.score for r in results])
     longer = boxes[:, 2:].max(axis=1, initial=0.0)
-    reached = _margins(image, boxes) <= np.maximum(_NEAR_PX, _NEAR * longer)[:, None]
+    reached = _margins(image, boxes) <= np.maximum(_EDGE_PX, _EDGE_SHARE * longer)[:, None]
     # Detectors put keypoints that lie beyond the image at its edge, with high scores: those do not count.
     edges = _margins(image, np.concatenate([found[..., :2], np.zeros_like(found[..., :2])], axis=-1))
-    at_edge = (edges <= np.maximum(_AT_PX, _AT * longer)[:, None, None]) & reached[:, None]
+    at_edge = (edges <= np.maximum(_PUSHED_PX, _PUSHED_SHARE * longer)[:, None, None]) & reached[:, None]
     found[..., 2] = np.where(at_edge.any(axis=-1), 0.0, found[..., 2])
     truth = tuple(vehicle for _, vehicle in pairs)
     interpolated = np.array([r.interpolated for r in results], dtype=bool)
@@ -289,7 +296,7 @@ def read_scene(
             road = None if ground is None else Ground(height=ground)
             return Scene(file, results, None, road, left_out, users, motion=motion)
         read, posed, known = None, True, camera_of_info(file.name, file.info, shown)
-        seconds = file.info.get(CALIBRATED)
+        seconds = file.info.get(CALIBRATED_FIELD)
     else:
         read, posed = read_camera(camera, _size(file))
         shown, known, seconds = read, read_uncertain_camera(camera), calibrated_seconds(camera)

@@ -5,7 +5,7 @@ import math
 import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -14,15 +14,61 @@ from skope.errors import UserError
 from skope.eval.pose import fit_camera
 from skope.eval.pose.bundle_adjustment import Known
 from skope.eval.pose.camera_doubts import sigma_of_ways, why_not
-from skope.eval.pose.camera_unknowns import CAMERA, FOCAL, HEIGHT
+from skope.eval.pose.camera_unknowns import FOCAL, HEIGHT, UNKNOWN_NAMES
+from skope.eval.pose.fit_camera import CameraEstimate
 from skope.eval.pose.known_lengths import KnownLength, corrected
 from skope.eval.pose.vehicle_sample import sample
 from skope.eval.pose.views import Scene
 from skope.files.output_folders import write_new
 from skope.terminal.console import counted
 
-_SURE: Final = 0.02
+_KNOWN_SHARE: Final = 0.02
 """Standard deviation of a height or a field of view that somebody gives, as a share of it."""
+
+
+class VehicleCamera(NamedTuple):
+    """A camera that vehicles have told."""
+
+    estimate: CameraEstimate
+    told: str
+    """Who has told it, in words."""
+    numbered: bool
+    """Whether it was known which views are of the same vehicle."""
+
+
+def camera_of_vehicles(
+    scene: Scene,
+    count: int,
+    *,
+    score: float = 0.9,
+    noise: float = 0.0,
+    sigma_px: float | None = None,
+    height: float | None = None,
+    fov_deg: float | None = None,
+) -> VehicleCamera:
+    """Fit a camera to the vehicles of a scene.
+
+    Args:
+        scene: Images of one camera, and the keypoints in them.
+        count: Use at most so many vehicles.
+        score: Detections above this are taken.
+        noise: Standard deviation of the noise that is added to labelled keypoints, pixels.
+        sigma_px: Standard deviation of a keypoint, pixels; None as in `Scene.views`.
+        height: The camera's height over the road, metres, if that is known.
+        fov_deg: The horizontal field of view, degrees, if that is known.
+
+    Raises:
+        UserError: The vehicles do not tell the camera, or the camera that they tell does not hold together.
+    """
+    drawn = sample(scene, count, score=score, noise=noise, sigma_px=sigma_px)
+    fit = fit_camera.fit_camera(drawn.views, known_of(height, fov_deg, drawn.views.size[0]))
+    who = f"{counted(fit.vehicles, 'vehicle')} in {counted(len(drawn.views.found), 'view')}"
+    if reason := why_not(fit, drawn.lower_edges):
+        raise UserError(
+            f"{scene.file.name}: no camera can be calibrated from {who}: {reason}. Points marked on the road give one "
+            "(--points)"
+        )
+    return VehicleCamera(fit, f"{scene.file.name}: {who}", drawn.numbered)
 
 
 def from_vehicles(
@@ -45,12 +91,10 @@ def from_vehicles(
     """
     if scene.left_out:
         yield scene.left_out
-    drawn = sample(scene, count, score=score, noise=noise, sigma_px=sigma_px)
-    fit = fit_camera.fit_camera(drawn.views, known_of(height, fov_deg, drawn.views.size[0]))
+    fit, told, numbered = camera_of_vehicles(
+        scene, count, score=score, noise=noise, sigma_px=sigma_px, height=height, fov_deg=fov_deg
+    )
     _, pitch, _ = fit.camera.angles
-    told = f"{scene.file.name}: {counted(fit.vehicles, 'vehicle')} in {counted(len(drawn.views.found), 'view')}"
-    if reason := why_not(fit, drawn.lower_edges):
-        raise UserError(f"{told} do not tell the camera: {reason}. Marked points on the road tell it (--points)")
     fit = corrected(fit, lengths)
     ways = sigma_of_ways(fit)
     sigma = {
@@ -63,11 +107,11 @@ def from_vehicles(
     besides = {
         "vehicles": fit.vehicles,
         "sigma": sigma,
-        "covariance": {"of": list(CAMERA), "matrix": fit.covariance.tolist()},
+        "covariance": {"of": list(UNKNOWN_NAMES), "matrix": fit.covariance.tolist()},
         "calibrated": {"from": told, **_part_of(scene)},
     }
     yield from write_camera(out, fit.camera, besides)
-    yield told if drawn.numbered else f"{told}; nothing tells which are the same vehicle, so that each counts as one"
+    yield told if numbered else f"{told}; nothing tells which are the same vehicle, so that each counts as one"
     yield from camera_figures(
         focal=(fit.camera.K[0, 0], fit.sigma_focal),
         pitch=(pitch, fit.sigma_pitch),
@@ -108,13 +152,19 @@ def _logarithmic(value: float, sigma: float, digits: int) -> str:
 
 
 def known_of(height: float | None, fov_deg: float | None, width: int) -> Known:
-    """What is known of a camera whose height over the road (metres) or horizontal field of view somebody gives."""
+    """Prior knowledge of a camera of which somebody gives the height or the field of view.
+
+    Args:
+        height: Height over the road, metres; None: not given.
+        fov_deg: Horizontal field of view, degrees; None: not given.
+        width: Width of the image, pixels.
+    """
     known = Known()
     center, sigma = known.center.copy(), known.sigma.copy()
     if height is not None:
-        center[HEIGHT], sigma[HEIGHT] = math.log(height), _SURE
+        center[HEIGHT], sigma[HEIGHT] = math.log(height), _KNOWN_SHARE
     if fov_deg is not None:
-        center[FOCAL], sigma[FOCAL] = math.log(width / 2 / math.tan(math.radians(fov_deg) / 2)), _SURE
+        center[FOCAL], sigma[FOCAL] = math.log(width / 2 / math.tan(math.radians(fov_deg) / 2)), _KNOWN_SHARE
     return Known(center, sigma)
 
 
@@ -130,12 +180,21 @@ def known_length(text: str) -> KnownLength:
 
 
 def doubt(name: Path | str, ways_sigma: float) -> str:
-    """How far off all distances may be under a camera, in words."""
+    """Common error of all distances under a camera, in words."""
     return f"{name}: all distances and speeds may be off by {2 * ways_sigma:.0%}, in one direction (95%)"
 
 
 def write_camera(out: Path, camera: Camera, besides: Mapping[str, Any]) -> Iterator[str]:
-    """Write a camera file, unless the same one is there; yields that."""
+    """Write a camera file, unless the same one is there; yields that.
+
+    Args:
+        out: The .json file.
+        camera: The camera.
+        besides: Further fields of the file, as JSON values.
+
+    Raises:
+        UserError: The file cannot be written, or holds something else.
+    """
     document = {"width": camera.width, "height": camera.height, **camera.to_dict(), **besides}
     write_new(out, (json.dumps(document, indent=1, allow_nan=False) + "\n").encode())
     yield f"wrote {out}"

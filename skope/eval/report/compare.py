@@ -32,7 +32,7 @@ _CATEGORY_FIGURES: Final = {"precision": "precision", "recall": "recall", "ap": 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Run:
-    """What an evaluation wrote to its folder."""
+    """Results of an evaluation, as its folder has them."""
 
     name: str
     metrics: Mapping[str, Any]
@@ -41,17 +41,19 @@ class Run:
 
 
 def read(folder: Path) -> Run:
-    """What `skope eval` wrote to a folder; a UserError names what is missing or of another version."""
+    """Read what `skope eval` wrote to a folder; a UserError names what is missing or of another version."""
     documents = {}
     for name in (METRICS, TALLIES):
         path = folder / name
         documents[name] = document = read_json(path)
         if (
             not isinstance(document, dict)
-            or document.get("version") != precision_recall.VERSION
+            or document.get("version") != precision_recall.METRICS_VERSION
             or "splits" not in document
         ):
-            raise UserError(f"{path}: not a file of `skope eval` of version {precision_recall.VERSION}; evaluate again")
+            raise UserError(
+                f"{path}: not a file of `skope eval` of version {precision_recall.METRICS_VERSION}; evaluate again"
+            )
     return Run(name=str(folder), metrics=documents[METRICS], tallies=documents[TALLIES]["splits"])
 
 
@@ -73,7 +75,7 @@ def compare(folders: Sequence[Path]) -> dict[str, Any]:
     if not splits:
         raise UserError(f"{' and '.join(run.name for run in runs)} have no split in common")
     return {
-        "version": precision_recall.VERSION,
+        "version": precision_recall.METRICS_VERSION,
         "runs": [run.name for run in runs],
         "alpha": first.metrics["alpha"],
         "score_thresholds": [run.metrics["score_threshold"] for run in runs],

@@ -6,17 +6,15 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from skope.errors import UserError
-from skope.metrics.counts import Floats, Integers, Options, Outcomes, quality
-from skope.metrics.failures import KINDS, false_detections, wrong_points
+from skope.metrics.counts import Options, Outcomes, quality
+from skope.metrics.failures import ERROR_KINDS, false_detections, wrong_points
 from skope.metrics.match import box_of
 from skope.metrics.split_scores import SplitScores
 from skope.page import image_viewer
 from skope.page.html_pieces import tag
-
-Flags = NDArray[np.bool_]
+from skope.types import Array, Integers, Mask
 
 EACH: Final = 2
 """So many images of each kind (best, median, worst) are shown."""
@@ -34,7 +32,7 @@ class Choice:
     quality: float
 
 
-def choose(values: Floats, blocks: Integers) -> list[Choice]:
+def choose(values: Array, blocks: Integers) -> list[Choice]:
     """The best, those around the median, and the worst; few images are shown once each, as the first that they are.
 
     The images of a kind come from different `blocks`, where there are enough: neighbouring frames look alike.
@@ -98,11 +96,11 @@ def _layers(
     matches, image = measured.matches, measured.file.images[index]
     unit = image_viewer.unit(image.width)
 
-    def drawn(points: Floats, placed: Flags, sure: Flags, joined: Flags) -> str:
+    def drawn(points: Array, placed: Mask, sure: Mask, joined: Mask) -> str:
         return image_viewer.points(points, placed, sure, joined, unit, options.scheme.skeleton, options.points)
 
     truth, found, wrong, words = [], [], [], []
-    labels: list[tuple[Floats, str]] = []
+    labels: list[tuple[Array, str]] = []
     ignored = [
         image_viewer.box(box_of(a, options.boxes))
         for a in measured.file.annotations
@@ -118,7 +116,7 @@ def _layers(
             labels.append((box, "missed"))
             words.append(f"{name} missed")
             continue
-        counts = {kind: int((kinds[g] == i).sum()) for i, kind in enumerate(KINDS)}
+        counts = {kind: int((kinds[g] == i).sum()) for i, kind in enumerate(ERROR_KINDS)}
         counts = {kind: count for kind, count in counts.items() if count}
         if counts:
             wrong.append(_strays(points, matches.det_keypoints[outcomes.detection[g]], kinds[g] >= 0))
@@ -146,7 +144,7 @@ def _layers(
     return [tag("g", *parts, class_=name) for name, parts in layers.items()], words
 
 
-def _strays(truth: Floats, found: Floats, wrong: Flags) -> str:
+def _strays(truth: Array, found: Array, wrong: Mask) -> str:
     """Lines that lead from where each wrong point was put to where it belongs."""
     return image_viewer.path(
         "".join(f"M{image_viewer.place(found[k])}L{image_viewer.place(truth[k])}" for k in np.flatnonzero(wrong)),

@@ -7,10 +7,10 @@ from typing import Any, Final
 
 from skope.eval.report import curves
 from skope.eval.report.gallery import gallery
-from skope.eval.report.table import COLUMNS, SIZES, category_rows, evidence, published_row, row_of
+from skope.eval.report.table import AREA_WORDS, FIGURE_COLUMNS, category_rows, evidence, published_row, row_of
 from skope.metrics.counts import PROTOCOLS, Options
 from skope.metrics.precision_recall import AT_PRECISION
-from skope.metrics.road_users import IOU
+from skope.metrics.road_users import AP50_IOU
 from skope.metrics.split_scores import SplitScores
 from skope.page import document as page
 from skope.page.charts import Axes, chart
@@ -32,7 +32,7 @@ _PRECISIONS: Final = {
     "keypoint_ap": "keypoint AP",
     "keypoint_ap50": "keypoint AP50",
 }
-_PARTS: Final = {
+_BREAKDOWN_TITLES: Final = {
     "distance": "Distance, m",
     "height": "Height of the box, px",
     "occlusion": "Occlusion",
@@ -102,7 +102,7 @@ def _about(document: Mapping[str, Any]) -> str:
     scores = {
         None: "as the detector's own program gives them",
         True: "calibrated probabilities of being visible and near enough",
-        False: "not calibrated (skope eval calibrate)",
+        False: "not calibrated (skope eval calibrate-scores)",
     }[document["calibrated"]]
     least = document["keypoint_score_threshold"]
     facts = (
@@ -168,7 +168,12 @@ def _figures(document: Mapping[str, Any], protocol: str, beside: Mapping[str, An
 def _categories(splits: Mapping[str, Any]) -> str:
     """Figures of other road users than vehicles; nothing where none are labelled."""
     rows = [
-        [escape(split), name, SIZES[size], *(str(figures[key]) for key in ("ground_truth", "ignored", "detections"))]
+        [
+            escape(split),
+            name,
+            AREA_WORDS[size],
+            *(str(figures[key]) for key in ("ground_truth", "ignored", "detections")),
+        ]
         + [plain(figures[key]) for key in ("precision", "recall", "ap", "ap50")]
         for split, entry in splits.items()
         for name, size, figures in category_rows(entry)
@@ -185,7 +190,7 @@ def _categories(splits: Mapping[str, Any]) -> str:
         "box AP",
         "box AP50",
     )
-    caption = f"People on foot and on two wheels: boxes, precision and recall at IoU {IOU:g}"
+    caption = f"People on foot and on two wheels: boxes, precision and recall at IoU {AP50_IOU:g}"
     return table(head, rows, caption=caption, sortable=True) if rows else ""
 
 
@@ -203,7 +208,7 @@ def _table(document: Mapping[str, Any], protocol: str, beside: Mapping[str, Any]
             if beside and protocol == "paper":
                 theirs = [_cell(v, None, i == 0) for i, v in enumerate(published_row(beside, name, t))]
                 rows.append([escape(f"{name}, IoU {t}: published"), *theirs])
-    assert len(_TITLES) == len(COLUMNS) + 1
+    assert len(_TITLES) == len(FIGURE_COLUMNS) + 1
     return table(
         ("split, threshold", *_TITLES), rows, caption=f"Protocol {protocol}, with 95% intervals", sortable=True
     )
@@ -233,7 +238,9 @@ def _split(measured: SplitScores, options: Options) -> str:
     ]
     # A table of one row would say what the split's own figures say.
     parts = [
-        _part(title, entry["by"][key], loosest) for key, title in _PARTS.items() if len(entry["by"].get(key, ())) > 1
+        _part(title, entry["by"][key], loosest)
+        for key, title in _BREAKDOWN_TITLES.items()
+        if len(entry["by"].get(key, ())) > 1
     ]
     return tag(
         "section",

@@ -10,21 +10,21 @@ from skope.errors import one_of
 from skope.metrics.counts import PROTOCOLS
 from skope.metrics.intervals import ENOUGH_SITES
 from skope.metrics.precision_recall import AT_PRECISION
-from skope.metrics.road_users import IOU
+from skope.metrics.road_users import AP50_IOU
 from skope.terminal.text_table import text_table
 
 _MEANING: Final = {
     "pooled": "pooled (over the whole split; the one to decide by)",
     "paper": "paper (mean of each image's own figures, as published; `pooled` is the one to decide by)",
 }
-COLUMNS: Final = ("box_precision", "box_recall", "keypoint_precision", "keypoint_recall")
+FIGURE_COLUMNS: Final = ("box_precision", "box_recall", "keypoint_precision", "keypoint_recall")
 _SHORT: Final = ("box Pr", "box Re", "keypoint Pr", "keypoint Re")
-_MARGIN: Final = 5
-_BLOCK: Final = len(" 100.00  0.000 0.000  0.000 0.000")
-_GAP: Final = " | "
+_MARGIN_CHARS: Final = 5
+_BLOCK_CHARS: Final = len(" 100.00  0.000 0.000  0.000 0.000")
+_BLOCK_GAP: Final = " | "
 
 # Parts that the paper does not tell apart and a reader should.
-_APART: Final = {
+_ROW_NAMES: Final = {
     ("unoccluded_within_40_m", "yes"): "unoccluded within 40 m",
     ("parked", "parked"): "parked vehicles",
     ("parked", "driving"): "driving vehicles",
@@ -50,7 +50,7 @@ def render(metrics: Mapping[str, Any], protocol: str, width: int, *, beside: Map
     """
     one_of("--protocol", protocol, PROTOCOLS)
     splits = list(metrics["splits"].items())
-    side_by_side = max(1, (width - _MARGIN + len(_GAP)) // (_BLOCK + len(_GAP)))
+    side_by_side = max(1, (width - _MARGIN_CHARS + len(_BLOCK_GAP)) // (_BLOCK_CHARS + len(_BLOCK_GAP)))
     lines = [f"Protocol: {_MEANING[protocol]}"]
     for first in range(0, len(splits), side_by_side):
         lines += ["", *_group(dict(splits[first : first + side_by_side]), metrics, protocol, beside)]
@@ -68,28 +68,28 @@ def _group(
     thresholds = list(next(iter(splits.values()))["iou"])
     alpha = f"@{metrics['alpha']:g}"
     rows = [
-        (" " * _MARGIN, [f"{name:^{_BLOCK}}" for name in splits]),
-        (" " * _MARGIN, [f"{'PCK':>7}  {'Box':^11}  {'Keypoint':^11}"] * len(splits)),
+        (" " * _MARGIN_CHARS, [f"{name:^{_BLOCK_CHARS}}" for name in splits]),
+        (" " * _MARGIN_CHARS, [f"{'PCK':>7}  {'Box':^11}  {'Keypoint':^11}"] * len(splits)),
         ("  IoU", [f"{alpha + ' %':>7}  {'Pr':>5} {'Re':>5}  {'Pr':>5} {'Re':>5}"] * len(splits)),
     ]
     for t in thresholds:
         ours = [_cells(row_of(split["iou"][t], protocol)) for split in splits.values()]
-        rows.append((f"{t:>{_MARGIN}}", ours))
+        rows.append((f"{t:>{_MARGIN_CHARS}}", ours))
         if beside:
             theirs = [_cells(published_row(beside, name, t)) for name in splits]
-            rows.append((f"{'paper':>{_MARGIN}}", theirs))
-    return [(margin + _GAP.join(cells)).rstrip() for margin, cells in rows]
+            rows.append((f"{'paper':>{_MARGIN_CHARS}}", theirs))
+    return [(margin + _BLOCK_GAP.join(cells)).rstrip() for margin, cells in rows]
 
 
 def row_of(figures: Mapping[str, Any], protocol: str) -> list[Any]:
-    """PCK and the four figures of `COLUMNS` at one threshold, or their intervals."""
-    return [figures["pck"], *(figures[name][protocol] for name in COLUMNS)]
+    """PCK and the four figures of `FIGURE_COLUMNS` at one threshold, or their intervals."""
+    return [figures["pck"], *(figures[name][protocol] for name in FIGURE_COLUMNS)]
 
 
 def published_row(table: Mapping[str, Any], split: str, threshold: str) -> list[float | None]:
     """A published table's figures in the order of `row_of`; None where it has no such split or threshold."""
     row = table["splits"].get(split, {}).get(threshold)
-    return list(row) if row else [None] * (1 + len(COLUMNS))
+    return list(row) if row else [None] * (1 + len(FIGURE_COLUMNS))
 
 
 def _cells(values: Sequence[float | None]) -> str:
@@ -109,7 +109,7 @@ def _counts(splits: Mapping[str, Any], score: float) -> list[str]:
     return text_table([*head, "box AP", "box AP50", "keypoint AP", "keypoint AP50", *recalls], rows)
 
 
-SIZES: Final = {"all": "all", "small": "under 32x32 px", "medium": "to 96x96 px", "large": "larger"}
+AREA_WORDS: Final = {"all": "all", "small": "under 32x32 px", "medium": "to 96x96 px", "large": "larger"}
 """COCO's ranges of areas in words."""
 
 
@@ -124,7 +124,7 @@ def category_rows(entry: Mapping[str, Any]) -> Iterator[tuple[str, str, Mapping[
 def _categories(splits: Mapping[str, Any], score: float) -> list[str]:
     """The other road users by category and size; nothing where the ground truth labels none."""
     rows = [
-        [split, name, SIZES[size], figures["ground_truth"], figures["ignored"], figures["detections"]]
+        [split, name, AREA_WORDS[size], figures["ground_truth"], figures["ignored"], figures["detections"]]
         + [number(figures[key]) for key in ("precision", "recall", "ap", "ap50")]
         for split, entry in splits.items()
         for name, size, figures in category_rows(entry)
@@ -132,7 +132,7 @@ def _categories(splits: Mapping[str, Any], score: float) -> list[str]:
     if not rows:
         return []
     head = ["split", "category", "size", "labelled", "ignored", f"detections > {score:g}"]
-    return ["", *text_table([*head, f"precision at IoU {IOU:g}", "recall", "box AP", "box AP50"], rows, "lll")]
+    return ["", *text_table([*head, f"precision at IoU {AP50_IOU:g}", "recall", "box AP", "box AP50"], rows, "lll")]
 
 
 def _localisation(splits: Mapping[str, Any]) -> list[str]:
@@ -155,7 +155,7 @@ def _apart(splits: Mapping[str, Any]) -> list[str]:
     """The parts that are told apart, where both they and their counterpart occur."""
     rows = []
     for name, split in splits.items():
-        for (quantity, part), words in _APART.items():
+        for (quantity, part), words in _ROW_NAMES.items():
             parts = split["by"].get(quantity, {})
             if part in parts and len(parts) > 1:
                 t, figures = list(parts[part].items())[-1]
@@ -185,7 +185,7 @@ def _intervals(splits: Mapping[str, Any], protocol: str) -> list[str]:
 
 
 def evidence(intervals: Mapping[str, Any]) -> str:
-    """What a split's intervals come from, and what they say nothing about, in words."""
+    """Basis of a split's intervals, and what they say nothing about, in words."""
     blocks, sites, unit = intervals["blocks"], intervals["sites"], intervals["unit"]
     words = f"blocks of {unit}" if unit.endswith(" s") else f"{unit}s"
     words = f"{blocks} {words}" if blocks > 1 else f"none, as there are fewer than two {words}"

@@ -11,13 +11,13 @@ from skope.camera.model import Camera
 from skope.eval.pose.ground import Ground
 from skope.eval.tracking import map_signs
 from skope.eval.tracking.ground_track import GroundTrack
-from skope.eval.tracking.ground_view import GroundView, Pixels
+from skope.eval.tracking.ground_view import GroundView
 from skope.eval.tracking.road_user_tracks import RoadUserTrack
 from skope.eval.tracking.tracks import Track
 from skope.files.atomic import replacing
 from skope.terminal.console import counted
 from skope.traffic.road_picture import RoadPicture
-from skope.types import Array
+from skope.types import Array, Pixels
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -25,9 +25,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _DPI: Final = 150
-_WIDTH: Final = 10.0
+_WIDTH_INCHES: Final = 10.0
 """Inches."""
-_PLACE: Final = {"left": 0.055, "right": 0.895, "top": 0.85, "bottom": 0.5}
+_MAP_PLACE: Final = {"left": 0.055, "right": 0.895, "top": 0.85, "bottom": 0.5}
 """Where the map is: shares of the picture's width to the left and right, inches at the top and bottom."""
 _MARGIN_M: Final = 10.0
 _SURE_M: Final = 1.5
@@ -37,10 +37,10 @@ _MANY: Final = 20
 _TALLEST: Final = 0.85
 _FLATTEST: Final = 0.45
 """Height of the map over its width, at most and at least."""
-_CELLS: Final = 1500
+_ROAD_CELLS: Final = 1500
 """Cells of the road's picture along its longer side."""
 _FEWER_CELLS: Final = 1200
-_QUALITY: Final = 70
+_KEPT_ROAD: Final = 70
 """Cells of the road's picture that is kept for other maps, along its longer side, and how well its file keeps it."""
 _DRIVING_KMH: Final = 5.0
 """What is slower may stand, and says nothing of how fast vehicles drive."""
@@ -72,18 +72,18 @@ def draw(
     from matplotlib.figure import Figure
 
     low, high = extent([*tracks, *road_users], camera.position[:2])
-    map_width = _WIDTH * (_PLACE["right"] - _PLACE["left"])
+    map_width = _WIDTH_INCHES * (_MAP_PLACE["right"] - _MAP_PLACE["left"])
     map_height = map_width * float(high[1] - low[1]) / float(high[0] - low[0])
-    height = map_height + _PLACE["top"] + _PLACE["bottom"]
-    figure = Figure(figsize=(_WIDTH, height), dpi=_DPI)
+    height = map_height + _MAP_PLACE["top"] + _MAP_PLACE["bottom"]
+    figure = Figure(figsize=(_WIDTH_INCHES, height), dpi=_DPI)
     FigureCanvasAgg(figure)  # labels are measured before anything is written
     axes = figure.add_axes(
-        (_PLACE["left"], _PLACE["bottom"] / height, map_width / _WIDTH, map_height / height),
+        (_MAP_PLACE["left"], _MAP_PLACE["bottom"] / height, map_width / _WIDTH_INCHES, map_height / height),
         xlim=(low[0], high[0]),
         ylim=(low[1], high[1]),
     )
     if ground is not None:
-        cell = float((high - low).max()) / _CELLS
+        cell = float((high - low).max()) / _ROAD_CELLS
         _draw_view(axes, GroundView(camera=camera, ground=ground, low=low, high=high, cell_m=cell), road)
     colors, norm = _speed_colors(tracks)
     for track in tracks:
@@ -99,18 +99,25 @@ def draw(
     map_signs.draw_labels(axes, tracks, labelled, {track.number: i for track, i in present}, taken)
     map_signs.draw_frame(axes)
     _write_heading(figure, tracks, road_users, None if not present else float(present[0][0].times_s[present[0][1]]))
-    bar = figure.add_axes((0.915, _PLACE["bottom"] / height, 0.016, map_height / height))
+    bar = figure.add_axes((0.915, _MAP_PLACE["bottom"] / height, 0.016, map_height / height))
     map_signs.draw_scale(bar, colors, norm)
     with replacing(path) as temporary:
         figure.savefig(temporary)
 
 
 def road_picture(tracks: Sequence[GroundTrack], camera: Camera, ground: Ground, road: Pixels) -> RoadPicture:
-    """The empty road (H, W, 3), as a camera shows it, from above: the rectangle that `draw` shows."""
+    """The empty road from above: the rectangle that `draw` shows.
+
+    Args:
+        tracks: Tracks, which the rectangle holds.
+        camera: The camera, with its pose.
+        ground: The road.
+        road: (H, W, 3) the empty road as the camera shows it.
+    """
     low, high = extent(tracks, camera.position[:2])
     cell = float((high - low).max()) / _FEWER_CELLS
     view = GroundView(camera=camera, ground=ground, low=low, high=high, cell_m=cell)
-    _, jpeg = cv2.imencode(".jpg", view.pale(road)[..., 0], [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])
+    _, jpeg = cv2.imencode(".jpg", view.pale(road)[..., 0], [cv2.IMWRITE_JPEG_QUALITY, _KEPT_ROAD])
     (west, south), (east, north) = low.tolist(), high.tolist()
     return RoadPicture(jpeg.tobytes(), (west, south), (east, north))
 
@@ -119,7 +126,7 @@ def _write_heading(
     figure: "Figure", tracks: Sequence[Track], road_users: Sequence[RoadUserTrack], moment_s: float | None
 ) -> None:
     """Over the map: how many tracks in how long, and what lines and outlines are."""
-    place, height = _PLACE["left"], figure.get_figheight()
+    place, height = _MAP_PLACE["left"], figure.get_figheight()
     heading, note = "No vehicle was tracked", ""
     if tracks:
         seconds = max(t.times_s[-1] for t in tracks) - min(t.times_s[0] for t in tracks)
@@ -131,9 +138,9 @@ def _write_heading(
     if road_users:
         kinds = [name for name in map_signs.ROAD_USERS if any(track.category == name for track in road_users)]
         words = f"dotted: {', '.join(kinds)}, as in road_users.csv"
-        figure.text(_PLACE["right"], 1 - 0.36 / height, words, fontsize=9, color=map_signs.FAINT, ha="right")
-    figure.text(place, 1 - 0.36 / height, heading, fontsize=14, weight="bold", color=map_signs.INK)
-    figure.text(place, 1 - 0.63 / height, note, fontsize=9, color=map_signs.FAINT)
+        figure.text(_MAP_PLACE["right"], 1 - 0.36 / height, words, fontsize=9, color=map_signs.FAINT_COLOR, ha="right")
+    figure.text(place, 1 - 0.36 / height, heading, fontsize=14, weight="bold", color=map_signs.INK_COLOR)
+    figure.text(place, 1 - 0.63 / height, note, fontsize=9, color=map_signs.FAINT_COLOR)
 
 
 def extent(tracks: Sequence[GroundTrack], camera_xy: Array) -> tuple[Array, Array]:
@@ -181,7 +188,7 @@ def _draw_view(axes: "Axes", view: GroundView, road: Pixels | None) -> None:
             y,
             view.seen.astype(float),
             levels=[0.5],
-            colors=map_signs.CAMERA,
+            colors=map_signs.CAMERA_COLOR,
             linewidths=1.0,
             linestyles="dashed",
             zorder=1,
@@ -232,6 +239,6 @@ def _draw_vehicle(axes: "Axes", track: Track, i: int, color: Any) -> None:
 
     outline, wedge = map_signs.corners(track, i, map_signs.OUTLINE), map_signs.corners(track, i, _WEDGE)
     axes.add_patch(
-        Polygon(outline, facecolor=color, edgecolor=map_signs.INK, linewidth=1.2, joinstyle="round", zorder=6)
+        Polygon(outline, facecolor=color, edgecolor=map_signs.INK_COLOR, linewidth=1.2, joinstyle="round", zorder=6)
     )
     axes.add_patch(Polygon(wedge, facecolor="white", edgecolor="none", zorder=7))

@@ -17,27 +17,26 @@ from skope.eval.tracking.ground_view import GroundView
 from skope.eval.tracking.road_user_tracks import RoadUserTrack
 from skope.eval.tracking.tracks import Track
 from skope.pictures.draw import PALETTE
-from skope.types import Array
+from skope.types import Array, Pixels
 
-Pixels = NDArray[np.uint8]
 T = TypeVar("T", bound=GroundTrack)
-_SIDE: Final = 1200
+_LONGER_PX: Final = 1200
 """Pixels of the video's longer side."""
 _INK: Final = (27, 39, 51)
-_CAMERA: Final = (194, 24, 91)
+_CAMERA_COLOR: Final = (194, 24, 91)
 _TRAIL_S: Final = 2.0
 """For how long the way behind a vehicle is drawn, seconds."""
-_FONT: Final = cv2.FONT_HERSHEY_SIMPLEX
+_LABEL_FONT: Final = cv2.FONT_HERSHEY_SIMPLEX
 
 
 class _Map:
-    """Where places of the road are in the pictures, and what all of them show."""
+    """The map of the road that all pictures share."""
 
     def __init__(
         self, tracks: Sequence[Track | RoadUserTrack], camera: Camera, ground: Ground | None, road: Pixels | None
     ) -> None:
         low, high = extent(tracks, camera.position[:2])
-        self._low, self._scale = low, _SIDE / float((high - low).max())
+        self._low, self._scale = low, _LONGER_PX / float((high - low).max())
         # Encoders want even sides.
         self._width, self._height = (2 * round(v / 2) for v in (high - low) * self._scale)
         self.background: Pixels = np.full((self._height, self._width, 3), 255, dtype=np.uint8)
@@ -46,8 +45,8 @@ class _Map:
             pale = view.pale(road)
             self.background = np.asarray(cv2.resize(pale, (self._width, self._height)), dtype=np.uint8)
         spot = self.at(camera.position[:2]).tolist()
-        cv2.circle(self.background, spot, 7, _CAMERA, -1, cv2.LINE_AA)
-        write(self.background, "camera", (spot[0] + 12, spot[1] + 5), _CAMERA)
+        cv2.circle(self.background, spot, 7, _CAMERA_COLOR, -1, cv2.LINE_AA)
+        write(self.background, "camera", (spot[0] + 12, spot[1] + 5), _CAMERA_COLOR)
         self._draw_scale()
 
     def at(self, places: Array) -> NDArray[np.int32]:
@@ -86,7 +85,13 @@ def frames(
 ) -> Iterator[Pixels]:
     """A picture (H, W, 3) from above for each time, y upwards: outlines with a line to their front, number and km/h.
 
-    Camera, ground, the picture of the empty road and other road users, who are dots, are as `birdseye.draw` takes them.
+    Args:
+        tracks: The vehicles' tracks.
+        times_s: Time of each picture, seconds.
+        camera: The camera, with its pose.
+        ground: The road; None: unknown.
+        road: (H, W, 3) the empty road as the camera shows it; None: not at hand.
+        road_users: Tracks of people on foot and on two wheels, who are dots.
     """
     shown = _Map([*tracks, *road_users], camera, ground, road)
     for frame, time_s in enumerate(times_s):
@@ -127,12 +132,20 @@ def _draw_dot(picture: Pixels, shown: _Map, track: RoadUserTrack, i: int) -> Non
 def write(
     picture: Pixels, text: str, place: tuple[int, int], color: tuple[int, int, int] = _INK, size: float = 0.45
 ) -> None:
-    """Write a text with a white edge, its lower left corner at a place, moved where it would leave the picture."""
+    """Write a text with a white edge, moved where it would leave the picture.
+
+    Args:
+        picture: (H, W, 3), changed in place.
+        text: One line.
+        place: Column and row of its lower left corner, pixels.
+        color: RGB.
+        size: Size of the letters, as OpenCV has it.
+    """
     text = text.replace("±", "+-")  # OpenCV's letters are ASCII's
-    (width, height), _ = cv2.getTextSize(text, _FONT, size, 1)
+    (width, height), _ = cv2.getTextSize(text, _LABEL_FONT, size, 1)
     x = int(np.clip(place[0], 2, max(2, picture.shape[1] - width - 4)))
     y = int(np.clip(place[1], height + 2, picture.shape[0] - 4))
     # Thicker letters may be wider, and would not lie under the thin ones.
     for dx, dy in itertools.product((-1, 0, 1), repeat=2):
-        cv2.putText(picture, text, (x + dx, y + dy), _FONT, size, (255, 255, 255), 1, cv2.LINE_AA)
-    cv2.putText(picture, text, (x, y), _FONT, size, color, 1, cv2.LINE_AA)
+        cv2.putText(picture, text, (x + dx, y + dy), _LABEL_FONT, size, (255, 255, 255), 1, cv2.LINE_AA)
+    cv2.putText(picture, text, (x, y), _LABEL_FONT, size, color, 1, cv2.LINE_AA)

@@ -18,7 +18,7 @@ FOOT: Final = 0.35
 
 
 def inside_and_apart(one: Array, other: Array) -> tuple[Array, Array]:
-    """How much of the smaller of two boxes lies in the other one, and how far apart they stand.
+    """Share of the smaller of two boxes that lies in the other one, and their distance.
 
     Args:
         one: (N, 4) boxes: x, y, width, height, pixels.

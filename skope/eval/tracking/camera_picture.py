@@ -10,7 +10,6 @@ from typing import Final
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from skope.camera.model import Camera
 from skope.errors import UserError
@@ -19,13 +18,11 @@ from skope.eval.pose.records import corners_of, locate_view
 from skope.eval.pose.views import Scene, View
 from skope.eval.tracking.birdseye_video import write
 from skope.eval.tracking.empty_road import footage_of
-from skope.types import Array
-
-Pixels = NDArray[np.uint8]
+from skope.types import Array, Pixels
 
 _GRID_M: Final = (1, 2, 5, 10, 20, 50)
 """Distances of the grid's lines."""
-_LINES: Final = 12
+_GRID_LINES: Final = 12
 """The grid has about so many lines away from the camera."""
 _ACROSS_M: Final = 5.0
 """Lines along the way are so far apart at most: a lane and a half."""
@@ -82,13 +79,13 @@ def _draw_grid(picture: Pixels, camera: Camera) -> None:
     left = np.array([-ahead[1], ahead[0], 0.0])
     foot = np.array([*camera.position[:2], 0.0])
     reach = min(_FARTHEST_M, 12 * float(camera.position[2]))
-    step = next((m for m in _GRID_M if reach / m <= _LINES), _GRID_M[-1])
+    step = next((m for m in _GRID_M if reach / m <= _GRID_LINES), _GRID_M[-1])
     away = np.arange(0.0, reach + 0.1, 0.5)
     side = np.arange(-reach / 2, reach / 2 + 0.1, 0.5)
     for k in np.arange(-reach / 2, reach / 2 + 0.1, min(step, _ACROSS_M)).tolist():
         _draw_line(picture, camera, foot + left * k + ahead * away[:, None], _GRID, 1)
     below = picture.shape[0]
-    for k in range(1, _LINES + 1):
+    for k in range(1, _GRID_LINES + 1):
         _draw_line(picture, camera, foot + ahead * k * step + left * side[:, None], _GRID, 1)
         pixel, _, valid = camera.project((foot + ahead * k * step)[None])
         if valid[0] and camera.inside(pixel)[0] and pixel[0, 1] < below - _LETTERS_PX:

@@ -15,7 +15,7 @@ _FLOOR: Final = 0.05
 
 @dataclass(frozen=True, eq=False, slots=True)
 class PoseMeasurement:
-    """Where a detection's pose puts the vehicle on the ground, and how certain that is."""
+    """Place of a detection on the ground, by its pose, and how certain it is."""
 
     place: Array
     """(2,) world x, y, metres, on the ground under the middle of the box."""

@@ -13,8 +13,8 @@ from skope.types import Array
 
 _DUPLICATE_S: Final = 0.5
 """Two tracks that have been in one place for so long are one vehicle, seconds."""
-_APART: Final = 2.0
-"""A duplicate whose median distance from the kept track was less than this, metres, was no vehicle before either."""
+_SHADOWING_M: Final = 2.0
+"""A duplicate that stayed within this median distance of the kept track, metres, is dropped from its start."""
 
 
 def encloses(track: OpenTrack, place: Array, covariance: Array) -> bool:
@@ -71,7 +71,7 @@ def _hand_over(duplicate: OpenTrack, kept: OpenTrack) -> None:
         for step in before
         if step.detection is not None
     ]
-    if not duplicate.parts and float(np.median(apart or [0.0])) < _APART:
+    if not duplicate.parts and float(np.median(apart or [0.0])) < _SHADOWING_M:
         before = []
     for step in duplicate.steps[len(before) :]:
         if step.detection is None:

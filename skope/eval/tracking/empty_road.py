@@ -7,12 +7,11 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from skope.eval.inference.footage import FOUND_AT, Cut, open_footage
 from skope.schema import AnnotationFile
+from skope.types import Pixels
 
-Pixels = NDArray[np.uint8]
 _FRAMES: Final = 25
 """Frames that the picture is made of."""
 _SECONDS: Final = 120.0

@@ -20,7 +20,7 @@ from skope.files.atomic import replacing
 
 T = TypeVar("T", bound=GroundTrack)
 
-_COLUMNS: Final = (
+_TRACK_COLUMNS: Final = (
     "track", "type", "frame", "time_s", "seen", "x", "y", "z", "heading_deg", "speed", "vx", "vy", "acceleration",
     "length", "width", "height", "measured", "sigma_position", "sigma_speed", "class", "class_confidence", "flags",
 )  # fmt: skip
@@ -43,7 +43,7 @@ def write_csv(path: Path, tracks: Sequence[Track], frame_index: Sequence[int]) -
     """
     with replacing(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(_COLUMNS)
+        writer.writerow(_TRACK_COLUMNS)
         for track in tracks:
             seen, speed, along = track.seen, track.speed, track.along
             for i, frame in enumerate(track.frames):
@@ -74,6 +74,11 @@ def write_road_users(path: Path, tracks: Sequence[RoadUserTrack], frame_index: S
     """Write a row for each frame of each track of people on foot and on two wheels, in the units of `write_csv`.
 
     The heading is that of motion, and empty where there may be none.
+
+    Args:
+        path: The .csv file.
+        tracks: The tracks.
+        frame_index: The number that each frame is given in the file.
     """
     with replacing(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
@@ -100,7 +105,14 @@ def write_road_users(path: Path, tracks: Sequence[RoadUserTrack], frame_index: S
 
 
 def mot_row(frame: int, number: int, bbox: ArrayLike, rest: str) -> str:
-    """A line of MOTChallenge: frame from 1, id, left, top, width and height in pixels, and `rest`."""
+    """A line of MOTChallenge.
+
+    Args:
+        frame: Number of the frame, from 1.
+        number: Id of the track.
+        bbox: (4,) left, top, width and height, pixels.
+        rest: The columns after these, with commas.
+    """
     x, y, w, h = np.asarray(bbox, dtype=np.float64)
     return f"{frame},{number},{x:.2f},{y:.2f},{w:.2f},{h:.2f},{rest}\n"
 
@@ -121,10 +133,16 @@ def write_mot(path: Path, tracks: Sequence[GroundTrack]) -> None:
 def write_fcd(
     path: Path, tracks: Sequence[Track], times_s: Sequence[float], road_users: Sequence[RoadUserTrack] = ()
 ) -> None:
-    """SUMO's floating-car data (`fcd-export`), in the network's coordinates.
+    """Write SUMO's floating-car data (`fcd-export`), in the network's coordinates.
 
     There a vehicle's position is the middle of its front bumper and its angle compass degrees: 0 north, clockwise. Of
     other road users it is the place where they stand, and the angle is left out where they may stand still.
+
+    Args:
+        path: The .xml file.
+        tracks: The vehicles' tracks.
+        times_s: Time of each frame, seconds.
+        road_users: Tracks of people on foot and on two wheels.
     """
     others = _by_frame(road_users, len(times_s))
     with replacing(path) as temporary, temporary.open("w", encoding="utf-8") as file:

@@ -1,4 +1,4 @@
-"""Where people on foot and on two wheels stand: the bottom middle of a box, taken to the road."""
+"""Ground points of people on foot and on two wheels: the bottom middle of a box, taken to the road."""
 
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
@@ -59,10 +59,17 @@ class Sight:
 
 
 def sights_of(scene: Scene, *, score: float, sigma_px: float | None) -> list[list[Sight]]:
-    """The road users of each image of a scene that score above `score`, or that are labelled and not ignored.
+    """The road users of each image of a scene, found or labelled; boxes of one road user are one sight.
 
-    Boxes of one and the same road user in an image, whatever their categories, are one sight. `sigma_px` is the
-    standard deviation of the lower edge's middle, pixels; None: by the box. Without a road there are no places.
+    Without a road there are no places.
+
+    Args:
+        scene: Images, results and the road.
+        score: Those that score above this are taken, or those that are labelled and not ignored.
+        sigma_px: Standard deviation of the lower edge's middle, pixels; None: by the box.
+
+    Returns:
+        The sights of each image.
     """
     found: dict[int, list[RoadUser | RoadUserResult]] = {image.id: [] for image in scene.file.images}
     for one in _chosen(scene, score):

@@ -1,4 +1,4 @@
-"""What the tracks of vehicles and of other road users have in common: motion over the road, and boxes in the image."""
+"""Base of the tracks of vehicles and of other road users: motion over the road, and boxes in the image."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property

@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 
 from skope.camera.model import Camera
 from skope.eval.pose.ground import Ground
-from skope.types import Array
+from skope.types import Array, Pixels
 
-Pixels = NDArray[np.uint8]
 _PALE: Final = 0.62
 """Share of the picture's own contrast that is left: what is drawn over it has to stand out."""
 _COARSE_M: Final = (0.6, 2.5)

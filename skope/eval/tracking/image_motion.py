@@ -1,4 +1,4 @@
-"""Where in the image a vehicle that is followed can be: what is far from there is another vehicle.
+"""Region of the image that a followed vehicle can be in: what is far from there is another vehicle.
 
 Along the line of sight a pose is uncertain by metres, which are a lane or a whole vehicle for what is far away; in the
 image a vehicle goes on as it went, by pixels. After a gap poses alone would let a track go on with whatever is there.
@@ -17,7 +17,7 @@ _PACE_S: Final = 0.3
 """How fast a vehicle moves in the image is told by its last box and the newest that is so much older, seconds."""
 _FASTER: Final = 2.0
 """It may have stopped, or moved on so many times as fast: in the image vehicles that come near grow faster."""
-_ASIDE: Final = 0.6
+_ASIDE_DIAGONALS: Final = 0.6
 """How far from that way a vehicle may be found at once, in diagonals of its box."""
 _SWERVES: Final = 0.7
 """How much farther a second later: it may have turned."""
@@ -27,7 +27,7 @@ _FIRST: Final = (1.0, 8.0)
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Whereabouts:
-    """Where in an image the middle of a track's box should be: near a line from where it was."""
+    """Region of an image for the middle of a track's box: near a line from where it was."""
 
     middle: tuple[float, float]
     """Where it was, pixels."""
@@ -49,7 +49,7 @@ class Whereabouts:
 
 
 def whereabouts(track: OpenTrack, time_s: float) -> Whereabouts | None:
-    """Where the vehicle of a track should be in the image of its latest frame, at `time_s`; None: anywhere."""
+    """Region for the vehicle of a track in the image of its latest frame, at `time_s`; None: anywhere."""
     last, older = _seen(track.steps)
     if last is None or last.detection is None:
         return None
@@ -61,7 +61,7 @@ def whereabouts(track: OpenTrack, time_s: float) -> Whereabouts | None:
     before_x, before_y = _middle(older.detection.bbox)
     times = _FASTER * gap / (last.time_s - older.time_s)
     way = (times * (x - before_x), times * (y - before_y))
-    return Whereabouts((x, y), way, diagonal, _ASIDE + _SWERVES * gap)
+    return Whereabouts((x, y), way, diagonal, _ASIDE_DIAGONALS + _SWERVES * gap)
 
 
 def _seen(steps: Sequence[TrackStep]) -> tuple[TrackStep | None, TrackStep | None]:

@@ -1,4 +1,5 @@
-"""What `skope eval predict` has followed through a video, in pixels: for counts where no camera gives metres."""
+"""Trajectories in pixels of what `skope eval predict` has followed through a video: for counts where no camera gives
+metres."""
 
 from collections import defaultdict
 from pathlib import Path
@@ -7,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from skope.dataset import coco
-from skope.dataset.folder import BEGINS, CHANGES, FRAMES, PREDICTIONS, SIGHT
+from skope.dataset.folder import BEGINS, CHANGES, FRAMES, PREDICTIONS, SIGHT_FIELD
 from skope.errors import UserError
 from skope.eval.tracking.box_doubles import FOOT, INSIDE, inside_and_apart
 from skope.metrics.read_inputs import read_all_results
@@ -17,18 +18,18 @@ from skope.traffic.observation import Observation, checked_sight, read_begins
 from skope.traffic.trajectories import VEHICLE, Trajectory
 from skope.types import Array
 
-_SHARE: Final = 0.03
+_FOOT_SIGMA_SHARE: Final = 0.03
 """Standard deviation of the lower edge's middle, as a share of a box's longer edge, and a pixel at least."""
-_FEWEST: Final = 3
+_FEWEST_BOXES: Final = 3
 _SHORTEST_S: Final = 0.4
 """Who is seen more seldom, or for a shorter time, does not count."""
-_TOGETHER: Final = 0.5
+_TOGETHER_SHARE: Final = 0.5
 """Two tracks are one road user's where their boxes are in the median, over so much of the shorter track."""
 Rows = list[tuple[float, ...]]
 
 
 def read_image_trajectories(folder: Path) -> tuple[list[Trajectory], Observation]:
-    """Where boxes stand in the images of a video, by the numbers that they have, and when the view was the first one.
+    """Read the ways of boxes through a video, by the numbers that they have, and when the view was the first one.
 
     Places are columns and negative rows, so that left and right of a line are what they are on the screen.
 
@@ -59,7 +60,7 @@ def read_image_trajectories(folder: Path) -> tuple[list[Trajectory], Observation
         times_s=times_s,
         source=source,
         moved_s=np.array(sorted(later)),
-        sight=checked_sight(file.info.get(SIGHT), f"{folder / FRAMES}: info.{SIGHT}"),
+        sight=checked_sight(file.info.get(SIGHT_FIELD), f"{folder / FRAMES}: info.{SIGHT_FIELD}"),
         begins=read_begins(file.info[BEGINS], f"{folder / FRAMES}: info.{BEGINS}") if BEGINS in file.info else None,
     )
     return [one for one in made if one.confirmed], observation
@@ -79,7 +80,7 @@ def _without_doubles(tracks: list[tuple[int, Array]]) -> list[tuple[int, Array]]
 
 def _is_double(rows: Array, longer: Array) -> bool:
     _, own, other = np.intersect1d(rows[:, 0], longer[:, 0], return_indices=True)
-    if len(own) < max(1.0, _TOGETHER * len(rows)):
+    if len(own) < max(1.0, _TOGETHER_SHARE * len(rows)):
         return False
     inside, apart = inside_and_apart(_boxes(rows[own]), _boxes(longer[other]))
     return bool(np.median(inside) >= INSIDE and np.median(apart) <= FOOT)
@@ -95,7 +96,7 @@ def _trajectory(number: int, category_id: int, rows: Array) -> Trajectory:
     """Of rows (M, 5): seconds, place, width and height of the box."""
     times, place = rows[:, 0], rows[:, 1:3]
     velocity = np.gradient(place, times, axis=0) if len(times) > 1 else np.zeros_like(place)
-    sigma = np.maximum(1.0, _SHARE * rows[:, 3:].max(axis=1))
+    sigma = np.maximum(1.0, _FOOT_SIGMA_SHARE * rows[:, 3:].max(axis=1))
     category = CATEGORIES[category_id - 1]
     return Trajectory(
         number=number,
@@ -109,5 +110,5 @@ def _trajectory(number: int, category_id: int, rows: Array) -> Trajectory:
         covariance=sigma[:, None, None] ** 2 * np.eye(2),
         speed_sigma=np.full(len(times), np.nan),
         measured=np.ones(len(times), dtype=bool),
-        confirmed=len(times) >= _FEWEST and bool(times[-1] - times[0] >= _SHORTEST_S),
+        confirmed=len(times) >= _FEWEST_BOXES and bool(times[-1] - times[0] >= _SHORTEST_S),
     )

@@ -1,4 +1,4 @@
-"""How a vehicle moves on the road and what a pose says of it: a Kalman filter, and the smoother for when all is known.
+"""A Kalman filter of a vehicle's motion on the road from its poses, and the smoother for when all is known.
 
 The state is x, y, vx, vy, ax, ay: position (metres, world), velocity (m/s) and a slowly changing acceleration (m/s^2).
 Prediction is Singer's model, smoothing is Rauch, Tung and Striebel's.
@@ -48,9 +48,12 @@ def first_state(pose: PoseMeasurement) -> State:
 
 
 def first_state_at(place: Array, covariance: Array, speed_sigma: float) -> State:
-    """State of somebody who is seen for the first time, at a place (2,) of covariance (2, 2), and may go anywhere.
+    """State of somebody who is seen for the first time and may go anywhere.
 
-    `speed_sigma` is the standard deviation of the speed in any direction, m/s.
+    Args:
+        place: (2,) world x, y, metres.
+        covariance: (2, 2) of the place, square metres.
+        speed_sigma: Standard deviation of the speed in any direction, m/s.
     """
     spread = np.zeros((6, 6))
     spread[:2, :2] = covariance
@@ -76,13 +79,19 @@ def motion(dt: float) -> tuple[Array, Array]:
 
 
 def predicted(state: State, F: Array, Q: Array) -> State:
-    """A state after one step of `motion`, before anything is measured."""
+    """A state after one step of `motion`, before anything is measured.
+
+    Args:
+        state: Mean (6,) and covariance (6, 6).
+        F: (6, 6) transition.
+        Q: (6, 6) covariance of what is added in the step.
+    """
     mean, spread = state
     return F @ mean, F @ spread @ F.T + Q
 
 
 def before(state: State, dt: float) -> State:
-    """What a state says of the time `dt` seconds earlier: the model is the same for who drives backwards in time."""
+    """The state `dt` seconds earlier: the model is the same for who drives backwards in time."""
     back = np.diag([1.0, 1.0, -1.0, -1.0, 1.0, 1.0])
     mean, spread = predicted((back @ state[0], back @ state[1] @ back), *motion(dt))
     return back @ mean, back @ spread @ back
@@ -94,7 +103,13 @@ def updated(state: State, pose: PoseMeasurement) -> State:
 
 
 def updated_at(state: State, place: Array, covariance: Array) -> State:
-    """A state that has taken in a place (2,) of covariance (2, 2)."""
+    """A state that has taken in a place.
+
+    Args:
+        state: Mean (6,) and covariance (6, 6).
+        place: (2,) world x, y, metres.
+        covariance: (2, 2) of the place, square metres.
+    """
     mean, spread = state
     gain = np.linalg.solve(spread[:2, :2] + covariance, spread[:2]).T
     kept = np.eye(len(mean))

@@ -17,14 +17,14 @@ if TYPE_CHECKING:
     from matplotlib.colors import Colormap, Normalize
     from matplotlib.transforms import Bbox
 
-INK: Final = "#1b2733"
-FAINT: Final = "#6b7783"
-CAMERA: Final = "#c2185b"
+INK_COLOR: Final = "#1b2733"
+FAINT_COLOR: Final = "#6b7783"
+CAMERA_COLOR: Final = "#c2185b"
 OUTLINE: Final = ((1.0, 1.0), (1.0, -1.0), (-1.0, -1.0), (-1.0, 1.0))
 """A vehicle's corners, in halves of its length and width."""
 ROAD_USERS: Final = {"bicycle": "#00796b", "motorcycle": "#e65100", "pedestrian": "#5e35b1"}
 """Colours of the categories that have no outline."""
-_DRIVES: Final = 0.5
+_DRIVES_MPS: Final = 0.5
 """A vehicle that is faster drives, m/s."""
 BARS_M: Final = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
 """Lengths that a scale bar may have."""
@@ -44,21 +44,21 @@ def corners(track: Track, i: int, shape: Sequence[tuple[float, float]]) -> list[
 
 
 def draw_camera(axes: "Axes", camera: Camera) -> "Bbox":
-    """Where the camera hangs, and which way it looks; returns where that is in the picture, in pixels."""
+    """Draw the camera and its view; returns where that is in the picture, in pixels."""
     from matplotlib.patches import Polygon, Wedge
     from matplotlib.patheffects import withStroke
 
     place, yaw, unit = camera.position[:2], camera.angles[0], unit_m(axes)
     half = math.atan(camera.width / 2 / camera.K[0, 0])
     edges = np.degrees([yaw - half, yaw + half])
-    axes.add_patch(Wedge(place.tolist(), 6 * unit, *edges, facecolor=CAMERA, alpha=0.3, zorder=4))
+    axes.add_patch(Wedge(place.tolist(), 6 * unit, *edges, facecolor=CAMERA_COLOR, alpha=0.3, zorder=4))
     ahead = np.array([math.cos(yaw), math.sin(yaw)])
     across = np.array([-ahead[1], ahead[0]])
     # A box, and before it the lens, which widens.
     side = [(-1.6, 0.8), (0.2, 0.8), (0.2, 0.35), (1.1, 0.8)]
     shape = side + [(a, -b) for a, b in reversed(side)]
     body = [place + unit * (a * ahead + b * across) for a, b in shape]
-    axes.add_patch(Polygon(body, facecolor=CAMERA, edgecolor="white", linewidth=0.8, zorder=8))
+    axes.add_patch(Polygon(body, facecolor=CAMERA_COLOR, edgecolor="white", linewidth=0.8, zorder=8))
     name = place - 3 * unit * ahead
     text = axes.text(
         float(name[0]),
@@ -66,7 +66,7 @@ def draw_camera(axes: "Axes", camera: Camera) -> "Bbox":
         "camera",
         fontsize=9,
         weight="bold",
-        color=CAMERA,
+        color=CAMERA_COLOR,
         ha="center",
         va="center",
         zorder=9,
@@ -97,8 +97,8 @@ def draw_labels(
         i = present.get(track.number, len(track.frames) - 1)
         name = label(track, i) if track.number in present else f"#{track.number}"
         text = axes.text(
-            0, 0, name, fontsize=8, color=INK, ha="center", va="center", zorder=10,
-            bbox={"boxstyle": "round,pad=0.2", "facecolor": "white", "edgecolor": FAINT, "linewidth": 0.5},
+            0, 0, name, fontsize=8, color=INK_COLOR, ha="center", va="center", zorder=10,
+            bbox={"boxstyle": "round,pad=0.2", "facecolor": "white", "edgecolor": FAINT_COLOR, "linewidth": 0.5},
         )  # fmt: skip
         own = text.get_window_extent()
         half = np.array([own.width, own.height]) / 2 + 5
@@ -116,12 +116,12 @@ def draw_labels(
         taken.append(_box_around([middle - half, middle + half]))
         start, end = axes.transData.inverted().transform(np.array([anchor, middle])).tolist()
         text.set_position((end[0], end[1]))
-        axes.plot(*zip(start, end, strict=True), color=FAINT, linewidth=0.7, zorder=5)
+        axes.plot(*zip(start, end, strict=True), color=FAINT_COLOR, linewidth=0.7, zorder=5)
 
 
 def label(track: GroundTrack, i: int) -> str:
     """A track's number, with the speed that who moves has in its i-th frame, and its 95% interval."""
-    if track.speed[i] <= _DRIVES:
+    if track.speed[i] <= _DRIVES_MPS:
         return f"#{track.number}"
     return f"#{track.number}  {track.speed[i] * 3.6:.0f} ± {2 * track.speed_sigma[i] * 3.6:.0f} km/h"
 
@@ -136,11 +136,11 @@ def _around(anchor: Array, half: Array) -> Iterator[Array]:
 
 def draw_frame(axes: "Axes") -> None:
     """Coordinates along the edge, as tracks.csv has them."""
-    axes.tick_params(colors=FAINT, labelsize=7, length=3, width=0.6)
+    axes.tick_params(colors=FAINT_COLOR, labelsize=7, length=3, width=0.6)
     for spine in axes.spines.values():
-        spine.set(edgecolor=FAINT, linewidth=0.6)
-    axes.set_xlabel("x, m", fontsize=7, color=FAINT, loc="right", labelpad=1)
-    axes.set_ylabel("y, m", fontsize=7, color=FAINT, loc="top", labelpad=1)
+        spine.set(edgecolor=FAINT_COLOR, linewidth=0.6)
+    axes.set_xlabel("x, m", fontsize=7, color=FAINT_COLOR, loc="right", labelpad=1)
+    axes.set_ylabel("y, m", fontsize=7, color=FAINT_COLOR, loc="top", labelpad=1)
 
 
 def draw_key(axes: "Axes", tracks: Sequence[Track], camera: Camera) -> "Bbox":
@@ -172,12 +172,12 @@ def draw_key(axes: "Axes", tracks: Sequence[Track], camera: Camera) -> "Bbox":
     axes.plot(
         [x + 2 * unit, x + 2 * unit + length],
         [y + 2.5 * unit] * 2,
-        color=INK,
+        color=INK_COLOR,
         linewidth=3.5,
         solid_capstyle="butt",
         zorder=11,
     )
-    label: dict[str, Any] = {"fontsize": 9, "color": INK, "ha": "center", "zorder": 11}
+    label: dict[str, Any] = {"fontsize": 9, "color": INK_COLOR, "ha": "center", "zorder": 11}
     axes.text(x + 2 * unit + length / 2, y + 3.6 * unit, f"{length} m", va="bottom", **label)
     return _box_around(axes.transData.transform([(x, y), (x, y) + size]))
 
@@ -193,7 +193,7 @@ def draw_scale(axes: "Axes", colors: "Colormap", norm: "Normalize") -> None:
     from matplotlib.cm import ScalarMappable
 
     axes.figure.colorbar(ScalarMappable(norm, colors), cax=axes, extend="max")  # some may drive faster
-    axes.set_title("km/h", fontsize=9, color=INK, pad=6)
-    axes.tick_params(colors=INK, labelsize=9, length=3, width=0.6)
+    axes.set_title("km/h", fontsize=9, color=INK_COLOR, pad=6)
+    axes.tick_params(colors=INK_COLOR, labelsize=9, length=3, width=0.6)
     for spine in axes.spines.values():
         spine.set_visible(False)

@@ -6,7 +6,6 @@ from typing import Final
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from skope.errors import UserError
 from skope.eval.inference.footage import open_footage
@@ -17,8 +16,7 @@ from skope.eval.tracking.road_user_tracks import RoadUserTrack
 from skope.eval.tracking.tracks import Track
 from skope.pictures.draw import PALETTE
 from skope.schema import AnnotationFile
-
-Pixels = NDArray[np.uint8]
+from skope.types import Pixels
 
 _LABELLED: Final = 0.05
 """Boxes that are longer than this share of the picture's width have words beside them: far ones lie close together."""
@@ -52,10 +50,11 @@ def frames(
     for image, pixels in open_footage(str(source)).frames():
         frame = place.get(-1 if image.frame_index is None else image.frame_index)
         if frame is not None:
-            yield _drawn(pixels, present.get(frame, []))
+            yield drawn(pixels, present.get(frame, []))
 
 
-def _drawn(pixels: Pixels, present: Sequence[tuple[Track | RoadUserTrack, int]]) -> Pixels:
+def drawn(pixels: Pixels, present: Sequence[tuple[Track | RoadUserTrack, int]]) -> Pixels:
+    """A copy of a frame (H, W, 3) with the tracks that are seen in it, each with its row there."""
     picture = pixels.copy()
     for track, i in present:
         x, y, w, h = track.boxes[i].tolist()

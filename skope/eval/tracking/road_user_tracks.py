@@ -40,7 +40,7 @@ _ON_FOOT: Final = 4.0
 _ON_WHEELS: Final = (CATEGORIES.index("bicycle") + 1, CATEGORIES.index("motorcycle") + 1)
 _OTHER_KIND: Final = 4.0
 """Added to the squared distance, in variances, of a sight of another category than the track's."""
-_FEWEST: Final = 3
+_FEWEST_PLACES: Final = 3
 """A track has at least so many places."""
 _SHORTEST_S: Final = 0.4
 """A track lasts at least this long."""
@@ -155,7 +155,7 @@ class _Open:
         rows = np.array(self.rows)
         measured = np.isfinite(rows[:, 8])
         times = rows[:, 1]
-        if measured.sum() < _FEWEST or times[-1] - times[0] < _SHORTEST_S:
+        if measured.sum() < _FEWEST_PLACES or times[-1] - times[0] < _SHORTEST_S:
             return None
         return RoadUserTrack(
             number=0,

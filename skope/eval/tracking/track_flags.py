@@ -1,4 +1,4 @@
-"""What a track should be distrusted for, and where it cannot be one vehicle's."""
+"""Flags of tracks that are to be distrusted, and cuts where one cannot be one vehicle's."""
 
 import math
 from collections.abc import Sequence
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from skope.eval.tracking.tracks import Track
 from skope.types import Array
 
-FLAGS: Final = ("two_poses", "never_moved", "impossible_motion", "against_traffic")
+TRACK_FLAGS: Final = ("two_poses", "never_moved", "impossible_motion", "against_traffic")
 """Only two poses tell of it; it never moved, and may be a sign as well as a parked car; it was cut out of a track that
 moves as nothing on wheels does, as where two vehicles have one track; all others drive the other way where it does."""
 
@@ -25,17 +25,17 @@ _FORCE: Final = 9.0
 """Acceleration, along or across, that no vehicle reaches, m/s^2."""
 _FORCE_S: Final = 0.5
 """It has to last so long, seconds."""
-_DRIVES: Final = 3.0
+_DIRECTION_MPS: Final = 3.0
 """Speed from which directions count, m/s."""
 _BESIDE_M: Final = 1.5
 """Who passes so near to where a vehicle was drives where it does, metres."""
-_OTHERS: Final = 5
+_FEWEST_OTHERS: Final = 5
 """So many others drive the other way."""
 _OPPOSITE: Final = math.radians(150)
 
 
 def flagged(tracks: Sequence[Track]) -> list[Track]:
-    """The tracks, each with those of `FLAGS` that hold, numbered from 1 by their first frames.
+    """The tracks, each with those of `TRACK_FLAGS` that hold, numbered from 1 by their first frames.
 
     Tracks are cut where they accelerate, brake or turn harder than tyres can.
     """
@@ -51,7 +51,7 @@ def flagged(tracks: Sequence[Track]) -> list[Track]:
             "impossible_motion": "impossible_motion" in track.flags,
             "against_traffic": track.number in against,
         }
-        out.append(replace(track, flags=tuple(name for name in FLAGS if holds[name])))
+        out.append(replace(track, flags=tuple(name for name in TRACK_FLAGS if holds[name])))
     return out
 
 
@@ -88,9 +88,9 @@ def _impossible(track: Track) -> NDArray[np.bool_]:
 
 def _against_traffic(tracks: Sequence[Track]) -> set[int]:
     """Numbers of tracks of which most of the way lies where several others drive the other way, and none along."""
-    moving = [(track, np.flatnonzero(track.speed > _DRIVES)) for track in tracks]
+    moving = [(track, np.flatnonzero(track.speed > _DIRECTION_MPS)) for track in tracks]
     moving = [(track, rows) for track, rows in moving if rows.size]
-    if len(moving) <= _OTHERS:
+    if len(moving) <= _FEWEST_OTHERS:
         return set()
     places = np.concatenate([track.position[rows, :2] for track, rows in moving])
     turns = np.concatenate([_directions(track, rows) for track, rows in moving])
@@ -105,7 +105,7 @@ def _against_traffic(tracks: Sequence[Track]) -> set[int]:
         near = [j for j in near if owner[j] != owner[i]]
         opposite = np.cos(turns[near] - turns[i]) < math.cos(_OPPOSITE)
         along = np.cos(turns[near] - turns[i]) > 0
-        alone[i] = len(set(owner[near][opposite].tolist())) >= _OTHERS and not along.any()
+        alone[i] = len(set(owner[near][opposite].tolist())) >= _FEWEST_OTHERS and not along.any()
     return {track.number for k, (track, _) in enumerate(moving) if alone[owner == k].mean() > 0.5}
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skope.camera.model import Camera
-from skope.dataset.folder import BEGINS, FOLLOWED, SIGHT
+from skope.dataset.folder import BEGINS, FOLLOWED, SIGHT_FIELD
 from skope.errors import UserError
 from skope.eval.pose.records import locate_view
 from skope.eval.pose.views import Scene
@@ -33,12 +33,12 @@ from skope.terminal.console import Console, counted
 from skope.traffic.observation import FOOTAGE, Observation, checked_sight, read_begins
 from skope.traffic.road_picture import write_road_picture
 
-_PROGRESS: Final = ".poses.jsonl"
+_PROGRESS_NAME: Final = ".poses.jsonl"
 
 
 @dataclass(frozen=True, kw_only=True)
 class TrackJob:
-    """What to follow, and where to write it."""
+    """A run that follows vehicles, and what it writes."""
 
     scene: Scene
     place: Path
@@ -63,26 +63,19 @@ class TrackJob:
 def run(job: TrackJob, console: Console) -> Iterator[str]:
     """Follow the vehicles and write their tracks under `job.out`; yields lines that say what was written and found."""
     scene = job.scene
-    begins = _begins(job)
-    times = _times(scene, job.fps)
-    progress = Progress(job.out / _PROGRESS, ("sights",))
+    begins = begins_of(scene, job.begins)
+    times = times_of(scene, job.fps)
+    progress = poses_kept(job.out)
     if progress.count:
         console.say(f"{scene.file.name}: going on after the poses of {progress.count} images")
     refused = Counter[str]()
-    tracks = follow(console.bar(_seen(job, progress, refused), total=len(times), unit="image", label="poses"), times)
-    tracks = flagged(tracks)
+    tracks, road_users = followed(job, times, progress, refused, console)
     camera = scene.camera_of(scene.file.images[0])
-    road_users = _road_users(job, times, 1 + len(tracks))
-    if known := scene.known_in(scene.file.images[0]):
-        ground = scene.road_in(scene.file.images[0])
-        slope = ground.slope if ground else (0.0, 0.0)
-        tracks = [track.under(known, slope) for track in tracks]
-        road_users = [track.under(known, slope) for track in road_users]
     index = [image.frame_index if image.frame_index is not None else i for i, image in enumerate(scene.file.images)]
     export.write_csv(job.out / "tracks.csv", tracks, index)
     export.write_mot(job.out / "mot.txt", tracks)
     export.write_fcd(job.out / "fcd.xml", tracks, times, road_users)
-    _write_footage(job, times, begins)
+    write_bytes(job.out / FOOTAGE, json_bytes(observation_of(scene, times, begins).to_dict()))
     written = ["tracks.csv", "mot.txt", "fcd.xml", FOOTAGE, "birdseye.png"]
     road = _road(job, camera, console)
     birdseye.draw(job.out / "birdseye.png", tracks, camera, scene.ground, road, road_users)
@@ -125,22 +118,56 @@ def run(job: TrackJob, console: Console) -> Iterator[str]:
         yield from speed_errors(scene, tracks)
 
 
-def _begins(job: TrackJob) -> datetime | None:
-    """When second 0 was; None: nothing says it."""
-    said = job.scene.file.info.get(BEGINS)
-    where = f"{job.scene.file.name}: info.{BEGINS}"
-    return read_begins(said, where) if job.begins is None and said is not None else job.begins
+def begins_of(scene: Scene, begins: datetime | None) -> datetime | None:
+    """When second 0 was: as `begins` says, else as the file of frames, which says so of live streams; None: neither."""
+    said = scene.file.info.get(BEGINS)
+    where = f"{scene.file.name}: info.{BEGINS}"
+    return read_begins(said, where) if begins is None and said is not None else begins
 
 
-def _write_footage(job: TrackJob, times: list[float], begins: datetime | None) -> None:
-    """Write when the road was observed, which no track tells: `skope.traffic` counts by it."""
+def poses_kept(folder: Path) -> Progress:
+    """The file in a folder that keeps the poses of each image until a run is done."""
+    return Progress(folder / _PROGRESS_NAME, ("sights",))
+
+
+def followed(
+    job: TrackJob, times: Sequence[float], progress: Progress, refused: Counter[str], console: Console
+) -> tuple[list[Track], list[RoadUserTrack]]:
+    """The tracks of vehicles and of other road users, with flags, and what is known of the camera in their deviations.
+
+    Args:
+        job: What to follow.
+        times: Time of each image, seconds, as `times_of` gives them.
+        progress: Of `poses_kept`.
+        refused: Counts why vehicles have no pose, by reason.
+        console: Where progress goes.
+    """
     scene = job.scene
+    seen = console.bar(_seen(job, progress, refused), total=len(times), unit="image", label="poses")
+    tracks = flagged(follow(seen, times))
+    road_users = _road_users(job, times, 1 + len(tracks))
+    if known := scene.known_in(scene.file.images[0]):
+        ground = scene.road_in(scene.file.images[0])
+        slope = ground.slope if ground else (0.0, 0.0)
+        tracks = [track.under(known, slope) for track in tracks]
+        road_users = [track.under(known, slope) for track in road_users]
+    return tracks, road_users
+
+
+def observation_of(scene: Scene, times: Sequence[float], begins: datetime | None) -> Observation:
+    """When the road was observed, which no track tells: `skope.traffic` counts by it.
+
+    Args:
+        scene: The footage.
+        times: Time of each image, seconds.
+        begins: When second 0 was, with its zone; None: as the file of frames says.
+    """
     moved = np.array([scene.moved_in(image) for image in scene.file.images])
     known = scene.known_in(scene.file.images[0])
     camera = scene.camera_of(scene.file.images[0])
     x, y, z = map(float, camera.position)
     seconds = np.array(times)
-    observation = Observation(
+    return Observation(
         times_s=seconds[~moved],
         source=str(scene.file.info.get("source", scene.file.name)),
         common_sigma=known.ways_sigma() if known else None,
@@ -148,13 +175,12 @@ def _write_footage(job: TrackJob, times: list[float], begins: datetime | None) -
         focal_px=float(camera.K[0, 0]),
         road_sigma_m=0.0 if scene.ground is None else scene.ground.height_sigma,
         moved_s=seconds[moved],
-        sight=checked_sight(scene.file.info.get(SIGHT), f"{scene.file.name}: info.{SIGHT}"),
-        begins=begins,
+        sight=checked_sight(scene.file.info.get(SIGHT_FIELD), f"{scene.file.name}: info.{SIGHT_FIELD}"),
+        begins=begins_of(scene, begins),
     )
-    write_bytes(job.out / FOOTAGE, json_bytes(observation.to_dict()))
 
 
-def _road_users(job: TrackJob, times: list[float], first_number: int) -> list[RoadUserTrack]:
+def _road_users(job: TrackJob, times: Sequence[float], first_number: int) -> list[RoadUserTrack]:
     """Tracks of people on foot and on two wheels, where it is known where the road is."""
     if job.scene.ground is None:
         return []
@@ -217,7 +243,7 @@ def _seen(job: TrackJob, progress: Progress, refused: Counter[str]) -> Iterator[
         yield found
 
 
-def _times(scene: Scene, fps: float | None) -> list[float]:
+def times_of(scene: Scene, fps: float | None) -> list[float]:
     """Time of each image, seconds. Raises UserError where neither `fps` nor the file tells it."""
     images = scene.file.images
     if len(images) < 2:
@@ -251,7 +277,7 @@ def _write_truth(path: Path, scene: Scene, labels: Sequence[Labelled]) -> None:
 
 
 def speed_errors(scene: Scene, tracks: list[Track]) -> Iterator[str]:
-    """How far speeds are from the simulation's, over frames in which a vehicle drives at 2 m/s or more."""
+    """Errors of speeds against the simulation's, over frames in which a vehicle drives at 2 m/s or more."""
     labelled = scene.file.by_image()
     truth = {
         (image.id, a.track_id): float(np.linalg.norm(a.velocity))

@@ -39,20 +39,20 @@ Posed = tuple[Detection, PoseMeasurement]
 
 _NEW: Final = 2 * math.log(20_000.0)
 """What it costs, as twice a negative log likelihood, to take a detection for a new vehicle: one in 20 000 m^2."""
-_SLACK: Final = 0.5
+GATE_SLACK_M: Final = 0.5
 """Metres added to every prediction's standard deviation when vehicles are told apart."""
 _SWERVE: Final = 6.0
 """How suddenly a vehicle may have turned or braked since its last pose, m/s^2."""
 _SWERVE_S: Final = 1.0
 """For how long at most it may have done so, seconds."""
-_OVERLAP: Final = 0.3
+_CONTINUING_IOU: Final = 0.3
 """Least IoU by which a box without a pose continues a track."""
 _JUMP_OVERLAP: Final = 0.5
 """Least IoU by which a box continues a track though its pose is elsewhere."""
 _FRESH_S: Final = 0.15
 """For how long a box says where in the image a vehicle is by itself, seconds."""
 _CLEAR: Final = 2.0
-"""How many times as large as that with any other box the overlap of two boxes is that are clearly one vehicle's."""
+"""Two boxes are one vehicle's when their IoU is at least this many times the next best IoU of either."""
 _JUMPS: Final = 3
 """After so many poses elsewhere that is where the vehicle is."""
 _LOST_S: Final = 3.0
@@ -121,7 +121,7 @@ def _approach(detection: Detection, recent: deque[tuple[int, float, list[Detecti
         overlap = box_math.iou(
             box_math.xywh_to_xyxy(detection.bbox[None]), box_math.xywh_to_xyxy(np.array([one.bbox for one in boxes]))
         )[0]
-        if overlap.max() < _OVERLAP:
+        if overlap.max() < _CONTINUING_IOU:
             break
         detection = boxes.pop(int(overlap.argmax()))
         out.append((frame, time_s, detection))
@@ -154,7 +154,7 @@ def _associate(live: list[OpenTrack], image: Sequence[Detection], time_s: float)
         live[t].update(*posed[s])
         del left[s]
     unposed = [detection for detection in image if detection.pose is None]
-    given_unposed = {id(detection) for detection in _by_box(live, unposed, _OVERLAP, time_s)}
+    given_unposed = {id(detection) for detection in _by_box(live, unposed, _CONTINUING_IOU, time_s)}
     for given in _by_box(live, [detection for detection, _ in left.values()], _JUMP_OVERLAP, time_s):
         del left[next(s for s, (detection, _) in left.items() if detection is given)]
     new = _without_duplicates(live, list(left.values()))
@@ -221,7 +221,7 @@ def _cost(track: OpenTrack, pose: PoseMeasurement) -> float:
     mean, spread = track.state
     away = pose.place - mean[:2]
     unseen_s = min(_SWERVE_S, track.steps[-1].time_s - track.last_pose_s)
-    S = spread[:2, :2] + pose.covariance + (_SLACK**2 + (_SWERVE * unseen_s**2 / 2) ** 2) * np.eye(2)
+    S = spread[:2, :2] + pose.covariance + (GATE_SLACK_M**2 + (_SWERVE * unseen_s**2 / 2) ** 2) * np.eye(2)
     # Mahalanobis distance and log determinant of a 2 x 2 matrix, written out: numpy is slow on small matrices.
     (a, b), (_, d) = S.tolist()
     x, y = away.tolist()

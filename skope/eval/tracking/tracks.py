@@ -19,7 +19,7 @@ from skope.eval.tracking.vehicle_classes import vehicle_class
 from skope.types import Array
 
 _BOX_S: Final = 0.5
-"""For how long an unseen vehicle's last box says where it is in the image, and boxes without a pose what it does."""
+"""Seconds for which a track's last box still locates it in the image, and for which boxes alone extend it."""
 _CONFIRMED_POSES: Final = 2
 """A track has at least this many poses."""
 _CONFIRMED_S: Final = 0.4
@@ -158,12 +158,12 @@ class OpenTrack:
 
     @property
     def link(self) -> int | None:
-        """What its detections share (`Detection.link`), by the latest one."""
+        """The `Detection.link` of its latest detection."""
         return next((step.detection.link for step in reversed(self.steps) if step.detection is not None), None)
 
     @property
     def poses(self) -> int:
-        """How many poses it has."""
+        """Number of its poses."""
         return self.kinds.total()
 
     def box(self, time_s: float) -> Array | None:
@@ -176,7 +176,14 @@ class OpenTrack:
         return self.steps[-2].detection.bbox if len(self.steps) > 1 and self.steps[-2].detection is not None else None
 
     def predict(self, frame: int, time_s: float, F: Array, Q: Array) -> None:
-        """Go on to a frame, whose detections are not known yet, with `kalman.motion` F and Q."""
+        """Go on to a frame, whose detections are not known yet.
+
+        Args:
+            frame: The frame, from 0.
+            time_s: Its time, seconds.
+            F: (6, 6) transition, of `kalman.motion`.
+            Q: (6, 6) covariance of what is added in the step.
+        """
         ahead = kalman.predicted(self.state, F, Q)
         self.steps.append(TrackStep(frame, time_s, F, ahead, ahead))
 
@@ -222,7 +229,15 @@ class OpenTrack:
 def begin(
     frame: int, time_s: float, detection: Detection, pose: PoseMeasurement, approach: Sequence[Sighting] = ()
 ) -> OpenTrack:
-    """The track of a vehicle that has had no pose before; `approach` is what was seen of it, latest first."""
+    """The track of a vehicle that has had no pose before.
+
+    Args:
+        frame: The frame, from 0.
+        time_s: Its time, seconds.
+        detection: What was seen of the vehicle there.
+        pose: Where it stands.
+        approach: What was seen of it before, latest first.
+    """
     state = kalman.first_state(pose)
     step = TrackStep(frame, time_s, np.eye(6), state, state, detection)
     return OpenTrack([step], pose, kinds=Counter([pose.kind]), last_pose_s=time_s, approach=list(approach))

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Final
 
-CLASSES: Final = ("car", "van", "lorry", "bus", "unknown")
+VEHICLE_CLASS_NAMES: Final = ("car", "van", "lorry", "bus", "unknown")
 OF_BODY_TYPE: Final[Mapping[str, str]] = {
     "van": "van",
     "box_truck": "lorry",
@@ -25,7 +25,7 @@ def vehicle_class(body_types: Mapping[str, int]) -> tuple[str, float]:
     The share of the poses that agree is drawn towards a half, the more the fewer they are. A class that is less sure
     than `_UNSURE` is unknown.
     """
-    votes = dict.fromkeys(CLASSES, 0)
+    votes = dict.fromkeys(VEHICLE_CLASS_NAMES, 0)
     for name, number in body_types.items():
         votes[OF_BODY_TYPE.get(name, "car")] += number
     total = sum(votes.values())

@@ -1,1 +1,1 @@
-"""What `skope eval` and `skope eval predict` wrote, as the viewer shows it."""
+"""Folders of `skope eval` and `skope eval predict` as the viewer shows them."""

@@ -1,4 +1,4 @@
-"""What `skope eval predict` wrote, with pictures from the footage itself."""
+"""Folders of `skope eval predict`, with pictures from the footage itself."""
 
 from collections.abc import Callable
 from dataclasses import replace

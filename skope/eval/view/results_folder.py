@@ -21,7 +21,7 @@ from skope.viewer.pictures import read_picture
 
 
 def read_results_folder(folder: Path, console: Console) -> Collection:
-    """What is seen of a folder that `skope eval` or `skope eval predict` wrote.
+    """Read for the viewer a folder that `skope eval` or `skope eval predict` wrote.
 
     Raises UserError where it is no such folder, or what it was made of is missing or another one by now.
     """
@@ -102,7 +102,7 @@ def _options(path: Path, metrics: Mapping[str, Any], truth: GroundTruth) -> Opti
     try:
         thresholds = [float(t) for split in metrics["splits"].values() for t in split["iou"]]
         points = tuple(metrics["points"])
-        if metrics["scheme"] not in read_inputs.SCHEMES:
+        if metrics["scheme"] not in read_inputs.RESULT_SCHEMES:
             raise UserError(f"scheme: {metrics['scheme']!r} is none")
         if not all(isinstance(k, int) and 0 <= k < keypoints.K for k in points):
             raise UserError(f"points: expected whole numbers from 0 to {keypoints.K - 1}")

@@ -7,13 +7,14 @@ from pathlib import Path
 from typing import Final
 
 from skope.errors import UserError
-from skope.eval.inference.footage import Pixels, open_footage
+from skope.eval.inference.footage import open_footage
 from skope.schema import Image
+from skope.types import Pixels
 from skope.viewer.pictures import Picture, encoded
 
-_KEPT: Final = 32
+_KEPT_PICTURES: Final = 32
 """Pictures that are kept."""
-_FAR: Final = 50
+_SEEK_FRAMES: Final = 50
 """So many frames are as soon decoded as jumped over."""
 _BEFORE: Final = 8
 """So many frames before one that is jumped to are kept with it: who goes back meets them next, and a jump is slow."""
@@ -44,7 +45,7 @@ class VideoFrames:
 
     def _decode(self, index: int) -> None:
         """Keep the picture of a frame, and of those shortly before it that are decoded on the way."""
-        if not 0 <= self._next <= index <= self._next + _FAR:
+        if not 0 <= self._next <= index <= self._next + _SEEK_FRAMES:
             begin = max(0, index - _BEFORE)
             self._frames, self._next = self._footage.frames(begin), begin
         for frame, pixels in self._frames:
@@ -52,7 +53,7 @@ class VideoFrames:
             self._next = frame.frame_index + 1
             if frame.frame_index >= index - _BEFORE:
                 self._kept[frame.frame_index] = encoded(pixels)
-            while len(self._kept) > _KEPT:
+            while len(self._kept) > _KEPT_PICTURES:
                 self._kept.popitem(last=False)
             if frame.frame_index == index:
                 return

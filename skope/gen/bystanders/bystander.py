@@ -31,7 +31,7 @@ _JOINTED: Final[dict[str, tuple[Callable[[Look], tuple[Mesh, ...]], Callable[[Lo
     "cyclist": (bicycle, pedalling),
     "motorcyclist": (motorcycle, riding),
 }
-KINDS: Final = tuple(_FIGURES)
+BYSTANDER_KINDS: Final = tuple(_FIGURES)
 CATEGORY_OF: Final = {"pedestrian": "pedestrian", "cyclist": "bicycle", "motorcyclist": "motorcycle"}
 """The category (of `skope.schema.CATEGORIES`) of each kind."""
 
@@ -41,7 +41,7 @@ class Bystander:
     """The body of a pedestrian, cyclist or motorcyclist."""
 
     kind: str
-    """One of `KINDS`."""
+    """One of `BYSTANDER_KINDS`."""
     look: Look
     parts: tuple[Mesh, ...]
     """Body, then four parts that move, of a jointed one up to seven: limbs or wheels, each about its own origin."""

@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from skope.gen.bystanders.luggage import LOADS
+from skope.gen.bystanders.luggage import LUGGAGE_KINDS
 from skope.gen.bystanders.people import Look
 from skope.gen.bystanders.riding import MACHINES
 
@@ -21,29 +21,29 @@ _UMBRELLAS: Final = 0.45
 _HELMETS: Final = 0.55
 """Share of cyclists with a helmet."""
 _PASSENGERS: Final = {"cyclist": 0.06, "motorcyclist": 0.18}
-_LEAST: Final = {"cyclist": 1.25, "motorcyclist": 1.55}
+_LEAST_RIDER_M: Final = {"cyclist": 1.25, "motorcyclist": 1.55}
 """Height of the smallest rider, metres."""
 
 
 def drawn(kind: str, rng: np.random.Generator, *, raining: bool = False) -> Look:
-    """Draw a jointed body of a kind of `skope.gen.bystanders.bystander.KINDS`."""
+    """Draw a jointed body of a kind of `skope.gen.bystanders.bystander.BYSTANDER_KINDS`."""
     look = replace(Look.drawn(rng), bag=0.0, palette=float(rng.integers(2**40)), jointed=1.0)
     shares = dict(_LOAD_SHARES[kind])
     if kind == "pedestrian" and raining:
         shares["umbrella"] = _UMBRELLAS
     names, p = list(shares), np.array(list(shares.values()))
     k = int(np.searchsorted(np.cumsum(p), rng.random()))
-    load = LOADS.index(names[k]) if k < len(names) else 0
+    load = LUGGAGE_KINDS.index(names[k]) if k < len(names) else 0
     helmet, second = rng.random() < _HELMETS, rng.random() < _PASSENGERS.get(kind, 0.0)
     machine = int(rng.choice(len(_MACHINE_SHARES[kind]), p=_MACHINE_SHARES[kind])) if kind in MACHINES else 0
     if kind == "cyclist" and MACHINES[kind][machine] == "racing bicycle":
         # Nobody hangs a child's seat or bags on a racing bicycle.
-        second, load = False, load if LOADS[load] == "backpack" else 0
-    if kind == "motorcyclist" and second and LOADS[load] == "delivery box":
+        second, load = False, load if LUGGAGE_KINDS[load] == "backpack" else 0
+    if kind == "motorcyclist" and second and LUGGAGE_KINDS[load] == "delivery box":
         load = 0  # the passenger sits there
     return replace(
         look,
-        height=max(look.height, _LEAST.get(kind, 0.0)),
+        height=max(look.height, _LEAST_RIDER_M.get(kind, 0.0)),
         load=float(load),
         helmet=float(helmet and kind == "cyclist"),
         passenger=float(second and look.height > 1.5),

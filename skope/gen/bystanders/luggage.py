@@ -9,7 +9,7 @@ from skope.gen.bystanders.shapes import ball, trunk
 from skope.gen.mesh import Mesh, box, lathe, tube
 from skope.types import Array
 
-LOADS: Final = (
+LUGGAGE_KINDS: Final = (
     "nothing", "backpack", "shopping bag", "suitcase", "umbrella", "pushchair", "panniers", "basket", "delivery box",
     "trailer", "top case",
 )  # fmt: skip
@@ -20,7 +20,7 @@ _BOXES: Final = ("#22aa88", "#dd7711", "#cc2255", "#2255aa", "#222222")
 
 def load_of(look: Look) -> str:
     """Name of what somebody carries."""
-    return LOADS[int(look.load)]
+    return LUGGAGE_KINDS[int(look.load)]
 
 
 def cloth(look: Look) -> str:

@@ -16,7 +16,7 @@ TOPS: Final = ("#222233", "#334466", "#777788", "#dddddd", "#882222", "#335544",
 BOTTOMS: Final = ("#222233", "#333344", "#445577", "#776655", "#111111")
 SHOES: Final = ("#222222", "#dddddd", "#664433")
 
-HIP, SHOULDER = 0.53, 0.785
+HIP, SHOULDER_HEIGHT = 0.53, 0.785
 """Heights of the joints, as shares of the body's height."""
 STRIDE: Final = 0.83
 """Length of two steps at a usual pace, as a share of the body's height."""
@@ -43,7 +43,7 @@ class Look:
     helmet: float = 0.0
     """Whether a cyclist wears a helmet: yes above 0.5."""
     load: float = 0.0
-    """What is carried or drawn: number of one of `skope.gen.bystanders.luggage.LOADS`."""
+    """What is carried or drawn: number of one of `skope.gen.bystanders.luggage.LUGGAGE_KINDS`."""
     passenger: float = 0.0
     """Whether somebody rides along, on a bicycle a child in its seat: yes above 0.5."""
     machine: float = 0.0
@@ -149,8 +149,8 @@ def strides(look: Look, travelled: float) -> Array:
     shoulder, hip = 0.102 * h * g, 0.05 * h * g
     return np.stack(
         [
-            turned(-0.4 * swing, (0.0, -shoulder - 0.012 * h, SHOULDER * h)),
-            turned(0.4 * swing, (0.0, shoulder + 0.012 * h, SHOULDER * h)),
+            turned(-0.4 * swing, (0.0, -shoulder - 0.012 * h, SHOULDER_HEIGHT * h)),
+            turned(0.4 * swing, (0.0, shoulder + 0.012 * h, SHOULDER_HEIGHT * h)),
             turned(0.38 * swing, (0.0, -hip, HIP * h)),
             turned(-0.38 * swing, (0.0, hip, HIP * h)),
         ]

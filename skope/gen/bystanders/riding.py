@@ -30,7 +30,7 @@ _ROADSTER, _SCOOTER, _TOURER = range(3)
 _USUAL: Final = 1.72
 """Height of the body that bicycles are drawn for, metres; smaller ones have smaller bicycles."""
 _WHEEL: Final = 0.34
-_FRONT, _REAR = 0.54, -0.50
+_FRONT_WHEEL, _REAR = 0.54, -0.50
 _CRANK: Final = np.array([-0.06, 0.0, 0.28])
 _CRANK_LENGTH: Final = 0.17
 _GEAR: Final = 2.4
@@ -82,7 +82,7 @@ def _frame(look: Look, bar: Array) -> list[Mesh]:
     """A bicycle without wheels and pedals, its bar at a point (3,)."""
     paint = "#" + ("aa2222", "224488", "222222", "dddddd", "227744", "cc7722")[look.digit(0, 6)]
     seat, stem, low = np.array([-0.22, 0, 0.80]), np.array([0.35, 0, 0.84]), np.array([0.40, 0, 0.64])
-    front, rear = np.array([_FRONT, 0, _WHEEL]), np.array([_REAR, 0, _WHEEL])
+    front, rear = np.array([_FRONT_WHEEL, 0, _WHEEL]), np.array([_REAR, 0, _WHEEL])
     parts = [
         tube([a, b], (0.018, 0.018), paint, 6) for a, b in ((_CRANK, seat), (seat, stem), (_CRANK, low), (low, stem))
     ]
@@ -104,7 +104,7 @@ def _frame(look: Look, bar: Array) -> list[Mesh]:
     if int(look.machine) == _CITY:
         rack = np.array([[-0.22, 0.06, 0.76], [-0.66, 0.06, 0.76]])
         parts += [tube(rack * [1, s, 1], (0.008,) * 2, "trim", 4) for s in (-1, 1)]
-        parts += [_mudguard(x) for x in (_FRONT, _REAR)]
+        parts += [_mudguard(x) for x in (_FRONT_WHEEL, _REAR)]
     return parts
 
 
@@ -147,7 +147,7 @@ def pedalling(look: Look, travelled: float, speed: float) -> Array:
     scale, usual = look.height / _USUAL, replace(look, height=_USUAL)
     turn = travelled / (_WHEEL * scale)
     angle = -turn / _GEAR
-    wheels = [turned(-turn, (x, 0.0, _WHEEL)) for x in (_FRONT, _REAR)]
+    wheels = [turned(-turn, (x, 0.0, _WHEEL)) for x in (_FRONT_WHEEL, _REAR)]
     ankles = []
     for side, phase in ((-1, angle), (1, angle + np.pi)):
         pedal = _CRANK + _CRANK_LENGTH * np.array([np.sin(phase), 0.0, -np.cos(phase)])

@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from skope.errors import UserError
-from skope.terminal.command_options import DIR, FILE, LIST, Formerly, option
+from skope.terminal.command_options import DIR, FILE, LIST, option
 from skope.terminal.console import Console
 
 _WRITTEN = ("folder", "shards", "coco", "cvat", "kitti", "mot", "skope3d", "yolo")
@@ -17,9 +17,7 @@ _READ = ("coco", "cvat", "skope3d")
 def convert(
     paths: Annotated[list[Path], typer.Argument(metavar="PATH", help="What to read, and last the new folder.")],
     console: Console,
-    to: Annotated[
-        str | None, option(choices=_WRITTEN, help="Format to write.", show_default="folder"), Formerly("--format")
-    ] = None,
+    to: Annotated[str | None, option(choices=_WRITTEN, help="Format to write.", show_default="folder")] = None,
     source: Annotated[
         str | None, option("--from", choices=_READ, help="Format to read.", show_default="a dataset folder")
     ] = None,

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from skope.files.output_folders import replaceable_output
-from skope.gen.cli.options import HOURS, WEATHERS, RendererOption, WorkerOptions, camera, output, traffic
+from skope.gen.cli.options import HOUR_CHOICES, WEATHER_CHOICES, RendererOption, WorkerOptions, camera, output, traffic
 from skope.terminal.command_options import (
     DATA,
     DIR,
@@ -18,7 +18,6 @@ from skope.terminal.command_options import (
     SHEETS,
     SIZE,
     VIDEOS,
-    Formerly,
     JsonOption,
     PortOption,
     option,
@@ -113,7 +112,6 @@ def show(
     sites: Annotated[
         str | None,
         option(metavar=LIST, help="A sheet of each of these sites instead of one of each split."),
-        Formerly("--site"),
     ] = None,
     keypoints: Annotated[bool, layer("--keypoints", help="Boxes, keypoints and skeletons.")] = False,
     boxes_3d: Annotated[bool, layer("--boxes-3d", help="3D boxes.")] = False,
@@ -149,7 +147,6 @@ def report(
     max_images: Annotated[
         int,
         option(least=1, help="At most so many images, spread over splits, sites and recordings."),
-        Formerly("--images"),
     ] = 48,
     out: Annotated[
         Path | None,
@@ -199,12 +196,14 @@ def video(
     weather: Annotated[
         str | None,
         camera(
-            choices=WEATHERS,
+            choices=WEATHER_CHOICES,
             help="Weather.",
             show_default="the site's",
         ),
     ] = None,
-    time_of_day: Annotated[str | None, camera(choices=HOURS, help="Time of day.", show_default="the site's")] = None,
+    time_of_day: Annotated[
+        str | None, camera(choices=HOUR_CHOICES, help="Time of day.", show_default="the site's")
+    ] = None,
     road_users: Annotated[
         bool, traffic("--road-users", help="Label people on foot and on two wheels too, and draw more of them.")
     ] = False,

@@ -21,8 +21,8 @@ labels = panel("Labels")
 output = panel("Output")
 machine = panel("Machine")
 
-WEATHERS: Final = ("clear", "cloudy", "overcast", "rain", "after_rain", "fog", "snow")
-HOURS: Final = ("noon", "low_sun", "dawn", "dusk", "night")
+WEATHER_CHOICES: Final = ("clear", "cloudy", "overcast", "rain", "after_rain", "fog", "snow")
+HOUR_CHOICES: Final = ("noon", "low_sun", "dawn", "dusk", "night")
 
 RendererOption = Annotated[
     str, machine(choices=("auto", "gl", "pybullet"), help="What draws the images; auto: gl where OpenGL can be had.")
@@ -37,7 +37,8 @@ class DatasetOptions:
         str,
         traffic(
             choices=("demo", "paper", "extra", "full", "varied", "world", "conditions"),
-            help="Which dataset to make (see docs/generating.md).",
+            help="Which dataset to make. demo: small; paper: as SKoPe3D; full: all sites; extra: sites for tests; "
+            "varied: other cameras; world: other roads; conditions: splits by weather (docs/generating.md).",
         ),
     ] = "demo"
     seed: Annotated[int, traffic(help="Same seed, same dataset.", max=2**63 - 1)] = 0
@@ -55,7 +56,9 @@ class DatasetOptions:
             show_default="the preset's",
         ),
     ] = None
-    interval: Annotated[float | None, traffic(help="Seconds between frames.", show_default="the preset's")] = None
+    interval: Annotated[
+        float | None, traffic(help="Seconds from one frame of a recording to the next.", show_default="the preset's")
+    ] = None
     vehicles: Annotated[
         str | None,
         traffic(
@@ -65,17 +68,27 @@ class DatasetOptions:
     ] = None
     share: Annotated[
         float | None,
-        traffic(help="Share of the traffic that --vehicles make together.", show_default="each a tenth of the fleet's"),
+        traffic(
+            help="Share of all traffic, 0 to 1, that the --vehicles make together.",
+            show_default="each a tenth of the fleet's",
+        ),
     ] = None
     views: Annotated[
         int | None,
-        variation(help="Cameras at other corners of the town that share each traffic.", show_default="the preset's"),
+        variation(
+            help="Further cameras for each site, at other corners of its town, that see the same traffic.",
+            show_default="the preset's",
+        ),
     ] = None
     town_jitter: Annotated[
-        bool | None, variation(help="Draw what stands along the roads anew.", show_default="the preset's")
+        bool | None,
+        variation(help="Houses, trees and signs along the roads anew for each recording.", show_default="the preset's"),
     ] = None
     shape_jitter: Annotated[
-        bool | None, variation(help="Give every vehicle a shape of its own.", show_default="the preset's")
+        bool | None,
+        variation(
+            help="Give every vehicle a shape of its own, within what its type allows.", show_default="the preset's"
+        ),
     ] = None
     camera_jitter: Annotated[bool, variation(help="Hang and turn each recording's camera a little differently.")] = (
         False
@@ -83,32 +96,47 @@ class DatasetOptions:
     weather: Annotated[
         str | None,
         camera(
-            choices=WEATHERS, several=True, help="Weathers of the recordings.", show_default="the sites' and preset's"
+            choices=WEATHER_CHOICES,
+            several=True,
+            help="Draw each recording's weather from these.",
+            show_default="the sites' and preset's",
         ),
     ] = None
     time_of_day: Annotated[
         str | None,
-        camera(choices=HOURS, several=True, help="Hours of the recordings.", show_default="the sites' and preset's"),
+        camera(
+            choices=HOUR_CHOICES,
+            several=True,
+            help="Draw each recording's hour from these.",
+            show_default="the sites' and preset's",
+        ),
     ] = None
-    size: Annotated[str | None, camera(metavar=SIZE, help="Image size.", show_default="the preset's")] = None
+    size: Annotated[
+        str | None, camera(metavar=SIZE, help="Width and height of the images, pixels.", show_default="the preset's")
+    ] = None
     fov: Annotated[float | None, camera(help="Horizontal field of view, degrees.", show_default="the preset's")] = None
     settings: Annotated[
         list[str] | None,
         camera(
             "--set",
             metavar="NAME=VALUE",
-            help="A condition, as NAME=VALUE or NAME=LOW..HIGH (see docs/rendering.md); repeatable.",
+            help="A condition of light, air, lens or sensor, as noise=2, or exposure_ev=-1..1 to draw it from a range; "
+            "repeatable (docs/rendering.md lists them).",
         ),
     ] = None
     localizer: Annotated[
         str,
-        labels(choices=("rigid", "trilateration"), help="Where keypoints come from; trilateration: as in the paper."),
+        labels(
+            choices=("rigid", "trilateration"),
+            help="How keypoints are found: rigid: moved with the body; trilateration: from distances, as in the paper.",
+        ),
     ] = "rigid"
     occlusion_rule: Annotated[
         str,
         labels(
             choices=("others", "paper"),
-            help="others: ignore what something else hides; paper: remove what is half hidden.",
+            help="When a vehicle is hidden. others: something else covers it; it stays, ignored. paper: half of it is "
+            "covered; it is left out.",
         ),
     ] = "others"
     road_users: Annotated[
@@ -118,8 +146,8 @@ class DatasetOptions:
     min_visible: Annotated[float, labels(help="Ignore vehicles of which a smaller share is seen.")] = 0.15
     min_box: Annotated[float, labels(help="Ignore boxes whose shorter edge is under this, pixels.")] = 12.0
     image_format: Annotated[str, output(choices=("jpeg", "png", "webp"), help="Format of the images.")] = "jpeg"
-    quality: Annotated[int, output(help="Of JPEG and WebP, 1 to 100.")] = 95
-    depth: Annotated[bool, output(help="Write depth files.")] = True
+    quality: Annotated[int, output(help="Quality of JPEG and WebP files, 1 to 100.")] = 95
+    depth: Annotated[bool, output(help="Write a depth file beside each image, metres.")] = True
     format: Annotated[
         str,
         output(choices=("folder", "shards"), help="shards: tar files, for hundreds of thousands of images."),

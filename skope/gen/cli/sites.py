@@ -4,14 +4,14 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from skope.files.output_folders import replaceable_output
-from skope.terminal.command_options import DIR, FILE, SITE_PLANS, Formerly, JsonOption, option
+from skope.terminal.command_options import DIR, FILE, SITE_PLANS, JsonOption, option
 from skope.terminal.console import Console
 from skope.terminal.text_table import text_table
 
 
 def sites(
     console: Console,
-    maps: Annotated[bool, option("--maps", help="Draw every town's plan to a PNG file."), Formerly("--map")] = False,
+    maps: Annotated[bool, option("--maps", help="Draw every town's plan to a PNG file.")] = False,
     site: Annotated[
         Path | None,
         option(metavar=FILE, help="Check a site file, and draw its lanes over its photograph to a PNG file."),

@@ -21,9 +21,9 @@ MEMBERS: Final = 2_000_000
 RATIO: Final = 200
 """Most times its packed size that a member larger than `FREE` may unpack to."""
 FREE: Final = 1 << 20
-LARGEST: Final = 64 << 30
+LARGEST_MEMBER_BYTES: Final = 64 << 30
 """Bytes of the largest member."""
-_CHUNK: Final = 1 << 20
+_CHUNK_BYTES: Final = 1 << 20
 _UTF8: Final = 0x800
 _OF_SYSTEMS: Final = ("__MACOSX", "Thumbs.db", "desktop.ini")
 _LINK: Final = 0o120000
@@ -71,7 +71,7 @@ class Archive:
     def extract(self, name: str, target: Path) -> None:
         """Write a member to a file."""
         with replacing(target) as temporary, temporary.open("wb") as file:
-            file.writelines(self._chunks(name, LARGEST))
+            file.writelines(self._chunks(name, LARGEST_MEMBER_BYTES))
 
     def _chunks(self, name: str, limit: int) -> Iterator[bytes]:
         if name not in self._infos:
@@ -81,7 +81,7 @@ class Archive:
             raise UserError(f"{self.path}: member {name}: {info.file_size} bytes, more than {limit}")
         try:
             with self._file.open(info) as member:
-                while chunk := member.read(_CHUNK):
+                while chunk := member.read(_CHUNK_BYTES):
                     done += len(chunk)
                     yield chunk
         except (zipfile.BadZipFile, zlib.error, EOFError, OSError, NotImplementedError, RuntimeError) as error:
@@ -154,7 +154,7 @@ def zipped(folder: Path, target: Path) -> None:
                 info = zipfile.ZipInfo(name)
                 info.compress_type = kind
                 with path.open("rb") as source, file.open(info, "w", force_zip64=True) as member:
-                    while chunk := source.read(_CHUNK):
+                    while chunk := source.read(_CHUNK_BYTES):
                         member.write(chunk)
             elif not any(path.iterdir()):
                 file.writestr(zipfile.ZipInfo(f"{name}/"), b"")

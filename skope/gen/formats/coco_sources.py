@@ -24,7 +24,7 @@ from skope.schema import Result
 from skope.terminal.console import Console
 
 _FOLDER: Final = "annotations"
-_SURE: Final = 0.5
+_VISIBLE_FROM: Final = 0.5
 """A predicted keypoint of this probability counts as visible."""
 _LICENCE_FILES: Final = (
     LICENCE_FILE,
@@ -176,7 +176,7 @@ def _predictions(folder: Path, split: str | None) -> AnnotationSource:
         row = {"id": number, "image_id": result.image_id, "bbox": result.bbox.tolist()}
         if isinstance(result, Result):
             points = result.keypoints.copy()
-            points[:, 2] = np.where(points[:, 2] >= _SURE, 2, 1)
+            points[:, 2] = np.where(points[:, 2] >= _VISIBLE_FROM, 2, 1)
             row |= {"category_id": schema.CATEGORY_ID, "keypoints": points.ravel().tolist()}
         else:
             row["category_id"] = result.category_id

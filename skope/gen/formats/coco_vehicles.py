@@ -190,7 +190,11 @@ def attributes_of(row: Mapping[str, Any]) -> dict[str, Any]:
     if not isinstance(values, dict):
         return out
     given: dict[str, Any] = values
-    lists = {"vehicle_type": schema.VEHICLE_TYPES, "color": schema.COLORS, "ignore_reason": schema.IGNORE_REASONS}
+    lists = {
+        "vehicle_type": schema.VEHICLE_TYPES,
+        "color": schema.VEHICLE_COLORS,
+        "ignore_reason": schema.IGNORE_REASONS,
+    }
     for name, choices in lists.items():
         if given.get(name) in choices:
             out[name] = given[name]

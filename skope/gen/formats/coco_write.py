@@ -100,7 +100,7 @@ def cvat_labels(scheme: Scheme, categories: Sequence[str] = schema.VEHICLE_ALONE
             "attributes": [
                 attribute("model", "text", [UNSAID]),
                 attribute("vehicle_type", "select", [UNSAID, *schema.VEHICLE_TYPES]),
-                attribute("color", "select", [UNSAID, *schema.COLORS]),
+                attribute("color", "select", [UNSAID, *schema.VEHICLE_COLORS]),
                 attribute("ignore_reason", "select", [UNSAID, *schema.IGNORE_REASONS]),
             ],
             "svg": "".join([*lines, *nodes]),

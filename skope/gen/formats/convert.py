@@ -15,7 +15,7 @@ from skope.files.output_folders import move_new
 from skope.gen.formats import coco_read, coco_write, folder_and_shards, kitti, mot, skope3d, yolo
 from skope.gen.formats.archive import zipped
 from skope.gen.formats.dataset_builder import LICENCE_FILE, SPLIT_NAME, check_outside, dataset_at
-from skope.gen.output.writers import FORMATS
+from skope.gen.output.writers import DATASET_FORMATS
 from skope.terminal.console import Console
 
 
@@ -52,7 +52,7 @@ _WRITE: Final[Mapping[str, Callable[[Dataset, Path, Console], None]]] = {
     "skope3d": skope3d.write,
 }
 _YOLO: Final = "yolo"
-WRITERS: Final = (*FORMATS, *_WRITE, _YOLO)
+WRITERS: Final = (*DATASET_FORMATS, *_WRITE, _YOLO)
 READERS: Final = ("coco", "cvat", "skope3d")
 
 
@@ -137,7 +137,7 @@ def _read(sources: Sequence[Path], root: Path, form: str, options: ConversionOpt
 
 
 def _write(dataset: Dataset, form: str, folder: Path, options: ConversionOptions, console: Console) -> None:
-    if form in FORMATS:
+    if form in DATASET_FORMATS:
         folder_and_shards.convert(dataset, form, folder, console)
         return
     if form == _YOLO:

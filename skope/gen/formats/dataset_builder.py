@@ -89,7 +89,7 @@ def finish_dataset(
     if not counts.images:
         raise UserError("no image was found: nothing to write")
     card = {
-        "version": schema.VERSION,
+        "version": schema.SCHEMA_VERSION,
         **writer.scheme.fields(),
         **categories_field(writer.categories),
         "format": "folder",

@@ -14,7 +14,7 @@ from urllib.parse import unquote, urlsplit
 
 from skope.files.safe_names import NAME_BYTES, is_relative
 
-SPLITS: Final[Mapping[str, str]] = {
+SPLIT_NAMES: Final[Mapping[str, str]] = {
     **dict.fromkeys(("train", "training", "trainset"), "train"),
     **dict.fromkeys(("val", "valid", "validation", "valset"), "val"),
     **dict.fromkeys(("test", "testing", "testset"), "test"),
@@ -63,7 +63,7 @@ class Place:
 
 def named_split(name: str) -> str | None:
     """The split of ours that a name of other programs means, as in `Validation` or `instances_val2017`."""
-    return SPLITS.get(_YEAR.sub("", bare_stem(name.lower())))
+    return SPLIT_NAMES.get(_YEAR.sub("", bare_stem(name.lower())))
 
 
 def bare_stem(stem: str) -> str:

@@ -36,12 +36,12 @@ TYPES: Final = {
 """Names of vehicle types in KITTI's files; every other type is a Car."""
 RIDDEN: Final = {"bicycle": "Cyclist", "motorcycle": "Motorcyclist", "pedestrian": "Pedestrian"}
 """Names of the other categories; `Motorcyclist`, which KITTI itself lacks, is that of Rope3D and DAIR-V2X."""
-OCCLUSIONS: Final = (0.1, 0.4)
+OCCLUSION_SHARES: Final = (0.1, 0.4)
 """Shares from which a vehicle counts as partly and as largely occluded."""
 DONT_CARE: Final = "DontCare -1 -1 -10 {} -1 -1 -1 -1000 -1000 -1000 -10"
 BOX_AXES: Final = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
 """KITTI's box axes as columns in ours: x forward, y down, z left, of x forward, y left, z up."""
-_ROAD: Final = np.array([0.0, 0.0, 1.0])
+_ROAD_NORMAL: Final = np.array([0.0, 0.0, 1.0])
 
 
 def write(dataset: Dataset, out: Path, console: Console) -> None:
@@ -76,7 +76,7 @@ def write(dataset: Dataset, out: Path, console: Console) -> None:
 
 def road_plane(camera: Camera) -> Array:
     """(4,) a, b, c, d of the world's z = 0 in the camera frame; the unit normal points up, d is the camera's height."""
-    normal = camera.T_camera_world[:3, :3] @ _ROAD
+    normal = camera.T_camera_world[:3, :3] @ _ROAD_NORMAL
     return np.append(normal, -normal @ camera.T_camera_world[:3, 3])
 
 
@@ -103,7 +103,7 @@ def _labels(where: str, own: Sequence[Annotation | RoadUser], camera: Camera) ->
         bottom, turn, R = _placed(vehicle.box_3d, camera)
         length, width, height = vehicle.box_3d.size_lwh
         alpha = _wrapped(turn - float(np.arctan2(bottom[0], bottom[2])))
-        occluded = int(np.searchsorted(OCCLUSIONS, vehicle.occlusion or 0.0, side="right"))
+        occluded = int(np.searchsorted(OCCLUSION_SHARES, vehicle.occlusion or 0.0, side="right"))
         if isinstance(vehicle, Annotation):
             kind = TYPES.get(vehicle.vehicle_type or "", "Car")
         else:

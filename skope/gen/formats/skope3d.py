@@ -39,9 +39,9 @@ from skope.types import Array
 LICENCE: Final = "CC BY-NC-SA 4.0 (as its users state it)"
 SCENES: Final = "scenes.csv"
 """File beside exported archives: split, site and recording of each scene."""
-MAP: Final = "map.json"
+POINT_MAP_FILE: Final = "map.json"
 """File beside exported archives: names of the keypoints that their numbers stand for."""
-CORNERS: Final = np.array(list(itertools.product((-0.5, 0.5), repeat=3)))
+ARCHIVE_CORNERS: Final = np.array(list(itertools.product((-0.5, 0.5), repeat=3)))
 """(8, 3) corners of the unit box, in the order of exported archives: back before front, right before left, below before
 above."""
 
@@ -218,7 +218,7 @@ def read_map(path: Path) -> dict[int, int]:
 
 
 def write(dataset: Dataset, out: Path, console: Console) -> None:
-    """Write each recording of a dataset as an archive to `out`, and `SCENES` and `MAP` beside the archives.
+    """Write each recording of a dataset as an archive to `out`, and `SCENES` and `POINT_MAP_FILE` beside the archives.
 
     Masks, depth, world coordinates, ignored vehicles and people on foot and on two wheels are left out: the layout has
     no place for them.
@@ -244,7 +244,7 @@ def write(dataset: Dataset, out: Path, console: Console) -> None:
     if others:
         console.say(f"{others} people on foot and on two wheels are left out: this format has vehicles alone")
     if dataset.scheme.name == SKOPE33.name:
-        write_json(out / MAP, dict(zip(PUBLISHED.names, keypoints.NAMES, strict=True)))
+        write_json(out / POINT_MAP_FILE, dict(zip(PUBLISHED.names, keypoints.NAMES, strict=True)))
 
 
 def _groups(file: AnnotationFile) -> list[tuple[list[Image], dict[int, list[Annotation]]]]:
@@ -290,7 +290,7 @@ def _corners(vehicle: Annotation, image: Image) -> Array:
         return vehicle.box_3d_pixels
     if vehicle.box_3d is not None and image.camera is not None:
         box = vehicle.box_3d
-        pixels, _, valid = image.camera.project(CORNERS * box.size_lwh @ box.R.T + box.center)
+        pixels, _, valid = image.camera.project(ARCHIVE_CORNERS * box.size_lwh @ box.R.T + box.center)
         if valid.all():
             return pixels
     return np.full((8, 2), _NOWHERE)

@@ -32,7 +32,7 @@ VIDEO: Final = "original.avi"
 _CSV_BYTES: Final = 1 << 16
 _MEMBER: Final = re.compile(r"([^/]+)/(\d+)/(keypoint|metadata)_([^/]+)\.csv")
 _FILLING: Final = re.compile(r"(0|-1)(\.0*)?")
-_FRAME: Final = re.compile(r"[^/]+/(\d+)")
+_FRAME_NAME: Final = re.compile(r"[^/]+/(\d+)")
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +82,7 @@ def scene_of(archive: Archive) -> ArchiveScene:
         elif member.endswith(f"/{VIDEO}") and member.count("/") == 1:
             names.add(member.split("/")[0])
     for folder in archive.folders:  # frames without a vehicle
-        match = _FRAME.fullmatch(folder)
+        match = _FRAME_NAME.fullmatch(folder)
         if match:
             found.setdefault(int(match[1]), {})
     if len(names) != 1:

@@ -11,7 +11,7 @@ from skope.errors import UserError
 from skope.gen.formats import foreign_names
 from skope.gen.formats.archive import Archive, added_by_system, opened
 
-_LARGEST: Final = {".json": 1 << 31}
+_LARGEST_BYTES: Final = {".json": 1 << 31}
 _LARGEST_OTHER: Final = 1 << 28
 """Bytes of a file that is unpacked into memory."""
 
@@ -97,7 +97,7 @@ class InArchive:
         return _composed(name) in self._names
 
     def find(self, name: str) -> bytes | None:
-        limit = _LARGEST.get(PurePosixPath(name).suffix, _LARGEST_OTHER)
+        limit = _LARGEST_BYTES.get(PurePosixPath(name).suffix, _LARGEST_OTHER)
         member = self._names.get(_composed(name))
         return None if member is None else self._archive.read(member, limit)
 

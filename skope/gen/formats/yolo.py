@@ -27,7 +27,7 @@ VALIDATED: Final = 0.1
 """Share of each training recording, at its end, that becomes part `val` of a dataset without such a split."""
 SUFFIXES: Final = frozenset((".bmp", ".dng", ".heic", ".jpeg", ".jpg", ".mpo", ".png", ".tif", ".tiff", ".webp"))
 """Of the pictures that Ultralytics reads."""
-TRAIN, VAL = "train", "val"
+YOLO_SPLITS, VAL = "train", "val"
 
 
 def write(dataset: Dataset, out: Path, names: Sequence[str], console: Console) -> None:
@@ -88,18 +88,18 @@ def _indices(scheme: Scheme, names: Sequence[str]) -> list[int]:
 def _parts(dataset: Dataset, console: Console) -> dict[str, AnnotationFile]:
     """The splits; without one to validate on, some of the training recordings, or their ends, become it."""
     parts = {split: dataset.read(split) for split in dataset.splits}
-    if TRAIN not in parts:
-        raise UserError(f"{dataset.root}: has no split {TRAIN}, which this format cannot do without")
+    if YOLO_SPLITS not in parts:
+        raise UserError(f"{dataset.root}: has no split {YOLO_SPLITS}, which this format cannot do without")
     for split, file in parts.items():
-        if file.categories != parts[TRAIN].categories:
+        if file.categories != parts[YOLO_SPLITS].categories:
             raise UserError(
-                f"{dataset.root}: {split}: labels {', '.join(file.categories)}, split {TRAIN} labels "
-                f"{', '.join(parts[TRAIN].categories)}: this format has one list of classes"
+                f"{dataset.root}: {split}: labels {', '.join(file.categories)}, split {YOLO_SPLITS} labels "
+                f"{', '.join(parts[YOLO_SPLITS].categories)}: this format has one list of classes"
             )
     if VAL not in parts:
-        whole = parts[TRAIN]
-        parts[TRAIN], parts[VAL] = held_back(whole, VALIDATED)
-        between = len(whole.images) - len(parts[TRAIN].images) - len(parts[VAL].images)
+        whole = parts[YOLO_SPLITS]
+        parts[YOLO_SPLITS], parts[VAL] = held_back(whole, VALIDATED)
+        between = len(whole.images) - len(parts[YOLO_SPLITS].images) - len(parts[VAL].images)
         if not parts[VAL].images:
             raise UserError(
                 f"{dataset.root}: its recordings are too short to keep the last {VALIDATED:.0%} for val: "
@@ -107,7 +107,7 @@ def _parts(dataset: Dataset, console: Console) -> dict[str, AnnotationFile]:
             )
         count = counted(len(parts[VAL].images), "image")
         gap = f"; left out, as too alike to both: {between}" if between else ""
-        console.say(f"{VAL}, the end of {TRAIN}'s recordings: {count}{gap}")
+        console.say(f"{VAL}, the end of {YOLO_SPLITS}'s recordings: {count}{gap}")
     return parts
 
 
@@ -134,11 +134,11 @@ def _flip(scheme: Scheme, chosen: Sequence[int]) -> list[int] | None:
 def _yaml(
     dataset: Dataset, parts: Mapping[str, AnnotationFile], chosen: Sequence[int], flip: Sequence[int] | None
 ) -> str:
-    others = [name for name in parts if name not in (TRAIN, VAL)]
-    categories = parts[TRAIN].categories
+    others = [name for name in parts if name not in (YOLO_SPLITS, VAL)]
+    categories = parts[YOLO_SPLITS].categories
     lines = [
         f"# Paths are relative to this file. Licence: {dataset.licence}",
-        f"train: images/{TRAIN}",
+        f"train: images/{YOLO_SPLITS}",
         f"val: images/{VAL}",
         *([f"test: [{', '.join(f'images/{name}' for name in others)}]"] if others else []),
         f"kpt_shape: [{len(chosen)}, 3]",

@@ -28,7 +28,7 @@ from skope.gen.inspect.check_boxes import (
     wrapped,
 )
 from skope.gen.labels.annotate import POINT_TOLERANCE, SLOPE_CAP
-from skope.gen.output.frames import FORMATS
+from skope.gen.output.frames import IMAGE_SUFFIXES
 from skope.gen.output.writers import rows_of
 from skope.schema import Annotation, AnnotationFile, Image, RoadUser, far_outside
 
@@ -79,7 +79,7 @@ def check(dataset: Dataset) -> Iterator[Finding]:
     counts, others = Counter[str](), Counter[tuple[str, str]]()
     seen = _Seen(own="own" in dataset.card.get("parameters", {}) and bool(dataset.card["parameters"]["own"]))
     for split in dataset.splits:
-        name = f"{shards.FOLDER}/{split}-*.tar" if dataset.sharded else f"annotations/{split}.json"
+        name = f"{shards.SHARD_FOLDER}/{split}-*.tar" if dataset.sharded else f"annotations/{split}.json"
         try:
             file = dataset.read(split)
         except UserError as error:
@@ -173,7 +173,7 @@ def _check_manifest(dataset: Dataset) -> Iterator[Finding]:
                 yield Finding(name, "sha256: its bytes are not those that were written", image)
         except UserError as error:
             yield Finding(name, str(error).removeprefix(f"{path}: "), image)
-    folders = ("images", "depth", "recordings", "annotations", shards.FOLDER)
+    folders = ("images", "depth", "recordings", "annotations", shards.SHARD_FOLDER)
     found = (path for folder in folders for path in (dataset.root / folder).rglob("*") if path.is_file())
     for name in sorted(path.relative_to(dataset.root).as_posix() for path in found):
         if name not in sums and not added_by_system(name):
@@ -191,7 +191,7 @@ def _check_takes(dataset: Dataset, made: Container[tuple[str | None, str | None,
 
 def _image_of_depth(name: str, sums: Mapping[str, str]) -> str | None:
     stem = name.removeprefix("depth/").removesuffix(".png")
-    return next((image for suffix in FORMATS.values() if (image := f"images/{stem}{suffix}") in sums), None)
+    return next((image for suffix in IMAGE_SUFFIXES.values() if (image := f"images/{stem}{suffix}") in sums), None)
 
 
 def _check_totals(dataset: Dataset, name: str, split: str) -> Iterator[Finding]:

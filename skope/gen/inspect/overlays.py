@@ -5,20 +5,18 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from skope.dataset.folder import Dataset
 from skope.errors import UserError
 from skope.pictures import draw
 from skope.schema import Annotation, Image, RoadUser
-
-Pixels = NDArray[np.uint8]
+from skope.types import Pixels
 
 LAYERS: Final = ("keypoints", "boxes_3d", "mask", "depth", "occlusion")
 """What can be drawn on an image."""
 SHEET: Final = 12
 """Number of images on a sheet."""
-_CELL: Final = 640
+_SHEET_IMAGE_PX: Final = 640
 """Width of an image on a sheet, pixels."""
 
 
@@ -106,5 +104,7 @@ def sheets(dataset: Dataset, site: str | None, layers: Sequence[str], out: Path)
 def _cell(pixels: Pixels, text: str) -> Pixels:
     import cv2
 
-    height = round(pixels.shape[0] * _CELL / pixels.shape[1])
-    return draw.caption(np.asarray(cv2.resize(pixels, (_CELL, height), interpolation=cv2.INTER_AREA), np.uint8), text)
+    height = round(pixels.shape[0] * _SHEET_IMAGE_PX / pixels.shape[1])
+    return draw.caption(
+        np.asarray(cv2.resize(pixels, (_SHEET_IMAGE_PX, height), interpolation=cv2.INTER_AREA), np.uint8), text
+    )

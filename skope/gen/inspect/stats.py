@@ -22,9 +22,9 @@ _OPTIONAL: Final = ("bend_deg", "road_users")
 """Numbers that only some datasets have."""
 PICTURES: Final = 200
 """Number of images of a split, evenly spread, whose brightness is measured."""
-_COLORS: Final = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#000000")
+_SPLIT_COLORS: Final = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#000000")
 """Colours of splits in plots: Okabe and Ito's, which colour-blind readers can tell apart."""
-_LINES: Final = ("solid", "dashed", "dotted", "dashdot", "solid")
+_SPLIT_LINES: Final = ("solid", "dashed", "dotted", "dashdot", "solid")
 """Line styles of splits in plots, so that no difference is one of colour alone."""
 
 
@@ -241,13 +241,16 @@ def plot(dataset: Dataset, out: Path) -> Path:
         for number, (split, annotations) in enumerate(known.items()):
             values = [v for a in annotations if (v := value(a)) is not None]
             share = np.histogram(values, bins)[0] / max(1, len(values))
-            style = {"linestyle": _LINES[number % len(_LINES)], "color": _COLORS[number % len(_COLORS)]}
+            style = {
+                "linestyle": _SPLIT_LINES[number % len(_SPLIT_LINES)],
+                "color": _SPLIT_COLORS[number % len(_SPLIT_COLORS)],
+            }
             axis.stairs(share, bins, label=f"{split} ({len(values)})", linewidth=1.8, **style)
         axis.set(xlabel=title, ylabel="share of vehicles")
         axis.legend(frameon=False)
     axes[0, 1].set_xscale("log")
     seen = np.array([a.keypoints[:, 2] == 2 for annotations in known.values() for a in annotations]).reshape(-1, K)
-    axes[1, 1].bar(range(K), seen.mean(axis=0) if len(seen) else np.zeros(K), color=_COLORS[0])
+    axes[1, 1].bar(range(K), seen.mean(axis=0) if len(seen) else np.zeros(K), color=_SPLIT_COLORS[0])
     axes[1, 1].set(
         xlabel="keypoint", ylabel="share of vehicles where it is visible", xticks=range(0, K, 2), ylim=(0, 1)
     )
@@ -255,7 +258,7 @@ def plot(dataset: Dataset, out: Path) -> Path:
     types = Counter(a.vehicle_type or "unknown" for annotations in known.values() for a in annotations)
     for axis, counts, unit in ((axes[2, 0], weather, "images"), (axes[2, 1], types, "vehicles")):
         names = [name for name, _ in counts.most_common()]
-        axis.barh(names[::-1], [counts[name] for name in names[::-1]], color=_COLORS[0])
+        axis.barh(names[::-1], [counts[name] for name in names[::-1]], color=_SPLIT_COLORS[0])
         axis.set_xlabel(unit)
     for axis in axes.flat:
         axis.spines[["top", "right"]].set_visible(False)

@@ -32,7 +32,7 @@ ROD_M: Final = 0.01
 """Half of the width of what counts as a rod on the middle of a roof, metres."""
 GRAZING: Final = 0.1
 """Sine of the angle under which a back does not count: the rim of what lies on a panel, seen over the panel's edge."""
-PARTS: Final = {
+LAMP_PARTS: Final = {
     "headlight": "low-beam lamps",
     "taillight": "tail lamps",
     "brake_light": "brake lamps",
@@ -102,7 +102,7 @@ def _corners(vehicle: Vehicle) -> Iterator[str]:
 def _lamps(vehicle: Vehicle) -> Iterator[str]:
     mesh = straight_mesh(vehicle)
     present = set(np.array(mesh.materials)[np.unique(mesh.material)])
-    yield from (f"parts: no {what} (material {name})" for name, what in PARTS.items() if name not in present)
+    yield from (f"parts: no {what} (material {name})" for name, what in LAMP_PARTS.items() if name not in present)
 
 
 def _class(vehicle: Vehicle) -> Iterator[str]:

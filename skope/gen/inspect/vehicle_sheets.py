@@ -29,7 +29,7 @@ VIEWS: Final = {
 }
 """Directions of the camera: degrees from straight ahead towards the vehicle's left, and above the horizon."""
 _FOV: Final = math.radians(20)
-_MARGIN: Final = 1.12
+_SHEET_MARGIN: Final = 1.12
 _BEND: Final = math.radians(25)
 """How far articulated vehicles are bent in the views of three quarters."""
 _CAR_COLOR: Final = "red"
@@ -86,7 +86,7 @@ def _camera(vehicle: Vehicle, azimuth: float, elevation: float, size: tuple[int,
         camera = at(distance)
         pixels, _, _ = camera.project(corners)
         reach = np.abs(pixels - [size[0] / 2, size[1] / 2]).max(axis=0) / [size[0] / 2, size[1] / 2]
-        distance *= float(reach.max()) * _MARGIN
+        distance *= float(reach.max()) * _SHEET_MARGIN
     return at(distance)
 
 

@@ -23,9 +23,7 @@ from skope.gen.scene.road_user_bodies import body_of, vehicle_of
 from skope.gen.vehicles.model import Trailer, Vehicle
 from skope.gen.vehicles.paints import color_name
 from skope.schema import Annotation, Box3D
-from skope.types import Array
-
-Mask = NDArray[np.bool_]
+from skope.types import Array, Mask
 
 OCCLUSION_RULES: Final = ("others", "paper")
 POINT_TOLERANCE: Final = 0.05

@@ -20,9 +20,9 @@ from skope.types import Array
 
 _PATCH: Final = 16
 """Number of triangles of a patch, which are tested together."""
-_STEPS: Final = 1023
+_ORDER_STEPS: Final = 1023
 """Steps that a vehicle's length is cut into where triangles are put in order."""
-_SLACK: Final = 1e-6
+_ROUNDING_M: Final = 1e-6
 """What spheres and boxes are enlarged by, metres: more than rounding errors."""
 
 
@@ -153,8 +153,8 @@ def _patches(vehicle: Body) -> _Patches:
     part = np.repeat(np.arange(len(each)), [len(corners) for corners in each])
     low, high = points.min(axis=(1, 2)), points.max(axis=(1, 2))
     centers = (low + high) / 2
-    radii = np.linalg.norm(points - centers[:, None, None], axis=-1).max(axis=(1, 2)) + _SLACK
-    boxes = np.stack([low - _SLACK, high + _SLACK])
+    radii = np.linalg.norm(points - centers[:, None, None], axis=-1).max(axis=(1, 2)) + _ROUNDING_M
+    boxes = np.stack([low - _ROUNDING_M, high + _ROUNDING_M])
     return _Patches(np.ascontiguousarray(points.transpose(3, 2, 0, 1)), part, centers, radii, boxes)
 
 
@@ -175,9 +175,9 @@ def _split_in_patches(places: Array) -> NDArray[np.int64]:
     """
     low = places.min(axis=0, initial=np.inf)
     size = (places.max(axis=0, initial=-np.inf) - low).max(initial=1e-9)
-    cells = ((places - low) / size * _STEPS).astype(np.int64)
+    cells = ((places - low) / size * _ORDER_STEPS).astype(np.int64)
     key = np.zeros(len(places), dtype=np.int64)
-    for bit in range(_STEPS.bit_length()):
+    for bit in range(_ORDER_STEPS.bit_length()):
         for axis in range(3):
             key |= (cells[:, axis] >> bit & 1) << (3 * bit + axis)
     order = key.argsort(kind="stable")

@@ -15,7 +15,7 @@ from skope.page import html_pieces
 Card = Mapping[str, Any]
 
 TITLE: Final = "Roadside images with 33 keypoints per vehicle"
-LIMITS: Final = "Limits"
+LIMITS_HEADING: Final = "Limits"
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ def sections(card: Card) -> list[Section]:
         Section("How it was made", [*_command(card), made(card), _sources(card)]),
         Section("What the labels mean", [list(card.get("label_rules", [])), *_rules_in_numbers(card)]),
         Section("Balance", _balance(card)),
-        Section(LIMITS, [limits(card)]),
+        Section(LIMITS_HEADING, [limits(card)]),
         Section("People", [people(card)]),
         Section("Licence", [licence(card)]),
     ]
@@ -275,7 +275,7 @@ def _markdown(block: str | list[str] | Command | TextTable) -> list[str]:
 def html(card: Card) -> str:
     """A card as parts of a page, to be unfolded, without its title and summary."""
     return "".join(
-        html_pieces.details(section.title, *map(_html, section.blocks), opened=section.title == LIMITS)
+        html_pieces.details(section.title, *map(_html, section.blocks), opened=section.title == LIMITS_HEADING)
         for section in sections(card)
     )
 

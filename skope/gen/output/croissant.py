@@ -109,7 +109,7 @@ def croissant(card: Mapping[str, Any], sums: Mapping[str, str]) -> Json:
         "name": "skope-vehicle-keypoints",
         "description": f"{card_text.TITLE}. {card_text.summary(card)}",
         "license": ADDRESSES.get(licence, licence),
-        "version": f"{schema.VERSION}.0.0",
+        "version": f"{schema.SCHEMA_VERSION}.0.0",
         "citeAs": _CITATION,
         "keywords": ["keypoints", "vehicles", "roadside camera", "synthetic data", "3D boxes", "depth"],
         "rai:dataCollection": " ".join(card_text.made(card)),
@@ -160,7 +160,7 @@ def _shards(sums: Mapping[str, str]) -> Json:
     return {
         "distribution": [
             *(_file(path, sums, "application/x-tar") for path in sums if path.endswith(".tar")),
-            _set("shard-indices", f"{shards.FOLDER}/*.json", "application/json", description),
+            _set("shard-indices", f"{shards.SHARD_FOLDER}/*.json", "application/json", description),
             _set("recordings-files", "recordings/*.npz", _MIME[".npz"], _FOLDERS["recordings/*"]),
         ]
     }

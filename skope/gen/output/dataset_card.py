@@ -38,7 +38,7 @@ def card(plan: DatasetPlan, counts: Counts) -> dict[str, Any]:
     asked = {name: fleet()[name] for name in parameters.vehicles if name in fleet()}
     models = {**fleet(further=parameters.further_models), **asked}
     return {
-        "version": schema.VERSION,
+        "version": schema.SCHEMA_VERSION,
         **keypoints.SKOPE33.fields(),
         **categories_field(parameters.categories),
         "format": parameters.format,
@@ -98,7 +98,7 @@ def command(p: Parameters) -> str:
         parts += ["--town-jitter"] if p.town_jitter else []
         parts += ["--road-users"] if p.road_users else []
     parts += ["--camera-jitter"] if "zoom_by" in p.cameras else []
-    parts += [f"--licence {shlex.quote(p.licence)}"] if p.licence != licences.DEFAULT else []
+    parts += [f"--licence {shlex.quote(p.licence)}"] if p.licence != licences.DEFAULT_LICENCE else []
     return " ".join([*parts, *(f"--set {name}={low}..{high}" for name, (low, high) in p.settings.items())])
 
 

@@ -18,7 +18,7 @@ from skope.gen.render.frame import RenderedFrame, Renderer
 from skope.gen.scene.recording import Recording
 from skope.schema import Annotation, Image, RoadUser
 
-FORMATS: Final = {"jpeg": ".jpg", "png": ".png", "webp": ".webp"}
+IMAGE_SUFFIXES: Final = {"jpeg": ".jpg", "png": ".png", "webp": ".webp"}
 """Suffixes of images by `--image-format`."""
 
 
@@ -33,7 +33,7 @@ class Encoding:
     """Whether depth files are written."""
 
     def __post_init__(self) -> None:
-        one_of("--image-format", self.image, tuple(FORMATS))
+        one_of("--image-format", self.image, tuple(IMAGE_SUFFIXES))
         if not 1 <= self.quality <= 100:
             raise UserError(f"--quality: expected a whole number from 1 to 100, got {self.quality}")
 
@@ -44,7 +44,7 @@ class Encoding:
             "png": [cv2.IMWRITE_PNG_COMPRESSION, 3],
             "webp": [cv2.IMWRITE_WEBP_QUALITY, self.quality],
         }[self.image]
-        ok, data = cv2.imencode(FORMATS[self.image], cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR), options)
+        ok, data = cv2.imencode(IMAGE_SUFFIXES[self.image], cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR), options)
         assert ok
         return data.tobytes()
 
@@ -83,7 +83,7 @@ def files_of(
 ) -> FrameFiles:
     """Encode a rendered frame: `annotations` and `tally` are what `annotate` gives, ids are given by the writer."""
     name = recording.info.frame_name(frame)
-    files = {f"images/{name}{FORMATS[encoding.image]}": encoding.encoded(view.rgb)}
+    files = {f"images/{name}{IMAGE_SUFFIXES[encoding.image]}": encoding.encoded(view.rgb)}
     depth_name = f"depth/{name}.png" if encoding.depth else None
     if depth_name:
         files[depth_name] = depth_png(view.depth)

@@ -12,7 +12,7 @@ from typing import Any, Final
 
 from skope.errors import UserError
 
-DEFAULT: Final = "CC BY 4.0"
+DEFAULT_LICENCE: Final = "CC BY 4.0"
 ADDRESSES: Final = {
     "CC0 1.0": "https://creativecommons.org/publicdomain/zero/1.0/",
     "CC BY 4.0": "https://creativecommons.org/licenses/by/4.0/",
@@ -45,7 +45,7 @@ def named(text: str) -> str:
     """A licence as a card states it: one of `ADDRESSES` however its name is written, or any other line of text."""
     text = " ".join(text.split())
     if not text:
-        raise UserError(f"--licence: expected a licence's name, such as {DEFAULT!r}")
+        raise UserError(f"--licence: expected a licence's name, such as {DEFAULT_LICENCE!r}")
     known = {_bare(name): name for name in ADDRESSES}
     return known.get(_bare(text), text)
 

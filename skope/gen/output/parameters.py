@@ -95,8 +95,8 @@ class Parameters:
     """A user's own site (`--site`), in place of those of the package."""
     encoding: Encoding = field(default_factory=Encoding)
     format: str = "folder"
-    """How the dataset is stored, one of `skope.gen.output.writers.FORMATS`."""
-    licence: str = licences.DEFAULT
+    """How the dataset is stored, one of `skope.gen.output.writers.DATASET_FORMATS`."""
+    licence: str = licences.DEFAULT_LICENCE
     """What the images may be used under, as the card states it."""
     versions: Mapping[str, str] = field(default_factory=versions)
     """Versions of skope and of the libraries that decide bytes."""
@@ -139,7 +139,7 @@ class Parameters:
         Raises:
             UserError: A field is missing, unknown or of another kind; it is named.
         """
-        _check_fields(where, values, _KINDS, optional=_OPTIONAL)
+        _check_fields(where, values, _FIELD_KINDS, optional=_OPTIONAL)
         made = {"keypoint_edition": 1, **values}
         for name, kind in (("rules", Rules), ("encoding", Encoding)):
             made[name] = _made(f"{where}.{name}", kind, values[name])
@@ -212,7 +212,7 @@ def _object_of(holds: Callable[[Any], bool]) -> Callable[[Any], bool]:
 
 
 _TEXT: Final = _Kind("text", _is_text)
-_WHOLE: Final = _Kind("a whole number", _is_whole)
+_WHOLE_NUMBER: Final = _Kind("a whole number", _is_whole)
 _NUMBER: Final = _Kind("a number", _is_number)
 _SWITCH: Final = _Kind("true or false", lambda value: isinstance(value, bool))
 _OBJECT: Final = _Kind("an object", lambda value: isinstance(value, dict))
@@ -230,9 +230,9 @@ _NAMES: Final = ("weather", "time_of_day")
 """Fields that hold names that were asked for."""
 _ASKED: Final = ("vehicle_share", "further_models", "road_users", *_NAMES)
 """Fields that are written only where they were asked for: cards of other datasets stay as they are."""
-_KINDS: Final[Mapping[str, _Kind]] = {
+_FIELD_KINDS: Final[Mapping[str, _Kind]] = {
     **dict.fromkeys(("preset", "size", "renderer", "driver", "format", "licence"), _TEXT),
-    **dict.fromkeys(("seed", "recordings", "views", "keypoint_edition"), _WHOLE),
+    **dict.fromkeys(("seed", "recordings", "views", "keypoint_edition"), _WHOLE_NUMBER),
     **dict.fromkeys(("interval_s", "fov_deg", "randomised"), _NUMBER),
     **dict.fromkeys(("rules", "encoding"), _OBJECT),
     **dict.fromkeys(("settings", "cameras"), _RANGE_BY_NAME),

@@ -22,7 +22,7 @@ from skope.gen.output.card_counts import Counts, Kind, kind_of
 from skope.keypoints import SKOPE33, Scheme
 from skope.schema import CATEGORIES, CATEGORY_ID, ROAD_USER_IDS, VEHICLE_ALONE, Annotation, RoadUser
 
-FORMATS: Final = ("folder", "shards")
+DATASET_FORMATS: Final = ("folder", "shards")
 _IN_MEMORY: Final = 1 << 26
 """Bytes of rows that are kept there."""
 
@@ -137,7 +137,7 @@ class ShardWriter(DatasetWriter):
     def add(self, split: str, frames: Iterable[FrameFiles]) -> None:
         number = self._numbers.get(split, 0)
         self._numbers[split] = number + 1
-        path = Path(shards.FOLDER) / f"{split}-{number:06d}.tar"
+        path = Path(shards.SHARD_FOLDER) / f"{split}-{number:06d}.tar"
         shard, loose = self.root / path, list[Path]()
         members = self._members(path, split, frames, loose)
         if shard.with_suffix(".json").is_file():
@@ -177,7 +177,7 @@ class ShardWriter(DatasetWriter):
 def writer_of(
     form: str, root: Path, scheme: Scheme = SKOPE33, categories: tuple[str, ...] = VEHICLE_ALONE
 ) -> DatasetWriter:
-    """The writer of a format of `FORMATS`."""
+    """The writer of a format of `DATASET_FORMATS`."""
     return (ShardWriter if form == "shards" else FolderWriter)(root, scheme, categories)
 
 
@@ -205,7 +205,7 @@ def unpack_shards(root: Path) -> None:
 
     A shard without its index was not finished: its frames are still loose files.
     """
-    for shard in sorted((root / shards.FOLDER).glob("*.tar")):
+    for shard in sorted((root / shards.SHARD_FOLDER).glob("*.tar")):
         for name in shards.members_of(shard):
             stem, _, suffix = name.partition(".")
             kind, ending = ("depth", suffix[len("depth.") :]) if suffix.startswith("depth.") else ("images", suffix)

@@ -9,7 +9,7 @@ from skope.camera.model import Distortion
 from skope.errors import UserError, one_of
 from skope.gen.labels.annotate import Rules
 from skope.gen.output.parameters import DatasetPlan, OwnSiteRecord, Parameters
-from skope.gen.output.writers import FORMATS
+from skope.gen.output.writers import DATASET_FORMATS
 from skope.gen.pipeline.planned_light import in_asked_light, in_its_light, in_its_split, varied
 from skope.gen.pipeline.presets import presets, range_pairs, tables
 from skope.gen.render.lens import pinhole_of
@@ -23,7 +23,7 @@ from skope.gen.traffic.sumo import step_for
 from skope.gen.vehicles.fleet import fleet
 from skope.schema import WEATHERS
 
-HEAVY: Final = frozenset(("bus", "truck", "box_truck", "articulated_truck", "articulated_bus"))
+HEAVY_TYPES: Final = frozenset(("bus", "truck", "box_truck", "articulated_truck", "articulated_bus"))
 """Types of vehicles that a split may have a share of (`heavy` in `presets.toml`)."""
 
 
@@ -40,7 +40,7 @@ class DatasetRequest:
     def __post_init__(self) -> None:
         p = self.parameters
         p.pixels()
-        one_of("--format", p.format, FORMATS)
+        one_of("--format", p.format, DATASET_FORMATS)
         if not all(p.sites) or not p.sites or len(set(p.sites)) < len(p.sites):
             raise UserError("--sites: expected one or more different sites, separated by commas")
         for name in p.sites:
@@ -195,7 +195,7 @@ class DatasetRequest:
         heavy = [
             name
             for name, entry in models.items()
-            if entry.vehicle.vehicle_type in HEAVY and not (learnt and entry.held_out)
+            if entry.vehicle.vehicle_type in HEAVY_TYPES and not (learnt and entry.held_out)
         ]
         return {"vehicles": tuple(heavy), "vehicle_share": share}
 

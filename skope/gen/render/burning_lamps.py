@@ -8,7 +8,7 @@ from skope.types import Array
 
 _STRETCH_M: Final = 55.0
 """Lamps this near to each other mostly fail together, as those on one cable do."""
-_TOGETHER: Final = 0.65
+_SHARED_LUCK: Final = 0.65
 """How much of a lamp's luck it shares with its stretch."""
 
 
@@ -19,7 +19,7 @@ def burning(lamps: Array, share: float) -> Array:
     """
     if share >= 1:
         return lamps
-    luck = _TOGETHER * _hashed(np.floor(lamps[:, :2] / _STRETCH_M)) + (1 - _TOGETHER) * _hashed(lamps[:, :2])
+    luck = _SHARED_LUCK * _hashed(np.floor(lamps[:, :2] / _STRETCH_M)) + (1 - _SHARED_LUCK) * _hashed(lamps[:, :2])
     first = luck.argsort(kind="stable")[: round(share * len(lamps))]
     return lamps[np.sort(first)]
 

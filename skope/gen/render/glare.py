@@ -21,21 +21,21 @@ from skope.gen.scene.recording import Moment
 from skope.gen.scenery.build import Scenery
 from skope.types import Array
 
-COARSE: Final = 4
+GLARE_CELL_PX: Final = 4
 """Pixels of the image per cell of the grid, on each axis."""
-HAZY: Final = 2000.0
+HAZE_GLARE_M: Final = 2000.0
 """Lamps glare by day too when the visibility is below this, metres."""
 _STREET_LIGHT: Final = 0.9
 _SIGNAL: Final = 0.4
 _SMEARED: Final = 6.0
 """How much of lamps' glare dirty glass spreads far around them, as a factor on its mean there."""
-_FAR: Final = 0.06
+_FAR_WIDTHS: Final = 0.06
 """How far that is, as a share of the image's width."""
 _FULL: Final = 15.0
 """Distance up to which lamps glare at their strongest, metres."""
-_LEAST: Final = 0.006
+_LEAST_GLARE: Final = 0.006
 """Glare that is weaker than this after exposure is not drawn."""
-_SLACK: Final = 0.35
+_SURFACE_SLACK_M: Final = 0.35
 """How much nearer than a lamp the surface shown there may be without hiding it, metres."""
 
 
@@ -46,11 +46,11 @@ class Glare:
         """`depth` is that of the scenery."""
         self._camera, self._signals = camera, town.signals
         self._dark = conditions.sun_elevation_deg < DARK_DEG
-        self.seen = self._dark or conditions.visibility_m < HAZY
+        self.seen = self._dark or conditions.visibility_m < HAZE_GLARE_M
         self._strength = conditions.glare * (1.0 if self._dark else 0.25)
         self._dirt = conditions.lens_dirt
         self._scatter = 3.0 / conditions.visibility_m
-        shape = (-(-camera.height // COARSE), -(-camera.width // COARSE), 3)
+        shape = (-(-camera.height // GLARE_CELL_PX), -(-camera.width // GLARE_CELL_PX), 3)
         self._still = np.zeros(shape, dtype=np.float32)
         if self._dark and conditions.street_lighting > 0:
             color = tuple(temperature_color(conditions.street_light_k).tolist())
@@ -78,9 +78,11 @@ class Glare:
             light += _SMEARED * self._dirt * _far_around(light)
         veil = np.rint(255 * np.sqrt(1 - np.exp(-1.6 * light))).astype(np.uint8)
         rows = np.flatnonzero(veil.any(axis=(1, 2)))
-        first, end = COARSE * int(rows[0]), min(COARSE * int(rows[-1] + 1), rgb.shape[0])
+        first, end = GLARE_CELL_PX * int(rows[0]), min(GLARE_CELL_PX * int(rows[-1] + 1), rgb.shape[0])
         veil = veil[rows[0] : rows[-1] + 1]
-        veil = cv2.resize(veil, (COARSE * veil.shape[1], COARSE * veil.shape[0]), interpolation=cv2.INTER_LINEAR)
+        veil = cv2.resize(
+            veil, (GLARE_CELL_PX * veil.shape[1], GLARE_CELL_PX * veil.shape[0]), interpolation=cv2.INTER_LINEAR
+        )
         veil, under = veil[: end - first, : rgb.shape[1]], rgb[first:end]
         # Screened: what is bright already has less to gain.
         cv2.add(under, cv2.multiply(veil, cv2.bitwise_not(under), scale=1 / 255), dst=under)
@@ -108,10 +110,10 @@ class Glare:
             color = np.array(lamp.color, dtype=np.float32)
             scale = camera.width / 1920
             through = float(np.exp(-self._scatter * away))
-            _add_spread_light(light, pixels[i] / COARSE, 2.2 * scale, strength * through * color)
+            _add_spread_light(light, pixels[i] / GLARE_CELL_PX, 2.2 * scale, strength * through * color)
             # Drops of fog send light on in about its own direction.
             halo = strength * (1 - np.exp(-self._scatter * min(away, 60.0))) * 0.5
-            _add_spread_light(light, pixels[i] / COARSE, 11.0 * scale, halo * color)
+            _add_spread_light(light, pixels[i] / GLARE_CELL_PX, 11.0 * scale, halo * color)
 
     @staticmethod
     def _is_hidden(
@@ -120,14 +122,14 @@ class Glare:
         column, row = pixel.astype(int)
         if ids is not None and ids[row, column] == lamp.index + 1:
             return False
-        return bool(depth[row, column] < z - _SLACK)
+        return bool(depth[row, column] < z - _SURFACE_SLACK_M)
 
 
 def _far_around(light: NDArray[np.float32]) -> NDArray[np.float32]:
     """Light on the grid (h, w, 3), blurred so that little of its places is left."""
     height, width = light.shape[:2]
     small = cv2.resize(light, (max(width // 8, 1), max(height // 8, 1)), interpolation=cv2.INTER_AREA)
-    wide = cv2.GaussianBlur(small, (0, 0), max(_FAR * small.shape[1], 0.5))
+    wide = cv2.GaussianBlur(small, (0, 0), max(_FAR_WIDTHS * small.shape[1], 0.5))
     return np.asarray(cv2.resize(wide, (width, height), interpolation=cv2.INTER_LINEAR), dtype=np.float32)
 
 
@@ -143,10 +145,10 @@ def _point_spread(radius: int, core: float) -> NDArray[np.float32]:
 def _add_spread_light(light: NDArray[np.float32], center: Array, core: float, color: NDArray[np.float32]) -> None:
     """Add a lamp's spread light around `center`, in cells."""
     peak = float(color.max())
-    if peak < _LEAST:
+    if peak < _LEAST_GLARE:
         return
     core = max(core, 0.7)
-    radius = max(2, int(min(9.0, (peak / _LEAST) ** 0.4) * core))
+    radius = max(2, int(min(9.0, (peak / _LEAST_GLARE) ** 0.4) * core))
     height, width = light.shape[:2]
     x, y = (int(v) for v in np.floor(center))
     x0, y0, x1, y1 = max(x - radius, 0), max(y - radius, 0), min(x + radius + 1, width), min(y + radius + 1, height)

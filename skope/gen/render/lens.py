@@ -14,7 +14,7 @@ from skope.gen.render.pixel_windows import Window
 from skope.types import Array
 
 _LIMIT: Final = 8192
-_MARGIN: Final = 2
+_MARGIN_PX: Final = 2
 """Pixels of the pinhole's image beyond what the lens shows."""
 
 _WHOLE_PIXELS: Final = np.zeros((0, 0), dtype=np.uint16)
@@ -34,8 +34,8 @@ def pinhole_of(camera: Camera) -> Camera:
     if not valid.all():
         raise UserError(f"{name}: folds back inside the image at this field of view")
     focal = camera.K[[0, 1], [0, 1]]
-    low = np.floor(rays[:, :2].min(axis=0) * focal) - _MARGIN
-    high = np.ceil(rays[:, :2].max(axis=0) * focal) + _MARGIN
+    low = np.floor(rays[:, :2].min(axis=0) * focal) - _MARGIN_PX
+    high = np.ceil(rays[:, :2].max(axis=0) * focal) + _MARGIN_PX
     width, height = (high - low).astype(int).tolist()
     if max(width, height) > _LIMIT:
         raise UserError(f"{name}: shows more than a view of {_LIMIT} pixels without distortion")
@@ -166,6 +166,6 @@ def _window_within(source: Array) -> Window:
     `source` (H, W, 2) is where in the pinhole's image each pixel of the lens is. No edge of the lens' image passes
     through the window: each of the four lies on its own side of it.
     """
-    left, top = np.ceil([source[:, 0, 0].max(), source[0, :, 1].max()]).astype(int) + _MARGIN
-    right, bottom = np.floor([source[:, -1, 0].min(), source[-1, :, 1].min()]).astype(int) - _MARGIN
+    left, top = np.ceil([source[:, 0, 0].max(), source[0, :, 1].max()]).astype(int) + _MARGIN_PX
+    right, bottom = np.floor([source[:, -1, 0].min(), source[-1, :, 1].min()]).astype(int) - _MARGIN_PX
     return int(left), int(top), int(right), int(bottom)

@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 from skope.gen.render.rain import smaller
 from skope.gen.scene.random_streams import Stream
 from skope.gen.scene.recording import Recording
-
-Image = NDArray[np.uint8]
+from skope.types import Pixels
 
 _SPECKS: Final = 60
 """Specks of dust on the dirtiest glass."""
@@ -31,14 +30,14 @@ class LensDirt:
 
     def __init__(self, recording: Recording) -> None:
         amount = recording.conditions.lens_dirt
-        self._sharp: Image | None = None
+        self._sharp: Pixels | None = None
         if amount > 0:
             size = (recording.camera.width, recording.camera.height)
             cover, through = _dirt(size, amount, recording.rng(Stream.LENS_DIRT))
             # As bytes, of 255, in all channels: OpenCV multiplies those many times faster than numpy does numbers.
             self._sharp, self._soft = (_in_channels(share * through) for share in (1 - cover, cover))
 
-    def soil(self, rgb: Image) -> Image:
+    def soil(self, rgb: Pixels) -> Pixels:
         """The picture (H, W, 3) through the glass."""
         if self._sharp is None:
             return rgb
@@ -52,7 +51,7 @@ class LensDirt:
         return np.asarray(cv2.add(kept, cv2.multiply(soft, self._soft, scale=1 / 255)), dtype=np.uint8)
 
 
-def _in_channels(share: NDArray[np.float32]) -> Image:
+def _in_channels(share: NDArray[np.float32]) -> Pixels:
     """(H, W) shares, 0 to 1 -> (H, W, 3) of 255."""
     return np.ascontiguousarray(np.broadcast_to(np.rint(255 * share)[..., None].astype(np.uint8), (*share.shape, 3)))
 

@@ -60,9 +60,9 @@ class Palette:
 
 USUAL: Final = Palette(MATERIALS, {})
 """The materials' own colours."""
-_ROAD: Final = materials_between("asphalt", "bitumen")
+_ROAD_MATERIALS: Final = materials_between("asphalt", "bitumen")
 """Materials of the carriageway, which share a pattern and differ in brightness."""
-_OTHERS: Final = (
+_FURTHER_MATERIALS: Final = (
     *materials_between("gutter", "cover"),
     *materials_between("kerb", "felt"),
     *materials_between("frame", "fascia_cream"),
@@ -85,11 +85,11 @@ def _palette(town: Town) -> Palette:
 
 def _drawn_patterns(rng: np.random.Generator) -> Mapping[str, Pattern]:
     road, out = _drawn_pattern(rng), {}
-    for name in _ROAD:
+    for name in _ROAD_MATERIALS:
         lighter = sum(MATERIALS[name]) / sum(MATERIALS["asphalt"])
         first, second = (_scaled(color, lighter) for color in (road.first, road.second))
         out[name] = Pattern(road.motif, first, second, road.size_m, road.turn)
-    for name in _OTHERS:
+    for name in _FURTHER_MATERIALS:
         pattern = _drawn_pattern(rng)
         if rng.random() < _CHANGED:
             out[name] = pattern

@@ -4,11 +4,9 @@ from typing import Final
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from skope.gen.scene.conditions import Conditions
-
-Image = NDArray[np.uint8]
+from skope.types import Pixels
 
 _MIDDLE: Final = 118.0
 """The value that contrast leaves as it is, of 255: that of a surface which returns 18% of the light."""
@@ -18,7 +16,7 @@ _DETAIL_PX: Final = 1.2
 """Standard deviation of the Gaussian that the finest detail is told apart by, pixels of the stream."""
 
 
-def processed(rgb: Image, conditions: Conditions) -> Image:
+def processed(rgb: Pixels, conditions: Conditions) -> Pixels:
     """A picture (H, W, 3) as the camera sends it; the very same array where the camera changes nothing."""
     if conditions.contrast != 1 or conditions.black_level:
         rgb = _as_image(cv2.LUT(rgb, _tones(conditions.contrast, conditions.black_level)))
@@ -31,12 +29,12 @@ def processed(rgb: Image, conditions: Conditions) -> Image:
     return rgb
 
 
-def _tones(contrast: float, black_level: float) -> Image:
+def _tones(contrast: float, black_level: float) -> Pixels:
     """(256,) what each value of the sensor's picture is shown as."""
     values = _MIDDLE + contrast * (np.arange(256) - _MIDDLE)
     lifted = black_level + (1 - black_level / 255) * np.clip(values, 0, 255)
     return np.asarray(np.rint(lifted), dtype=np.uint8)
 
 
-def _as_image(rgb: object) -> Image:
+def _as_image(rgb: object) -> Pixels:
     return np.asarray(rgb, dtype=np.uint8)

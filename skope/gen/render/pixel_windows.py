@@ -16,8 +16,8 @@ from skope.types import Array
 Window = tuple[int, int, int, int]
 """Columns and rows x0, y0, x1, y1 of the image; may go beyond it."""
 
-_SHIFT: Final = 4
-NEAR: Final = 0.3
+_PIXEL_SHIFT_BITS: Final = 4
+CLIP_DEPTH_M: Final = 0.3
 """Silhouettes are clipped at this depth, metres."""
 TILE: Final = 8
 """Side of a tile, pixels; what changes in a frame is drawn in whole tiles."""
@@ -105,8 +105,8 @@ def tiles(hulls: Iterable[Array], size: tuple[int, int]) -> NDArray[np.bool_]:
     touched = np.zeros((rows, columns), dtype=np.uint8)
     for hull in hulls:
         if len(hull):
-            corners = np.rint((hull / TILE - 0.5) * 2**_SHIFT).astype(np.int32)
-            cv2.fillConvexPoly(touched, corners, 1, shift=_SHIFT)
+            corners = np.rint((hull / TILE - 0.5) * 2**_PIXEL_SHIFT_BITS).astype(np.int32)
+            cv2.fillConvexPoly(touched, corners, 1, shift=_PIXEL_SHIFT_BITS)
     # What is filled has its centre in a polygon or lies on its edge.
     return np.asarray(cv2.dilate(touched, np.ones((3, 3), dtype=np.uint8)) > 0)
 
@@ -182,9 +182,9 @@ def _corners_between(low: Array, high: Array) -> Array:
 
 def _in_front(corners: Array) -> Array:
     """Points (N, 3) in the camera frame -> points whose hull is the part of theirs that lies beyond the near plane."""
-    before = corners[:, 2] >= NEAR
+    before = corners[:, 2] >= CLIP_DEPTH_M
     if before.all():
         return corners
     a, b = corners[before][:, None], corners[~before][None]
-    share = (NEAR - a[..., 2:]) / (b[..., 2:] - a[..., 2:])
+    share = (CLIP_DEPTH_M - a[..., 2:]) / (b[..., 2:] - a[..., 2:])
     return np.concatenate([corners[before], (a + share * (b - a)).reshape(-1, 3)])

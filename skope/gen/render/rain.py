@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 
 from skope.gen.scene.random_streams import Stream
 from skope.gen.scene.recording import Recording
-
-Image = NDArray[np.uint8]
+from skope.types import Pixels
 
 FIELD: Final = 1.25
 """Size of the field that what falls is drawn on, in sizes of the image; each frame shows a window of it."""
@@ -36,21 +35,21 @@ class Rain:
         if self._rate > 0:
             self._streaks = _streak_field(size, round(self._rate, 3), float(rng.uniform(-0.25, 0.25)), shutter)
 
-    def fall(self, rgb: Image, frame: int) -> Image:
+    def fall(self, rgb: Pixels, frame: int) -> Pixels:
         """The picture (H, W, 3) of a frame with rain."""
         if self._rate <= 0:
             return rgb
         rng = self._recording.rng(Stream.RAIN_IN_FRAME, frame)
         return self._put_drops_on_glass(fallen(rgb, self._streaks, rng), frame)
 
-    def _put_drops_on_glass(self, rgb: Image, frame: int) -> Image:
+    def _put_drops_on_glass(self, rgb: Pixels, frame: int) -> Pixels:
         """Drops on the glass show the street upside down, out of focus and small."""
         time = float(self._recording.times_s[frame])
         rng = self._recording.rng(Stream.DROPS_ON_GLASS)
         span = float(self._recording.times_s[-1]) + 2 * _STAYS
         count = int(rng.poisson(_DROPS * (self._rate / 10) ** 0.5 * max(span / _STAYS, 1.0)))
         height, width = rgb.shape[:2]
-        soft: Image | None = None
+        soft: Pixels | None = None
         for x, y, size, flat, born in rng.uniform(0, 1, (count, 5)).tolist():
             if not 0 <= time + _STAYS - born * span < _STAYS:
                 continue
@@ -60,7 +59,7 @@ class Rain:
         return rgb
 
 
-def fallen(rgb: Image, field: Image, rng: np.random.Generator) -> Image:
+def fallen(rgb: Pixels, field: Pixels, rng: np.random.Generator) -> Pixels:
     """The picture (H, W, 3) with what falls before it: a window, which `rng` draws, of a larger grey field (H', W')."""
     height, width = rgb.shape[:2]
     rows, columns = field.shape
@@ -75,7 +74,7 @@ def fallen(rgb: Image, field: Image, rng: np.random.Generator) -> Image:
 
 
 @lru_cache(maxsize=2)
-def _streak_field(size: tuple[int, int], rate: float, slant: float, shutter: float) -> Image:
+def _streak_field(size: tuple[int, int], rate: float, slant: float, shutter: float) -> Pixels:
     """A field of streaks, from long faint ones of drops near the camera to short ones far away."""
     width, height = (round(FIELD * side) for side in size)
     scale = size[0] / 1920
@@ -102,17 +101,17 @@ def _streak_field(size: tuple[int, int], rate: float, slant: float, shutter: flo
     return np.asarray(field, dtype=np.uint8)
 
 
-def _out_of_focus(rgb: Image) -> Image:
+def _out_of_focus(rgb: Pixels) -> Pixels:
     return np.asarray(cv2.GaussianBlur(smaller(rgb, 8), (0, 0), 1.5), dtype=np.uint8)
 
 
-def smaller(rgb: Image, times: int) -> Image:
+def smaller(rgb: Pixels, times: int) -> Pixels:
     """A picture (H, W, 3) at a fraction of its width and height."""
     size = (max(rgb.shape[1] // times, 1), max(rgb.shape[0] // times, 1))
     return np.asarray(cv2.resize(rgb, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
 
 
-def _draw_drop(rgb: Image, soft: Image, center: tuple[float, float], radius: float, tall: float) -> None:
+def _draw_drop(rgb: Pixels, soft: Pixels, center: tuple[float, float], radius: float, tall: float) -> None:
     """Draw one drop into the picture."""
     height, width = rgb.shape[:2]
     cx, cy = center

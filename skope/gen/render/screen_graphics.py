@@ -5,13 +5,12 @@ from typing import Final
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from skope.gen.scene.random_streams import Stream
 from skope.gen.scene.recording import Recording
+from skope.types import Pixels
 
-Image = NDArray[np.uint8]
-_Draw = Callable[[Image, Image, np.random.Generator], None]
+_Draw = Callable[[Pixels, Pixels, np.random.Generator], None]
 
 _FONTS: Final = (cv2.FONT_HERSHEY_SIMPLEX, cv2.FONT_HERSHEY_DUPLEX, cv2.FONT_HERSHEY_COMPLEX, cv2.FONT_HERSHEY_PLAIN)
 _LETTERS: Final = "ABCDEFGHJKLMNPRSTUVWXYZ0123456789"
@@ -24,12 +23,12 @@ class ScreenGraphics:
 
     def __init__(self, recording: Recording) -> None:
         count, camera = round(recording.conditions.screen_graphics), recording.camera
-        self._ink: Image | None = None
+        self._ink: Pixels | None = None
         if count:
             rng = recording.rng(Stream.SCREEN_GRAPHICS)
             ink = np.zeros((camera.height, camera.width, 3), dtype=np.uint8)
             cover = np.zeros((camera.height, camera.width), dtype=np.uint8)
-            for draw in rng.choice(np.array(_KINDS, dtype=object), count):
+            for draw in rng.choice(np.array(_GRAPHIC_KINDS, dtype=object), count):
                 mark = np.zeros_like(cover)
                 draw(ink, mark, rng)
                 opaque = rng.choice([1.0, rng.uniform(_LEAST_OPAQUE, 1.0)])
@@ -38,7 +37,7 @@ class ScreenGraphics:
             self._seen = np.asarray(cv2.bitwise_not(covers), dtype=np.uint8)
             self._ink = np.asarray(cv2.multiply(ink, covers, scale=1 / 255), dtype=np.uint8)
 
-    def draw(self, rgb: Image) -> Image:
+    def draw(self, rgb: Pixels) -> Pixels:
         """The picture (H, W, 3) with the graphics over it; the very same array where there are none."""
         if self._ink is None:
             return rgb
@@ -67,14 +66,14 @@ def _corner(shape: tuple[int, ...], size: tuple[int, int], rng: np.random.Genera
     return int(x), int(y)
 
 
-def _text(ink: Image, mark: Image, words: str, at: tuple[int, int], scale: float, rng: np.random.Generator) -> None:
+def _text(ink: Pixels, mark: Pixels, words: str, at: tuple[int, int], scale: float, rng: np.random.Generator) -> None:
     """Write words with their lower left corner at a place."""
     font, thick = int(rng.choice(_FONTS)), max(1, round(scale * rng.uniform(1.2, 3.0)))
     cv2.putText(ink, words, at, font, scale, _color(rng), thick, cv2.LINE_AA)
     cv2.putText(mark, words, at, font, scale, 255, thick, cv2.LINE_AA)
 
 
-def _letters(ink: Image, mark: Image, rng: np.random.Generator) -> None:
+def _letters(ink: Pixels, mark: Pixels, rng: np.random.Generator) -> None:
     """Large letters, such as the name of a direction, somewhere in the picture."""
     height, width = mark.shape
     scale = width / 1920 * rng.uniform(1.5, 6.0)
@@ -82,7 +81,7 @@ def _letters(ink: Image, mark: Image, rng: np.random.Generator) -> None:
     _text(ink, mark, _word(rng, 1, 4), at, scale, rng)
 
 
-def _boxed(ink: Image, mark: Image, rng: np.random.Generator) -> None:
+def _boxed(ink: Pixels, mark: Pixels, rng: np.random.Generator) -> None:
     """A clock or a name on a plain box."""
     scale = mark.shape[1] / 1920 * rng.uniform(0.7, 1.8)
     size = int(scale * 320), int(scale * 48)
@@ -93,7 +92,7 @@ def _boxed(ink: Image, mark: Image, rng: np.random.Generator) -> None:
     _text(ink, mark, str(rng.choice([clock, _word(rng, 5, 12)])), (x + size[1] // 4, y + size[1] * 3 // 4), scale, rng)
 
 
-def _logo(ink: Image, mark: Image, rng: np.random.Generator) -> None:
+def _logo(ink: Pixels, mark: Pixels, rng: np.random.Generator) -> None:
     """A round or square badge with another shape or a word in it."""
     side = int(mark.shape[1] * rng.uniform(0.03, 0.1))
     x, y = _corner(mark.shape, (side, side), rng)
@@ -107,14 +106,14 @@ def _logo(ink: Image, mark: Image, rng: np.random.Generator) -> None:
     cv2.fillPoly(ink, [cv2.convexHull(np.array(corners, dtype=np.int32))], _color(rng), cv2.LINE_AA)
 
 
-def _watermark(ink: Image, mark: Image, rng: np.random.Generator) -> None:
+def _watermark(ink: Pixels, mark: Pixels, rng: np.random.Generator) -> None:
     """A wide line of text over the middle."""
     height, width = mark.shape
     at = int(0.15 * width), int(rng.uniform(0.35, 0.7) * height)
     _text(ink, mark, " ".join(_word(rng, 3, 8) for _ in range(2)), at, width / 1920 * rng.uniform(2.0, 4.5), rng)
 
 
-def _arrow(ink: Image, mark: Image, rng: np.random.Generator) -> None:
+def _arrow(ink: Pixels, mark: Pixels, rng: np.random.Generator) -> None:
     """An arrow that says where a lane goes."""
     height, width = mark.shape
     x, y = rng.uniform(0.1, 0.9) * width, rng.uniform(0.2, 0.9) * height
@@ -125,7 +124,7 @@ def _arrow(ink: Image, mark: Image, rng: np.random.Generator) -> None:
         cv2.arrowedLine(canvas, start, end, color, thick, cv2.LINE_AA, tipLength=0.35)
 
 
-def _bar(ink: Image, mark: Image, rng: np.random.Generator) -> None:
+def _bar(ink: Pixels, mark: Pixels, rng: np.random.Generator) -> None:
     """A bar along the upper or lower rim."""
     height, width = mark.shape
     deep = int(height * rng.uniform(0.03, 0.08))
@@ -135,4 +134,4 @@ def _bar(ink: Image, mark: Image, rng: np.random.Generator) -> None:
     _text(ink, mark, _word(rng, 6, 20), (int(0.02 * width), y + int(0.8 * deep)), deep / 38, rng)
 
 
-_KINDS: Final[tuple[_Draw, ...]] = (_letters, _boxed, _logo, _watermark, _arrow, _bar)
+_GRAPHIC_KINDS: Final[tuple[_Draw, ...]] = (_letters, _boxed, _logo, _watermark, _arrow, _bar)

@@ -22,7 +22,7 @@ from skope.gen.scene.recording import Recording
 
 LEAST_NOISE: Final = 0.3
 """Rounding to whole values is noise of this standard deviation already."""
-_SLACK: Final = 256
+_TABLE_SLACK: Final = 256
 _ROUNDING: Final = 2
 """A picture that differs by less was not drawn over, of 255."""
 
@@ -87,13 +87,16 @@ def hidden_below(conditions: Conditions) -> float:
 
 @lru_cache(maxsize=2)
 def _standard_noise(height: int, width: int, channels: int) -> NDArray[np.float32]:
-    """(height, width, channels) independent noise of standard deviation 1, for an image and `_SLACK` pixels more."""
-    return np.random.default_rng(5).standard_normal((height + _SLACK, width + _SLACK, channels), dtype=np.float32)
+    """(height, width, channels) independent noise of standard deviation 1, for an image and `_TABLE_SLACK` pixels
+    more."""
+    return np.random.default_rng(5).standard_normal(
+        (height + _TABLE_SLACK, width + _TABLE_SLACK, channels), dtype=np.float32
+    )
 
 
 @lru_cache(maxsize=2)
 def _noise_field(height: int, width: int, sigma: float, gain_db: float, mono: bool) -> NDArray[np.uint8]:
-    """(2, height, width, 3) what noise adds and what it takes, for an image and `_SLACK` pixels more on each axis.
+    """(2, height, width, 3) what noise adds and takes, for an image and `_TABLE_SLACK` pixels more on each axis.
 
     With gain more and more of it is in blotches, as cameras smooth the finest of it away; `mono` has no colours.
     """
@@ -116,7 +119,7 @@ def with_noise(clean: NDArray[np.uint8], recording: Recording, frame: int) -> ND
     A window of one field, at a place of its own in each frame: drawing 6 million numbers a frame would take longer
     than rendering it.
     """
-    y, x = recording.rng(Stream.SENSOR_NOISE, frame).integers(0, _SLACK, 2)
+    y, x = recording.rng(Stream.SENSOR_NOISE, frame).integers(0, _TABLE_SLACK, 2)
     height, width = clean.shape[:2]
     conditions = recording.conditions
     field = _noise_field(height, width, sigma_of(conditions), conditions.gain_db, grey(conditions))

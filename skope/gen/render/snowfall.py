@@ -10,14 +10,13 @@ from numpy.typing import NDArray
 from skope.gen.render.rain import FIELD, fallen
 from skope.gen.scene.random_streams import Stream
 from skope.gen.scene.recording import Recording
-
-Image = NDArray[np.uint8]
+from skope.types import Pixels
 
 _FLAKES: Final = 7000
 """Number of flakes in the field of a 1920x1080 image, in snow of 1 mm/h."""
 _FALL: Final = 1.3
 """Speed at which flakes fall, m/s."""
-_FOCAL: Final = 1100.0
+_FLAKE_FOCAL_PX: Final = 1100.0
 """Focal length of the lens that flakes are sized by, pixels of an image 1920 wide."""
 _SIZE: Final = 0.013
 """Typical flake, metres."""
@@ -38,7 +37,7 @@ class Snowfall:
             shutter = max(conditions.shutter_s, 0.002)
             self._field = _flake_field((camera.width, camera.height), round(conditions.snowfall_mm_h, 3), wind, shutter)
 
-    def fall(self, rgb: Image, frame: int) -> Image:
+    def fall(self, rgb: Pixels, frame: int) -> Pixels:
         """The picture (H, W, 3) of a frame with falling snow."""
         if self._field is None:
             return rgb
@@ -46,7 +45,7 @@ class Snowfall:
 
 
 @lru_cache(maxsize=2)
-def _flake_field(size: tuple[int, int], rate: float, wind: float, shutter: float) -> Image:
+def _flake_field(size: tuple[int, int], rate: float, wind: float, shutter: float) -> Pixels:
     """A field of flakes, each as long as it moves while the shutter is open."""
     width, height = (round(FIELD * side) for side in size)
     scale = size[0] / 1920
@@ -54,8 +53,8 @@ def _flake_field(size: tuple[int, int], rate: float, wind: float, shutter: float
     count = int(_FLAKES * rate**0.7)
     # Evenly in the volume before the camera: few are near.
     away = (rng.uniform(_NEAREST**3, _FARTHEST**3, count)) ** (1 / 3)
-    radius = _SIZE * rng.uniform(0.4, 1.0, count) * _FOCAL * scale / away / 2
-    way = _FOCAL * scale / away * shutter
+    radius = _SIZE * rng.uniform(0.4, 1.0, count) * _FLAKE_FOCAL_PX * scale / away / 2
+    way = _FLAKE_FOCAL_PX * scale / away * shutter
     x, y = rng.uniform(0, width, count), rng.uniform(0, height, count)
     field: NDArray[Any] = np.zeros((height, width), dtype=np.uint8)
     for near in (False, True):

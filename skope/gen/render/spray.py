@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skope.camera.model import Camera
-from skope.gen.render.glare import COARSE
+from skope.gen.render.glare import GLARE_CELL_PX
 from skope.gen.scene.conditions import Conditions
 from skope.gen.scene.recording import Moment
 from skope.gen.scene.road_user_bodies import body_of
@@ -27,9 +27,9 @@ _LASTS_S: Final = 0.6
 """Time in which spray thins out to a third."""
 _GONE_S: Final = 1.8
 """Time after which it is not drawn."""
-_APART: Final = 0.6
+_PUFF_SPACING: Final = 0.6
 """Distance between the puffs of a plume, in widths of the vehicle."""
-_WHITE: Final = 0.82
+_SPRAY_BRIGHTNESS: Final = 0.82
 """Brightness of spray, as a share of the picture's bright parts."""
 _MOTTLED: Final = 0.55
 """How far the density varies within a plume, as a share."""
@@ -48,7 +48,7 @@ class Spray:
             soft = cv2.GaussianBlur(np.tile(noise, (3, 3)), (0, 0), 2.5)[_TILE : 2 * _TILE, _TILE : 2 * _TILE]
             mottle = np.clip(1 + _MOTTLED * soft / soft.std(), 0.1, 3.0).astype(np.float32)
             # As large as the grid and a tile more: frames show windows of it.
-            tiles = [-(-side // (COARSE * _TILE)) + 1 for side in (camera.height, camera.width)]
+            tiles = [-(-side // (GLARE_CELL_PX * _TILE)) + 1 for side in (camera.height, camera.width)]
             self._mottle = np.tile(mottle, tiles)
 
     def drift(
@@ -57,7 +57,7 @@ class Spray:
         """Put the spray of a moment into the picture (H, W, 3), and return it; `depth` (H, W) is the picture's."""
         if self._amount <= 0:
             return rgb
-        shown = np.ascontiguousarray(depth[::COARSE, ::COARSE])
+        shown = np.ascontiguousarray(depth[::GLARE_CELL_PX, ::GLARE_CELL_PX])
         thick = np.zeros(shown.shape, dtype=np.float32)
         for i, (recorded, T) in enumerate(zip(moment.vehicles, moment.T_world_chassis, strict=True)):
             speed = float(np.linalg.norm(moment.velocity[i]))
@@ -69,8 +69,10 @@ class Spray:
         # The pattern moves on from frame to frame.
         y, x = (37 * frame) % _TILE, (53 * frame) % _TILE
         veil = 255 * (1 - np.exp(-thick * self._mottle[y : y + rows, x : x + columns]))
-        veil = cv2.resize(veil.astype(np.uint8), (COARSE * columns, COARSE * rows), interpolation=cv2.INTER_LINEAR)
-        light = _WHITE * np.quantile(rgb[::8, ::8].reshape(-1, 3), 0.9, axis=0)
+        veil = cv2.resize(
+            veil.astype(np.uint8), (GLARE_CELL_PX * columns, GLARE_CELL_PX * rows), interpolation=cv2.INTER_LINEAR
+        )
+        light = _SPRAY_BRIGHTNESS * np.quantile(rgb[::8, ::8].reshape(-1, 3), 0.9, axis=0)
         veiled = np.flatnonzero(veil[: rgb.shape[0]].any(axis=1))
         if len(veiled):
             there = slice(int(veiled[0]), int(veiled[-1]) + 1)
@@ -91,7 +93,7 @@ class Spray:
         length, width, height = size
         dense = self._amount * _DENSITY * min((speed - _LEAST_SPEED) / (_FULL_SPEED - _LEAST_SPEED), 1.5)
         dense *= 1.0 + 0.6 * (height > 2.4)
-        behind = np.arange(0.0, speed * _GONE_S, _APART * width)
+        behind = np.arange(0.0, speed * _GONE_S, _PUFF_SPACING * width)
         ages = behind / speed
         heights = 0.35 + 0.55 * np.minimum(ages, 1.0)
         back = np.column_stack([-0.42 * length - behind, np.zeros(len(ages)), heights])
@@ -103,7 +105,15 @@ class Spray:
         pixels, z, valid = self._camera.project(places)
         focal = float(self._camera.K[0, 0])
         for k in np.flatnonzero(valid & (z > 1.0)).tolist():
-            _add_puff(thick, shown, pixels[k] / COARSE, float(z[k]), float(radii[k]), focal / COARSE, float(depths[k]))
+            _add_puff(
+                thick,
+                shown,
+                pixels[k] / GLARE_CELL_PX,
+                float(z[k]),
+                float(radii[k]),
+                focal / GLARE_CELL_PX,
+                float(depths[k]),
+            )
 
 
 def _add_puff(

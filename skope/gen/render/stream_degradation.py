@@ -5,18 +5,16 @@ from typing import Final
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from skope.gen.render.picture_processing import processed
 from skope.gen.scene.recording import Recording
-
-Image = NDArray[np.uint8]
+from skope.types import Pixels
 
 _YEAR: Final = 2025
-_FONT: Final = cv2.FONT_HERSHEY_SIMPLEX
+_LABEL_FONT: Final = cv2.FONT_HERSHEY_SIMPLEX
 
 
-def streamed(rgb: Image, recording: Recording, frame: int) -> Image:
+def streamed(rgb: Pixels, recording: Recording, frame: int) -> Pixels:
     """A frame (H, W, 3) as it comes out of a recording's stream."""
     conditions = recording.conditions
     height, width = rgb.shape[:2]
@@ -37,7 +35,7 @@ def streamed(rgb: Image, recording: Recording, frame: int) -> Image:
     return np.ascontiguousarray(small, dtype=np.uint8)
 
 
-def _write_overlay_text(rgb: Image, recording: Recording, frame: int) -> None:
+def _write_overlay_text(rgb: Pixels, recording: Recording, frame: int) -> None:
     """Date and time above, the site's name below, in white with a dark edge."""
     height, width = rgb.shape[:2]
     conditions = recording.conditions
@@ -52,5 +50,5 @@ def _write_overlay_text(rgb: Image, recording: Recording, frame: int) -> None:
     }
     for text, y in lines.items():
         for dx, dy in ((-line, 0), (line, 0), (0, -line), (0, line)):
-            cv2.putText(rgb, text, (margin + dx, y + dy), _FONT, scale, (20, 20, 20), line, cv2.LINE_AA)
-        cv2.putText(rgb, text, (margin, y), _FONT, scale, (245, 245, 245), line, cv2.LINE_AA)
+            cv2.putText(rgb, text, (margin + dx, y + dy), _LABEL_FONT, scale, (20, 20, 20), line, cv2.LINE_AA)
+        cv2.putText(rgb, text, (margin, y), _LABEL_FONT, scale, (245, 245, 245), line, cv2.LINE_AA)

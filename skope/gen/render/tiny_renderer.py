@@ -22,7 +22,7 @@ from skope.gen.render.frame import SKY, STATIC, RenderedFrame, Silhouette
 from skope.gen.render.glare import Glare
 from skope.gen.render.materials import BRAKE_LIGHT, GROUND, MATERIALS, RGB, Light, grain, own_color
 from skope.gen.render.palette import Palette
-from skope.gen.render.pixel_windows import NEAR, Window, hull_of, window_of
+from skope.gen.render.pixel_windows import CLIP_DEPTH_M, Window, hull_of, window_of
 from skope.gen.render.spray import Spray
 from skope.gen.render.traffic_lights import light_signals
 from skope.gen.scene.lamps import LAMPS
@@ -38,7 +38,7 @@ from skope.types import Array
 Slices = tuple[slice, slice]
 
 FINE: Final = 3
-FAR: Final = 1200.0
+TINY_FAR_PLANE_M: Final = 1200.0
 SHADOW: Final = 0.45
 """Share of the light that a vehicle's shadow takes from the road."""
 WET_LOSS: Final = 0.4
@@ -124,7 +124,10 @@ class _Stage:
         projection = np.zeros((4, 4))
         projection[0, 0], projection[0, 2] = 2 * fx / width, 1 - 2 * cx / width
         projection[1, 1], projection[1, 2] = 2 * fy / height, 2 * cy / height - 1
-        projection[2, 2:] = -(FAR + NEAR) / (FAR - NEAR), -2 * FAR * NEAR / (FAR - NEAR)
+        projection[2, 2:] = (
+            -(TINY_FAR_PLANE_M + CLIP_DEPTH_M) / (TINY_FAR_PLANE_M - CLIP_DEPTH_M),
+            -2 * TINY_FAR_PLANE_M * CLIP_DEPTH_M / (TINY_FAR_PLANE_M - CLIP_DEPTH_M),
+        )
         projection[3, 2] = -1
         view = np.diag([1.0, -1.0, -1.0, 1.0]) @ T_camera_stage
         sun = T_camera_stage[:3, :3].T @ camera.T_camera_world[:3, :3] @ np.array(light.direction)
@@ -144,7 +147,7 @@ class _Stage:
         )
         part = np.reshape(np.asarray(segmentation, dtype=np.int32), (height, width))
         depth = np.reshape(np.asarray(buffer, dtype=np.float64), (height, width))
-        z = FAR * NEAR / (FAR - (FAR - NEAR) * depth)
+        z = TINY_FAR_PLANE_M * CLIP_DEPTH_M / (TINY_FAR_PLANE_M - (TINY_FAR_PLANE_M - CLIP_DEPTH_M) * depth)
         rgb = np.reshape(np.asarray(rgba, dtype=np.uint8), (height, width, 4))[..., :3]
         through = np.exp(-light.haze_density * z).astype(np.float32)[..., None]
         rgb = (rgb * through + 255 * np.array(light.horizon, np.float32) * (1 - through)).astype(np.uint8)
@@ -253,7 +256,7 @@ class TinyRenderer:
     def _fill_hull(self, mask: NDArray[np.uint8], points: Array) -> None:
         """Fill the convex hull of ground points (N, 3) in a fine mask."""
         pixels, depth, valid = self._camera.project(points)
-        if valid.all() and (depth > NEAR).all() and np.abs(pixels).max() < 20 * self._camera.width:
+        if valid.all() and (depth > CLIP_DEPTH_M).all() and np.abs(pixels).max() < 20 * self._camera.width:
             hull = cv2.convexHull((pixels * FINE).astype(np.int32))
             cv2.fillConvexPoly(mask, hull, 255)
 

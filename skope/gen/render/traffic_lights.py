@@ -14,9 +14,9 @@ from skope.types import Array
 
 _LAMP: Final = {"r": 0, "u": 0, "y": 1, "g": 2, "s": 2}
 """Which lamp each of SUMO's states lights; the others light none."""
-_COLORS: Final = ((235, 40, 30), (250, 190, 40), (40, 220, 110))
+_LAMP_COLORS: Final = ((235, 40, 30), (250, 190, 40), (40, 220, 110))
 _RADIUS: Final = 0.1
-_SHIFT: Final = 4
+_PIXEL_SHIFT_BITS: Final = 4
 
 
 def lit_signals(
@@ -24,7 +24,7 @@ def lit_signals(
 ) -> Iterator[tuple[Array, Array, tuple[float, float, float]]]:
     """Place, direction and colour of the lamps that are lit and turned to the camera."""
     for signal, lamp in _lit_heads(camera, moment, signals):
-        red, green, blue = ((value / 255) ** 2.2 for value in _COLORS[lamp])
+        red, green, blue = ((value / 255) ** 2.2 for value in _LAMP_COLORS[lamp])
         yield signal.lamps[lamp], signal.facing, (red, green, blue)
 
 
@@ -52,5 +52,13 @@ def light_signals(
         at = pixel * fine
         if z < depth[int(at[1]), int(at[0])] + 0.3:
             radius = max(0.7, _RADIUS * camera.K[0, 0] / z * fine)
-            center = np.rint((at - 0.5) * 2**_SHIFT).astype(int).tolist()
-            cv2.circle(rgb, center, round(radius * 2**_SHIFT), _COLORS[lamp], -1, cv2.LINE_AA, _SHIFT)
+            center = np.rint((at - 0.5) * 2**_PIXEL_SHIFT_BITS).astype(int).tolist()
+            cv2.circle(
+                rgb,
+                center,
+                round(radius * 2**_PIXEL_SHIFT_BITS),
+                _LAMP_COLORS[lamp],
+                -1,
+                cv2.LINE_AA,
+                _PIXEL_SHIFT_BITS,
+            )

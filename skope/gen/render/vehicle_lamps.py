@@ -14,19 +14,19 @@ from skope.gen.scene.road_user_bodies import body_of
 from skope.gen.vehicles.model import TRAILER_PART, Body
 from skope.types import Array
 
-_WHITE: Final = (1.0, 0.96, 0.88)
+_WHITE_LIGHT: Final = (1.0, 0.96, 0.88)
 _RED: Final = (1.0, 0.06, 0.03)
 _AMBER: Final = (1.0, 0.45, 0.03)
-_KINDS: Final = {
-    "headlight": ("low_beam", _WHITE, 1.6),
+_LAMP_KINDS: Final = {
+    "headlight": ("low_beam", _WHITE_LIGHT, 1.6),
     "taillight": ("low_beam", _RED, 0.3),
     "brake_light": ("brake", _RED, 0.8),
     "indicator_left": ("indicator_left", _AMBER, 0.5),
     "indicator_right": ("indicator_right", _AMBER, 0.5),
-    "reverse_light": ("reverse", _WHITE, 0.25),
+    "reverse_light": ("reverse", _WHITE_LIGHT, 0.25),
 }
 """Lamps by material: what lights them, their colour, their luminous intensity straight ahead."""
-_SIDE: Final = 0.12
+_MIDDLE_WITHIN_M: Final = 0.12
 """Lamps nearer to the vehicle's middle than this count as one, metres."""
 
 
@@ -63,13 +63,13 @@ def lamps_of(body: Body) -> tuple[Lamp, ...]:
 def _lamps_of(mesh: Mesh, part_index: int) -> Iterator[Lamp]:
     """The lamps of a mesh: its triangles of a lamp's material at one end and on one side."""
     for material, part in mesh.by_material().items():
-        if material not in _KINDS:
+        if material not in _LAMP_KINDS:
             continue
         corners = part.vertices[part.triangles]
         middle = corners.mean(axis=1)
         normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         end = np.sign(middle[:, 0])
-        side = np.where(np.abs(middle[:, 1]) < _SIDE, 0.0, np.sign(middle[:, 1]))
+        side = np.where(np.abs(middle[:, 1]) < _MIDDLE_WITHIN_M, 0.0, np.sign(middle[:, 1]))
         for where in sorted({(a, b) for a, b in zip(end.tolist(), side.tolist(), strict=True)}):
             chosen = (end == where[0]) & (side == where[1])
             area = np.linalg.norm(normal[chosen], axis=1)
@@ -91,6 +91,6 @@ def lit_lamps(moment: Moment) -> Iterator[Lit]:
         T_world_parts = moment.part_poses(i)
         for lamp in lamps_of(body_of(recorded)):
             T = T_world_parts[lamp.part]
-            name, color, intensity = _KINDS[lamp.material]
+            name, color, intensity = _LAMP_KINDS[lamp.material]
             if bits & LAMPS[name]:
                 yield Lit(i, T[:3, :3] @ lamp.center + T[:3, 3], T[:3, :3] @ lamp.facing, color, intensity)

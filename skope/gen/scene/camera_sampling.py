@@ -15,7 +15,7 @@ from skope.gen.towns.road_graph import RoadGraph
 from skope.gen.towns.sites import Site
 from skope.types import Array
 
-LIMITS: Final[Mapping[str, Range]] = {
+CAMERA_LIMITS: Final[Mapping[str, Range]] = {
     "fov_deg": (5.0, 150.0),
     "height_m": (2.0, 60.0),
     "pitch_deg": (-5.0, 90.0),
@@ -35,7 +35,7 @@ _LARGE: Final = 24.0
 """A lane is seen where a car is so high in an image of 1080 rows, pixels."""
 _BRIDGE: Final = 12.0
 """A camera nearer to a bridge's lanes than this hangs on the bridge, metres."""
-ROAD: Final = 40.0
+LEAST_ROAD_M: Final = 40.0
 """Least length of lanes that a camera must see, metres; or half of what the site's own sees, if that is less."""
 
 
@@ -50,13 +50,13 @@ class CameraRanges:
     distortion: Distortion | None
     """That of the lens; None for none, or that of a user's own camera."""
     spans: Mapping[str, Range]
-    """Ranges of `LIMITS`, from which values are drawn; empty for a site's own camera."""
+    """Ranges of `CAMERA_LIMITS`, from which values are drawn; empty for a site's own camera."""
 
 
 def check_ranges(spans: Mapping[str, Range]) -> None:
-    """UserError when a range is not one of `LIMITS`, or beyond it."""
+    """UserError when a range is not one of `CAMERA_LIMITS`, or beyond it."""
     for name, (low, high) in spans.items():
-        least, most = LIMITS[name]
+        least, most = CAMERA_LIMITS[name]
         if not least <= low <= high <= most:
             raise UserError(f"camera.{name}: expected a range within {least:g}..{most:g}, got {low:g}..{high:g}")
 
@@ -79,9 +79,9 @@ def drawn(site: Site, ranges: CameraRanges, rng: np.random.Generator) -> Camera:
     layout = Layout.of(site.town)
     lanes, level = np.concatenate(list(layout.graph.lane_points.values())), _level(layout, site)
     lowest = _lowest(layout.graph, site)
-    enough = min(ROAD, road_seen(own, lanes) / 2)
+    enough = min(LEAST_ROAD_M, road_seen(own, lanes) / 2)
     for _ in range(_TRIES):
-        values = {name: float(rng.uniform(*spans[name])) for name in LIMITS if name in spans}
+        values = {name: float(rng.uniform(*spans[name])) for name in CAMERA_LIMITS if name in spans}
         lens = site.camera(ranges.size, values.get("fov_deg", ranges.fov_deg), ranges.distortion)
         camera = moved(lens, values, level)
         if camera.position[2] >= lowest and road_seen(camera, lanes) >= enough:
@@ -90,7 +90,7 @@ def drawn(site: Site, ranges: CameraRanges, rng: np.random.Generator) -> Camera:
 
 
 def moved(camera: Camera, values: Mapping[str, float], level: float) -> Camera:
-    """A camera with some of the values of `LIMITS`; `level` is the height of the road before it, metres."""
+    """A camera with some of the values of `CAMERA_LIMITS`; `level` is the height of the road before it, metres."""
     x, y, z = camera.position.tolist()
     yaw, pitch_down, roll = camera.angles
     pitch = values.get("pitch_deg", math.degrees(pitch_down)) + values.get("pitch_by_deg", 0.0)

@@ -117,14 +117,14 @@ class Conditions:
 
 
 def _rounded(name: str, value: float) -> float:
-    return float(round(value)) if name in _WHOLE else float(f"{value:.5g}")
+    return float(round(value)) if name in _WHOLE_NUMBERED else float(f"{value:.5g}")
 
 
 OVERCAST: Final = 0.9
 """Cloud cover above which nothing throws a shadow."""
 DARK_DEG: Final = 1.0
 """Sun's elevation below which street lights and windows are lit, degrees."""
-LIMITS: Final[Mapping[str, Range]] = {
+CONDITION_LIMITS: Final[Mapping[str, Range]] = {
     "sun_elevation_deg": (-90.0, 90.0),
     "sun_azimuth_deg": (0.0, 360.0),
     "latitude_deg": (-90.0, 90.0),
@@ -165,8 +165,8 @@ LIMITS: Final[Mapping[str, Range]] = {
 """Least and greatest value of each condition that can be set."""
 _SUN: Final = ("sun_elevation_deg", "sun_azimuth_deg")
 _CLOCK: Final = ("latitude_deg", "day", "hour")
-_WHOLE: Final = ("day", "infrared", "screen_text", "screen_graphics", "fisheye")
-_PLACE: Final[Mapping[str, Range]] = {
+_WHOLE_NUMBERED: Final = ("day", "infrared", "screen_text", "screen_graphics", "fisheye")
+_PLACE_RANGES: Final[Mapping[str, Range]] = {
     "latitude_deg": (35.0, 55.0),
     "day": (1.0, 365.0),
     "street_lighting": (0.8, 1.25),
@@ -177,7 +177,7 @@ _PLACE: Final[Mapping[str, Range]] = {
     "snow_cover": (0.0, 0.0),
     "spray": (0.0, 0.0),
 }
-_CAMERA: Final[Mapping[str, Range]] = {
+_CAMERA_RANGES: Final[Mapping[str, Range]] = {
     "exposure_ev": (-0.25, 0.25),
     "noise": (1.0, 2.5),
     "infrared": (0.0, 0.0),
@@ -265,8 +265,8 @@ def ranges(weather: str, time_of_day: str, overrides: Mapping[str, Range] | None
     """
     own = overrides or {}
     spans = {
-        **_PLACE,
-        **_CAMERA,
+        **_PLACE_RANGES,
+        **_CAMERA_RANGES,
         **_WEATHER[one_of("weather", weather, tuple(_WEATHER))],
         **_HOUR[one_of("time_of_day", time_of_day, TIMES_OF_DAY)],
         **own,
@@ -295,7 +295,7 @@ def parse_settings(settings: list[str]) -> dict[str, Range]:
 def check_settings(settings: Mapping[str, Range]) -> dict[str, Range]:
     """The settings, when each is a known field's and within what that can be."""
     for name, (low, high) in settings.items():
-        least, most = LIMITS[one_of("--set", name, tuple(LIMITS))]
+        least, most = CONDITION_LIMITS[one_of("--set", name, tuple(CONDITION_LIMITS))]
         if not (math.isfinite(low) and math.isfinite(high) and least <= low <= high <= most):
             raise UserError(f"--set {name}: expected a range within {least:g}..{most:g}, got {low:g}..{high:g}")
     return dict(settings)

@@ -54,7 +54,7 @@ class Stream(Enum):
     """Takes the frame."""
 
 
-_NUMBERS: Final[dict[Stream, tuple[int, ...]]] = {
+_STREAM_NUMBERS: Final[dict[Stream, tuple[int, ...]]] = {
     Stream.TRAFFIC: (),
     Stream.PEDESTRIANS: (1,),
     Stream.TRAFFIC_SHARE: (2,),
@@ -93,4 +93,4 @@ _IN_PICTURES: Final = (
 def rng(seed: int, site: str, recording: int, stream: Stream, *which: int) -> np.random.Generator:
     """The generator of a stream of the site's recording of that number; `which` is what the stream takes."""
     place = site.encode() if stream in _IN_PICTURES else (zlib.crc32(site.encode()),)
-    return np.random.default_rng([seed, *place, recording, *_NUMBERS[stream], *which])
+    return np.random.default_rng([seed, *place, recording, *_STREAM_NUMBERS[stream], *which])

@@ -30,7 +30,7 @@ from skope.types import Array
 
 SHAPES: Final = 24
 """Shapes that a dataset with views has of each model: building them must not take longer than drawing them."""
-VERSION: Final = 3
+RECORDING_VERSION: Final = 3
 """Version of the file format of recordings."""
 
 
@@ -66,7 +66,7 @@ class RecordingPlan:
     settings: Mapping[str, Range] = field(default_factory=dict)
     """Ranges of conditions that the user or preset sets; the others follow the site's weather and hour."""
     cameras: Mapping[str, Range] = field(default_factory=dict)
-    """Ranges of `skope.gen.scene.camera_sampling.LIMITS` that the camera is drawn from; empty for the site's own."""
+    """What the camera is drawn from, of `skope.gen.scene.camera_sampling.CAMERA_LIMITS`; empty: the site's own."""
     vehicles: tuple[str, ...] = ()
     """Models that were asked for, of the user (`skope gen vehicles add`) or of the fleet."""
     vehicle_share: float | None = None
@@ -268,16 +268,16 @@ class Recording:
             and self.signals[: len(other)] == other.signals
             and np.array_equal(self.times_s[: len(other)], other.times_s)
             and not (self.frame[rows:] < len(other)).any()
-            and all(np.array_equal(getattr(self, name)[:rows], getattr(other, name)) for name in _ROWS)
+            and all(np.array_equal(getattr(self, name)[:rows], getattr(other, name)) for name in _ROW_FIELDS)
             and np.array_equal(self._trailers[:rows], other._trailers)
         )
 
 
-_ROWS: Final = ("frame", "vehicle", "T_world_chassis", "T_world_wheels", "velocity", "lamps")
-_ARRAYS: Final = ("times_s", *_ROWS)
+_ROW_FIELDS: Final = ("frame", "vehicle", "T_world_chassis", "T_world_wheels", "velocity", "lamps")
+_ARRAYS: Final = ("times_s", *_ROW_FIELDS)
 _TRAILER: Final = "T_world_trailer"
 """The array that only files with an articulated vehicle have, or with a bystander of more than four moving parts."""
-_FILES: Final = ("network", "photograph")
+_FILE_FIELDS: Final = ("network", "photograph")
 """Fields of `OwnRoad` that are stored as bytes."""
 _HEADER: Final = ("site", "name", "split", "weather", "time_of_day", "seed", "versions")
 
@@ -290,7 +290,7 @@ def save(path: Path, recording: Recording) -> None:
 def packed(recording: Recording) -> bytes:
     """The bytes of a recording's .npz file; equal recordings have equal bytes."""
     header = {
-        "version": VERSION,
+        "version": RECORDING_VERSION,
         "town": recording.town.name,
         **({"variant": asdict(variant)} if (variant := recording.town.variant) else {}),
         **{name: getattr(recording, name) for name in _HEADER},
@@ -306,7 +306,7 @@ def packed(recording: Recording) -> bytes:
         arrays[_TRAILER] = _smallest(recording.T_world_trailer)
     if road := recording.town.road:
         header["place"] = road.header()
-        arrays |= {name: np.frombuffer(getattr(road, name), dtype=np.uint8) for name in _FILES}
+        arrays |= {name: np.frombuffer(getattr(road, name), dtype=np.uint8) for name in _FILE_FIELDS}
     file = io.BytesIO()
     np.savez_compressed(file, header=np.array(json.dumps(header)), **arrays)
     return file.getvalue()
@@ -354,9 +354,9 @@ def unpacked(data: bytes, path: Path) -> Recording:
     try:
         with np.load(io.BytesIO(data), allow_pickle=False) as file:
             header: dict[str, Any] = json.loads(str(file["header"]))
-            if header.get("version") != VERSION:
+            if header.get("version") != RECORDING_VERSION:
                 raise UserError(
-                    f"version: this skope reads recordings of version {VERSION}, got {header.get('version')}"
+                    f"version: this skope reads recordings of version {RECORDING_VERSION}, got {header.get('version')}"
                 )
             recording = _recording_of(header, file)
         if recording.town.road is None:
@@ -389,7 +389,7 @@ def _variant_of(row: Mapping[str, Any] | None) -> Variant | None:
 def _recording_of(header: Mapping[str, Any], file: Mapping[str, Any]) -> Recording:
     """Put a recording together from the header and the arrays of its file."""
     own = header.get("place")
-    road = OwnRoad.of(own, *(file[name].tobytes() for name in _FILES)) if own else None
+    road = OwnRoad.of(own, *(file[name].tobytes() for name in _FILE_FIELDS)) if own else None
     return Recording(
         town=Town(header["town"], road, _variant_of(header.get("variant"))),
         **{name: header[name] for name in _HEADER},

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from skope.camera.model import Camera
 from skope.errors import UserError
 from skope.gen.scene.camera_sampling import CAR, CameraRanges, moved, road_seen
-from skope.gen.scenery.houses import SIGHT
+from skope.gen.scenery.houses import HOUSE_VIEW_M
 from skope.gen.towns.layout import Layout
 from skope.gen.towns.road_graph import driven, right_of
 from skope.gen.towns.sites import site_at, sites_of
@@ -31,9 +31,9 @@ EMPTY_SHARE: Final = 0.06
 """Share of the views that are to show a road without vehicles."""
 ENOUGH: Final = 20.0
 """Vehicles in view on average, from which more of them make a view no more likely."""
-ROAD: Final = 8.0
+LEAST_VIEW_ROAD_M: Final = 8.0
 """Least length of lanes that a view must show, metres: a camera over a single vehicle sees little more."""
-LARGEST: Final = (0.1, 0.7)
+LARGEST_VEHICLE_SHARE: Final = (0.1, 0.7)
 """Range of the height of the largest vehicle in a frame, as a share of the image's; drawn evenly in its logarithm."""
 _CLOSE: Final = 0.3
 """Standard deviation of the logarithm of that height around what is wanted."""
@@ -41,12 +41,12 @@ _AT_TARGET: Final = (0.5, 1.0)
 """Range of the height of a car where the camera looks, as a share of what is wanted of the largest."""
 AT_VEHICLES: Final = 0.8
 """Share of the cameras drawn that look at a vehicle; the others look at any place on the road."""
-_ASIDE: Final = (0.8, 9.0)
+_MAST_ASIDE_M: Final = (0.8, 9.0)
 """Range of the distance from the carriageway to a mast, metres."""
 _SEEN_PX: Final = 16.0
 """Height of a car in an image of 1080 rows from which it counts as seen, pixels."""
-_ACROSS: Final = 3.0
-"""Length of a car as seen from above, between that of its side and that of its front, metres."""
+_CAR_EXTENT_M: Final = 3.0
+"""Typical apparent length of a car, between its width and its length, metres."""
 _STEEP_DEG: Final = 55.0
 """Cameras that look down more steeply hang over the road, on a gantry, a bridge or an arm."""
 _OVER_ROAD: Final = 6.0
@@ -108,21 +108,27 @@ class ViewSampler:
             UserError: No camera was found that sees enough road and none of a test site's.
         """
         empty = rng.random() < EMPTY_SHARE
-        wanted = math.exp(rng.uniform(*np.log(LARGEST)))
+        wanted = math.exp(rng.uniform(*np.log(LARGEST_VEHICLE_SHARE)))
         vehicles = traffic[np.isfinite(traffic[..., 0])]
         found: list[tuple[PlacedCamera, float]] = []
         for _ in range(CANDIDATES):
             view = self._candidate(vehicles, wanted, ranges, rng)
-            if view is None or road_seen(view.camera, self._lanes) < ROAD or self.shows_tested_road(view.camera):
+            if (
+                view is None
+                or road_seen(view.camera, self._lanes) < LEAST_VIEW_ROAD_M
+                or self.shows_tested_road(view.camera)
+            ):
                 continue
             seen, largest = self.vehicles_seen(view.camera, traffic)
             if empty or seen < 0.1:
-                weight = float(empty and seen < 0.1 and self.road_in_the_open(view.camera) >= ROAD)
+                weight = float(empty and seen < 0.1 and self.road_in_the_open(view.camera) >= LEAST_VIEW_ROAD_M)
             else:
                 weight = min(seen, ENOUGH) * math.exp(-0.5 * (math.log(largest / wanted) / _CLOSE) ** 2)
             found.append((view, weight))
         if not found:
-            raise UserError(f"of {CANDIDATES} cameras drawn none sees {ROAD:.0f} m of road that is not tested on")
+            raise UserError(
+                f"of {CANDIDATES} cameras drawn none sees {LEAST_VIEW_ROAD_M:.0f} m of road that is not tested on"
+            )
         weights = np.array([weight for _, weight in found])
         if not weights.any():
             weights = np.ones(len(found))
@@ -161,7 +167,7 @@ class ViewSampler:
         """To which of the places (N, 3) no house can stand in the way: houses keep off roads, and off what is near."""
         along = np.linspace(0.1, 0.9, 9)[:, None, None]
         points = eye[:2] + along * (places[:, :2] - eye[:2])
-        near = np.hypot(*np.moveaxis(points - eye[:2], -1, 0)) < SIGHT
+        near = np.hypot(*np.moveaxis(points - eye[:2], -1, 0)) < HOUSE_VIEW_M
         x, y = np.moveaxis(self._layout.graph.world(points), -1, 0)
         return np.asarray((near | shapely.contains_xy(self._open, x, y)).all(axis=0))
 
@@ -222,7 +228,7 @@ class ViewSampler:
     def _beside(self, start: int, rng: np.random.Generator) -> Array | None:
         """A place (3,) beside the carriageway next to a point of `_starts`, at the road's height, world."""
         across = right_of(float(self._headings[start])) * (1 if rng.random() < 0.7 else -1)
-        aside = float(rng.uniform(*_ASIDE))
+        aside = float(rng.uniform(*_MAST_ASIDE_M))
         graph = self._layout.graph
         for beyond in np.arange(2.0, 26.0, 1.0):
             at = self._starts[start, :2] + across * beyond
@@ -238,7 +244,7 @@ def _apparent_height(eye: Array, places: Array) -> Array:
     away = eye - places
     distance = np.maximum(np.linalg.norm(away, axis=1), 0.1)
     steep = np.clip(away[:, 2] / distance, -1.0, 1.0)
-    return np.asarray((CAR * np.sqrt(1 - steep**2) + _ACROSS * np.abs(steep)) / distance)
+    return np.asarray((CAR * np.sqrt(1 - steep**2) + _CAR_EXTENT_M * np.abs(steep)) / distance)
 
 
 def tested_road(town: Town, lanes: Array) -> NDArray[np.bool_]:

@@ -14,9 +14,9 @@ from skope.gen.towns.town import Town
 from skope.gen.towns.user_road import Outline, OwnRoad
 from skope.types import Array
 
-_FAR: Final = 2000.0
+_GROUND_RADIUS_M: Final = 2000.0
 """Radius of level ground around the camera, metres."""
-_CELL: Final = 2.0
+_GROUND_CELL_M: Final = 2.0
 _PLATES: Final = 15.0
 """Height of what throws a photograph's shadows, metres over the road."""
 _SLOPED: Final = 250.0
@@ -30,7 +30,7 @@ def backdrop(layout: Layout, road: OwnRoad) -> Mesh:
 
 def _ground(layout: Layout, middle: Array) -> Mesh:
     level = layout.ground.level
-    reach, count = (_FAR, 1) if level is not None else (_SLOPED, int(2 * _SLOPED / _CELL))
+    reach, count = (_GROUND_RADIUS_M, 1) if level is not None else (_SLOPED, int(2 * _SLOPED / _GROUND_CELL_M))
     x, y = (np.linspace(at - reach, at + reach, count + 1) for at in middle)
     places = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1)
     z = (

@@ -20,11 +20,11 @@ from skope.gen.towns.regions import polygons
 from skope.gen.towns.road_graph import BARRIER, RoadGraph, beside, driven, half_width, right_of
 from skope.types import Array
 
-DECK: Final = 1.1
+DECK_THICKNESS_M: Final = 1.1
 """Thickness of bridge decks, metres."""
 GANTRY_CLEARANCE: Final = 5.7
 """Clearance under signs over the road, metres."""
-_CELL: Final = 3.0
+_DECK_CELL_M: Final = 3.0
 
 
 def structures(layout: Layout) -> Iterator[Mesh]:
@@ -52,8 +52,8 @@ def _bridge(layout: Layout, deck: Polygon, drawn: Any) -> Iterator[Mesh]:
         return lanes.near(places, 40.0)[0]
 
     x0, y0, x1, y1 = deck.buffer(walk).bounds
-    xs, ys = (np.arange(low, high + _CELL, _CELL) for low, high in ((x0, x1), (y0, y1)))
-    cells = np.array([shapely.box(x, y, x + _CELL, y + _CELL) for x in xs for y in ys], dtype=object)
+    xs, ys = (np.arange(low, high + _DECK_CELL_M, _DECK_CELL_M) for low, high in ((x0, x1), (y0, y1)))
+    cells = np.array([shapely.box(x, y, x + _DECK_CELL_M, y + _DECK_CELL_M) for x in xs for y in ys], dtype=object)
     marked = drawn.intersection(deck)
     yield from surfaces([Part("marking", marked, True), Part("asphalt", deck.difference(marked), True)], height, cells)
     whole = _widened_deck(layout.graph, deck, walk)
@@ -66,16 +66,16 @@ def _bridge(layout: Layout, deck: Polygon, drawn: Any) -> Iterator[Mesh]:
     )
     for polygon in polygons(beside_lanes):
         for ring in rings(polygon):
-            line = np.array(shapely.segmentize(LineString(ring), _CELL).coords)
+            line = np.array(shapely.segmentize(LineString(ring), _DECK_CELL_M).coords)
             z = height(line) + kerb
             inner = shapely.distance(deck, shapely.points(line)) < 0.05
             is_kerb = inner[:-1] & inner[1:]
             yield _vertical_faces(line, z - kerb, z, is_kerb, "kerb")
-            yield _vertical_faces(line, z - DECK, z, ~is_kerb, "concrete")
+            yield _vertical_faces(line, z - DECK_THICKNESS_M, z, ~is_kerb, "concrete")
             outer = shapely.distance(deck, shapely.points(line)) > walk - 0.05
             yield from _edge_parapets(line, z, outer[:-1] & outer[1:])
     soffit = [Part("concrete", whole, False)]
-    for part in surfaces(soffit, lambda places: height(places) - DECK, cells):
+    for part in surfaces(soffit, lambda places: height(places) - DECK_THICKNESS_M, cells):
         yield Mesh(part.vertices, -part.normals, part.triangles[:, ::-1], part.materials, part.material)
     yield from _end_faces(deck, height)
     yield from _piers(layout, deck, whole, height)
@@ -118,7 +118,7 @@ def _end_faces(deck: Polygon, height: Any) -> Iterator[Mesh]:
     """The deck's ends under the carriageway."""
     for ring in rings(deck):
         z = height(ring)
-        yield _vertical_faces(ring, z - DECK, z - 0.03, np.ones(len(ring) - 1, dtype=bool), "concrete")
+        yield _vertical_faces(ring, z - DECK_THICKNESS_M, z - 0.03, np.ones(len(ring) - 1, dtype=bool), "concrete")
 
 
 def _piers(layout: Layout, deck: Polygon, whole: Polygon, height: Any) -> Iterator[Mesh]:
@@ -137,7 +137,10 @@ def _piers(layout: Layout, deck: Polygon, whole: Polygon, height: Any) -> Iterat
         ahead = np.array(axis.interpolate(spots[k] + 0.5).coords[0])
         heading = float(np.arctan2(*(ahead - places[k])[::-1]))
         half = whole.area / axis.length / 2 - 0.6
-        top, foot = float(height(places[k : k + 1])[0]) - DECK, float(layout.ground.beside(places[k : k + 1])[0])
+        top, foot = (
+            float(height(places[k : k + 1])[0]) - DECK_THICKNESS_M,
+            float(layout.ground.beside(places[k : k + 1])[0]),
+        )
         beam = box([-0.5, -half, top - foot - 0.8], [0.5, half, top - foot + 0.05], "concrete")
         columns = [
             lathe([(-0.3, 0.42), (top - foot - 0.7, 0.42)], ["concrete"], 14, "z").moved([0, y, 0])

@@ -175,7 +175,7 @@ def _generators(town: Town) -> dict[str, np.random.Generator]:
     """A generator of its own for each part of the scenery, so that a change of one leaves the others as they are."""
     own = zlib.crc32(town.name.encode())
     seed = [own, town.variant.seed] if town.variant and town.variant.seed else own
-    return dict(zip(_PARTS, np.random.default_rng(seed).spawn(len(_PARTS)), strict=True))
+    return dict(zip(_BUILD_PARTS, np.random.default_rng(seed).spawn(len(_BUILD_PARTS)), strict=True))
 
 
 def _bay_out_of_mirror(bay: Bay) -> Bay:
@@ -195,7 +195,18 @@ def _out_of_mirror(seen: Scenery) -> Scenery:
     )
 
 
-_PARTS = ("plots", "houses", "trees", "crowns", "ground", "gardens", "furniture", "horizon", "kerbside", "distractors")
+_BUILD_PARTS = (
+    "plots",
+    "houses",
+    "trees",
+    "crowns",
+    "ground",
+    "gardens",
+    "furniture",
+    "horizon",
+    "kerbside",
+    "distractors",
+)
 
 
 def _signal_head() -> Mesh:

@@ -35,7 +35,7 @@ from skope.gen.scenery.roadside_objects import (
 )
 from skope.gen.scenery.street_furniture import bus_shelter, cabinet
 
-_DARK: Final = "#222222"
+_DARK_COLOR: Final = "#222222"
 
 
 def shipping_container(rng: np.random.Generator) -> Mesh:
@@ -50,7 +50,7 @@ def shipping_container(rng: np.random.Generator) -> Mesh:
     for at in (-0.8, -0.3, 0.3, 0.8):
         out.box("#888888", (x, at - 0.03, 0.25), (x + 0.06, at + 0.03, top - 0.1), without="-x")
     for corner in ((-x, -y), (-x, y - 0.15), (x - 0.15, -y), (x - 0.15, y - 0.15)):
-        out.box(_DARK, (*corner, BELOW), (corner[0] + 0.15, corner[1] + 0.15, 0.16), without="-z")
+        out.box(_DARK_COLOR, (*corner, BELOW), (corner[0] + 0.15, corner[1] + 0.15, 0.16), without="-z")
     if rng.random() < 0.6:
         word = letters(rng.uniform(0.7, 1.6) * x, rng.uniform(0.25, 0.5), rng)
         out.add(word.placed((0.8 * x, y + 0.05, 1.6), TOWARDS_ROAD))
@@ -67,7 +67,7 @@ def skip(rng: np.random.Generator) -> Mesh:
         out.face(color, *(long if side < 0 else long[::-1]))
         end = [(side * low, -y, 0.1), (side * low, y, 0.1), (side * x, y, top), (side * x, -y, top)]
         out.face(color, *(end if side > 0 else end[::-1]))
-        out.box(_DARK, (side * 0.9 * low - 0.1, -y, BELOW), (side * 0.9 * low + 0.1, y, 0.11), without="-z")
+        out.box(_DARK_COLOR, (side * 0.9 * low - 0.1, -y, BELOW), (side * 0.9 * low + 0.1, y, 0.11), without="-z")
         out.box(color, (-0.95 * x, side * y - 0.05, top - 0.12), (0.95 * x, side * y + 0.05, top), without="-z")
     heap = [[(a, b, top - 0.2 + rng.uniform(0, 0.35)) for a in np.linspace(-x, x, 6)] for b in np.linspace(-y, y, 4)]
     return merged([out.mesh(), grid(heap, [["gravel"] * 5] * 3)])
@@ -88,7 +88,7 @@ def bins(rng: np.random.Generator) -> Mesh:
             corners = [(end, -0.48, 1.22), (end, 0.48, 1.22), (end, -0.1, 1.5)]
             out.face(lid, *(corners if end > x else corners[::-1]))
         for a, b in ((0.1, -0.4), (1.1, -0.4), (0.1, 0.25), (1.1, 0.25)):
-            out.box(_DARK, (x + a, b, BELOW), (x + a + 0.15, b + 0.15, 0.26), without="-z +z")
+            out.box(_DARK_COLOR, (x + a, b, BELOW), (x + a + 0.15, b + 0.15, 0.26), without="-z +z")
     return out.mesh()
 
 
@@ -145,10 +145,10 @@ def swap_body(rng: np.random.Generator) -> Mesh:
     color = drawn_color(rng)
     out = Solid()
     out.box(color, (-x, -y, low), (x, y, top))
-    out.box(_DARK, (-x, -0.5, low - 0.2), (x, 0.5, low), without="+z")
+    out.box(_DARK_COLOR, (-x, -0.5, low - 0.2), (x, 0.5, low), without="+z")
     for a in (-0.75 * x, 0.75 * x):
         for b in (-y + 0.05, y - 0.15):
-            out.box(_DARK, (a, b, BELOW), (a + 0.1, b + 0.1, low), without="-z +z")
+            out.box(_DARK_COLOR, (a, b, BELOW), (a + 0.1, b + 0.1, low), without="-z +z")
     picture = Solid()
     picture.add(logo(rng).placed((0.3, 0.5, 0.0), np.diag([1.2, 1.2, 1.0])))
     picture.add(letters(1.9 * x - 1.8, 0.5, rng), (1.7, 0.9, 0.0))
@@ -192,7 +192,7 @@ def transformer(rng: np.random.Generator) -> Mesh:
     for low, high in ((0.35, 0.75), (top - 0.55, top - 0.2)):
         for z in np.arange(low, high, 0.09):
             for left in (-0.85 * x, 0.1 * x):
-                out.box(_DARK, (left, y, z), (left + 0.75 * x, y + 0.02, z + 0.05), without="-y")
+                out.box(_DARK_COLOR, (left, y, z), (left + 0.75 * x, y + 0.02, z + 0.05), without="-y")
     sign = ((-0.15, y + 0.03, 1.0), (-0.45, y + 0.03, 1.0), (-0.3, y + 0.03, 1.27))
     out.face("sign_yellow", *sign)
     return out.mesh()
@@ -262,7 +262,7 @@ def wall_panel(width: float, height: float, rng: np.random.Generator) -> Mesh:
     return out.mesh()
 
 
-STANDING: Final[Mapping[Callable[[np.random.Generator], Mesh], float]] = {
+STANDING_OBJECTS: Final[Mapping[Callable[[np.random.Generator], Mesh], float]] = {
     billboard: 4.0,
     poster_stand: 2.5,
     shipping_container: 2.0,

@@ -12,7 +12,7 @@ from shapely import LineString, Polygon
 from shapely.ops import unary_union
 
 from skope.gen.mesh import Mesh
-from skope.gen.scenery.distractor_shapes import STANDING, wall_panel
+from skope.gen.scenery.distractor_shapes import STANDING_OBJECTS, wall_panel
 from skope.gen.scenery.houses import House, covered
 from skope.gen.towns.layout import Layout
 from skope.gen.towns.regions import rectangle
@@ -21,22 +21,22 @@ from skope.gen.towns.sites import Site, sites_of
 from skope.gen.towns.town import Mast, Town
 from skope.types import Array
 
-REACH: Final = 70.0
+PLACED_WITHIN_M: Final = 70.0
 """Distance from a camera up to which such things are placed, metres."""
 OUT_OF_VIEW: Final = 0.15
 """Share of them that stands anywhere around a camera, not where it looks."""
-CLEARANCE: Final = 0.6
+OBJECT_CLEARANCE_M: Final = 0.6
 """Least distance from the carriageway, metres."""
 LARGEST_SHARE: Final = 0.45
 """Largest size as a share of the distance from the nearest camera: nothing fills a picture."""
-SIGHT: Final = 24.0
+OPEN_VIEW_M: Final = 24.0
 """Nothing stands in a camera's view of road that is nearer to it than this, metres."""
 ON_WALLS: Final = 0.4
 """Share of them that hangs on walls."""
-STEEP: Final = 0.3
+LARGEST_FALL_M: Final = 0.3
 """Largest fall of the ground under one, metres."""
 _TRIES: Final = 40
-_STEP: Final = 2.5
+PLACE_SPACING_M: Final = 2.5
 """Distance between places along roads, metres."""
 _ASPECT: Final = 9 / 16
 """Height of pictures as a share of their width, as far as a mast tells."""
@@ -57,11 +57,11 @@ def distractors(
     """
     if not town.variant or not layout.sites:
         return
-    near = [house for house in houses if layout.camera_distance(house.center) < REACH + max(house.size)]
+    near = [house for house in houses if layout.camera_distance(house.center) < PLACED_WITHIN_M + max(house.size)]
     room = _Room(layout, unary_union([blocked, covered(near).buffer(0.4)]), standing)
     views = [_View.of(mast, layout) for mast in town.variant.masts or map(_mast_at, sites_of(town))]
     along_roads, walls = _Roadside(layout, views), _Walls(views, near)
-    kinds, shares = list(STANDING), np.array(list(STANDING.values()))
+    kinds, shares = list(STANDING_OBJECTS), np.array(list(STANDING_OBJECTS.values()))
     for _ in range(town.variant.distractors):
         view = int(rng.integers(len(views)))
         if rng.random() < ON_WALLS and (panel := walls.draw(view, room, rng)):
@@ -107,7 +107,9 @@ class _View:
         aside = np.abs((turned + np.pi) % (2 * np.pi) - np.pi)
         down = np.arctan2(self.height - 1.0, distance) - self.pitch
         upright = np.arctan(_ASPECT * np.tan(self.half_fov))
-        return np.asarray((aside < 0.95 * self.half_fov) & (np.abs(down) < 0.95 * upright) & (distance < REACH))
+        return np.asarray(
+            (aside < 0.95 * self.half_fov) & (np.abs(down) < 0.95 * upright) & (distance < PLACED_WITHIN_M)
+        )
 
 
 def _mast_at(site: Site) -> Mast:
@@ -121,10 +123,10 @@ class _Room:
         self._layout = layout
         graph = layout.graph
         self._street = unary_union(
-            [graph.road.buffer(CLEARANCE), layout.sidewalk.buffer(0.1), layout.beside_lanes("shoulder")]
+            [graph.road.buffer(OBJECT_CLEARANCE_M), layout.sidewalk.buffer(0.1), layout.beside_lanes("shoulder")]
         )
         walls = graph.walled_road.buffer(4.0) if not graph.walled_road.is_empty else graph.walled_road
-        self._blocked = unary_union([self._street, blocked, walls, layout.sightlines(SIGHT), *layout.under_decks])
+        self._blocked = unary_union([self._street, blocked, walls, layout.sightlines(OPEN_VIEW_M), *layout.under_decks])
         for region in (self._street, self._blocked):
             shapely.prepare(region)
         self._obstacles = shapely.STRtree(_plans_of_low_triangles(layout, standing))
@@ -140,7 +142,7 @@ class _Room:
         middle = (low + high)[:2] / 2 @ np.array([[c, s], [-s, c]]) + place
         footprint = rectangle(middle, heading, *size[:2])
         heights = self._layout.ground.beside(np.array(footprint.exterior.coords))
-        if np.ptp(heights) > STEEP or self._blocked.intersects(footprint):
+        if np.ptp(heights) > LARGEST_FALL_M or self._blocked.intersects(footprint):
             return False
         if len(self._obstacles.query(footprint.buffer(0.1), predicate="intersects")):
             return False
@@ -165,9 +167,9 @@ class _Roadside:
         for edge in layout.graph.edges_of("ground"):
             lane = driven(edge)[0]
             line, kind = LineString(lane.getShape()), layout.graph.kind(edge)
-            if min(line.distance(shapely.Point(view.place)) for view in views) > REACH:
+            if min(line.distance(shapely.Point(view.place)) for view in views) > PLACED_WITHIN_M:
                 continue
-            for s in np.arange(1.0, line.length, _STEP):
+            for s in np.arange(1.0, line.length, PLACE_SPACING_M):
                 place, heading = beside(edge, float(s), 0.0)
                 places.append(place)
                 headings.append(heading)
@@ -176,7 +178,7 @@ class _Roadside:
         outwards = np.column_stack([np.sin(self._headings), -np.cos(self._headings)])
         beyond = self._places + outwards * (np.array(widths) + 3.0)[:, None]
         self._seen = [np.flatnonzero(view.sees(beyond)) for view in views]
-        self._near = [np.flatnonzero(np.hypot(*(beyond - view.place).T) < REACH) for view in views]
+        self._near = [np.flatnonzero(np.hypot(*(beyond - view.place).T) < PLACED_WITHIN_M) for view in views]
 
     def draw(self, view: int, made: Mesh, rng: np.random.Generator) -> tuple[Array, float] | None:
         """A place beside the road and a heading for a thing before a camera; None where it is near no road."""
@@ -186,7 +188,7 @@ class _Roadside:
         i = int(rng.choice(among))
         along_road = rng.random() < 0.7
         depth = np.ptp(made.vertices[:, 1 if along_road else 0])
-        offset = self._widths[i] + 0.3 + depth / 2 + CLEARANCE + 14.0 * rng.random() ** 2
+        offset = self._widths[i] + 0.3 + depth / 2 + OBJECT_CLEARANCE_M + 14.0 * rng.random() ** 2
         # Fronts look to the left of a heading, which is at the road.
         turned = rng.choice([0.0, 0.0, 0.0, np.pi]) if along_road else rng.choice([-np.pi / 2, np.pi / 2])
         place = self._places[i] + right_of(self._headings[i]) * offset
@@ -264,6 +266,6 @@ def _plans_of_low_triangles(layout: Layout, standing: Mesh) -> NDArray[np.object
     middle = corners.mean(axis=1)
     near = np.zeros(len(corners), dtype=bool)
     for site in layout.sites:
-        near |= np.abs(middle[:, :2] - site.position[:2]).max(axis=1) < REACH + 10.0
+        near |= np.abs(middle[:, :2] - site.position[:2]).max(axis=1) < PLACED_WITHIN_M + 10.0
     low = corners[near][..., 2].min(axis=1) < layout.ground.beside(middle[near, :2]) + layout.style.kerb + 2.5
     return np.asarray(shapely.linearrings(corners[near][low][..., :2]))

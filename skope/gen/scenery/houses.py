@@ -13,20 +13,20 @@ from skope.gen.mesh import Mesh, box
 from skope.gen.scenery import large_buildings, roof
 from skope.gen.scenery.facade import FacadeStyle, Shop, facade
 from skope.gen.scenery.quads import Solid
-from skope.gen.towns.layout import FAR, ISLAND, NEAR, Layout
+from skope.gen.towns.layout import DETAILED_WITHIN_M, ISLAND, PLAIN_FROM_M, Layout
 from skope.gen.towns.parking import Bay, drive_bay, drive_ring
 from skope.gen.towns.regions import polygons, rectangle
 from skope.gen.towns.road_graph import beside, driven
 from skope.gen.towns.style import Kind, Row, drawn_name
 from skope.types import Array
 
-SIGHT: Final = 38.0
+HOUSE_VIEW_M: Final = 38.0
 """Houses do not stand in a camera's view of road that is nearer to it than this, metres."""
-STEEP: Final = 2.2
+HOUSE_FALL_M: Final = 2.2
 """Largest fall of the ground under a house, metres; nothing is built on steeper ground."""
 
 _BRICKS: Final = ("brick", "brick_brown", "brick_buff", "brick_painted")
-_AXES: Final = {
+_FACADE_AXES: Final = {
     "front": ((-1.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, 1.0, 0.0)),
     "back": ((1.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, -1.0, 0.0)),
     "right": ((0.0, 1.0, 0.0), (0.0, 0.0, 1.0), (1.0, 0.0, 0.0)),
@@ -79,7 +79,7 @@ def _house(
     corners = np.array(rectangle(center, heading, *size).exterior.coords)
     heights = layout.ground.beside(corners) + layout.style.kerb
     distance = layout.camera_distance(center)
-    detail = 2 if distance < NEAR else 1 if distance < FAR else 0
+    detail = 2 if distance < DETAILED_WITHIN_M else 1 if distance < PLAIN_FROM_M else 0
     return House(kind, center, heading, size, setback, detail, float(heights.max()), float(heights.min()))
 
 
@@ -126,7 +126,7 @@ class Taken:
                 *streets,
                 layout.enclosed(max(layout.style.interchange, ISLAND)),
                 layout.around_cameras.buffer(5.0),
-                layout.sightlines(SIGHT),
+                layout.sightlines(HOUSE_VIEW_M),
             ]
         )
         shapely.prepare(self._kept_clear)
@@ -135,7 +135,7 @@ class Taken:
     def has_room_for(self, house: House) -> bool:
         """Whether a house fits, with its car park; if so their place is taken."""
         footprint = house.footprint
-        if house.floor - house.footing > STEEP:
+        if house.floor - house.footing > HOUSE_FALL_M:
             return False
         if house.kind.parking:
             x, y = house.size[0] / 2, house.size[1] / 2
@@ -251,10 +251,10 @@ def _building(house: House, style: FacadeStyle, joined: tuple[bool, bool], rng: 
     bays = [0 if meets else int(rng.integers(2, 4)) for meets in joined]
     right = facade(house.size[1], plain, rng, near=near, plain=far, bays=bays[0])
     left = facade(house.size[1], plain, rng, near=near, plain=far, bays=bays[1])
-    out.add(front.placed((x, y, 0.0), _AXES["front"]))
-    out.add(back.placed((-x, -y, 0.0), _AXES["back"]))
-    out.add(right.placed((x, -y, 0.0), _AXES["right"]))
-    out.add(left.placed((-x, y, 0.0), _AXES["left"]))
+    out.add(front.placed((x, y, 0.0), _FACADE_AXES["front"]))
+    out.add(back.placed((-x, -y, 0.0), _FACADE_AXES["back"]))
+    out.add(right.placed((x, -y, 0.0), _FACADE_AXES["right"]))
+    out.add(left.placed((-x, y, 0.0), _FACADE_AXES["left"]))
     _put_roof(out, house, style, rng)
     return out
 

@@ -9,7 +9,7 @@ from skope.gen.scenery import roof
 from skope.gen.scenery.quads import Solid
 from skope.gen.towns.style import Kind
 
-_AXES: Final = (
+_WALL_AXES: Final = (
     ((-1.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, 1.0, 0.0)),
     ((1.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, -1.0, 0.0)),
     ((0.0, 1.0, 0.0), (0.0, 0.0, 1.0), (1.0, 0.0, 0.0)),
@@ -20,7 +20,7 @@ _SIGNS: Final = ("fascia_red", "fascia_blue", "fascia_green", "sign_yellow", "fa
 
 
 def _wall_origins(half: tuple[float, float]) -> tuple[tuple[tuple[float, float, float], float], ...]:
-    """Origin and width of the four walls of a rectangle, in the order of `_AXES`."""
+    """Origin and width of the four walls of a rectangle, in the order of `_WALL_AXES`."""
     x, y = half
     return ((x, y, 0.0), 2 * x), ((-x, -y, 0.0), 2 * x), ((x, -y, 0.0), 2 * y), ((-x, y, 0.0), 2 * y)
 
@@ -31,7 +31,7 @@ def tower(kind: Kind, half: tuple[float, float], detail: int, rng: np.random.Gen
     style = rng.choice(["bands", "piers", "grid"])
     top = kind.ground + kind.storey * storeys
     out = Solid()
-    for (origin, width), axes in zip(_wall_origins(half), _AXES, strict=True):
+    for (origin, width), axes in zip(_wall_origins(half), _WALL_AXES, strict=True):
         out.add(_office_front(kind, wall, str(style), width, storeys, detail).placed(origin, axes))
     x, y = half
     out.pane("felt", (-x, x), (-y, y), top)
@@ -94,7 +94,7 @@ def hall(kind: Kind, half: tuple[float, float], near: bool, rng: np.random.Gener
     """Sheet metal on a plinth; a shop's glazed entrance with its sign, or a warehouse's gates and high windows."""
     wall, (x, y), top = str(rng.choice(kind.walls)), half, kind.ground
     out = Solid()
-    for i, ((origin, width), axes) in enumerate(zip(_wall_origins(half), _AXES, strict=True)):
+    for i, ((origin, width), axes) in enumerate(zip(_wall_origins(half), _WALL_AXES, strict=True)):
         part = Solid()
         part.pane(wall, (0.0, width), (0.0, top), 0.0)
         part.box("concrete", (0.0, 0.0, 0.0), (width, 0.7, 0.06), without="-z -y")
@@ -148,7 +148,7 @@ def barn(kind: Kind, half: tuple[float, float], rng: np.random.Generator) -> Sol
     wall, covering = str(rng.choice(kind.walls)), str(rng.choice(kind.roofs))
     eaves = kind.ground * rng.uniform(0.85, 1.1)
     out = roof.gabled(half, eaves, rng.uniform(0.62, 0.9) * half[1], 0.4, covering, wall)
-    for i, ((origin, width), axes) in enumerate(zip(_wall_origins(half), _AXES, strict=True)):
+    for i, ((origin, width), axes) in enumerate(zip(_wall_origins(half), _WALL_AXES, strict=True)):
         part = Solid()
         part.pane(wall, (0.0, width), (0.0, eaves), 0.0)
         part.box("stone", (0.0, -0.4, 0.0), (width, 0.5, 0.08), without="-z -y")

@@ -17,7 +17,7 @@ LAYER: Final = 0.012
 """Distance between layers, metres: more than a depth buffer confuses."""
 
 _Outline = Sequence[tuple[float, float]]
-_SIDES: Final[Mapping[str, tuple[Sequence[_Outline], Sequence[_Outline], Sequence[float]]]] = {
+_SIDE_VIEWS: Final[Mapping[str, tuple[Sequence[_Outline], Sequence[_Outline], Sequence[float]]]] = {
     "saloon": (
         (
             ((0.0, 0.09), (1.0, 0.09), (0.99, 0.20), (0.01, 0.22)),
@@ -109,7 +109,7 @@ def _put(out: Solid, picture: Solid, size: tuple[float, float], shape: float, rn
 
 def vehicle_from_side(rng: np.random.Generator) -> Solid:
     """A vehicle of length 1 from its side, of few flat shapes."""
-    body, windows, wheels = _SIDES[str(rng.choice(list(_SIDES)))]
+    body, windows, wheels = _SIDE_VIEWS[str(rng.choice(list(_SIDE_VIEWS)))]
     paint, glass = drawn_color(rng), str(rng.choice(["#112233", "#334455", "#8899aa"]))
     out, mirrored = Solid(), rng.random() < 0.5
 

@@ -16,7 +16,7 @@ from skope.types import Array
 _JERSEY: Final = ((0.3, BELOW), (0.3, 0.08), (0.13, 0.33), (0.08, 0.81))
 """Half widths and heights of a concrete barrier."""
 _WALLS: Final = ("brick", "brick_buff", "plaster_white", "plaster_grey", "concrete", "stone")
-_DARK: Final = "#222222"
+_DARK_COLOR: Final = "#222222"
 
 
 def garages(rng: np.random.Generator) -> Mesh:
@@ -27,7 +27,7 @@ def garages(rng: np.random.Generator) -> Mesh:
     out = Solid()
     x = count * half
     out.box(wall, (-x, -depth, BELOW), (x, depth - 0.2, top), without="-z")
-    out.box(_DARK, (-x - 0.06, -depth - 0.06, top), (x + 0.06, depth + 0.08, top + 0.14))
+    out.box(_DARK_COLOR, (-x - 0.06, -depth - 0.06, top), (x + 0.06, depth + 0.08, top + 0.14))
     lettered = rng.random() < 0.6
     for k in range(count + 1):
         left = -x + 2 * half * k - 0.15
@@ -37,7 +37,7 @@ def garages(rng: np.random.Generator) -> Mesh:
         left, reach = middle - half + 0.15, 2 * half - 0.3
         out.box(wall, (left, depth - 0.2, high), (left + reach, depth, top), without="+z -y -x +x")
         gaps = Solid()
-        gaps.pane(_DARK, (-reach / 2, reach / 2), (BELOW, high), LAYER)
+        gaps.pane(_DARK_COLOR, (-reach / 2, reach / 2), (BELOW, high), LAYER)
         out.add(gaps.placed((middle, depth - 0.2, 0.0), TOWARDS_ROAD))
         for z in np.arange(0.02, high - 0.02, rib):
             end = min(z + rib - min(0.15 * rib, 0.025), high)
@@ -46,7 +46,7 @@ def garages(rng: np.random.Generator) -> Mesh:
             word, tall = letters(0.85 * reach, rng.uniform(0.35, 0.7), rng), rng.uniform(0.8, 1.3)
             out.add(word.placed((middle + 0.42 * reach, depth - 0.16 + LAYER, tall), TOWARDS_ROAD))
         else:
-            out.box(_DARK, (middle - 0.08, depth - 0.16, 0.9), (middle + 0.08, depth - 0.12, 0.95), without="-y")
+            out.box(_DARK_COLOR, (middle - 0.08, depth - 0.16, 0.9), (middle + 0.08, depth - 0.12, 0.95), without="-y")
     return out.mesh()
 
 
@@ -94,7 +94,7 @@ def kerb_stones(rng: np.random.Generator) -> Mesh:
                 out.box(color, (left + 0.008, -0.48 + y0, z), (left + wide - 0.008, 0.48 + y0, z + high - 0.012))
         top = 0.13 + rows * high
         for at in (x + 0.25, x + 0.8):
-            out.box(_DARK, (at, -0.54, 0.13), (at + 0.04, 0.54, top + 0.01), without="-z")
+            out.box(_DARK_COLOR, (at, -0.54, 0.13), (at + 0.04, 0.54, top + 0.01), without="-z")
     return out.mesh()
 
 
@@ -103,7 +103,7 @@ def portable_toilets(rng: np.random.Generator) -> Mesh:
     color, roof = drawn_color(rng), str(rng.choice(["sign_white", "#cccccc", "#dddddd"]))
     half, top = 0.55, 2.1
     one = Solid()
-    one.box(_DARK, (-half, -half, BELOW), (half, half, 0.12), without="-z")
+    one.box(_DARK_COLOR, (-half, -half, BELOW), (half, half, 0.12), without="-z")
     one.box(color, (-half + 0.03, -half + 0.03, 0.12), (half - 0.03, half - 0.03, top), without="-z")
     for side in (-half, half - 0.03):
         for y in (-0.4, -0.12, 0.16):
@@ -111,12 +111,12 @@ def portable_toilets(rng: np.random.Generator) -> Mesh:
     one.extrude(
         roof, [(half, top), (half, top + 0.06), (0.6 * half, top + 0.2), (0.3 * half, top + 0.24)], (-half, half)
     )
-    one.box(_DARK, (0.38, -0.5, top + 0.1), (0.48, -0.4, top + 0.5), without="-z")
+    one.box(_DARK_COLOR, (0.38, -0.5, top + 0.1), (0.48, -0.4, top + 0.5), without="-z")
     front = Solid()
     front.pane(drawn_color(rng) if rng.random() < 0.4 else color, (-0.42, 0.42), (0.2, 1.98), 0.02)
     front.pane("sign_white", (-0.16, 0.16), (1.4, 1.7), 0.02 + LAYER)
     front.pane("sign_red", (0.28, 0.36), (1.0, 1.06), 0.02 + LAYER)
-    front.pane(_DARK, (-0.38, 0.38), (1.84, 1.92), 0.02 + LAYER)
+    front.pane(_DARK_COLOR, (-0.38, 0.38), (1.84, 1.92), 0.02 + LAYER)
     one.add(front.placed((0.0, half - 0.03, 0.0), TOWARDS_ROAD))
     count = int(rng.integers(1, 5))
     mesh = one.mesh()
@@ -130,12 +130,12 @@ def generator(rng: np.random.Generator) -> Mesh:
     out = Solid()
     for side in (-1, 1):
         out.box("iron", (-x - 0.1, side * 0.8 * y - 0.08, BELOW), (x + 0.1, side * 0.8 * y + 0.08, 0.16), without="-z")
-    out.box(_DARK, (-x, -y, 0.16), (x, y, 0.3))
+    out.box(_DARK_COLOR, (-x, -y, 0.16), (x, y, 0.3))
     out.extrude(color, [(y, 0.3), (y, top - 0.2), (0.75 * y, top)], (-x, x))
     front = Solid()
     for z in np.arange(0.45, top - 0.4, 0.08):
-        front.pane(_DARK, (-0.9 * x, -0.45 * x), (z, z + 0.05), LAYER)
-        front.pane(_DARK, (0.45 * x, 0.9 * x), (z, z + 0.05), LAYER)
+        front.pane(_DARK_COLOR, (-0.9 * x, -0.45 * x), (z, z + 0.05), LAYER)
+        front.pane(_DARK_COLOR, (0.45 * x, 0.9 * x), (z, z + 0.05), LAYER)
     front.pane("sign_yellow" if rng.random() < 0.5 else "zinc", (-0.3 * x, 0.3 * x), (0.65 * top, 0.8 * top), LAYER)
     front.add(letters(0.7 * x, 0.16, rng), (-0.35 * x, 0.4, LAYER))
     out.add(front.placed((0.0, y, 0.0), TOWARDS_ROAD))
@@ -207,9 +207,11 @@ def covered_caravan(rng: np.random.Generator) -> Mesh:
                 out.face(color, *(corners if side > 0 else [corners[k] for k in (1, 0, 3, 2)]))
     for at in np.linspace(-0.7 * x, 0.7 * x, int(rng.integers(2, 4))):
         out.extrude(
-            _DARK, [(half + 0.012 if half else 0.0, z + 0.012 * (half == 0)) for half, z in profile], (at, at + 0.05)
+            _DARK_COLOR,
+            [(half + 0.012 if half else 0.0, z + 0.012 * (half == 0)) for half, z in profile],
+            (at, at + 0.05),
         )
-    out.box(_DARK, (-0.8 * x, -0.7 * y, 0.3), (0.8 * x, 0.7 * y, low + 0.02), without="+z")
+    out.box(_DARK_COLOR, (-0.8 * x, -0.7 * y, 0.3), (0.8 * x, 0.7 * y, low + 0.02), without="+z")
     out.box("zinc", (x, -0.06, 0.38), (x + 1.1, 0.06, 0.48))
     out.box("zinc", (x + 0.9, -0.04, BELOW), (x + 0.98, 0.04, 0.38), without="-z +z")
     wheel = lathe([(-0.1, 0.0), (-0.1, 0.3), (0.1, 0.3), (0.1, 0.0)], ["rim", "tyre", "rim"], 14, "y")

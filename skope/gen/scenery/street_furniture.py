@@ -11,27 +11,27 @@ from shapely.ops import unary_union
 from skope.gen.mesh import Mesh, box, lathe, merged, tube
 from skope.gen.scenery.quads import Solid
 from skope.gen.scenery.trees import bush
-from skope.gen.towns.layout import FAR, Layout
+from skope.gen.towns.layout import PLAIN_FROM_M, Layout
 from skope.gen.towns.road_graph import beside, driven, is_minor, is_signalled, joins
 from skope.gen.towns.style import drawn_name
 from skope.types import Array
 
-CLEARANCE: Final = 0.4
+FURNITURE_CLEARANCE_M: Final = 0.4
 """Least distance of street furniture from the carriageway, metres."""
 OVERHEAD: Final = 6.0
 """Height from which parts may hang over the road, metres."""
-SIGHT: Final = 26.0
+FURNITURE_VIEW_M: Final = 26.0
 """Furniture does not stand in a camera's view of road that is nearer to it than this, metres."""
 
 
 def furniture(layout: Layout, keep_clear: Any, rng: np.random.Generator) -> Iterator[Mesh]:
     """Everything that stands on the sidewalks of a town but trees and signals."""
-    blocked = unary_union([keep_clear, layout.sightlines(SIGHT)])
+    blocked = unary_union([keep_clear, layout.sightlines(FURNITURE_VIEW_M)])
     spots = _Spots(layout, blocked)
     for edge in layout.graph.edges_of("ground"):
         for offset, s, make in _furniture_along(layout, edge, rng):
             place, heading = beside(edge, s, offset)
-            if layout.camera_distance(place) > FAR:
+            if layout.camera_distance(place) > PLAIN_FROM_M:
                 continue
             made = make()
             if spots.take(place, heading, made):
@@ -53,7 +53,7 @@ class _Spots:
         low = made.vertices[made.vertices[:, 2] < OVERHEAD, :2]
         plan = low @ np.array([[c, s], [-s, c]]) + place
         shape = shapely.MultiPoint(plan).convex_hull.buffer(0.02)
-        if shape.intersects(self._blocked) or shape.distance(self._road) < CLEARANCE:
+        if shape.intersects(self._blocked) or shape.distance(self._road) < FURNITURE_CLEARANCE_M:
             return False
         if any(abs(place - at).max() < 9.0 and shape.distance(other) < 0.6 for at, other in self._taken):
             return False
@@ -110,7 +110,7 @@ def _draw_small_item(
 ) -> tuple[float, Callable[[], Mesh]]:
     """Something of what stands on sidewalks: distance from the kerb, how to make it."""
     name = drawn_name(shares, rng)
-    make, at_kerb = _SMALL[name]
+    make, at_kerb = _SIDEWALK_OBJECTS[name]
     return 0.8 if at_kerb else back, make
 
 
@@ -299,7 +299,7 @@ def bus_shelter() -> Mesh:
     return out.mesh()
 
 
-_SMALL: Final[Mapping[str, tuple[Callable[[], Mesh], bool]]] = {
+_SIDEWALK_OBJECTS: Final[Mapping[str, tuple[Callable[[], Mesh], bool]]] = {
     "litter_bin": (litter_bin, True),
     "bench": (bench, False),
     "cabinet": (cabinet, False),

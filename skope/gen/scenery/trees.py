@@ -13,16 +13,16 @@ from shapely.ops import unary_union
 
 from skope.gen.mesh import Mesh, box, from_triangles, grid, lathe, merged, tube
 from skope.gen.scenery.winter_trees import branches, drooping_branches
-from skope.gen.towns.layout import FAR, Layout
+from skope.gen.towns.layout import PLAIN_FROM_M, Layout
 from skope.gen.towns.regions import free, polygons, rectangle
 from skope.gen.towns.road_graph import along
 from skope.gen.towns.season import Season
 from skope.gen.towns.style import drawn_name
 from skope.types import Array
 
-CLEARANCE: Final = 0.4
+CROWN_CLEARANCE_M: Final = 0.4
 """Least distance between crowns and the carriageway, metres."""
-SIGHT: Final = 32.0
+TREE_VIEW_M: Final = 32.0
 """Trees do not stand in a camera's view of road that is nearer to it than this, metres."""
 
 WIDE: Final = 2.6
@@ -87,7 +87,7 @@ class Tree:
 def plant(layout: Layout, built: Any, rng: np.random.Generator) -> list[Tree]:
     """The town's lines of trees, and trees in its medians."""
     graph = layout.graph
-    seen = [layout.sightlines(SIGHT), layout.around_cameras.buffer(CROWN)]
+    seen = [layout.sightlines(TREE_VIEW_M), layout.around_cameras.buffer(CROWN)]
     walls = graph.walled_road.buffer(2.0)
     keep_clear = unary_union([graph.road.buffer(1.2), walls, built.buffer(2.2), *seen])
     shapely.prepare(keep_clear)
@@ -95,8 +95,8 @@ def plant(layout: Layout, built: Any, rng: np.random.Generator) -> list[Tree]:
 
     def grow(at: Array, street: bool, species: Species) -> None:
         distance = layout.camera_distance(at)
-        room = graph.road.distance(Point(at)) - CLEARANCE
-        detail = 3 if distance < 26 else 2 if distance < 50 else 1 if distance < FAR else 0
+        room = graph.road.distance(Point(at)) - CROWN_CLEARANCE_M
+        detail = 3 if distance < 26 else 2 if distance < 50 else 1 if distance < PLAIN_FROM_M else 0
         out.append(Tree(species, at, rng.uniform(*species.height), room, detail, street))
 
     for line in style.planting:

@@ -16,7 +16,7 @@ from skope.types import Array
 
 WALL: Final = 0.4
 """Height from which a step between carriageway and ground is a retaining wall, metres."""
-_STEP: Final = 2.0
+_KERB_PIECE_M: Final = 2.0
 """Length of the pieces that kerbs on slopes are made of, metres."""
 
 
@@ -25,7 +25,7 @@ def kerbs(layout: Layout) -> Iterator[Mesh]:
     ground = layout.ground
     decks = unary_union([deck.buffer(layout.deck_edge, join_style="mitre") for deck in layout.graph.decks])
     for ring in rings(shapely.set_precision(layout.graph.ground_road, GRID)):
-        line = ring if ground.flat else np.array(shapely.segmentize(LineString(ring), _STEP).coords)
+        line = ring if ground.flat else np.array(shapely.segmentize(LineString(ring), _KERB_PIECE_M).coords)
         low, high = ground.road(line), ground.beside(line) + layout.style.kerb
         under = shapely.intersects(decks, shapely.linestrings(np.stack([line[:-1], line[1:]], axis=1)))
         for chosen, material in ((high - low <= WALL, "kerb"), (high - low > WALL, "concrete")):

@@ -9,7 +9,7 @@ from skope.types import Array
 
 FORKS: Final = ((4,), (6, 3), (6, 4, 2), (7, 4, 3))
 """Number of branches that each branch forks into, at each level, by a tree's detail."""
-_SIDES: Final = 3
+_BRANCH_SIDES: Final = 3
 
 
 def branches(
@@ -58,13 +58,13 @@ def _straight_tubes(starts: Array, ends: Array, radii: Array, material: str) -> 
     side /= np.maximum(np.linalg.norm(side, axis=1, keepdims=True), 1e-9)
     across = np.cross(along, side)
     across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-9)
-    angle = 2 * np.pi * np.arange(_SIDES) / _SIDES
+    angle = 2 * np.pi * np.arange(_BRANCH_SIDES) / _BRANCH_SIDES
     ring = np.cos(angle)[:, None] * side[:, None] + np.sin(angle)[:, None] * across[:, None]  # (N, sides, 3)
     rings = np.stack([starts[:, None] + radii[:, :1, None] * ring, ends[:, None] + radii[:, 1:, None] * ring], axis=1)
-    low, high = np.arange(_SIDES), np.arange(_SIDES) + _SIDES
+    low, high = np.arange(_BRANCH_SIDES), np.arange(_BRANCH_SIDES) + _BRANCH_SIDES
     after = np.roll(low, -1)
-    cells = np.concatenate([np.stack([low, after, high], 1), np.stack([after, after + _SIDES, high], 1)])
-    first = 2 * _SIDES * np.arange(len(starts))[:, None, None]
+    cells = np.concatenate([np.stack([low, after, high], 1), np.stack([after, after + _BRANCH_SIDES, high], 1)])
+    first = 2 * _BRANCH_SIDES * np.arange(len(starts))[:, None, None]
     return from_triangles(rings.reshape(-1, 3), (first + cells).reshape(-1, 3), material)
 
 

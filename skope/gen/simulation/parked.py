@@ -19,7 +19,7 @@ from skope.gen.vehicles.paints import draw_paint
 
 OCCUPIED: Final = 0.5
 """Share of the bays that are taken."""
-MOST: Final = 14
+MOST_PARKED: Final = 14
 """Mean number of parked vehicles in view at most; in larger car parks a smaller share of the bays is taken."""
 
 
@@ -39,7 +39,12 @@ class Parked:
 
 
 def parked(
-    town: Town, bays: Sequence[Bay], models: Mapping[str, FleetEntry], rng: np.random.Generator, *, most: int = MOST
+    town: Town,
+    bays: Sequence[Bay],
+    models: Mapping[str, FleetEntry],
+    rng: np.random.Generator,
+    *,
+    most: int = MOST_PARKED,
 ) -> list[Parked]:
     """Draw parked vehicles for some of the bays, of models that fit, nose or tail first.
 

@@ -38,7 +38,7 @@ _CIRCLE: Final = 0.55
 """Distance of people who stand together from their middle, metres."""
 _ABREAST: Final = 0.64
 """Distance of two people who walk side by side, metres."""
-_ASIDE: Final = 0.45
+_ASIDE_SIGMA_M: Final = 0.45
 """Standard deviation of a pedestrian's distance from the middle of the sidewalk, metres."""
 
 
@@ -141,7 +141,7 @@ class Walkers:
                     path,
                     float(rng.uniform(0, length)),
                     0.0 if stands else speed,
-                    float(rng.normal(0, _ASIDE)),
+                    float(rng.normal(0, _ASIDE_SIGMA_M)),
                     float(rng.uniform(-math.pi, math.pi)) if stands else 0.0,
                 )
                 # A pedestrian who would walk into a parked vehicle keeps to the middle, or is left out.
@@ -178,7 +178,7 @@ class Walkers:
 def _group(path: Array, length: float, rng: np.random.Generator, raining: bool) -> list[_Walk]:
     """One or more people who go the same way side by side, or stand together and look at each other."""
     count = 1 + int(rng.choice(len(_GROUPS), p=_GROUPS))
-    start, aside = float(rng.uniform(0, length)), float(rng.normal(0, _ASIDE))
+    start, aside = float(rng.uniform(0, length)), float(rng.normal(0, _ASIDE_SIGMA_M))
     stands, way = rng.random() < _STANDING, float(rng.choice([-1, 1]))
     # Walls stand where a sidewalk ends.
     room = _WIDEST - ((_CIRCLE if stands else _ABREAST / 2) if count > 1 else 0.0)

@@ -32,7 +32,7 @@ _CENTER_OF_MASS: Final = 0.36
 """Height of the centre of mass as a share of the vehicle's height."""
 _ROLL_CENTER: Final = 0.12
 """Height of the axes of pitch and roll over the road, metres."""
-_DAMPING: Final = 0.35
+_CRITICAL_SHARE: Final = 0.35
 """Share of critical damping, as passenger cars have it."""
 _GRIP: Final = 8.0
 """Largest acceleration that tyres hold on dry asphalt, m/s^2."""
@@ -48,7 +48,7 @@ class Pose:
     """(4, 4, 4) front right, front left, rear right, rear left; y is the axle, pointing left."""
     velocity: Array
     """(3,) of the carrier in the world, m/s."""
-    T_world_trailer: Array = field(default_factory=lambda: trailer_motion.NONE)
+    T_world_trailer: Array = field(default_factory=lambda: trailer_motion.NO_TRAILER)
     """(3, 4, 4) a trailer and its wheels rear right, rear left, as in `skope.gen.scene.recording.Moment`."""
 
 
@@ -86,7 +86,7 @@ class _Suspension:
         # A car dives about 2 degrees and leans about 5 degrees per g; it heaves at 1.3 Hz.
         per_g = vehicle.mass * _GRAVITY * lever
         heave, pitch, roll = vehicle.mass * (2 * math.pi * 1.3) ** 2, per_g / math.radians(2), per_g / math.radians(5)
-        damping = [2 * _DAMPING * math.sqrt(k * i) for k, i in zip((heave, pitch, roll), inertia, strict=True)]
+        damping = [2 * _CRITICAL_SHARE * math.sqrt(k * i) for k, i in zip((heave, pitch, roll), inertia, strict=True)]
         return cls((heave, pitch, roll), (damping[0], damping[1], damping[2]), vehicle.mass, lever)
 
     def forces(self, joints: Sequence[Sequence[float]], ahead: float, aside: float) -> list[float]:

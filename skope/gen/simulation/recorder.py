@@ -26,12 +26,12 @@ from skope.gen.vehicles.paints import draw_paint
 from skope.gen.vehicles.shape_jitter import jittered
 from skope.types import Array
 
-REACH: Final = 150.0
+SIMULATED_WITHIN_M: Final = 150.0
 """Vehicles nearer to the camera than this are simulated physically, metres."""
-FARTHEST: Final = 600.0
+RECORDED_WITHIN_M: Final = 600.0
 """Vehicles farther from the camera than this are not recorded, metres."""
 SPECK: Final = 3.0
-"""Beyond `REACH`, vehicles are recorded where a car is at least this high in the image, pixels."""
+"""Beyond `SIMULATED_WITHIN_M`, vehicles are recorded where a car is at least this high in the image, pixels."""
 COMING: Final = 60.0
 """Vehicles are followed from this much farther away than they are recorded, metres: it takes them a second to come onto
 a way that wheels can follow."""
@@ -105,7 +105,7 @@ class Recorder:
         self._paints: dict[str, str] = {}
         self._eye, axis = camera.position[:2].tolist(), camera.T_camera_world[2, :2]
         self._ahead = (axis / max(float(np.linalg.norm(axis)), 1e-9)).tolist()
-        self._reach = float(np.clip(1.5 * camera.K[0, 0] / SPECK, REACH, FARTHEST))
+        self._reach = float(np.clip(1.5 * camera.K[0, 0] / SPECK, SIMULATED_WITHIN_M, RECORDED_WITHIN_M))
         self._always = LAMPS["low_beam"] if lamps_on else 0
         self._eye_3d, self._axis = camera.position, camera.T_camera_world[2, :3]
         self._half_view, self._around = _half_view(camera), AROUND_AT_NIGHT if lamps_on else AROUND
@@ -119,11 +119,11 @@ class Recorder:
 
     def near(self, everyone: Mapping[str, Driven], traffic: Traffic) -> dict[str, tuple[Vehicle, Driven]]:
         """Vehicles near enough to be simulated physically, by name."""
-        return self._within(0.0, REACH, everyone, traffic)
+        return self._within(0.0, SIMULATED_WITHIN_M, everyone, traffic)
 
     def far(self, everyone: Mapping[str, Driven], traffic: Traffic) -> dict[str, tuple[Vehicle, Driven]]:
         """Vehicles that are recorded, but too far away to be worth simulating physically, by name."""
-        return self._within(REACH, self._reach, everyone, traffic)
+        return self._within(SIMULATED_WITHIN_M, self._reach, everyone, traffic)
 
     def _within(
         self, least: float, most: float, everyone: Mapping[str, Driven], traffic: Traffic
@@ -201,9 +201,9 @@ class Recorder:
     def add_others(self, others: Mapping[str, PlacedBystander]) -> None:
         """Add bystanders, by name, to the last frame that was added."""
         for name, other in others.items():
-            if self._distance(other.T_world_body[:2, 3].tolist()) < REACH:
+            if self._distance(other.T_world_body[:2, 3].tolist()) < SIMULATED_WITHIN_M:
                 parts, look = other.part_poses, other.body.look.to_dict()
-                more = np.concatenate([parts[4:], trailer_motion.NONE[: 7 - len(parts)]])
+                more = np.concatenate([parts[4:], trailer_motion.NO_TRAILER[: 7 - len(parts)]])
                 pose = Pose(other.T_world_body, parts[:4], other.velocity, more)
                 dark = bool(self._always)
                 lamps = _rider_lamps(other.body.kind, name, dark) if other.body.jointed else self._always

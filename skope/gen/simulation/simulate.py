@@ -15,10 +15,10 @@ from skope.gen.scene.random_streams import Stream
 from skope.gen.scene.recording import Recording, RecordingPlan
 from skope.gen.scene.view_sampling import ViewSampler
 from skope.gen.scenery.build import bays_of
-from skope.gen.simulation.parked import MOST, parked
+from skope.gen.simulation.parked import MOST_PARKED, parked
 from skope.gen.simulation.pedestrians import Riders, Walkers
 from skope.gen.simulation.physics import World, at_rest
-from skope.gen.simulation.recorder import REACH, Recorder
+from skope.gen.simulation.recorder import SIMULATED_WITHIN_M, Recorder
 from skope.gen.simulation.smooth_paths import drivable, reach
 from skope.gen.towns.road_graph import RoadGraph
 from skope.gen.towns.sidewalks import sidewalks
@@ -82,7 +82,7 @@ def simulate_together(plans: Sequence[RecordingPlan]) -> list[Recording]:
             duration=(warm_up + steps + ahead) * step,
             rng=rng,
             flows=site.flows,
-            passing=RoadGraph.of(site.town).seen_by(site.road.camera, REACH) if site.road else frozenset(),
+            passing=RoadGraph.of(site.town).seen_by(site.road.camera, SIMULATED_WITHIN_M) if site.road else frozenset(),
             step=step,
             watched=cameras.watch,
             riders=Riding.drawn(first.shared_rng(Stream.RIDERS)) if first.road_users else USUAL_RIDERS,
@@ -171,7 +171,7 @@ class _Cameras:
         """Put parked vehicles and pedestrians before the cameras."""
         town, first = self._plans[0].site.town, self._plans[0]
         in_view = {bay: None for recorder in self.recorders for bay in recorder.in_view(bays_of(town))}
-        rng, most = first.shared_rng(Stream.PARKED_VEHICLES), MOST * len(self._plans)
+        rng, most = first.shared_rng(Stream.PARKED_VEHICLES), MOST_PARKED * len(self._plans)
         standing = parked(town, list(in_view), self._models, rng, most=most)
         footprints = [one.footprint(self._models[one.model].vehicle) for one in standing]
         masts = town.variant.masts if town.variant else ()

@@ -28,10 +28,10 @@ REACH_S: Final = 1.25
 """Time to either side at which the Gaussians are cut off, seconds."""
 LOCK: Final = 0.65
 """Largest steering angle of the front wheels, radians: from kerb to kerb a sedan turns within 11 m, a bus in 21 m."""
-_COLUMNS: Final = 6
+_PLACE_COLUMNS: Final = 6
 """Of a vehicle's place at a step: x and y of its lane point, distance driven, speed, height, slope. An articulated
 vehicle has one more, the height under its trailer's axles."""
-_CHUNK: Final = 200
+_CHUNK_STEPS: Final = 200
 """Number of steps that are smoothed at once."""
 
 
@@ -95,14 +95,14 @@ class _Way:
         self.bicycle: _Bicycle | None = None
         self._trailer: Follower | None = None
         self._rows = array("d")
-        self._columns = _COLUMNS
+        self._columns = _PLACE_COLUMNS
 
     def add(self, placed: SumoVehicle) -> None:
         """Note where SUMO had the vehicle at the next step."""
         self.placed.append(placed)
         self._rows.extend((*placed.lane_point, placed.driven, placed.speed, placed.height, placed.pitch))
         if placed.trailer:
-            self._columns = _COLUMNS + 1
+            self._columns = _PLACE_COLUMNS + 1
             self._rows.append(placed.trailer.height)
 
     def driven(self, start: int, stop: int, weights: NDArray[np.float64], dt: float) -> Iterator[tuple[int, Driven]]:
@@ -211,7 +211,7 @@ def drivable(snapshots: Iterable[Snapshot], step: float) -> Iterator[tuple[Snaps
     waiting: deque[Snapshot] = deque()
     read, done = 0, half
     coming = iter(snapshots)
-    while batch := list(islice(coming, _CHUNK)):
+    while batch := list(islice(coming, _CHUNK_STEPS)):
         for k, snapshot in enumerate(batch, start=read):
             for name, placed in snapshot.vehicles.items():
                 way = ways.get(name)

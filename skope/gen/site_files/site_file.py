@@ -17,10 +17,10 @@ from skope.camera.model import Camera
 from skope.errors import UserError
 from skope.files.reading import read_bytes, read_text
 from skope.gen.render.lens import pinhole_of
-from skope.gen.scene.conditions import LIMITS, Range, check_settings, ranges
+from skope.gen.scene.conditions import CONDITION_LIMITS, Range, check_settings, ranges
 from skope.gen.scene.sun import sun_direction, time_of_day
 from skope.gen.towns.netconvert import from_map
-from skope.gen.towns.road_graph import REACH, RoadGraph
+from skope.gen.towns.road_graph import OWN_ROADS_WITHIN_M, RoadGraph
 from skope.gen.towns.sites import Site, site_of, sites
 from skope.gen.towns.style import style
 from skope.gen.towns.town import Town
@@ -35,7 +35,7 @@ from skope.site.toml_table import TomlTable
 _NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_]{0,39}")
 _SEEN: Final = 150.0
 """Largest distance of a lane in the image for a camera to count as looking at a road, metres."""
-_LEVEL: Final = 5.0
+_HIGHEST_ROAD_M: Final = 5.0
 """Largest height of the road above or below 0, metres: heights are to be counted from about the road."""
 _PHOTOGRAPH: Final[Mapping[str, Range]] = {"exposure_ev": (0.0, 0.0), "vignetting": (0.0, 0.0), "noise": (0.5, 1.5)}
 """Ranges of conditions before a photograph, which shows its own exposure, vignetting and noise already."""
@@ -226,7 +226,7 @@ def _light(table: TomlTable) -> tuple[str, str, dict[str, Range]]:
             raise table.wrong("when", "expected a time with its zone, like 2026-06-21T14:30:00+02:00")
         latitude, longitude = table.number("latitude", low=-90, high=90), table.number("longitude", low=-180, high=180)
         elevation, azimuth = sun_direction(when, latitude, longitude)
-        low, high = LIMITS["sun_elevation_deg"]
+        low, high = CONDITION_LIMITS["sun_elevation_deg"]
         if not low <= elevation <= high:
             raise table.wrong("when", f"the sun stands {elevation:.1f} degrees high; {low:g} to {high:g} can be drawn")
         if "time_of_day" in table:
@@ -245,7 +245,7 @@ def _light(table: TomlTable) -> tuple[str, str, dict[str, Range]]:
 
 def _conditions(table: TomlTable) -> dict[str, Range]:
     out = {}
-    for name in LIMITS:
+    for name in CONDITION_LIMITS:
         if name in table:
             pair = isinstance(table.value(name), list)
             low, high = table.numbers(name, 2) if pair else (table.number(name),) * 2
@@ -306,10 +306,12 @@ def _checked_graph(table: TomlTable, road: OwnRoad) -> RoadGraph:
     if not graph.edges:
         x, y, _ = camera.position
         raise table.wrong(
-            "network", f"no lane for cars lies within {REACH:g} m of the camera at x {x:.0f}, y {y:.0f}{_span(graph)}"
+            "network",
+            f"no lane for cars lies within {OWN_ROADS_WITHIN_M:g} m of the camera at x {x:.0f}, y {y:.0f}"
+            f"{_span(graph)}",
         )
     level = graph.road_level(camera.position[:2])
-    if abs(level) > _LEVEL:
+    if abs(level) > _HIGHEST_ROAD_M:
         raise table.wrong(
             "network",
             f"its road is at {level:.0f} m, expected about 0: set ground_height of a map, or run netconvert with "

@@ -26,9 +26,9 @@ ISLAND: Final = 20.0
 """Ground within the carriageway counts as a median or island if it is nowhere farther from it than this, metres."""
 CAMERA_CLEARANCE: Final = 8.0
 """Radius around a camera in which nothing stands higher than 1 m, metres."""
-NEAR: Final = 42.0
+DETAILED_WITHIN_M: Final = 42.0
 """Objects nearer to a camera than this are built in full detail, metres."""
-FAR: Final = 120.0
+PLAIN_FROM_M: Final = 120.0
 """Objects farther from all cameras than this are built plainly, without small parts, metres."""
 HALF_VIEW_DEG: Final = 56.0
 """Half of the horizontal angle that cameras are taken to see, degrees."""
@@ -100,7 +100,7 @@ class Layout:
     @cached_property
     def detailed(self) -> Region:
         """Area near enough to a camera that small things can be made out."""
-        return unary_union([Point(site.position[:2]).buffer(FAR, quad_segs=4) for site in self.sites])
+        return unary_union([Point(site.position[:2]).buffer(PLAIN_FROM_M, quad_segs=4) for site in self.sites])
 
     @cached_property
     def around_cameras(self) -> Region:

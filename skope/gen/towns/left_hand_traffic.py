@@ -8,7 +8,7 @@ import re
 from typing import Final
 from xml.etree import ElementTree
 
-_TURNED: Final = {"l": "r", "r": "l", "L": "R", "R": "L"}
+_MIRRORED_TURNS: Final = {"l": "r", "r": "l", "L": "R", "R": "L"}
 _ROOT: Final = re.compile(rb"<net\b[^>]*>")
 
 
@@ -28,7 +28,7 @@ def mirrored(network: bytes) -> bytes:
         if element.tag == "junction" and "y" in element.attrib:
             element.set("y", _negative(element.attrib["y"]))
         if element.tag == "connection" and "dir" in element.attrib:
-            element.set("dir", _TURNED.get(element.attrib["dir"], element.attrib["dir"]))
+            element.set("dir", _MIRRORED_TURNS.get(element.attrib["dir"], element.attrib["dir"]))
         if element.tag == "location":
             x0, y0, x1, y1 = element.attrib["convBoundary"].split(",")
             element.set("convBoundary", ",".join((x0, _negative(y1), x1, _negative(y0))))

@@ -18,7 +18,7 @@ BAY: Final = (4.8, 2.6)
 AISLE: Final = 6.8
 DRIVE: Final = 2.4
 """Width of a drive, metres."""
-_EDGE: Final = 1.0
+_LOT_EDGE_M: Final = 1.0
 """Distance from a car park's edge to its bays, metres."""
 KERBSIDE: Final = (6.0, 2.1)
 """Length and width of a bay along a kerb, metres."""
@@ -28,7 +28,7 @@ _WIDE_ENOUGH: Final = 2.2
 """Width of a sidewalk from which it may have bays, metres."""
 _FROM_JUNCTIONS: Final = (12.0, 20.0)
 """Distance from the beginning and the end of a street to its bays, metres."""
-_GAP: Final = 0.15
+_FREE_SHARE: Final = 0.15
 """Share of the places along a kerb that are left free between bays."""
 
 
@@ -61,7 +61,7 @@ def _rows(lot: Polygon) -> Iterator[Bay]:
     length, depth = np.hypot(*along), np.hypot(*across)
     along, across = along / length, across / depth
     inside = lot.buffer(-0.3)
-    for row in np.arange(_EDGE + BAY[0] / 2, depth - BAY[0] / 2, BAY[0] + AISLE):
+    for row in np.arange(_LOT_EDGE_M + BAY[0] / 2, depth - BAY[0] / 2, BAY[0] + AISLE):
         for x in np.arange(2.0 + BAY[1] / 2, length - 2.0 - BAY[1] / 2, BAY[1]):
             place = a + along * x + across * row
             bay = Bay((float(place[0]), float(place[1])), float(np.arctan2(*across[::-1])))
@@ -85,7 +85,7 @@ def kerb_bays(layout: Layout, keep_clear: Any, rng: np.random.Generator) -> list
         for s in np.arange(first, driven(edge)[0].getLength() - last, KERBSIDE[0]):
             place, heading = beside(edge, float(s), KERB_WIDTH + KERBSIDE[1] / 2)
             ground = rectangle(place, heading, *KERBSIDE)
-            if rng.random() > _GAP and not any(map(ground.intersects, (keep_clear, layout.graph.road))):
+            if rng.random() > _FREE_SHARE and not any(map(ground.intersects, (keep_clear, layout.graph.road))):
                 out.append(Bay((float(place[0]), float(place[1])), heading))
     return out
 

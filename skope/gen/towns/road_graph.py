@@ -22,11 +22,11 @@ from skope.gen.towns.terrain import Lanes
 from skope.gen.towns.town import Town
 from skope.types import Array
 
-REACH: Final = 600.0
+OWN_ROADS_WITHIN_M: Final = 600.0
 """Roads of a user's own network count if they are nearer to the camera than this, metres."""
 BARRIER: Final = 1.5
 """Half the width, metres, below which a median between retaining walls holds a barrier only."""
-_AROUND: Final = 42.0
+_HEIGHT_WITHIN_M: Final = 42.0
 """The road's height at a place is that of the lanes nearer to it than this, metres."""
 
 
@@ -40,7 +40,7 @@ class RoadGraph:
     net: Any
     """The network, as sumolib reads it."""
     edges: tuple[Any, ...]
-    """The edges that vehicles drive on; in a user's own network, those near the camera (`REACH`)."""
+    """The edges that vehicles drive on; in a user's own network, those near the camera (`OWN_ROADS_WITHIN_M`)."""
     kinds: Mapping[str, Road]
     """Features of the roads of each SUMO edge type in the network."""
     mirrored: bool
@@ -61,7 +61,7 @@ class RoadGraph:
         kinds = {name: look.roads.get(name, look.road) for name in {edge.getType() for edge in net.getEdges()}}
         edges = [edge for edge in net.getEdges(withInternal=False) if not edge.isSpecial() and driven(edge)]
         if town.road:
-            near = Point(_reflect(town.road.camera.position[:2], is_mirrored)).buffer(REACH)
+            near = Point(_reflect(town.road.camera.position[:2], is_mirrored)).buffer(OWN_ROADS_WITHIN_M)
             edges = [e for e in edges if any(LineString(lane.getShape()).intersects(near) for lane in driven(e))]
         return cls(net, tuple(edges), kinds, is_mirrored)
 
@@ -145,7 +145,7 @@ class RoadGraph:
         """Height of the carriageway around a place (2,) of the world: that of most lanes' points there, metres."""
         points = Lanes((lane, 0.0) for edge in self.edges for lane in driven(edge)).points
         away = np.hypot(*(points[:, :2] - self.world(center)).T)
-        return float(np.median(points[away <= max(_AROUND, away.min()), 2]))
+        return float(np.median(points[away <= max(_HEIGHT_WITHIN_M, away.min()), 2]))
 
     @cached_property
     def lane_points(self) -> Mapping[str, Array]:

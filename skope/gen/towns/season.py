@@ -30,7 +30,7 @@ class _Kind:
     bare: Range = (0.0, 0.0)
 
 
-_KINDS: Final = (
+_SEASON_KINDS: Final = (
     _Kind(  # fresh green
         share=0.08,
         grass=((70, 88), (0.36, 0.48), (0.36, 0.44)),
@@ -83,8 +83,8 @@ _SPREAD_DEG: Final = 6.0
 
 def drawn_season(rng: np.random.Generator) -> Season:
     """Draw a season: its kind by the shares, its colours and share of bare trees evenly from the kind's ranges."""
-    shares = np.array([kind.share for kind in _KINDS])
-    kind = _KINDS[int(rng.choice(len(_KINDS), p=shares / shares.sum()))]
+    shares = np.array([kind.share for kind in _SEASON_KINDS])
+    kind = _SEASON_KINDS[int(rng.choice(len(_SEASON_KINDS), p=shares / shares.sum()))]
     drawn = {name: [rng.uniform(*span) for span in getattr(kind, name)] for name in ("grass", "leaves")}
     colors = {}
     for material, (name, lighter) in _PLANTS.items():

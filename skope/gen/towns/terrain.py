@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from skope.gen.towns.style import Terrain
 from skope.types import Array
 
-_NEAR: Final = 0.25
+_SOFTENING_M: Final = 0.25
 """Softens the weights of lanes, metres."""
 FINEST: Final = 2.0
 """Smallest cells that sloped ground is cut into, metres."""
@@ -69,7 +69,7 @@ class Lanes:
         first[1:] = (pair[:, 1:] != pair[:, :-1]).any(axis=0)
         place, segment, foot, distance = place[first], segment[first], foot[first], distance[first]
         beside = np.maximum(distance - self._half[segment], 0.0)
-        weight = (beside + _NEAR) ** -4.0
+        weight = (beside + _SOFTENING_M) ** -4.0
         total = np.bincount(place, weight, len(places))
         height = np.bincount(place, weight * foot[:, 2], len(places))
         away = np.full(len(places), np.inf)

@@ -9,13 +9,10 @@ from typing import Any, Self
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from skope.camera.model import Camera
 from skope.files import safe_names
-
-Image = NDArray[np.uint8]
-
+from skope.types import Pixels
 
 Outline = tuple[tuple[float, float], ...]
 
@@ -55,7 +52,7 @@ class OwnRoad:
         """Name of the town in recordings and annotations."""
         return _name(self)
 
-    def picture(self, size: tuple[int, int]) -> Image:
+    def picture(self, size: tuple[int, int]) -> Pixels:
         """(H, W, 3) RGB photograph at an image size (width, height)."""
         bgr = cv2.imdecode(np.frombuffer(self.photograph, dtype=np.uint8), cv2.IMREAD_COLOR)
         assert bgr is not None

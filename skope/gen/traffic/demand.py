@@ -15,7 +15,7 @@ from skope.gen.vehicles.fleet import FleetEntry
 from skope.gen.vehicles.model import Vehicle, straight_lwh
 from skope.gen.vehicles.paints import draw_paint
 
-HEAVY: Final = 3500.0
+HEAVY_FROM_KG: Final = 3500.0
 """Mass above which a vehicle counts as a goods vehicle or a bus, kilograms."""
 _HEAVY_SPEED: Final = 25.0
 """Speed that the limiters of heavy vehicles allow, m/s."""
@@ -111,7 +111,7 @@ def write_types(path: Path, models: Mapping[str, FleetEntry], riders: Riding = U
 def _attributes(vehicle: Vehicle) -> dict[str, str]:
     """Attributes of a vehicle's SUMO type: size, and how it follows others."""
     length, width, height = straight_lwh(vehicle)
-    heavy = vehicle.mass > HEAVY
+    heavy = vehicle.mass > HEAVY_FROM_KG
     limited = {"maxSpeed": str(_HEAVY_SPEED)} if heavy else {}
     return {
         "length": f"{length:.3f}",

@@ -21,10 +21,10 @@ from skope.gen.traffic.demand import RIDERS, Trip, drawn, driver_shares
 from skope.gen.vehicles.fleet import FleetEntry
 from skope.gen.vehicles.paints import draw_paint
 
-_LIGHT: Final = ("sedan", "hatchback", "city_car", "coupe", "wagon", "suv", "minivan", "pickup")
+_LIGHT_TYPES: Final = ("sedan", "hatchback", "city_car", "coupe", "wagon", "suv", "minivan", "pickup")
 _OF_CLASS: Final[Mapping[str, tuple[str, ...]]] = {
-    "passenger": _LIGHT,
-    "private": _LIGHT,
+    "passenger": _LIGHT_TYPES,
+    "private": _LIGHT_TYPES,
     "taxi": ("sedan", "minivan", "wagon"),
     "delivery": ("van", "box_truck"),
     "truck": ("truck", "box_truck"),
@@ -36,7 +36,7 @@ _OF_CLASS: Final[Mapping[str, tuple[str, ...]]] = {
 _RIDERS: Final = {vehicle_class: name for name, vehicle_class in RIDERS.items()} | {"moped": "motorcyclist"}
 _EXPONENTIAL: Final = re.compile(r"exp\(([^)]+)\)")
 _HOUR: Final = 3600.0
-_MOST: Final = 1e5
+_MOST_PER_HOUR: Final = 1e5
 """Most vehicles an hour that a flow may ask for; no road carries more."""
 
 
@@ -107,8 +107,8 @@ def streams(text: str, network: Path) -> tuple[_Flow, ...]:
         if element.tag in ("vehicle", "trip", "flow"):
             try:
                 begin, end, period, random = _times(element)
-                if period < _HOUR / _MOST:
-                    raise ValueError(f"more than {_MOST:.0f} vehicles an hour")
+                if period < _HOUR / _MOST_PER_HOUR:
+                    raise ValueError(f"more than {_MOST_PER_HOUR:.0f} vehicles an hour")
             except ValueError as error:
                 raise UserError(f"{_name(element)}: {error}") from None
             kind = classes.get(element.get("type"), "")

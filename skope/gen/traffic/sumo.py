@@ -25,7 +25,7 @@ from skope.gen.vehicles.fleet import FleetEntry
 from skope.gen.vehicles.model import Vehicle
 from skope.gen.vehicles.trailer_motion import Follower, Hitch
 
-STEP: Final = 0.025
+DEFAULT_STEP_S: Final = 0.025
 """Default length of a step, seconds."""
 _STEPS_MS: Final = (25, 20, 10, 5)
 """Lengths that a step can have, ms: SUMO counts whole milliseconds and its drivers act every 100 of them."""
@@ -206,7 +206,7 @@ class Traffic:
         rng: np.random.Generator,
         flows: str = "",
         passing: frozenset[str] = frozenset(),
-        step: float = STEP,
+        step: float = DEFAULT_STEP_S,
         watched: Callable[[float, float], bool] = lambda x, y: True,
         riders: Riding = USUAL_RIDERS,
     ) -> None:

@@ -6,6 +6,7 @@ import numpy as np
 
 from skope.gen.mesh import Mesh, box
 from skope.gen.vehicles import parts
+from skope.gen.vehicles.body_axes import LEFT_AXIS
 from skope.gen.vehicles.cargo import Cargo, CargoSpace
 from skope.gen.vehicles.liveries import MARKER, TONES, draw_graphics
 from skope.gen.vehicles.lofted_surfaces import BOTTOM, ROWS, SIDE, WRAP, Plan, Surface
@@ -13,7 +14,6 @@ from skope.gen.vehicles.panels import rectangle
 from skope.gen.vehicles.solids import prism
 from skope.gen.vehicles.upright_shells import Tower
 
-_LEFT: Final = (0.0, 1.0, 0.0)
 _INSET: Final = 0.11
 """Width of the frame around the doors, metres."""
 _SHUTTER: Final = 0.4
@@ -28,7 +28,7 @@ def box_body(space: CargoSpace) -> Cargo:
     sill, top = space.floor + 0.12, high - 0.16
     draw_graphics(shell, (space.end + 0.2, space.ahead - 0.2), (sill + 0.05, top), rng)
     for x in np.linspace(space.ahead - 0.04, space.end + 0.04, 2):
-        shell.draw(rectangle(x - 0.035, x + 0.035, sill, top + 0.04), SIDE, "rail", layer=3, facing=_LEFT)
+        shell.draw(rectangle(x - 0.035, x + 0.035, sill, top + 0.04), SIDE, "rail", layer=3, facing=LEFT_AXIS)
     for x in np.arange(space.end + 0.5, space.ahead - 0.4, 1.1).tolist():
         shell.draw(rectangle(x - 0.03, x + 0.03, sill - 0.085, sill - 0.055), SIDE, MARKER, layer=4)
     _rear(shell, space, end, shutter=rng.uniform() < _SHUTTER)
@@ -56,10 +56,10 @@ def curtain_body(space: CargoSpace) -> Cargo:
         shell.draw(rectangle(x, x + wide, sill, top), SIDE, "tarpaulin" if wide > 0.06 else "rail", layer=1)
     draw_graphics(shell, (space.end + 0.2, space.ahead - 0.2), (sill + 0.22, top - 0.05), rng)
     for x in folds:
-        shell.draw(rectangle(x - 0.02, x + 0.02, sill, sill + 0.34), SIDE, "trim", layer=8, facing=_LEFT)
-        shell.draw(rectangle(x - 0.035, x + 0.035, sill + 0.1, sill + 0.17), SIDE, "chrome", layer=10, facing=_LEFT)
+        shell.draw(rectangle(x - 0.02, x + 0.02, sill, sill + 0.34), SIDE, "trim", layer=8, facing=LEFT_AXIS)
+        shell.draw(rectangle(x - 0.035, x + 0.035, sill + 0.1, sill + 0.17), SIDE, "chrome", layer=10, facing=LEFT_AXIS)
     for x in (space.ahead - 0.05, space.end + 0.05):
-        shell.draw(rectangle(x - 0.05, x + 0.05, sill, top + 0.04), SIDE, "rail", layer=3, facing=_LEFT)
+        shell.draw(rectangle(x - 0.05, x + 0.05, sill, top + 0.04), SIDE, "rail", layer=3, facing=LEFT_AXIS)
     _rear(shell, space, end, shutter=False)
     out.parts.append(shell.half)
     _mark(out, shell, space, end)
@@ -124,7 +124,7 @@ def luton_body(space: CargoSpace) -> Cargo:
     sill, top = space.floor + 0.12, space.shape.height - 0.16
     draw_graphics(shell, (space.end + 0.2, space.ahead - 0.15), (sill + 0.05, top), rng)
     for x in (space.ahead - 0.04, space.end + 0.04):
-        shell.draw(rectangle(x - 0.035, x + 0.035, sill, top + 0.04), SIDE, "rail", layer=3, facing=_LEFT)
+        shell.draw(rectangle(x - 0.035, x + 0.035, sill, top + 0.04), SIDE, "rail", layer=3, facing=LEFT_AXIS)
     _rear(shell, space, end, shutter=rng.uniform() < 0.6)
     out.parts += [shell.half, peak(space, "livery")]
     _mark(out, shell, space, end)

@@ -7,6 +7,7 @@ import numpy as np
 
 from skope.gen.mesh import Mesh, from_triangles, grid, merged
 from skope.gen.vehicles import front, parts, rear
+from skope.gen.vehicles.body_axes import LEFT_AXIS
 from skope.gen.vehicles.interior import interior, seats
 from skope.gen.vehicles.lofted_surfaces import SIDE, WRAP, Plan, Surface
 from skope.gen.vehicles.panels import grown, rectangle
@@ -14,15 +15,13 @@ from skope.gen.vehicles.shape import Shape, VehicleStyle
 from skope.gen.vehicles.upright_shells import Tower, arch, corner_w
 from skope.types import Array
 
-_LEFT = (0.0, 1.0, 0.0)
-
 _FLAT = 0.03
 """Radius of the corners of an end at the bellows, metres."""
-_OVERLAP = 0.5
+_BELLOWS_OVERLAP = 0.5
 """How far each half of the bellows reaches beyond the hinge, into the other half: they close up to 45 degrees."""
 _FOLDS = 7
 
-_LIP = 0.07
+_BUMPER_LIP = 0.07
 """Share of the wall's height at which front and rear turn under: the lower edge of the bumpers."""
 
 
@@ -85,7 +84,7 @@ class BusBody:
         belt = (s.belt_height - s.clearance) / (s.height - s.clearance)
         lean = [
             (0.0, 0.03, 0.06, 0.05),
-            (_LIP, 0.0, 0.0, 0.0),
+            (_BUMPER_LIP, 0.0, 0.0, 0.0),
             (belt, 0.0, 0.02, 0.01),
             (1.0, s.roof_inset, 0.02 + s.screen_run, 0.05),
         ]
@@ -136,12 +135,12 @@ class BusBody:
         if self.has_front:
             self.points |= {
                 "hood_front": shell.place((screen - 0.14, s.belt_height - 0.13), WRAP)[0],
-                "bumper_front": shell.corner(_LIP),
+                "bumper_front": shell.corner(_BUMPER_LIP),
             }
         if self.has_rear:
             self.points |= {
                 "trunk_rear": shell.place((corner_w(w, rear=True), s.belt_height - 0.05), WRAP)[0],
-                "bumper_rear": shell.corner(_LIP, rear=True),
+                "bumper_rear": shell.corner(_BUMPER_LIP, rear=True),
             }
         return out
 
@@ -186,10 +185,10 @@ class BusBody:
         start = self.nose - (0.62 if self.has_front else 0.3)
         stop = self.end + (0.5 if self.has_rear else 0.3)
         band = rectangle(stop - 0.06, start + 0.06, low - 0.05, high + 0.05)
-        shell.paint(band, SIDE, "trim", facing=_LEFT)
+        shell.paint(band, SIDE, "trim", facing=LEFT_AXIS)
         posts = np.linspace(stop, start, round((start - stop) / 1.45) + 1)
         for a, b in pairwise(posts):
-            shell.paint(rectangle(a + 0.03, b - 0.03, low, high), SIDE, "glass", facing=_LEFT)
+            shell.paint(rectangle(a + 0.03, b - 0.03, low, high), SIDE, "glass", facing=LEFT_AXIS)
         post = posts[np.abs(posts - (start + stop) / 2).argmin()]
         if self.has_front:
             self.points["beltline"] = shell.place((post, low - 0.05), SIDE)[0]
@@ -215,14 +214,14 @@ class BusBody:
         low, high = self.shape.clearance + 0.1, self.shape.height - 0.45
         half = width / 2
         whole = rectangle(x - half, x + half, low, high)
-        shell.paint(whole, SIDE, "trim", facing=_LEFT)
+        shell.paint(whole, SIDE, "trim", facing=LEFT_AXIS)
         for a, b in ((x - half, x), (x, x + half)):
-            shell.paint(grown(rectangle(a, b, low + 0.06, high - 0.04), -0.045), SIDE, "glass", facing=_LEFT)
+            shell.paint(grown(rectangle(a, b, low + 0.06, high - 0.04), -0.045), SIDE, "glass", facing=LEFT_AXIS)
 
 
 def _bellows(s: Shape, end: float, sign: float) -> Mesh:
     """The left half of the folds between an end of a half at x = `end` and beyond the hinge; ahead with `sign` 1."""
-    reach = s.hinge_gap + _OVERLAP
+    reach = s.hinge_gap + _BELLOWS_OVERLAP
     # The rear half's folds lie inside of the front half's, so that the two never lie on each other.
     half, low, high = s.width / 2 - (0.1 if sign > 0 else 0.05), s.clearance + 0.1, s.height - 0.14
     outline = [(0.0, low), (half, low), (half, high - 0.3), (half - 0.07, high - 0.1), (half - 0.25, high), (0.0, high)]

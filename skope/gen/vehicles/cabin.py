@@ -15,9 +15,9 @@ from skope.gen.vehicles.shape import Shape, VehicleStyle
 from skope.types import Array
 
 _GLASS_LOW, _GLASS_HIGH = 0.1, 0.93
-_EDGE: Final = 0.03
+_SURROUND_SHARE: Final = 0.03
 """Width of the dark surround of a pane, as a share of the pillars' height."""
-_GLASS_ROWS: Final = (0.0, _GLASS_LOW - _EDGE, _GLASS_LOW, 0.38, 0.68, _GLASS_HIGH, 1.0)
+_GLASS_ROWS: Final = (0.0, _GLASS_LOW - _SURROUND_SHARE, _GLASS_LOW, 0.38, 0.68, _GLASS_HIGH, 1.0)
 """Panes end at rows, where they need not split any triangle."""
 _EDGE_ROWS: Final = ((1.3, 0.015, 0.015), (1.65, 0.042, 0.027))
 """Rows of the edge between pillars and roof: how far in, and how far up, metres."""
@@ -137,7 +137,7 @@ class Greenhouse:
         s, style, glass, w = self.shape, self.style, self.surface, self._w
         last = len(w) - 1
         ends = float(w[SIDE_START - 2]) + 0.01, float(w[last - SIDE_START]) + (0.03 if self.hatch else -0.1)
-        low, over = _GLASS_LOW - _EDGE, high + 0.02
+        low, over = _GLASS_LOW - _SURROUND_SHARE, high + 0.02
         foot, head = (np.array([glass.place((end, t), ROWS)[0][0] for end in ends]) for t in (low, over))
 
         def post(share: float, t: float, ahead: float = 0.0) -> tuple[float, float]:
@@ -167,8 +167,8 @@ class Greenhouse:
 
     def _draw_screen(self, start: float, end: float, low: float, high: float, material: str) -> None:
         """A screen with its dark surround."""
-        a, b = (start, end + _EDGE) if start < 0 else (start - _EDGE, end)
-        self.surface.paint(rectangle(a, b, low - _EDGE, min(high + _EDGE, 1.0)), ROWS, "trim")
+        a, b = (start, end + _SURROUND_SHARE) if start < 0 else (start - _SURROUND_SHARE, end)
+        self.surface.paint(rectangle(a, b, low - _SURROUND_SHARE, min(high + _SURROUND_SHARE, 1.0)), ROWS, "trim")
         self.surface.paint(rectangle(start, end, low, high), ROWS, material)
 
     def _draw_wipers(self, screen: float, rear: float, low: float, high: float) -> None:

@@ -31,10 +31,9 @@ from skope.gen.vehicles.lofted_surfaces import (
 from skope.gen.vehicles.mirrors import arm_mirror
 from skope.gen.vehicles.panels import rectangle
 from skope.gen.vehicles.shape import Shape, VehicleStyle
+from skope.gen.vehicles.upright_shells import ARCH_RADIUS_WHEELS
 from skope.types import Array
 
-ARCH: Final = 1.13
-"""Radius of a wheel arch, in radii of its wheel."""
 _ARCH_TRIM: Final = 0.07
 """Width of the trim that is drawn around an arch, metres."""
 _WELL: Final = 0.05
@@ -61,7 +60,7 @@ _PROFILE: Final = np.array(
 )
 _SOFT: Final = np.array([0, 0, 0, -0.012, -0.018, -0.02, -0.014, 0.006, -0.004, 0, 0, 0])
 """What the side of a body without a shoulder line stands in more than `_PROFILE` says."""
-_RIM, _PIT, _OUTER, _INNER = 2.1, 2.2, 2.4, 2.6
+_DECK_RIM_ROWS, _PIT, _OUTER, _INNER = 2.1, 2.2, 2.4, 2.6
 """Rows of the deck around a bed or the cabin, and of the hood's creases."""
 _CROWN: Final = 0.035
 _CAB_END: Final = 0.06
@@ -169,7 +168,7 @@ class CarBody:
             rear=self.end + rear * lean_rear,
             front_round=s.nose_round,
             rear_round=s.tail_round,
-            front_radius=min(0.22, s.front_overhang - ARCH * s.wheel_radius - s.nose_round * 0.7),
+            front_radius=min(0.22, s.front_overhang - ARCH_RADIUS_WHEELS * s.wheel_radius - s.nose_round * 0.7),
             rear_radius=0.17,
             front_taper=0.05,
             rear_taper=0.045,
@@ -178,7 +177,7 @@ class CarBody:
     def _pits(self) -> list[tuple[float, float, float]]:
         """x from, to, and floor height of what is hollow in the deck: the cabin, a bed."""
         s = self.shape
-        well = ARCH * s.wheel_radius + 0.04
+        well = ARCH_RADIUS_WHEELS * s.wheel_radius + 0.04
         cabin = (max(s.backlight_x + 0.14, s.rear_axle_x + well), s.cowl_x - 0.28, self._pit_floor)
         if not self.style.bed:
             return [cabin]
@@ -189,7 +188,7 @@ class CarBody:
         s = self.shape
         top = self._plan(*_PROFILE[-1, 2:5])
         ends = top.outline(np.array([0.0, 1.0]))[[SIDE_START, -SIDE_START - 1], 0]
-        reach = ARCH * s.wheel_radius
+        reach = ARCH_RADIUS_WHEELS * s.wheel_radius
         fixed = [x + d for pit in self._pits() for x in pit[:2] for d in (-0.004, 0.004)]
         free = [axle + k * reach for axle in (s.front_axle_x, s.rear_axle_x) for k in (-1.35, -0.8, 0, 0.8, 1.35)]
         free += list(np.linspace(s.rear_axle_x + 2.4 * reach, s.front_axle_x - 2.2 * reach, 3))
@@ -217,7 +216,7 @@ class CarBody:
             rows.append(np.column_stack([outline, low + (high - low) * row[1] + row[5]]))
         self._deck_edge = rows[-1]
         rows += self._deck_rows()
-        levels = [FLOOR, INNER, *_PROFILE[:, 0], _RIM, _PIT, _OUTER, _INNER, CENTER]
+        levels = [FLOOR, INNER, *_PROFILE[:, 0], _DECK_RIM_ROWS, _PIT, _OUTER, _INNER, CENTER]
         self.outline = outlines[6]
         self.w = along(self.outline)
         creases = {_SILL, _LEDGE, _OUTER, _INNER} | (set() if self.style.soft else {0.79})
@@ -225,7 +224,7 @@ class CarBody:
 
     def _near_wheels(self, x: Array) -> Array:
         s = self.shape
-        reach = 1.3 * ARCH * s.wheel_radius
+        reach = 1.3 * ARCH_RADIUS_WHEELS * s.wheel_radius
         away = np.min([np.abs(x - axle) for axle in (s.front_axle_x, s.rear_axle_x)], axis=0) / reach
         return np.asarray(np.exp(-(away**4)))
 
@@ -237,7 +236,8 @@ class CarBody:
             inside[within], floor[within] = 1, height
         crease = self._crease(deck[:, 0])
         levels = (
-            (_RIM, 0.012, 1.0), (_PIT, 0.022, 1.0), (_OUTER, 0, crease), (_INNER, 0, crease - 0.11), (CENTER, 0, 0.0),
+            (_DECK_RIM_ROWS, 0.012, 1.0), (_PIT, 0.022, 1.0), (_OUTER, 0, crease), (_INNER, 0, crease - 0.11),
+            (CENTER, 0, 0.0),
         )  # fmt: skip
         rows = []
         for level, inset, share in levels:
@@ -268,12 +268,15 @@ class CarBody:
         self._draw_tones()
         cabin = self._greenhouse.foot(0.03)
         lower.paint(
-            np.vstack([cabin, [(cabin[-1, 0], -1), (cabin[0, 0], -1)]]), TOP, "dashboard", levels=(_RIM, CENTER)
+            np.vstack([cabin, [(cabin[-1, 0], -1), (cabin[0, 0], -1)]]),
+            TOP,
+            "dashboard",
+            levels=(_DECK_RIM_ROWS, CENTER),
         )
         for (start, end, _), material, top in zip(self._pits(), ("dashboard", "bed"), (_PIT, CENTER), strict=False):
             ends = start - 0.02, end + 0.02
             hollow = [(ends[0], -9), (ends[1], -9), (ends[1], 9), (ends[0], 9)]
-            lower.paint(hollow, TOP, material, levels=(_RIM, top))
+            lower.paint(hollow, TOP, material, levels=(_DECK_RIM_ROWS, top))
         self._draw_livery()
         draw_decal(lower, s, style)
         self._draw_doors()
@@ -292,7 +295,7 @@ class CarBody:
     def _draw_tones(self) -> None:
         """What is dark or bright below: the bumpers, the sills' edge."""
         s, lower, style = self.shape, self._lower, self.style
-        reach = ARCH * s.wheel_radius
+        reach = ARCH_RADIUS_WHEELS * s.wheel_radius
         ahead, behind = self.w_of(s.front_axle_x + reach), self.w_of(s.rear_axle_x - reach)
         if style.bumper:
             top = _LEDGE if style.bumper == "black" else _TRIM_TOP
@@ -304,7 +307,7 @@ class CarBody:
 
     def _carve_wheel_well(self, axle: float) -> None:
         s = self.shape
-        radius = ARCH * s.wheel_radius
+        radius = ARCH_RADIUS_WHEELS * s.wheel_radius
         angle = np.linspace(0, np.pi, 12)
         arc = np.stack([axle + radius * np.cos(angle), s.wheel_radius + radius * np.sin(angle)], axis=-1)
         polygon = [(axle + radius, -0.2), *arc, (axle - radius, -0.2)]
@@ -333,7 +336,7 @@ class CarBody:
         """A stripe along the sides of what is not private."""
         s = self.shape
         low, high = {"taxi": (0.34, 0.24), "van": (0.46, 0.26)}.get(self.style.palette, (0.0, 0.0))
-        ahead, behind = s.front_axle_x - ARCH * s.wheel_radius - 0.12, self.end + 0.35
+        ahead, behind = s.front_axle_x - ARCH_RADIUS_WHEELS * s.wheel_radius - 0.12, self.end + 0.35
         if self.style.palette == "van":
             sweep = [(behind + 0.9, s.clearance + 0.2), (behind + 0.5, s.belt_height), (behind, s.belt_height)]
             self._lower.draw([(behind, s.clearance + 0.2), *sweep], SIDE, "livery", layer=0.5)
@@ -358,7 +361,7 @@ class CarBody:
     def _draw_doors(self) -> None:
         """Gaps around the doors, the fuel flap, handles."""
         s, style, lower = self.shape, self.style, self._lower
-        reach = ARCH * s.wheel_radius
+        reach = ARCH_RADIUS_WHEELS * s.wheel_radius
         # A soft gap is pale against dark trim: it ends above.
         dark = style.soft_seams and style.cladding
         low = s.clearance + (_TRIM_TOP * (s.belt_height - s.clearance) + 0.03 if dark else 0.13)
@@ -393,11 +396,11 @@ class CarBody:
         self._seam([(s.cowl_x - 0.12, y), (ahead, y - 0.07)], TOP, levels=top, width=0.011)
         edge = s.hood_height - 0.012
         self._seam([(-0.1, edge), (float(w[SIDE_START - 3]), edge)], WRAP, width=0.011)
-        arch = self.w_of(s.front_axle_x + ARCH * s.wheel_radius)
+        arch = self.w_of(s.front_axle_x + ARCH_RADIUS_WHEELS * s.wheel_radius)
         seam = (s.headlight_low + s.headlight_high) / 2 - 0.05
         self._seam([(arch, seam - 0.12), (float(w[SIDE_START - 2]), seam)], WRAP)
         end = float(w[-1])
-        behind = self.w_of(s.rear_axle_x - ARCH * s.wheel_radius)
+        behind = self.w_of(s.rear_axle_x - ARCH_RADIUS_WHEELS * s.wheel_radius)
         low = s.taillight_low - 0.03
         self._seam([(behind, low - 0.12), (end - s.taillight_inner - 0.2, low - 0.02)], WRAP)
         if s.deck_length > 0.3 and not self.style.bed:

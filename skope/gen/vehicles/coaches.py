@@ -6,6 +6,7 @@ from typing import Final
 import numpy as np
 
 from skope.gen.mesh import Mesh
+from skope.gen.vehicles.body_axes import LEFT_AXIS
 from skope.gen.vehicles.car import CarBody
 from skope.gen.vehicles.laid_out_bus import BusLayout, LaidOutBus
 from skope.gen.vehicles.liveries import draw_graphics
@@ -13,8 +14,6 @@ from skope.gen.vehicles.lofted_surfaces import SIDE, WRAP, Surface
 from skope.gen.vehicles.panels import disc, rectangle
 from skope.gen.vehicles.shape import Shape, VehicleStyle
 from skope.types import Array
-
-_LEFT: Final = (0.0, 1.0, 0.0)
 
 CITY: Final = BusLayout(
     windows=0.34, pane=1.5, screen=0.52, rear_window=(1.35, 0.55), doors=((-0.3, 1.25), (0.42, 1.3), (0.8, 1.3)),
@@ -30,7 +29,7 @@ DOUBLE_DECK: Final = BusLayout(
 )  # fmt: skip
 SCHOOL: Final = BusLayout(windows=0.62, pane=0.75, screen=0.45, rear_window=(1.25, 0.5), doors=((0.19, 0.85),))
 
-STEP: Final = BusLayout(windows=0.55, pane=1.0, screen=0.5, rear_window=(1.4, 0.5), doors=())
+STEP_ENTRY_LAYOUT: Final = BusLayout(windows=0.55, pane=1.0, screen=0.5, rear_window=(1.4, 0.5), doors=())
 
 
 class CityBusBody(LaidOutBus):
@@ -54,20 +53,26 @@ class DoubleDeckBody(LaidOutBus):
 class StepVanBody(LaidOutBus):
     """A delivery van with an upright front, doors that slide, and a shutter behind."""
 
-    layout = STEP
+    layout = STEP_ENTRY_LAYOUT
 
     def _draw_side_windows(self, shell: Surface) -> None:
         """The window and the gaps of the door; graphics on the panels behind."""
         s = self.shape
         high = s.height - self.layout.windows
         front, back = self.nose - 0.5, self.nose - 1.3
-        shell.paint(rectangle(back - 0.03, front + 0.03, s.belt_height - 0.03, high + 0.03), SIDE, "trim", facing=_LEFT)
-        shell.paint(rectangle(back, front, s.belt_height, high), SIDE, "glass", facing=_LEFT)
+        shell.paint(
+            rectangle(back - 0.03, front + 0.03, s.belt_height - 0.03, high + 0.03), SIDE, "trim", facing=LEFT_AXIS
+        )
+        shell.paint(rectangle(back, front, s.belt_height, high), SIDE, "glass", facing=LEFT_AXIS)
         for x in (front + 0.12, back - 0.12):
-            shell.line([(x, s.clearance + 0.16), (x, high + 0.12)], SIDE, width=0.016, layer=3, facing=_LEFT)
+            shell.line([(x, s.clearance + 0.16), (x, high + 0.12)], SIDE, width=0.016, layer=3, facing=LEFT_AXIS)
         for x in np.linspace(self.end + 0.35, back - 0.45, 5).tolist():
             shell.draw(
-                rectangle(x - 0.02, x + 0.02, s.belt_height - 0.3, s.height - 0.25), SIDE, "rail", layer=1, facing=_LEFT
+                rectangle(x - 0.02, x + 0.02, s.belt_height - 0.3, s.height - 0.25),
+                SIDE,
+                "rail",
+                layer=1,
+                facing=LEFT_AXIS,
             )
         rng = np.random.default_rng(int(s.length * 1e4))
         draw_graphics(shell, (self.end + 0.4, back - 0.3), (s.belt_height - 0.25, s.height - 0.3), rng)
@@ -76,7 +81,7 @@ class StepVanBody(LaidOutBus):
             SIDE,
             "trim",
             layer=8,
-            facing=_LEFT,
+            facing=LEFT_AXIS,
         )
         self.points["beltline"] = shell.place((back, s.belt_height), SIDE)[0]
 
@@ -131,7 +136,7 @@ class SchoolBusBody(LaidOutBus):
         """A door that interrupts the rub rails."""
         low, high = self.shape.clearance + 0.16, self.shape.height - self.layout.windows + 0.02
         door = rectangle(x - width / 2, x + width / 2, low, high)
-        shell.draw(door, SIDE, "trim", layer=5, facing=_LEFT)
+        shell.draw(door, SIDE, "trim", layer=5, facing=LEFT_AXIS)
         for bottom, top in ((low + 0.08, low + 0.42 * (high - low)), (low + 0.47 * (high - low), high - 0.05)):
             pane = rectangle(x - width / 2 + 0.07, x + width / 2 - 0.07, bottom, top)
-            shell.draw(pane, SIDE, "glass_tinted", layer=7, facing=_LEFT)
+            shell.draw(pane, SIDE, "glass_tinted", layer=7, facing=LEFT_AXIS)

@@ -8,14 +8,14 @@ from skope.gen.vehicles.lofted_surfaces import CENTER, SHOULDER, SIDE, TOP, Surf
 from skope.gen.vehicles.panels import rectangle
 from skope.gen.vehicles.shape import Shape, VehicleStyle
 
-_COLORS: Final = ("#cc2222", "#224488", "#228844", "#ee8822", "#eeeeee", "#222222", "#eecc22")
+_DECAL_COLORS: Final = ("#cc2222", "#224488", "#228844", "#ee8822", "#eeeeee", "#222222", "#eecc22")
 
 
 def draw_decal(shell: Surface, s: Shape, style: VehicleStyle) -> None:
     """Draw a vehicle's stickers between its axles; their colour follows from its length, so that few are alike."""
     if not style.decal:
         return
-    color = _COLORS[int(s.length * 1e4) % len(_COLORS)]
+    color = _DECAL_COLORS[int(s.length * 1e4) % len(_DECAL_COLORS)]
     if style.decal == "racing":
         strip = rectangle(s.cowl_x - 0.1, s.length / 2, 0.1, 0.3)
         shell.draw(strip, TOP, color, layer=0.6, levels=(SHOULDER, CENTER))

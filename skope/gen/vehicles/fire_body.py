@@ -5,13 +5,13 @@ from typing import Final
 import numpy as np
 
 from skope.gen.mesh import Mesh, box
+from skope.gen.vehicles.body_axes import LEFT_AXIS
 from skope.gen.vehicles.cargo import Cargo, CargoSpace
 from skope.gen.vehicles.lofted_surfaces import BOTTOM, SIDE, WRAP, Plan, Surface
 from skope.gen.vehicles.panels import rectangle
 from skope.gen.vehicles.parts import arch_lip
 from skope.gen.vehicles.upright_shells import Tower, arch
 
-_LEFT: Final = (0.0, 1.0, 0.0)
 _LADDER: Final = 0.3
 """How far the ladder stands over the roof, metres."""
 
@@ -51,12 +51,12 @@ def _draw_shutters(shell: Surface, space: CargoSpace, up: tuple[float, float], e
     count = 3
     for k in range(count):
         a, b = (start + (stop - start) * (k + share) / count for share in (0.03, 0.97))
-        shell.paint(rectangle(a, b, sill, top), SIDE, "cladding_grey", facing=_LEFT)
+        shell.paint(rectangle(a, b, sill, top), SIDE, "cladding_grey", facing=LEFT_AXIS)
         for z in np.arange(sill + 0.07, top, 0.09).tolist():
-            shell.line([(a, z), (b, z)], SIDE, "rail", width=0.012, facing=_LEFT)
-        shell.draw(rectangle(a, b, sill, sill + 0.05), SIDE, "trim", layer=3, facing=_LEFT)
+            shell.line([(a, z), (b, z)], SIDE, "rail", width=0.012, facing=LEFT_AXIS)
+        shell.draw(rectangle(a, b, sill, sill + 0.05), SIDE, "trim", layer=3, facing=LEFT_AXIS)
     band = rectangle(space.end + 0.1, space.ahead - 0.05, sill - 0.2, sill - 0.06)
-    shell.draw(band, SIDE, "#d8c41c", layer=3, facing=_LEFT)
+    shell.draw(band, SIDE, "#d8c41c", layer=3, facing=LEFT_AXIS)
     shell.paint(rectangle(edge, end + 0.1, sill, top), WRAP, "cladding_grey")
     for z in np.arange(sill + 0.07, top, 0.09).tolist():
         shell.line([(edge, z), (end + 0.1, z)], WRAP, "rail", width=0.012)

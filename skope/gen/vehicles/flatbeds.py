@@ -6,6 +6,7 @@ from typing import Final
 import numpy as np
 
 from skope.gen.mesh import Mesh, box, merged
+from skope.gen.vehicles.body_axes import LEFT_AXIS
 from skope.gen.vehicles.cargo import Cargo, CargoSpace
 from skope.gen.vehicles.liveries import MARKER
 from skope.gen.vehicles.lofted_surfaces import SIDE, TOP, WRAP, Plan
@@ -14,7 +15,6 @@ from skope.gen.vehicles.parts import block
 from skope.gen.vehicles.solids import barrel, beam, pipe, prism
 from skope.gen.vehicles.upright_shells import Tower
 
-_LEFT: Final = (0.0, 1.0, 0.0)
 _WOOD: Final = ("#b98d55", "#a87c48", "#c79f69")
 _DECK: Final = "#7d6a4e"
 _STRAP: Final = "#d9641e"
@@ -23,8 +23,8 @@ _STRAP: Final = "#d9641e"
 def flatbed_body(space: CargoSpace) -> Cargo:
     """A platform, with low sides or without, and a load that its length draws."""
     rng = space.rng()
-    kinds = list(LOADS)
-    weights = np.array([LOADS[kind][0] for kind in kinds])
+    kinds = list(PLATFORM_LOADS)
+    weights = np.array([PLATFORM_LOADS[kind][0] for kind in kinds])
     kind = kinds[int(rng.choice(len(kinds), p=weights / weights.sum()))]
     return _platform(space, rng, kind, sides=bool(rng.uniform() < 0.45))
 
@@ -69,9 +69,9 @@ def _platform(space: CargoSpace, rng: np.random.Generator, load: str, *, sides: 
     shell.draw(rectangle(-1, 99, 0, low + 0.09), WRAP, "trim")
     if sides:
         for x in np.linspace(front - 0.05, space.end + 0.05, 4 if heavy else 3):
-            shell.draw(rectangle(x - 0.04, x + 0.04, low + 0.05, high), SIDE, "rail", layer=2, facing=_LEFT)
+            shell.draw(rectangle(x - 0.04, x + 0.04, low + 0.05, high), SIDE, "rail", layer=2, facing=LEFT_AXIS)
         for z in np.arange(low + 0.16, high - 0.03, 0.08).tolist():
-            shell.line([(space.end + 0.1, z), (front - 0.1, z)], SIDE, width=0.012, facing=_LEFT)
+            shell.line([(space.end + 0.1, z), (front - 0.1, z)], SIDE, width=0.012, facing=LEFT_AXIS)
         shell.paint([(-99, -9), (99, -9), (99, 9), (-99, 9)], TOP, "bed", levels=(2.1, 3.0))
     else:
         shell.paint([(-99, -9), (99, -9), (99, 9), (-99, 9)], TOP, _DECK, levels=(2.0, 3.0))
@@ -82,7 +82,7 @@ def _platform(space: CargoSpace, rng: np.random.Generator, load: str, *, sides: 
     out.parts += _headboard(front, space.half, deck - 0.03, wall)
     if load:
         room = (space.end + 0.35, front - 0.3), space.half - 0.12, deck, wall - 0.05
-        out.parts += LOADS[load][1](*room, rng)
+        out.parts += PLATFORM_LOADS[load][1](*room, rng)
     corner = end - space.half
     top = high - 0.02
     out.mark(
@@ -227,7 +227,7 @@ def _tarpaulin(
     return [barrel(sections, tone, square=5.0)]
 
 
-LOADS: Final[dict[str, tuple[float, Callable[..., list[Mesh]]]]] = {
+PLATFORM_LOADS: Final[dict[str, tuple[float, Callable[..., list[Mesh]]]]] = {
     "": (0.25, lambda *_: []),
     "timber": (0.2, _timber),
     "bricks": (0.2, _bricks),

@@ -21,7 +21,7 @@ from skope.gen.vehicles.coaches import CityBusBody, CoachBody, DoubleDeckBody, S
 from skope.gen.vehicles.details import styled
 from skope.gen.vehicles.model import Derived, Trailer, Vehicle, simplified_parts
 from skope.gen.vehicles.parts import SIGN_HEIGHT
-from skope.gen.vehicles.roof_loads import LOADS
+from skope.gen.vehicles.roof_loads import ROOF_LOAD_HEIGHTS_M
 from skope.gen.vehicles.shape import Shape, VehicleStyle
 from skope.gen.vehicles.trailer_body import TrailerBody
 from skope.gen.vehicles.truck import TruckBody
@@ -65,7 +65,7 @@ class ParametricVehicle(Derived):
         return (
             s.length,
             s.width,
-            s.height + max(SIGN_HEIGHT if self.style.sign else 0.0, LOADS.get(self.style.load, 0.0)),
+            s.height + max(SIGN_HEIGHT if self.style.sign else 0.0, ROOF_LOAD_HEIGHTS_M.get(self.style.load, 0.0)),
         )
 
     @cached_property

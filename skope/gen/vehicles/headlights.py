@@ -8,10 +8,10 @@ from skope.gen.vehicles.lofted_surfaces import WRAP, Surface
 from skope.gen.vehicles.panels import Points, disc, grown, quad, rectangle, rounded, within
 from skope.types import Array
 
-_RIM: Final = 0.009
+_RIM_WIDTH_M: Final = 0.009
 """Width of the dark rim around a headlight, metres."""
-_BESIDE: Final = np.array([_RIM, 0.0])
-_DARK: Final = frozenset(("swept", "hook", "slim", "narrow", "blade", "pixel", "split"))
+_RIM_SHIFT: Final = np.array([_RIM_WIDTH_M, 0.0])
+_DARK_KINDS: Final = frozenset(("swept", "hook", "slim", "narrow", "blade", "pixel", "split"))
 """Kinds with a dark housing."""
 _LENSES: Final[dict[str, tuple[tuple[float, float], ...]]] = {
     "slim": ((0.2, 0.52), (0.42, 0.52)),
@@ -74,10 +74,10 @@ def _draw_lamp(
     lamp, tall = _outline(kind, along, up)
     inner, outer = lamp[0, 0], lamp[1, 0]
     shape = rounded(lamp, 0.045 if kind == "drop" else 0.02)
-    points["headlight_inner"] = shell.place((lamp[0] + lamp[3]) / 2 - _BESIDE, WRAP)[0]
-    points["headlight_outer"] = shell.place((lamp[1] + lamp[2]) / 2 + _BESIDE, WRAP)[0]
-    shell.sink(grown(shape, _RIM), WRAP, 0.014, "trim", wall="trim")
-    shell.draw(shape, WRAP, "lamp_dark" if kind in _DARK else "lamp_clear")
+    points["headlight_inner"] = shell.place((lamp[0] + lamp[3]) / 2 - _RIM_SHIFT, WRAP)[0]
+    points["headlight_outer"] = shell.place((lamp[1] + lamp[2]) / 2 + _RIM_SHIFT, WRAP)[0]
+    shell.sink(grown(shape, _RIM_WIDTH_M), WRAP, 0.014, "trim", wall="trim")
+    shell.draw(shape, WRAP, "lamp_dark" if kind in _DARK_KINDS else "lamp_clear")
     radius = min(0.34 * tall, 0.085 * (outer - inner) + 0.01)
     for across, upward in _LENSES.get(kind, ((0.24, 0.52), (0.5, 0.52))):
         center = within(lamp, across, across, upward, upward)[0]

@@ -8,6 +8,7 @@ import numpy as np
 
 from skope.gen.mesh import Mesh, merged
 from skope.gen.vehicles import front, rear
+from skope.gen.vehicles.body_axes import LEFT_AXIS
 from skope.gen.vehicles.bus import BusBody
 from skope.gen.vehicles.liveries import MARKER, draw_graphics
 from skope.gen.vehicles.lofted_surfaces import SIDE, WRAP, Plan, Surface
@@ -19,8 +20,7 @@ from skope.gen.vehicles.upright_shells import Tower, corner_w
 from skope.gen.vehicles.wheels import steel_wheel
 from skope.types import Array
 
-_LEFT: Final = (0.0, 1.0, 0.0)
-_LIP: Final = 0.07
+_BUMPER_LIP: Final = 0.07
 """Share of the wall's height at which front and rear turn under, as of `BusBody`."""
 
 
@@ -114,7 +114,7 @@ class LaidOutBus(BusBody):
         back = corner_w(w, rear=True)
         self.points |= {
             "trunk_rear": shell.place((back, self._waist - 0.05), WRAP)[0],
-            "bumper_rear": shell.corner(_LIP, rear=True),
+            "bumper_rear": shell.corner(_BUMPER_LIP, rear=True),
         }
         return out
 
@@ -127,7 +127,7 @@ class LaidOutBus(BusBody):
         s, screen = self.shape, corner_w(w)
         self.points |= {
             "hood_front": shell.place((screen - 0.14, s.hood_height - 0.12), WRAP)[0],
-            "bumper_front": shell.corner(_LIP),
+            "bumper_front": shell.corner(_BUMPER_LIP),
         }
         return front.draw_front(shell, w, s, replace(self.style, family="bus"), self.points)
 
@@ -186,10 +186,10 @@ class LaidOutBus(BusBody):
         count = round((start - stop) / layout.pane) + 1
         posts = np.linspace(stop, start, count)
         for k, (low, high) in enumerate(bands):
-            shell.paint(rectangle(stop - 0.06, start + 0.06, low - 0.05, high + 0.05), SIDE, "trim", facing=_LEFT)
+            shell.paint(rectangle(stop - 0.06, start + 0.06, low - 0.05, high + 0.05), SIDE, "trim", facing=LEFT_AXIS)
             glass = "glass_tinted" if k else layout.material
             for a, b in pairwise(posts):
-                shell.paint(rectangle(a + 0.03, b - 0.03, low, high), SIDE, glass, facing=_LEFT)
+                shell.paint(rectangle(a + 0.03, b - 0.03, low, high), SIDE, glass, facing=LEFT_AXIS)
         post = posts[-2]
         self.points["beltline"] = shell.place((post, s.belt_height - 0.05), SIDE)[0]
 
@@ -200,9 +200,9 @@ class LaidOutBus(BusBody):
         reach = 1.2 * s.wheel_radius
         last = s.rear_axle_x + max(self.style.axles, default=0.0)
         for x in np.linspace(last + reach + 0.1, s.front_axle_x - reach - 0.1, 6):
-            shell.line([(x, low), (x, high)], SIDE, width=0.014, layer=7, facing=_LEFT)
+            shell.line([(x, low), (x, high)], SIDE, width=0.014, layer=7, facing=LEFT_AXIS)
         for z in (low, high):
-            shell.line([(self.end + 0.4, z), (self.nose - 0.6, z)], SIDE, width=0.014, layer=7, facing=_LEFT)
+            shell.line([(self.end + 0.4, z), (self.nose - 0.6, z)], SIDE, width=0.014, layer=7, facing=LEFT_AXIS)
 
     def _draw_rear_window(self, shell: Surface, corner: float, end: float) -> None:
         s, layout = self.shape, self.layout
@@ -227,7 +227,7 @@ class LaidOutBus(BusBody):
         """A door of two leaves of glass, as high as the lower windows."""
         low, high = self.shape.clearance + 0.1, self.shape.height - self.layout.windows + 0.02
         half = width / 2
-        shell.paint(rectangle(x - half, x + half, low, high), SIDE, "trim", facing=_LEFT)
+        shell.paint(rectangle(x - half, x + half, low, high), SIDE, "trim", facing=LEFT_AXIS)
         leaves = ((x - half, x), (x, x + half)) if width > 1 else ((x - half, x + half),)
         for a, b in leaves:
-            shell.paint(grown(rectangle(a, b, low + 0.06, high - 0.04), -0.045), SIDE, "glass", facing=_LEFT)
+            shell.paint(grown(rectangle(a, b, low + 0.06, high - 0.04), -0.045), SIDE, "glass", facing=LEFT_AXIS)

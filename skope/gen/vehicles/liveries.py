@@ -4,6 +4,7 @@ from typing import Final
 
 import numpy as np
 
+from skope.gen.vehicles.body_axes import LEFT_AXIS
 from skope.gen.vehicles.decals import draw_letters
 from skope.gen.vehicles.lofted_surfaces import SIDE, Surface
 from skope.gen.vehicles.panels import disc, rectangle
@@ -15,7 +16,6 @@ TONES: Final = (
 """Colours of the graphics."""
 MARKER: Final = "#d8902a"
 """Colour of marker lamps along the sides, which do not blink."""
-_LEFT: Final = (0.0, 1.0, 0.0)
 _PLAIN: Final = 0.2
 """Share of bodies without graphics."""
 
@@ -64,4 +64,4 @@ def draw_graphics(
 
 
 def _fill(shell: Surface, polygon: np.ndarray, tone: str, layer: float) -> None:
-    shell.draw(polygon, SIDE, tone, layer=layer, facing=_LEFT)
+    shell.draw(polygon, SIDE, tone, layer=layer, facing=LEFT_AXIS)

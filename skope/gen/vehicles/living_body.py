@@ -7,6 +7,7 @@ import numpy as np
 
 from skope.gen.mesh import Mesh, box
 from skope.gen.vehicles import parts
+from skope.gen.vehicles.body_axes import LEFT_AXIS
 from skope.gen.vehicles.box_bodies import peak
 from skope.gen.vehicles.cargo import Cargo, CargoSpace
 from skope.gen.vehicles.liveries import TONES
@@ -14,7 +15,6 @@ from skope.gen.vehicles.lofted_surfaces import BOTTOM, SIDE, WRAP, Plan, Surface
 from skope.gen.vehicles.panels import rectangle
 from skope.gen.vehicles.upright_shells import Tower, arch
 
-_LEFT: Final = (0.0, 1.0, 0.0)
 _BELT: Final = 0.95
 """Height of the windows' lower edge over the floor, metres."""
 
@@ -60,7 +60,7 @@ def _draw_stripes(shell: Surface, space: CargoSpace, rng: np.random.Generator) -
             (space.ahead, low + lift + wide),
             (space.end + 0.1, low + lift + 0.3 + wide),
         ]
-        shell.draw(sweep, SIDE, tone, layer=2, facing=_LEFT)
+        shell.draw(sweep, SIDE, tone, layer=2, facing=LEFT_AXIS)
 
 
 def _draw_side(shell: Surface, space: CargoSpace) -> None:
@@ -72,9 +72,9 @@ def _draw_side(shell: Surface, space: CargoSpace) -> None:
             rectangle(x - wide / 2 - 0.04, x + wide / 2 + 0.04, belt - 0.04, belt + high + 0.04),
             SIDE,
             "trim",
-            facing=_LEFT,
+            facing=LEFT_AXIS,
         )
-        shell.paint(rectangle(x - wide / 2, x + wide / 2, belt, belt + high), SIDE, "glass_tinted", facing=_LEFT)
+        shell.paint(rectangle(x - wide / 2, x + wide / 2, belt, belt + high), SIDE, "glass_tinted", facing=LEFT_AXIS)
     hatch = space.end + 0.66 * length
     shell.line(
         [
@@ -86,7 +86,7 @@ def _draw_side(shell: Surface, space: CargoSpace) -> None:
         ],
         SIDE,
         width=0.014,
-        facing=_LEFT,
+        facing=LEFT_AXIS,
     )
 
 

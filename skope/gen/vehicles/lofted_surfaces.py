@@ -30,7 +30,7 @@ TOP: Final = (X, Y)
 FLOOR, INNER, BOTTOM, SHOULDER, DECK, CENTER = -2.0, -1.0, 0.0, 1.0, 2.0, 3.0
 """Rows (T) of a shell: the floor's middle and inner edge, the wall's ends, the rim, the top's middle."""
 
-_FRONT, _CORNER = 4, 4
+_FRONT_INTERVALS, _CORNER_INTERVALS = 4, 4
 """Intervals between columns over half the front or rear, and around a corner."""
 _LIFT: Final = 0.0012
 """How far each layer of what is drawn hovers over the one below, metres."""
@@ -76,11 +76,11 @@ class Plan:
         )
         corner = ahead - back
         half = float(self._side_half_width(np.array([sign * (corner - radius)]))[0])
-        y = np.linspace(0, half - radius, _FRONT + 1)
+        y = np.linspace(0, half - radius, _FRONT_INTERVALS + 1)
         x = ahead - back * (y / half) ** 2
         slope = 2 * back * y[-1] / half**2
         bend = np.array([x[-1] - slope * radius * 0.9, half])
-        t = np.linspace(0, 1, _CORNER + 1)[1:, None]
+        t = np.linspace(0, 1, _CORNER_INTERVALS + 1)[1:, None]
         start, end = np.array([x[-1], y[-1]]), np.array([bend[0] - radius, half])
         end[1] = float(self._side_half_width(np.array([sign * end[0]]))[0])
         # A little fuller than the parabola of three points, near a circle's arc.
@@ -89,9 +89,9 @@ class Plan:
         return np.asarray(both * [sign, 1.0])
 
 
-FRONT_END: Final = _FRONT
+FRONT_END: Final = _FRONT_INTERVALS
 """Column where the front's corner begins; counted from the last column, where the rear's does."""
-SIDE_START: Final = _FRONT + _CORNER
+SIDE_START: Final = _FRONT_INTERVALS + _CORNER_INTERVALS
 """Column where the side begins; counted from the last column, where it ends."""
 
 

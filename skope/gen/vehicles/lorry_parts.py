@@ -4,13 +4,13 @@ import numpy as np
 
 from skope.gen.mesh import Mesh, box
 from skope.gen.vehicles import rear
+from skope.gen.vehicles.body_axes import LEFT_AXIS
 from skope.gen.vehicles.lofted_surfaces import BOTTOM, ROWS, SIDE, TOP, WRAP, Plan, Surface
 from skope.gen.vehicles.panels import Points, rectangle
 from skope.gen.vehicles.shape import Shape, VehicleStyle
 from skope.gen.vehicles.upright_shells import Tower
 from skope.gen.vehicles.wheels import steel_wheel
 
-_LEFT = (0.0, 1.0, 0.0)
 _RIBS = {
     "box": (6, 0.014),
     "curtain": (9, 0.03),
@@ -61,7 +61,7 @@ def cargo_body(s: Shape, kind: str, ahead: float, *, ribs: int = 0) -> tuple[Mes
     count, wide = _RIBS[kind]
     for x in np.linspace(ahead - 0.25, end + 0.25, ribs or count):
         rib = rectangle(x - wide / 2, x + wide / 2, sill, top + 0.04)
-        shell.draw(rib, SIDE, "rail" if kind != "tipper" else "trim", facing=_LEFT)
+        shell.draw(rib, SIDE, "rail" if kind != "tipper" else "trim", facing=LEFT_AXIS)
     if not closed:
         shell.paint([(-99, -9), (99, -9), (99, 9), (-99, 9)], TOP, "bed", levels=(2.1, 3.0))
     return shell.half, {

@@ -18,13 +18,13 @@ from skope.errors import UserError
 from skope.gen.mesh import Mesh, from_triangles, merged
 from skope.types import Array
 
-CORNERS: Final = tuple(keypoints.NAMES[k].removeprefix("wheel_") for k in keypoints.WHEELS)
+WHEEL_CORNERS: Final = tuple(keypoints.NAMES[k].removeprefix("wheel_") for k in keypoints.WHEELS)
 """front_right, front_left, rear_right, rear_left."""
 LENGTHS: Final = (2.0, 25.0)
 """Range of a vehicle's length, metres: models beyond it are in another unit."""
-_UNITS: Final = {"millimetres": 0.001, "centimetres": 0.01, "inches": 0.0254, "feet": 0.3048}
-_AXES: Final = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
-LAMPS: Final = ("headlight", "taillight", "brake_light", "indicator_left", "indicator_right", "reverse_light")
+_UNIT_METRES: Final = {"millimetres": 0.001, "centimetres": 0.01, "inches": 0.0254, "feet": 0.3048}
+_AXIS_VECTORS: Final = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
+LAMP_MATERIALS: Final = ("headlight", "taillight", "brake_light", "indicator_left", "indicator_right", "reverse_light")
 """Materials that light up: a surface whose material has one of these names is such a lamp."""
 _COLOR_STEPS: Final = 16
 """Levels that each channel of a model's colours is rounded to."""
@@ -35,7 +35,7 @@ class Marked:
     """A model in the vehicle frame."""
 
     mesh: Mesh
-    """The body; materials are colours such as "#a0b4c8", and `LAMPS`."""
+    """The body; materials are colours such as "#a0b4c8", and `LAMP_MATERIALS`."""
     wheel: Mesh
     """The front left wheel about its centre."""
     points: Array
@@ -51,7 +51,7 @@ class _Object:
     vertices: Array
     triangles: NDArray[np.int64]
     materials: NDArray[np.str_]
-    """(T,) colour of each triangle, such as "#a0b4c8", or one of `LAMPS`."""
+    """(T,) colour of each triangle, such as "#a0b4c8", or one of `LAMP_MATERIALS`."""
 
 
 def read_marked(
@@ -88,7 +88,7 @@ def read_marked(
         [(low[0] + high[0]) / 2, 0.5 * (at[corners["front_left"]] + at[corners["front_right"]])[1], ground]
     )
     points = np.stack([marks[k] @ T.T if k in marks else np.zeros(3) for k in range(keypoints.K)]) - origin
-    points[list(keypoints.WHEELS)] = np.array([at[corners[corner]] for corner in CORNERS]) - origin
+    points[list(keypoints.WHEELS)] = np.array([at[corners[corner]] for corner in WHEEL_CORNERS]) - origin
     mesh = merged([_colored_mesh(o, origin) for o in body])
     width = float(np.ptp(mesh.vertices[:, 1]))
     own = wheel.vertices - at[wheel.name]
@@ -153,7 +153,7 @@ def _load_objects(path: Path) -> list[_Object]:
 def _face_materials(geometry: Any) -> NDArray[np.str_]:
     """(T,) colours as "#a0b4c8"; or all one lamp, where the material has its name (a copy as "headlight.001")."""
     name = str(getattr(getattr(geometry.visual, "material", None), "name", "")).partition(".")[0].lower()
-    if name in LAMPS:
+    if name in LAMP_MATERIALS:
         return np.full(len(geometry.faces), name)
     return np.array([f"#{r:02x}{g:02x}{b:02x}" for r, g, b in _face_colors(geometry).tolist()])
 
@@ -252,7 +252,7 @@ def _parse_axis(flag: str, text: str) -> Array:
     match = re.fullmatch(r"([+-]?)([xyz])", text.lower())
     if not match:
         raise UserError(f"{flag}: expected an axis such as +y or -z, got {text!r}")
-    return (-1 if match[1] == "-" else 1) * np.array(_AXES[match[2]])
+    return (-1 if match[1] == "-" else 1) * np.array(_AXIS_VECTORS[match[2]])
 
 
 def _axis_name(axis: Array) -> str:
@@ -263,8 +263,8 @@ def _wheel_objects(path: Path, objects: list[_Object], wheels: Mapping[str, str]
     by_name = {o.name: o for o in objects}
     if wheels is not None:
         lost = [name for name in wheels.values() if name not in by_name]
-        if lost or sorted(wheels) != sorted(CORNERS):
-            what = f"no object {lost[0]}" if lost else f"expected {', '.join(CORNERS)}"
+        if lost or sorted(wheels) != sorted(WHEEL_CORNERS):
+            what = f"no object {lost[0]}" if lost else f"expected {', '.join(WHEEL_CORNERS)}"
             raise UserError(f"{path}: --wheels: {what}; there are {', '.join(by_name)}")
         return {name: by_name[name] for name in wheels.values()}
     found = {name: o for name, o in by_name.items() if re.search(r"wheel|tyre|tire", name.lower())}
@@ -294,6 +294,8 @@ def _wheel_corners(path: Path, at: dict[str, Array]) -> dict[str, str]:
 def _check_length(path: Path, length: float, scale: float) -> None:
     if LENGTHS[0] <= length <= LENGTHS[1]:
         return
-    guesses = [f"{unit}: --scale {metres}" for unit, metres in _UNITS.items() if 2.5 < length / scale * metres < 20]
+    guesses = [
+        f"{unit}: --scale {metres}" for unit, metres in _UNIT_METRES.items() if 2.5 < length / scale * metres < 20
+    ]
     hint = f"; in {' or in '.join(guesses)}?" if guesses else f"; --scale {4.5 / (length / scale):.2g} makes it a car's"
     raise UserError(f"{path}: is {length:.4g} m long, expected {LENGTHS[0]:g} to {LENGTHS[1]:g}{hint}")

@@ -13,7 +13,7 @@ from skope.gen.vehicles.keypoint_separation import Sidecar
 from skope.gen.vehicles.shape import Dimensions
 from skope.types import Array
 
-COARSE: Final = 0.25
+COARSE_SHARE: Final = 0.25
 """Share of its triangles, about, that a body far away is drawn with."""
 
 
@@ -104,7 +104,7 @@ class Body(Protocol):
 
     @property
     def coarse(self) -> tuple[Mesh, ...]:
-        """The parts with about the share `COARSE` of their triangles, for pictures from afar."""
+        """The parts with about the share `COARSE_SHARE` of their triangles, for pictures from afar."""
 
     @property
     def size_lwh(self) -> tuple[float, float, float]:
@@ -159,7 +159,7 @@ class Vehicle(Body, Protocol):
 
 def simplified_parts(parts: Sequence[Mesh]) -> tuple[Mesh, ...]:
     """Parts of a body for pictures from afar; those that are the same are simplified once."""
-    coarse = {part: simplified(part, COARSE) for part in dict.fromkeys(parts)}
+    coarse = {part: simplified(part, COARSE_SHARE) for part in dict.fromkeys(parts)}
     return tuple(coarse[part] for part in parts)
 
 

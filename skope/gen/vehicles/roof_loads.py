@@ -9,9 +9,9 @@ from numpy.typing import ArrayLike
 from skope.gen.mesh import Mesh, box, grid, merged
 from skope.types import Array
 
-LOADS: Final = {"box": 0.42, "bars": 0.05, "ladder": 0.12, "beacons": 0.13}
+ROOF_LOAD_HEIGHTS_M: Final = {"box": 0.42, "bars": 0.05, "ladder": 0.12, "beacons": 0.13}
 """How far each kind of load stands over the roof's highest point, metres."""
-_BAR: Final = LOADS["bars"]
+_BAR: Final = ROOF_LOAD_HEIGHTS_M["bars"]
 _BOX_RING: Final = ((0.0, 0.0), (0.9, 0.0), (1.0, 0.12), (1.0, 0.5), (0.9, 0.88), (0.7, 1.0), (0.0, 1.0))
 """Half of a luggage box's section, from the middle below to the middle above: shares of its width and height."""
 _BOX_SECTIONS: Final = ((1.0, 0.05), (0.98, 0.6), (0.8, 0.86), (0.4, 1.0), (-0.8, 1.0), (-0.97, 0.9), (-1.0, 0.05))
@@ -24,7 +24,7 @@ def roof_load(
     """The left half of a load on a roof, metres.
 
     Args:
-        kind: One of `LOADS`.
+        kind: One of `ROOF_LOAD_HEIGHTS_M`.
         front: x of the roof's front end.
         rear: x of its rear end.
         half_width: From the middle to the roof's edge.
@@ -42,7 +42,7 @@ def roof_load(
         parts.append(box((x - 0.032, foot, low - 0.02), (x + 0.032, half_width - 0.02, high - 0.005), "trim"))
     middle, reach = float(places.mean()), min(0.95, 0.5 * length)
     if kind == "box":
-        size = (reach, min(0.4, half_width - 0.12), LOADS["box"] - _BAR)
+        size = (reach, min(0.4, half_width - 0.12), ROOF_LOAD_HEIGHTS_M["box"] - _BAR)
         parts.append(_shell((middle, 0.0, high), size, _BOX_SECTIONS, "#222222"))
     if kind == "ladder":
         parts += _ladder((middle - reach - 0.2, middle + reach), high)
@@ -53,7 +53,7 @@ def _beacons(span: tuple[float, float], half_width: float, top: float, edge: Cal
     """Bars of blue lamps across the roof, ahead and behind."""
     out = []
     for x in (span[0] - 0.28, span[1] + 0.25):
-        half, high = half_width - 0.12, top + LOADS["beacons"]
+        half, high = half_width - 0.12, top + ROOF_LOAD_HEIGHTS_M["beacons"]
         low = float(edge(np.array([x])).item())
         out.append(box((x - 0.1, 0.0, low), (x + 0.1, half - 0.05, top + 0.03), "trim"))
         for y, stop, material in ((0.0, 0.22, "#d8d8d8"), (0.22, half, "#1b52d8")):

@@ -16,7 +16,7 @@ _ALONG: Final = frozenset((
     "hood_length", "hinge_setback", "hinge_gap", "trailer_front", "trailer_length", "trailer_axle",
 ))  # fmt: skip
 """Dimensions along a vehicle, which are stretched together."""
-_ACROSS: Final = frozenset(("width", "track", "headlight_inner", "taillight_inner", "roof_inset"))
+_WIDTH_FIELDS: Final = frozenset(("width", "track", "headlight_inner", "taillight_inner", "roof_inset"))
 """Dimensions across a vehicle, which are stretched together."""
 _UP: Final = frozenset((
     "height", "bumper_height", "headlight_low", "headlight_high", "taillight_low", "taillight_high",
@@ -35,7 +35,7 @@ def jittered(model: str, rng: np.random.Generator) -> Mapping[str, float]:
     ranges = class_ranges(vehicle.size_class)
     whole = vehicle.shape.to_dict()
     scales = []
-    for names in (_ALONG, _ACROSS, _UP):
+    for names in (_ALONG, _WIDTH_FIELDS, _UP):
         # One share for an axis, within what keeps all its dimensions in their ranges.
         bounds = [(ranges[name][0] / whole[name], ranges[name][1] / whole[name]) for name in names if name in ranges]
         low, high = max(bound[0] for bound in bounds), min(bound[1] for bound in bounds)
@@ -67,4 +67,4 @@ def _jitter_lamps(shape: dict[str, float], family: str, rng: np.random.Generator
         shape[f"{lamp}_wrap"] *= rng.uniform(0.7, 1.3)
 
 
-assert {f.name for f in fields(Shape)} >= _ALONG | _ACROSS | _UP
+assert {f.name for f in fields(Shape)} >= _ALONG | _WIDTH_FIELDS | _UP

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 from skope.gen.mesh import Mesh, box, flat, grid, merged, tube
 from skope.types import Array
 
-_AROUND: Final = 12
+_BARREL_INTERVALS: Final = 12
 """Intervals around half a barrel."""
 
 
@@ -42,13 +42,13 @@ def barrel(sections: ArrayLike, materials: Sequence[str] | str, *, square: float
     names = [materials] * (len(s) - 1) if isinstance(materials, str) else list(materials)
     rings = np.stack([ring(*section, square=square) for section in s])
     if not sharp:
-        return grid(rings, [[name] * _AROUND for name in names])
-    return merged([grid(rings[k : k + 2], [[name] * _AROUND]) for k, name in enumerate(names)])
+        return grid(rings, [[name] * _BARREL_INTERVALS for name in names])
+    return merged([grid(rings[k : k + 2], [[name] * _BARREL_INTERVALS]) for k, name in enumerate(names)])
 
 
 def ring(x: float, z: float, half_width: float, half_height: float, *, square: float = 2.0) -> Array:
     """(13, 3) the left half of a barrel's section, from below upwards."""
-    turn = np.linspace(-np.pi / 2, np.pi / 2, _AROUND + 1)
+    turn = np.linspace(-np.pi / 2, np.pi / 2, _BARREL_INTERVALS + 1)
     c, s = np.cos(turn).clip(0), np.sin(turn)
     up = np.sign(s) * np.abs(s) ** (2 / square)
     return np.column_stack([np.full(len(turn), x), half_width * c ** (2 / square), z + half_height * up])

@@ -10,9 +10,9 @@ from skope.types import Array
 
 _BEYOND: Final = 99.0
 """Farther along a shell than the middle of its rear, metres."""
-_RIM: Final = 0.009
+_RIM_WIDTH_M: Final = 0.009
 """Width of the dark rim around a tail lamp, metres."""
-_BESIDE: Final = np.array([_RIM, 0.0])
+_RIM_SHIFT: Final = np.array([_RIM_WIDTH_M, 0.0])
 _PANES: Final = {
     "wide": {
         "brake_light": (0.36, 0.97, 0.55, 0.92),
@@ -84,8 +84,8 @@ def draw_taillight(
         points: Keypoints by stem.
     """
     lamp = _outline(kind, along, up)
-    points["taillight_outer"] = shell.place((lamp[0] + lamp[3]) / 2 - _BESIDE, WRAP)[0]
-    points["taillight_inner"] = shell.place((lamp[1] + lamp[2]) / 2 + _BESIDE, WRAP)[0]
+    points["taillight_outer"] = shell.place((lamp[0] + lamp[3]) / 2 - _RIM_SHIFT, WRAP)[0]
+    points["taillight_inner"] = shell.place((lamp[1] + lamp[2]) / 2 + _RIM_SHIFT, WRAP)[0]
     _draw_lamp(shell, kind, lamp)
 
 
@@ -109,7 +109,7 @@ def _draw_lamp(shell: Surface, kind: str, lamp: Array) -> None:
     outer, inner = lamp[0, 0], lamp[1, 0]
     low, high = lamp[:, 1].min(), lamp[:, 1].max()
     shape = rounded(lamp, 0.022)
-    shell.sink(grown(shape, _RIM), WRAP, 0.006, "gap", wall="chrome")
+    shell.sink(grown(shape, _RIM_WIDTH_M), WRAP, 0.006, "gap", wall="chrome")
     shell.draw(shape, WRAP, _LENS.get(kind, "taillight"))
     if kind in ("round", "rings"):
         radius = 0.4 * min(high - low, (inner - outer) / 2.2)

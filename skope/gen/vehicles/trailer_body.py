@@ -14,7 +14,7 @@ from skope.gen.vehicles.panels import Points
 from skope.gen.vehicles.shape import Shape, VehicleStyle
 from skope.types import Array
 
-_FRAME: Final = 0.42
+_FRAME_DEPTH_M: Final = 0.42
 """Depth of a trailer's frame under its floor, metres."""
 _NECK: Final = 0.13
 """Depth of a semi-trailer's frame over the tractor, metres."""
@@ -92,7 +92,7 @@ class TrailerBody:
             guard = front - 0.1
         else:
             legs = hinge - _LEGS
-            add(box((end + 0.06, 0.0, floor - _FRAME), (legs - 0.3, 0.45, floor + 0.01), "under"))
+            add(box((end + 0.06, 0.0, floor - _FRAME_DEPTH_M), (legs - 0.3, 0.45, floor + 0.01), "under"))
             add(box((legs - 0.32, 0.0, floor - _NECK), (front - 0.12, 0.5, floor + 0.01), "under"))
             self._parts += _landing_legs(legs, floor)
             guard = legs - 0.35

@@ -12,7 +12,7 @@ import numpy as np
 from skope.gen.vehicles.model import Vehicle
 from skope.types import Array
 
-NONE: Final = np.tile(np.eye(4), (3, 1, 1))
+NO_TRAILER: Final = np.tile(np.eye(4), (3, 1, 1))
 """Poses that stand for those of a trailer where there is none."""
 
 
@@ -81,7 +81,7 @@ def pose(vehicle: Vehicle, driven: DrivenTrailer | None, T_world_chassis: Array)
     """
     trailer = vehicle.trailer
     if trailer is None or driven is None:
-        return NONE
+        return NO_TRAILER
     R = T_world_chassis[:3, :3]
     hinge = R @ trailer.hinge + T_world_chassis[:3, 3]
     pitch = math.asin((hinge[2] - trailer.hinge[2] - driven.height) / trailer.axle)

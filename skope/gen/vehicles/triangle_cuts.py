@@ -16,7 +16,7 @@ _SNAP: Final = 8e-4
 """Cuts nearer to a vertex than this go through it, metres."""
 EDGES: Final = np.array([[0, 1], [1, 2], [2, 0]])
 """Corners of a triangle that each of its edges joins."""
-_PARTS: Final = {
+_SPLIT_TRIANGLES: Final = {
     1: np.array([(0, 3, 2), (3, 1, 2)]),
     2: np.array([(3, 1, 4), (0, 3, 4), (0, 4, 2)]),
     3: np.array([(0, 3, 5), (3, 1, 4), (4, 2, 5), (3, 4, 5)]),
@@ -145,7 +145,7 @@ def _split_edges(
     count = hit.sum(axis=1)
     whole = np.flatnonzero(count == 0)
     out, origin = [triangles[whole]], [whole]
-    for splits, parts in _PARTS.items():
+    for splits, parts in _SPLIT_TRIANGLES.items():
         at = np.flatnonzero(count == splits)
         if not len(at):
             continue

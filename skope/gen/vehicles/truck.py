@@ -7,6 +7,7 @@ import numpy as np
 
 from skope.gen.mesh import Mesh, box, merged, quads
 from skope.gen.vehicles import front, parts
+from skope.gen.vehicles.body_axes import LEFT_AXIS
 from skope.gen.vehicles.cargo import CargoSpace
 from skope.gen.vehicles.cargo_bodies import CARGO_BODIES
 from skope.gen.vehicles.interior import interior
@@ -18,12 +19,12 @@ from skope.gen.vehicles.mirrors import arm_mirror
 from skope.gen.vehicles.panels import grown, rectangle
 from skope.gen.vehicles.shape import Shape, VehicleStyle
 from skope.gen.vehicles.truck_faces import draw_face
-from skope.gen.vehicles.upright_shells import ARCH, Tower, arch, corner_w
+from skope.gen.vehicles.upright_shells import ARCH_RADIUS_WHEELS, Tower, arch, corner_w
 from skope.types import Array
 
-_GAP = 0.09
+_BODY_GAP_M = 0.09
 """Gap between cab and body, metres."""
-_LIP = 0.06
+_FRONT_LIP = 0.06
 """Share of the wall's height at which the front turns under: the lower edge of the bumper."""
 _CREW_CAB = 2.5
 """Length above which a cab has a second row of seats, metres."""
@@ -31,7 +32,6 @@ _SCREEN = 1.45
 """Greatest height of a windscreen, metres."""
 _GUARDED = 0.6
 """Least room between the axles that is worth a tank and guards, metres."""
-_LEFT = (0.0, 1.0, 0.0)
 
 
 class TruckBody:
@@ -82,7 +82,7 @@ class TruckBody:
         belt = (s.belt_height - s.clearance) / (self.cab_height - s.clearance)
         lean = [
             (0.0, 0.03, 0.05, 0.0),
-            (_LIP, 0.0, 0.0, 0.0),
+            (_FRONT_LIP, 0.0, 0.0, 0.0),
             (belt, 0.0, 0.035, 0.0),
             (1.0, s.roof_inset, 0.035 + s.screen_run, 0.02),
         ]
@@ -131,7 +131,7 @@ class TruckBody:
         if not s.hood_length:
             self.points |= {
                 "hood_front": cab.place((screen - 0.1, s.hood_height - 0.1), WRAP)[0],
-                "bumper_front": cab.corner(_LIP),
+                "bumper_front": cab.corner(_FRONT_LIP),
             }
 
     def _cab_doors(self, cab: Surface, base: float, top: float) -> None:
@@ -142,23 +142,23 @@ class TruckBody:
             (ahead - 0.12, base + 0.02), (behind + 0.06, base + 0.02),
             (behind + 0.06, top - 0.02), (ahead - 0.24, top - 0.02),
         ]  # fmt: skip
-        cab.paint(grown(np.array(window), 0.035), SIDE, "trim", facing=_LEFT)
-        cab.paint(window, SIDE, "glass", facing=_LEFT)
+        cab.paint(grown(np.array(window), 0.035), SIDE, "trim", facing=LEFT_AXIS)
+        cab.paint(window, SIDE, "glass", facing=LEFT_AXIS)
         if s.cab_length > _CREW_CAB:
             second = rectangle(self.cab_rear + 0.25, behind - 0.1, base + 0.02, top - 0.02)
-            cab.paint(grown(second, 0.035), SIDE, "trim", facing=_LEFT)
-            cab.paint(second, SIDE, "glass", facing=_LEFT)
-        sill = s.wheel_radius * (1 + ARCH) + 0.04
+            cab.paint(grown(second, 0.035), SIDE, "trim", facing=LEFT_AXIS)
+            cab.paint(second, SIDE, "glass", facing=LEFT_AXIS)
+        sill = s.wheel_radius * (1 + ARCH_RADIUS_WHEELS) + 0.04
         for x in (ahead - 0.02, behind):
-            cab.line([(x, sill), (x, top + 0.06)], SIDE, width=0.014, facing=_LEFT)
-        cab.line([(ahead, sill), (behind, sill)], SIDE, width=0.014, facing=_LEFT)
+            cab.line([(x, sill), (x, top + 0.06)], SIDE, width=0.014, facing=LEFT_AXIS)
+        cab.line([(ahead, sill), (behind, sill)], SIDE, width=0.014, facing=LEFT_AXIS)
         x, z = behind + 0.14, base - 0.16
         self._parts.append(parts.handle((x, cab.side(np.array([x, z])), z), "trim"))
-        step = s.front_axle_x + ARCH * s.wheel_radius
+        step = s.front_axle_x + ARCH_RADIUS_WHEELS * s.wheel_radius
         if self.face - step > 0.5:
             for z in (s.clearance + 0.18, s.clearance + 0.45):
                 tread = rectangle(step + 0.06, self.face - 0.22, z, z + 0.1)
-                cab.draw(tread, SIDE, "gap", facing=_LEFT)
+                cab.draw(tread, SIDE, "gap", facing=LEFT_AXIS)
         self.points["beltline"] = cab.place((behind + 0.06, base), SIDE)[0]
 
     def _add_cab_parts(self, screen: float, base: float, top: float) -> None:
@@ -208,7 +208,7 @@ class TruckBody:
         self._parts += side_guard(s, start - tank, ahead, side)
 
     def _build_cargo(self) -> None:
-        body, ahead = self.style.body, self.cab_rear - _GAP
+        body, ahead = self.style.body, self.cab_rear - _BODY_GAP_M
         if body == "tractor":
             self._build_fifth_wheel()
             return

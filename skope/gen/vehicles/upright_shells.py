@@ -9,9 +9,9 @@ from skope.gen.vehicles.lofted_surfaces import CENTER, FLOOR, INNER, SIDE_START,
 from skope.gen.vehicles.shape import Shape
 from skope.types import Array
 
-ARCH = 1.13
+ARCH_RADIUS_WHEELS = 1.13
 """Radius of a wheel arch, in radii of its wheel."""
-_EDGE = ((1.3, 0.14, 0.5), (1.65, 0.45, 0.84), (2.0, 1.0, 1.0))
+_ROOF_EDGE_ROWS = ((1.3, 0.14, 0.5), (1.65, 0.45, 0.84), (2.0, 1.0, 1.0))
 """Rows of the edge between wall and roof: shares of its radius inwards and up."""
 
 
@@ -58,7 +58,7 @@ class Tower:
             for outline, share in zip(outlines, shares, strict=True)
         ]
         levels = [FLOOR, INNER, *shares]
-        for level, inward, up in _EDGE:
+        for level, inward, up in _ROOF_EDGE_ROWS:
             plan = _shrunk_plan(walls[-1], inward * self.edge)
             rows.append(np.column_stack([plan.outline(stations), np.full(len(bottom), top + up * self.edge)]))
             levels.append(level)
@@ -105,6 +105,6 @@ def corner_w(w: Array, rear: bool = False) -> float:
 def arch(axle: float, s: Shape) -> Array:
     """The polygon of a wheel arch seen from the side, around an axle's x."""
     angle = np.linspace(0, np.pi, 12)
-    radius = ARCH * s.wheel_radius
+    radius = ARCH_RADIUS_WHEELS * s.wheel_radius
     arc = np.stack([axle + radius * np.cos(angle), s.wheel_radius + radius * np.sin(angle)], axis=-1)
     return np.array([(axle + radius, -0.2), *arc, (axle - radius, -0.2)])

@@ -31,9 +31,9 @@ DENSITY: Final = 115.0
 """Kilograms per cubic metre of the box around a vehicle: what a sedan has."""
 MASSES: Final = (1.0, 1_000_000.0)
 """Least and greatest mass, kilograms: what stands on wheels between a model and the heaviest haul truck."""
-_VERSION: Final = 1
+_MODEL_VERSION: Final = 1
 _MESHES: Final = ("mesh", "wheel")
-_FILES: Final = ("mesh.npz", "vehicle.json")
+_MODEL_FILES: Final = ("mesh.npz", "vehicle.json")
 _FIELDS: Final = ("vertices", "normals", "triangles", "material")
 
 
@@ -99,7 +99,7 @@ def save(vehicle: AddedVehicle) -> Path:
     mesh = io.BytesIO()
     np.savez_compressed(mesh, **arrays)
     row = {
-        "version": _VERSION,
+        "version": _MODEL_VERSION,
         "vehicle_type": vehicle.vehicle_type,
         "shape": asdict(vehicle.shape),
         "mass": vehicle.mass,
@@ -108,7 +108,7 @@ def save(vehicle: AddedVehicle) -> Path:
         "sidecar": vehicle.sidecar.to_dict(),
     }
     row_bytes = (json.dumps(row, indent=1, allow_nan=False) + "\n").encode()
-    files = dict(zip((path / name for name in _FILES), (mesh.getvalue(), row_bytes), strict=True))
+    files = dict(zip((path / name for name in _MODEL_FILES), (mesh.getvalue(), row_bytes), strict=True))
     if any(file.is_file() and file.read_bytes() != data for file, data in files.items()):
         raise UserError(
             f"{path}: another model of that name was added already; choose another --name, "
@@ -130,7 +130,7 @@ def remove(name: str) -> Path:
     path = folder() / name
     try:
         # What makes it a model goes last: a removal that was stopped can be repeated.
-        for file in _FILES:
+        for file in _MODEL_FILES:
             (path / file).unlink(missing_ok=True)
         if not any(path.iterdir()):
             path.rmdir()
@@ -149,7 +149,7 @@ def load(name: str) -> AddedVehicle:
     row = read_json(path / "vehicle.json")
     if not isinstance(row, dict):
         raise UserError(f"{path / 'vehicle.json'}: expected an object, got {row!r:.60}")
-    check_version(path / "vehicle.json", row.get("version"), _VERSION)
+    check_version(path / "vehicle.json", row.get("version"), _MODEL_VERSION)
     try:
         with np.load(path / "mesh.npz", allow_pickle=False) as file:
             arrays = {key: file[key] for key in file.files}
@@ -208,6 +208,6 @@ def names() -> list[str]:
 
 def _digest(path: Path) -> str:
     digest = hashlib.sha256()
-    for name in _FILES:
+    for name in _MODEL_FILES:
         digest.update((path / name).read_bytes())
     return digest.hexdigest()[:16]

@@ -5,7 +5,7 @@ import numpy as np
 from skope.gen.mesh import Mesh, cross, lathe, merged, quads
 from skope.types import Array
 
-_SIDES = 20
+_WHEEL_SIDES = 20
 
 
 def wheel_mesh(radius: float, width: float, spokes: int, rim_share: float = 0.68) -> Mesh:
@@ -21,12 +21,14 @@ def wheel_mesh(radius: float, width: float, spokes: int, rim_share: float = 0.68
             (half * 0.93, rim * 1.02),
         ],
         ["under", *["tyre"] * 4],
-        _SIDES,
+        _WHEEL_SIDES,
         "y",
     )
     deep = half * 0.93 - min(0.075, 0.6 * width)
-    barrel = lathe([(half * 0.93, rim * 1.02), (deep, rim * 0.94)], ["rim"], _SIDES, "y")
-    back = lathe([(deep, rim * 0.94), (deep + 0.01, rim * 0.66), (deep + 0.01, 0.0)], ["under", "disc"], _SIDES, "y")
+    barrel = lathe([(half * 0.93, rim * 1.02), (deep, rim * 0.94)], ["rim"], _WHEEL_SIDES, "y")
+    back = lathe(
+        [(deep, rim * 0.94), (deep + 0.01, rim * 0.66), (deep + 0.01, 0.0)], ["under", "disc"], _WHEEL_SIDES, "y"
+    )
     return merged([tyre, barrel, back, _spokes(rim, half, spokes)])
 
 
@@ -72,7 +74,7 @@ def steel_wheel(radius: float, width: float) -> Mesh:
             (half * 0.96, rim),
         ],
         ["under", *["tyre"] * 4],
-        _SIDES,
+        _WHEEL_SIDES,
         "y",
     )
     dish = lathe(
@@ -87,7 +89,7 @@ def steel_wheel(radius: float, width: float) -> Mesh:
             (half, 0.0),
         ],
         ["rim", "under", "rim", "rim", "disc", "rim", "rim"],
-        _SIDES,
+        _WHEEL_SIDES,
         "y",
     )
     holes = []

@@ -1,7 +1,5 @@
 """Bodies of lorries that change what they carry: hook lifts with containers, skip loaders, decks that carry cars."""
 
-from typing import Final
-
 import numpy as np
 
 from skope.gen.mesh import box
@@ -12,8 +10,6 @@ from skope.gen.vehicles.panels import rectangle
 from skope.gen.vehicles.parts import block
 from skope.gen.vehicles.solids import barrel, beam, ladder, pipe, prism
 from skope.gen.vehicles.upright_shells import Tower
-
-_LEFT: Final = (0.0, 1.0, 0.0)
 
 
 def hook_body(space: CargoSpace) -> Cargo:

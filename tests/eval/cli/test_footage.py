@@ -147,7 +147,7 @@ def test_jumping_into_a_long_video_lands_on_the_frame_that_is_meant(
     path = numbered_video(tmp_path / "v.mp4", 30)
     if varied:
         streams.vary(path, [1] * 15 + [9] * 15)
-    monkeypatch.setattr("skope.eval.inference.footage._FAR", 3)
+    monkeypatch.setattr("skope.eval.inference.footage.SEEK_FRAMES", 3)
     for first in range(30):
         image, pixels = next(open_footage(str(path)).frames(first))
         assert image.frame_index == first

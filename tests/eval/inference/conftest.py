@@ -18,7 +18,7 @@ def own_truth(random_run: Path, tmp_path: Path) -> tuple[Path, Path]:
     run = tmp_path / "run"
     shutil.copytree(random_run, run)
     root = make_dataset(tmp_path / "data", images=2, splits=("train",))
-    predictor = Predictor(run, Settings(device="cpu"), Console(quiet=True))
+    predictor = Predictor.load(run, Settings(device="cpu"), Console(quiet=True))
     path = root / "annotations" / "train.json"
     file = coco.read(path)
     vehicles = []

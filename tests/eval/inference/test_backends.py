@@ -23,12 +23,13 @@ from skope.detector.checkpoint import find_checkpoint, load_weights
 from skope.detector.detect import detect, detect_on_boxes
 from skope.errors import UserError
 from skope.eval.inference.backends import eight_bits
-from skope.eval.inference.backends.network_parts import Floats, NetworkPart, Run, hand_over, parts_of
+from skope.eval.inference.backends.network_parts import NetworkPart, Run, hand_over, parts_of
 from skope.eval.inference.backends.prepare import prepare
 from skope.eval.inference.backends.region_pooling import RegionPooling
 from skope.eval.inference.backends.suppression import suppress_together
 from skope.schema import CATEGORIES
 from skope.terminal.console import Console
+from skope.types import Floats32
 
 PICTURE = Path(__file__).parents[3] / "docs" / "noon.jpg"
 """A generated junction by day; six of its vehicles stand clear of one another."""
@@ -125,7 +126,7 @@ def test_parts_handed_over_to_torch_itself_answer_as_before(random_run: Path, pi
     """Also in an image without vehicles, of which no region reaches the heads."""
 
     def by_itself(part: NetworkPart) -> Run:
-        def run(x: Floats) -> list[Floats]:
+        def run(x: Floats32) -> list[Floats32]:
             out = part.module(torch.from_numpy(x))
             return [one.numpy() for one in (out if isinstance(out, tuple) else (out,))]
 
@@ -254,7 +255,7 @@ def test_an_old_or_broken_runtime_is_one_line_and_auto_says_so(
         "pip install 'skope[openvino]'"
     )
     layers = activation_ranges.rounded_layers(model)
-    ranges = {activation_ranges.KEY: {name: [0.0, 1.0] for name in layers}}
+    ranges = {activation_ranges.RANGES_KEY: {name: [0.0, 1.0] for name in layers}}
     monkeypatch.setattr("skope.eval.inference.backends.prepare.has_bfloat16", lambda _: False)
     said = Said()
     assert prepare(model, ranges, CPU, backend="auto", precision="auto", console=said) == "float32"
@@ -275,7 +276,7 @@ def test_number_formats_that_are_not_there(model: KeypointRCNN) -> None:
     assert refusal(model, backend="onnx", precision="int8") == "--precision int8: backend onnx has float32"
     assert refusal(model, backend="torch", precision="int8") == "--precision int8: backend torch has bfloat16, float32"
     assert "the checkpoint does not say how large its layers' inputs become" in refusal(model, precision="int8")
-    damaged = {activation_ranges.KEY: {"backbone": [0, 1]}}
+    damaged = {activation_ranges.RANGES_KEY: {"backbone": [0, 1]}}
     assert "activation_ranges: expected the least and largest input of each of" in refusal(model, metadata=damaged)
     gpu = torch.device("cuda")
     assert refusal(model, device=gpu) == (

@@ -85,7 +85,7 @@ def test_a_checkpoint_of_its_own(skope: Any, own_truth: tuple[Path, Path], tmp_p
     run, root = own_truth
     out = tmp_path / "calibrated.safetensors"
     common = ("--data", root, "--device", "cpu", "--score", "0.05", "--split", "train")
-    code, said, err = skope("eval", "calibrate", *common, "--checkpoint", run, "--last", "1", "--out", out)
+    code, said, err = skope("eval", "calibrate-scores", *common, "--checkpoint", run, "--last", "1", "--out", out)
     assert code == 0, err
     assert said.splitlines()[-1] == f"Wrote {out}"
     assert "vehicles, after: log loss" in said

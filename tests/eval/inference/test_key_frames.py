@@ -8,9 +8,8 @@ import pytest
 from numpy.typing import NDArray
 
 from skope import boxes
-from skope.detections import AnyResult
 from skope.eval.inference.key_frames import with_frames_between
-from skope.schema import Image, Result, RoadUserResult
+from skope.schema import AnyResult, Image, Result, RoadUserResult
 
 SIZE = (320, 200)
 CAR = (48, 32)

@@ -4,10 +4,9 @@ from functools import partial
 
 import numpy as np
 
-from skope.detections import AnyResult
 from skope.eval.inference.confirmation import Confirmation
 from skope.eval.inference.numbers_by_category import Linked, NumbersByCategory
-from skope.schema import RoadUserResult
+from skope.schema import AnyResult, RoadUserResult
 from tests.eval.inference.test_confirmation import driving, result
 
 

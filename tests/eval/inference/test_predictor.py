@@ -55,7 +55,7 @@ def test_given_boxes_put_keypoints_on_every_ground_truth_vehicle(random_run: Pat
     first, second = file.annotations
     ignored = make_annotation(9, first.image_id, (5, 5, 20, 20), iscrowd=1)
     file = AnnotationFile(images=file.images, annotations=(second, ignored, first), name="easy")
-    found = Predictor(random_run, Settings(device="cpu", given=True), Console(quiet=True)).split(file, root)
+    found = Predictor.load(random_run, Settings(device="cpu", given=True), Console(quiet=True)).split(file, root)
     assert [result.score for result in found] == [1.0, 1.0]
     for result, vehicle in zip(found, (first, second), strict=True):
         assert np.array_equal(result.bbox, vehicle.bbox)
@@ -73,7 +73,7 @@ def test_given_boxes_match_all_vehicles(skope: Any, random_run: Path, tmp_path: 
 
 
 def test_a_split_without_images_has_no_results(random_run: Path, tmp_path: Path) -> None:
-    predictor = Predictor(random_run, Settings(device="cpu"), Console(quiet=True))
+    predictor = Predictor.load(random_run, Settings(device="cpu"), Console(quiet=True))
     assert predictor.split(AnnotationFile(images=(), annotations=()), tmp_path) == ()
     file = AnnotationFile(images=(make_image(1),), annotations=())
     with pytest.raises(ValueError, match="no such file"):
@@ -81,7 +81,7 @@ def test_a_split_without_images_has_no_results(random_run: Path, tmp_path: Path)
 
 
 def predict(run: Path, file: AnnotationFile, root: Path, **settings: Any) -> tuple[Any, ...]:
-    return Predictor(run, Settings(device="cpu", **settings), Console(quiet=True)).split(file, root)
+    return Predictor.load(run, Settings(device="cpu", **settings), Console(quiet=True)).split(file, root)
 
 
 def test_fast_finds_what_scores_high_just_as_well(skope: Any, random_run: Path, tmp_path: Path) -> None:
@@ -142,7 +142,7 @@ def test_too_little_memory_is_said_in_a_line(random_run: Path, monkeypatch: pyte
     def full(*_: Any, **__: Any) -> None:
         raise torch.OutOfMemoryError("CUDA out of memory")
 
-    predictor = Predictor(random_run, Settings(device="cpu", batch_size=4), Console(quiet=True))
+    predictor = Predictor.load(random_run, Settings(device="cpu", batch_size=4), Console(quiet=True))
     monkeypatch.setattr("skope.eval.inference.predictor.detect", full)
     with pytest.raises(UserError, match=r"^cpu: out of memory with 3 images .* lower --batch-size or --min-size$"):
         predictor.detections([np.zeros((48, 64, 3), dtype=np.uint8)] * 3)

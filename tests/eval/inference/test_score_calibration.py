@@ -130,11 +130,11 @@ def test_a_calibrated_checkpoint_says_so_and_scores_by_it(skope: Any, own_truth:
     common = ("--data", root, "--checkpoint", run, "--device", "cpu", "--score", "0.05", "--split", "train")
     assert skope("eval", *common, "--out", "before")[0] == 0
 
-    code, _, err = skope("eval", "calibrate", *common)
+    code, _, err = skope("eval", "calibrate-scores", *common)
     assert (code, err.count("\n")) == (2, 1)
     assert "kept nothing of it for validation" in err
-    assert skope("eval", "calibrate", *common, "--last", "2")[2].startswith("skope: --last: expected a share")
-    code, _, err = skope("eval", "calibrate", *common, "--last", "0.5", "--score", "1")
+    assert skope("eval", "calibrate-scores", *common, "--last", "2")[2].startswith("skope: --last: expected a share")
+    code, _, err = skope("eval", "calibrate-scores", *common, "--last", "0.5", "--score", "1")
     assert code == 2
     assert "none of" in err
 
@@ -143,10 +143,10 @@ def test_a_calibrated_checkpoint_says_so_and_scores_by_it(skope: Any, own_truth:
     coco.write(empty, replace(coco.read(root / "annotations" / "train.json"), annotations=()))
     (Path("empty") / "dataset.json").write_bytes((root / "dataset.json").read_bytes())
     shutil.copytree(root / "images", "empty/images")
-    code, _, err = skope("eval", "calibrate", "--data", "empty", *common[2:-2], "--split", "easy")
+    code, _, err = skope("eval", "calibrate-scores", "--data", "empty", *common[2:-2], "--split", "easy")
     assert (code, "split easy: shows no vehicle to fit to" in err) == (2, True)
 
-    code, out, err = skope("eval", "calibrate", *common, "--last", "1")
+    code, out, err = skope("eval", "calibrate-scores", *common, "--last", "1")
     assert code == 0, err
     assert out.splitlines()[-1].startswith(f"Wrote {run}/epoch_001.calibration.json")
     fitted_on = json.loads((run / "epoch_001.calibration.json").read_text())["fitted_on"]

@@ -125,10 +125,10 @@ def test_a_predictor_looks_at_tiles_too(random_run: Path, tmp_path: Path) -> Non
     truth = patched(tmp_path / "a.png")
     image = read_image(tmp_path / "a.png")
     settings, quiet = Settings(device="cpu"), Console(quiet=True)
-    (plain,) = Predictor(random_run, settings, quiet).detections([image])
+    (plain,) = Predictor.load(random_run, settings, quiet).detections([image])
     assert plain.boxes_xyxy.tolist() == [[20, 66, 130, 96]]
     for batch_size in (1, 3):
-        tiled = Predictor(random_run, replace(settings, tiles="auto", batch_size=batch_size), quiet)
+        tiled = Predictor.load(random_run, replace(settings, tiles="auto", batch_size=batch_size), quiet)
         for found in tiled.detections([image, image]):
             assert sorted(found.boxes_xyxy.tolist()) == truth
 

@@ -138,7 +138,7 @@ def test_too_uncertain_a_camera_is_not_written(skope: Any) -> None:
     coco.write(Path("road.json"), drive(2, 5, speeds=(9.0, 3.0, 6.0, 12.0, -6.0, -9.0)))
     code, _, error = skope("eval", "camera", "--annotations", "road.json", "--noise", 9, "--out", "c.json")
     assert (code, error.count("\n")) == (2, 1)
-    assert "do not tell the camera: " in error
+    assert "frames: no camera can be calibrated from " in error
     assert "--points" in error
     assert not Path("c.json").exists()
 

@@ -10,7 +10,7 @@ from skope.camera.model import Camera
 from skope.camera.uncertain_camera import UncertainCamera
 from skope.eval.tracking.track_flags import flagged
 from skope.eval.tracking.tracks import Track
-from skope.eval.tracking.vehicle_classes import CLASSES, vehicle_class
+from skope.eval.tracking.vehicle_classes import VEHICLE_CLASS_NAMES, vehicle_class
 from skope.schema import VEHICLE_TYPES
 
 
@@ -126,4 +126,4 @@ def test_no_heavy_vehicle_counts_as_a_car(body_type: str) -> None:
     few, many = vehicle_class({"bus": 2}), vehicle_class({"bus": 40})
     assert few[0] == many[0] == "bus"
     assert few[1] < many[1] < 1
-    assert {name for name, _ in (few, many)} < set(CLASSES)
+    assert {name for name, _ in (few, many)} < set(VEHICLE_CLASS_NAMES)

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from skope.gen.bystanders import looks
-from skope.gen.bystanders.bystander import KINDS, Bystander, build
+from skope.gen.bystanders.bystander import BYSTANDER_KINDS, Bystander, build
 from skope.gen.bystanders.joints import SOLE, leg_to, sunk
-from skope.gen.bystanders.luggage import LOADS
+from skope.gen.bystanders.luggage import LUGGAGE_KINDS
 from skope.gen.bystanders.people import Look
 from skope.gen.bystanders.riding import MACHINES, standing_lean
 from skope.gen.mesh import Mesh
@@ -35,10 +35,10 @@ def drawn(kind: str, count: int = 60) -> list[Look]:
     return [looks.drawn(kind, rng, raining=k % 2 == 0) for k in range(count)]
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", BYSTANDER_KINDS)
 def test_every_load_is_drawn_on_the_ground_or_above_and_faces_outward(kind: str) -> None:
     machines = range(len(MACHINES.get(kind, (0,))))
-    for load, machine, passenger in itertools.product(range(len(LOADS)), machines, (0.0, 1.0)):
+    for load, machine, passenger in itertools.product(range(len(LUGGAGE_KINDS)), machines, (0.0, 1.0)):
         look = Look(jointed=1.0, load=float(load), machine=float(machine), passenger=passenger, helmet=1.0)
         body = build(kind, look.to_dict())
         assert all(volume(part) > 0 for part in body.parts)
@@ -47,7 +47,7 @@ def test_every_load_is_drawn_on_the_ground_or_above_and_faces_outward(kind: str)
         assert lowest == pytest.approx(0, abs=0.012)
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", BYSTANDER_KINDS)
 def test_no_pose_reaches_out_of_the_extent(kind: str) -> None:
     for look in drawn(kind, 20):
         body = build(kind, look.to_dict())
@@ -117,17 +117,17 @@ def test_lamps_shine_ahead_and_behind(kind: str, machine: int) -> None:
 
 
 def test_people_differ_and_old_bodies_keep_their_numbers() -> None:
-    for kind in KINDS:
+    for kind in BYSTANDER_KINDS:
         every = drawn(kind, 300)
-        loads = Counter(LOADS[int(look.load)] for look in every)
+        loads = Counter(LUGGAGE_KINDS[int(look.load)] for look in every)
         assert len(loads) >= 5
         assert loads["nothing"] > 40
         assert len({look.palette for look in every}) == 300
         assert {look.helmet for look in every} == ({0.0, 1.0} if kind == "cyclist" else {0.0})
         assert {look.passenger for look in every} == ({0.0} if kind == "pedestrian" else {0.0, 1.0})
         assert {int(look.machine) for look in every} == set(range(len(MACHINES.get(kind, (0,)))))
-    assert any(look.load == LOADS.index("umbrella") for look in drawn("pedestrian", 40))
+    assert any(look.load == LUGGAGE_KINDS.index("umbrella") for look in drawn("pedestrian", 40))
     dry = [looks.drawn("pedestrian", np.random.default_rng(k)) for k in range(100)]
-    assert not any(look.load == LOADS.index("umbrella") for look in dry)
+    assert not any(look.load == LUGGAGE_KINDS.index("umbrella") for look in dry)
     assert Look().to_dict() == {"height": 1.72, "girth": 1.0, "palette": 0.0, "bag": 0.0}
     assert Look(**drawn("cyclist")[0].to_dict()) == drawn("cyclist")[0]

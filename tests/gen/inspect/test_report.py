@@ -139,7 +139,7 @@ def test_a_broken_file_is_named_and_nothing_is_written(spoil: Any, said: str, da
 
 
 def test_no_images_asked_for_is_refused(dataset: Path) -> None:
-    result = CliRunner().invoke(app, ["gen", "report", str(dataset), "--images", "0"])
+    result = CliRunner().invoke(app, ["gen", "report", str(dataset), "--max-images", "0"])
     assert "--images: expected a whole number from 1, got 0" in str(result.exception)
 
 

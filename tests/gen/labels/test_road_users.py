@@ -11,7 +11,7 @@ from pycocotools import mask as coco_mask
 
 from skope.camera.model import Camera
 from skope.gen.bystanders import bystander
-from skope.gen.bystanders.luggage import LOADS
+from skope.gen.bystanders.luggage import LUGGAGE_KINDS
 from skope.gen.bystanders.people import Look
 from skope.gen.labels.annotate import Rules, annotate
 from skope.gen.labels.road_users import annotate_road_users
@@ -23,8 +23,8 @@ from tests.gen.scenes import pose, standing
 
 CAMERA = Camera.looking((0.0, 0.0, 4.0), yaw=0.0, pitch_down=0.2, size=(640, 360), fov=0.9)
 FIGURES = (
-    ("pedestrian", {"load": float(LOADS.index("umbrella"))}, (10.0, 2.4, 0.4)),
-    ("cyclist", {"load": float(LOADS.index("trailer")), "helmet": 1.0}, (12.0, 0.2, 1.9)),
+    ("pedestrian", {"load": float(LUGGAGE_KINDS.index("umbrella"))}, (10.0, 2.4, 0.4)),
+    ("cyclist", {"load": float(LUGGAGE_KINDS.index("trailer")), "helmet": 1.0}, (12.0, 0.2, 1.9)),
     ("motorcyclist", {"passenger": 1.0, "machine": 1.0}, (9.0, -1.6, -0.7)),
     ("pedestrian", {}, (15.8, -3.0, math.pi)),  # behind the car
     ("pedestrian", {}, (8.0, -3.9, 2.0)),  # half outside the image

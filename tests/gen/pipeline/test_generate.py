@@ -332,7 +332,7 @@ def test_a_step_learns_the_same_from_shards(whole: Path, tmp_path: Path) -> None
 
     from skope.train import data, splits
     from skope.train.augment import Augment
-    from skope.train.target_batch import KEY
+    from skope.train.target_batch import IGNORED_KEY
 
     skope("gen", "convert", str(whole), str(tmp_path / "s"), "--to", "shards")
     found = []
@@ -346,7 +346,7 @@ def test_a_step_learns_the_same_from_shards(whole: Path, tmp_path: Path) -> None
         model = keypointrcnn_resnet50_fpn(
             weights=None, weights_backbone=None, num_classes=2, num_keypoints=33, min_size=96, max_size=192
         ).train()
-        target = {name: value for name, value in sample.target.items() if name != KEY}
+        target = {name: value for name, value in sample.target.items() if name != IGNORED_KEY}
         torch.manual_seed(1)
         found.append(model([sample.pixels.float() / 255], [target]))
     assert found[0].keys() == found[1].keys()

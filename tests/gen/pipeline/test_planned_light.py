@@ -5,10 +5,10 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from skope.gen.pipeline.config import HEAVY
+from skope.gen.pipeline.config import HEAVY_TYPES
 from skope.gen.pipeline.planned_light import in_its_light, varied
 from skope.gen.pipeline.presets import presets, tables
-from skope.gen.scene.conditions import LIMITS, Conditions, ranges
+from skope.gen.scene.conditions import CONDITION_LIMITS, Conditions, ranges
 from skope.gen.towns.sites import site, sites
 from skope.gen.vehicles.fleet import fleet
 from tests.gen.pipeline.test_config import asked
@@ -37,7 +37,7 @@ def test_a_split_of_lorries_and_buses_asks_for_them_and_others_do_not() -> None:
     for plan in asked("conditions").plans():
         kinds = {fleet()[name].vehicle.vehicle_type for name in plan.vehicles}
         if plan.site.split == "heavy":
-            assert kinds == HEAVY
+            assert kinds == HEAVY_TYPES
             assert plan.vehicle_share == pytest.approx(0.7)
         else:
             assert not kinds
@@ -47,7 +47,7 @@ def test_a_split_of_lorries_and_buses_asks_for_them_and_others_do_not() -> None:
 def test_world_asks_for_lorries_and_buses_that_may_be_learnt_and_each_traffic_has_a_share() -> None:
     plans = [plan for plan in asked("world").plans() if plan.site.split == "train"]
     models = {name for plan in plans for name in plan.vehicles}
-    assert {fleet()[name].vehicle.vehicle_type for name in models} == HEAVY
+    assert {fleet()[name].vehicle.vehicle_type for name in models} == HEAVY_TYPES
     assert not any(fleet()[name].held_out for name in models)
     shares = {(plan.site.name, plan.leader): plan.vehicle_share or 0.0 for plan in plans}
     assert all((plan.vehicle_share or 0.0) == shares[plan.site.name, plan.leader] for plan in plans)
@@ -72,7 +72,7 @@ def test_a_third_of_world_is_dark_and_most_of_that_night() -> None:
 def test_what_varies_can_be_drawn_and_flags_win_over_it() -> None:
     for wide in tables()["varied_light"].values():
         for name, (low, high) in wide.items():
-            assert LIMITS[name][0] <= low <= high <= LIMITS[name][1]
+            assert CONDITION_LIMITS[name][0] <= low <= high <= CONDITION_LIMITS[name][1]
     plan = next(p for p in asked("world", settings={"glare": (2.0, 2.0)}).plans() if p.site.time_of_day == "night")
     spans = ranges(plan.site.weather, plan.site.time_of_day, {**plan.site.conditions, **plan.settings})
     drawn = Conditions.drawn(spans, np.random.default_rng(0))

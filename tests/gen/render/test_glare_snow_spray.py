@@ -7,7 +7,7 @@ import pytest
 
 from skope.gen.render.burning_lamps import burning
 from skope.gen.render.frame import RenderedFrame
-from skope.gen.render.screen_graphics import _KINDS
+from skope.gen.render.screen_graphics import _GRAPHIC_KINDS
 from skope.gen.render.spray import Spray
 from skope.gen.scene.lamps import LAMPS
 from tests.gen.render.test_weather import CAMERA, SIZE, in_studio, luminance, scene, view
@@ -129,7 +129,7 @@ def test_graphics_stay_in_place_and_cover_what_is_behind_them(day: RenderedFrame
 
 
 def test_every_kind_of_graphics_is_drawn_on_images_of_any_size() -> None:
-    for draw in _KINDS:
+    for draw in _GRAPHIC_KINDS:
         for size in ((180, 320), (64, 48), (1080, 1920)):
             ink, mark = np.zeros((*size, 3), dtype=np.uint8), np.zeros(size, dtype=np.uint8)
             draw(ink, mark, np.random.default_rng(4))

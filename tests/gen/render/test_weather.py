@@ -10,7 +10,7 @@ import pytest
 from skope.camera.model import Camera
 from skope.gen.render.choose_renderer import make_renderer
 from skope.gen.render.frame import STATIC, RenderedFrame
-from skope.gen.render.gl.light import STANDING, _signed_water
+from skope.gen.render.gl.light import STANDING_WATER, _signed_water
 from skope.gen.render.sensor import hidden_below, sigma_of
 from skope.gen.render.vehicle_lamps import lamps_of, lit_lamps
 from skope.gen.scene.conditions import Conditions, ranges
@@ -247,7 +247,7 @@ def test_edges_of_puddles_mirror_as_much_as_what_is_beside_them(standing: int) -
     water = np.random.default_rng(standing).uniform(0.0, 1.0, (24, 50)).astype(np.float32)
     sums = np.zeros(50, dtype=np.float32)
     for k, sample in enumerate(water):
-        sums += (sample + np.float32(STANDING if k < standing else 0)) * np.float32(1 / 24)
+        sums += (sample + np.float32(STANDING_WATER if k < standing else 0)) * np.float32(1 / 24)
     share = _signed_water(sums, 24)
     np.testing.assert_allclose(np.abs(share), water.mean(axis=0), atol=2e-5)
     assert (share < 0).all() == (standing > 12)

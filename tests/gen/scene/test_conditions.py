@@ -8,7 +8,14 @@ import pytest
 
 from skope.errors import UserError
 from skope.gen.render.daylight import Daylight, temperature_color
-from skope.gen.scene.conditions import LIMITS, TIMES_OF_DAY, Conditions, check_settings, parse_settings, ranges
+from skope.gen.scene.conditions import (
+    CONDITION_LIMITS,
+    TIMES_OF_DAY,
+    Conditions,
+    check_settings,
+    parse_settings,
+    ranges,
+)
 from skope.gen.scene.sun import sun_position
 from skope.gen.simulation.simulate import lamps_on
 from skope.schema import WEATHERS
@@ -57,13 +64,13 @@ def test_drawn_from_the_seed_within_the_ranges_or_set() -> None:
 @pytest.mark.parametrize("hour", TIMES_OF_DAY)
 def test_every_default_range_can_be_set(weather: str, hour: str) -> None:
     spans = ranges(weather, hour)
-    assert spans.keys() == LIMITS.keys()
+    assert spans.keys() == CONDITION_LIMITS.keys()
     assert check_settings(spans) == spans
 
 
 def test_the_sun_stands_where_latitude_day_and_hour_put_it() -> None:
     spans = ranges("clear", "noon", parse_settings(["latitude_deg=50", "day=355", "hour=15..16"]))
-    assert spans.keys() == LIMITS.keys() - {"sun_elevation_deg", "sun_azimuth_deg"}
+    assert spans.keys() == CONDITION_LIMITS.keys() - {"sun_elevation_deg", "sun_azimuth_deg"}
     drawn = Conditions.drawn(spans, np.random.default_rng(0))
     elevation, azimuth = sun_position(50.0, 355.0, drawn.hour)
     assert (drawn.sun_elevation_deg, drawn.sun_azimuth_deg) == pytest.approx((elevation, azimuth), rel=1e-3)

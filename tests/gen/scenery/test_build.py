@@ -10,7 +10,7 @@ from skope.gen.render.materials import GROUND, MATERIALS
 from skope.gen.scenery import facade
 from skope.gen.scenery.build import scenery
 from skope.gen.scenery.quads import Solid
-from skope.gen.scenery.street_furniture import CLEARANCE
+from skope.gen.scenery.street_furniture import FURNITURE_CLEARANCE_M
 from skope.gen.towns.layout import CAMERA_CLEARANCE, Layout
 from skope.gen.towns.road_graph import RoadGraph
 from skope.gen.towns.town import Town, towns
@@ -74,7 +74,7 @@ def test_nothing_stands_on_the_carriageway(town: Town) -> None:
     standing = corners(mesh, ~is_ground)
     standing = standing[(standing[..., 2].max(axis=1) > KERB + 1e-6) & (standing[..., 2].min(axis=1) < 5.0)]
     feet = np.unique(standing.reshape(-1, 3)[:, :2].round(4), axis=0)
-    near = shapely.contains_xy(road.buffer(CLEARANCE - 1e-3), feet)
+    near = shapely.contains_xy(road.buffer(FURNITURE_CLEARANCE_M - 1e-3), feet)
     assert not near.any(), feet[near][:5]
 
 

@@ -8,7 +8,7 @@ import pytest
 from skope.gen.mesh import Mesh, numbered_rows
 from skope.gen.render.gl.light import GROUPS
 from skope.gen.render.materials import materials_between, own_color
-from skope.gen.scenery.distractor_shapes import STANDING, skip
+from skope.gen.scenery.distractor_shapes import STANDING_OBJECTS, skip
 from skope.gen.scenery.quads import Solid
 from skope.gen.scenery.roadside_boards import posts
 from skope.gen.scenery.roadside_objects import bales, concrete_barriers, covered_boat, covered_caravan
@@ -38,7 +38,7 @@ HEIGHTS = {
     "ticket_machines": (1.4, 2.7),
 }
 """Lowest and highest top of each kind, metres."""
-every_kind = pytest.mark.parametrize("make", STANDING, ids=lambda make: make.__name__)
+every_kind = pytest.mark.parametrize("make", STANDING_OBJECTS, ids=lambda make: make.__name__)
 
 
 def sights(mesh: Mesh, count: int, rng: np.random.Generator) -> np.ndarray:
@@ -82,7 +82,9 @@ def floating(mesh: Mesh) -> int:
     return int((~held).sum())
 
 
-@pytest.mark.parametrize("make", [make for make in STANDING if make is not skip], ids=lambda make: make.__name__)
+@pytest.mark.parametrize(
+    "make", [make for make in STANDING_OBJECTS if make is not skip], ids=lambda make: make.__name__
+)
 def test_surfaces_look_outward(make: Make) -> None:
     """A skip is open: one sees its walls from inside. Between a print and its wall one may see, but hardly ever."""
     met = np.concatenate(
@@ -125,7 +127,7 @@ def test_scenery_has_their_materials(make: Make) -> None:
 
 
 def test_they_have_their_heights() -> None:
-    named = {make.__name__: make for make in STANDING}
+    named = {make.__name__: make for make in STANDING_OBJECTS}
     for name, (lowest, highest) in HEIGHTS.items():
         for seed in range(40):
             mesh = named[name](np.random.default_rng(seed))

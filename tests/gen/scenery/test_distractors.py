@@ -12,8 +12,8 @@ from skope.gen.mesh import Mesh
 from skope.gen.render.materials import MATERIALS, own_color
 from skope.gen.scenery import build
 from skope.gen.scenery.build import Scenery, scenery
-from skope.gen.scenery.distractor_shapes import STANDING, wall_panel
-from skope.gen.scenery.distractors import CLEARANCE, REACH
+from skope.gen.scenery.distractor_shapes import STANDING_OBJECTS, wall_panel
+from skope.gen.scenery.distractors import OBJECT_CLEARANCE_M, PLACED_WITHIN_M
 from skope.gen.towns.layout import Layout
 from skope.gen.towns.sites import sites_of
 from skope.gen.towns.town import Mast, Town, Variant
@@ -44,13 +44,17 @@ def test_they_stand_beside_roads_sidewalks_and_buildings(name: str, seed: int) -
     corners = mesh.vertices[mesh.triangles]
     plans = shapely.linearrings(corners[..., :2])
     assert len(plans) > 500
-    for region, gap in ((layout.graph.road, CLEARANCE), (layout.sidewalk, 0.05), (unary_union(plain.buildings), 0.0)):
+    for region, gap in (
+        (layout.graph.road, OBJECT_CLEARANCE_M),
+        (layout.sidewalk, 0.05),
+        (unary_union(plain.buildings), 0.0),
+    ):
         shrunk = region.buffer(gap - 0.02) if gap else region.buffer(-0.02)
         shapely.prepare(shrunk)
         assert not shapely.intersects(shrunk, plans).any()
     middles = corners.mean(axis=1)
     away = np.array([layout.camera_distance(place) for place in middles[:, :2]])
-    assert away.max() < REACH + 30.0
+    assert away.max() < PLACED_WITHIN_M + 30.0
     assert (middles[:, 2] > layout.ground.beside(middles[:, :2]) - 1.0).all()
 
 
@@ -63,7 +67,7 @@ def test_the_same_seed_gives_the_same_things() -> None:
 
 
 def test_their_shapes_are_sound() -> None:
-    makes: list[Callable[[np.random.Generator], Mesh]] = [*STANDING, partial(wall_panel, 3.0, 1.0)]
+    makes: list[Callable[[np.random.Generator], Mesh]] = [*STANDING_OBJECTS, partial(wall_panel, 3.0, 1.0)]
     for make in makes:
         for seed in range(5):
             mesh = make(np.random.default_rng(seed))

@@ -8,8 +8,8 @@ from shapely import Point, Polygon
 
 from skope import keypoints
 from skope.camera.model import Camera
-from skope.gen.bystanders.bystander import KINDS, build
-from skope.gen.bystanders.luggage import LOADS
+from skope.gen.bystanders.bystander import BYSTANDER_KINDS, build
+from skope.gen.bystanders.luggage import LUGGAGE_KINDS
 from skope.gen.bystanders.people import HIP, Look
 from skope.gen.labels.annotate import Rules, annotate
 from skope.gen.mesh import Mesh
@@ -17,7 +17,7 @@ from skope.gen.render.choose_renderer import make_renderer
 from skope.gen.scene.lamps import LAMPS
 from skope.gen.simulation.pedestrians import Riders, Walkers
 from skope.gen.simulation.recorder import FLASH, flashed
-from skope.gen.traffic.sumo import STEP, SumoRider
+from skope.gen.traffic.sumo import DEFAULT_STEP_S, SumoRider
 from tests.gen.scenes import standing, with_people
 
 PATH = np.array([[0.0, 0.0, 0.1], [30.0, 0.0, 0.1], [30.0, 40.0, 2.1]])
@@ -29,7 +29,7 @@ def volume(mesh: Mesh) -> float:
     return float((a * np.cross(b, c)).sum() / 6)
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", BYSTANDER_KINDS)
 def test_surfaces_face_outward_and_people_have_the_volume_of_people(kind: str) -> None:
     body = build(kind, Look().to_dict())
     for part in body.parts:
@@ -113,14 +113,14 @@ def test_labelled_people_walk_in_groups_and_keep_to_the_sidewalk() -> None:
     tall = Polygon([(10, -2), (14, -2), (14, 2), (10, 2)])
     assert not Walkers.labelled([straight] * 10, np.random.default_rng(5), [tall]).at(0.0)
     rain = Walkers.labelled([straight] * 40, np.random.default_rng(5), raining=True).at(0.0)
-    assert any(LOADS[int(one.body.look.load)] == "umbrella" for one in rain.values())
+    assert any(LUGGAGE_KINDS[int(one.body.look.load)] == "umbrella" for one in rain.values())
 
 
 def test_labelled_riders_stand_on_their_left_foot_where_they_wait() -> None:
     riders = Riders({"r": "cyclist"}, lambda _: np.random.default_rng(1), jointed=True)
     for speed, leans in ((5.0, False), (0.0, True)):
         state = SumoRider((0.0, 0.0, 0.0), 0.0, 0.0, speed)
-        rider = riders.follow({"r": state}, STEP)["r"]
+        rider = riders.follow({"r": state}, DEFAULT_STEP_S)["r"]
         assert (rider.T_world_body[1, 2] > 0.05) == leans  # to the left
         assert rider.part_poses.shape == (7, 4, 4)
 
@@ -128,15 +128,15 @@ def test_labelled_riders_stand_on_their_left_foot_where_they_wait() -> None:
 def test_riders_lean_into_curves_and_their_wheels_roll() -> None:
     riders, radius, speed = Riders({"r": "motorcyclist"}, lambda _: np.random.default_rng(1)), 20.0, 8.0
     for k in range(80):
-        a = k * STEP * speed / radius
+        a = k * DEFAULT_STEP_S * speed / radius
         ridden = SumoRider((radius * math.sin(a), radius * (1 - math.cos(a)), 0.0), a, 0.0, speed)
-        rider = riders.follow({"r": ridden}, STEP)["r"]
+        rider = riders.follow({"r": ridden}, DEFAULT_STEP_S)["r"]
     top = rider.T_world_body[:3, 2]
     left = rider.T_world_body[:3, :3] @ [0, 1, 0]
     centre = np.array([0, radius, 0]) - rider.T_world_body[:3, 3]
     assert top @ centre / radius == pytest.approx(math.sin(math.atan(speed**2 / radius / 9.81)), abs=0.03)
     assert left @ centre > 0
-    assert rider.travelled == pytest.approx(80 * STEP * speed)
+    assert rider.travelled == pytest.approx(80 * DEFAULT_STEP_S * speed)
 
 
 def test_indicators_flash_and_other_lamps_do_not() -> None:

@@ -21,7 +21,7 @@ from skope.gen.towns.parking import BAY
 from skope.gen.towns.sites import site
 from skope.gen.towns.town import Town
 from skope.gen.traffic.demand import RIDERS, Trip, in_town, trips
-from skope.gen.traffic.sumo import STEP, Traffic
+from skope.gen.traffic.sumo import DEFAULT_STEP_S, Traffic
 from skope.gen.vehicles.fleet import FleetEntry, fleet
 from tests.gen.scenes import driven
 
@@ -31,7 +31,7 @@ SEDAN = fleet()["sedan"].vehicle
 def drive(path: list[Driven]) -> list:
     """Poses of a sedan driven along a path of steps."""
     out = []
-    with World(STEP) as world:
+    with World(DEFAULT_STEP_S) as world:
         for state in path:
             world.advance({"car": (SEDAN, state)})
             out.append(world.poses()["car"])
@@ -39,7 +39,7 @@ def drive(path: list[Driven]) -> list:
 
 
 def straight(speeds: np.ndarray) -> list[Driven]:
-    x = np.concatenate([[0], np.cumsum(speeds[:-1]) * STEP])
+    x = np.concatenate([[0], np.cumsum(speeds[:-1]) * DEFAULT_STEP_S])
     return [Driven((float(a), 2.0, 0.0), 0.0, 0.0, float(v), 0) for a, v in zip(x, speeds, strict=True)]
 
 
@@ -67,7 +67,7 @@ def test_a_newcomer_has_its_velocity_from_the_first_step() -> None:
 
 def test_each_wheel_rolls_what_its_own_place_travels() -> None:
     speed, radius = 5.0, 12.0
-    angle = np.arange(200) * STEP * speed / radius
+    angle = np.arange(200) * DEFAULT_STEP_S * speed / radius
     # The middle of the rear axle is on the circle.
     middle = -SEDAN.shape.rear_axle_x
     path = [
@@ -103,7 +103,7 @@ def test_braking_dips_the_nose_and_accelerating_lifts_it() -> None:
 
 def test_a_left_turn_leans_the_body_to_the_right_and_steers_left() -> None:
     speed, radius = 8.0, 20.0
-    angle = np.arange(160) * STEP * speed / radius
+    angle = np.arange(160) * DEFAULT_STEP_S * speed / radius
     path = [Driven((radius * math.sin(a), radius * (1 - math.cos(a)), 0.0), float(a), 0.0, speed, 0) for a in angle]
     pose = drive(path)[-1]
     left_side_up = pose.T_world_chassis[2, 1]
@@ -146,7 +146,7 @@ def test_sumo_front_bumper_and_compass_are_converted() -> None:
 
     rng = np.random.default_rng(0)
     with Traffic(Town("town01").network, fleet(), vehicles_per_hour=3000, duration=40, rng=rng) as traffic:
-        for _ in range(round(30 / STEP)):
+        for _ in range(round(30 / DEFAULT_STEP_S)):
             snapshot = traffic.step()
         checked = 0
         for name, state in snapshot.vehicles.items():
@@ -213,7 +213,7 @@ def test_broken_recordings_are_named(tmp_path: Path, content: bytes) -> None:
 def test_a_vehicle_far_away_stands_where_the_engine_would_have_it() -> None:
     for pitch in (0.0, 0.08):
         state = Driven((3.0, 4.0, 1.0), 0.7, pitch, 0.0, 0)
-        with World(STEP) as world:
+        with World(DEFAULT_STEP_S) as world:
             for _ in range(120):
                 world.advance({"car": (SEDAN, state)})
             engine = world.poses()["car"]

@@ -12,7 +12,7 @@ from skope.gen.scene.recording import RecordingPlan
 from skope.gen.simulation.simulate import simulate
 from skope.gen.simulation.smooth_paths import LOCK, SPREADS_S, Driven, drivable, reach
 from skope.gen.towns.sites import site
-from skope.gen.traffic.sumo import STEP, Chassis, Snapshot, SumoVehicle
+from skope.gen.traffic.sumo import DEFAULT_STEP_S, Chassis, Snapshot, SumoVehicle
 from skope.gen.vehicles.fleet import fleet
 
 CHASSIS = Chassis.of(fleet()["sedan"].vehicle)
@@ -21,14 +21,19 @@ CHASSIS = Chassis.of(fleet()["sedan"].vehicle)
 def driven(place: Callable[[float], tuple[float, float, float, float]], seconds: float) -> list[Driven]:
     """How a sedan drives whose lane point is at (x, y) with a heading and a speed at each time."""
     out = []
-    for _, states in drivable((snapshot(place, k) for k in range(round(seconds / STEP))), STEP):
+    for _, states in drivable((snapshot(place, k) for k in range(round(seconds / DEFAULT_STEP_S))), DEFAULT_STEP_S):
         out.append(states["car"])
     return out
 
 
 def snapshot(place: Callable[[float], tuple[float, float, float, float]], k: int) -> Snapshot:
-    x, y, yaw, speed = place(k * STEP)
-    return Snapshot(k * STEP, {"car": SumoVehicle(CHASSIS, (x, y), speed * k * STEP, 0.0, yaw, 0.0, speed, 0)}, {}, {})
+    x, y, yaw, speed = place(k * DEFAULT_STEP_S)
+    return Snapshot(
+        k * DEFAULT_STEP_S,
+        {"car": SumoVehicle(CHASSIS, (x, y), speed * k * DEFAULT_STEP_S, 0.0, yaw, 0.0, speed, 0)},
+        {},
+        {},
+    )
 
 
 def rear(state: Driven) -> np.ndarray:
@@ -37,9 +42,9 @@ def rear(state: Driven) -> np.ndarray:
 
 def test_an_even_drive_stays_as_it_is() -> None:
     states = driven(lambda t: (12 * t, 3.0, 0.0, 12.0), 6)
-    assert len(states) == round(6 / STEP) - 2 * reach(STEP)
-    for k, state in enumerate(states, start=reach(STEP)):
-        x = 12 * k * STEP - CHASSIS.lane_point + CHASSIS.middle
+    assert len(states) == round(6 / DEFAULT_STEP_S) - 2 * reach(DEFAULT_STEP_S)
+    for k, state in enumerate(states, start=reach(DEFAULT_STEP_S)):
+        x = 12 * k * DEFAULT_STEP_S - CHASSIS.lane_point + CHASSIS.middle
         assert state.position == pytest.approx((x, 3.0, 0.0), abs=1e-9)
         assert (state.yaw, state.speed) == pytest.approx((0.0, 12.0), abs=1e-9)
 
@@ -58,7 +63,7 @@ def test_on_a_circle_the_rear_axle_runs_inside_and_moves_along_the_heading() -> 
         middle = (a.yaw + b.yaw) / 2
         aside = moved @ [-math.sin(middle), math.cos(middle)]
         assert abs(aside) < 0.003 * np.hypot(*moved) + 1e-4
-        assert (b.yaw - a.yaw) / STEP == pytest.approx(turn, rel=1e-3)
+        assert (b.yaw - a.yaw) / DEFAULT_STEP_S == pytest.approx(turn, rel=1e-3)
 
 
 def test_a_shift_within_a_step_is_driven_within_a_second() -> None:
@@ -105,10 +110,16 @@ def test_vehicles_come_and_go() -> None:
     """One that SUMO has for half a second only drives on evenly outside of it, and is there for half a second."""
     shots = [snapshot(lambda t: (10 * t, 0.0, 0.0, 10.0), k) for k in range(200)]
     shots = [one if 90 <= k < 110 else replace(one, vehicles={}) for k, one in enumerate(shots)]
-    seen = [(k, states["car"]) for k, (_, states) in enumerate(drivable(shots, STEP), start=reach(STEP)) if states]
+    seen = [
+        (k, states["car"])
+        for k, (_, states) in enumerate(drivable(shots, DEFAULT_STEP_S), start=reach(DEFAULT_STEP_S))
+        if states
+    ]
     assert [k for k, _ in seen] == list(range(90, 110))
     for k, state in seen:
-        assert state.position[0] == pytest.approx(10 * k * STEP - CHASSIS.lane_point + CHASSIS.middle, abs=1e-9)
+        assert state.position[0] == pytest.approx(
+            10 * k * DEFAULT_STEP_S - CHASSIS.lane_point + CHASSIS.middle, abs=1e-9
+        )
         assert state.speed == pytest.approx(10.0)
 
 
@@ -122,7 +133,9 @@ def test_vehicles_come_and_go() -> None:
 )
 def test_recorded_velocities_are_how_bodies_move(name: str) -> None:
     """Every step of ten seconds: velocity against a central difference over 0.2 s, slip of the rear axle, yaw, roll."""
-    plan = RecordingPlan(site=site(name), index=0, frames=400, interval=STEP, size=(640, 360), fov_deg=110, seed=0)
+    plan = RecordingPlan(
+        site=site(name), index=0, frames=400, interval=DEFAULT_STEP_S, size=(640, 360), fov_deg=110, seed=0
+    )
     recording, checked = simulate(plan), 0
     for i, vehicle in enumerate(recording.vehicles):
         rows = np.flatnonzero(recording.vehicle == i)
@@ -131,7 +144,7 @@ def test_recorded_velocities_are_how_bodies_move(name: str) -> None:
         if vehicle.parked or not vehicle.labelled or not near or len(rows) < 20:
             continue
         T, velocity = recording.T_world_chassis[rows], recording.velocity[rows]
-        moved = (place[8:] - place[:-8]) / (8 * STEP)
+        moved = (place[8:] - place[:-8]) / (8 * DEFAULT_STEP_S)
         assert np.linalg.norm((moved - velocity[4:-4])[:, :2], axis=1).max() < 1.0
         assert (velocity * T[:, :3, 0]).sum(1).min() > -0.05
         axle = (

@@ -119,7 +119,7 @@ def test_frames_are_at_other_times(plans: Sequence[RecordingPlan]) -> None:
 def replace_parked(recording: Recording) -> Recording:
     """The recording without what stands still."""
     moving = np.hypot(*recording.velocity[:, :2].T) > 0.5
-    rows = {name: getattr(recording, name)[moving] for name in recordings._ROWS}
+    rows = {name: getattr(recording, name)[moving] for name in recordings._ROW_FIELDS}
     return replace(recording, **rows)
 
 

@@ -11,7 +11,7 @@ from skope.errors import UserError
 from skope.gen.render.materials import MATERIALS, own_color
 from skope.gen.vehicles.details import DETAILS, draw_details, styled
 from skope.gen.vehicles.fleet import ParametricVehicle, build, fleet, parametric
-from skope.gen.vehicles.roof_loads import LOADS
+from skope.gen.vehicles.roof_loads import ROOF_LOAD_HEIGHTS_M
 from skope.gen.vehicles.shape import DETAIL_NAMES, Shape
 from skope.gen.vehicles.shape_jitter import jittered
 from tests.gen.thirds import a_third
@@ -111,7 +111,7 @@ def test_dimensions_do_not_depend_on_details() -> None:
     assert before != after == other.bit_generator.state
 
 
-@pytest.mark.parametrize(("load", "over"), LOADS.items())
+@pytest.mark.parametrize(("load", "over"), ROOF_LOAD_HEIGHTS_M.items())
 def test_loads_count_for_the_height(load: str, over: float) -> None:
     wagon = parametric("wagon")
     vehicle = replace(wagon, style=replace(wagon.style, load=load))

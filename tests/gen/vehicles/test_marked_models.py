@@ -13,7 +13,7 @@ from skope.gen.inspect import vehicle_checks
 from skope.gen.mesh import Mesh
 from skope.gen.render import vehicle_lamps
 from skope.gen.vehicles.fleet import fleet
-from skope.gen.vehicles.marked_models import CORNERS, LAMPS, read_marked
+from skope.gen.vehicles.marked_models import LAMP_MATERIALS, WHEEL_CORNERS, read_marked
 
 SEDAN = fleet()["sedan"].vehicle
 GLTF = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, 1.0], [-1.0, 0.0, 0.0]])
@@ -29,7 +29,7 @@ def nodes() -> Nodes:
     """Body, wheels and markers by name, in the vehicle frame."""
     out = {"body": solid(SEDAN.mesh, np.zeros(3))}
     wheels = (SEDAN.wheel.mirrored(), SEDAN.wheel) * 2
-    for corner, wheel, center in zip(CORNERS, wheels, SEDAN.shape.wheel_centers(), strict=True):
+    for corner, wheel, center in zip(WHEEL_CORNERS, wheels, SEDAN.shape.wheel_centers(), strict=True):
         out[f"wheel_{corner}"] = solid(wheel, center)
     for k, point in enumerate(SEDAN.points):
         if k not in keypoints.WHEELS:
@@ -111,10 +111,10 @@ def test_names_serve_as_well_as_numbers(tmp_path: Path) -> None:
 
 def test_wheels_can_be_named(tmp_path: Path) -> None:
     parts = nodes()
-    for corner in CORNERS:
+    for corner in WHEEL_CORNERS:
         parts = renamed(f"wheel_{corner}", f"round_{corner}")(parts)
     path = written(tmp_path / "car.glb", parts)
-    names = {corner: f"round_{corner}" for corner in CORNERS}
+    names = {corner: f"round_{corner}" for corner in WHEEL_CORNERS}
     np.testing.assert_allclose(read_marked(path, wheels=names).points, SEDAN.points, atol=2e-3)
     with pytest.raises(UserError, match="--wheels: no object nothing"):
         read_marked(path, wheels={**names, "front_left": "nothing"})
@@ -173,4 +173,4 @@ def test_a_material_s_name_makes_a_lamp(tmp_path: Path) -> None:
         corners = mesh.vertices[mesh.triangles[mesh.material == mesh.materials.index(name)]]
         assert len(corners) == 12
         assert (np.sign(corners[..., 0]) == end).all()
-    assert set(LAMPS) == set(vehicle_lamps._KINDS) == set(vehicle_checks.PARTS)
+    assert set(LAMP_MATERIALS) == set(vehicle_lamps._LAMP_KINDS) == set(vehicle_checks.LAMP_PARTS)

@@ -12,9 +12,9 @@ from torch import Tensor, nn
 from skope.detector import activation_ranges
 from skope.detector.activation_ranges import Ranges
 
-_STEPS: Final = 255
-_LARGEST: Final = 127
-_LEAST: Final = 1e-12
+_INPUT_STEPS: Final = 255
+_LARGEST_STEP: Final = 127
+_LEAST_STEP: Final = 1e-12
 """Least step of a weight: a channel of zeros has none."""
 
 
@@ -37,16 +37,16 @@ class _Rounded(nn.Module):
         super().__init__()
         self.layer = layer
         low, high = min(low, 0.0), max(high, 0.0)  # the padding's zeros have to be exact
-        self._step = max(high - low, _LEAST) / _STEPS
+        self._step = max(high - low, _LEAST_STEP) / _INPUT_STEPS
         self._zero = round(-low / self._step)
         largest = layer.weight.detach().flatten(1).abs().amax(1)
-        self._steps = (largest / _LARGEST).clamp(min=_LEAST)
+        self._steps = (largest / _LARGEST_STEP).clamp(min=_LEAST_STEP)
 
     def forward(self, x: Tensor) -> Tensor:
-        x = torch.fake_quantize_per_tensor_affine(x, self._step, self._zero, 0, _STEPS)
+        x = torch.fake_quantize_per_tensor_affine(x, self._step, self._zero, 0, _INPUT_STEPS)
         zeros = torch.zeros(len(self._steps), dtype=torch.int32)
         weight = torch.fake_quantize_per_channel_affine(
-            self.layer.weight, self._steps, zeros, 0, -_LARGEST - 1, _LARGEST
+            self.layer.weight, self._steps, zeros, 0, -_LARGEST_STEP - 1, _LARGEST_STEP
         )
         if isinstance(self.layer, nn.Conv2d):
             layer = self.layer

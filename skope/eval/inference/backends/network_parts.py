@@ -12,17 +12,15 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Final
 
-import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor, nn
 from torchvision.models.detection import KeypointRCNN
 
 from skope.eval.inference.backends.handed_proposals import HandedProposals, PyramidWithProposals
 from skope.eval.inference.backends.region_pooling import RegionPooling
+from skope.types import Floats32
 
-Floats = NDArray[np.float32]
-Run = Callable[[Floats], list[Floats]]
+Run = Callable[[Floats32], list[Floats32]]
 """Computes a part: its input, (N, ...), to its outputs. They may be overwritten by the next call."""
 
 PYRAMID: Final = "pyramid"
@@ -31,7 +29,7 @@ KEYPOINT_HEAD: Final = "keypoint_head"
 
 INPUT: Final = "x"
 _OPSET: Final = 17
-_LEVELS: Final = 5
+_PYRAMID_LEVELS: Final = 5
 _UPSAMPLED: Final = 2
 """torchvision's keypoint predictor enlarges its maps by this factor."""
 
@@ -117,7 +115,9 @@ class _HandedPyramid(PyramidWithProposals):
 
     def forward(self, images: Tensor) -> OrderedDict[str, Tensor]:
         out = _computed(self._run, images)
-        features, scores, offsets = (out[i : i + _LEVELS] for i in range(0, 3 * _LEVELS, _LEVELS))
+        features, scores, offsets = (
+            out[i : i + _PYRAMID_LEVELS] for i in range(0, 3 * _PYRAMID_LEVELS, _PYRAMID_LEVELS)
+        )
         self.proposals = (scores, offsets)
         return OrderedDict(zip(("0", "1", "2", "3", "pool"), features, strict=True))
 

@@ -1,4 +1,4 @@
-"""Who multiplies: torch, or a runtime that is faster on the CPU; and in which number format."""
+"""Choose what computes the costly parts: torch, or a runtime that is faster on the CPU; and in which number format."""
 
 from collections.abc import Mapping
 from typing import Any

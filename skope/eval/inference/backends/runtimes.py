@@ -15,7 +15,8 @@ import torch
 
 from skope.detector.device import has_bfloat16
 from skope.errors import UserError
-from skope.eval.inference.backends.network_parts import INPUT, Floats, NetworkPart, Run
+from skope.eval.inference.backends.network_parts import INPUT, NetworkPart, Run
+from skope.types import Floats32
 
 
 class UnusableError(UserError):
@@ -68,7 +69,7 @@ class Runtime(ABC):
         with self._blamed():
             run = self._compiled(part, number)
 
-        def guarded(x: Floats) -> list[Floats]:
+        def guarded(x: Floats32) -> list[Floats32]:
             with self._blamed():
                 return run(x)
 
@@ -104,7 +105,7 @@ class OpenVino(Runtime):
         model, steady = core.read_model(part.to_onnx()), part.steady
         compiled: dict[tuple[int, ...] | None, Any] = {}
 
-        def run(x: Floats) -> list[Floats]:
+        def run(x: Floats32) -> list[Floats32]:
             # Compiled for one size the pyramid is a fifth faster than for any size.
             own = steady and (not compiled or x.shape in compiled)
             shape = x.shape if own else None

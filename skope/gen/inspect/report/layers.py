@@ -18,7 +18,7 @@ from skope.pictures import draw
 from skope.schema import Annotation, Image, RoadUser
 from skope.terminal.console import counted
 
-LAYERS: Final = {
+LAYER_TITLES: Final = {
     "boxes": "boxes",
     "points": "keypoints (rings: hidden)",
     "boxes3d": "3D boxes (thick: front)",

@@ -10,7 +10,7 @@ from typing import Final
 from skope.dataset.folder import Dataset
 from skope.errors import UserError
 from skope.files.atomic import write_text
-from skope.gen.inspect.report.layers import LAYERS, SHOWN, figure, kind_of
+from skope.gen.inspect.report.layers import LAYER_TITLES, SHOWN, figure, kind_of
 from skope.gen.inspect.report.plots import Spread, plots, spread_of
 from skope.gen.inspect.report.sample import spread
 from skope.gen.inspect.stats import SplitStats, rows, split_stats
@@ -89,7 +89,7 @@ def _controls(chosen: Sequence[Labelled]) -> str:
         _select(key, words, counts) for key, words in _FILTERS.items() if len(counts := _kinds(key, chosen)) > 1
     )
     status = tag("output", f"{len(chosen)} images", class_="count")
-    parts = [switches("Layers", {name: words for name, words in LAYERS.items() if _has(name, chosen)}, SHOWN)]
+    parts = [switches("Layers", {name: words for name, words in LAYER_TITLES.items() if _has(name, chosen)}, SHOWN)]
     parts.append(tag("fieldset", tag("legend", "Filters"), filters, status, class_="choices filters"))
     return tag("div", *parts, class_="controls")
 

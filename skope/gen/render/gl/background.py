@@ -25,7 +25,7 @@ from skope.gen.render.gl.context import (
     put,
     shader_sources,
 )
-from skope.gen.render.gl.light import SHADOW_RADIUS, Stage, sun_map_size
+from skope.gen.render.gl.light import SHADOW_MAP_M, Stage, sun_map_size
 from skope.gen.render.gl.street_lights import StreetLights
 from skope.gen.render.gl.water import Plane, plane_of, uniforms_of
 from skope.gen.render.palette import Palette
@@ -36,12 +36,12 @@ from skope.types import Array
 SCALE: Final = 2
 """Samples per pixel and axis of the vehicles' picture, and of the depth that hides it."""
 _MIRROR: Final = 128
-_LIGHT: Final = (
+_LIGHT_CONDITIONS: Final = (
     "sun_elevation_deg", "sun_azimuth_deg", "clouds", "wetness", "puddles",
     "street_lighting", "street_light_k", "street_lights_lit", "lit_windows", "infrared", "snow_cover",
 )  # fmt: skip
 """Conditions that the scenery's light depends on."""
-_PARTS: Final = 4
+_LIGHT_PARTS: Final = 4
 """Of the light's samples, for workers to share."""
 
 
@@ -96,7 +96,7 @@ def light_the_scenery(device: Device, recording: Recording, on_light: Callable[[
     fine = device.depth_target((SCALE * size[0], SCALE * size[1]))
     stage.draw_depth(fine, projection(camera.K, (0, 0, *size)) @ stage.view, seen=True)
     sun_map = device.shadow_map(sun_map_size(camera))
-    clip, sun_map_from = light_projection(stage.daylight.sun_direction, stage.focus, SHADOW_RADIUS)
+    clip, sun_map_from = light_projection(stage.daylight.sun_direction, stage.focus, SHADOW_MAP_M)
     if recording.photograph is None:
         stage.draw_depth(sun_map, clip)
         light = _cached_light(stage, road if wet else None, _light_digest(device, recording), on_light)
@@ -137,7 +137,7 @@ def _cached_light(stage: Stage, road: Plane | None, digest: str, on_light: Calla
 
     `on_light` is called before each part that is not in the cache.
     """
-    shares = stage.light_parts(_PARTS if stage.device.software else 1)
+    shares = stage.light_parts(_LIGHT_PARTS if stage.device.software else 1)
     works: list[Callable[[], Arrays]] = [*shares]
     if road:
         works.append(partial(stage.mirrored, road))
@@ -222,7 +222,7 @@ def _light_digest(device: Device, recording: Recording) -> str:
         json.dumps(camera.to_dict()),
         f"{camera.width}x{camera.height}",
         str(mesh.materials),
-        *(str(getattr(recording.conditions, name)) for name in _LIGHT),
+        *(str(getattr(recording.conditions, name)) for name in _LIGHT_CONDITIONS),
         str(recording.conditions.visibility_m if recording.conditions.wetness > 0 else 0),
     )
     digest = hashlib.sha256("\n".join(parts).encode())

@@ -16,9 +16,9 @@ from skope.types import Array
 
 IRRADIANCE: Final = 0.06
 """Irradiance of the road right before a headlight, where nothing weakens it, in the units of `Daylight`."""
-REACH: Final = 40.0
+BEAM_REACH_M: Final = 40.0
 """How far headlights light the road, metres."""
-MAP: Final = 1024
+SHADOW_MAP_PX: Final = 1024
 _COLOR: Final = np.array([1.0, 0.9, 0.74])
 
 
@@ -26,7 +26,7 @@ class Beams:
     def __init__(self, device: Device, middle: Array, radius: float, exposure: Array) -> None:
         """The map reaches `radius` around `middle` (world), metres."""
         self._device, self._middle, self._radius = device, middle, radius
-        self._target = device.target((MAP, MAP), ["1f2"], depth=False)
+        self._target = device.target((SHADOW_MAP_PX, SHADOW_MAP_PX), ["1f2"], depth=False)
         (self.texture,) = self._target.color_attachments
         self.texture.filter = (device.gl.LINEAR, device.gl.LINEAR)
         self.texture.repeat_x = self.texture.repeat_y = False
@@ -48,14 +48,14 @@ class Beams:
         program = device.program("contact.vert.glsl", "beam.frag.glsl")
         corners = np.concatenate([self._beam_triangles(one) for one in lit])
         device.triangles(program, corners, "2f 2f 3f", "in_at", "in_local", "in_size")
-        return [beam_hull_of(one.vehicle, one.T_world_chassis, camera, REACH) for one in lit]
+        return [beam_hull_of(one.vehicle, one.T_world_chassis, camera, BEAM_REACH_M) for one in lit]
 
     def _beam_triangles(self, one: PlacedVehicle) -> NDArray[np.float32]:
         """(6, 7) corners of two triangles around the road that a vehicle lights: their place in the map, their place
         ahead of its bumper, how far its light reaches, half its width, its height."""
         length, width, height = one.vehicle.size_lwh
-        local = beam_corners(REACH)[[0, 1, 2, 0, 2, 3]]
+        local = beam_corners(BEAM_REACH_M)[[0, 1, 2, 0, 2, 3]]
         T = one.T_world_chassis
         world = (local + [length / 2, 0]) @ T[:2, :2].T + T[:2, 3]
-        size = np.tile([REACH, width / 2, height], (6, 1))
+        size = np.tile([BEAM_REACH_M, width / 2, height], (6, 1))
         return np.column_stack([(world - self._middle[:2]) / self._radius, local, size]).astype(np.float32)

@@ -21,12 +21,12 @@ from skope.gen.render.pixel_windows import Window
 from skope.gen.scene.lamps import LAMPS
 from skope.types import Array
 
-NEAR: Final = 0.3
-FAR: Final = 1500.0
+NEAR_PLANE_M: Final = 0.3
+FAR_PLANE_M: Final = 1500.0
 PAINT: Final = len(MATERIALS)
 """Number of the material whose colour is the vehicle's own."""
 
-_NUMBERS: Final = {**{name: i for i, name in enumerate(MATERIALS)}, "paint": PAINT}
+_MATERIAL_NUMBERS: Final = {**{name: i for i, name in enumerate(MATERIALS)}, "paint": PAINT}
 
 
 def linear(srgb: Any) -> Array:
@@ -49,15 +49,15 @@ def _shader_source(name: str) -> str:
 def _material_number(material: str) -> int:
     """A material's number in shaders; colours such as "#a0b4c8" have numbers of their own, four bits a channel."""
     if not material.startswith("#"):
-        return _NUMBERS[material]
+        return _MATERIAL_NUMBERS[material]
     red, green, blue = (int(material[i : i + 2], 16) // 17 for i in (1, 3, 5))
-    return len(_NUMBERS) + (red << 8 | green << 4 | blue)
+    return len(_MATERIAL_NUMBERS) + (red << 8 | green << 4 | blue)
 
 
 def _shader_defines() -> str:
-    lines = [f"#define M_{name.upper()} {number}" for name, number in _NUMBERS.items()]
+    lines = [f"#define M_{name.upper()} {number}" for name, number in _MATERIAL_NUMBERS.items()]
     lines += [f"#define LAMP_{name.upper()} {bit}" for name, bit in LAMPS.items()]
-    return "\n".join([*lines, f"#define MATERIAL_COUNT {len(_NUMBERS)}"])
+    return "\n".join([*lines, f"#define MATERIAL_COUNT {len(_MATERIAL_NUMBERS)}"])
 
 
 _READBACK: Final = 1 << 24
@@ -285,10 +285,10 @@ def pattern_tables(palette: Palette) -> tuple[NDArray[np.float32], NDArray[np.fl
 
     The fourth value is the size, metres, of the first, and motif and turn together of the second; 0 for no pattern.
     """
-    first, second = np.zeros((2, len(_NUMBERS), 4), dtype=np.float32)
+    first, second = np.zeros((2, len(_MATERIAL_NUMBERS), 4), dtype=np.float32)
     for name, pattern in palette.patterns.items():
-        first[_NUMBERS[name]] = [*linear(pattern.first), pattern.size_m]
-        second[_NUMBERS[name]] = [*linear(pattern.second), pattern.motif + pattern.turn]
+        first[_MATERIAL_NUMBERS[name]] = [*linear(pattern.first), pattern.size_m]
+        second[_MATERIAL_NUMBERS[name]] = [*linear(pattern.second), pattern.motif + pattern.turn]
     return first, second
 
 
@@ -320,7 +320,10 @@ def projection(K: Array, window: Window, jitter: tuple[float, float] = (0.0, 0.0
         2 * (K[0, 2] - x0 + jitter[0]) / width - 1,
     )
     out[1, 1], out[1, 2] = 2 * K[1, 1] / height, 2 * (K[1, 2] - y0 + jitter[1]) / height - 1
-    out[2, 2], out[2, 3] = (FAR + NEAR) / (FAR - NEAR), -2 * FAR * NEAR / (FAR - NEAR)
+    out[2, 2], out[2, 3] = (
+        (FAR_PLANE_M + NEAR_PLANE_M) / (FAR_PLANE_M - NEAR_PLANE_M),
+        -2 * FAR_PLANE_M * NEAR_PLANE_M / (FAR_PLANE_M - NEAR_PLANE_M),
+    )
     out[3, 2] = 1
     return out
 

@@ -39,12 +39,12 @@ Parts = list[tuple[DeviceMesh, tuple[str, ...]]]
 """Meshes with the options of the programs that draw them."""
 
 SAMPLES: Final = 24
-STANDING: Final = 64
+STANDING_WATER: Final = 64
 """Added to the share of light that water mirrors where it stands: more than all samples' shares together."""
 MIRRORED_SHARE: Final = 4
 """The mirror image on wet ground has this many times fewer samples, and half the resolution: water blurs it."""
 SKY_MAP: Final = 2048
-SHADOW_RADIUS: Final = 140.0
+SHADOW_MAP_M: Final = 140.0
 GROUPS: Final = {
     "WALLS": ("brick", "sandstone"),
     "GROUND": ("asphalt", "grass"),
@@ -116,7 +116,7 @@ class Stage:
             "u_pixels": camera.width / 1920,
             "u_wetness": conditions.wetness,
             "u_puddles": conditions.puddles,
-            "u_standing": STANDING,
+            "u_standing": STANDING_WATER,
             "u_lit_windows": conditions.lit_windows,
             "u_all_lit": conditions.street_lights_lit >= 1,
             "u_snow": conditions.snow_cover,
@@ -248,7 +248,7 @@ class Stage:
         toward_sky = _on_hemisphere(k, samples)
         uniforms: dict[str, Any] = {"u_sky_direction": toward_sky, "u_sky_radiance": self.daylight.sky(toward_sky)}
         for unit, (name, target, toward) in enumerate((("sun", sun, toward_sun), ("sky", sky, toward_sky)), start=1):
-            clip, texture = light_projection(toward, middle, SHADOW_RADIUS)
+            clip, texture = light_projection(toward, middle, SHADOW_MAP_M)
             self.draw_depth(target, clip)
             target.depth_attachment.use(unit)
             uniforms |= {f"u_{name}_map": unit, f"u_{name}_map_from": texture}
@@ -305,9 +305,9 @@ def _half_precision(pixels: NDArray[np.float32]) -> NDArray[np.float16]:
 
 
 def _signed_water(water: NDArray[np.float32], samples: int) -> NDArray[np.float32]:
-    """Means of samples that have STANDING more where water stands -> means without, negative where most have it."""
-    standing = np.floor(water * (samples / STANDING) + 1e-3)
-    share = np.maximum(water - standing * (STANDING / samples), 0.0)
+    """Means of samples that have STANDING_WATER more where water stands -> means without; negative: most have it."""
+    standing = np.floor(water * (samples / STANDING_WATER) + 1e-3)
+    share = np.maximum(water - standing * (STANDING_WATER / samples), 0.0)
     return np.asarray(np.where(2 * standing > samples, -share, share), dtype=np.float32)
 
 
@@ -372,7 +372,7 @@ def _in_view(mesh: Mesh, camera: Camera, placed: Array) -> NDArray[np.int64]:
 def _within_reach(mesh: Mesh, camera: Camera) -> NDArray[np.bool_]:
     """Triangles that may throw shadows into the view."""
     away = np.linalg.norm((mesh.vertices - camera.position - _view_focus(camera))[:, :2], axis=-1)
-    return np.asarray((away < 2 * SHADOW_RADIUS)[mesh.triangles].any(axis=-1))
+    return np.asarray((away < 2 * SHADOW_MAP_M)[mesh.triangles].any(axis=-1))
 
 
 def _upload_parts(device: Device, mesh: Mesh, camera: Camera) -> Parts:

@@ -12,7 +12,7 @@ from skope.gen.render.gl.placed_vehicles import PlacedVehicle
 from skope.gen.vehicles.model import straight_lwh
 from skope.types import Array
 
-LEAST: Final = 1.5
+LEAST_BLUR_PX: Final = 1.5
 """Vehicles that move less than this are drawn sharp, pixels."""
 
 
@@ -41,7 +41,7 @@ def moving(placed: Iterable[PlacedVehicle], velocity: Array, shutter_s: float, c
         step = 0.5 * shutter_s * velocity[one.index]
         pixels, depth, valid = camera.project(np.stack([middle - step, middle + step]))
         way = pixels[1] - pixels[0]
-        if valid.all() and depth.min() > length and way @ way > LEAST**2:
+        if valid.all() and depth.min() > length and way @ way > LEAST_BLUR_PX**2:
             swept = cv2.convexHull(np.concatenate([one.hull - 0.5 * way, one.hull + 0.5 * way]).astype(np.float32))
             # A trailer's end is a whole length away from where the vehicle is; others reach half of theirs.
             reach = (0.6 if one.vehicle.trailer is None else 1.0) * length

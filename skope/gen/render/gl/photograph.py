@@ -22,13 +22,13 @@ from skope.gen.towns.town import Town
 from skope.gen.towns.user_road import OwnRoad
 from skope.types import Array
 
-_ROAD: Final = linear(np.array(MATERIALS["asphalt_worn"]))
+_ROAD_ALBEDO: Final = linear(np.array(MATERIALS["asphalt_worn"]))
 """(3,) share of the light that a road returns."""
-_NEAR: Final = 80.0
+_MEASURED_WITHIN_M: Final = 80.0
 """Distance from the camera up to which the photograph's road is measured, metres."""
 _STOPS: Final = (-16.0, 4.0)
 """Range of the light that the camera's curve is tabulated for, powers of two."""
-_STEPS: Final = 4096
+_TABLE_STEPS: Final = 4096
 _TINT: Final = (0.6, 1.6)
 """How far the colour of the light may be from that of the hour."""
 
@@ -40,7 +40,7 @@ def fitted(device: Device, daylight: Daylight, road: OwnRoad) -> Daylight:
     """
     picture = road.picture((road.camera.width, road.camera.height))
     seen = light_of(device, picture[_road_pixels(road)])
-    gain = np.maximum(np.median(seen, axis=0), 1e-4) * np.pi / (_ROAD * daylight.ground_irradiance)
+    gain = np.maximum(np.median(seen, axis=0), 1e-4) * np.pi / (_ROAD_ALBEDO * daylight.ground_irradiance)
     tint = np.clip(gain / gain.mean(), *_TINT)
     light = replace(
         daylight,
@@ -50,7 +50,7 @@ def fitted(device: Device, daylight: Daylight, road: OwnRoad) -> Daylight:
         gains=np.ones(3),
         vignetting=0.0,
     )
-    wanted = np.median(seen, axis=0).mean() * np.pi / (_ROAD * light.ground_irradiance).mean()
+    wanted = np.median(seen, axis=0).mean() * np.pi / (_ROAD_ALBEDO * light.ground_irradiance).mean()
     return replace(light, gains=np.full(3, wanted / light.exposure.mean()))
 
 
@@ -102,14 +102,14 @@ def light_of(device: Device, rgb: NDArray[np.uint8]) -> Array:
 def _inverse_curve(device: Device) -> Array:
     """(256,) light for each value of a picture: the shaders' own curve, turned round."""
     program = device.program("screen.vert.glsl", "curve.frag.glsl")
-    target = device.target((_STEPS, 1), ["4f4"], depth=False)
+    target = device.target((_TABLE_STEPS, 1), ["4f4"], depth=False)
     low, high = _STOPS
-    put(program, {"u_size": [_STEPS, 1], "u_jitter": [0.0, 0.0], "u_low": low, "u_high": high})
+    put(program, {"u_size": [_TABLE_STEPS, 1], "u_jitter": [0.0, 0.0], "u_low": low, "u_high": high})
     target.use()
     device.context.enable_only(device.gl.NOTHING)
     device.screen(program)
     values = np.frombuffer(target.read(components=4, dtype="f4"), dtype=np.float32).reshape(-1, 4)[:, 0]
-    stops = np.interp(np.minimum(np.arange(256), 254.6) / 255, values, np.linspace(low, high, _STEPS))
+    stops = np.interp(np.minimum(np.arange(256), 254.6) / 255, values, np.linspace(low, high, _TABLE_STEPS))
     return np.concatenate([[0.0], 2.0 ** stops[1:]])
 
 
@@ -120,7 +120,7 @@ def _road_pixels(road: OwnRoad) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     rows, columns = (at.ravel() for at in np.mgrid[0 : camera.height : step, 0 : camera.width : step])
     eye = camera.position
     places = ground_places(camera, np.stack([columns, rows], axis=-1) + 0.5, graph.road_level(eye[:2]))[:, :2]
-    near = np.linalg.norm(places - eye[:2], axis=1) < _NEAR
+    near = np.linalg.norm(places - eye[:2], axis=1) < _MEASURED_WITHIN_M
     on_road = near & shapely.contains_xy(graph.ground_road, graph.world(np.nan_to_num(places)))
     outlines = [*(one.polygon for one in road.occluders), *road.shades]
     hidden = shapely.unary_union([shapely.Polygon(outline).buffer(0) for outline in outlines])

@@ -16,7 +16,7 @@ from skope.gen.vehicles.model import TRAILER_PART, Body
 from skope.gen.vehicles.paints import PAINTS
 from skope.types import Array
 
-PARTS: Final = "PARTS 8"
+PARTS_DEFINITION: Final = "PARTS 8"
 """Definition for the shaders: a vehicle has up to eight parts, its body and four wheels, a trailer and two more wheels.
 """
 PANES: Final = ("glass", "glass_tinted")

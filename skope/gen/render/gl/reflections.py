@@ -9,13 +9,13 @@ from numpy.typing import NDArray
 
 from skope.camera.model import Camera
 from skope.gen.render.gl.context import Device, projection, put
-from skope.gen.render.gl.placed_vehicles import PARTS, PlacedVehicle
+from skope.gen.render.gl.placed_vehicles import PARTS_DEFINITION, PlacedVehicle
 from skope.gen.render.gl.water import Plane
 from skope.gen.render.pixel_windows import TILE, mirror_hull_of, runs, tiles
 
 BLUR: Final = 64
 """How far water blurs a mirror image up and down in an image 1920 pixels wide (see blur.glsl), pixels."""
-FARTHEST: Final = 90.0
+MIRRORED_WITHIN_M: Final = 90.0
 """Vehicles farther from the camera than this are not mirrored, metres."""
 
 
@@ -46,7 +46,7 @@ class Reflections:
         """
         device, camera = self._device, self._camera
         size = (camera.width, camera.height)
-        near = [one for one in placed if one.distance < FARTHEST]
+        near = [one for one in placed if one.distance < MIRRORED_WITHIN_M]
         hulls = [mirror_hull_of(one.vehicle, one.T_world_parts, camera, self._road.mirror) for one in near]
         reach = -(-round(BLUR * size[0] / 1920) // TILE)
         around = cv2.dilate(tiles(hulls, size).astype(np.uint8), np.ones((2 * reach + 1, 3), np.uint8)) > 0
@@ -59,7 +59,9 @@ class Reflections:
         device.prepare(self._target, half, own, "SCENERY", "STEP 1")
         device.context.enable_only(device.gl.DEPTH_TEST | device.gl.CULL_FACE)
         device.context.front_face = "ccw"
-        program = device.program("vehicle.vert.glsl", "vehicle.frag.glsl", PARTS, "REFLECTION", *self._options)
+        program = device.program(
+            "vehicle.vert.glsl", "vehicle.frag.glsl", PARTS_DEFINITION, "REFLECTION", *self._options
+        )
         put(program, {**uniforms, **self._uniforms})
         for one in near:
             put(program, {**one.matrices, "u_model": one.matrices["u_world"], **one.look})

@@ -20,7 +20,7 @@ from skope.gen.render.gl.background import SCALE, light_the_scenery
 from skope.gen.render.gl.beams import Beams
 from skope.gen.render.gl.context import Device, DeviceMesh, Readback, light_projection, projection, put
 from skope.gen.render.gl.motion_blur import Moving, moving
-from skope.gen.render.gl.placed_vehicles import PARTS, PlacedVehicle, Placer
+from skope.gen.render.gl.placed_vehicles import PARTS_DEFINITION, PlacedVehicle, Placer
 from skope.gen.render.gl.reflections import Reflections
 from skope.gen.render.gl.street_lights import MAP_RADIUS
 from skope.gen.render.glare import Glare
@@ -43,12 +43,12 @@ from skope.gen.vehicles.model import TRAILER_PART
 from skope.types import Array
 
 SHADOW_MAP: Final = 2048
-FAR: Final = 30.0
+COARSE_FROM_M: Final = 30.0
 """Vehicles farther from the camera than this are drawn coarsely in colour, with windows that are not transparent,
 metres."""
-SHADOW_RADIUS: Final = 60.0
+SHADOWED_WITHIN_M: Final = 60.0
 """Vehicles nearer to the middle of the view than this throw shadows, metres."""
-HAZY: Final = 1e-3
+HAZE_EXTINCTION: Final = 1e-3
 """Extinction of the air, 1/m, from which on it shows before vehicles' shadows."""
 CONTACT_MAP: Final = 1024
 """Texels of the map of the sky that vehicles take from the road, over the same area."""
@@ -78,7 +78,7 @@ class GLRenderer:
         for texture in (*self._color.color_attachments, *self._open.color_attachments):
             texture.filter = (self._device.gl.LINEAR, self._device.gl.LINEAR)
         self._sun_clip, self._sun_map_from = light_projection(
-            self._background.daylight.sun_direction, self._background.focus, SHADOW_RADIUS
+            self._background.daylight.sun_direction, self._background.focus, SHADOWED_WITHIN_M
         )
         self._uniforms = {
             "u_size": list(size),
@@ -86,10 +86,10 @@ class GLRenderer:
             "u_vehicle_sun_map_from": self._sun_map_from,
             "u_sun_map_from": self._sun_map_from,
             "u_sun_at": self._sun_map_from[:3] @ [0, 0, 0.02, 1],
-            "u_open_at": 0.5 - self._background.focus[:2] / (2 * SHADOW_RADIUS),
-            "u_open_scale": 0.5 / SHADOW_RADIUS,
+            "u_open_at": 0.5 - self._background.focus[:2] / (2 * SHADOWED_WITHIN_M),
+            "u_open_scale": 0.5 / SHADOWED_WITHIN_M,
             "u_eye_height": float(camera.position[2]),
-            "u_texel": 0.04 * 0.5 / SHADOW_RADIUS,
+            "u_texel": 0.04 * 0.5 / SHADOWED_WITHIN_M,
         }
         self._options: tuple[str, ...] = ()
         """Definitions that vehicles' programs are compiled with, for this recording's light."""
@@ -97,7 +97,7 @@ class GLRenderer:
         self._beams = self._reflections = None
         if background.daylight.dark:
             self._options = ("LAMPS",)
-            self._beams = Beams(self._device, middle, SHADOW_RADIUS, background.daylight.exposure)
+            self._beams = Beams(self._device, middle, SHADOWED_WITHIN_M, background.daylight.exposure)
             self._uniforms |= {
                 **self._beams.uniforms,
                 "u_lamp_vectors_at": 0.5 - background.focus[:2] / (2 * MAP_RADIUS),
@@ -176,7 +176,7 @@ class GLRenderer:
 
         With `whole` the rest of the target is empty.
         """
-        program = self._device.program("geometry.vert.glsl", "geometry.frag.glsl", PARTS)
+        program = self._device.program("geometry.vert.glsl", "geometry.frag.glsl", PARTS_DEFINITION)
         if whole:
             self._geometry.clear(0, 0, 0, 0)
         self._device.prepare(self._geometry, windows, self._uniforms)
@@ -191,7 +191,7 @@ class GLRenderer:
         device, window = self._device, placed.window
         size = (window[2] - window[0], window[3] - window[1])
         target = _mask_target(device, _rounded_up(size))
-        program = device.program("geometry.vert.glsl", "mask.frag.glsl", PARTS)
+        program = device.program("geometry.vert.glsl", "mask.frag.glsl", PARTS_DEFINITION)
         target.viewport = (0, 0, *size)
         target.use()
         target.clear(0, 0, 0, 0, viewport=(0, 0, *size))
@@ -232,7 +232,7 @@ class GLRenderer:
     def _draw_shadows(self, placed: Sequence[PlacedVehicle]) -> None:
         """The vehicles' shadow map, and the map of the sky that they leave the road."""
         device = self._device
-        program = device.program("geometry.vert.glsl", "shadow.frag.glsl", PARTS)
+        program = device.program("geometry.vert.glsl", "shadow.frag.glsl", PARTS_DEFINITION)
         self._sun_map.use()
         self._sun_map.clear()
         device.context.enable_only(device.gl.DEPTH_TEST)
@@ -241,11 +241,11 @@ class GLRenderer:
         for vehicle in placed:
             if (
                 self._background.daylight.dark
-                or np.linalg.norm(vehicle.T_world_chassis[:2, 3] - middle[:2]) > SHADOW_RADIUS + 10
+                or np.linalg.norm(vehicle.T_world_chassis[:2, 3] - middle[:2]) > SHADOWED_WITHIN_M + 10
             ):
                 continue
             put(program, {"u_model": vehicle.matrices["u_world"], "u_world": vehicle.matrices["u_world"]})
-            (vehicle.mesh if vehicle.distance < FAR else vehicle.coarse).draw(program)
+            (vehicle.mesh if vehicle.distance < COARSE_FROM_M else vehicle.coarse).draw(program)
         self._open.use()
         self._open.clear(1, 1, 1, 1)
         device.context.enable_only(device.gl.BLEND)
@@ -274,7 +274,7 @@ class GLRenderer:
         uniforms |= {**self._bind_textures(units), "u_project": self._project}
 
         def draw(option: str, meshes: Iterable[tuple[PlacedVehicle, DeviceMesh | None]]) -> None:
-            program = device.program("vehicle.vert.glsl", "vehicle.frag.glsl", PARTS, option, *self._options)
+            program = device.program("vehicle.vert.glsl", "vehicle.frag.glsl", PARTS_DEFINITION, option, *self._options)
             put(program, uniforms)
             for vehicle, mesh in meshes:
                 if mesh:
@@ -284,8 +284,11 @@ class GLRenderer:
         if peel:
             draw("PEEL", ((vehicle, vehicle.mesh) for vehicle in placed))
             return
-        near = [vehicle for vehicle in placed if vehicle.distance < FAR]
-        draw("SOLID", ((vehicle, vehicle.solid if vehicle.distance < FAR else vehicle.coarse) for vehicle in placed))
+        near = [vehicle for vehicle in placed if vehicle.distance < COARSE_FROM_M]
+        draw(
+            "SOLID",
+            ((vehicle, vehicle.solid if vehicle.distance < COARSE_FROM_M else vehicle.coarse) for vehicle in placed),
+        )
         # Through the windows the insides of the far walls are seen.
         device.context.cull_face = "front"
         draw("SOLID", ((vehicle, vehicle.coarse) for vehicle in near))
@@ -302,7 +305,7 @@ class GLRenderer:
         if not places:
             return
         device, wet = self._device, ("WET",) if self._reflections else ()
-        air = ("HAZE",) if self._background.daylight.haze_density > HAZY else ()
+        air = ("HAZE",) if self._background.daylight.haze_density > HAZE_EXTINCTION else ()
         program = device.program("tiles.vert.glsl", "composite.frag.glsl", *self._options, *wet, *air, *options)
         units = {
             **self._vehicle_textures(),
@@ -412,7 +415,7 @@ def _footprint(placed: PlacedVehicle, middle: Array) -> Array:
         size = np.array(size_lwh) * [0.5, 0.5, 1.0]
         local = np.array([[-1, -1], [1, -1], [1, 1], [-1, -1], [1, 1], [-1, 1]]) * (size[:2] + CONTACT)
         world = (local + [ahead, 0.0]) @ T[:2, :2].T + T[:2, 3]
-        out.append(np.column_stack([(world - middle[:2]) / SHADOW_RADIUS, local, np.tile(size, (6, 1))]))
+        out.append(np.column_stack([(world - middle[:2]) / SHADOWED_WITHIN_M, local, np.tile(size, (6, 1))]))
     return np.concatenate(out)
 
 

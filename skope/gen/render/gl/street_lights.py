@@ -8,21 +8,21 @@ from numpy.typing import NDArray
 
 from skope.camera.model import Camera
 from skope.gen.render.daylight import Daylight
-from skope.gen.render.gl.context import FAR, projection
+from skope.gen.render.gl.context import FAR_PLANE_M, projection
 from skope.gen.scene.conditions import Conditions
 from skope.types import Array
 
-MOST: Final = 32
+MOST_LAMPS: Final = 32
 """Lamps that light the scenery."""
 CELLS: Final = 3
 """Shadow maps side by side in a texture, on each axis: the nearest lamps throw shadows."""
 CELL: Final = 1024
 """Texels of each, on each side."""
-OPTIONS: Final = ("LAMPS", f"MOST_LAMPS {MOST}", f"SHADOWED_LAMPS {CELLS**2}", f"LAMP_CELLS {CELLS}")
-MAP: Final = 256
+OPTIONS: Final = ("LAMPS", f"MOST_LAMPS {MOST_LAMPS}", f"SHADOWED_LAMPS {CELLS**2}", f"LAMP_CELLS {CELLS}")
+LAMP_MAP_PX: Final = 256
 MAP_RADIUS: Final = 128.0
 """The map on the ground reaches so far from the middle of the view, metres."""
-_REACH: Final = 110.0
+_LIT_WITHIN_M: Final = 110.0
 _OWN: Final = 22.0
 """Radiant intensity of a camera's infrared lamp."""
 _INFRARED_SHARE: Final = 0.35
@@ -53,12 +53,12 @@ class StreetLights:
         offsets = lamps - camera.position if intensity.any() else np.zeros((0, 3))
         ahead = 0.6 * middle[:2]
         away = np.linalg.norm(offsets[:, :2] - ahead, axis=1)
-        order = away.argsort(kind="stable")[:MOST]
-        return cls(offsets[order[away[order] < _REACH]], intensity, _OWN if infrared else 0.0, middle)
+        order = away.argsort(kind="stable")[:MOST_LAMPS]
+        return cls(offsets[order[away[order] < _LIT_WITHIN_M]], intensity, _OWN if infrared else 0.0, middle)
 
     @property
     def uniforms(self) -> dict[str, Any]:
-        padded = np.zeros((MOST, 4))
+        padded = np.zeros((MOST_LAMPS, 4))
         padded[: len(self.positions), :3] = self.positions
         maps = np.zeros((CELLS**2, 4, 4))
         for k in range(self.shadowed):
@@ -88,9 +88,9 @@ class StreetLights:
 
         An unlit fourth channel makes texels of a size that every device takes.
         """
-        side = (np.arange(MAP) + 0.5) / MAP * 2 * MAP_RADIUS - MAP_RADIUS
+        side = (np.arange(LAMP_MAP_PX) + 0.5) / LAMP_MAP_PX * 2 * MAP_RADIUS - MAP_RADIUS
         x, y = np.meshgrid(side + self.middle[0], side + self.middle[1])
-        out = np.zeros((MAP, MAP, 4))
+        out = np.zeros((LAMP_MAP_PX, LAMP_MAP_PX, 4))
         for lamp in self.positions:
             to = np.stack([lamp[0] - x, lamp[1] - y, np.full_like(x, _HEIGHT)], axis=-1)
             square = (to**2).sum(-1, keepdims=True)
@@ -102,11 +102,13 @@ class StreetLights:
 
     def mean(self, vectors: NDArray[np.float16]) -> Array:
         """(3,) irradiance on the road in view."""
-        half = MAP // 6
-        upward = vectors[MAP // 2 - half : MAP // 2 + half, MAP // 2 - half : MAP // 2 + half, 2].astype(np.float64)
+        half = LAMP_MAP_PX // 6
+        upward = vectors[
+            LAMP_MAP_PX // 2 - half : LAMP_MAP_PX // 2 + half, LAMP_MAP_PX // 2 - half : LAMP_MAP_PX // 2 + half, 2
+        ].astype(np.float64)
         own = self.own * 0.35 / 14.0**2 * np.ones(3)
         return np.asarray(self.intensity * upward.mean() + own)
 
 
 _TEXTURE: Final = np.array([[0.5, 0, 0, 0.5], [0, 0.5, 0, 0.5], [0, 0, 0.5, 0.5], [0, 0, 0, 1.0]])
-assert FAR > _REACH
+assert FAR_PLANE_M > _LIT_WITHIN_M

@@ -11,7 +11,7 @@ from skope.types import Array
 
 _NEAR_ROAD: Final = 45.0
 """Depth up to which the plane is fitted to the ground, metres."""
-_LEVEL: Final = 0.97
+_LEVEL_NORMAL_Z: Final = 0.97
 """Least z of the normal of what is taken for ground."""
 
 
@@ -52,7 +52,7 @@ def plane_of(camera: Camera, depth: NDArray[np.float32], slope: NDArray[np.float
     R = camera.T_camera_world[:3, :3]
     normals = np.cross(down, right) @ R
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
-    points = (rays * z[:, None] @ R)[np.abs(normals[:, 2]) > _LEVEL]
+    points = (rays * z[:, None] @ R)[np.abs(normals[:, 2]) > _LEVEL_NORMAL_Z]
     if len(points) < 30:
         return Plane(np.array([0.0, 0.0, 1.0]), float(camera.position[2]))
     design = np.column_stack([points[:, :2], np.ones(len(points))])

@@ -1,0 +1,292 @@
+"""Videos, streams and folders of images, frame by frame: what a detector finds there, and the vehicles' tracks."""
+
+import itertools
+import math
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any, Literal
+
+from skope.api.checks import in_range
+from skope.camera.model import Camera
+from skope.dataset import coco
+from skope.dataset.folder import FRAMES, PREDICTIONS
+from skope.detections import Detections, detections_of_results
+from skope.errors import UserError
+from skope.schema import AnyResult, Image
+from skope.types import Pixels
+
+if TYPE_CHECKING:
+    from skope.eval.inference.footage import Footage
+    from skope.eval.inference.predict_footage import PredictJob
+    from skope.eval.inference.predictor import Predictor
+    from skope.eval.pose.fit_camera import CameraEstimate
+    from skope.eval.pose.views import Scene
+    from skope.eval.tracking.track_list import TrackedVehicle, Tracks
+
+RoadHeight = float | Literal["auto", "fit"] | None
+"""Height of the level road in the camera's world, metres, or how it is found: see `Detector.video`."""
+_HIGHEST_M = 10_000.0
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class VideoFrame:
+    """A frame of a video, and what was found in it."""
+
+    image: Pixels
+    """(H, W, 3) RGB."""
+    index: int
+    """Number of the frame among those that were taken, from 0."""
+    name: str
+    """Name of the image's file; of a video its own and the frame's number in it."""
+    time_s: float | None
+    """Seconds since the video's first frame; None for image files of which nothing says how many a second there are."""
+    detections: Detections
+    """The vehicles, with their `numbers` where they are followed from frame to frame, and other road users."""
+    tracks: "tuple[TrackedVehicle, ...]" = ()
+    """The vehicles in metres, where the video has a camera."""
+    _all_tracks: "Tracks | None" = field(default=None, repr=False)
+
+    def draw(self) -> Pixels:
+        """A copy of the image with what was found: tracks with number, class and speed, or detections with scores."""
+        if self._all_tracks is not None:
+            return self._all_tracks.draw(self.image, self.index)
+        return self.detections.draw(self.image)
+
+
+class Video:
+    """Footage that a detector looks at; `Detector.video` makes one.
+
+    Going through it gives a `VideoFrame` after the other, as they come. With a camera the whole video is looked at
+    first: where a vehicle was is known best when it is known how it went on. Detections that no other frame confirms
+    are left out then, and each frame has its `tracks`.
+    """
+
+    def __init__(
+        self, job: "PredictJob", predictor: "Predictor", *, ground: RoadHeight = "auto", image_fps: float | None = None
+    ) -> None:
+        self._job, self._predictor = job, predictor
+        self._ground, self._image_fps = ground, image_fps
+
+    @property
+    def fps(self) -> float | None:
+        """Frames a second; None for live streams, and for image files of which nothing says it."""
+        return self._image_fps or self._footage.fps
+
+    def _time(self, image: Image, index: int) -> float | None:
+        """Second of a frame."""
+        return image.time_s if self._image_fps is None else index / self._image_fps
+
+    @property
+    def skipped(self) -> tuple[str, ...]:
+        """Sources that could not be read so far, a line of text each."""
+        return tuple(self._footage.skipped)
+
+    @property
+    def _footage(self) -> "Footage":
+        return self._job.footage
+
+    def __iter__(self) -> Iterator[VideoFrame]:
+        return self._with_detections() if self._job.camera is None else self._with_tracks()
+
+    def _with_detections(self) -> Iterator[VideoFrame]:
+        """The frames as they come."""
+        from skope.eval.inference.predict_footage import found_in
+
+        pictures = _Pictures()
+        found_in_each = found_in(self._job, self._predictor.reporting(self._job.score), watched=[pictures])
+        for index, (image, found, _) in enumerate(found_in_each):
+            kept = (one for one in found if one.score > self._job.score)
+            yield VideoFrame(
+                image=pictures.taken.pop(image.id),
+                index=index,
+                name=image.file_name,
+                time_s=self._time(image, index),
+                detections=self._detections(kept, image),
+            )
+
+    def _with_tracks(self) -> Iterator[VideoFrame]:
+        """The frames, read again after everything in them is known."""
+        tracks, folder = self.tracks(), Path(self._results.name)
+        images = coco.read(folder / FRAMES).images
+        results = itertools.groupby(coco.iter_all_results(folder / PREDICTIONS), lambda one: one.image_id)
+        image_id, found = next(results, (None, iter(())))
+        numbers = {image.id: index for index, image in enumerate(images)}
+        for image, pixels in self._footage.frames():
+            if image.id not in numbers:  # the file was changed since
+                continue
+            own: Iterable[AnyResult] = ()
+            if image.id == image_id:
+                own = list(found)
+                image_id, found = next(results, (None, iter(())))
+            index = numbers[image.id]
+            yield VideoFrame(
+                image=pixels,
+                index=index,
+                name=image.file_name,
+                time_s=self._time(image, index),
+                detections=self._detections(own, image),
+                tracks=tracks.at(index),
+                _all_tracks=tracks,
+            )
+
+    def _detections(self, found: Iterable[AnyResult], image: Image) -> Detections:
+        return detections_of_results(found, (image.width, image.height), self._predictor.scheme)
+
+    def tracks(self) -> "Tracks":
+        """The vehicles of the whole video, followed in metres, as `skope eval track` does; computed once.
+
+        Returns:
+            A list of tracks, with smoothed `position` (M, 3), `velocity` (M, 2), `heading` (M,) and `speed` (M,) in
+            each of a vehicle's M `frames`. Its `to_csv` writes them, `skope.count` and `skope.measure_traffic` take it.
+
+        Raises:
+            UserError: The video has no camera or cannot be read, or its images carry no times (`fps` says them).
+        """
+        if self._job.camera is None:
+            raise UserError(f"{self._footage.name}: tracks need a camera: video(source, camera=...)")
+        return self._tracks
+
+    @cached_property
+    def _tracks(self) -> "Tracks":
+        from skope.eval.pose.fit_ground import with_fitted_ground
+        from skope.eval.tracking.track_footage import TrackJob, followed, observation_of, poses_kept, times_of
+        from skope.eval.tracking.track_list import Tracks
+        from skope.terminal.console import SilentConsole
+
+        score = self._job.score
+        scene = self._scene(0.0 if isinstance(self._ground, str) else self._ground)
+        if isinstance(self._ground, str):
+            scene, _ = with_fitted_ground(scene, self._ground, score=score, noise=0.0, sigma_px=None)
+        folder = Path(self._results.name)
+        job = TrackJob(
+            scene=scene,
+            place=folder,
+            out=folder,
+            fps=None,
+            begins=None,
+            noise=0.0,
+            score=score,
+            sigma_px=None,
+            video=False,
+            overlay=False,
+        )
+        times = times_of(scene, self._image_fps)
+        progress = poses_kept(folder)
+        try:
+            tracks, road_users = followed(job, times, progress, Counter[str](), SilentConsole())
+        finally:
+            progress.end()
+        index = [i if image.frame_index is None else image.frame_index for i, image in enumerate(scene.file.images)]
+        observation = observation_of(scene, times, None)
+        return Tracks(tracks, observation, road_users=road_users, frame_index=index)
+
+    def find_camera(
+        self, *, height_m: float | None = None, fov_deg: float | None = None, max_vehicles: int = 40
+    ) -> "CameraEstimate":
+        """Find the camera from the vehicles of the whole video, as `skope eval camera` does.
+
+        Args:
+            height_m: The camera's height over the road, metres, if that is known.
+            fov_deg: The horizontal field of view, degrees, if that is known.
+            max_vehicles: Use at most so many vehicles.
+
+        Returns:
+            The estimate: its `camera` hangs over (0, 0) and looks along x, `sigma_focal`, `sigma_height` and others
+            tell how well it is known.
+
+        Raises:
+            UserError: The vehicles do not tell the camera, and why; or an argument is out of range.
+        """
+        from skope.eval.pose.write_camera import camera_of_vehicles
+
+        for name, value, most in (("height_m", height_m, 200.0), ("fov_deg", fov_deg, 170.0)):
+            if value is not None:
+                in_range(name, value, 0.5, most)
+        in_range("max_vehicles", max_vehicles, 5, math.inf)
+        return camera_of_vehicles(self._scene(None), max_vehicles, height=height_m, fov_deg=fov_deg).estimate
+
+    def _scene(self, ground: float | None) -> "Scene":
+        from skope.eval.pose.views import read_scene
+
+        return read_scene(Path(self._results.name), None, None, None, ground)
+
+    @cached_property
+    def _results(self) -> "TemporaryDirectory[str]":
+        """The folder with predictions and frames of the whole video, as `skope eval predict` writes them."""
+        from skope.eval.inference.predict_footage import Prediction
+        from skope.terminal.console import SilentConsole
+
+        if self._footage.live:
+            raise UserError(f"{self._footage.name}: a live stream has no end: record it to a file first")
+        folder = TemporaryDirectory(prefix="skope-video-")
+        prediction = Prediction(replace(self._job, out=Path(folder.name)), self._predictor)
+        for _ in prediction.frames():
+            pass
+        prediction.write(SilentConsole())
+        return folder
+
+
+class _Pictures:
+    """Keeps the pixels of frames until what is found in them is known."""
+
+    def __init__(self) -> None:
+        self.taken: dict[int, Pixels] = {}
+
+    def watch(self, frames: Iterator[tuple[Image, Pixels]]) -> Iterator[tuple[Image, Pixels]]:
+        """The same frames."""
+        for image, pixels in frames:
+            self.taken[image.id] = pixels
+            yield image, pixels
+
+
+def open_video(
+    predictor: "Predictor",
+    source: str | Path,
+    *,
+    camera: str | Path | Camera | None,
+    ground: RoadHeight,
+    score: float,
+    every: int,
+    seconds: tuple[float, float | None],
+    every_frame: bool,
+    fps: float | None,
+) -> Video:
+    """The video that `Detector.video` gives; `seconds` are begin and end. Raises UserError."""
+    from skope.dataset.camera_of_file import read_camera
+    from skope.eval.inference.footage import Cut, open_footage
+    from skope.eval.inference.predict_footage import PredictJob
+    from skope.eval.pose.camera_error import camera_info
+
+    in_range("score", score, 0.0, 1.0)
+    in_range("every", every, 1, math.inf)
+    start_s, end_s = seconds
+    in_range("start_s", start_s, 0.0, math.inf)
+    if end_s is not None and not end_s > start_s:
+        raise UserError(f"end_s: expected a time after start_s, {start_s:g}, got {end_s:g}")
+    if isinstance(ground, str) and ground not in ("auto", "fit"):
+        raise UserError(f'ground: expected metres, "auto", "fit" or None, got {ground!r}')
+    if ground is not None and not isinstance(ground, str):
+        in_range("ground", ground, -_HIGHEST_M, _HIGHEST_M)
+    if fps is not None:
+        in_range("fps", fps, 0.001, 1000.0)
+    known: Mapping[str, Any] = {}
+    if isinstance(camera, str | Path):
+        known, camera = camera_info(Path(camera)), read_camera(Path(camera))[0]
+    footage = open_footage(str(source), Cut(every=every, start_s=start_s, end_s=math.inf if end_s is None else end_s))
+    job = PredictJob(
+        footage=footage,
+        checkpoint=predictor.weights,
+        out=Path(),  # of a folder of its own, where results are kept
+        settings=predictor.settings,
+        score=score,
+        camera=camera,
+        camera_info=known,
+        every_frame=every_frame,
+    )
+    return Video(
+        job, predictor.reporting(job.least_score, batch_size=1 if footage.live else None), ground=ground, image_fps=fps
+    )
