@@ -48,7 +48,7 @@ def counts_over_time(report: TrafficReport) -> Iterator[str]:
         if lines:
             end = max(x for line in lines for x in line.x) or 1.0
             top = max(y for line in lines for y in line.y if y is not None)
-            axes = Axes(x_label=_hours(report), y_label="road users an hour", x_end=_round(end), y_end=_round(top))
+            axes = Axes(x_label=_hours(report), y_label="road users an hour", x_end=_round(end), y_end=_whole(top))
             yield chart(f"{gate.name}: over time", axes, lines, every=math.ceil(len(report.intervals) / _MARKS))
 
 
@@ -104,7 +104,12 @@ def _histogram(title: str, unit: str, groups: dict[str, list[float]], step: floa
         for name, values in list(enough.items())[:_LINES]
     ]
     top = max(y for line in lines for y in line.y if y is not None)
-    yield histogram(title, Axes(x_label=unit, y_label="how many", x_end=end, y_end=_round(top)), lines)
+    yield histogram(title, Axes(x_label=unit, y_label="how many", x_end=end, y_end=_whole(top)), lines)
+
+
+def _whole(value: float) -> float:
+    """A round number that is no smaller and has whole numbers at all parts of an axis."""
+    return _PARTS * max(1.0, math.ceil(_round(value / _PARTS) - 1e-9))
 
 
 def _round(value: float) -> float:
