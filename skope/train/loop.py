@@ -13,7 +13,7 @@ import torch
 from skope.detector.checkpoint import checkpoint_name
 from skope.errors import UserError
 from skope.files.atomic import write_text
-from skope.schema import CATEGORIES
+from skope.schema import CATEGORIES, AnnotationFile
 from skope.terminal.console import Console, counted, minutes
 from skope.train import data, distributed, monitor, run_card, run_folder, splits, step, validate
 from skope.train.data import Draw, TrainingSample, TrainingSet
@@ -109,9 +109,15 @@ def train(
             _announce(config, training, training_set, parts, where, console)
             if unlearnt:
                 console.say(f"{', '.join(unlearnt)}: labelled, and background to this run, as --categories has it")
-            return _Run(
+            run = _Run.begun(
                 config, out, training, training_set, parts, processes, device, workers, saving, stop, console
-            ).go()
+            )
+            return run.go()
+
+
+def _steps_of(training_set: TrainingSet, config: RunConfig) -> int:
+    """Steps of an epoch."""
+    return math.ceil(len(training_set) / config.recipe.batch_size)
 
 
 def _read(root: Path, config: RunConfig) -> TrainingSource:
@@ -132,44 +138,91 @@ class _Run:
     parts: Sequence[TrainingSource]
     processes: ProcessGroup
     device: torch.device
-    workers: int
     saving: Saving
     stop: StopRequest
     console: Console
+    file: AnnotationFile
+    """The images that are validated on; none where none of them shows a vehicle."""
+    paths: Sequence[Path]
+    """Their files."""
+    loader: Loader
+    board: Any
+    """TensorBoard's writer; None where there is none, and in other processes than the first."""
+    progress: "_Progress"
+    saved_at: float
+    """When the state was saved last, as `time.monotonic` has it; likewise those below."""
+    checkpoint_at: float
+    drawn_at: float
+
+    @classmethod
+    def begun(
+        cls,
+        config: RunConfig,
+        out: Path,
+        training: TrainingState,
+        training_set: TrainingSet,
+        parts: Sequence[TrainingSource],
+        processes: ProcessGroup,
+        device: torch.device,
+        workers: int,
+        saving: Saving,
+        stop: StopRequest,
+        console: Console,
+    ) -> Self:
+        """Make ready what the epochs need: images to validate on, what loads images, what shows progress."""
+        recipe = config.recipe
+        left = len(training_set) * (recipe.epochs - training.epochs_done) - training.steps_done * recipe.batch_size
+        most = min(recipe.val_images, max(_LEAST_VALIDATED, len(training_set) // _VALIDATED_PART))
+        file, paths = splits.validation_images(parts, most)
+        if file.images and all(vehicle.ignored for vehicle in file.annotations):
+            said = f"{counted(len(file.images), 'image')} to validate on show no vehicle: nothing is validated"
+            console.say(f"{said} (--val-fraction)")
+            file = replace(file, images=(), annotations=(), road_users=())
+        loader = Loader(
+            training_set,
+            workers=workers,
+            console=console,
+            pin=device.type == "cuda",
+            stopping=lambda: stop.asked is not None,
+        )
+        step_done = training.epochs_done * _steps_of(training_set, config) + training.steps_done
+        now = time.monotonic()
+        return cls(
+            config=config,
+            out=out,
+            training=training,
+            training_set=training_set,
+            parts=parts,
+            processes=processes,
+            device=device,
+            saving=saving,
+            stop=stop,
+            console=console,
+            file=file,
+            paths=paths,
+            loader=loader,
+            board=monitor.tensorboard(out / "tensorboard", step_done) if processes.first else None,
+            progress=_Progress(left, recipe.epochs, console),
+            saved_at=now,
+            checkpoint_at=now,
+            drawn_at=now,
+        )
 
     def go(self) -> Path:
         """Train all epochs that are left; returns the last checkpoint."""
-        epochs = self.config.recipe.epochs
-        left = len(self.training_set) * (epochs - self.training.epochs_done)
-        left -= self.training.steps_done * self.config.recipe.batch_size
-        most = min(self.config.recipe.val_images, max(_LEAST_VALIDATED, len(self.training_set) // _VALIDATED_PART))
-        self._file, self._paths = splits.validation_images(self.parts, most)
-        if self._file.images and all(vehicle.ignored for vehicle in self._file.annotations):
-            said = f"{counted(len(self._file.images), 'image')} to validate on show no vehicle: nothing is validated"
-            self.console.say(f"{said} (--val-fraction)")
-            self._file = replace(self._file, images=(), annotations=(), road_users=())
-        self._loader = Loader(
-            self.training_set,
-            workers=self.workers,
-            console=self.console,
-            pin=self.device.type == "cuda",
-            stopping=lambda: self.stop.asked is not None,
-        )
-        self._board = monitor.tensorboard(self.out / "tensorboard", self._step) if self.processes.first else None
-        self._saved_at = self._checkpoint_at = self._drawn_at = time.monotonic()
-        with _Progress(left, epochs, self.console) as self._progress:
-            while self.training.epochs_done < epochs:
+        with self.progress:
+            while self.training.epochs_done < self.config.recipe.epochs:
                 self._epoch()
                 if self.processes.first:
                     self._validate_and_save()
-        if self._board is not None:
-            self._board.close()
+        if self.board is not None:
+            self.board.close()
         return self.out / checkpoint_name(self.training.epochs_done)
 
     @property
     def _steps(self) -> int:
         """Steps of an epoch."""
-        return math.ceil(len(self.training_set) / self.config.recipe.batch_size)
+        return _steps_of(self.training_set, self.config)
 
     @property
     def _step(self) -> int:
@@ -198,10 +251,10 @@ class _Run:
             training.sums = {name: training.sums.get(name, 0.0) + value for name, value in losses.items()}
             training.steps_done += 1
             means = {name: value / training.steps_done for name, value in training.sums.items()}
-            self._progress.tick(epoch, len(group), means)
-            if self._board is not None:
+            self.progress.tick(epoch, len(group), means)
+            if self.board is not None:
                 for name, value in {**losses, "rate": rate}.items():
-                    self._board.add_scalar(f"train/{name}", value, self._step)
+                    self.board.add_scalar(f"train/{name}", value, self._step)
             if stops or saves:
                 self._save_within(stops > 0)
         row = {"epoch": epoch + 1, **{name: value / self._steps for name, value in training.sums.items()}}
@@ -212,7 +265,7 @@ class _Run:
     def _loaded(self, groups: Sequence[Sequence[Draw]]) -> Iterator[list[TrainingSample]]:
         """The samples of each group; where waiting for them is interrupted, the state of the run is saved first."""
         try:
-            yield from self._loader.batches(groups)
+            yield from self.loader.batches(groups)
         except KeyboardInterrupt:
             if self.processes.size == 1:  # several would have to agree
                 self._save_within(stopped=False)
@@ -223,14 +276,14 @@ class _Run:
 
         All processes act on the sums of these votes, and so alike.
         """
-        due = self.processes.first and time.monotonic() - self._saved_at >= self.saving.state_interval_s
+        due = self.processes.first and time.monotonic() - self.saved_at >= self.saving.state_interval_s
         return float(self.stop.asked is not None), float(due)
 
     def _save_within(self, stopped: bool) -> None:
         self.processes.average_statistics(self.training.model)
         if self.processes.first:
             run_folder.save_state(self.out, self.training)
-        self._saved_at = time.monotonic()
+        self.saved_at = time.monotonic()
         if stopped:
             raise KeyboardInterrupt
 
@@ -238,27 +291,27 @@ class _Run:
         """Validate after an epoch; write curves, predictions to look at, and the checkpoint."""
         training, recipe, better = self.training, self.config.recipe, False
         row = training.history[-1]
-        if self._file.images:
-            model, file = training.shown, self._file
-            figures = validate.validate(model, file, self._paths, self.device)
+        if self.file.images:
+            model, file = training.shown, self.file
+            figures = validate.validate(model, file, self.paths, self.device)
             row["validation"] = figures
-            self._progress.note(f"epoch {row['epoch']}: {_in_words(figures)}")
+            self.progress.note(f"epoch {row['epoch']}: {_in_words(figures)}")
             sheet = self.out / "progress" / f"epoch_{row['epoch']:03d}.jpg"
-            monitor.prediction_sheet(sheet, model, file, self._paths, row["epoch"], self.device)
-            if self._board is not None:
+            monitor.prediction_sheet(sheet, model, file, self.paths, row["epoch"], self.device)
+            if self.board is not None:
                 for name, value in figures.items():
                     if value is not None:
-                        self._board.add_scalar(f"validation/{name}", value, self._step)
+                        self.board.add_scalar(f"validation/{name}", value, self._step)
             better = training.best is None or validate.rank(figures) > training.best
             training.best = validate.rank(figures) if better else training.best
         last = training.epochs_done == recipe.epochs
-        if last or time.monotonic() - self._drawn_at >= _CURVES_INTERVAL_S:
+        if last or time.monotonic() - self.drawn_at >= _CURVES_INTERVAL_S:
             monitor.curves(self.out / "curves.png", training.history)
-            self._drawn_at = time.monotonic()
-        if last or time.monotonic() - self._checkpoint_at >= self.saving.checkpoint_interval_s:
+            self.drawn_at = time.monotonic()
+        if last or time.monotonic() - self.checkpoint_at >= self.saving.checkpoint_interval_s:
             run_folder.save_epoch(self.out, self.config, training, keep=self.saving.keep)
             self._write_card()
-            self._checkpoint_at = self._saved_at = time.monotonic()
+            self.checkpoint_at = self.saved_at = time.monotonic()
         if better:  # after the state, without which the epoch is lost where there is no room for both
             run_folder.save_best(self.out, self.config, training)
 

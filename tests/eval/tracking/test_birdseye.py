@@ -16,7 +16,7 @@ from skope.dataset import coco
 from skope.dataset.folder import read_image
 from skope.eval.pose.ground import Ground
 from skope.eval.tracking import birdseye, birdseye_video, map_signs
-from skope.eval.tracking.empty_road import empty_road
+from skope.eval.tracking.empty_road import empty_road, median_of
 from skope.eval.tracking.ground_view import GroundView
 from skope.eval.tracking.tracks import Track
 from skope.pictures.video import write_video
@@ -170,3 +170,10 @@ def test_footage_that_is_gone_is_told_and_tracks_are_written(skope: Any) -> None
     assert code == 0
     assert "birdseye.png does without a picture of the road: gone.mp4: no such file" in out
     assert Path("t/birdseye.png").is_file()
+
+
+def test_the_median_of_blocks_is_that_of_whole_frames() -> None:
+    rng = np.random.default_rng(0)
+    for count in (1, 4, 5):
+        frames = [rng.integers(0, 256, (131, 7, 3), dtype=np.uint8) for _ in range(count)]
+        np.testing.assert_array_equal(median_of(frames), np.sort(np.stack(frames), axis=0)[count // 2])
