@@ -108,7 +108,7 @@ def share_interval(value: float | None, without: Array) -> Interval:
 
 
 def student(freedom: int) -> float:
-    """Bound that |t| stays within with probability LEVEL, for Student's t with `freedom` degrees of freedom.
+    """Bound that |t| stays within with probability INTERVAL_LEVEL, for Student's t with `freedom` degrees of freedom.
 
     Exact for one and two degrees of freedom, else to 0.2% (G. W. Hill, 1970).
     """

@@ -47,7 +47,7 @@ _FAINTNESS: Final = 0.4
 _SMALL_PX: Final = 36
 """Longer side of a box that is small, pixels of the enlarged image at 960x540."""
 SUBPIXEL_BITS: Final = 4
-"""OpenCV takes sub-pixel positions as integers of 1 / 2**_SHIFT pixel."""
+"""OpenCV takes sub-pixel positions as integers of 1 / 2**SUBPIXEL_BITS pixel."""
 
 
 def annotations(

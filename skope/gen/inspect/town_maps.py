@@ -10,6 +10,7 @@ from skope.gen.scenery.build import scenery
 from skope.gen.towns.layout import HALF_VIEW_DEG, Layout
 from skope.gen.towns.regions import polygons
 from skope.gen.towns.town import Town
+from skope.pictures.draw import SUBPIXEL_BITS
 from skope.types import Pixels
 
 RGB = tuple[int, int, int]
@@ -20,7 +21,6 @@ VIEW: Final = 60.0
 """How far view cones are drawn, metres."""
 _MAP_FRAME_M: Final = 30.0
 """Width of the ground that is drawn around the network, metres."""
-_PIXEL_SHIFT_BITS: Final = 4
 _GROUND, _WALK, _ROAD_COLORS, _DECK, _ISLAND = (
     (228, 230, 218),
     (205, 203, 197),
@@ -47,12 +47,12 @@ def town_map(town: Town) -> Pixels:
 
     def pixels(points: ArrayLike) -> NDArray[np.int32]:
         at = (np.asarray(points)[..., :2] - [x0, y1]) * [scale, -scale] + [0, 60]
-        return np.asarray(np.rint(at * 2**_PIXEL_SHIFT_BITS), dtype=np.int32)
+        return np.asarray(np.rint(at * 2**SUBPIXEL_BITS), dtype=np.int32)
 
     def fill(region: Any, color: RGB) -> None:
         for polygon in polygons(region):
             outline = [pixels(ring.coords) for ring in (polygon.exterior, *polygon.interiors)]
-            cv2.fillPoly(image, outline, color, cv2.LINE_AA, _PIXEL_SHIFT_BITS)
+            cv2.fillPoly(image, outline, color, cv2.LINE_AA, SUBPIXEL_BITS)
 
     fill(layout.sidewalk, _WALK)
     built = scenery(town)
@@ -62,11 +62,11 @@ def town_map(town: Town) -> Pixels:
         cv2.circle(
             image,
             pixels([x, y]).tolist(),
-            round(reach * scale * 2**_PIXEL_SHIFT_BITS),
+            round(reach * scale * 2**SUBPIXEL_BITS),
             _TREE,
             -1,
             cv2.LINE_AA,
-            _PIXEL_SHIFT_BITS,
+            SUBPIXEL_BITS,
         )
     fill(layout.graph.ground_road, _ROAD_COLORS)
     fill(layout.islands, _ISLAND)
@@ -76,10 +76,10 @@ def town_map(town: Town) -> Pixels:
     for site in layout.sites:
         angle = np.radians(site.yaw_deg + np.linspace(-HALF_VIEW_DEG, HALF_VIEW_DEG, 24))
         rim = np.array(site.position[:2]) + VIEW * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-        cv2.fillPoly(cones, [pixels([site.position[:2], *rim])], SPLIT_RGB[site.split], cv2.LINE_AA, _PIXEL_SHIFT_BITS)
+        cv2.fillPoly(cones, [pixels([site.position[:2], *rim])], SPLIT_RGB[site.split], cv2.LINE_AA, SUBPIXEL_BITS)
     image = cv2.addWeighted(cones, 0.35, image, 0.65, 0.0)
     for site in layout.sites:
-        x, y = (pixels(site.position) // 2**_PIXEL_SHIFT_BITS).tolist()
+        x, y = (pixels(site.position) // 2**SUBPIXEL_BITS).tolist()
         cv2.circle(image, (x, y), 7, SPLIT_RGB[site.split], -1, cv2.LINE_AA)
         cv2.circle(image, (x, y), 7, (255, 255, 255), 2, cv2.LINE_AA)
         label = f"{site.name} ({site.split})"

@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 
 from skope.camera.model import Camera
 from skope.gen.vehicles.model import TRAILER_PART, Body, straight_lwh
+from skope.pictures.draw import SUBPIXEL_BITS
 from skope.types import Array
 
 Window = tuple[int, int, int, int]
 """Columns and rows x0, y0, x1, y1 of the image; may go beyond it."""
 
-_PIXEL_SHIFT_BITS: Final = 4
 CLIP_DEPTH_M: Final = 0.3
 """Silhouettes are clipped at this depth, metres."""
 TILE: Final = 8
@@ -105,8 +105,8 @@ def tiles(hulls: Iterable[Array], size: tuple[int, int]) -> NDArray[np.bool_]:
     touched = np.zeros((rows, columns), dtype=np.uint8)
     for hull in hulls:
         if len(hull):
-            corners = np.rint((hull / TILE - 0.5) * 2**_PIXEL_SHIFT_BITS).astype(np.int32)
-            cv2.fillConvexPoly(touched, corners, 1, shift=_PIXEL_SHIFT_BITS)
+            corners = np.rint((hull / TILE - 0.5) * 2**SUBPIXEL_BITS).astype(np.int32)
+            cv2.fillConvexPoly(touched, corners, 1, shift=SUBPIXEL_BITS)
     # What is filled has its centre in a polygon or lies on its edge.
     return np.asarray(cv2.dilate(touched, np.ones((3, 3), dtype=np.uint8)) > 0)
 

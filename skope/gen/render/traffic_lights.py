@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 from skope.camera.model import Camera
 from skope.gen.scene.recording import Moment
 from skope.gen.scenery.build import Signal
+from skope.pictures.draw import SUBPIXEL_BITS
 from skope.types import Array
 
 _LAMP: Final = {"r": 0, "u": 0, "y": 1, "g": 2, "s": 2}
 """Which lamp each of SUMO's states lights; the others light none."""
 _LAMP_COLORS: Final = ((235, 40, 30), (250, 190, 40), (40, 220, 110))
 _RADIUS: Final = 0.1
-_PIXEL_SHIFT_BITS: Final = 4
 
 
 def lit_signals(
@@ -52,13 +52,13 @@ def light_signals(
         at = pixel * fine
         if z < depth[int(at[1]), int(at[0])] + 0.3:
             radius = max(0.7, _RADIUS * camera.K[0, 0] / z * fine)
-            center = np.rint((at - 0.5) * 2**_PIXEL_SHIFT_BITS).astype(int).tolist()
+            center = np.rint((at - 0.5) * 2**SUBPIXEL_BITS).astype(int).tolist()
             cv2.circle(
                 rgb,
                 center,
-                round(radius * 2**_PIXEL_SHIFT_BITS),
+                round(radius * 2**SUBPIXEL_BITS),
                 _LAMP_COLORS[lamp],
                 -1,
                 cv2.LINE_AA,
-                _PIXEL_SHIFT_BITS,
+                SUBPIXEL_BITS,
             )

@@ -8,6 +8,7 @@ import numpy as np
 from skope.gen.towns.road_graph import RoadGraph, driven
 from skope.gen.towns.town import Town
 from skope.gen.towns.user_road import OwnRoad
+from skope.pictures.draw import SUBPIXEL_BITS
 from skope.types import Array, Pixels
 
 _DRAWN_WITHIN_M: Final = 200.0
@@ -15,7 +16,6 @@ _DRAWN_WITHIN_M: Final = 200.0
 _SAMPLE_M: Final = 1.0
 _ARROWS: Final = 15.0
 """Metres from arrow to arrow."""
-_PIXEL_SHIFT_BITS: Final = 4
 _LANE_COLORS, _ARROW, _OCCLUDER, _SHADE = (255, 200, 40), (60, 220, 255), (255, 60, 160), (80, 80, 255)
 _GREY: Final = 90
 
@@ -35,8 +35,8 @@ def overlay(road: OwnRoad) -> Pixels:
                 _draw(image, road, graph, barbs, _ARROW)
     outlines = [*((one.polygon, _OCCLUDER) for one in road.occluders), *((one, _SHADE) for one in road.shades)]
     for outline, color in outlines:
-        corners = np.rint((np.array(outline) - 0.5) * 2**_PIXEL_SHIFT_BITS).astype(np.int32)
-        cv2.polylines(image, [corners], True, color, 1, cv2.LINE_AA, _PIXEL_SHIFT_BITS)
+        corners = np.rint((np.array(outline) - 0.5) * 2**SUBPIXEL_BITS).astype(np.int32)
+        cv2.polylines(image, [corners], True, color, 1, cv2.LINE_AA, SUBPIXEL_BITS)
     return image
 
 
@@ -54,6 +54,6 @@ def _draw(image: Pixels, road: OwnRoad, graph: RoadGraph, line: Array, color: tu
     """A line (N, 3) of the graph where it is before the camera."""
     pixels, depth, valid = road.camera.project(graph.world(line))
     near = valid & (depth < _DRAWN_WITHIN_M) & (np.abs(np.nan_to_num(pixels)) < 1e4).all(axis=-1)
-    at = np.rint((np.where(near[:, None], pixels, 0.0) - 0.5) * 2**_PIXEL_SHIFT_BITS).astype(int).tolist()
+    at = np.rint((np.where(near[:, None], pixels, 0.0) - 0.5) * 2**SUBPIXEL_BITS).astype(int).tolist()
     for k in np.flatnonzero(near[:-1] & near[1:]):
-        cv2.line(image, at[k], at[k + 1], color, 2, cv2.LINE_AA, _PIXEL_SHIFT_BITS)
+        cv2.line(image, at[k], at[k + 1], color, 2, cv2.LINE_AA, SUBPIXEL_BITS)

@@ -84,9 +84,9 @@ class StreetLights:
         return projection(K, (0, 0, 2, 2)) @ T
 
     def on_ground(self) -> NDArray[np.float16]:
-        """(MAP, MAP, 4) the light's vector around `middle`: each lamp's direction times its irradiance, north down.
+        """The light's vector around `middle`: each lamp's direction times its irradiance, north down.
 
-        An unlit fourth channel makes texels of a size that every device takes.
+        (LAMP_MAP_PX, LAMP_MAP_PX, 4): an unlit fourth channel makes texels of a size that every device takes.
         """
         side = (np.arange(LAMP_MAP_PX) + 0.5) / LAMP_MAP_PX * 2 * MAP_RADIUS - MAP_RADIUS
         x, y = np.meshgrid(side + self.middle[0], side + self.middle[1])
