@@ -195,7 +195,7 @@ def test_images_of_footage_come_from_their_folder(tmp_path: Path) -> None:
 
 
 def test_frames_of_a_video_are_decoded_in_any_order(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    for name, value in (("_KEPT", 3), ("_BEFORE", 1), ("_FAR", 2)):
+    for name, value in (("_KEPT_PICTURES", 3), ("_BEFORE", 1), ("_SEEK_FRAMES", 2)):
         monkeypatch.setattr(video_frames, name, value)
     write_video(tmp_path / "bridge.mp4", frames(10), 10)
     seen = collection(predicted(tmp_path / "out", records(10), "../bridge.mp4"))
