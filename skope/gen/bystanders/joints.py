@@ -74,7 +74,7 @@ def stepping(look: Look, travelled: float, speed: float) -> Array:
 
 
 def sunk(look: Look, travelled: float, speed: float) -> float:
-    """How far a walker's body comes down so that the lower foot is on the ground, metres."""
+    """Way that a walker's body comes down so that the lower foot is on the ground, metres."""
     down = []
     for angle, knee in leg_angles(look, travelled, speed):
         shin_angle = angle - knee

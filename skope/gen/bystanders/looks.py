@@ -1,4 +1,4 @@
-"""How labelled people are drawn at random: bodies, clothes, helmets, loads, passengers and what they ride."""
+"""Random looks of labelled people: bodies, clothes, helmets, loads, passengers and what they ride."""
 
 from collections.abc import Mapping
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""What people carry, push, pull and have on what they ride."""
+"""Luggage that people carry, push, pull and have on what they ride."""
 
 from typing import Final
 

@@ -158,6 +158,6 @@ def strides(look: Look, travelled: float) -> Array:
 
 
 def lowered(look: Look, travelled: float) -> float:
-    """How far a walker's body comes down where both legs are apart, metres."""
+    """Way that a walker's body comes down where both legs are apart, metres."""
     swing = 0.38 * np.sin(2 * np.pi * travelled / (STRIDE * look.height))
     return float(HIP * look.height * (1 - np.cos(swing)))

@@ -279,13 +279,13 @@ def riding(look: Look, travelled: float, speed: float) -> Array:
 
 
 def standing_share(speed: float) -> float:
-    """How far a rider has come to stand on the left foot, from 0 (rides) to 1, at a speed in m/s."""
+    """Share, from 0 (rides) to 1, in which a rider stands on the left foot at a speed in m/s."""
     share = float(np.clip(1 - speed / _STANDS, 0.0, 1.0))
     return share * share * (3 - 2 * share)
 
 
 def standing_lean(speed: float) -> float:
-    """How far a rider leans to the left at a speed (m/s), to stand there, radians."""
+    """Lean of a rider to the left at a speed (m/s), to stand there, radians."""
     return _LEAN * standing_share(speed)
 
 

@@ -31,7 +31,7 @@ RendererOption = Annotated[
 
 @dataclass(frozen=True, kw_only=True)
 class DatasetOptions:
-    """What a dataset holds, as `skope gen` and `skope gen simulate` are told."""
+    """Options on the content of a dataset, of `skope gen` and `skope gen simulate`."""
 
     preset: Annotated[
         str,
@@ -158,7 +158,7 @@ class DatasetOptions:
     renderer: RendererOption = "auto"
 
     def request(self) -> "tuple[DatasetRequest, str]":
-        """What the options ask for, and what to say of the renderer."""
+        """The request that the options make, and what to say of the renderer."""
         from skope.gen.labels.annotate import Rules
         from skope.gen.output.frames import Encoding
         from skope.gen.output.licences import named
@@ -227,7 +227,7 @@ def _digest(model: str) -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class WorkerOptions:
-    """Who does the work: processes of this machine, or those of a Ray cluster."""
+    """Options on who does the work: processes of this machine, or those of a Ray cluster."""
 
     workers: Annotated[int | None, machine(help="Worker processes.", show_default="one per core")] = None
     engine: Annotated[

@@ -184,7 +184,7 @@ def _without_impossible(where: str, vehicle: Annotation, remarks: Remarks) -> An
 
 
 def attributes_of(row: Mapping[str, Any]) -> dict[str, Any]:
-    """What CVAT's attributes of a record say; what is empty, or not in our lists, is not taken."""
+    """Fields of a record by CVAT's attributes; what is empty, or not in our lists, is not taken."""
     out: dict[str, Any] = {}
     values = row.get("attributes")
     if not isinstance(values, dict):

@@ -73,7 +73,7 @@ def _cvat_row(row: dict[str, Any]) -> dict[str, Any]:
 
 
 def cvat_labels(scheme: Scheme, categories: Sequence[str] = schema.VEHICLE_ALONE) -> list[dict[str, Any]]:
-    """What CVAT's "raw" editor of labels takes for a task.
+    """Labels of a task for CVAT's "raw" editor.
 
     The vehicle's skeleton, drawn in a square of 100, with its attributes, and a rectangle for each other category.
     """

@@ -1,4 +1,4 @@
-"""What names in other people's files say: where an image lies, which camera and recording it is of, which split.
+"""Meaning of names in other people's files: where an image lies, which camera and recording it is of, which split.
 
 Nobody has agreed on such names, so that all of this is guessing by rules that docs/formats.md gives. What a rule made
 of a name is for the caller to say.
@@ -49,7 +49,7 @@ _RECORDING_BYTES: Final = NAME_BYTES - 8
 
 @dataclass(frozen=True)
 class Place:
-    """Where an image was taken, as far as its name says."""
+    """Place that an image was taken at, as far as its name says."""
 
     site: str | None
     """The camera: the nearest folder that says anything."""
@@ -91,7 +91,7 @@ def split_of(stem: str, folders: Sequence[str]) -> tuple[str, str]:
 
 
 def source_name(parts: Sequence[str]) -> str:
-    """What a source is called: the last of its folders and files (without suffix) whose name says anything."""
+    """Name of a source: the last of its folders and files (without suffix) whose name says anything."""
     telling = [part for part in parts if _telling(part) and named_split(part) is None]
     return as_name(telling[-1]) if telling else "recording"
 
@@ -113,7 +113,7 @@ def endings(name: str) -> list[str]:
 
 
 def places(names: Sequence[str]) -> list[Place]:
-    """Where each of the images of one annotation file was taken, by all their names together.
+    """Places that the images of one annotation file were taken at, by all their names together.
 
     Args:
         names: File names with forward slashes.

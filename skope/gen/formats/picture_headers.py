@@ -1,4 +1,4 @@
-"""How large pictures are and how they are meant to be turned, from the first bytes of their files.
+"""Size and orientation of pictures, from the first bytes of their files.
 
 Cameras store a picture as the sensor lay and say in EXIF how to turn it. Whatever shows pictures, OpenCV included,
 turns them; programs that take the stored pixels put their labels elsewhere.

@@ -1,4 +1,4 @@
-"""What an import doubts or has left out, said once each with how often it was met and where first."""
+"""Doubts and omissions of an import, said once each with how often it was met and where first."""
 
 from skope.terminal.console import Console, counted
 

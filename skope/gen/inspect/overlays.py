@@ -13,7 +13,7 @@ from skope.schema import Annotation, Image, RoadUser
 from skope.types import Pixels
 
 LAYERS: Final = ("keypoints", "boxes_3d", "mask", "depth", "occlusion")
-"""What can be drawn on an image."""
+"""Layers that can be drawn on an image."""
 SHEET: Final = 12
 """Number of images on a sheet."""
 _SHEET_IMAGE_PX: Final = 640

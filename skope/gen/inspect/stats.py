@@ -168,7 +168,7 @@ def table(stats: Mapping[str, SplitStats]) -> list[str]:
 
 
 def rows(stats: Mapping[str, SplitStats]) -> list[tuple[str, list[str]]]:
-    """What is said of each split, as names and a cell for each split."""
+    """Rows of the table of splits: names and a cell for each split."""
     columns, types = list(stats.values()), Counter[str]()
     for column in columns:
         types.update(column.types)

@@ -41,7 +41,7 @@ ignored as `unseen`."""
 
 @dataclass(frozen=True, kw_only=True)
 class Rules:
-    """What decides between ground truth and ignored, and how keypoints are localised."""
+    """Rules on what is ground truth and what ignored, and on how keypoints are localised."""
 
     occlusion: str = "others"
     localizer: str = "rigid"
@@ -102,7 +102,7 @@ def locate(moment: Moment, localizer: str) -> WorldKeypoints:
 
 @dataclass
 class RuleCounts:
-    """How many of a frame's vehicles each rule applies to, for the dataset's card."""
+    """Number of a frame's vehicles that each rule applies to, for the dataset's card."""
 
     vehicles: int = 0
     """Vehicles with at least one visible pixel."""
@@ -119,7 +119,7 @@ class RuleCounts:
 
 
 def behind(view: RenderedFrame, camera: Camera, points: Array) -> tuple[Array, NDArray[np.int32]]:
-    """How far points lie behind the surfaces that the four pixels around them show.
+    """Distance of points behind the surfaces that the four pixels around them show.
 
     A pixel's depth is that of its centre, not of the point's ray: what the surface's slope can make between the two is
     subtracted, up to `SLOPE_CAP`.

@@ -57,7 +57,7 @@ class Counts:
         self.tally.update(tally)
 
     def localizer_difference(self) -> dict[str, float | None]:
-        """How far trilateration and the rigid transform are apart, over all keypoints of vehicles in view, metres."""
+        """Difference between trilateration and the rigid transform, over all keypoints of vehicles in view, metres."""
         vehicles = self.tally["vehicles"]
         if not vehicles:
             return {"mean": None, "max": None}

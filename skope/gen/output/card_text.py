@@ -82,7 +82,7 @@ def _scheme(card: Card) -> str:
 
 
 def purposes() -> list[str]:
-    """What a dataset is good for."""
+    """Purposes of a dataset."""
     return [
         "Training and measuring detectors of vehicle keypoints for fixed roadside cameras, and developing what builds "
         "on keypoints: position, heading, size and speed of vehicles from one camera. Where there are masks, 3D boxes, "
@@ -103,7 +103,7 @@ def _sources(card: Card) -> list[str]:
 
 
 def made(card: Card) -> list[str]:
-    """How a dataset that `skope gen` made came about."""
+    """Origin of a dataset that `skope gen` made."""
     values, versions = card.get("parameters", {}), card.get("versions", {})
     if not values:
         return []
@@ -191,7 +191,7 @@ def _balance(card: Card) -> list[TextTable]:
 
 
 def limits(card: Card) -> list[str]:
-    """What a user must know before relying on a dataset."""
+    """Limits that a user must know before relying on a dataset."""
     fleet, depth = card.get("fleet", {}), card.get("depth", "")
     said = [
         "Not validated for safety or enforcement: neither this dataset nor a detector trained on it has been validated "
@@ -230,7 +230,7 @@ def _left_unlabelled(card: Card) -> str:
 
 
 def people(card: Card) -> str:
-    """What a dataset has of persons."""
+    """Statement on persons in a dataset."""
     values = card.get("parameters")
     if not values:
         return ""
@@ -243,7 +243,7 @@ def people(card: Card) -> str:
 
 
 def licence(card: Card) -> str:
-    """What a dataset may be used for, with the address of a known licence."""
+    """Licence of a dataset, with the address of a known one."""
     stated = str(card.get("licence", ""))
     return f"{stated} ({ADDRESSES[stated]})" if stated in ADDRESSES else stated
 

@@ -24,7 +24,7 @@ IMAGE_SUFFIXES: Final = {"jpeg": ".jpg", "png": ".png", "webp": ".webp"}
 
 @dataclass(frozen=True, kw_only=True)
 class Encoding:
-    """How pictures are written."""
+    """Format and quality of written pictures."""
 
     image: str = "jpeg"
     quality: int = 95

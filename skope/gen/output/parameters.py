@@ -1,4 +1,4 @@
-"""What a dataset is made of, as its card keeps it: the parameters that decide every byte, and its recordings."""
+"""Ingredients of a dataset, as its card keeps them: the parameters that decide every byte, and its recordings."""
 
 import re
 from collections.abc import Callable, Mapping
@@ -20,7 +20,7 @@ from skope.schema import CATEGORIES, VEHICLE_ALONE
 
 @dataclass(frozen=True, kw_only=True)
 class OwnSiteRecord:
-    """What a card says of a user's own site: enough to tell it from another one, and no path of the user's disk."""
+    """Record of a user's own site on the card: enough to tell it from another one, and no path of the user's disk."""
 
     file: str
     """Name of the site file."""
@@ -159,7 +159,7 @@ class Parameters:
 
 @dataclass(frozen=True)
 class DatasetPlan:
-    """What a dataset folder holds or is to become."""
+    """Plan of a dataset folder: what it holds or is to become."""
 
     parameters: Parameters
     recordings: tuple[RecordingInfo, ...]

@@ -205,12 +205,12 @@ class DatasetRequest:
         return frames.get(self.site(name).split, next(iter(frames.values())))
 
     def dataset_plan(self) -> DatasetPlan:
-        """What the dataset's folder is to become."""
+        """The plan of the dataset's folder."""
         return DatasetPlan(self.parameters, tuple(plan.info for plan in self.plans()))
 
     @property
     def images(self) -> int:
-        """How many images the dataset will hold."""
+        """Number of images that the dataset will hold."""
         return sum(self.frames_of(name) for name in self.parameters.sites)
 
 

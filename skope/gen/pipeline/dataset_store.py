@@ -89,7 +89,7 @@ class Store:
         return begun
 
     def frames_left(self, wanted: DatasetPlan) -> dict[RecordingInfo, int]:
-        """How many frames of each recording are still to be made; nothing is written.
+        """Count the frames of each recording that are still to be made; nothing is written.
 
         Raises UserError where the folder cannot become `wanted`, as `begin` does.
         """
@@ -103,7 +103,7 @@ class Store:
         return {info: info.frames - there.get((info.site, info.name), 0) for info in wanted.recordings}
 
     def read_plan(self) -> DatasetPlan | None:
-        """What the folder's dataset is to become, from `.work/` or, when it is complete, from its card.
+        """Read the plan of the folder's dataset, from `.work/` or, when it is complete, from its card.
 
         Returns:
             None for a folder without a dataset.

@@ -1,4 +1,4 @@
-"""What a dataset will take, before it is begun: images, disk and time.
+"""Estimate of a dataset before it is begun: images, disk and time.
 
 Times are those of one core of a 2.1 GHz Xeon for work without a GPU, and of a worker process beside an NVIDIA H100 with
 one (docs/scale.md), where nothing else runs; other machines are faster or slower by what their cores are. Towns and
@@ -64,7 +64,7 @@ _BY_QUALITY: Final = {
 
 @dataclass(frozen=True)
 class Estimate:
-    """What is left to be made of a dataset."""
+    """The rest of a dataset that is to be made."""
 
     images: int
     disk_bytes: float

@@ -1,4 +1,4 @@
-"""What is said while the light of a new camera is worked out, during which nothing else is to be seen."""
+"""Messages while the light of a new camera is worked out, during which nothing else is to be seen."""
 
 from collections.abc import Callable
 

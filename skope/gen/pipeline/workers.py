@@ -33,7 +33,7 @@ _LISTEN_S: Final = 0.2
 
 @dataclass(frozen=True)
 class RenderJobSpec:
-    """How a dataset's frames are drawn, labelled and written."""
+    """Specification on how a dataset's frames are drawn, labelled and written."""
 
     renderer: str
     """"gl" or "pybullet"."""

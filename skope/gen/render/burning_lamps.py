@@ -1,4 +1,4 @@
-"""Which street lights burn, where only a share of them do."""
+"""Choice of the street lights that burn, where only a share of them do."""
 
 from typing import Final
 

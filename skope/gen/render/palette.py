@@ -15,7 +15,7 @@ from skope.gen.towns.town import Town
 
 
 class Motif(IntEnum):
-    """What a pattern of two colours shows; the shaders know them by these numbers."""
+    """Motif of a pattern of two colours; the shaders know them by these numbers."""
 
     PLAIN = 1
     CHECKS = 2

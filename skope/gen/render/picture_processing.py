@@ -1,4 +1,4 @@
-"""What a camera makes of its sensor's picture before it is sent: contrast, black level, colour, sharpness."""
+"""Processing in a camera before it sends its sensor's picture: contrast, black level, colour, sharpness."""
 
 from typing import Final
 

@@ -1,4 +1,5 @@
-"""What operators draw into pictures besides date and name: logos, watermarks, clocks, letters, arrows, bars."""
+"""Graphics that operators draw into pictures besides date and name: logos, watermarks, clocks, letters, arrows,
+bars."""
 
 from collections.abc import Callable
 from typing import Final

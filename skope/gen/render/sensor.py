@@ -1,4 +1,4 @@
-"""What the camera adds to a clean picture: the lens' distortion, rain, snow and dirt before it, noise, losses."""
+"""Effects of the camera on a clean picture: the lens' distortion, rain, snow and dirt before it, noise, losses."""
 
 from collections.abc import Callable
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""What a camera's own electronics and its stream do to a picture: text, less resolution, processing, compression."""
+"""Effects of a camera's electronics and stream on a picture: text, less resolution, processing, compression."""
 
 from datetime import date, timedelta
 from typing import Final

@@ -41,7 +41,7 @@ LEAST_ROAD_M: Final = 40.0
 
 @dataclass(frozen=True)
 class CameraRanges:
-    """What cameras are drawn from."""
+    """Ranges that cameras are drawn from."""
 
     size: tuple[int, int]
     """Width and height of the image, pixels."""

@@ -120,7 +120,7 @@ class RecordingPlan:
 
 @dataclass(frozen=True)
 class RecordedVehicle:
-    """What stays the same about a road user through a recording: a vehicle, or a bystander."""
+    """Constant properties of a road user through a recording: a vehicle, or a bystander."""
 
     track_id: int
     model: str

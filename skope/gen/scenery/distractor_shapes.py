@@ -297,4 +297,4 @@ STANDING_OBJECTS: Final[Mapping[Callable[[np.random.Generator], Mesh], float]] =
     recessed_wall: 1.0,
     gravestones: 0.7,
 }
-"""What stands on the ground, with its share."""
+"""Objects that stand on the ground, with their shares."""

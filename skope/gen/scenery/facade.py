@@ -19,7 +19,7 @@ PROUD: Final = 0.03
 
 @dataclass(frozen=True, kw_only=True)
 class FacadeStyle:
-    """What a house's walls are made of and how its windows look; materials by name, metres."""
+    """Walls and windows of a house; materials by name, metres."""
 
     walls: str
     dressing: str

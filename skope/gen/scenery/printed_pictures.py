@@ -1,4 +1,4 @@
-"""What is printed on posters and signs: flat pictures of vehicles, logos and rows of letters.
+"""Prints on posters and signs: flat pictures of vehicles, logos and rows of letters.
 
 All lie in the plane of a panel, x to the right, y up and z out of it, metres; each layer `LAYER` before the last.
 """

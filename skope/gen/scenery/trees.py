@@ -33,7 +33,7 @@ CROWN: Final = 4.0
 
 @dataclass(frozen=True, kw_only=True)
 class Species:
-    """How a kind of tree grows; lengths are shares of its height."""
+    """Shape of a kind of tree; lengths are shares of its height."""
 
     height: tuple[float, float]
     """Metres."""

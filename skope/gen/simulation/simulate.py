@@ -183,7 +183,7 @@ class _Cameras:
             self.walkers.append(_walkers(plan, paths, footprints, raining=conditions.rain_mm_h > 0))
 
     def recordings(self) -> list[Recording]:
-        """What was recorded, camera by camera."""
+        """The recordings, camera by camera."""
         each = zip(self.recorders, self._plans, self._cameras, self._conditions, strict=True)
         return [recorder.recording(plan, camera, conditions) for recorder, plan, camera, conditions in each]
 

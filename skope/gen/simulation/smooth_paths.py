@@ -36,7 +36,7 @@ _CHUNK_STEPS: Final = 200
 
 
 class Driven(NamedTuple):
-    """How one vehicle drives at one step, after smoothing; a tuple as `SumoVehicle` is."""
+    """Motion of one vehicle at one step, after smoothing; a tuple as `SumoVehicle` is."""
 
     position: tuple[float, float, float]
     """World: under the middle of the vehicle, on the line through its axles' places on the road, metres."""
@@ -189,7 +189,7 @@ class _Way:
 
 
 def reach(step: float) -> int:
-    """How many steps SUMO has to be ahead of the smoothed vehicles, for steps of `step` seconds."""
+    """Number of steps that SUMO has to be ahead of the smoothed vehicles, for steps of `step` seconds."""
     return round(REACH_S / step)
 
 

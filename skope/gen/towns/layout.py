@@ -108,11 +108,11 @@ class Layout:
         return unary_union([Point(site.position[:2]).buffer(CAMERA_CLEARANCE) for site in self.sites])
 
     def camera_distance(self, place: Array) -> float:
-        """How far a place (2,) is from the nearest camera, metres."""
+        """Distance of a place (2,) from the nearest camera, metres."""
         return min((float(np.hypot(*(place - site.position[:2]))) for site in self.sites), default=np.inf)
 
     def sightlines(self, reach: float) -> Region:
-        """What lies between the cameras and the carriageway that they see within `reach` metres."""
+        """Region between the cameras and the carriageway that they see within `reach` metres."""
         return unary_union([self.around_cameras, *(_sightlines(site, self.graph.road, reach) for site in self.sites)])
 
     def road_below(self, site: Site) -> float:

@@ -90,7 +90,7 @@ class RoadGraph:
         ]
 
     def signal_distance(self, place: Array) -> float:
-        """How far a place (2,) is from the nearest signalled junction, metres."""
+        """Distance of a place (2,) from the nearest signalled junction, metres."""
         nodes = [node.getCoord() for node in self.net.getNodes() if node.getType() == "traffic_light"]
         return min((float(np.hypot(*(place - node))) for node in nodes), default=np.inf)
 
@@ -202,7 +202,7 @@ def legs(node: Any) -> list[Any]:
 
 
 def joins(edge: Any) -> int:
-    """How many edges end where this one does."""
+    """Number of edges that end where this one does."""
     return sum(leg.getToNode() is edge.getToNode() for leg in legs(edge.getToNode()))
 
 

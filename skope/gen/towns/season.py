@@ -12,7 +12,7 @@ Range = tuple[float, float]
 
 @dataclass(frozen=True, eq=False)
 class Season:
-    """What a season makes of a town's plants."""
+    """Look of a town's plants in a season."""
 
     colors: Mapping[str, tuple[float, float, float]]
     """Colours of the materials of plants, sRGB in 0..1."""

@@ -36,7 +36,7 @@ class Road:
 
     @property
     def verge(self) -> float:
-        """What runs beside the lanes at their height, metres."""
+        """Width of what runs beside the lanes at their height, metres."""
         return max(self.sidewalk, self.shoulder) + 0.8
 
 
@@ -86,7 +86,7 @@ class Kind:
 
 @dataclass(frozen=True, kw_only=True)
 class Row:
-    """What lines some of the roads; of a town's rows the first that fits a place counts."""
+    """Row of objects along some of the roads; of a town's rows the first that fits a place counts."""
 
     roads: tuple[str, ...] = ()
     """SUMO edge types of the roads; empty for all."""

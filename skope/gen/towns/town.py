@@ -12,7 +12,7 @@ from skope.gen.towns.user_road import OwnRoad
 
 @dataclass(frozen=True)
 class Mast:
-    """Where a camera hangs in a town, and where it looks."""
+    """Place and view of a camera in a town."""
 
     position: tuple[float, float, float]
     """World x, y and z, metres."""

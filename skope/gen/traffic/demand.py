@@ -1,4 +1,4 @@
-"""Who drives through a town: types of vehicles and drivers, ways through the network, and when each sets out."""
+"""Demand for traffic in a town: types of vehicles and drivers, ways through the network, and when each sets out."""
 
 import tomllib
 from collections.abc import Iterator, Mapping
@@ -55,7 +55,7 @@ class Trip:
 
 @dataclass(frozen=True)
 class Riding:
-    """How many riders there are, and how they ride."""
+    """Number of riders, and how they ride."""
 
     shares: Mapping[str, float]
     """Number of riders of each kind for one vehicle."""
@@ -162,7 +162,7 @@ def trips(
 
 
 def driver_shares() -> dict[str, float]:
-    """How often drivers of each kind are at the wheel."""
+    """Shares of the kinds of drivers."""
     return {name: row["share"] for name, row in _tables()["drivers"].items()}
 
 

@@ -93,7 +93,8 @@ def _model(vehicle_class: str, models: Mapping[str, FleetEntry], rng: np.random.
 
 @cache
 def streams(text: str, network: Path) -> tuple[_Flow, ...]:
-    """What a route file asks for. Raises UserError naming the element that is wrong, without the file's name."""
+    """Read the streams that a route file asks for. Raises UserError naming the element that is wrong, without the
+    file's name."""
     if "<!DOCTYPE" in text:
         raise UserError("has a DOCTYPE, which a route file needs not and whose entities are not read")
     try:

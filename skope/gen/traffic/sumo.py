@@ -90,7 +90,7 @@ class Chassis:
 
 
 class SumoTrailer(NamedTuple):
-    """How an articulated vehicle's trailer follows it along the middle of its lane."""
+    """Trailer of an articulated vehicle, which follows it along the middle of its lane."""
 
     yaw: float
     """Heading, counter-clockwise from east, radians."""
@@ -99,7 +99,7 @@ class SumoTrailer(NamedTuple):
 
 
 class SumoVehicle(NamedTuple):
-    """Where SUMO has a vehicle at one step; there are tens of thousands in a recording, hence a tuple."""
+    """State of a vehicle in SUMO at one step; there are tens of thousands in a recording, hence a tuple."""
 
     chassis: Chassis
     lane_point: tuple[float, float]
@@ -121,7 +121,7 @@ class SumoVehicle(NamedTuple):
 
 @dataclass(frozen=True)
 class SumoRider:
-    """Where SUMO has a bicycle or motorcycle at one step."""
+    """State of a bicycle or motorcycle in SUMO at one step."""
 
     position: tuple[float, float, float]
     """World: on the road under the middle, metres."""

@@ -132,7 +132,7 @@ def luton_body(space: CargoSpace) -> Cargo:
 
 
 def peak(space: CargoSpace, material: str) -> Mesh:
-    """What reaches over the cab, from the box to over the windscreen."""
+    """The part of the box that reaches over the cab, to over the windscreen."""
     low, high = space.cab_height + 0.07, space.shape.height - 0.065
     start, front = space.ahead - 0.02, space.ahead + 0.62 * space.shape.cab_length
     outline = [

@@ -1,4 +1,4 @@
-"""What a lorry carries its cargo in, as `TruckBody` asks for it: the space behind the cab, and what is built there."""
+"""Cargo bodies of lorries, as `TruckBody` asks for them: the space behind the cab, and what is built there."""
 
 from dataclasses import dataclass, field
 from typing import Final

@@ -13,7 +13,7 @@ _RAYS: Final = 40
 
 
 def clipped(mesh: Mesh, x: float) -> Mesh:
-    """What of a mesh lies ahead of `x`; open there."""
+    """The part of a mesh that lies ahead of `x`; open there."""
     ahead = mesh.vertices[:, 0] > x
     count = ahead[mesh.triangles].sum(axis=1)
     corners, normals, material = [], [], []

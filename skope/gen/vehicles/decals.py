@@ -1,4 +1,4 @@
-"""What is stuck on cars' sides and hoods: stripes, panels of adverts, rows of letters."""
+"""Decals on cars' sides and hoods: stripes, panels of adverts, rows of letters."""
 
 from typing import Final
 

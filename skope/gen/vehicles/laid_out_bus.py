@@ -26,7 +26,7 @@ _BUMPER_LIP: Final = 0.07
 
 @dataclass(frozen=True)
 class BusLayout:
-    """Where a bus has what, metres; heights are below the roof unless they say otherwise."""
+    """Layout of a bus, metres; heights are below the roof unless they say otherwise."""
 
     windows: float
     """Upper edge of the side windows."""

@@ -1,4 +1,4 @@
-"""What lorries and trailers have in common: cargo bodies, axles, the underrun bar with its lamps."""
+"""Parts that lorries and trailers have in common: cargo bodies, axles, the underrun bar with its lamps."""
 
 import numpy as np
 

@@ -100,7 +100,7 @@ class Body(Protocol):
 
     @property
     def trailer(self) -> Trailer | None:
-        """What hangs on an articulated vehicle's hinge; dimensions and extent are those of the vehicle before it."""
+        """The trailer on an articulated vehicle's hinge; dimensions and extent are those of the vehicle before it."""
 
     @property
     def coarse(self) -> tuple[Mesh, ...]:

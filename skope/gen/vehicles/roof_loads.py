@@ -1,4 +1,4 @@
-"""What stands on roofs: luggage boxes, bars, ladders, antennas."""
+"""Loads on roofs: luggage boxes, bars, ladders, antennas."""
 
 from collections.abc import Callable
 from typing import Final

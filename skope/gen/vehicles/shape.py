@@ -187,7 +187,7 @@ _LEFT_OUT: Final = DETAIL_NAMES | {f.name for kind in (TrailerDimensions, NoseDi
 
 @dataclass(frozen=True, kw_only=True)
 class VehicleStyle:
-    """What a vehicle's dimensions do not say: its model's, but for what its details replace."""
+    """Style of a vehicle beside its dimensions: its model's, but for what its details replace."""
 
     family: str = "car"
     """"car", "truck" or "bus": which builder makes it."""

@@ -36,7 +36,7 @@ class Hitch(NamedTuple):
 
 
 class DrivenTrailer(NamedTuple):
-    """Where a trailer is at one step."""
+    """State of a trailer at one step."""
 
     yaw: float
     """Heading, counter-clockwise from east, radians; of turns in one direction the sum."""

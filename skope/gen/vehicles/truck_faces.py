@@ -1,4 +1,4 @@
-"""What a cab over the engine shows between its headlights and its windscreen."""
+"""The face of a cab over the engine, between its headlights and its windscreen."""
 
 from typing import Final
 

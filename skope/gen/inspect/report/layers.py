@@ -74,7 +74,7 @@ def figure(dataset: Dataset, image: Image, labels: Sequence[Annotation | RoadUse
 
 
 def kind_of(label: Annotation | RoadUser) -> str:
-    """What a label is filtered by: type of a vehicle, category of another road user."""
+    """Kind of a label, by which it is filtered: type of a vehicle, category of another road user."""
     return (label.vehicle_type or "unknown") if isinstance(label, Annotation) else label.category
 
 

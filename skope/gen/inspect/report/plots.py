@@ -22,7 +22,7 @@ _BANDS: Final = 20
 
 @dataclass(frozen=True)
 class Spread:
-    """What the plots show of a split, of its ground truth."""
+    """Ground truth of a split, as the plots show it."""
 
     distance_m: NDArray[np.float64]
     height_px: NDArray[np.float64]

@@ -153,7 +153,7 @@ class Stage:
             mesh.draw(program)
 
     def light_parts(self, count: int) -> list[Callable[[], dict[str, NDArray[np.float32]]]]:
-        """What makes the parts of the light, for `joined`: each of them sums a share of the samples."""
+        """Tasks that make the parts of the light, for `joined`: each of them sums a share of the samples."""
         ends = np.linspace(0, SAMPLES, count + 1).astype(int)
         return [partial(self._light_part, range(*pair)) for pair in pairwise(ends)]
 
@@ -162,7 +162,7 @@ class Stage:
         return {"ambient": ambient, "sunlit": sunlit}
 
     def mirrored(self, plane: Plane) -> dict[str, NDArray[np.float16]]:
-        """What the road would show as a mirror, "mirrored" (H / 2, W / 2, 4)."""
+        """Draw what the road would show as a mirror, "mirrored" (H / 2, W / 2, 4)."""
         width, height = self._size
         self.uniforms |= uniforms_of(plane)
         samples = max(2, SAMPLES // MIRRORED_SHARE)
@@ -173,7 +173,7 @@ class Stage:
         return {"mirrored": _half_precision(ambient + sunlit)}
 
     def reflected_parts(self, plane: Plane) -> Parts:
-        """What the mirrored view may show."""
+        """Parts that the mirrored view may show."""
         return _upload_parts(
             self.device, self._mesh.taken(_in_view(self._mesh, self._camera, plane.mirror)), self._camera
         )
