@@ -6,6 +6,7 @@ import glob
 import itertools
 import math
 import os
+from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable, Generator, Iterator
 from dataclasses import dataclass, field
@@ -73,64 +74,75 @@ class Clip:
 
 
 @dataclass
-class Footage:
+class Footage(ABC):
     """A source of frames. Going over it again gives the same frames, unless it is a live stream."""
 
     name: str
     cut: Cut = field(default_factory=Cut)
+    skipped: list[str] = field(default_factory=list)
+    """What could not be read, a line of text each."""
     images: tuple[Path, ...] = ()
     """Image files, in order; empty for a video or stream."""
     clip: Clip | None = None
-    skipped: list[str] = field(default_factory=list)
-    """What could not be read, a line of text each."""
+    """What a video or stream says of itself; None for image files."""
     begins: datetime | None = None
     """When second 0 of a live stream was, by this computer's clock, once its first frame has come; else None."""
 
     @property
-    def names(self) -> list[str]:
-        """Names of the images: their paths inside the folder that holds them all."""
-        folder = os.path.commonpath([path.parent for path in self.images]) if self.images else ""
-        return [path.relative_to(folder).as_posix() for path in self.images]
-
-    @property
-    def place(self) -> Path | None:
-        """The video file, or the folder that the images' names are relative to; None for a stream."""
-        if self.clip is None:
-            return Path(os.path.commonpath([path.parent for path in self.images]))
-        return None if "://" in self.clip.address else Path(self.clip.address)
-
-    @property
     def live(self) -> bool:
         """Whether it cannot be read again."""
-        return self.clip is not None and self.clip.live
-
-    def __len__(self) -> int:
-        """Number of frames, as far as the file says; 0: unknown."""
-        if self.clip is None:
-            return len(self.images[:: self.cut.every])
-        if self.clip.times_s:
-            return len(self._wanted(self.clip))
-        count, fps = self.clip.count, self.clip.rate
-        last = min(count, self.cut.end_s * fps)
-        return max(0, math.ceil((last - math.ceil(self.cut.start_s * fps)) / self.cut.every)) if count > 0 else 0
+        return False
 
     @property
+    def names(self) -> list[str]:
+        """Names of the images: their paths inside the folder that holds them all."""
+        return []
+
+    @property
+    @abstractmethod
+    def place(self) -> Path | None:
+        """The video file, or the folder that the images' names are relative to; None for what is on a server."""
+
+    @property
+    @abstractmethod
     def fps(self) -> float | None:
         """Frames a second after the cut; None for images, and for a live stream, whose frames come as they can."""
-        return None if self.clip is None or self.clip.live else self.clip.rate / self.cut.every
 
+    @abstractmethod
+    def __len__(self) -> int:
+        """Number of frames, as far as the source says; 0: unknown."""
+
+    @abstractmethod
     def frames(self, first: int = 0) -> Iterator[tuple[Image, Pixels]]:
         """Frames with their pixels (H, W, 3) RGB, numbered from 1 as `Image.id`; `first` of them are left out.
 
         What cannot be read is noted in `skipped`, and keeps its number.
         """
-        if self.clip is None:
-            return self._of_images(first)
-        if self.clip.live:
-            return self._of_stream(self.clip)
-        return self._of_file(self.clip, first) if self.clip.times_s else self._of_video(self.clip, first)
 
-    def _of_images(self, first: int) -> Iterator[tuple[Image, Pixels]]:
+    def _skip(self, reason: str) -> None:
+        if reason not in self.skipped:  # going over the frames again meets the same reasons
+            self.skipped.append(reason)
+
+
+class ImageFiles(Footage):
+    """Image files in order, without times."""
+
+    @property
+    def names(self) -> list[str]:
+        return [path.relative_to(self.place).as_posix() for path in self.images]
+
+    @property
+    def place(self) -> Path:
+        return Path(os.path.commonpath([path.parent for path in self.images]))
+
+    @property
+    def fps(self) -> None:
+        return None
+
+    def __len__(self) -> int:
+        return len(self.images[:: self.cut.every])
+
+    def frames(self, first: int = 0) -> Iterator[tuple[Image, Pixels]]:
         every = self.cut.every
         whole = zip(self.images[::every], self.names[::every], strict=True)
         for number, (path, name) in enumerate(itertools.islice(whole, first, None), start=first + 1):
@@ -141,15 +153,53 @@ class Footage:
                 continue
             yield _image(number, name, pixels, number - 1, None), pixels
 
-    def _wanted(self, clip: Clip) -> range:
-        """Numbers of the frames that are wanted of a file whose times are known."""
+
+@dataclass
+class VideoFootage(Footage):
+    """Base of what is read through a `Clip`."""
+
+    clip: Clip = field(kw_only=True)
+
+    @property
+    def place(self) -> Path | None:
+        return None if "://" in self.clip.address else Path(self.clip.address)
+
+    @property
+    def fps(self) -> float | None:
+        return self.clip.rate / self.cut.every
+
+    def __len__(self) -> int:
+        count, fps = self.clip.count, self.clip.rate
+        last = min(count, self.cut.end_s * fps)
+        return max(0, math.ceil((last - math.ceil(self.cut.start_s * fps)) / self.cut.every)) if count > 0 else 0
+
+    def _frame(self, number: int, at: int, time_s: float, bgr: NDArray[np.generic]) -> tuple[Image, Pixels]:
+        pixels = np.asarray(cv2.cvtColor(_three_channels(bgr), cv2.COLOR_BGR2RGB), dtype=np.uint8)
+        return _image(number, f"{self.name}/{at:06d}", pixels, at, time_s), pixels
+
+    def _note_missing(self, count: int) -> None:
+        """Say that a file ends early: containers round their counts, but not by half a second."""
+        clip = self.clip
+        if count < clip.count - max(2.0, clip.rate / 2):
+            self._skip(f"{clip.address}: frame {count} of {clip.count:.0f} cannot be decoded")
+
+
+class IndexedVideo(VideoFootage):
+    """A file of which the times of all frames are known beforehand, so that frames are jumped to."""
+
+    def __len__(self) -> int:
+        return len(self._wanted)
+
+    @property
+    def _wanted(self) -> range:
+        """Numbers of the frames that are wanted."""
         edges = (self.cut.start_s - _SAME_S, self.cut.end_s - _SAME_S)
-        first, last = (bisect.bisect_left(clip.times_s, edge) for edge in edges)
+        first, last = (bisect.bisect_left(self.clip.times_s, edge) for edge in edges)
         return range(first, last, self.cut.every)
 
-    def _of_file(self, clip: Clip, first: int) -> Iterator[tuple[Image, Pixels]]:
-        wanted = self._wanted(clip)
-        left = deque(enumerate(wanted[first:], start=first + 1))
+    def frames(self, first: int = 0) -> Iterator[tuple[Image, Pixels]]:
+        clip = self.clip
+        left = deque(enumerate(self._wanted[first:], start=first + 1))
         if not left:
             return
         with contextlib.closing(_decoded(clip, left[0][1])) as decoded:
@@ -164,15 +214,14 @@ class Footage:
         if left:
             self._skip(f"{clip.address}: frame {left[0][1]} of {len(clip.times_s)} cannot be decoded")
         elif self.cut.end_s > clip.times_s[-1]:
-            self._note_missing(clip, len(clip.times_s))
+            self._note_missing(len(clip.times_s))
 
-    def _note_missing(self, clip: Clip, count: int) -> None:
-        """Say that a file ends early: containers round their counts, but not by half a second."""
-        if count < clip.count - max(2.0, clip.rate / 2):
-            self._skip(f"{clip.address}: frame {count} of {clip.count:.0f} cannot be decoded")
 
-    def _of_video(self, clip: Clip, first: int) -> Iterator[tuple[Image, Pixels]]:
-        """A file on a server: it comes once from its begin, and each frame says its time."""
+class SequentialVideo(VideoFootage):
+    """A file on a server, or one without an index: it comes once from its begin, and each frame says its time."""
+
+    def frames(self, first: int = 0) -> Iterator[tuple[Image, Pixels]]:
+        clip = self.clip
         with _opened(clip.address) as capture:
             number, at, begin, time_s = 0, 0, 0, -1 / clip.rate
             while capture.grab():
@@ -190,9 +239,22 @@ class Footage:
                             break
                         yield self._frame(number, at, time_s, bgr)
                 at += 1
-            self._note_missing(clip, at)
+            self._note_missing(at)
 
-    def _of_stream(self, clip: Clip) -> Iterator[tuple[Image, Pixels]]:
+
+class LiveStream(VideoFootage):
+    """A stream whose frames come when they come, and only once."""
+
+    @property
+    def live(self) -> bool:
+        return True
+
+    @property
+    def fps(self) -> None:
+        return None
+
+    def frames(self, first: int = 0) -> Iterator[tuple[Image, Pixels]]:
+        clip = self.clip
         frames = stream.frames(
             lambda: _opened(clip.address), self.cut.every, camera_clock=clip.address.startswith("rtsp")
         )
@@ -208,13 +270,12 @@ class Footage:
             except stream.BrokenOffError as error:
                 self._skip(f"{clip.address}: {error}")
 
-    def _frame(self, number: int, at: int, time_s: float, bgr: NDArray[np.generic]) -> tuple[Image, Pixels]:
-        pixels = np.asarray(cv2.cvtColor(_three_channels(bgr), cv2.COLOR_BGR2RGB), dtype=np.uint8)
-        return _image(number, f"{self.name}/{at:06d}", pixels, at, time_s), pixels
 
-    def _skip(self, reason: str) -> None:
-        if reason not in self.skipped:  # going over the frames again meets the same reasons
-            self.skipped.append(reason)
+def _of_clip(name: str, cut: Cut, clip: Clip) -> VideoFootage:
+    """The footage of a video file or stream."""
+    if clip.live:
+        return LiveStream(name, cut, clip=clip)
+    return IndexedVideo(name, cut, clip=clip) if clip.times_s else SequentialVideo(name, cut, clip=clip)
 
 
 def open_footage(source: str, cut: Cut | None = None) -> Footage:
@@ -229,7 +290,7 @@ def open_footage(source: str, cut: Cut | None = None) -> Footage:
     """
     cut = cut or Cut()
     if "://" in source:
-        return Footage("stream", cut, clip=_open_clip(source))
+        return _of_clip("stream", cut, _open_clip(source))
     footage = _on_this_machine(source, cut)
     for image, name in zip(footage.images, footage.names, strict=True):
         if not safe_names.is_relative(name):
@@ -244,18 +305,18 @@ def _on_this_machine(source: str, cut: Cut) -> Footage:
         found = sorted(images, key=safe_names.counting_order)
         if not found:
             raise UserError(f"{source}: no images in it ({', '.join(IMAGE_SUFFIXES)})")
-        return Footage(path.name, cut, images=tuple(found))
+        return ImageFiles(path.name, cut, images=tuple(found))
     if not path.exists() and _GLOB_CHARS & set(source):
         matches = map(Path, glob.glob(source, recursive=True))  # noqa: PTH207 (absolute patterns too)
         found = sorted(matches, key=safe_names.counting_order)
         if not found:
             raise UserError(f"{source}: matches no file")
-        return Footage("images", cut, images=tuple(found))
+        return ImageFiles("images", cut, images=tuple(found))
     if not path.is_file():
         raise UserError(f"{source}: no such file or folder")
     if path.suffix.lower() in IMAGE_SUFFIXES:
-        return Footage(path.stem, cut, images=(path,))
-    return Footage(path.stem, cut, clip=_open_clip(source))
+        return ImageFiles(path.stem, cut, images=(path,))
+    return _of_clip(path.stem, cut, _open_clip(source))
 
 
 def _open_clip(video: str) -> Clip:
