@@ -21,7 +21,17 @@ _RECIPE_FLAGS = ("epochs", "init", "batch_size", "supervise", "exclude_types", "
 
 
 def new(data: Sequence[Path], flags: Mapping[str, Any], *, gpu: bool, bfloat16: bool) -> RunConfig:
-    """Configuration of a new run; a flag that is None or empty leaves the recipe's value."""
+    """Configuration of a new run.
+
+    Args:
+        data: Dataset folders.
+        flags: Values of the flags by name; one that is None or empty leaves the recipe's value.
+        gpu: Whether a GPU trains.
+        bfloat16: Whether the processor multiplies in bfloat16.
+
+    Raises:
+        UserError: A flag is wrong.
+    """
     recipe = recipes.choose(flags["recipe"] or "auto", gpu=gpu, bfloat16=bfloat16)
     given = {name: flags[name] for name in _RECIPE_FLAGS if flags[name] not in (None, ())}
     try:
@@ -103,7 +113,16 @@ def _flat(config: RunConfig) -> dict[str, Any]:
 
 
 def again(out: Path, data: Sequence[Path], flags: Mapping[str, Any]) -> RunConfig:
-    """Configuration of the run in `out`, to go on with; only its length, and the datasets' places, may change."""
+    """Configuration of a run to go on with; only its length, and the datasets' places, may change.
+
+    Args:
+        out: The run folder.
+        data: Dataset folders; none: those that the run began with.
+        flags: As `new` takes them.
+
+    Raises:
+        UserError: There is no such run, or a flag differs from the run's.
+    """
     if not out.is_dir():
         raise UserError(f"--resume: {out}: no such run folder")
     recorded = RunConfig.read(out)

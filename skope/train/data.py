@@ -123,7 +123,14 @@ class DetectionDataset(TorchDataset[tuple[torch.Tensor, dict[str, torch.Tensor]]
 
 
 def to_sample(name: str, pixels: NDArray[np.uint8], vehicles: Vehicles, supervise: str) -> TrainingSample:
-    """A training sample of (H, W, 3) pixels and their vehicles, as tensors."""
+    """A training sample, as tensors.
+
+    Args:
+        name: The image's file, for errors.
+        pixels: (H, W, 3) RGB.
+        vehicles: Its vehicles and others, in pixels.
+        supervise: "visible" for the keypoints that can be seen, "all" for hidden ones too.
+    """
     count = len(vehicles.boxes_xyxy)
     boxes = np.concatenate([vehicles.boxes_xyxy, vehicles.others_xyxy])
     labels = np.concatenate([np.full(count, schema.CATEGORY_ID), vehicles.other_labels])
@@ -139,10 +146,14 @@ def to_sample(name: str, pixels: NDArray[np.uint8], vehicles: Vehicles, supervis
 
 
 def order(sizes: Sequence[int], mix: float | None, *, seed: int, epoch: int) -> list[Draw]:
-    """An epoch's draws, as many as there are images, in an order drawn from (seed, epoch).
+    """Draw the order of an epoch: as many draws as there are images.
 
-    Without `mix` each image comes once. With it the first dataset gives that share of them and the others the rest by
-    their sizes: of one dataset no image comes twice before each has come once.
+    Args:
+        sizes: Number of images of each dataset.
+        mix: Share of the draws that the first dataset gives, the others the rest by their sizes: of one dataset no
+            image comes twice before each has come once. None: each image comes once.
+        seed: Seed of the run.
+        epoch: Number of the epoch, from 0.
     """
     rng = np.random.default_rng((seed, epoch))
     total = sum(sizes)

@@ -67,7 +67,16 @@ def curves(path: Path, history: Sequence[Mapping[str, Any]]) -> None:
 def prediction_sheet(
     path: Path, model: KeypointRCNN, file: AnnotationFile, images: Sequence[Path], epoch: int, device: torch.device
 ) -> None:
-    """Write predictions (right) beside ground truth (left) for the first images of `file` that hold vehicles."""
+    """Write predictions (right) beside ground truth (left) for the first images that hold vehicles.
+
+    Args:
+        path: The picture to write.
+        model: The model.
+        file: The ground truth.
+        images: Files of its images.
+        epoch: Number of the epoch, for the caption.
+        device: Where the model is.
+    """
     vehicles, users = file.by_image(), file.road_users_by_image()
     pairs: list[Pixels] = []
     # The same images each time, so that one sees them change.

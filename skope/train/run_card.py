@@ -27,7 +27,12 @@ def text(
 ) -> str:
     """The model card as Markdown.
 
-    `counts` are the numbers of images and vehicles that each dataset gave, `others` is that of all other road users.
+    Args:
+        config: Configuration of the run.
+        training: Its state.
+        datasets: What it has learnt from.
+        counts: Images and vehicles that each dataset gave.
+        others: Number of all other road users.
     """
     recipe = config.recipe
     lines = [

@@ -180,7 +180,17 @@ def exclusive(run: Path) -> Iterator[None]:
 
 
 def start(run: Path, config: RunConfig, fingerprints: Sequence[str], device: torch.device) -> TrainingState:
-    """Begin a run in a folder that holds none. Raises UserError where it holds one, or other files."""
+    """Begin a run in a folder that holds none.
+
+    Args:
+        run: The run folder.
+        config: Its configuration.
+        fingerprints: Digest of each dataset.
+        device: Where to train.
+
+    Raises:
+        UserError: The folder holds a run, or other files.
+    """
     if resumable(run):
         raise UserError(f"{run}: holds a run already; go on with it by --resume, or choose another folder by --out")
     if checkpoints(run):
@@ -224,8 +234,15 @@ def _begun(run: Path) -> bool:
 def resume(run: Path, config: RunConfig, fingerprints: Sequence[str], device: torch.device) -> TrainingState:
     """Go on with the run in a folder from where its state was saved last.
 
-    Raises UserError where nothing was saved, where a dataset has changed since (`fingerprints`), and where the run has
-    more epochs behind it than `config` asks for.
+    Args:
+        run: The run folder.
+        config: Its configuration.
+        fingerprints: Digest of each dataset as it is now.
+        device: Where to train.
+
+    Raises:
+        UserError: Nothing was saved, a dataset has changed since, or the run has more epochs behind it than `config`
+            asks for.
     """
     path = run / _RESUME
     if not resumable(run):

@@ -59,9 +59,16 @@ class TrainingSource:
 
 
 def read(root: Path, *, exclude_types: Sequence[str], val_fraction: float, max_images: int | None) -> TrainingSource:
-    """Split `train` of a dataset folder; a UserError where it holds nothing to learn from.
+    """Read split `train` of a dataset folder.
 
-    `max_images` limits what is learnt from, to images with vehicles, evenly spread.
+    Args:
+        root: The dataset's folder.
+        exclude_types: Vehicle types that are ignored.
+        val_fraction: Share of each recording's end that is validated on.
+        max_images: Learn from so many images with vehicles, evenly spread; None: from all.
+
+    Raises:
+        UserError: It holds nothing to learn from.
     """
     opened = open_dataset(root)
     file = opened.read(SPLIT)

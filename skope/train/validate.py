@@ -30,9 +30,15 @@ def detect_in_image(
     score: float,
     categories: tuple[str, ...] = VEHICLE_ALONE,
 ) -> tuple[list[Result], list[RoadUserResult]]:
-    """Detections above `score` in one (H, W, 3) image as results; of those the vehicles go through the keypoint head.
+    """Detect in one image; of what is found the vehicles go through the keypoint head.
 
-    `categories` are what the network's labels are.
+    Args:
+        model: The model.
+        pixels: (H, W, 3) RGB.
+        image_id: The image's id, for the results.
+        device: Where the model is.
+        score: Detections above this are kept.
+        categories: What the network's labels are.
     """
     (found,) = detect(model, [pixels], device, min_score=score, categories=categories)
     return found.to_results(image_id), found.road_users.to_results(image_id)
@@ -51,14 +57,28 @@ class ValidationResults:
 
 
 def validate(model: KeypointRCNN, file: AnnotationFile, paths: Sequence[Path], device: torch.device) -> Figures:
-    """Run the model on the images of `file`, whose pixels lie at `paths`, and measure as `figures` does."""
+    """Run a model on images, and measure as `figures` does.
+
+    Args:
+        model: The model.
+        file: The ground truth.
+        paths: Files of its images.
+        device: Where the model is.
+    """
     return figures(file, run_model(model, file, paths, device))
 
 
 def run_model(
     model: KeypointRCNN, file: AnnotationFile, paths: Sequence[Path], device: torch.device
 ) -> ValidationResults:
-    """Run the model, whose categories are those of `file`, on its images, whose pixels lie at `paths`."""
+    """Run a model on images.
+
+    Args:
+        model: The model, whose categories are those of `file`.
+        file: The ground truth.
+        paths: Files of its images.
+        device: Where the model is.
+    """
     vehicles = file.by_image()
     detected: list[Result] = []
     given: list[Result] = []

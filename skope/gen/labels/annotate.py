@@ -297,7 +297,13 @@ class Extent:
 
 
 def measure_extent(view: RenderedFrame, i: int, camera: Camera) -> Extent | None:
-    """Boxes, mask and pixel counts of the frame's i-th road user; None where none of its pixels is visible."""
+    """Boxes, mask and pixel counts of a road user; None where none of its pixels is visible.
+
+    Args:
+        view: The rendered frame.
+        i: Number of the road user in it.
+        camera: The frame's camera.
+    """
     silhouette = view.silhouettes[i]
     height, width = silhouette.mask.shape
     x0, y0 = max(silhouette.x, 0), max(silhouette.y, 0)
@@ -342,7 +348,14 @@ def bbox_of(mask: Mask) -> Array:
 
 
 def ignore_reason(shape: Extent, occluded: bool, contrast: float, rules: Rules) -> str | None:
-    """Why a road user of an extent is ignored; None where it is ground truth."""
+    """Tell why a road user is ignored; None where it is ground truth.
+
+    Args:
+        shape: Its boxes and pixel counts.
+        occluded: Whether something else hides it, by the rule of occlusion.
+        contrast: Its contrast with what is behind it, in deviations of the noise.
+        rules: The limits.
+    """
     if occluded:
         return "occluded"
     if shape.visible < rules.min_visible * shape.whole:
@@ -375,7 +388,17 @@ def _vehicle_fields(moment: Moment, i: int, vehicle: Vehicle, camera: Camera) ->
 
 
 def box_around(vehicle: Vehicle, trailer: Trailer, T_world_chassis: Array, T_world_trailer: Array) -> tuple[Array, Any]:
-    """Middle (3,) and size (3,) of the box around both parts of an articulated vehicle, along the axes of the first."""
+    """The box around both parts of an articulated vehicle, along the axes of the first.
+
+    Args:
+        vehicle: The part in front.
+        trailer: The part behind.
+        T_world_chassis: (4, 4) pose of the part in front, metres.
+        T_world_trailer: (4, 4) pose of the trailer, metres.
+
+    Returns:
+        Middle (3,), world, and size (3,), metres.
+    """
     length, width, height = vehicle.size_lwh
     own = np.array([[-length / 2, -width / 2, 0.0], [length / 2, width / 2, height]])
     corners = np.array(np.meshgrid(*trailer.corners.T)).reshape(3, -1).T

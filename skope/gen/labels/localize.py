@@ -20,11 +20,19 @@ def transform(T_world_vehicle: Array, points: Array) -> Array:
 
 
 def trilaterate(wheels: Array, distances: Array, side: Array) -> Array:
-    """World keypoints (V, 33, 3) from wheel centres (V, 4, 3), distances to them (V, 33, 4) and sides (V, 33).
+    """World keypoints from distances to the wheels.
 
     Solves |p - w_i| = d_i for all keypoints at once. The wheel centres of a vehicle lie (nearly) in one plane, where
     the equations' differences are linear: least squares there, then the height over the plane from what is left of
     the distances, its square clamped at 0 and its sign taken from `side`. (SKoPe3D, section on simulation.)
+
+    Args:
+        wheels: (V, 4, 3) wheel centres, world, metres.
+        distances: (V, 33, 4) from each keypoint to each wheel, metres.
+        side: (V, 33) on which side of the wheels' plane each keypoint lies, 1 or -1.
+
+    Returns:
+        (V, 33, 3) world, metres.
     """
     center, axes, normal = wheel_plane(wheels)
     centered = wheels - center[:, None]
@@ -39,7 +47,13 @@ def trilaterate(wheels: Array, distances: Array, side: Array) -> Array:
 
 
 def with_trailers(points: Array, moment: Moment, vehicles: Sequence[Vehicle]) -> Array:
-    """A copy of world keypoints (V, 33, 3), metres, in which those on trailers are where a moment has the trailers."""
+    """A copy of world keypoints in which those on trailers are where a moment has the trailers.
+
+    Args:
+        points: (V, 33, 3) world, metres.
+        moment: The poses of a frame.
+        vehicles: The V vehicles.
+    """
     out = points.copy()
     for i, vehicle in enumerate(vehicles):
         if vehicle.trailer is None:

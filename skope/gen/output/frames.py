@@ -81,7 +81,17 @@ def files_of(
     encoding: Encoding,
     road_users: Sequence[RoadUser] = (),
 ) -> FrameFiles:
-    """Encode a rendered frame: `annotations` and `tally` are what `annotate` gives, ids are given by the writer."""
+    """Encode a rendered frame; ids are given by the writer.
+
+    Args:
+        recording: The recording.
+        frame: Number of the frame in it, from 0.
+        view: The rendered frame.
+        annotations: The vehicles' labels, as `annotate` gives them.
+        tally: How many vehicles each rule applies to.
+        encoding: Formats of the files.
+        road_users: Labels of people on foot and on two wheels.
+    """
     name = recording.info.frame_name(frame)
     files = {f"images/{name}{IMAGE_SUFFIXES[encoding.image]}": encoding.encoded(view.rgb)}
     depth_name = f"depth/{name}.png" if encoding.depth else None
@@ -99,7 +109,14 @@ def files_of(
 
 
 def image_of(recording: Recording, frame: int, file_name: str, image_id: int = 0) -> Image:
-    """The image record of a recording's frame, as annotation files have it."""
+    """The image record of a recording's frame, as annotation files have it.
+
+    Args:
+        recording: The recording.
+        frame: Number of the frame in it, from 0.
+        file_name: Path of the image inside the dataset.
+        image_id: The image's id.
+    """
     return Image(
         id=image_id,
         file_name=file_name,

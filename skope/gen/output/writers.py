@@ -177,7 +177,14 @@ class ShardWriter(DatasetWriter):
 def writer_of(
     form: str, root: Path, scheme: Scheme = SKOPE33, categories: tuple[str, ...] = VEHICLE_ALONE
 ) -> DatasetWriter:
-    """The writer of a format of `DATASET_FORMATS`."""
+    """The writer of a format.
+
+    Args:
+        form: One of `DATASET_FORMATS`.
+        root: The dataset's folder.
+        scheme: What the keypoints are.
+        categories: Names of what is labelled.
+    """
     return (ShardWriter if form == "shards" else FolderWriter)(root, scheme, categories)
 
 

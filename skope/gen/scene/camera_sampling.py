@@ -90,7 +90,13 @@ def drawn(site: Site, ranges: CameraRanges, rng: np.random.Generator) -> Camera:
 
 
 def moved(camera: Camera, values: Mapping[str, float], level: float) -> Camera:
-    """A camera with some of the values of `CAMERA_LIMITS`; `level` is the height of the road before it, metres."""
+    """A camera that hangs, turns or zooms otherwise.
+
+    Args:
+        camera: The camera.
+        values: Some of the values of `CAMERA_LIMITS`, in their units.
+        level: Height of the road before the camera, metres.
+    """
     x, y, z = camera.position.tolist()
     yaw, pitch_down, roll = camera.angles
     pitch = values.get("pitch_deg", math.degrees(pitch_down)) + values.get("pitch_by_deg", 0.0)

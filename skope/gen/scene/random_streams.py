@@ -91,6 +91,14 @@ _IN_PICTURES: Final = (
 
 
 def rng(seed: int, site: str, recording: int, stream: Stream, *which: int) -> np.random.Generator:
-    """The generator of a stream of the site's recording of that number; `which` is what the stream takes."""
+    """The generator of a named stream of a recording.
+
+    Args:
+        seed: Seed of the dataset.
+        site: Name of the site.
+        recording: Number of the recording at the site.
+        stream: What is drawn.
+        which: What the stream takes besides, as the number of a vehicle.
+    """
     place = site.encode() if stream in _IN_PICTURES else (zlib.crc32(site.encode()),)
     return np.random.default_rng([seed, *place, recording, *_STREAM_NUMBERS[stream], *which])

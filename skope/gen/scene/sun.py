@@ -8,10 +8,17 @@ _EPOCH: Final = datetime(2000, 1, 1, 12, tzinfo=UTC)
 
 
 def sun_direction(when: datetime, latitude_deg: float, longitude_deg: float) -> tuple[float, float]:
-    """Elevation above the horizon and azimuth counter-clockwise from east (0 to 360), degrees.
+    """Direction to the sun at a time and place.
 
-    `when` knows its time zone. Formulas: the Astronomical Almanac's low-precision sun (0.01 degrees until 2050),
-    without refraction.
+    Formulas: the Astronomical Almanac's low-precision sun (0.01 degrees until 2050), without refraction.
+
+    Args:
+        when: The time, with its zone.
+        latitude_deg: Degrees north.
+        longitude_deg: Degrees east.
+
+    Returns:
+        Elevation above the horizon and azimuth counter-clockwise from east (0 to 360), degrees.
     """
     days = (when - _EPOCH).total_seconds() / 86400
     anomaly = math.radians(357.528 + 0.9856003 * days)
@@ -47,9 +54,15 @@ def declination_deg(day: float) -> float:
 
 
 def sun_position(latitude_deg: float, day: float, hour: float) -> tuple[float, float]:
-    """Elevation over the horizon and azimuth counter-clockwise from east (0..360), degrees, without refraction.
+    """Direction to the sun on a day of the year, without refraction.
 
-    `hour` is local solar time: the sun crosses the meridian at 12.
+    Args:
+        latitude_deg: Degrees north.
+        day: Day of the year, from 1.
+        hour: Local solar time: the sun crosses the meridian at 12.
+
+    Returns:
+        Elevation over the horizon and azimuth counter-clockwise from east (0..360), degrees.
     """
     declination = math.radians(declination_deg(day + (hour - 12) / 24))
     return _over_horizon(math.radians(latitude_deg), declination, math.radians(15 * (hour - 12)))
