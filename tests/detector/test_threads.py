@@ -19,7 +19,7 @@ def test_two_threads_share_a_model(random_run: Path) -> None:
     model, _, _ = load_weights(next(random_run.glob("*.safetensors")), "cpu")
     image = np.random.default_rng(0).integers(0, 255, (64, 96, 3), dtype=np.uint8)
     scores = (0.0, 0.9)
-    (every,), (few,) = (detect(model, [image], "cpu", min_score=score) for score in scores)
+    (every,), (few,) = (detect(model, [image], "cpu", min_score=score, max_detections=5) for score in scores)
     assert len(every) > len(few)
 
     inside = threading.Barrier(2)
@@ -31,7 +31,9 @@ def test_two_threads_share_a_model(random_run: Path) -> None:
 
     hook = model.backbone.register_forward_pre_hook(meet)
     with ThreadPoolExecutor(2) as pool:
-        found = list(pool.map(lambda score: detect(model, [image], "cpu", min_score=score)[0], scores))
+        found = list(
+            pool.map(lambda score: detect(model, [image], "cpu", min_score=score, max_detections=5)[0], scores)
+        )
     hook.remove()
     assert [len(one) for one in found] == [len(every), len(few)]
     np.testing.assert_array_equal(found[0].scores, every.scores)
