@@ -101,7 +101,7 @@ def test_the_page_holds_everything_itself_and_escapes_what_it_shows(dataset: Pat
 
 
 def test_of_many_images_few_are_shown_and_the_page_says_so(dataset: Path) -> None:
-    page = page_of(dataset, "--images", "2")
+    page = page_of(dataset, "--max-images", "2")
     assert len([a for a in page.all("figure") if "photo" in (a.get("class") or "")]) == 2
     assert "2 of 4 images, spread evenly" in page.text
     sites = [a["data-site"] for a in page.all("figure") if "data-site" in a]
@@ -140,7 +140,7 @@ def test_a_broken_file_is_named_and_nothing_is_written(spoil: Any, said: str, da
 
 def test_no_images_asked_for_is_refused(dataset: Path) -> None:
     result = CliRunner().invoke(app, ["gen", "report", str(dataset), "--max-images", "0"])
-    assert "--images: expected a whole number from 1, got 0" in str(result.exception)
+    assert "--max-images: expected a whole number from 1, got 0" in str(result.exception)
 
 
 # --------------------------------------------------------------------------------------------------------------- choice
