@@ -1,7 +1,7 @@
 """Flags of tracks that are to be distrusted, and cuts where one cannot be one vehicle's."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Final
 
@@ -32,6 +32,8 @@ _BESIDE_M: Final = 1.5
 _FEWEST_OTHERS: Final = 5
 """So many others drive the other way."""
 _OPPOSITE: Final = math.radians(150)
+_LOOKED_AT: Final = 128
+"""So many of those who pass near are looked at first."""
 
 
 def flagged(tracks: Sequence[Track]) -> list[Track]:
@@ -93,22 +95,34 @@ def _against_traffic(tracks: Sequence[Track]) -> set[int]:
     if len(moving) <= _FEWEST_OTHERS:
         return set()
     places = np.concatenate([track.position[rows, :2] for track, rows in moving])
-    turns = np.concatenate([_directions(track, rows) for track, rows in moving])
+    ahead = np.concatenate([_directions(track, rows) for track, rows in moving])
     owner = np.concatenate([np.full(len(rows), k) for k, (_, rows) in enumerate(moving)])
-    cells = np.floor(places / _BESIDE_M).astype(np.int64)
-    by_cell: dict[tuple[int, int], list[int]] = {}
-    for i, (x, y) in enumerate(cells.tolist()):
-        by_cell.setdefault((x, y), []).append(i)
     alone = np.zeros(len(places), dtype=bool)
-    for i, (x, y) in enumerate(cells.tolist()):
-        near = [j for dx in (-1, 0, 1) for dy in (-1, 0, 1) for j in by_cell.get((x + dx, y + dy), ())]
-        near = [j for j in near if owner[j] != owner[i]]
-        opposite = np.cos(turns[near] - turns[i]) < math.cos(_OPPOSITE)
-        along = np.cos(turns[near] - turns[i]) > 0
-        alone[i] = len(set(owner[near][opposite].tolist())) >= _FEWEST_OTHERS and not along.any()
+    for here, near in _by_cell(places):
+        # Nearly all have somebody along among a few of those near: an hour has thousands beside each place.
+        few = near[:: math.ceil(len(near) / _LOOKED_AT)]
+        along = (ahead[here] @ ahead[few].T > 0) & (owner[here, None] != owner[few])
+        for i in here[~along.any(axis=1)]:
+            others = near[owner[near] != owner[i]]
+            cosine = ahead[others] @ ahead[i]
+            opposite = np.unique(owner[others[cosine < math.cos(_OPPOSITE)]])
+            alone[i] = len(opposite) >= _FEWEST_OTHERS and not (cosine > 0).any()
     return {track.number for k, (track, _) in enumerate(moving) if alone[owner == k].mean() > 0.5}
 
 
+def _by_cell(places: Array) -> Iterator[tuple[NDArray[np.intp], NDArray[np.intp]]]:
+    """The indices into places (P, 2) in each square of `_BESIDE_M`, and those in it and the squares around it."""
+    cells = np.floor(places / _BESIDE_M).astype(np.int64)
+    found, number = np.unique(cells, axis=0, return_inverse=True)
+    order = np.argsort(number.ravel(), kind="stable")
+    members = np.split(order, np.cumsum(np.bincount(number.ravel()))[:-1])
+    at = dict(zip(map(tuple, found.tolist()), members, strict=True))
+    for (x, y), here in at.items():
+        around = [at.get((x + dx, y + dy)) for dx in (-1, 0, 1) for dy in (-1, 0, 1)]
+        yield here, np.concatenate([own for own in around if own is not None])
+
+
 def _directions(track: Track, rows: NDArray[np.intp]) -> Array:
-    """(R,) which way a vehicle drives in the frames `rows`, radians."""
-    return np.asarray(np.arctan2(track.velocity[rows, 1], track.velocity[rows, 0]))
+    """(R, 2) unit vectors of where a vehicle drives in the frames `rows`."""
+    velocity = track.velocity[rows, :2]
+    return np.asarray(velocity / np.linalg.norm(velocity, axis=1, keepdims=True))

@@ -103,6 +103,28 @@ def test_where_others_drive_along_too_nobody_is_against_traffic() -> None:
     assert flags(track(1, along(0.3, 12)), track(20, along(0.5, 9)), *lane)[0] == ()
 
 
+def test_who_drives_against_the_traffic_is_as_looking_at_all_pairs_says() -> None:
+    """90 vehicles in four lanes that lie apart; three go the wrong way, and in one lane two, which are along then."""
+    rng = np.random.default_rng(5)
+    tracks = []
+    for k in range(90):
+        way = along(6.0 * (k % 4) + 0.2 * rng.normal(), float(rng.uniform(8, 14)), 30)
+        tracks.append(track(k + 1, way[::-1] if (k in (5, 18, 40, 3, 7)) != (k % 2 == 1) else way))
+    told = {k for k, one in enumerate(flags(*tracks)) if "against_traffic" in one}
+    rows = [(k, p, v) for k, one in enumerate(tracks) for p, v in zip(one.position[:, :2], one.velocity, strict=True)]
+    owner, places = np.array([k for k, _, _ in rows]), np.array([p for _, p, _ in rows])
+    turns = np.array([np.arctan2(v[1], v[0]) for _, _, v in rows])
+    cells = np.floor(places / 1.5)
+    alone = np.zeros(len(rows), dtype=bool)
+    for i in range(len(rows)):
+        near = (np.abs(cells - cells[i]).max(axis=1) <= 1) & (owner != owner[i])
+        away = np.cos(turns[near] - turns[i])
+        opposite = len(set(owner[near][away < np.cos(np.radians(150))].tolist()))
+        alone[i] = opposite >= 5 and not (away > 0).any()
+    assert told == {k for k in range(90) if alone[owner == k].mean() > 0.5}
+    assert {5, 18, 40} <= told
+
+
 def test_the_cameras_error_widens_what_a_track_says() -> None:
     """All distances from the camera's foot off by 5%, as where its height is."""
     one = track(1, along(0, 12))
