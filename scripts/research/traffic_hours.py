@@ -51,6 +51,12 @@ COLUMNS: Final = (
     "width", "class", "class_confidence", "flags",
 )  # fmt: skip
 BEGINS: Final = datetime(2026, 11, 26, 5, tzinfo=UTC)
+CLOCKS_CHANGE: Final = datetime.fromisoformat("2026-10-25T00:30:00+02:00")
+"""An hour and a half before the hour that comes twice."""
+GAPS: Final = ((0.3, 0.32), (0.55, 0.6))
+"""Shares of the footage from and to which there are no frames."""
+MOVED_FROM: Final = 0.9
+"""Share of it from which the camera looks elsewhere."""
 SITE: Final = """time_zone = "Europe/Berlin"
 
 [camera]
@@ -94,29 +100,42 @@ width = 3.5
 # -------------------------------------------------------------------------------------------------------------- tracks
 
 
-def make_tracks(folder: Path, hours: float, fps: float, seed: int, clear_s: Sequence[float]) -> tuple[int, int]:
-    """Write a folder of tracks, none at the times `clear_s`; returns how many vehicles and rows it has."""
+def make_tracks(
+    folder: Path, hours: float, fps: float, seed: int, clear_s: Sequence[float], *, broken: bool
+) -> tuple[int, int]:
+    """Write a folder of tracks, none at the times `clear_s`; returns how many vehicles and rows it has.
+
+    If it is `broken`, the footage begins before clocks are changed, has two gaps, and the camera is moved near the end.
+    """
     folder.mkdir(parents=True)
     rng = np.random.default_rng(seed)
     rows = number = 0
+    end_s = hours * 3600
+    blind = [(share * end_s, until * end_s) for share, until in (GAPS if broken else ())]
+    moved_s = MOVED_FROM * end_s if broken else math.inf
     with (folder / TRACKS_CSV).open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(COLUMNS)
         for begin_s, arm in arrivals(rng, hours * 3600):
             way = list(drive(rng, number + 1, begin_s, arm, fps))
-            if any(float(str(way[0][1])) <= at <= float(str(way[-1][1])) for at in clear_s):
+            first_s, last_s = float(str(way[0][1])), float(str(way[-1][1]))
+            if any(first_s <= at <= last_s for at in clear_s) or last_s >= moved_s:
+                continue
+            if any(first_s <= until and since <= last_s for since, until in blind):
                 continue
             number += 1
             writer.writerows(way)
             rows += len(way)
-    times = np.arange(round(hours * 3600 * fps)) / fps
-    write_footage(folder, times, BEGINS)
+    times = np.arange(round(end_s * fps)) / fps
+    seen = ~np.any([(since <= times) & (times < until) for since, until in blind], axis=0) if blind else slice(None)
+    write_footage(folder, times[seen], CLOCKS_CHANGE if broken else BEGINS, moved_s)
     return number, rows
 
 
-def write_footage(folder: Path, times: Array, begins: datetime) -> None:
+def write_footage(folder: Path, times: Array, begins: datetime, moved_s: float = math.inf) -> None:
     watched = Observation(
-        times_s=times,
+        times_s=times[times < moved_s],
+        moved_s=times[times >= moved_s],
         source=f"{folder.name}.mp4",
         common_sigma=0.01,
         eye=(0.0, -90.0, 25.0),
@@ -290,13 +309,15 @@ def main() -> None:
     parser.add_argument("--kills", type=int, default=5, help="how often the second run is killed; 0: there is none")
     parser.add_argument("--recordings", type=int, default=1, help="also measure it as so many recordings")
     parser.add_argument("--cut", action="store_true", help="keep who is on the road when a recording ends")
+    parser.add_argument("--broken", action="store_true", help="with gaps, clocks that change, a camera that is moved")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--out", type=Path, required=True, help="a new folder")
     options = parser.parse_args()
     out = options.out
     tracks, site = out / "tracks", out / "site.toml"
     cuts = [k * options.hours * 3600 / options.recordings for k in range(1, options.recordings)]
-    vehicles, rows = make_tracks(tracks, options.hours, options.fps, options.seed, [] if options.cut else cuts)
+    clear_s = [] if options.cut else cuts
+    vehicles, rows = make_tracks(tracks, options.hours, options.fps, options.seed, clear_s, broken=options.broken)
     site.write_text(SITE, encoding="utf-8")
 
     whole, seconds, cells = measured([tracks], site, out / "whole")
