@@ -181,7 +181,7 @@ RUNS: Final[Sequence[Run]] = (
     Run("research/traffic_truth.py", "t06_plaza_opening --seconds 0.5 --out {out}", slow=True),
     Run("research/video_modes.py", "{clip} {clip}/seen", says=" | 1.000 | 0.000 | 1.000 | - | 100.0 | 1.000 |"),
     Run("research/wrong_point_bound.py", "--draws 1", says="of 8 sets: forced", slow=True),
-    Run("vehicle_shapes.py", "--samples 1 --out {out}/shapes.json", says="wrote"),
+    Run("vehicle_shapes.py", "--samples 1 --out {out}/shapes.json", says="wrote", slow=True),
     Run("vehicle_sight.py", "--azimuth-step 180 --out {out}/sight.json", says="wrote", slow=True),
 )
 
