@@ -153,7 +153,14 @@ class Video:
     @cached_property
     def _tracks(self) -> "Tracks":
         from skope.eval.pose.fit_ground import with_fitted_ground
-        from skope.eval.tracking.track_footage import TrackJob, followed, observation_of, poses_kept, times_of
+        from skope.eval.tracking.track_footage import (
+            TrackJob,
+            begins_of,
+            followed,
+            observation_of,
+            poses_kept,
+            times_of,
+        )
         from skope.eval.tracking.track_list import Tracks
         from skope.terminal.console import SilentConsole
 
@@ -181,7 +188,7 @@ class Video:
         finally:
             progress.end()
         index = [i if image.frame_index is None else image.frame_index for i, image in enumerate(scene.file.images)]
-        observation = observation_of(scene, times, None)
+        observation = observation_of(scene, times, begins_of(scene, job.begins))
         return Tracks(tracks, observation, road_users=road_users, frame_index=index)
 
     def find_camera(

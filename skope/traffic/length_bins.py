@@ -100,8 +100,13 @@ def bin_probabilities(trajectory: Trajectory, limits_m: Sequence[float], common_
 def length_bin(trajectory: Trajectory, limits_m: Sequence[float], common_sigma: float | None) -> tuple[str, float]:
     """The bin of a vehicle, or `UNTOLD`, and the probability of the most probable one."""
     chances = bin_probabilities(trajectory, limits_m, common_sigma)
+    return _bin_of(chances), float(chances.max())
+
+
+def _bin_of(chances: Array) -> str:
+    """The bin of somebody for whom each is so probable (3,), or `UNTOLD`."""
     most = int(np.argmax(chances))
-    return (BINS[most] if chances[most] >= TOLD else UNTOLD), float(chances[most])
+    return BINS[most] if chances[most] >= TOLD else UNTOLD
 
 
 def has_length(trajectory: Trajectory) -> bool:
@@ -125,7 +130,7 @@ def length_counts(
     told = [one for one in (*crossings, *unseen.doubtful) if has_length(one.trajectory)]
     every: list[GateCrossing | Vanished] = [*told, *(one for one in unseen.vanished if has_length(one.trajectory))]
     chances: Chances = {one: bin_probabilities(one.trajectory, limits, common) for one in every}
-    names = {one: length_bin(one.trajectory, limits, common)[0] for one in told}
+    names = {one: _bin_of(chances[one]) for one in told}
     out = []
     for interval in intervals:
         observed_s = observation.seconds_in(interval.begin_s, interval.end_s)

@@ -160,7 +160,7 @@ def observation_of(scene: Scene, times: Sequence[float], begins: datetime | None
     Args:
         scene: The footage.
         times: Time of each image, seconds.
-        begins: When second 0 was, with its zone; None: as the file of frames says.
+        begins: When second 0 was, with its zone, as `begins_of` says; None: not known.
     """
     moved = np.array([scene.moved_in(image) for image in scene.file.images])
     known = scene.known_in(scene.file.images[0])
@@ -176,7 +176,7 @@ def observation_of(scene: Scene, times: Sequence[float], begins: datetime | None
         road_sigma_m=0.0 if scene.ground is None else scene.ground.height_sigma,
         moved_s=seconds[moved],
         sight=checked_sight(scene.file.info.get(SIGHT_FIELD), f"{scene.file.name}: info.{SIGHT_FIELD}"),
-        begins=begins_of(scene, begins),
+        begins=begins,
     )
 
 
