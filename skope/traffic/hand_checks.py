@@ -53,14 +53,15 @@ def hand_checks(
     out = []
     for one in hands:
         near = one.gate not in unseen.gates
+        own = _seen(one, crossings, unseen)
         kinds, most = unseen.kinds_at(one.gate, one.direction), _most(one, unseen)
-        groups = _groups(one, crossings, unseen, settings)
+        groups = _groups(one, own, unseen, settings)
         out.append(
             HandCheck(
                 hand=one,
-                count=sum(_counts(one, crossing) for crossing in crossings),
+                count=sum(each.counts and each.trajectory.class_name in one.classes for each in own),
                 near=near,
-                expected=expected(_seen(one, crossings, unseen), kinds, most, ALL, one.classes) if near else None,
+                expected=expected(own, kinds, most, ALL, one.classes) if near else None,
                 contradicts=near and _contradicts(one.number, list(groups.values())),
             )
         )
@@ -97,7 +98,7 @@ def adjusted(
     evidence = [
         CountEvidence(
             side=(one.hand.gate, one.hand.direction),
-            groups=_groups(one.hand, crossings, unseen, settings),
+            groups=_groups(one.hand, _seen(one.hand, crossings, unseen), unseen, settings),
             number=one.hand.number,
         )
         for one in told
@@ -108,13 +109,6 @@ def adjusted(
         unseen,
         learnt=learnt_shares(evidence, {side: unseen.kinds_at(*side) for side in sides}, doubted) if evidence else {},
     )
-
-
-def _counts(hand: HandCount, crossing: GateCrossing) -> bool:
-    """Whether a crossing is one of those that were counted by hand, by its track's class."""
-    here = (crossing.gate, crossing.direction) == (hand.gate, hand.direction)
-    then = hand.interval.begin_s <= crossing.time_s < hand.interval.end_s
-    return here and then and crossing.trajectory.class_name in hand.classes
 
 
 def _seen(hand: HandCount, crossings: Sequence[GateCrossing], unseen: Unseen) -> list[GateCrossing]:
@@ -133,10 +127,9 @@ def _most(hand: HandCount, unseen: Unseen) -> Callable[[Collection[str]], int]:
 
 
 def _groups(
-    hand: HandCount, crossings: Sequence[GateCrossing], unseen: Unseen, settings: TrafficSettings
+    hand: HandCount, own: Sequence[GateCrossing], unseen: Unseen, settings: TrafficSettings
 ) -> dict[int, Group]:
-    """What was seen while somebody counted, by which of the gate's kinds it is."""
-    own = _seen(hand, crossings, unseen)
+    """What was seen (`own`) while somebody counted, by which of the gate's kinds it is."""
     found = {
         k: group_of(kind, own, _most(hand, unseen), ALL, hand.classes)
         for k, kind in enumerate(unseen.kinds_at(hand.gate, hand.direction))
