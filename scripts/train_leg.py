@@ -52,6 +52,8 @@ RANDOM: Final = "random"
 """Where a leg begins from nothing."""
 AT_ONCE: Final = 4
 """Datasets that are simulated side by side."""
+TESTS_AFTER: Final = 5
+"""So many datasets to learn from are made before the tests."""
 TINY_PLACES: Final = {"--frames": "1", "--size": "480x270"}
 TINY_SETTINGS: Final = ("min_size=120", "max_size=214", "batch_size=1", "bfloat16=false", "keypoint_regions=4")
 """What --miniature sets otherwise."""
@@ -103,27 +105,26 @@ class Places:
         self._changed = threading.Condition()
         self._running: set[subprocess.Popen[bytes]] = set()
         self._stopped = False
-        self._left = len(wanted)
-        self.drawn: list[str] = []
+        self.drawn = [name for name in wanted if (folder / name / CARD).is_file()]
         self.failed: list[str] = []
+        missing = {name: text for name, text in wanted.items() if name not in self.drawn}
+        self._left = len(missing)
         self._simulating = ThreadPoolExecutor(AT_ONCE)
-        simulated = {name: self._simulating.submit(self._simulate, name, text) for name, text in wanted.items()}
+        simulated = {name: self._simulating.submit(self._simulate, name, text) for name, text in missing.items()}
         self._drawing = threading.Thread(target=self._draw, args=(simulated,), daemon=True)
         self._drawing.start()
 
     def _simulate(self, name: str, options: str) -> None:
-        if not (self._folder / name / CARD).is_file():
-            share = str(max(1, self._workers // AT_ONCE))
-            words = [*options.split(), "--no-depth", "--workers", share, "--out", str(self._folder / name)]
-            self._skope("10", "gen", "simulate", "-q", *words)
+        share = str(max(1, self._workers // AT_ONCE))
+        words = [*options.split(), "--no-depth", "--workers", share, "--out", str(self._folder / name)]
+        self._skope("10", "gen", "simulate", "-q", *words)
 
     def _draw(self, simulated: Mapping[str, Future[None]]) -> None:
         """Draw one after the other what is simulated."""
         for name, done in simulated.items():
             try:
                 done.result()
-                if not (self._folder / name / CARD).is_file():
-                    self._skope("5", "gen", "render", "-q", "--workers", str(self._workers), str(self._folder / name))
+                self._skope("5", "gen", "render", "-q", "--workers", str(self._workers), str(self._folder / name))
                 to = self.drawn
             except (subprocess.CalledProcessError, CancelledError):
                 to = self.failed
@@ -361,8 +362,8 @@ def run(options: argparse.Namespace) -> None:
     options.out.mkdir(parents=True, exist_ok=True)
     wanted = {f"leg_{leg.name}_{number}": text for number, text in enumerate(leg.places, start=1)}
     learnt = list(wanted)
-    # The tests after the first places, so that training can begin, and before the last ones, so that they are there.
-    order = [*learnt[:2], *tests, *learnt[2:]]
+    # Most rounds need other places than the one before, more than the tests are needed before the end.
+    order = [*learnt[:TESTS_AFTER], *tests, *learnt[TESTS_AFTER:]]
     wanted |= {name: test["places"] for name, test in tests.items()}
     places = Places(options.data, {name: placed(wanted[name], options.miniature) for name in order}, options.workers)
     try:
@@ -376,7 +377,7 @@ def run(options: argparse.Namespace) -> None:
             if not here or left <= 0:
                 break
             number += 1
-            last = left < 2 * ROUND_S
+            last = left < 1.5 * ROUND_S
             data, seconds = [options.data / name for name in here], left if last else ROUND_S
             weights = train_round(options, leg, number, weights, data, seconds, last=last)
         places.wait_for(list(tests), time.monotonic() + 5)

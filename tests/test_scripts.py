@@ -10,6 +10,7 @@ import shlex
 import shutil
 import subprocess
 import sys
+import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -455,6 +456,19 @@ def test_places_of_the_legs_can_be_made(skope: Any, monkeypatch: pytest.MonkeyPa
         for miniature in (False, True):
             code, _, error = skope("gen", "simulate", *leg.placed(text, miniature).split(), "--help")
             assert code == 0, error
+
+
+def test_a_leg_learns_from_places_that_were_drawn_before(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """They are there at once, and do not wait for those before them in the order."""
+    monkeypatch.syspath_prepend(str(SCRIPTS))
+    leg = importlib.import_module("train_leg")
+    (tmp_path / "second").mkdir()
+    (tmp_path / "second" / leg.CARD).write_text("{}")
+    monkeypatch.setattr(leg.Places, "_skope", lambda places, *command: time.sleep(0.5))
+    places = leg.Places(tmp_path, {"first": "--preset demo", "second": "--preset demo"}, workers=1)
+    assert places.wait_for(["first", "second"], time.monotonic()) == ["second"]
+    assert sorted(places.wait_for(["first", "second"], time.monotonic() + 60)) == ["first", "second"]
+    places.stop()
 
 
 def test_weights_of_a_leg_travel_in_parts(
