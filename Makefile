@@ -91,6 +91,7 @@ paper: $(STAMP)
 # What is finished is not done again here either; docs/results.md has the machine and the times.
 reference: $(STAMP)
 	$(VENV)/bin/python scripts/reference_run.py varied --gpus $(GPUS)
+	$(VENV)/bin/python scripts/reference_run.py world --gpus $(GPUS)
 	$(VENV)/bin/python scripts/reference_run.py road33 --gpus $(GPUS)
 
 # Without REAL nothing is set up first, so that what is missing is told at once.

@@ -65,7 +65,7 @@ class Leg:
 
     name: str
     start: str
-    """Weights that come with skope, or `RANDOM`; of a leg with --state, which has those of the leg before, nothing."""
+    """`RANDOM`, or empty: it goes on from the weights of --init, or of the leg before, --state."""
     places: tuple[str, ...]
     """Options of `skope gen simulate`, a dataset each."""
     recipe: str
@@ -215,7 +215,7 @@ def train_round(
     if not resumable(run):
         note(options.out, f"round {number}", "ended before anything was saved")
         return start
-    row = write_mean(run, weights)
+    row = write_mean(run, weights, f"round {number} of leg {leg.name}")
     images = sum(len(open_dataset(folder).read("train").images) for folder in data)
     seconds = round(time.monotonic() - begun)
     visits = row["epochs"] * images + row["steps_of_the_last"] * row["batch_size"]
@@ -223,14 +223,14 @@ def train_round(
     return weights
 
 
-def write_mean(run: Path, out: Path) -> dict[str, Any]:
+def write_mean(run: Path, out: Path, origin: str) -> dict[str, Any]:
     """Write the running mean of a run's weights as a checkpoint; returns how far the run has come."""
     state = torch.load(run / "resume.pt", map_location="cpu", weights_only=True)
     config = DetectorConfig.from_dict(state["detector"])
     model = build(config, trainable_layers=5)
     mean = {key.removeprefix("module."): value for key, value in state["mean"].items() if key.startswith("module.")}
     model.load_state_dict(mean)
-    save_weights(out, model, config, {"origin": state["origin"]})
+    save_weights(out, model, config, {"origin": origin})
     recipe = read_json(run / "recipe.json")["recipe"]
     losses = {name: value / max(1, state["steps_done"]) for name, value in state["sums"].items()}
     return {
@@ -345,9 +345,9 @@ def note(out: Path, what: str, values: Any) -> None:
 
 def begin(options: argparse.Namespace, leg: Leg) -> Path | None:
     """The weights that a leg begins with; None: it begins from nothing."""
-    note(options.out, "start", "the leg before" if options.state else leg.start)
+    note(options.out, "start", str(options.state or options.init or leg.start))
     if not options.state:
-        return None if leg.start == RANDOM else find_checkpoint(Path(leg.start))
+        return find_checkpoint(options.init) if options.init else None
     start: Path = options.out / "start.safetensors"
     if not start.is_file():
         join(options.state, start)
@@ -359,6 +359,8 @@ def run(options: argparse.Namespace) -> None:
     end = time.monotonic() + 60 * options.minutes
     legs, tests = read_legs()
     leg = legs[options.leg]
+    if not (leg.start or options.state or options.init):
+        raise UserError(f"leg {leg.name} goes on from weights: --state names those of the leg before, --init others")
     options.out.mkdir(parents=True, exist_ok=True)
     wanted = {f"leg_{leg.name}_{number}": text for number, text in enumerate(leg.places, start=1)}
     learnt = list(wanted)
@@ -400,6 +402,7 @@ def main() -> None:
     one = commands.add_parser("run", help="do a leg")
     one.add_argument("leg", choices=tuple(read_legs()[0]))
     one.add_argument("--state", type=Path, help="folder of the packed weights of the leg before")
+    one.add_argument("--init", type=Path, help="weights to begin with, of a leg before which there is none")
     one.add_argument("--data", type=Path, default=Path("data/legs"), help="folder of the datasets' folders")
     one.add_argument("--out", type=Path, required=True)
     one.add_argument("--minutes", type=float, default=25.0, help="the whole leg's time")

@@ -144,6 +144,7 @@ RUNS: Final[Sequence[Run]] = (
     ),
     Run("research/marker_offsets.py", "{road}", says="kind                points"),
     Run("research/offline_kit.py", "{out}", says="no wheel of libsumo", code=2),
+    Run("train_leg.py", "run 1 --out {out}", says="leg 1 goes on from weights: --state", code=2),
     Run("train_leg.py", "join {out} --out {out}/a.safetensors", says="parts.json", code=2),
     Run(
         "research/site_calibration.py",
@@ -364,7 +365,7 @@ COMMANDS: Final[Mapping[str, int]] = {
         "data": 1,
         "model": 2,
     },
-    **{"help": 0, "report": 3, "reference": 2, "docs": 1, "bench": 12, "clean": 0},
+    **{"help": 0, "report": 3, "reference": 3, "docs": 1, "bench": 12, "clean": 0},
 }
 """Target -> number of the virtual environment's programs that it runs from nothing."""
 
@@ -435,8 +436,12 @@ def test_recordings_of_the_reference_can_be_made(skope: Any, monkeypatch: pytest
     for words in reference.DATASETS.values():
         code, _, error = skope("gen", "simulate", *words.split(), "--help")
         assert code == 0, error
+    legs, _ = importlib.import_module("train_leg").read_legs()
     for training in reference.TRAININGS.values():
         assert set(training.datasets) <= set(reference.DATASETS)
+        assert set(training.legs) <= set(legs)
+        assert training.after in (None, *reference.TRAININGS)
+        assert bool(training.legs) != bool(training.recipe)
 
 
 def test_places_of_the_legs_can_be_made(skope: Any, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -456,6 +461,33 @@ def test_places_of_the_legs_can_be_made(skope: Any, monkeypatch: pytest.MonkeyPa
         for miniature in (False, True):
             code, _, error = skope("gen", "simulate", *leg.placed(text, miniature).split(), "--help")
             assert code == 0, error
+
+
+def test_reference_learns_in_legs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each from the one before, the first from the training before; what is done is not done again."""
+    monkeypatch.syspath_prepend(str(SCRIPTS))
+    reference = importlib.import_module("reference_run")
+    called: list[tuple[str, ...]] = []
+
+    def script(clock: Any, *words: str) -> None:
+        called.append(words)
+        if words[1] == "run" and len(called) == 3:
+            raise reference.TimeIsUpError
+
+    monkeypatch.setattr(reference.Clock, "script", script)
+    out = tmp_path / "road33"
+    for leg in "1234":
+        (out / f"leg_{leg}").mkdir(parents=True)
+    options = argparse.Namespace(out=out, data=tmp_path / "data", gpus="0,1", workers=8)
+    clock, training = reference.Clock(1.0, ["0", "1"]), reference.TRAININGS["road33"]
+    with pytest.raises(reference.TimeIsUpError):
+        reference.learn_in_legs(clock, options, training)
+    assert reference.learn_in_legs(clock, options, training) == out / "joined.safetensors"
+    runs = [words[2:5] for words in called if words[1] == "run"]
+    first = ("1", "--init", str(tmp_path / "world" / "packed.safetensors"))
+    after = [(name, "--state", str(out / f"leg_{int(name) - 1}" / "state")) for name in "234"]
+    assert runs == [first, *after[:2], *after[1:]]
+    assert called[-1][1:3] == ("join", str(out / "leg_4" / "state"))
 
 
 def test_a_leg_learns_from_places_that_were_drawn_before(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
