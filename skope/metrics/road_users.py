@@ -11,6 +11,7 @@ import numpy as np
 from skope.metrics.coco_ap import evaluated, found_box, mean_precision, truth_box
 from skope.metrics.counts import ratio
 from skope.schema import CATEGORIES, AnnotationFile, RoadUserResult
+from skope.types import Array, Mask
 
 AP50_IOU: Final = 0.5
 """IoU at which a detection matches, that of AP50."""
@@ -51,6 +52,32 @@ def category_figures(
         found = [found_box(i, result) for i, result in enumerate(own, start=1)]
         out[name] = _by_size(images, truth, found, score, all_scores=all_scores)
     return out
+
+
+def box_outcomes(
+    file: AnnotationFile, results: Sequence[RoadUserResult], name: str, *, boxes: str = "full"
+) -> tuple[Array, Mask]:
+    """Scores of the results of one category but vehicles and whether each found a road user at IoU 0.5, (D,) each.
+
+    Those on ignored road users that found nobody are left out, as are an image's results beyond the best 300.
+
+    Args:
+        file: The ground truth of a split.
+        results: What a detector found, in images of `file`, of any categories.
+        name: The category.
+        boxes: Which boxes of the ground truth are matched to, one of `match.BOX_KINDS`.
+    """
+    images = [{"id": image.id, "width": image.width, "height": image.height} for image in file.images]
+    truth = [truth_box(user, boxes) for user in file.road_users if user.category == name]
+    own = [result for result in results if result.category == name]
+    found = [found_box(i, result) for i, result in enumerate(own, start=1)]
+    evaluation = evaluated(images, truth, found, "bbox", {"all": (0.0, 1e10)})
+    at = int(np.flatnonzero(np.isclose(evaluation.params.iouThrs, AP50_IOU))[0])
+    rows = [row for row in evaluation.evalImgs if row is not None]
+    scores = np.concatenate([np.zeros(0), *(row["dtScores"] for row in rows)])
+    right = np.concatenate([np.zeros(0, dtype=bool), *(np.asarray(row["dtMatches"][at]) > 0 for row in rows)])
+    left_out = np.concatenate([np.zeros(0, dtype=bool), *(np.asarray(row["dtIgnore"][at], dtype=bool) for row in rows)])
+    return scores[~left_out], right[~left_out]
 
 
 def _by_size(

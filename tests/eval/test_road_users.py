@@ -11,10 +11,15 @@ import cv2
 import numpy as np
 import pytest
 
+from skope import boxes as box_math
+from skope.boxes import xywh_to_xyxy
 from skope.dataset import coco
 from skope.detections import apart
+from skope.detector.checkpoint import read_checkpoint
+from skope.eval.inference import fit_score_calibration
 from skope.eval.inference.anonymize import blurred
-from skope.schema import CATEGORIES, Result, RoadUserResult
+from skope.metrics.road_users import box_outcomes
+from skope.schema import CATEGORIES, AnnotationFile, Image, Result, RoadUser, RoadUserResult
 from tests import road_users, samples
 
 QUIET = ("--device", "cpu", "-q")
@@ -95,7 +100,74 @@ def test_a_calibration_says_whom_it_leaves_out(skope: Any, categories_run: Path,
     coco.write(path, replace(coco.read(path), annotations=tuple(vehicles), road_users=()))
     code, said, error = skope("eval", "calibrate-scores", *common, "--score", "0.05", "--out", "a.safetensors")
     assert code == 0, error
-    assert "scores of bicycle, motorcycle, pedestrian are not calibrated" in said
+    for name in CATEGORIES[1:]:
+        assert f"{name}: not calibrated, a threshold means another thing for it: of " in said
+    assert read_checkpoint(Path("a.safetensors"))[0]["metadata"]["calibrated"]["categories"] == [CATEGORIES[0]]
+
+
+def test_a_calibration_of_each_category(
+    skope: Any, categories_run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where the data tell, each category has its own numbers: a score of it is its share of right ones."""
+    monkeypatch.setattr(fit_score_calibration, "LEAST_OUTCOMES", 2)
+    data = road_users.make_dataset(tmp_path / "data", images=2, splits=("easy",))
+    common = ("--data", data, "--split", "easy", "--checkpoint", categories_run, "--device", "cpu")
+    assert skope("eval", *common, "--out", "eval")[0] == 0
+    path = data / "annotations" / "easy.json"
+    vehicles, others = apart(coco.iter_all_results(Path("eval/predictions_easy.json")))
+    marked = [
+        replace(
+            samples.make_annotation(i, one.image_id, tuple(one.bbox)),
+            keypoints=one.keypoints.round() * [1, 1, 0] + [0, 0, 2],
+        )
+        for i, one in enumerate(vehicles, start=1)
+    ]
+    # Of each category every second one that is found is there.
+    users = [
+        RoadUser(
+            id=len(marked) + i, image_id=one.image_id, category_id=one.category_id, bbox=one.bbox.round(1), area=9.0
+        )
+        for i, one in enumerate(others, start=1)
+        if i % 2
+    ]
+    coco.write(path, replace(coco.read(path), annotations=tuple(marked), road_users=tuple(users)))
+    code, said, error = skope("eval", "calibrate-scores", *common, "--score", "0.05", "--out", "a.safetensors")
+    assert code == 0, error
+    known = read_checkpoint(Path("a.safetensors"))[0]["metadata"]["calibrated"]["categories"]
+    assert len(known) > 1
+    for name in known[1:]:
+        assert f"{name}, after: log loss" in said
+
+
+def test_outcomes_of_a_category_are_those_of_brute_force(tmp_path: Path) -> None:
+    """In order of scores each takes the free road user that it overlaps most, from an IoU of 0.5."""
+    rng = np.random.default_rng(5)
+    size = Image(id=1, file_name="a.jpg", width=400, height=300)
+    boxes = np.concatenate([rng.uniform(0, 250, (12, 2)), rng.uniform(20, 40, (12, 2))], axis=1)
+    users = tuple(
+        RoadUser(id=i, image_id=1, category_id=2, bbox=box, area=float(box[2:].prod()), iscrowd=int(i == 1))
+        for i, box in enumerate(boxes, start=1)
+    )
+    shaken = np.concatenate([boxes, boxes + rng.normal(0, 4, boxes.shape), boxes + rng.normal(0, 9, boxes.shape)])
+    found = [
+        RoadUserResult(image_id=1, category_id=2, score=float(score), bbox=box)
+        for score, box in zip(rng.permutation(36) / 40, shaken, strict=True)
+    ]
+    truth = AnnotationFile(images=(size,), annotations=(), road_users=users, categories=CATEGORIES)
+    free, expected = set(range(1, 12)), []
+    for one in sorted(found, key=lambda result: -result.score):
+        overlaps = box_math.iou(xywh_to_xyxy(one.bbox[None]), xywh_to_xyxy(boxes))[0]
+        best = max(free, key=lambda i: overlaps[i], default=None)
+        hit = best is not None and overlaps[best] >= 0.5
+        if hit:
+            free.discard(best)
+        elif box_math.share_inside(xywh_to_xyxy(one.bbox[None]), xywh_to_xyxy(boxes[:1]))[0, 0] >= 0.5:
+            continue
+        expected.append((one.score, hit))
+    scores, right = box_outcomes(truth, [*found, replace(found[0], category_id=3)], "bicycle")
+    order = np.argsort(-scores, kind="stable")
+    assert list(zip(scores[order].tolist(), right[order].tolist(), strict=True)) == expected
+    assert 8 < right.sum() < len(right)
 
 
 def test_predicting_images(skope: Any, categories_run: Path, tmp_path: Path) -> None:

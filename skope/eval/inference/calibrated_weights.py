@@ -4,12 +4,11 @@ A vehicle's score is the sigmoid of the difference of its two logits, a keypoint
 from the last layers to there everything is linear. So a checkpoint whose scores are probabilities is a checkpoint like
 any other, for torchvision's own model too.
 
-Where a detector has learnt other categories, a vehicle competes with the background and each of those. The same scale
-on all logits and the offset on the vehicles' alone do what they do with two logits where one of the others leads the
-rest: nearly everywhere. Scores of the other categories are not calibrated.
+Where a detector has learnt other categories, each has a scale and an offset of its own, of the difference of its logit
+and the background's. Its score is the calibrated one where the background is what it competes with: nearly everywhere.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Final
 
 import numpy as np
@@ -43,14 +42,14 @@ def vehicle_outcomes(file: AnnotationFile, results: Sequence[Result]) -> tuple[A
     return matches.det_score[counts], right[counts]
 
 
-def fit_vehicles(scores: Array, right: NDArray[np.bool_]) -> tuple[float, float]:
-    """Scale and offset of the difference of a vehicle's logits, from scores and outcomes (D,)."""
+def fit_boxes(scores: Array, right: NDArray[np.bool_]) -> tuple[float, float]:
+    """Scale and offset of the logits of a category's scores, from scores and outcomes (D,)."""
     scale, offset = fit_one(_logits(scores), right)
     return max(scale, _FLATTEST), offset
 
 
 def calibrated(scores: Array, scale: float, offset: float) -> Array:
-    """The scores of vehicles after calibration."""
+    """The scores of a category's boxes after calibration."""
     return sigmoid(scale * _logits(scores) + offset)
 
 
@@ -58,17 +57,26 @@ def _logits(scores: Array) -> Array:
     return np.clip(raw_maxima(scores), -_LARGEST_LOGIT_GAP, _LARGEST_LOGIT_GAP)
 
 
-def fold(model: KeypointRCNN, vehicles: tuple[float, float], points: ScoreCalibration) -> None:
-    """Scale and shift the last layers of a model, in float32, so that its own scores are the calibrated ones."""
-    scale, offset = vehicles
+def fold(model: KeypointRCNN, boxes: Mapping[int, tuple[float, float]], points: ScoreCalibration) -> None:
+    """Scale and shift the last layers of a model, in float32, so that its own scores are the calibrated ones.
+
+    Args:
+        model: A detector; it is changed.
+        boxes: Category's id, from 1 -> scale and offset of its logit. The others get the vehicles' scale.
+        points: The keypoints' scales and offsets.
+    """
     box, maps = model.roi_heads.box_predictor.cls_score, model.roi_heads.keypoint_predictor.kps_score_lowres
     steepness = torch.as_tensor(np.maximum(points.scale, _FLATTEST), dtype=torch.float32)
+    rest = (boxes[CATEGORY_ID][0], 0.0)
+    fitted = [(0.0, 0.0), *(boxes.get(number, rest) for number in range(1, len(box.bias)))]
     with torch.no_grad():
         for parameter in (box.weight, box.bias):
+            scaled = torch.stack(
+                [scale * (row - parameter[0]) for row, (scale, _) in zip(parameter, fitted, strict=True)]
+            )
+            if parameter is box.bias:
+                scaled += torch.tensor([offset for _, offset in fitted])
             # Away from their mean, which changes no score.
-            classes = len(parameter)
-            parameter.copy_(scale * torch.stack([(row - parameter).sum(dim=0) / classes for row in parameter]))
-        vehicle = torch.nn.functional.one_hot(torch.tensor(CATEGORY_ID), classes)
-        box.bias += (offset * (vehicle.double() - 1 / classes)).float()
+            parameter.copy_(scaled - scaled.mean(dim=0))
         maps.weight *= steepness[:, None, None]
         maps.bias.copy_(maps.bias * steepness + torch.as_tensor(points.offset, dtype=torch.float32))

@@ -9,10 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skope.dataset.image_selection import held_back, ignoring, last_frames
+from skope.detections import apart
 from skope.detector.checkpoint import checkpoint_bytes, find_checkpoint, load_weights
 from skope.detector.weights import shipped
 from skope.errors import UserError
 from skope.eval.inference import calibrated_weights, score_calibration
+from skope.eval.inference.calibrated_weights import LEAST_SCORE
 from skope.eval.inference.predictor import CALIBRATED_KEY, Predictor
 from skope.eval.inference.score_calibration import ALPHA, CALIBRATION_IOU
 from skope.eval.inference.settings import Settings
@@ -20,11 +22,14 @@ from skope.files.output_folders import check_file, work_of, write_new
 from skope.metrics import read_inputs, score_reliability
 from skope.metrics.counts import Options, outcomes_at
 from skope.metrics.match import match
-from skope.schema import AnnotationFile
+from skope.metrics.road_users import box_outcomes
+from skope.schema import CATEGORY_ID, AnnotationFile, Result, RoadUserResult
 from skope.terminal.console import Console
 from skope.types import Array
 
 TRAIN_SPLIT: Final = "train"
+LEAST_OUTCOMES: Final = 20
+"""A category's scores are fitted to so many right and as many wrong detections at least."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,7 +46,7 @@ class CalibrationJob:
     settings: Settings
     max_images: int | None = None
     out: Path | None = None
-    """Checkpoint to write with vehicles' and keypoints' scores calibrated; None: only keypoints', in a file beside the
+    """Checkpoint to write with boxes' and keypoints' scores calibrated; None: only keypoints', in a file beside the
     weights."""
 
 
@@ -55,7 +60,7 @@ def calibrate(job: CalibrationJob, console: Console) -> Path:
         check_file(job.out, lambda head: head[8:9] == b"{")
     elif shipped(weights):
         raise UserError(f"--checkpoint {job.checkpoint}: comes with skope; copy {weights} and calibrate the copy")
-    least = job.score if job.out is None else min(job.score, calibrated_weights.LEAST_SCORE)
+    least = job.score if job.out is None else min(job.score, LEAST_SCORE)
     predictor = Predictor.load(weights, replace(job.settings, calibrated=False, min_score=least), console)
     truth = read_inputs.read_dataset(job.data, [job.split])
     predictor.check_scheme(truth.scheme, job.data)
@@ -66,7 +71,7 @@ def calibrate(job: CalibrationJob, console: Console) -> Path:
     file = read_inputs.limit(_taken(job, truth.splits[0], share), job.max_images)
     if not file.images:
         raise UserError(f"{job.data}: split {job.split}: the last {share:g} of its recordings is less than one image")
-    results = predictor.split(file, truth.root)
+    results, others = apart([one for _, found in predictor.by_image(file, truth.root) for one in found])
 
     matches = match(file, results, score=job.score, thresholds=(CALIBRATION_IOU,))
     outcomes = outcomes_at(matches, CALIBRATION_IOU, Options(alpha=ALPHA, iou=(CALIBRATION_IOU,)))
@@ -91,19 +96,41 @@ def calibrate(job: CalibrationJob, console: Console) -> Path:
     }
     fitted = score_calibration.fit(score_calibration.raw_maxima(points[..., 2]), right, fitted_on)
     _tell("keypoints", points[..., 2], fitted(points)[..., 2], right, console)
-    if len(predictor.categories) > 1:
-        others = ", ".join(predictor.categories[1:])
-        console.say(f"scores of {others} are not calibrated: a threshold means another thing for them")
     if job.out is None:
         return score_calibration.write(weights, fitted, work, predictor.scheme.name)
-    scores, hits = calibrated_weights.vehicle_outcomes(file, results)
-    vehicles = calibrated_weights.fit_vehicles(scores, hits)
-    _tell("vehicles", scores, calibrated_weights.calibrated(scores, *vehicles), hits, console)
+    boxes = _fitted_boxes(file, results, others, predictor.categories, console)
     model, config, metadata = load_weights(weights, "cpu")
-    calibrated_weights.fold(model, vehicles, fitted)
-    content = checkpoint_bytes(model, config, {**metadata, CALIBRATED_KEY: fitted_on})
+    calibrated_weights.fold(model, boxes, fitted)
+    known = [predictor.categories[number - CATEGORY_ID] for number in boxes]
+    content = checkpoint_bytes(model, config, {**metadata, CALIBRATED_KEY: {**fitted_on, "categories": known}})
     write_new(job.out, content)
     return job.out
+
+
+def _fitted_boxes(
+    file: AnnotationFile,
+    vehicles: Sequence[Result],
+    others: Sequence[RoadUserResult],
+    categories: Sequence[str],
+    console: Console,
+) -> dict[int, tuple[float, float]]:
+    """Scale and offset of the scores of each category that the data tell, by the category's id."""
+    fitted = {}
+    for number, name in enumerate(categories, start=CATEGORY_ID):
+        if number == CATEGORY_ID:
+            scores, hits = calibrated_weights.vehicle_outcomes(file, vehicles)
+        else:
+            scores, hits = box_outcomes(file, [one for one in others if one.score > LEAST_SCORE], name)
+            if min(hits.sum(), (~hits).sum()) < LEAST_OUTCOMES:
+                console.say(
+                    f"{name}: not calibrated, a threshold means another thing for it: of {len(hits)} detections "
+                    f"{hits.sum()} are right; {LEAST_OUTCOMES} right and as many wrong ones are needed"
+                )
+                continue
+        fitted[number] = calibrated_weights.fit_boxes(scores, hits)
+        what = "vehicles" if number == CATEGORY_ID else name
+        _tell(what, scores, calibrated_weights.calibrated(scores, *fitted[number]), hits, console)
+    return fitted
 
 
 def _tell(what: str, before: Array, after: Array, right: NDArray[np.bool_], console: Console) -> None:
