@@ -28,7 +28,7 @@ def calibrate_scores(
         Path | None,
         option(
             metavar=FILE,
-            help="Checkpoint to write whose own scores are probabilities, vehicles' too.",
+            help="Checkpoint to write whose own scores are probabilities, boxes' too.",
             show_default="keypoint scores alone, in a file beside the weights",
         ),
     ] = None,
@@ -37,7 +37,7 @@ def calibrate_scores(
 ) -> None:
     """Turn a checkpoint's keypoint scores into probabilities that a point is visible and near its place.
 
-    With --out, vehicle scores into probabilities that there is one, too.
+    With --out, boxes' scores into probabilities that there is one of that category, too.
 
     (`skope eval camera` finds a camera's focal length and tilt.)
     """
