@@ -242,9 +242,19 @@ class Camera:
         fov: float = math.radians(110),
         distortion: Distortion | None = None,
     ) -> Self:
-        """A centred camera at `position` [x, y, z] looking along `yaw` (from world x towards y), pitched down.
+        """Make a camera from its place, its direction and its field of view.
 
-        `fov` is the full horizontal field of view before distortion; all angles are radians.
+        Args:
+            position: (3,) place of the camera in the world, metres.
+            yaw: Direction in which it looks, from world x towards y, radians.
+            pitch_down: Angle of its axis under the horizontal, radians.
+            roll: Turn about its axis, radians; positive ones turn the scene anticlockwise in the image.
+            size: Width and height of the image, pixels.
+            fov: Full horizontal field of view before distortion, radians.
+            distortion: Of the lens; None: none.
+
+        Returns:
+            A camera with square pixels, whose axis meets the middle of the image.
         """
         width, height = size
         focal = width / 2 / math.tan(fov / 2)
@@ -260,7 +270,16 @@ class Camera:
 
     @classmethod
     def from_dict(cls, value: Mapping[str, Any], width: int, height: int) -> Self:
-        """Read the annotation schema's `camera` object {K, distortion, T_camera_world}."""
+        """Read the annotation schema's `camera` object {K, distortion, T_camera_world}.
+
+        Args:
+            value: The object; without `distortion` the lens has none.
+            width: Width of the image, pixels.
+            height: Its height, pixels.
+
+        Raises:
+            UserError: A field is missing or is not what a camera has.
+        """
         try:
             distortion = value.get("distortion", {"model": "none", "coefficients": []})
             return cls(
