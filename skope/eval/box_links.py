@@ -60,7 +60,16 @@ class BoxLinks:
         self._count = 0
 
     def add(self, time_s: float, found: Sequence[Found], first: Sequence[bool] | None = None) -> Integers32:
-        """Take the detections of the next frame, which is later; see `add_boxes`."""
+        """Take the detections of the next frame, which is later, as `add_boxes` takes boxes.
+
+        Args:
+            time_s: Seconds.
+            found: N detections of the frame; `track_id` says where points were followed to.
+            first: Which of them choose their vehicles before the others; None: all.
+
+        Returns:
+            (N,) the number of each detection's vehicle.
+        """
         boxes = np.array([one.bbox for one in found]).reshape(-1, 4)
         return self.add_boxes(time_s, boxes, followed=[one.track_id for one in found], first=first)
 

@@ -83,7 +83,14 @@ def beliefs_of(
     lens: Mapping[str, tuple[float, float]] | None = None,
     height_m: tuple[float, float] | None = None,
 ) -> tuple[Belief, ...]:
-    """What is known of a camera whose images are `width` pixels wide, as `CalibrationMarks` has it."""
+    """What is known of a camera beforehand, as evidence for its calibration.
+
+    Args:
+        width: Width of the images, pixels.
+        fov_deg: Horizontal field of view and its standard deviation, degrees; None: not known.
+        lens: `focal_px` and, where it is known, `k1`, each with its standard deviation; None: not known.
+        height_m: Height over the road and its standard deviation, metres; None: not known.
+    """
     out = []
     if fov_deg:
         out.append(Belief.of_fov(*fov_deg, width))

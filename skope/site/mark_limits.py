@@ -22,6 +22,12 @@ LENGTH_SIGMA_M: Final = 0.05
 
 
 def is_known(value: float, sigma: float, limits: tuple[float, float]) -> bool:
-    """Whether a value with its standard deviation is one that a camera can have."""
+    """Whether a value with its standard deviation is one that a camera can have.
+
+    Args:
+        value: The value.
+        sigma: Its standard deviation, in the same unit: from `LEAST_KNOWN_SIGMA` to the upper limit.
+        limits: Least and largest value.
+    """
     low, high = limits
     return low <= value <= high and LEAST_KNOWN_SIGMA <= sigma <= high

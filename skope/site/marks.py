@@ -148,7 +148,19 @@ def read_name(row: TomlTable) -> str:
 
 
 def checked_name(row: TomlTable, key: str, name: str) -> str:
-    """A name that people give: any script, but of one line, and not too long to be shown."""
+    """Check a name that people give; it may be of any script.
+
+    Args:
+        row: The table that it stands in, for the message.
+        key: Its key there, likewise.
+        name: The name.
+
+    Returns:
+        The name.
+
+    Raises:
+        UserError: It is empty, longer than `LONGEST_NAME`, or cannot be printed in one line.
+    """
     if not name.strip() or len(name) > LONGEST_NAME or not name.isprintable():
         raise row.wrong(key, f"expected a name of one line and up to {LONGEST_NAME} letters")
     return name

@@ -50,7 +50,16 @@ def fit_vehicles(scores: Array, right: NDArray[np.bool_]) -> tuple[float, float]
 
 
 def calibrated(scores: Array, scale: float, offset: float) -> Array:
-    """The scores of vehicles after calibration."""
+    """Calibrate the scores of vehicles.
+
+    Args:
+        scores: (D,) raw scores, 0 to 1.
+        scale: Factor of the difference of a vehicle's logits.
+        offset: What is added to it then.
+
+    Returns:
+        (D,) calibrated scores.
+    """
     return sigmoid(scale * _logits(scores) + offset)
 
 
@@ -59,7 +68,13 @@ def _logits(scores: Array) -> Array:
 
 
 def fold(model: KeypointRCNN, vehicles: tuple[float, float], points: ScoreCalibration) -> None:
-    """Scale and shift the last layers of a model, in float32, so that its own scores are the calibrated ones."""
+    """Scale and shift the last layers of a model, in float32, so that its own scores are the calibrated ones.
+
+    Args:
+        model: Its box and keypoint predictors are changed in place.
+        vehicles: Scale and offset of the difference of a vehicle's logits, as `fit_vehicles` gives them.
+        points: Scale and offset of the keypoints' heat maps; a scale is taken to be `_FLATTEST` at least.
+    """
     scale, offset = vehicles
     box, maps = model.roi_heads.box_predictor.cls_score, model.roi_heads.keypoint_predictor.kps_score_lowres
     steepness = torch.as_tensor(np.maximum(points.scale, _FLATTEST), dtype=torch.float32)

@@ -216,9 +216,18 @@ def _shifts(camera: Camera, T: Array, pixels: Array) -> Array:
 
 
 def moved_evidence(evidence: Evidence, camera: Camera, registered: Registration) -> Evidence:
-    """The marks where the turned camera shows them, as uncertain as the registration makes them besides.
+    """Move marks to where the turned camera shows them; the error of the registration is added to theirs.
 
-    Raises UserError where the new picture cannot show one of them.
+    Args:
+        evidence: The marks in the old picture.
+        camera: The camera that took the old picture.
+        registered: The camera that took the new one, turned, and how far off corners are.
+
+    Returns:
+        The same evidence with marks in pixels of the new picture; what is known of the camera besides stays.
+
+    Raises:
+        UserError: The new picture cannot show one of the marks.
     """
 
     def moved(pixels: Array) -> Array:

@@ -69,8 +69,16 @@ def frames(
 ) -> Generator[Frame]:
     """Every so many-th frame of a stream as far as the caller keeps up: what comes meanwhile is passed over.
 
-    Times are those that the frames carry where `camera_clock` says that they are worth it, else those of arrival. A
-    stream that breaks off is opened again; raises BrokenOffError where it does not come back.
+    Args:
+        opened: Opens the stream, each time anew.
+        every: Take each so many-th frame.
+        camera_clock: Times are those that the frames carry; else those of arrival.
+
+    Yields:
+        The newest frame whenever the caller asks for one.
+
+    Raises:
+        BrokenOffError: The stream broke off, was opened again and did not come back.
     """
     newest = _Newest()
     reader = threading.Thread(target=_read, args=(opened, every, camera_clock, newest), daemon=True)

@@ -133,11 +133,23 @@ class Bundle:
         return self.shared[: len(UNKNOWN_NAMES)]
 
     def moved(self, shared: Array, shape: Array, pose: Array) -> Self:
-        """A step away."""
+        """Values of the unknowns after a step.
+
+        Args:
+            shared: (5 + 3 G,) added to the shared unknowns.
+            shape: (N, M) added to the shapes.
+            pose: (B, 3) added to the poses.
+        """
         return replace(self, shared=self.shared + shared, shape=self.shape + shape, pose=self.pose + pose)
 
     def where(self, better: Mask, other: Self, vehicle: NDArray[np.intp]) -> Self:
-        """The vehicles `better` (N,) as in `other`; the shared unknowns are the same, `vehicle` (B,) is the views'."""
+        """These values, but some vehicles' as in `other`.
+
+        Args:
+            better: (N,) which vehicles are taken from `other`: body type, shape and the poses in their views.
+            other: Values with the same shared unknowns.
+            vehicle: (B,) the vehicle of each view.
+        """
         return replace(
             self,
             kind=np.where(better, other.kind, self.kind),

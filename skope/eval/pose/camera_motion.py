@@ -60,8 +60,19 @@ class CameraMotion:
         return camera if motion is None else turned_camera(camera, motion.x, motion.y, motion.turn)
 
     def stilled(self, camera: Camera | None, image: Image, pixels: Array) -> Array:
-        """Move pixels (..., 2) of a frame to where they lie at rest; NaN beyond the lens. Without a camera its lens is
-        not known."""
+        """Move pixels of a frame to where they lie at rest.
+
+        Args:
+            camera: The camera at rest; None: its lens is not known, and the image is moved and turned as a plane.
+            image: The frame, whose motion must be known.
+            pixels: (..., 2) in the frame.
+
+        Returns:
+            (..., 2) in the image at rest; NaN beyond the lens.
+
+        Raises:
+            KeyError: The motion of the frame is not known.
+        """
         motion = self.frames[image.id]
         if camera is None:
             middle = np.array([image.width, image.height]) / 2
@@ -131,9 +142,13 @@ def motion_of_info(name: str, info: Mapping[str, Any]) -> CameraMotion | None:
 
 
 def turned_camera(camera: Camera, x: float, y: float, turn: float) -> Camera:
-    """The camera turned about itself so that what was at its image's middle lies x, y (pixels) beside it.
+    """Turn a camera about itself so that its image moves and turns as it is told.
 
-    Everything around is turned by `turn` (radians, from x towards y).
+    Args:
+        camera: The camera at rest.
+        x: How far the image's middle moves to the right, pixels.
+        y: How far it moves down, pixels.
+        turn: How far the image turns about that place, radians, from x towards y.
     """
     middle = np.array([camera.width, camera.height]) / 2
     rays = camera.rays(np.stack([middle, middle + [x, y]]))[0]

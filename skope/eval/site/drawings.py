@@ -121,10 +121,19 @@ def _direction_problems(index: int, entry: Mapping[str, Any]) -> list[Problem]:
 def shapes(
     drawings: Sequence[Drawing], camera: Camera, place_error: Callable[[Array], Array] | None
 ) -> list[dict[str, Any]]:
-    """What the page draws of each drawing: polylines in pixels, pixels of its corners, warnings, and `ways`.
+    """Work out what the page draws of each drawing.
 
     The ways (two places each, metres) are a lane's last leg and the two directions across a gate, from its left to its
     right and back; `arrows` are the same in the image.
+
+    Args:
+        drawings: The drawings without faults.
+        camera: The camera, over a road at z = 0.
+        place_error: Takes pixels (..., 2) to errors of places in metres (...,); None: they are not known.
+
+    Returns:
+        For each drawing `kind`, `index` and `warnings`; `lines` and `corners` in pixels, but of occluders; of gates and
+        lanes `ways` and `arrows`; of lanes `edges`, in pixels.
     """
     lanes = [(one.positions, one.width) for one in drawings if one.kind == "lanes"]
     out = []

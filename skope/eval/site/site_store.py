@@ -79,7 +79,17 @@ class SiteStore:
         when: datetime,
         plan: str | None = None,
     ) -> str:
-        """Write a document into the file; returns its new revision. `plan` is what its plan's picture is called.
+        """Write a document into the file.
+
+        Args:
+            document: The page's document, without problems.
+            solved: Its camera.
+            revision: Revision of what the page has read; None: there was no file.
+            when: Now, which the file says of its calibration.
+            plan: File name of the plan's picture; None: it keeps the name that it has in the file.
+
+        Returns:
+            The file's new revision.
 
         Raises:
             SavedElsewhereError: The file is not the one of `revision` any more; nothing is written.
@@ -192,7 +202,18 @@ def changes_of(
     when: datetime,
     plan: str | None,
 ) -> dict[str, Any]:
-    """New values of the file's keys, as `save_site` takes them, of a document without problems."""
+    """New values of the file's keys, as `save_site` takes them.
+
+    Args:
+        document: The page's document, without problems.
+        solved: Its camera.
+        size: Width and height of the images, pixels.
+        when: Now, which the file says of its calibration.
+        plan: File name of the plan's picture; None: it keeps the name that it has in the file.
+
+    Returns:
+        Keys at the top of the file -> values; None removes a key.
+    """
     out: dict[str, Any] = {}
     marked = {kind: _saved_marks(document, kind) for kind in KINDS}
     known = {name: document.get("known", {}).get(name) for name in KNOWN}
