@@ -38,7 +38,16 @@ def local_time(time: datetime, site: "SiteParts") -> datetime:
 
 
 def time_of(text: Any, where: str, like: str = "2026-11-26T10:00:00") -> datetime:
-    """The time that a text says, with or without a zone. Raises UserError that begins with `where`."""
+    """Read a time.
+
+    Args:
+        text: A time as ISO 8601 writes it, with or without a zone.
+        where: What the message begins with.
+        like: An example for the message.
+
+    Raises:
+        UserError: It is no such time, or of no year that footage can be of.
+    """
     try:
         time = datetime.fromisoformat(text)
     except (TypeError, ValueError):

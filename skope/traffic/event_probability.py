@@ -146,7 +146,17 @@ def crossing_probability(trajectory: Trajectory, time_s: float, step_s: float) -
 
 
 def crossing_evidence(trajectory: Trajectory, time_s: float, step_s: float) -> tuple[float, ...]:
-    """What `_LOGIT` weighs of a vehicle's crossing at a time (see `crossing_probability`)."""
+    """Evidence on a vehicle's crossing that `_LOGIT` weighs (see `crossing_probability`).
+
+    Args:
+        trajectory: The track that crosses.
+        time_s: When, seconds of the footage.
+        step_s: Usual time from place to place in the footage (`usual_step`).
+
+    Returns:
+        1, and logarithms of the places on the shorter side, of the place's standard deviation (metres), and of the
+        longest gap (seconds); 1 where the class is unknown, else 0.
+    """
     times = trajectory.times_s[trajectory.measured]
     sides = (time_s - times[times < time_s], times[times >= time_s] - time_s)
     parts = min(len(np.unique(np.floor(side / _HALF_S))) for side in sides)

@@ -99,7 +99,13 @@ def crossings(
 ) -> list[GateCrossing]:
     """All crossings of all gates, in order of time; tracks that are not confirmed, or never moved, have none.
 
-    In `metres` it is known how certain places are, and by that how probable crossings are; in pixels it is not.
+    Args:
+        trajectories: All tracks.
+        gates: All gates.
+        lanes: The lanes; in which one crosses is said.
+        settings: The classes that are counted, and how far somebody has to be seen on either side.
+        metres: Places are in metres, with how certain they are, which tells how probable a crossing is; in pixels
+            nothing does.
     """
     step_s = usual_step(trajectories) if metres else None
     found = [

@@ -49,7 +49,14 @@ class HandCheck:
 def hand_checks(
     hands: Sequence[HandCount], crossings: Sequence[GateCrossing], unseen: Unseen, settings: TrafficSettings
 ) -> list[HandCheck]:
-    """Each hand count beside what was counted (`crossings`)."""
+    """Put each hand count beside what was counted.
+
+    Args:
+        hands: The hand counts.
+        crossings: All crossings that are counted.
+        unseen: Who may have crossed and is not counted.
+        settings: The classes that are counted.
+    """
     out = []
     for one in hands:
         near = one.gate not in unseen.gates
@@ -93,7 +100,18 @@ def adjusted(
     gates: Sequence[Gate],
     settings: TrafficSettings,
 ) -> Unseen:
-    """What may have been missed, with what hand counts tell of it."""
+    """Learn from hand counts what gates miss.
+
+    Args:
+        checks: The hand counts beside what was counted.
+        crossings: All crossings that are counted.
+        unseen: Who may have crossed and is not counted.
+        gates: All gates.
+        settings: The classes that are counted.
+
+    Returns:
+        `unseen` with what is learnt at each gate and direction; nothing is where nobody was ever seen near.
+    """
     told = [one for one in checks if one.near]
     evidence = [
         CountEvidence(

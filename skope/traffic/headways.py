@@ -77,9 +77,14 @@ def headways(crossings: Sequence[GateCrossing], observation: Observation) -> lis
 def occupancies(
     crossings: Sequence[GateCrossing], intervals: Sequence[ClockInterval], observation: Observation
 ) -> list[Occupancy]:
-    """The occupancy of each gate, direction and lane, in each interval of which something was observed.
+    """Occupancies of each gate, direction and lane that vehicles cross, in each interval that was observed in part.
 
     Of vehicles alone: how long others are is not measured.
+
+    Args:
+        crossings: The crossings that are counted.
+        intervals: The intervals.
+        observation: When was observed.
     """
     out = []
     for own in streams([one for one in crossings if one.trajectory.category == VEHICLE]):

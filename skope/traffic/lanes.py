@@ -51,7 +51,8 @@ class LaneMap:
     def indices(self, places: Array, least: float = 0.0) -> tuple[NDArray[np.int64], Array, Array]:
         """The lane of each place (M, 2): index or -1, distance to its middle (M,), and (M, 2) where it leads there.
 
-        `least` metres inside its edges are asked for. Where lanes overlap, that whose middle is nearest.
+        `least` metres inside its edges are asked for. Where lanes overlap, that whose middle is nearest, in widths of
+        the lane.
         """
         if not self.lanes:
             count = len(places)
@@ -113,7 +114,13 @@ def _from_line(line: Array, places: Array) -> tuple[Array, Array]:
 
 
 def lane_changes(trajectories: Sequence[Trajectory], lanes: LaneMap, hysteresis_m: float) -> list[LaneChange]:
-    """All changes of lane, in order of time."""
+    """All changes of lane, in order of time.
+
+    Args:
+        trajectories: All tracks; those that are not confirmed, or never moved, change no lane.
+        lanes: The lanes; of one there are no changes.
+        hysteresis_m: How far inside a lane's edges somebody has to be seen, metres.
+    """
     found: list[LaneChange] = []
     if len(lanes.lanes) > 1:
         for trajectory in filter(wandering, trajectories):

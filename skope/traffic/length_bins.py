@@ -98,7 +98,16 @@ def bin_probabilities(trajectory: Trajectory, limits_m: Sequence[float], common_
 
 
 def length_bin(trajectory: Trajectory, limits_m: Sequence[float], common_sigma: float | None) -> tuple[str, float]:
-    """The bin of a vehicle, or `UNTOLD`, and the probability of the most probable one."""
+    """The bin of a vehicle.
+
+    Args:
+        trajectory: A vehicle whose length was measured.
+        limits_m: From which lengths on vehicles are medium, and long, metres.
+        common_sigma: As `length_sigma_m` takes it.
+
+    Returns:
+        The most probable bin, or `UNTOLD` where its probability is less than `TOLD`; and that probability.
+    """
     chances = bin_probabilities(trajectory, limits_m, common_sigma)
     return _bin_of(chances), float(chances.max())
 
@@ -122,8 +131,19 @@ def length_counts(
     settings: TrafficSettings,
     unseen: Unseen,
 ) -> list[LengthCount]:
-    """A count for each interval, gate, direction and bin, and of those who are in none; empty where no class of
-    vehicles is counted."""
+    """Count for each interval, gate, direction and bin, and those who are in none.
+
+    Args:
+        crossings: The crossings that are counted.
+        gates: All gates.
+        intervals: The intervals.
+        observation: When was observed, and how uncertain the camera leaves all lengths.
+        settings: The limits of the bins, and the classes that are counted.
+        unseen: Who may have crossed and is not counted.
+
+    Returns:
+        The counts; empty where no class of vehicles is counted.
+    """
     if OF_VEHICLES.isdisjoint(settings.classes):
         return []
     limits, common = settings.length_bins_m, observation.common_sigma

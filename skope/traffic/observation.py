@@ -134,9 +134,13 @@ class Observation:
 
 
 def held_s(times_s: Array, begin_s: float, end_s: float, further_s: Sequence[float] | Array = ()) -> Array:
-    """(N,) for how many seconds from `begin_s` to `end_s` each frame stands: until the next one, but for gaps.
+    """(N,) seconds of an interval for which each frame stands: until the next one, but not through gaps.
 
-    `further_s` is when further recordings begin: a frame does not stand until a frame of the next recording.
+    Args:
+        times_s: (N,) of the frames, rising, seconds.
+        begin_s: Begin of the interval, seconds.
+        end_s: Its end, seconds.
+        further_s: When further recordings begin, seconds: a frame does not stand until one of the next recording.
     """
     ends = [_ends(part) for part in np.split(times_s, np.searchsorted(times_s, further_s))]
     return np.asarray(np.clip(np.concatenate(ends), begin_s, end_s) - np.clip(times_s, begin_s, end_s))

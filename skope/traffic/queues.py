@@ -74,7 +74,13 @@ class Delay:
 
 
 def standing(speed: Array, begin: float, end: float) -> NDArray[np.bool_]:
-    """(M,) whether somebody of these speeds stands: from under `begin` until over `end`."""
+    """(M,) whether somebody stands; before the first speed that tells, it does not.
+
+    Args:
+        speed: (M,) of one road user, in order of time.
+        begin: Who is slower begins to stand, in the unit of `speed`.
+        end: Who is faster drives again.
+    """
     told = np.where(speed < begin, 1, np.where(speed > end, 0, -1))
     known = np.flatnonzero(told >= 0)
     if not len(known):
@@ -114,7 +120,15 @@ def queues(
     observation: Observation,
     settings: TrafficSettings,
 ) -> list[QueueRecord]:
-    """The queues of each lane, in each interval of which something was observed."""
+    """The longest queue of each lane, in each interval of which something was observed.
+
+    Args:
+        trajectories: All tracks, in metres.
+        lanes: The lanes.
+        intervals: The intervals.
+        observation: When was observed.
+        settings: Speeds at which queues begin and end, and the gap that ends one.
+    """
     spans = observation.spans
     moments = np.unique(np.concatenate([np.arange(math.ceil(a), b, _STEP_S) for a, b in spans] or [np.zeros(0)]))
     found = [
@@ -205,7 +219,11 @@ def _queue(chain: Sequence[tuple[float, float, float, float]]) -> Queue:
 def delays(sections: Sequence[SectionPass], groups: Sequence[SpeedGroup], settings: TrafficSettings) -> list[Delay]:
     """Stops and delay of everyone who was seen at two gates.
 
-    Free flow is `settings.free_flow_kmh`, or the 85th percentile of the section's motor vehicles where that is known.
+    Args:
+        sections: Everyone who was seen at two gates.
+        groups: Speeds of the sections, with 85th percentiles of motor vehicles.
+        settings: `free_flow_kmh` is the speed of free flow on all sections; None: the 85th percentile, where it is
+            known.
     """
     free: dict[str, tuple[float, float]] = {}
     for group in groups:

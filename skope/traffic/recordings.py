@@ -172,7 +172,16 @@ def _only(folder: Path, said: datetime | None, site: "SiteFile") -> RecordedTraf
 
 
 def begin_of(said: datetime | None, observation: Observation, site: "SiteFile") -> datetime | None:
-    """When a recording begins, in the site's time: as somebody says, else as it says itself; None: neither does."""
+    """When a recording begins, in the site's time.
+
+    Args:
+        said: Begin as somebody says it; None: nobody does.
+        observation: What the footage says of itself.
+        site: Its zone is that of the result.
+
+    Returns:
+        What somebody says, else what the footage says; None: neither does.
+    """
     return local_time(observation.begins, site) if said is None and observation.begins is not None else said
 
 

@@ -35,7 +35,13 @@ class SightIn:
 
 
 def sight_in(observation: Observation, begin_s: float, end_s: float) -> SightIn:
-    """What the camera saw from `begin_s` to `end_s`."""
+    """How well the camera saw in an interval.
+
+    Args:
+        observation: What is known of the footage.
+        begin_s: Begin of the interval, seconds.
+        end_s: Its end, seconds.
+    """
     every = np.union1d(observation.times_s, observation.moved_s)
     moved_s = float(held_s(every, begin_s, end_s, observation.further_s)[np.isin(every, observation.moved_s)].sum())
     times, brightness, contrast = observation.sight.T

@@ -138,12 +138,19 @@ def turning_counts(
     settings: TrafficSettings,
     missed: Unseen,
 ) -> list[TurningCount]:
-    """The matrix of each interval: a count for each pair that anybody has driven in the whole footage, of all and of
-    vehicles.
+    """The matrix of each interval: a count for each pair that anybody has driven in the whole footage.
 
-    A movement counts in the interval of the crossing that it comes from, or, without one, of that which it goes to.
-    Of what is `missed` at the two gates of a movement that of the gate and direction which misses more counts, with
-    what hand counts tell of it.
+    Each pair has a count of all, and of vehicles where others are counted too. A movement counts in the interval of the
+    crossing that it comes from, or, without one, of that which it goes to.
+
+    Args:
+        found: All movements.
+        gates: All gates; `settings.turning` may name those that count.
+        intervals: The intervals.
+        observation: When was observed.
+        settings: The classes that are counted.
+        missed: Who may have crossed and is not counted. Of the two gates of a movement that one counts which misses
+            more, with what hand counts tell of it.
     """
     chosen = [gate for gate in gates if settings.turning is None or gate.name in settings.turning]
     kinds = {

@@ -61,9 +61,15 @@ class Unseen:
         return self.learnt.get((gate, direction)) or self.kinds.get(gate, SEEN_IN_METRES)
 
     def most(self, gate: str, direction: int, interval: ClockInterval, classes: Collection[str]) -> int:
-        """How many more may have crossed a gate in a direction and an interval, of some classes.
+        """Count how many more may have crossed a gate.
 
-        Who ends before a gate and who begins behind it may be one and the same.
+        Who ends before a gate and who begins behind it may be one and the same: the larger of the two numbers counts.
+
+        Args:
+            gate: Name of the gate.
+            direction: 0 from the gate's left to its right, 1 back.
+            interval: The interval in which they would have crossed.
+            classes: Their classes.
         """
         own = [
             one
@@ -85,10 +91,16 @@ def unseen(
     near: float = NEAR_M,
     kinds: tuple[SeenAlike, ...] | None = None,
 ) -> Unseen:
-    """Who may have crossed without being counted, of all crossings.
+    """Gather who may have crossed gates without being counted.
 
-    `near` to a gate is who is so far from it. `kinds` are missed alike at all gates; None: by how many pixels a metre
-    is at each.
+    Args:
+        trajectories: All tracks.
+        gates: All gates.
+        crossings: All crossings, counted or not.
+        observation: When was observed, and how many pixels a metre is.
+        settings: The classes that are counted.
+        near: A gate is seen near where somebody was so far from it, in the unit of places.
+        kinds: What is missed at all gates alike; None: by how many pixels a metre is at each.
     """
     crossed = {(one.trajectory.number, one.gate) for one in crossings}
     found = [

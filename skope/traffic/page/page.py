@@ -58,7 +58,17 @@ def write_page(
 def traffic_page(
     report: TrafficReport, *, tracks: str, road: RoadPicture | None = None, camera: Camera | None = None
 ) -> str:
-    """The page's text."""
+    """Write the page of a report.
+
+    Args:
+        report: What was measured.
+        tracks: What the tracks were read from.
+        road: The empty road from above, that the tracks are drawn on; None: there is no picture.
+        camera: What the footage was seen with, to draw gates over a video; None: not known.
+
+    Returns:
+        The page as HTML.
+    """
     name = report.observation.source or tracks
     by_hand = hand_count_panel(report, camera)
     sections = {
