@@ -72,9 +72,9 @@ class Detections:
     size: tuple[int, int]
     """Width and height of the image, pixels."""
     scheme: Scheme = SKOPE33
-    """What the keypoints are, and by which edition of their definition they are marked."""
+    """Scheme of the keypoints, and the edition of their definition by which they are marked."""
     road_users: RoadUserDetections = field(default_factory=RoadUserDetections)
-    """Who else was found, by a detector that has learnt other categories; no vehicles."""
+    """Other road users, found by a detector that has learnt their categories; no vehicles."""
     numbers: NDArray[np.int64] | None = None
     """(N,) number of the vehicle, which the frames of its video share; -1 where not known. None: of a single image."""
     interpolated: NDArray[np.bool_] | None = None

@@ -1,4 +1,4 @@
-"""What a user marks in an image to calibrate a camera, with how exactly each is known.
+"""Marks that a user sets in an image to calibrate a camera, with how exactly each is known.
 
 Pixels count the centre of a pixel as (col + 0.5, row + 0.5), metres are the world's; the road is its plane z = 0.
 """

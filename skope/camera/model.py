@@ -60,7 +60,7 @@ class Distortion:
 
     @cached_property
     def fold(self) -> float:
-        """Where the radial model stops growing: a radius tan(theta) for brown, an angle for fisheye; inf: nowhere."""
+        """Radius at which the radial model stops growing: tan(theta) for brown, an angle for fisheye; inf: nowhere."""
         if self.model == "none":
             return math.inf
         if self.model == "fisheye":
@@ -169,7 +169,7 @@ class _Jacobian:
         return self.xx * self.yy - self.xy * self.yx
 
     def solve(self, x: Array, y: Array) -> tuple[Array, Array]:
-        """What the matrices take to x and y (N,); where there is nothing such, x and y themselves."""
+        """Solve for what the matrices take to x and y (N,); x and y themselves where a matrix is singular."""
         regular = np.abs(self.determinant) > 1e-9
         divisor = np.where(regular, self.determinant, 1.0)
         return (
@@ -360,6 +360,6 @@ class Camera:
         return (p - self.T_camera_world[:3, 3]) @ self.T_camera_world[:3, :3], valid
 
     def inside(self, pixels: ArrayLike) -> Mask:
-        """Where pixels (..., 2) fall on the image; NaN does not."""
+        """(...) whether pixels (..., 2) fall on the image; NaN does not."""
         uv = np.asarray(pixels, dtype=np.float64)
         return np.asarray((uv >= 0).all(-1) & (uv[..., 0] < self.width) & (uv[..., 1] < self.height))

@@ -20,7 +20,7 @@ PARAMETERS: Final = ("focal", "k1", "x", "y", "z", "pitch", "roll", "yaw")
 """Logarithm of the focal length in pixels, first coefficient of the radial distortion, place (metres), pitch downwards,
 roll and yaw (radians) of a camera."""
 _OTHER_NAMES: Final = {"log_focal": "focal", "log_height": "z"}
-"""What files call parameters that are worked out from vehicles; a height's logarithm is a share of it."""
+"""Names in files of parameters that are worked out from vehicles; a height's logarithm is a share of it."""
 _STEPS: Final = dict(zip(PARAMETERS, (1e-5, 1e-5, 1e-4, 1e-4, 1e-4, 1e-6, 1e-6, 1e-6), strict=True))
 """Steps of numeric derivatives."""
 PLACE_SHARE: Final = 0.9
@@ -79,11 +79,11 @@ class UncertainCamera:
         return UncertainCamera(camera, ("z",), np.array([[(share * camera.position[2]) ** 2]]))
 
     def covariance_dict(self) -> dict[str, Any]:
-        """What `from_dict` reads."""
+        """The covariance as `from_dict` reads it."""
         return {"of": list(self.parameters), "matrix": self.covariance.tolist()}
 
     def belief(self, name: str) -> Belief:
-        """What is known of the camera, as evidence for another calibration."""
+        """The knowledge of the camera as evidence for another calibration."""
         which = [PARAMETERS.index(parameter) for parameter in self.parameters]
         return Belief(self.parameters, values_of(self.camera)[which], self.covariance, name)
 

@@ -29,7 +29,7 @@ _FINALISTS: Final = 2
 _FIRST_STEPS: Final = 12
 """Steps after which they are chosen."""
 SCALES: Final = np.array([0.1, 0.05, 1.0, 1.0, 0.5, 0.05, 0.05, 0.05])
-"""What `PARAMETERS` change by, in steps of the search."""
+"""Scales of `PARAMETERS` in steps of the search."""
 _LEAST_TOLD: Final = 1e-8
 """Information on a parameter that stands for none, in squares of `SCALES`."""
 CHECKED_POINTS: Final = 6
@@ -185,5 +185,5 @@ def _capped_cost(terms: Sequence[EvidenceTerm], camera: Camera) -> float:
 
 
 def _smooth_cost(terms: Sequence[EvidenceTerm], camera: Camera) -> float:
-    """What ranks cameras that may be far from right."""
+    """Cost that ranks cameras which may be far from right."""
     return sum(float(np.linalg.norm(np.arcsinh(off))) for off in residuals_of(terms, camera))

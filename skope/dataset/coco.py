@@ -29,7 +29,7 @@ _ANNOTATION_FIELDS = (
 """The fields of `Annotation` in the order in which files have them."""
 _ROAD_USER_FIELDS = tuple(name for name in _ANNOTATION_FIELDS if name in RoadUser.__dataclass_fields__)
 _NO_KEYPOINTS = [0] * (3 * keypoints.K)
-"""What a road user's row has for keypoints: all v = 0, not labelled. torchvision's readers ask every row for some."""
+"""Keypoints in a road user's row: all v = 0, not labelled. torchvision's readers ask every row for some."""
 
 
 # ----------------------------------------------------------------------------------------------------------- reading
@@ -102,7 +102,7 @@ def _by_kind(labels: Iterable[Annotation | RoadUser]) -> dict[str, Any]:
 
 
 def _label_parser(categories: tuple[str, ...]) -> Callable[[Mapping[str, Any]], Annotation | RoadUser]:
-    """What makes a record of an element of `annotations` in a file of these categories.
+    """Make a parser of elements of `annotations` in a file of these categories.
 
     Where vehicles are the only category, each row is one, whatever id the file's makers gave to vehicles.
     """

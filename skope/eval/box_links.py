@@ -20,7 +20,7 @@ FARTHEST_S: Final = 0.3
 LOST_S: Final = 1.0
 """A vehicle that is not seen for so long is another one when it comes back, seconds."""
 _REACH_SIZES: Final = 0.7
-"""How far from where it is expected a vehicle may be, in its sizes."""
+"""Largest distance of a vehicle from its expected place, in its sizes."""
 _FIRST_REACH: Final = 1.5
 """The same while its speed is not known."""
 _ALIKE: Final = 1.8

@@ -100,7 +100,7 @@ class SwayRecord:
         return int(np.isfinite(self._values[soon, 0]).sum()) < _FEWEST_FRAMES
 
     def _moves(self) -> list[ViewChange]:
-        """Where the mean place of the image, over some seconds, has moved."""
+        """Changes of the view: times from which on the mean place of the image, over some seconds, is another one."""
         known = np.isfinite(self._values[:, 0])
         places, times = self._values[known, :2], self.times_s[known]
         if not len(times):

@@ -80,11 +80,11 @@ class Footage(ABC):
     name: str
     cut: Cut = field(default_factory=Cut)
     skipped: list[str] = field(default_factory=list)
-    """What could not be read, a line of text each."""
+    """Lines on images that could not be read."""
     images: tuple[Path, ...] = ()
     """Image files, in order; empty for a video or stream."""
     clip: Clip | None = None
-    """What a video or stream says of itself; None for image files."""
+    """The video or stream as it describes itself; None for image files."""
     begins: datetime | None = None
     """When second 0 of a live stream was, by this computer's clock, once its first frame has come; else None."""
 

@@ -57,7 +57,7 @@ class Registration:
     motion: ImageMotion
     corners: int
     off_px: float
-    """How far corners are from where the turn puts them, root mean square an axis, pixels."""
+    """Distance of corners from where the turn puts them, root mean square an axis, pixels."""
     near_m: float
     """Distance of corners on the road near by that tell that the camera was not moved, metres."""
 
@@ -194,7 +194,7 @@ def _turn(camera: Camera, rays: Array, corners: FollowedCorners, motion: ImageMo
 
 
 def _by_the_lens(known: UncertainCamera, turned: Camera, rays: Array) -> float:
-    """How far off corners may be as focal length and lens are not known exactly, root mean square an axis, pixels."""
+    """Error of corners since focal length and lens are not known exactly, root mean square an axis, pixels."""
     T = turned.T_camera_world @ np.linalg.inv(known.camera.T_camera_world)
     pixels = known.camera.project(rays @ known.camera.T_camera_world[:3, :3] + known.camera.position)[0]
     shifts, total = _shifts(known.camera, T, pixels), 0.0

@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from skope.errors import UserError
 
 RETURN_S = 10.0
-"""How long a stream that broke off is waited for."""
+"""Seconds for which a stream that broke off is waited for."""
 _PAUSE_S: Final = 1.0
 _PATIENCE_S: Final = 5.0
-"""How long the end waits for a reader that waits for the network."""
+"""Seconds for which the end waits for a reader that waits for the network."""
 
 
 class BrokenOffError(Exception):
@@ -28,7 +28,7 @@ class Frame(NamedTuple):
     """A frame of a stream."""
 
     number: int
-    """How many frames came before it."""
+    """Number of frames before it."""
     time_s: float
     """Seconds since the first frame."""
     bgr: NDArray[np.generic]

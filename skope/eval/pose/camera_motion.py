@@ -104,7 +104,7 @@ class CameraMotion:
         return UncertainCamera(camera, whole, covariance)
 
     def to_dict(self) -> dict[str, Any]:
-        """What `from_dict` reads: pixels to 0.0001, angles to 1e-7 radians."""
+        """The sway as `from_dict` reads it: pixels to 0.0001, angles to 1e-7 radians."""
         rows = [
             [number, *(round(v, 4) for v in (one.x, one.y)), round(one.turn, 7)]
             + [round(one.sigma_px, 4), round(one.sigma_turn, 7)]

@@ -31,7 +31,7 @@ class VehicleCamera(NamedTuple):
 
     estimate: CameraEstimate
     told: str
-    """Who has told it, in words."""
+    """Vehicles that have told it, in words."""
     numbered: bool
     """Whether it was known which views are of the same vehicle."""
 

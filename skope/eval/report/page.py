@@ -126,7 +126,7 @@ def _about(document: Mapping[str, Any]) -> str:
 
 
 def _source(of: Mapping[str, Any] | None) -> str:
-    """Which files the figures are of, and what worked them out when."""
+    """Sentence on the files that the figures are of, and on what worked them out when."""
     if of is None:
         return tag("p", escape(f"skope {__version__}."))
     files = "; ".join(f"{path} (SHA-256 {digest[:12]})" for path, digest in of["inputs"].items())

@@ -155,7 +155,8 @@ def _categories(splits: Mapping[str, Any], score: float) -> list[str]:
 
 
 def _localisation(splits: Mapping[str, Any]) -> list[str]:
-    """How exact the keypoints of the vehicles found are, at the lowest threshold; nothing where nothing is labelled."""
+    """Lines on how exact the keypoints of the vehicles found are, at the lowest threshold; none where nothing is
+    labelled."""
     found = {name: split["localisation"] for name, split in splits.items() if split.get("localisation")}
     rows = [
         [

@@ -20,7 +20,7 @@ DRAWN: Final = ("gates", "zones", "lanes", "occluders")
 LANE_M: Final = 3.5
 """Width of a lane that says none."""
 _FIELDS: Final = {"gates": "line", "zones": "polygon", "lanes": "line", "occluders": "polygon"}
-"""Where the positions of each kind are."""
+"""Field of each kind that holds its positions."""
 _FEWEST: Final = {"gates": 2, "zones": 3, "lanes": 2, "occluders": 3}
 _STEP_M: Final = 0.5
 """Lines on the road are projected in so many metres each, since a lens bends them."""
@@ -63,7 +63,7 @@ def read_drawings(document: Mapping[str, Any]) -> tuple[list[Drawing], list[Prob
 
 
 def _problems(kind: str, index: int, entry: Mapping[str, Any], names: set[str]) -> list[Problem]:
-    """What is wrong with an entry; `names` are those of the entries before it, to which its own is added."""
+    """Problems of an entry; `names` are those of the entries before it, to which its own is added."""
     out: list[Problem] = []
 
     def wrong(field: str, text: str, *, missing: bool = False) -> None:

@@ -1,4 +1,4 @@
-"""What is drawn into the image to judge a camera by: a grid of metres, posts, boxes as large as cars, the horizon.
+"""Overlays to judge a camera by: a grid of metres, posts, boxes as large as cars, the horizon.
 
 All are polylines in pixels, cut where the camera does not see them.
 """

@@ -124,7 +124,7 @@ class SiteServer(LocalServer):
         return shlex.join(["skope", "eval", "traffic", self.frames.source, "--site", str(self.store.path)])
 
     def begin(self) -> dict[str, Any]:
-        """What the page is of, its document, and the document as it is saved."""
+        """Title of the page, its document, and the document as it is saved."""
         opened = self._opened()
         document = opened.document
         if opened.revision is None:

@@ -23,9 +23,9 @@ from skope.site.site_file import SiteFile, read_site
 from skope.site.write_site import save_site
 
 KNOWN: Final = ("fov_deg", "height_m", "lens")
-"""What may be known of a camera beforehand, with standard deviations."""
+"""Keys of prior knowledge of a camera, with standard deviations."""
 PLAN: Final = ("metres_per_pixel", "origin", "rotation_deg")
-"""Where the pixels of a plan lie in the world."""
+"""Keys of a plan that say where its pixels lie in the world."""
 _POSES: Final = (
     *("file", "raw", "fov_deg", "R", "t", "position", "look_at", "yaw_deg", "pitch_deg", "roll_deg", "points"),
     "ground",
@@ -46,7 +46,7 @@ class Opened:
     revision: str | None
     """None: there is no file yet."""
     vehicles: Belief | None = None
-    """What vehicles say of the camera."""
+    """Evidence of vehicles on the camera."""
     plan: Path | None = None
     """The plan's picture, which need not be there."""
 
@@ -108,7 +108,7 @@ class SiteStore:
 
 
 def document_of(site: SiteFile | None, size: tuple[int, int]) -> dict[str, Any]:
-    """What the page shows of a site file.
+    """The page's document of a site file.
 
     Raises UserError where the file's marks are of images of another size than `size`.
     """
