@@ -262,26 +262,18 @@ def open_video(
     every_frame: bool,
     fps: float | None,
 ) -> Video:
-    """Open the video that `Detector.video` gives.
+    """Open the video that `Detector.video` gives; nothing is computed before frames are asked for. Raises UserError.
 
     Args:
         predictor: The detector, with the settings that it was loaded with.
         source: A video file, an image, a folder or glob of images, or the address of a stream.
         camera: The camera, or its file as `read_camera` takes it; None: no tracks in metres.
-        ground: Height of the level road in the camera's world, metres, or "auto", "fit" or None, as `Detector.video`
-            has it.
+        ground: Height of the level road in the camera's world, metres, or a word or None as in `Detector.video`.
         score: Detections above this are kept, 0 to 1.
         every: Take every so many-th frame, from 1.
         seconds: Begin and end in the footage, seconds; None as end: its end.
-        every_frame: Run the detector on every frame; else on a CPU it runs twice a second, and points are followed
-            between.
-        fps: Images a second of image files, which carry no times; None: unknown.
-
-    Returns:
-        The footage, opened; nothing is computed before its frames are asked for.
-
-    Raises:
-        UserError: The source or the camera cannot be read, or an argument is out of range.
+        every_frame: Run the detector on every frame; else on a CPU it runs twice a second.
+        fps: Images a second of image files, which carry no times; None: the files' own times, if any.
     """
     from skope.dataset.camera_of_file import read_camera
     from skope.eval.inference.footage import Cut, open_footage

@@ -37,7 +37,7 @@ class PointFile:
 
     points: tuple[MarkedPoint, ...]
     world: Mapping[str, Any] | None = None
-    """The map's place of the world's (0, 0), for the camera's file; None: the file's own coordinates are the world's.
+    """Place of the world's (0, 0) on the map, for the camera's file; None: the file's own coordinates are the world's.
     """
     said: tuple[str, ...] = ()
     """Sentences that the user should know about these coordinates."""

@@ -1,4 +1,4 @@
-"""Wrong ones among marked points: all that could be are weighed against one another by how likely the evidence is then.
+"""Wrong ones among marked points: sets of them are weighed by how likely the evidence is if those are wrong.
 
 A wrong point lies anywhere near its place, as when the next corner of a marking was clicked. How likely each set of
 wrong points is follows from the evidence under the camera that suits it best (Laplace's approximation), which weighs

@@ -211,7 +211,7 @@ def read_manifest(root: Path) -> dict[str, dict[str, Any]]:
 
 
 _JPEG_MARKER: Final = re.compile(rb"\xff+([^\x00\xff\xd0-\xd7])")
-"""What ends the coded pixels of a scan: neither a stuffed byte nor a restart."""
+"""Marker that ends the coded pixels of a scan: neither a stuffed byte nor a restart."""
 _JPEG_END: Final = 0xD9
 _JPEG_ALONE: Final = (0x01, 0xD8)
 """Markers that no length follows."""

@@ -40,7 +40,7 @@ _LARGEST_PX: Final = 8192
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CalibrationMarks:
-    """What tells a camera, in pixels of the footage."""
+    """Marks and prior knowledge that tell a camera, in pixels of the footage."""
 
     size: tuple[int, int] | None
     """Width and height of the images that were marked, pixels; None: the file does not say it."""
@@ -53,14 +53,14 @@ class CalibrationMarks:
     fov_deg: tuple[float, float] | None = None
     """Horizontal field of view and its standard deviation, degrees."""
     lens: Mapping[str, tuple[float, float]] | None = None
-    """What a calibration of the lens says: `focal_px`, and `k1` where it is known, each with its standard deviation."""
+    """Calibration of the lens: `focal_px`, and `k1` where it is known, each with its standard deviation."""
     height_m: tuple[float, float] | None = None
     """The camera's height over the road and its standard deviation, metres."""
     vehicles: Belief | None = None
-    """What its vehicles say of the camera."""
+    """Evidence of its vehicles on the camera."""
 
     def evidence(self, size: tuple[int, int] | None = None) -> Evidence:
-        """What the solver takes, for images of `size`; None: of the file's own.
+        """Evidence for the solver, for images of `size`; None: of the file's own.
 
         Raises UserError where neither says a size, or they contradict each other.
         """
@@ -83,7 +83,7 @@ def beliefs_of(
     lens: Mapping[str, tuple[float, float]] | None = None,
     height_m: tuple[float, float] | None = None,
 ) -> tuple[Belief, ...]:
-    """What is known of a camera beforehand, as evidence for its calibration.
+    """Prior knowledge of a camera as evidence for its calibration.
 
     Args:
         width: Width of the images, pixels.

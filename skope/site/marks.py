@@ -1,4 +1,4 @@
-"""What a user draws on a road, as a site file has it: gates, zones, lanes, occluders."""
+"""Drawings of a user on a road, as a site file has them: gates, zones, lanes, occluders."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -20,7 +20,7 @@ class Gate:
     line: Outline
     """Its two ends, world x and y, metres; of a gate in the image columns and rows, pixels."""
     directions: tuple[str, str] | None = None
-    """What crossings from left to right, and from right to left, of the line as drawn are called; None: not named."""
+    """Names of crossings from left to right, and from right to left, of the line as drawn; None: not named."""
     edges: tuple[str, str] | None = None
     """The edges of a SUMO network on which it is crossed from left to right and back, "" where there is none; None: not
     said."""
@@ -77,7 +77,7 @@ def read_image_gate(row: TomlTable) -> Gate:
 
 
 def _directions(row: TomlTable) -> tuple[str, str] | None:
-    """What the two directions of a gate are called; None where the row does not say it."""
+    """Names of a gate's two directions; None where the row does not say them."""
     if "directions" not in row:
         return None
     names = row.value("directions")

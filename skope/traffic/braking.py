@@ -1,4 +1,4 @@
-"""Who brakes hard, and where."""
+"""Hard braking: road users and places."""
 
 import math
 from collections.abc import Sequence

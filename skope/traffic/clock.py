@@ -58,7 +58,7 @@ def time_of(text: Any, where: str, like: str = "2026-11-26T10:00:00") -> datetim
 
 
 def clock_doubt(time: datetime, zone: ZoneInfo) -> str:
-    """What is wrong with a time without an offset by the clocks of a zone, where they are put forward or back."""
+    """Fault of a time without an offset by the clocks of a zone, where they are put forward or back; empty: none."""
     first, second = (time.replace(tzinfo=zone, fold=fold) for fold in (0, 1))
     if first.astimezone(UTC).astimezone(zone).replace(tzinfo=None) != time:
         return f"there is no such time in {zone.key}: clocks are put forward then"

@@ -1,4 +1,4 @@
-"""How uncertain a conflict is: by other places and speeds that the two may have had."""
+"""Uncertainty of a conflict: by other places and speeds that the two may have had."""
 
 import math
 from dataclasses import replace
@@ -27,7 +27,7 @@ _FEWER: Final = 60
 
 _FEWEST_PLACES: Final = 10
 _SHORTEST_S: Final = 2.0
-"""Who is in a conflict has so many places, and is followed for so long at least;"""
+"""A road user in a conflict has so many places, and is followed for so long at least, seconds;"""
 _AROUND_S: Final = 1.0
 _LONGEST_GAP_S: Final = 0.6
 """from so long before the conflict until so long after it there is no longer time without a place (a detector that sees
@@ -51,7 +51,7 @@ def is_followed(trajectory: Trajectory, time_s: float) -> bool:
 def ttc_doubt(
     one: FootprintPath, other: FootprintPath, row: tuple[int, int], settings: TrafficSettings, rng: np.random.Generator
 ) -> tuple[float, float, float]:
-    """How uncertain a time to collision is.
+    """Interval of a time to collision, and its probability to be within the limit.
 
     Args:
         one: A road user.
@@ -151,7 +151,7 @@ def in_order(times: tuple[float, float], reached: Encroachment) -> tuple[float, 
 
 
 def _farthest_s(settings: TrafficSettings) -> float:
-    """How far ahead drawn collisions are looked for, seconds: much farther than the one that was found."""
+    """Seconds ahead for which drawn collisions are looked for: much farther than the one that was found."""
     return 4 * max(settings.ttc_s, HORIZON_S)
 
 

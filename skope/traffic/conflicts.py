@@ -28,7 +28,7 @@ class Conflict:
 
     first: Trajectory
     second: Trajectory
-    """Who gets where the other one was, or, where that does not happen, who drives behind."""
+    """The one that gets where the other one was, or, where that does not happen, that drives behind."""
     time_s: float
     """Of the least time to collision; without one, when the second one gets there. Seconds of the footage."""
     first_s: float

@@ -1,4 +1,4 @@
-"""How many crossed each gate, by direction, lane, class and interval on the clock."""
+"""Numbers of crossings at each gate, by direction, lane, class and interval on the clock."""
 
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
@@ -22,11 +22,11 @@ _WHOLE: Final = 0.999
 
 @dataclass(frozen=True, kw_only=True)
 class Count:
-    """How many of a kind crossed a gate in an interval."""
+    """Number of a kind that crossed a gate in an interval."""
 
     interval: ClockInterval
     observed_s: float
-    """How much of the interval was observed, seconds."""
+    """Observed part of the interval, seconds."""
     gate: str
     direction: str
     lane: str

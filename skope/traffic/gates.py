@@ -28,7 +28,7 @@ _ALONG_M: Final = {"bus": 0.6, "bicycle": 0.6, "lorry": 0.15}
 """By so much the middles of some bodies are off along the way besides, all the way, one standard deviation: of 16, 36
 and 12 in generated clips by 0.2, 0.5 and 0 m in the median, and by 0.54, 0.45 and 0.17 m from there."""
 _BESIDE: Final = 0.05
-"""Who goes past a gate's end, not through it, with less probability than this does so without doubt; likewise back."""
+"""A crossing that is less probably through the gate than this goes past its end without doubt; likewise back."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -40,7 +40,7 @@ class GateCrossing:
     direction: int
     """0 from the gate's left to its right as it is drawn, 1 back."""
     direction_name: str
-    """What the user calls that direction; "1" and "2" where it has no name."""
+    """Name of that direction; "1" and "2" where the user gives none."""
     time_s: float
     """When the body's middle crosses, seconds of the footage."""
     sigma_s: float
@@ -74,7 +74,7 @@ class GateCrossing:
 
 
 def direction_names(gate: Gate) -> tuple[str, str]:
-    """What crossings from left to right, and back, are called."""
+    """Names of crossings from left to right, and back."""
     return gate.directions or ("1", "2")
 
 
@@ -155,7 +155,7 @@ def _of_one(
 
 
 def _rule(trajectory: Trajectory, gate: Gate, signed: Array, settings: TrafficSettings) -> dict[str, float]:
-    """How far it has to be seen on the other side, and how far it has to move: more where places are less certain."""
+    """Distances that it has to be seen on the other side, and to move: more where places are less certain."""
     near = trajectory.covariance[np.abs(signed) < _NEAR_M]
     normal = normal_of(gate)
     spread = float(np.median(np.einsum("i,mij,j->m", normal, near, normal))) if len(near) else 0.0

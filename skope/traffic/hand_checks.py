@@ -1,4 +1,4 @@
-"""What was counted by hand beside what skope counted, and what that changes in what is said of the gates."""
+"""Hand counts beside what skope counted, and what they change in what is said of the gates."""
 
 import math
 from collections.abc import Callable, Collection, Iterator, Sequence
@@ -29,7 +29,7 @@ class HandCheck:
 
     hand: HandCount
     count: int
-    """How many skope counted."""
+    """Number that skope counted."""
     near: bool
     """Whether anybody was ever seen near the gate: of another one nothing is learnt."""
     expected: CountInterval | None
@@ -140,14 +140,14 @@ def _seen(hand: HandCount, crossings: Sequence[GateCrossing], unseen: Unseen) ->
 
 
 def _most(hand: HandCount, unseen: Unseen) -> Callable[[Collection[str]], int]:
-    """How many more may have crossed meanwhile, of classes."""
+    """Make a function of classes that gives how many more of them may have crossed meanwhile."""
     return partial(unseen.most, hand.gate, hand.direction, hand.interval)
 
 
 def _groups(
     hand: HandCount, own: Sequence[GateCrossing], unseen: Unseen, settings: TrafficSettings
 ) -> dict[int, Group]:
-    """What was seen (`own`) while somebody counted, by which of the gate's kinds it is."""
+    """Crossings (`own`) while somebody counted, by which of the gate's kinds they are."""
     found = {
         k: group_of(kind, own, _most(hand, unseen), ALL, hand.classes)
         for k, kind in enumerate(unseen.kinds_at(hand.gate, hand.direction))

@@ -1,4 +1,4 @@
-"""Who drives in which lane, and changes it."""
+"""Lanes that road users drive in, and change."""
 
 import itertools
 import math
@@ -17,7 +17,7 @@ from skope.types import Array
 _WIDTH_M: Final = 3.5
 """Of a lane that does not say how wide it is."""
 _STAYS_S: Final = 1.0
-"""Who is in a lane for a shorter time has not changed to it."""
+"""A road user that is in a lane for less time, seconds, has not changed to it."""
 _BETWEEN_S: Final = 3.0
 """Between two lanes no longer than this is a change from one to the other."""
 _ALONGSIDE: Final = math.cos(math.radians(45))
@@ -41,7 +41,7 @@ class LaneChange:
 
 
 class LaneMap:
-    """Which lane a place is in."""
+    """Map of the lanes: tells which one a place is in."""
 
     def __init__(self, lanes: Sequence[Lane]) -> None:
         self.lanes = tuple(lanes)

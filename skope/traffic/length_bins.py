@@ -28,9 +28,9 @@ from skope.types import Array
 
 BINS: Final = ("short", "medium", "long")
 UNTOLD: Final = "unknown"
-"""Who is in no bin with `TOLD`."""
+"""Name for vehicles that are in no bin with `TOLD`."""
 TOLD: Final = 0.8
-"""Who is in a bin with this probability, and more, is counted there."""
+"""A vehicle is counted in a bin that it is in with this probability, or more."""
 LONGEST_M: Final = 12.0
 """No vehicle longer than this was among those that errors were measured on."""
 WHY_NOT: Final = f"no interval: errors of lengths were measured on vehicles of up to {LONGEST_M:g} m"
@@ -42,12 +42,12 @@ _LONGEST_CAR_M: Final = 6.2
 _ANY_M: Final = (3.0, 13.0)
 """Lengths of those whose body was mistaken."""
 _MAY: Final = 0.02
-"""Who was lost may have been in a bin that its track is in with this probability."""
+"""A vehicle that was lost may have been in a bin that its track is in with this probability."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class LengthCount:
-    """How many vehicles of a length crossed a gate in an interval."""
+    """Number of vehicles of a length that crossed a gate in an interval."""
 
     interval: ClockInterval
     observed: str
@@ -179,7 +179,7 @@ def length_counts(
 
 _NONE: Final = (None, None, None, None)
 Chances = dict[GateCrossing | Vanished, Array]
-"""How probable each bin is of somebody."""
+"""Probability of each bin, by crossing or vanished track."""
 
 
 def _between(

@@ -1,4 +1,4 @@
-"""Where two road users come near to a collision, or one gets where the other one was: what a conflict is made of."""
+"""Meetings of two road users near a collision, or of one that gets where the other was: what conflicts are made of."""
 
 import math
 from dataclasses import dataclass

@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 from skope.types import Array
 
 _SHORTEST_STAY_S: Final = 0.5
-"""Who goes over and comes back within this would have to brake and reverse harder than tyres can."""
+"""A road user that goes over and comes back within this, seconds, would have to brake and reverse harder than tyres
+can."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,7 +38,7 @@ class Passage:
     ends: bool
     """Whether it ends so near to the line, or so soon after, that the side after is in doubt."""
     depth: float
-    """How far from the line it was on the side that is in doubt, in the distance's unit; infinite without doubt."""
+    """Distance from the line on the side that is in doubt, in the distance's unit; infinite without doubt."""
 
 
 def passages(signed: Array, times_s: Array, *, hysteresis: float, least_travel: float = 0.0) -> list[Passage]:

@@ -1,4 +1,4 @@
-"""How uncertain places and speeds are, beyond what tracks say of themselves.
+"""Uncertainty of places and speeds, beyond what tracks say of themselves.
 
 A track's filter takes the errors of its poses for independent, so that many poses make a place certain. But a vehicle
 stands above or below the plane that the road is taken for, and is a little higher or lower than its shape says, all the

@@ -28,7 +28,7 @@ from skope.types import Array
 _STEP_S: Final = 1.0
 """Queues are looked at so often."""
 _STOP_S: Final = 1.0
-"""Who is slow for a shorter time has not stopped."""
+"""A road user that is slow for less time, seconds, has not stopped."""
 _SHIFTS: Final = (-Z, -Z / 2, Z / 2, Z)
 """Speeds are tried so many standard deviations away: what is one stop at one speed may be two or none at another."""
 Queue = tuple[float, float, tuple[float, ...]]
@@ -92,13 +92,13 @@ def standing(speed: Array, begin: float, end: float) -> NDArray[np.bool_]:
 def stops(
     trajectory: Trajectory, begin_s: float, end_s: float, settings: TrafficSettings, shift: float = 0.0
 ) -> tuple[int, float]:
-    """How often somebody has stopped between two times, and for how many seconds in all.
+    """Number of stops between two times, and how many seconds they last in all.
 
     Args:
         trajectory: Who it is.
         begin_s: The one time, seconds.
         end_s: The other time, seconds.
-        settings: From which speed on somebody stands.
+        settings: Somebody stands from under `stop_kmh` until over twice that.
         shift: By how many of their standard deviations all speeds are taken to be larger.
     """
     times = trajectory.times_s
@@ -165,7 +165,7 @@ def queues(
 
 @cache
 def _between(chances: tuple[float, ...]) -> CountInterval:
-    """How many there are in a queue of vehicles that are so probable, if as many are missed as at gates."""
+    """Interval of the number in a queue of vehicles that are so probable, if as many are missed as at gates."""
     return count_interval(chances, SEEN_IN_METRES[0].missed)
 
 

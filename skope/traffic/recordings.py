@@ -49,7 +49,7 @@ class SiteRecording:
     begin_s: float
     """Second of the report that its own second 0 is."""
     added: int
-    """What is added to the numbers of its tracks."""
+    """Number that is added to those of its tracks."""
     guessed: bool
     """Whether its begin is guessed from the name of its footage."""
     late_s: float
@@ -58,14 +58,14 @@ class SiteRecording:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RecordedTraffic:
-    """What one or several recordings of a site hold."""
+    """Content of one or several recordings of a site."""
 
     tracks: tuple[Trajectory, ...]
     observation: Observation
     start: datetime | None
     """When second 0 was; None where that of a single recording is not known."""
     recordings: tuple[SiteRecording, ...] = ()
-    """Where there are several, each of them, in the order of time."""
+    """The recordings, where there are several, in the order of time."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -137,7 +137,7 @@ def read_recordings(
 
 
 def recording_lines(recordings: Sequence[SiteRecording], observation: Observation) -> Iterator[str]:
-    """How it is known when recordings began, and in what their cameras differ, in sentences."""
+    """Sentences on how it is known when recordings began, and in what their cameras differ."""
     if guessed := [one for one in recordings if one.guessed]:
         first = guessed[0]
         yield (

@@ -47,7 +47,7 @@ class Movement:
 
     @property
     def sides(self) -> tuple[Side, Side]:
-        """Where from and where to."""
+        """Origin and destination, a gate and direction each."""
         return _side(self.origin), _side(self.destination)
 
     @property
@@ -69,7 +69,7 @@ class Movement:
 
 @dataclass(frozen=True, kw_only=True)
 class TurningCount:
-    """How many went from one gate to another in an interval."""
+    """Number that went from one gate to another in an interval."""
 
     interval: ClockInterval
     origin: Side
@@ -121,7 +121,7 @@ def movements(
 
 
 def _between(before: GateCrossing | None, after: GateCrossing | None, step_s: float | None) -> list[Movement]:
-    """What two crossings of a track that follow each other make: one movement, or two that lack the other gate."""
+    """Movements of two crossings of a track that follow each other: one, or two that lack the other gate."""
     if before is None or after is None or step_s is None:
         return [Movement(origin=before, destination=after)]
     same = same_probability(before.trajectory, before.time_s, after.time_s, step_s)
@@ -191,10 +191,11 @@ def _missed_more(origin: Sequence[SeenAlike], destination: Sequence[SeenAlike]) 
 def _expected(
     members: Sequence[Movement], pair: tuple[Side, Side], kinds: Sequence[SeenAlike], classes: Collection[str]
 ) -> CountInterval | None:
-    """Who was lost after the first gate may have gone this way: nearly none of them, or nearly all, as where they went
-    has no gate, or has one that loses them.
+    """Interval of a count. Road users that were lost after the first gate may have gone this way: nearly none of them,
+    or nearly all, as where they went has no gate, or has one that loses them.
 
-    None where people are among those at either gate: more than half of their tracks go over to others on the way."""
+    None where people are among those at either gate: more than half of their tracks go over to others on the way.
+    """
     if any(on_foot(one) and (one.sides[0] == pair[0] or one.sides[1] == pair[1]) for one in members):
         return None
     groups = []

@@ -1,4 +1,4 @@
-"""Who may have crossed a gate and is not counted: tracks that end before a gate or begin behind it, doubtful crossings.
+"""Road users that may have crossed a gate uncounted: tracks lost before it or found behind it, doubtful crossings.
 
 A gate where the camera loses vehicles counts few, and that few are seen there does not show in the count: only in the
 tracks around it.
@@ -20,10 +20,10 @@ from skope.traffic.observation import Observation
 from skope.traffic.trajectories import Trajectory
 
 _SOON_S: Final = 3.0
-"""Who would be at the gate within this time after the track ends may have crossed it, seconds; or has come from there
-so long before it begins."""
+"""A road user that would be at the gate within this time after the track ends, seconds, may have crossed it; or has
+come from there so long before it begins."""
 _SLOWEST: Final = 0.5
-"""Who moves along the gate's normal by less than this when lost, m/s, was on no way across it."""
+"""A road user that moved along the gate's normal by less than this when lost, m/s, was on no way across it."""
 NEAR_M: Final = 10.0
 """A gate within this of which nobody was ever seen is one that the camera may not see, metres."""
 
@@ -44,20 +44,20 @@ class Vanished:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Unseen:
-    """What a camera may have missed at gates."""
+    """Road users that a camera may have missed at gates."""
 
     vanished: tuple[Vanished, ...] = ()
     doubtful: tuple[GateCrossing, ...] = ()
     """Crossings that are not counted: more probably none than one, or just beside the gate."""
     kinds: Mapping[str, tuple[SeenAlike, ...]] = field(default_factory=dict)
-    """What else is missed at each gate, of whom; of a gate that is not named `SEEN_IN_METRES`."""
+    """Kinds of road users missed besides at each gate; at a gate that is not named, `SEEN_IN_METRES`."""
     gates: frozenset[str] = frozenset()
     """Names of gates near which nobody was ever seen: whether somebody crossed them is not known."""
     learnt: Mapping[tuple[str, int], tuple[SeenAlike, ...]] = field(default_factory=dict)
     """Of gates and directions, their kinds with what hand counts tell of them there."""
 
     def kinds_at(self, gate: str, direction: int) -> tuple[SeenAlike, ...]:
-        """What is missed at a gate, in a direction, of whom."""
+        """Kinds of road users missed at a gate, in a direction."""
         return self.learnt.get((gate, direction)) or self.kinds.get(gate, SEEN_IN_METRES)
 
     def most(self, gate: str, direction: int, interval: ClockInterval, classes: Collection[str]) -> int:

@@ -1,4 +1,4 @@
-"""Who is in a zone, from when to when."""
+"""Road users in a zone, from when to when."""
 
 import math
 from collections.abc import Sequence

@@ -84,22 +84,15 @@ def from_vehicles(
     lengths: Sequence[KnownLength],
     out: Path,
 ) -> Iterator[str]:
-    """Fit a camera to the vehicles of a scene and write its file.
+    """Fit a camera to the vehicles of a scene and write its file; yields lines on what was found.
 
     Args:
         scene: Images of one camera, and the keypoints in them.
         folder: Where the scene's results lie, for the command that comes next; None: it is not named.
         count: Use at most so many vehicles.
-        score: Detections above this are taken.
-        noise: Standard deviation of the noise that is added to labelled keypoints, pixels.
-        sigma_px: Standard deviation of a keypoint, pixels; None as in `Scene.views`.
-        height: The camera's height over the road, metres; None: not known.
-        fov_deg: The horizontal field of view, degrees; None: not known.
+        score, noise, sigma_px, height, fov_deg: As `camera_of_vehicles` takes them.
         lengths: Lengths that are known, which correct the scale; there may be none.
-        out: The camera file, which must not be there yet.
-
-    Yields:
-        Lines on what was found.
+        out: The camera file, which must not be there with other content.
 
     Raises:
         UserError: The vehicles do not tell the camera, or the camera that they tell does not hold together.

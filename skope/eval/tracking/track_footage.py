@@ -208,7 +208,7 @@ def _write_road_users(job: TrackJob, tracks: list[RoadUserTrack], index: list[in
 
 
 def _road_user_words(job: TrackJob, tracks: list[RoadUserTrack]) -> Iterator[str]:
-    """How many of each category there are, or why there is none."""
+    """Numbers of road users of each category in words, or why there is none."""
     if tracks:
         counts = Counter(track.category for track in tracks)
         yield f"besides: {', '.join(counted(counts[name], name) for name in CATEGORIES if counts[name])}"

@@ -22,7 +22,7 @@ FORMATS: Final[Mapping[str, str]] = {
     "ssam": "FHWA's surrogate safety model",
     "sumo": "counts for routeSampler and flowrouter",
 }
-"""What each is, in a few words."""
+"""Formats by their names, each in a few words."""
 IN_PIXELS: Final = frozenset({"excel", "parquet", "otanalytics"})
 """Those that need no metres."""
 

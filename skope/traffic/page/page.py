@@ -239,7 +239,7 @@ def _end(value: float) -> str:
 
 
 def _accuracy(report: TrafficReport) -> str:
-    """What was counted by hand beside what was counted here."""
+    """Table of hand counts beside what was counted here."""
     rows = []
     for one in report.hand_checks:
         hand = one.hand
