@@ -28,7 +28,7 @@ _ALONG_M: Final = {"bus": 0.6, "bicycle": 0.6, "lorry": 0.15}
 """By so much the middles of some bodies are off along the way besides, all the way, one standard deviation: of 16, 36
 and 12 in generated clips by 0.2, 0.5 and 0 m in the median, and by 0.54, 0.45 and 0.17 m from there."""
 _BESIDE: Final = 0.05
-"""A crossing that is less probably through the gate than this goes past its end without doubt; likewise back."""
+"""A crossing that is less probably through the gate than this goes past its end without doubt, and the reverse."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

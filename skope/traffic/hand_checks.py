@@ -110,7 +110,8 @@ def adjusted(
         settings: The classes that are counted.
 
     Returns:
-        `unseen` with what is learnt at each gate and direction; nothing is where nobody was ever seen near.
+        `unseen` with what is learnt of each gate and direction; counts at gates that nobody was ever seen near teach
+        nothing.
     """
     told = [one for one in checks if one.near]
     evidence = [
