@@ -45,7 +45,7 @@ class CalibrationMarks:
     size: tuple[int, int] | None
     """Width and height of the images that were marked, pixels; None: the file does not say it."""
     when: datetime | None
-    """When they were marked."""
+    """Time at which they were marked."""
     points: tuple[MarkedPoint, ...] = ()
     lengths: tuple[MarkedLength, ...] = ()
     parallels: tuple[ParallelLines, ...] = ()

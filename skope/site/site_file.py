@@ -54,7 +54,7 @@ class SiteParts:
     time_zone: str | None
     """Name of the time zone that people at the road live by, as "Europe/Berlin"; None: not said."""
     start: datetime | None
-    """When the footage begins, with its zone; None: not said."""
+    """Time at which the footage begins, with its zone; None: not said."""
     world: Mapping[str, Any] | None
     """Place of the world's (0, 0) on a map, as `read_world` has it; None: not said."""
     plan: PlanPicture | None

@@ -24,7 +24,7 @@ class HardBraking:
 
     trajectory: Trajectory
     time_s: float
-    """When it brakes hardest, seconds."""
+    """Time at which it brakes hardest, seconds."""
     place: Array
     """(2,) metres."""
     deceleration: float

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 _YEARS: Final = range(1900, 2900)
 """In which footage may begin."""
 _PRECISE: Final = timedelta(seconds=1)
-"""When clocks change is found to this; they do so at whole seconds."""
+"""Precision to which a change of clocks is found; they change at whole seconds."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,12 +23,12 @@ class ClockInterval:
     begin_s: float
     end_s: float
     begin: datetime | None
-    """When it begins, in the time of the site; None where nothing says when the footage was taken."""
+    """Time at which it begins, in the site's zone; None where nothing says when the footage was taken."""
     end: datetime | None
 
 
 def local_start(site: "SiteParts") -> datetime | None:
-    """When the footage begins, in the site's time zone; None: the site does not say."""
+    """Time at which the footage begins, in the site's zone; None: the site does not say."""
     return None if site.start is None else local_time(site.start, site)
 
 

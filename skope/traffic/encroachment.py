@@ -29,9 +29,9 @@ class Encroachment:
 
     seconds: float
     first_s: float
-    """When the first one was there, seconds of the footage."""
+    """Time at which the first one was there, seconds of the footage."""
     second_s: float
-    """When the second one gets there."""
+    """Time at which the second one gets there, seconds of the footage."""
     swapped: bool
     """Whether the second of the two that were asked for was the first one there."""
 
@@ -138,7 +138,7 @@ def _during(path: FootprintPath, about_s: float) -> Array:
 
 
 def _stay(path: FootprintPath, rows: Array, shapes: Any, area: Any) -> tuple[float, float]:
-    """When the footprint enters the area and leaves it, seconds."""
+    """Times at which the footprint enters the area and leaves it, seconds."""
     from shapely import intersects, polygons
 
     def within(time_s: float) -> bool:

@@ -42,13 +42,13 @@ class GateCrossing:
     direction_name: str
     """Name of that direction; "1" and "2" where the user gives none."""
     time_s: float
-    """When the body's middle crosses, seconds of the footage."""
+    """Time at which the body's middle crosses, seconds of the footage."""
     sigma_s: float
     """Standard deviation of the times, from how well the places are known."""
     front_s: float
-    """When the front crosses; NaN where the track does not show it."""
+    """Time at which the front crosses; NaN where the track does not show it."""
     rear_s: float
-    """When the rear does; NaN likewise."""
+    """Time at which the rear does; NaN likewise."""
     place: Array
     """(2,) where, metres."""
     speed: float
@@ -61,8 +61,8 @@ class GateCrossing:
     probability: float
     """Probability that this happened, once."""
     doubt: str
-    """Why that is in doubt: begins or ends, where the track does so on the gate; beside, where it may have gone past
-    the gate's end, or through it; else empty."""
+    """Reason for doubt: begins or ends, where the track does so on the gate; beside, where it may have gone past the
+    gate's end, or through it; else empty."""
     counts: bool
     """Whether it is counted: between the ends of the gate, by a track that more probably crosses there than not. One
     that ends on the gate is counted, and is in doubt."""
@@ -224,7 +224,8 @@ def _along_s(trajectory: Trajectory, velocity: Array, *, metres: bool) -> float:
 
 
 def _end_time(trajectory: Trajectory, gate: Gate, places: Array, passage: Passage, rule: dict[str, float]) -> float:
-    """When the front or the rear (M, 2) crosses the gate's line in the same direction; NaN where that is not seen."""
+    """Time at which the front or the rear (M, 2) crosses the gate's line in the same direction; NaN where that is not
+    seen."""
     signed, _ = signed_distances(gate, places)
     times = [
         one.time_s

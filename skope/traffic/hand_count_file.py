@@ -35,7 +35,7 @@ class HandCount:
     class_name: str
     """A class, `MOTOR` or `ALL`."""
     interval: ClockInterval
-    """When it was counted."""
+    """Interval in which it was counted."""
     number: int
 
     @property

@@ -1,4 +1,4 @@
-"""When the camera has observed the road: without that, nothing counted and nothing observed look alike."""
+"""Times at which the camera observed the road: without that, nothing counted and nothing observed look alike."""
 
 import math
 from collections.abc import Sequence
@@ -48,7 +48,7 @@ class Observation:
     sight: Array = field(default_factory=lambda: np.zeros((0, 3)))
     """(L, 3) times (s), rising, brightness (0 to 1) and contrast of pictures of the footage; empty: not measured."""
     begins: datetime | None = None
-    """When second 0 was, with its zone, as the footage itself says; None: it does not."""
+    """Time of second 0, with its zone, as the footage itself says; None: it does not."""
     parts: tuple["Observation", ...] = ()
     """The recordings, where it is of several, in order, in the same seconds; each knows its own camera."""
 

@@ -47,7 +47,7 @@ class QueueRecord:
     sigma_m: float
     """Standard deviation of that, from both places, metres."""
     at_s: float
-    """When it was so long, seconds; NaN without a queue."""
+    """Time at which it was so long, seconds; NaN without a queue."""
     vehicles: int
     """In the longest queue."""
     vehicles_expected: CountInterval

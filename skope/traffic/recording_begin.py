@@ -1,4 +1,4 @@
-"""When a recording begins: as somebody says it, or guessed from the name of its footage."""
+"""Begin of a recording: as somebody says it, or guessed from the name of its footage."""
 
 import re
 from datetime import UTC, datetime

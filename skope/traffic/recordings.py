@@ -45,7 +45,7 @@ class SiteRecording:
     source: str
     """Name of its footage."""
     begin: datetime
-    """When its own second 0 was, in the site's time."""
+    """Time of its own second 0, in the site's zone."""
     begin_s: float
     """Second of the report that its own second 0 is."""
     added: int
@@ -63,7 +63,7 @@ class RecordedTraffic:
     tracks: tuple[Trajectory, ...]
     observation: Observation
     start: datetime | None
-    """When second 0 was; None where that of a single recording is not known."""
+    """Time of second 0; None where that of a single recording is not known."""
     recordings: tuple[SiteRecording, ...] = ()
     """The recordings, where there are several, in the order of time."""
 
@@ -78,7 +78,7 @@ class _Placed:
     guessed: bool
 
     def at(self, second: int) -> datetime:
-        """When its frames begin (0) or end (1)."""
+        """Time at which its frames begin (0) or end (1)."""
         return _later(self.begin, self.observation.extent[second])
 
 
@@ -172,7 +172,7 @@ def _only(folder: Path, said: datetime | None, site: "SiteFile") -> RecordedTraf
 
 
 def begin_of(said: datetime | None, observation: Observation, site: "SiteFile") -> datetime | None:
-    """When a recording begins, in the site's time.
+    """Time at which a recording begins, in the site's zone.
 
     Args:
         said: Begin as somebody says it; None: nobody does.

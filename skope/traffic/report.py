@@ -33,7 +33,7 @@ class TrafficReport:
 
     site: "SiteParts"
     start: datetime | None
-    """When the footage begins, in the site's time; None: not known."""
+    """Time at which the footage begins, in the site's zone; None: not known."""
     observation: Observation
     intervals: tuple[ClockInterval, ...]
     trajectories: tuple[Trajectory, ...]

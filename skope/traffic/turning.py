@@ -42,7 +42,7 @@ class Movement:
 
     @property
     def time_s(self) -> float:
-        """When it crosses the first of the two that it is seen at, seconds."""
+        """Time at which it crosses the first of the two gates that it is seen at, seconds."""
         return self._first.time_s
 
     @property
@@ -52,7 +52,7 @@ class Movement:
 
     @property
     def trajectory(self) -> Trajectory:
-        """Whose it is."""
+        """Track of the road user."""
         return self._first.trajectory
 
     @property

@@ -37,7 +37,7 @@ class Vanished:
     direction: int
     """In which it would have crossed, or has: 0 from the gate's left to its right."""
     time_s: float
-    """When, at the speed that it had, seconds of the footage."""
+    """Time of that at the speed that it had, seconds of the footage."""
     begins: bool
     """Whether the track begins behind the gate; else it ends before."""
 

@@ -58,7 +58,8 @@ class SwayRecord:
     """Of the images, pixels."""
 
     def view_changes(self, looks: Sequence[tuple[float, str]]) -> list[ViewChange]:
-        """When the view changes for good: where the image's mean place does, and else as `changes` has it of looks.
+        """Times at which the view changes for good: where the image's mean place does, and else as `changes` has it of
+        looks.
 
         Looks alone, which are half a second apart, may fall on one side of a sway again and again.
         """

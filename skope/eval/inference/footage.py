@@ -86,7 +86,7 @@ class Footage(ABC):
     clip: Clip | None = None
     """The video or stream as it describes itself; None for image files."""
     begins: datetime | None = None
-    """When second 0 of a live stream was, by this computer's clock, once its first frame has come; else None."""
+    """Time of second 0 of a live stream, by this computer's clock, once its first frame has come; else None."""
 
     @property
     def live(self) -> bool:
@@ -331,7 +331,7 @@ def _open_clip(video: str) -> Clip:
 
 
 def _times(video: str) -> tuple[float, ...]:
-    """When each frame of a file is shown, from the first: as its packets say, none of which is decoded.
+    """Times at which each frame of a file is shown, from the first: as its packets say, none of which is decoded.
 
     Empty where they do not say it, or two frames at once.
     """

@@ -320,5 +320,5 @@ def _frame(source: str, *, at_rest: bool) -> Pixels:
 
 
 def _saved(source: str) -> Any:
-    """When the new picture was saved, ISO 8601."""
+    """Time at which the new picture was saved, ISO 8601."""
     return datetime.fromtimestamp(int(Path(_split(source)[0]).stat().st_mtime), UTC).isoformat()

@@ -58,7 +58,7 @@ class Looks:
 
 
 def changes(looks: Sequence[tuple[float, str]], stays: Callable[[float], bool] = lambda _: True) -> list[ViewChange]:
-    """When the view changes for good, of looks with their times in seconds, which rise.
+    """Times at which the view changes for good, of looks with their times in seconds, which rise.
 
     Args:
         looks: Small pictures, as `Looks` takes them.

@@ -23,7 +23,7 @@ from skope.types import Array
 MOTION: Final = "camera_motion"
 """Under this name the `info` of frames says how the camera swayed: what `CameraMotion.to_dict` makes."""
 MOVED_REASON: Final = "camera_moved"
-"""Why a vehicle has no place: the camera was moved after it had been calibrated."""
+"""Reason for a vehicle without a place: the camera was moved after it had been calibrated."""
 _TURNS: Final = ("pitch", "roll", "yaw")
 _DIFFERENCE_STEPS: Final = np.array([0.5, 0.5, 1e-3])
 """Steps of numeric derivatives by x and y (pixels) and turn (radians)."""

@@ -40,7 +40,7 @@ class SolvedCamera:
     known: UncertainCamera | None
     """The camera with its covariance; None where nothing says how well it is known."""
     message: str
-    """Why there is no camera, or why it is not that of the marks; empty where it is."""
+    """Reason why there is no camera, or why it is not that of the marks; empty where it is."""
     mend: str = ""
     """Faults that the page may offer to mend by itself: "degrees" or "mirrored" places; empty: none."""
     left_out: Mapping[str, LeftOutError] = field(default_factory=dict)

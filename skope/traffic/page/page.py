@@ -90,7 +90,7 @@ def traffic_page(
 
 
 def _what(report: TrafficReport) -> str:
-    """When, and of what."""
+    """Sentence on the number of road users, and on the time that was observed."""
     spans = report.observation.spans
     told = (
         f"{len(report.trajectories)} road users in {report.observation.observed_s / 60:.1f} minutes that were observed"
