@@ -22,7 +22,16 @@ def xyxy_to_xywh(boxes: ArrayLike) -> Array:
 
 
 def clip(boxes_xyxy: ArrayLike, width: float, height: float) -> Array:
-    """Clip boxes to an image of `width` x `height` pixels."""
+    """Clip boxes to an image of `width` x `height` pixels.
+
+    Args:
+        boxes_xyxy: (..., 4) boxes, pixels.
+        width: Width of the image, pixels.
+        height: Its height, pixels.
+
+    Returns:
+        (..., 4) the boxes with all edges inside the image; a box that lies outside has no area left.
+    """
     b = np.asarray(boxes_xyxy, dtype=np.float64)
     return np.clip(b, 0.0, np.array([width, height, width, height], dtype=np.float64))
 

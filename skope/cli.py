@@ -32,7 +32,7 @@ _HELP: Final = "\n\n".join(
         "and gates in the browser.",
     )
 )
-"""What stands above the commands: what the package is for, and which commands follow each other."""
+"""Text above the commands: what the package is for, and which commands follow each other."""
 
 app = Commands(
     cls=_Root,

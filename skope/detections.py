@@ -72,9 +72,9 @@ class Detections:
     size: tuple[int, int]
     """Width and height of the image, pixels."""
     scheme: Scheme = SKOPE33
-    """What the keypoints are, and by which edition of their definition they are marked."""
+    """Scheme of the keypoints, and the edition of their definition by which they are marked."""
     road_users: RoadUserDetections = field(default_factory=RoadUserDetections)
-    """Who else was found, by a detector that has learnt other categories; no vehicles."""
+    """Other road users, found by a detector that has learnt their categories; no vehicles."""
     numbers: NDArray[np.int64] | None = None
     """(N,) number of the vehicle, which the frames of its video share; -1 where not known. None: of a single image."""
     interpolated: NDArray[np.bool_] | None = None
@@ -190,6 +190,19 @@ def apart(found: Iterable[AnyResult]) -> tuple[list[Result], list[RoadUserResult
 
 
 def results(image_id: int, boxes_xyxy: ArrayLike, scores: ArrayLike, points: ArrayLike) -> list[Result]:
-    """Detections in an image, (N, 4), (N,) and (N, 33, 3) as in `Detections`, as N COCO results."""
+    """Make COCO results of the vehicles found in an image.
+
+    Args:
+        image_id: Id of the image.
+        boxes_xyxy: (N, 4) pixels.
+        scores: (N,) 0 to 1.
+        points: (N, 33, 3) x, y, p as in `Detections`.
+
+    Returns:
+        N COCO results, in the same order.
+
+    Raises:
+        ValueError: The numbers of boxes, scores and points differ.
+    """
     rows = zip(boxes.xyxy_to_xywh(boxes_xyxy), np.asarray(scores), np.asarray(points), strict=True)
     return [Result(image_id=image_id, bbox=box, score=float(score), keypoints=found) for box, score, found in rows]

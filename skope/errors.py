@@ -12,7 +12,19 @@ class UserError(ValueError):
 
 
 def one_of(field: str, value: Any, choices: tuple[str, ...]) -> str:
-    """Return `value` when it is among `choices`, else raise a UserError that lists them."""
+    """Check that a value is among its choices.
+
+    Args:
+        field: What the user set, with which the message begins.
+        value: What it was set to.
+        choices: What is allowed.
+
+    Returns:
+        `value` as text.
+
+    Raises:
+        UserError: It is none of the choices, which the message lists.
+    """
     if value not in choices:
         raise UserError(f"{field}: {value!r} is not one of {', '.join(choices)}")
     return str(value)

@@ -10,7 +10,19 @@ from skope.types import Array
 
 
 def array(name: str, value: Any, *shape: int) -> Array:
-    """`value` as a float array of `shape`, or a UserError that names the field."""
+    """Check a field of numbers.
+
+    Args:
+        name: The field, with which the message begins.
+        value: Numbers, nested in any way.
+        shape: Shape of the result; only how many numbers there are must agree.
+
+    Returns:
+        `value` as float64 of that shape.
+
+    Raises:
+        UserError: These are not so many finite numbers.
+    """
     try:
         result = np.asarray(value, dtype=np.float64)
     except (TypeError, ValueError):
@@ -24,7 +36,19 @@ def array(name: str, value: Any, *shape: int) -> Array:
 
 
 def integer(name: str, value: Any, least: int) -> int:
-    """`value`, or a UserError where it is no whole number from `least`."""
+    """Check a field that is a whole number.
+
+    Args:
+        name: The field, with which the message begins.
+        value: Its value.
+        least: Smallest value that is allowed.
+
+    Returns:
+        `value`.
+
+    Raises:
+        UserError: It is no whole number, is true or false, or is smaller.
+    """
     if isinstance(value, bool) or not isinstance(value, int) or value < least:
         raise UserError(f"{name}: expected a whole number from {least}, got {value!r}")
     return value
@@ -37,7 +61,16 @@ def share(name: str, value: float | None) -> None:
 
 
 def choice(name: str, value: str | None, choices: tuple[str, ...]) -> None:
-    """Raise a UserError, which lists the choices, unless `value` is None or one of them."""
+    """Check a field that has choices, or is None.
+
+    Args:
+        name: The field, with which the message begins.
+        value: Its value; None: not set.
+        choices: What is allowed.
+
+    Raises:
+        UserError: It is set to something else; the message lists the choices.
+    """
     if value is not None:
         one_of(name, value, choices)
 

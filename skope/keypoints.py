@@ -179,7 +179,7 @@ FOREIGN_SCHEMES: Final[dict[str, Map]] = {
 }
 
 FOREIGN_K: Final[dict[str, int]] = {"apollo24": 24, "carfusion14": 14, "veri20": 20, "skope3d": 33}
-"""How many keypoints each scheme has, those without a counterpart too."""
+"""Number of each scheme's keypoints, those without a counterpart too."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -6,7 +6,17 @@ from skope.errors import UserError
 
 
 def in_range(name: str, value: float, least: float, most: float) -> None:
-    """Raise a UserError unless an argument's value is a number from `least` to `most`."""
+    """Raise a UserError unless an argument's value is a number from `least` to `most`.
+
+    Args:
+        name: The argument's name, with which the message begins.
+        value: What the caller gave.
+        least: Smallest value that is allowed.
+        most: Largest value that is allowed; infinity: there is none.
+
+    Raises:
+        UserError: `value` is no number, NaN, or outside the range.
+    """
     if not isinstance(value, int | float) or not least <= value <= most:
         to = "" if math.isinf(most) else f" to {most:g}"
         raise UserError(f"{name}: expected a number from {least:g}{to}, got {value!r}")

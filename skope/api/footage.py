@@ -262,7 +262,19 @@ def open_video(
     every_frame: bool,
     fps: float | None,
 ) -> Video:
-    """The video that `Detector.video` gives; `seconds` are begin and end. Raises UserError."""
+    """Open the video that `Detector.video` gives; nothing is computed before frames are asked for. Raises UserError.
+
+    Args:
+        predictor: The detector, with the settings that it was loaded with.
+        source: A video file, an image, a folder or glob of images, or the address of a stream.
+        camera: The camera, or its file as `read_camera` takes it; None: no tracks in metres.
+        ground: Height of the level road in the camera's world, metres, or a word or None as in `Detector.video`.
+        score: Detections above this are kept, 0 to 1.
+        every: Take every so many-th frame, from 1.
+        seconds: Begin and end in the footage, seconds; None as end: its end.
+        every_frame: Run the detector on every frame; else on a CPU it runs twice a second.
+        fps: Images a second of image files, which carry no times; None: the files' own times, if any.
+    """
     from skope.dataset.camera_of_file import read_camera
     from skope.eval.inference.footage import Cut, open_footage
     from skope.eval.inference.predict_footage import PredictJob

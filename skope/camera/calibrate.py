@@ -24,7 +24,7 @@ from skope.camera.wrong_points import with_wrong_points
 from skope.errors import UserError
 
 _FREE: Final = ("x", "y", "yaw")
-"""Where the world's origin and axes are, which points alone can say."""
+"""Parameters of the world's origin and axes, which points alone can tell."""
 _SURPRISE: Final = 0.01
 """Residuals that are less likely than this widen the covariance."""
 _OTHER: Final = 0.05
@@ -33,7 +33,7 @@ _OTHER: Final = 0.05
 
 @dataclass(frozen=True)
 class Residual:
-    """How far one piece of evidence is from the camera that was found."""
+    """Distance of one piece of evidence from the camera that was found."""
 
     kind: str
     """"point", "length", "parallel lines", "vertical" or "belief"."""
@@ -52,7 +52,7 @@ class SiteCalibration(UncertainCamera):
     outliers: tuple[str, ...]
     """Names of points that contradict the others and were left out."""
     warnings: tuple[str, ...]
-    """What the evidence leaves open, a sentence each."""
+    """Sentences on what the evidence leaves open."""
 
 
 # ------------------------------------------------------------------------------------------------------------- solver
@@ -104,7 +104,7 @@ def calibrate(evidence: Evidence, *, start: Camera | None = None, check: bool = 
 
 
 def _excess(fit: WeightedFit, groups: int) -> float:
-    """How many times as large the residuals are as they should be; 1 where that may be chance.
+    """Factor by which the residuals are larger than they should be; 1 where that may be chance.
 
     Of each of the `groups` of parallel lines one direction is free.
     """

@@ -165,10 +165,22 @@ def read_plane(path: Path) -> Array:
 
 
 def over_plane(plane: ArrayLike, *, position: tuple[float, float], yaw: float, ground: float = 0.0) -> Array:
-    """(4, 4) T_camera_world of a camera that sees the road as a plane (a, b, c, d) of unit normal in its own frame.
+    """(4, 4) T_camera_world of a camera that sees the road as a plane ax + by + cz + d = 0 in its own frame.
 
-    It hangs over the world's `position` x, y and looks along `yaw` (from world x towards y, radians); the road is at
-    world height `ground`, metres. Raises UserError when it lies under the road.
+    The normal may point up or down.
+
+    Args:
+        plane: (4,) a, b, c, d of the road in the camera's frame, of unit normal (a, b, c); d is the camera's height in
+            metres where the normal points up.
+        position: World x and y of the camera, metres.
+        yaw: Direction in which it looks, from world x towards y, radians.
+        ground: World height of the road, metres.
+
+    Returns:
+        (4, 4) T_camera_world, metres.
+
+    Raises:
+        UserError: The camera lies under the road.
     """
     *normal, height = np.asarray(plane, dtype=np.float64)
     up = np.asarray(normal)

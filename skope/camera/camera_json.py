@@ -40,9 +40,18 @@ def read_uncertain_camera(path: Path) -> UncertainCamera | None:
 
 
 def uncertain_of_json(path: Path, document: dict[str, Any], camera: Camera) -> UncertainCamera | None:
-    """What the document of a camera says of how well it is known: `covariance`, or in older files a share of distances.
+    """Read how well a camera is known: from `covariance`, or in older files from the share that distances are off by.
 
-    None where it says nothing.
+    Args:
+        path: The file, for error messages.
+        document: Its content.
+        camera: The camera that it describes.
+
+    Returns:
+        The camera with its covariance; None where the document has neither.
+
+    Raises:
+        UserError: `covariance` is not one of a camera's parameters.
     """
     if isinstance(document.get("covariance"), dict):
         try:

@@ -1,4 +1,4 @@
-"""What a user marks in an image to calibrate a camera, with how exactly each is known.
+"""Marks that a user sets in an image to calibrate a camera, with how exactly each is known.
 
 Pixels count the centre of a pixel as (col + 0.5, row + 0.5), metres are the world's; the road is its plane z = 0.
 """
@@ -111,7 +111,16 @@ class Belief:
 
     @classmethod
     def of_fov(cls, fov_deg: float, sigma_deg: float, width: int) -> "Belief":
-        """The horizontal field of view, degrees, of images that are `width` pixels wide."""
+        """Believe in a horizontal field of view.
+
+        Args:
+            fov_deg: Full horizontal field of view before distortion, degrees.
+            sigma_deg: Its standard deviation, degrees.
+            width: Width of the images, pixels.
+
+        Returns:
+            A Gaussian of the logarithm of the focal length in pixels.
+        """
         half = math.radians(fov_deg) / 2
         slope = math.radians(sigma_deg) / math.sin(2 * half)
         return cls(
@@ -125,7 +134,16 @@ class Belief:
 
     @classmethod
     def of_lens(cls, focal_px: float, sigma_px: float, k1: tuple[float, float] | None) -> "Belief":
-        """A focal length in pixels, and k1 of the lens distortion with its standard deviation where it is known."""
+        """Believe in a focal length, and in a lens distortion where it is known.
+
+        Args:
+            focal_px: Focal length, pixels.
+            sigma_px: Its standard deviation, pixels.
+            k1: First coefficient of the radial distortion and its standard deviation; None: nothing is known of it.
+
+        Returns:
+            A Gaussian of the logarithm of the focal length and, where given, of k1, independent of each other.
+        """
         rows = [("focal", math.log(focal_px), sigma_px / focal_px), *([("k1", *k1)] if k1 else [])]
         names, mean, sigmas = zip(*rows, strict=True)
         return cls(names, np.array(mean), np.diag(np.square(sigmas)), "lens")
@@ -170,7 +188,19 @@ def _positive(record: object, kind: str, label: str, *names: str) -> None:
 
 
 def marked_points(pixels: ArrayLike, places: ArrayLike, names: Iterable[str] = ()) -> tuple[MarkedPoint, ...]:
-    """Points (N, 2) pixels and (N, 3) metres, marked as exactly as people do."""
+    """Points (N, 2) pixels and (N, 3) metres, marked as exactly as people do.
+
+    Args:
+        pixels: (N, 2) pixels.
+        places: (N, 3) places in the world, metres.
+        names: N names; none: the points are numbered from 1.
+
+    Returns:
+        N points with the standard deviations that `MarkedPoint` has by default.
+
+    Raises:
+        ValueError: There are not as many places, or names, as pixels.
+    """
     labels = list(names) or [str(i + 1) for i in range(len(np.asarray(pixels)))]
     rows = zip(np.asarray(pixels), np.asarray(places), labels, strict=True)
     return tuple(MarkedPoint(pixel, place, name=label) for pixel, place, label in rows)

@@ -18,7 +18,7 @@ from skope.camera.uncertain_camera import PARAMETERS, values_of
 from skope.types import Array
 
 _LENS: Final = (("k1", -0.1, 0.2), ("roll", 0.0, 0.2), ("focal", None, 1.0))
-"""What cameras at roads are like: mean and standard deviation; None: a focal length as long as images are wide.
+"""Mean and standard deviation of cameras at roads; None: a focal length as long as images are wide.
 
 Most lenses are between a rectilinear one, whose k1 is 0, and an equidistant fisheye: tan a - (tan a)^3 / 3 = a, nearly.
 """

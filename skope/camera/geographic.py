@@ -28,6 +28,11 @@ def local_metres(longitude_deg: ArrayLike, latitude_deg: ArrayLike, origin_deg: 
 
     Closed form, through Cartesian coordinates of the Earth. Over 1 km the plane and the ellipsoid differ by 8 cm in
     height, and lengths by less than a millimetre.
+
+    Args:
+        longitude_deg: (...) longitudes, degrees.
+        latitude_deg: (...) latitudes, degrees.
+        origin_deg: Longitude and latitude of the origin, degrees.
     """
     at, about = _cartesian(longitude_deg, latitude_deg), _cartesian(*origin_deg)
     turn, tilt = math.radians(origin_deg[0]), math.radians(origin_deg[1])
@@ -51,9 +56,14 @@ def _cartesian(longitude_deg: ArrayLike, latitude_deg: ArrayLike) -> Array:
 
 
 def utm_scale(easting: float, northing: float, *, south: bool = False) -> float:
-    """How many metres of UTM's grid a metre on the ellipsoid is, at a place of a zone, also outside its usual width.
+    """Metres of UTM's grid for a metre on the ellipsoid at a place, also outside the zone's usual width.
 
     Snyder, Map Projections (1987), equation 8-11, with the radii of curvature at the latitude that the northing says.
+
+    Args:
+        easting: Easting of the place in the zone's grid, metres.
+        northing: Its northing, metres.
+        south: The zone is of the southern hemisphere, whose northings count from 10 000 km south of the equator.
     """
     # The latitude to a tenth of a degree is enough: the radius follows it slowly.
     tilt = ((northing - _UTM_SOUTH_M) if south else northing) / (_UTM_SCALE * 6367449.0)
@@ -68,6 +78,12 @@ def utm_metres(longitude_deg: ArrayLike, latitude_deg: ArrayLike, zone: int, *, 
 
     Krueger's series in the third flattening to its fourth power (Karney, Transverse Mercator with an accuracy of a few
     nanometers, 2011, equations 7 to 10, 14 and 35), which is exact to a micrometre within 1000 km of the zone's middle.
+
+    Args:
+        longitude_deg: (...) longitudes, degrees.
+        latitude_deg: (...) latitudes, degrees.
+        zone: Number of the zone, 1 to 60.
+        south: Northings are those of the southern hemisphere, which count from 10 000 km south of the equator.
     """
     turn = np.radians(np.asarray(longitude_deg, dtype=np.float64) - (6 * zone - 183))
     sine, e, n = np.sin(np.radians(latitude_deg)), math.sqrt(_E2), _F / (2 - _F)

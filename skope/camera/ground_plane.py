@@ -59,6 +59,16 @@ def ground_slopes(
     """(..., 2, 2) derivatives of the places that pixels (..., 2) show on a plane, metres a pixel; see `ground_places`.
 
     By central differences, of all pixels at once: a search asks for these thousands of times.
+
+    Args:
+        camera: What took the image.
+        pixels: (..., 2)
+        height: z of the plane at `about`, metres; or (...) of a plane for each pixel.
+        slope: (2,) metres that the plane rises per metre along x and y.
+        about: (2,) world x and y, metres; or (..., 2).
+
+    Returns:
+        (..., 2, 2) x and y by pixel u and v; NaN at and above the horizon.
     """
     around = pixels + _AROUND.reshape(4, *(1,) * (pixels.ndim - 1), 2)
     places = ground_places(camera, around, height, slope=slope, about=about)[..., :2]

@@ -1,4 +1,4 @@
-"""How well a calibration tells places that it has not seen: each point left out once, and placed by the others."""
+"""Errors of a calibration at places that it has not seen: each point left out once, and placed by the others."""
 
 from dataclasses import dataclass, replace
 
@@ -13,7 +13,7 @@ from skope.errors import UserError
 
 @dataclass(frozen=True)
 class LeftOutError:
-    """Where the others put a point that is left out."""
+    """Error of a point that is left out and placed by the others."""
 
     error_m: float
     """Distance from its place, metres; NaN where the others have it above the horizon."""
@@ -44,7 +44,7 @@ def left_out_errors(evidence: Evidence, calibration: SiteCalibration) -> dict[st
 
 
 def error_of(point: MarkedPoint, camera: UncertainCamera) -> LeftOutError:
-    """Where a camera that does not know the point puts its mark, on the plane of its height."""
+    """Error of the place that a camera which does not know the point gives its mark, on the plane of its height."""
     height = float(point.place[2])
     place = camera.places(point.pixel, height)
     away = place - camera.camera.position

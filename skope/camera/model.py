@@ -60,7 +60,7 @@ class Distortion:
 
     @cached_property
     def fold(self) -> float:
-        """Where the radial model stops growing: a radius tan(theta) for brown, an angle for fisheye; inf: nowhere."""
+        """Radius at which the radial model stops growing: tan(theta) for brown, an angle for fisheye; inf: nowhere."""
         if self.model == "none":
             return math.inf
         if self.model == "fisheye":
@@ -169,7 +169,7 @@ class _Jacobian:
         return self.xx * self.yy - self.xy * self.yx
 
     def solve(self, x: Array, y: Array) -> tuple[Array, Array]:
-        """What the matrices take to x and y (N,); where there is nothing such, x and y themselves."""
+        """Solve for what the matrices take to x and y (N,); x and y themselves where a matrix is singular."""
         regular = np.abs(self.determinant) > 1e-9
         divisor = np.where(regular, self.determinant, 1.0)
         return (
@@ -242,9 +242,19 @@ class Camera:
         fov: float = math.radians(110),
         distortion: Distortion | None = None,
     ) -> Self:
-        """A centred camera at `position` [x, y, z] looking along `yaw` (from world x towards y), pitched down.
+        """Make a camera from its place, its direction and its field of view.
 
-        `fov` is the full horizontal field of view before distortion; all angles are radians.
+        Args:
+            position: (3,) place of the camera in the world, metres.
+            yaw: Direction in which it looks, from world x towards y, radians.
+            pitch_down: Angle of its axis under the horizontal, radians.
+            roll: Turn about its axis, radians; positive ones turn the scene anticlockwise in the image.
+            size: Width and height of the image, pixels.
+            fov: Full horizontal field of view before distortion, radians.
+            distortion: Of the lens; None: none.
+
+        Returns:
+            A camera with square pixels, whose axis meets the middle of the image.
         """
         width, height = size
         focal = width / 2 / math.tan(fov / 2)
@@ -260,7 +270,16 @@ class Camera:
 
     @classmethod
     def from_dict(cls, value: Mapping[str, Any], width: int, height: int) -> Self:
-        """Read the annotation schema's `camera` object {K, distortion, T_camera_world}."""
+        """Read the annotation schema's `camera` object {K, distortion, T_camera_world}.
+
+        Args:
+            value: The object; without `distortion` the lens has none.
+            width: Width of the image, pixels.
+            height: Its height, pixels.
+
+        Raises:
+            UserError: A field is missing or is not what a camera has.
+        """
         try:
             distortion = value.get("distortion", {"model": "none", "coefficients": []})
             return cls(
@@ -341,6 +360,6 @@ class Camera:
         return (p - self.T_camera_world[:3, 3]) @ self.T_camera_world[:3, :3], valid
 
     def inside(self, pixels: ArrayLike) -> Mask:
-        """Where pixels (..., 2) fall on the image; NaN does not."""
+        """(...) whether pixels (..., 2) fall on the image; NaN does not."""
         uv = np.asarray(pixels, dtype=np.float64)
         return np.asarray((uv >= 0).all(-1) & (uv[..., 0] < self.width) & (uv[..., 1] < self.height))

@@ -52,7 +52,18 @@ def likely_cameras(
 def spread_around(
     own: WeightedFit, others: Sequence[WeightedFit], chances: Sequence[float], unknown: Sequence[str]
 ) -> Array:
-    """(P, P) what other cameras, likely as `chances` say, add to the covariance around one of them; never negative."""
+    """Covariance that other likely cameras add to that of one camera.
+
+    Args:
+        own: The camera around which the covariance is taken.
+        others: The other cameras that suit the evidence.
+        chances: Probability of each of them.
+        unknown: Names of the P parameters that were solved for, of `PARAMETERS`.
+
+    Returns:
+        (P, P) what is added to the covariance of `own`, in the parameters' units; no direction's variance is made
+        smaller.
+    """
     columns = [PARAMETERS.index(name) for name in unknown]
     scales = SCALES[columns]
     spread = np.zeros((len(columns), len(columns)))

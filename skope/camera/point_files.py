@@ -37,10 +37,10 @@ class PointFile:
 
     points: tuple[MarkedPoint, ...]
     world: Mapping[str, Any] | None = None
-    """Where the world's (0, 0) is on the map, for the camera's file; None: the file's own coordinates are the
-    world's."""
+    """Place of the world's (0, 0) on the map, for the camera's file; None: the file's own coordinates are the world's.
+    """
     said: tuple[str, ...] = ()
-    """What the user should know of these coordinates, a sentence each."""
+    """Sentences that the user should know about these coordinates."""
 
 
 def read_points(path: Path) -> PointFile:

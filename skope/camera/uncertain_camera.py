@@ -20,7 +20,7 @@ PARAMETERS: Final = ("focal", "k1", "x", "y", "z", "pitch", "roll", "yaw")
 """Logarithm of the focal length in pixels, first coefficient of the radial distortion, place (metres), pitch downwards,
 roll and yaw (radians) of a camera."""
 _OTHER_NAMES: Final = {"log_focal": "focal", "log_height": "z"}
-"""What files call parameters that are worked out from vehicles; a height's logarithm is a share of it."""
+"""Names in files of parameters that are worked out from vehicles; a height's logarithm is a share of it."""
 _STEPS: Final = dict(zip(PARAMETERS, (1e-5, 1e-5, 1e-4, 1e-4, 1e-4, 1e-6, 1e-6, 1e-6), strict=True))
 """Steps of numeric derivatives."""
 PLACE_SHARE: Final = 0.9
@@ -79,11 +79,11 @@ class UncertainCamera:
         return UncertainCamera(camera, ("z",), np.array([[(share * camera.position[2]) ** 2]]))
 
     def covariance_dict(self) -> dict[str, Any]:
-        """What `from_dict` reads."""
+        """The covariance as `from_dict` reads it."""
         return {"of": list(self.parameters), "matrix": self.covariance.tolist()}
 
     def belief(self, name: str) -> Belief:
-        """What is known of the camera, as evidence for another calibration."""
+        """The knowledge of the camera as evidence for another calibration."""
         which = [PARAMETERS.index(parameter) for parameter in self.parameters]
         return Belief(self.parameters, values_of(self.camera)[which], self.covariance, name)
 
@@ -98,7 +98,16 @@ class UncertainCamera:
         return ground_places(self.camera, pixels, height)
 
     def place_covariance(self, pixels: ArrayLike, height: float = 0.0, sigma_px: float = 0.0) -> Array:
-        """(..., 2, 2) covariance of x and y of `places`, with marks that are `sigma_px` off an axis."""
+        """(..., 2, 2) covariance of x and y of `places`, from the camera's error and from that of the pixels.
+
+        Args:
+            pixels: (..., 2)
+            height: z of the plane that they lie on, metres.
+            sigma_px: Standard deviation of the pixels themselves, an axis; 0: only the camera is uncertain.
+
+        Returns:
+            (..., 2, 2) square metres; NaN at and above the horizon.
+        """
         uv = np.asarray(pixels, dtype=np.float64)
         J = self._by_parameters(uv, height=height)
         out = np.asarray(J @ self.covariance @ np.swapaxes(J, -1, -2))
@@ -108,7 +117,13 @@ class UncertainCamera:
         return out
 
     def place_error(self, pixels: ArrayLike, height: float = 0.0, sigma_px: float = 0.0) -> Array:
-        """(...,) radius around each of `places` that holds 90% of where it may be, metres; NaN where there is none."""
+        """(...,) radius around each of `places` that holds 90% of where it may be, metres; NaN where there is none.
+
+        Args:
+            pixels: (..., 2)
+            height: z of the plane that they lie on, metres.
+            sigma_px: Standard deviation of the pixels themselves, an axis.
+        """
         return radius_of(self.place_covariance(pixels, height, sigma_px), PLACE_SHARE)
 
     def covariance_at(self, places: ArrayLike, slope: ArrayLike = (0.0, 0.0)) -> Array:
@@ -124,8 +139,15 @@ class UncertainCamera:
     ) -> Array:
         """(..., 2, 2) covariance that the camera's error gives velocities (..., 2) on the road at places (..., 3).
 
-        The camera's error stretches and turns the road around a place, and a velocity with it. Units, slope and NaN as
-        in `covariance_at`.
+        The camera's error stretches and turns the road around a place, and a velocity with it.
+
+        Args:
+            places: (..., 3) world, metres.
+            velocities: (..., 2) along world x and y, m/s.
+            slope: (2,) metres that the road rises per metre along x and y.
+
+        Returns:
+            (..., 2, 2) in m²/s²; NaN where the camera does not see the place.
         """
         at, v = np.asarray(places, dtype=np.float64), np.asarray(velocities, dtype=np.float64)
         steps = _BESIDE_M * np.column_stack([np.eye(2), np.asarray(slope, dtype=np.float64)])

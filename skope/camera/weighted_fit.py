@@ -29,7 +29,7 @@ _FINALISTS: Final = 2
 _FIRST_STEPS: Final = 12
 """Steps after which they are chosen."""
 SCALES: Final = np.array([0.1, 0.05, 1.0, 1.0, 0.5, 0.05, 0.05, 0.05])
-"""What `PARAMETERS` change by, in steps of the search."""
+"""Scales of `PARAMETERS` in steps of the search."""
 _LEAST_TOLD: Final = 1e-8
 """Information on a parameter that stands for none, in squares of `SCALES`."""
 CHECKED_POINTS: Final = 6
@@ -69,7 +69,17 @@ class WeightedFit:
 def best_fit(
     terms: Sequence[EvidenceTerm], starts: Sequence[Array], unknown: Sequence[str], size: tuple[int, int]
 ) -> WeightedFit:
-    """The likeliest solution; of many starts those that are ahead after some steps go on."""
+    """Find the likeliest camera; of many starts only those that are ahead after some steps go on.
+
+    Args:
+        terms: The evidence.
+        starts: Values (8,) of `PARAMETERS` to begin with, one or more.
+        unknown: Names of the P parameters to solve for; the others stay as they begin.
+        size: Width and height of the image, pixels.
+
+    Returns:
+        The solution of least cost; its cost is infinite where none of the starts leads to one.
+    """
     if len(starts) > _FINALISTS:
         begun = [fit_terms(terms, at, unknown, size, rounds=1, steps=_FIRST_STEPS) for at in starts]
         starts = [fit.at for fit in sorted(begun, key=lambda fit: fit.cost)[:_FINALISTS]]
@@ -85,7 +95,19 @@ def fit_terms(
     rounds: int = _ROUNDS,
     steps: int = _STEPS,
 ) -> WeightedFit:
-    """Solve for the unknown parameters; weights are those of the camera of the round before."""
+    """Solve for the unknown parameters; weights are those of the camera of the round before.
+
+    Args:
+        terms: The evidence.
+        begun: (8,) values of `PARAMETERS` to begin with.
+        unknown: Names of the P parameters to solve for; the others stay as they begin.
+        size: Width and height of the image, pixels.
+        rounds: Rounds at most; it ends earlier when nothing moves.
+        steps: Evaluations of a round at most.
+
+    Returns:
+        The solution; its cost is infinite where a mark has no place under the camera that is reached.
+    """
     columns = [PARAMETERS.index(name) for name in unknown]
     at, fit = begun.copy(), None
     for _ in range(rounds):
@@ -116,7 +138,20 @@ def fit_terms(
 
 
 def starts_of(evidence: Evidence, start: Camera | None, terms: Sequence[EvidenceTerm]) -> list[Array]:
-    """Values of `PARAMETERS` to begin with."""
+    """Cameras that the search for the likeliest one begins with.
+
+    Args:
+        evidence: What was marked.
+        start: The camera to begin with; None: cameras that suit the points, or those of a grid of focal lengths and
+            tilts where points are too few.
+        terms: The evidence as terms, which rank the cameras.
+
+    Returns:
+        Values (8,) of `PARAMETERS`, the best first: 1 of a given start, at most 2 from points, 6 of the grid.
+
+    Raises:
+        UserError: No camera sees the points as they were marked.
+    """
     if start is not None:
         return [values_of(start)]
     if len(evidence.points) >= FEWEST:
@@ -150,5 +185,5 @@ def _capped_cost(terms: Sequence[EvidenceTerm], camera: Camera) -> float:
 
 
 def _smooth_cost(terms: Sequence[EvidenceTerm], camera: Camera) -> float:
-    """What ranks cameras that may be far from right."""
+    """Cost that ranks cameras which may be far from right."""
     return sum(float(np.linalg.norm(np.arcsinh(off))) for off in residuals_of(terms, camera))

@@ -1,4 +1,4 @@
-"""Which marked points are wrong: all that could be are weighed against one another by how likely the evidence is then.
+"""Wrong ones among marked points: sets of them are weighed by how likely the evidence is if those are wrong.
 
 A wrong point lies anywhere near its place, as when the next corner of a marking was clicked. How likely each set of
 wrong points is follows from the evidence under the camera that suits it best (Laplace's approximation), which weighs
@@ -25,7 +25,7 @@ from skope.types import Array
 _WRONG: Final = 0.02
 """Share of wrong ones among the points that people mark: one in fifty."""
 _ASIDE_M: Final = (3.5, 30.0)
-"""How far aside wrong points are, standard deviations in metres along x and y: by a lane's width, or anywhere."""
+"""Standard deviations of wrong points, metres along x and y: aside by a lane's width, or anywhere."""
 _DOUBTED: Final = 8
 """So many points at most may be wrong, those that the others contradict most."""
 _TOGETHER: Final = 4
@@ -36,14 +36,14 @@ _TOLD: Final = 0.05
 
 @dataclass(frozen=True, eq=False)
 class JudgedPoints:
-    """What is left when wrong points are."""
+    """Likeliest fit without wrong points, and which points these are."""
 
     fit: WeightedFit
     """The likeliest camera without the wrong points."""
     wrong: tuple[str, ...]
     """Names of the points that are likeliest to be wrong."""
     doubts: tuple[str, ...]
-    """Which others may be, in sentences."""
+    """Sentences on points that may be wrong besides."""
     spread: Array
     """(P, P) what the cameras of other sets of wrong points add to the covariance."""
 
@@ -121,7 +121,7 @@ def _judged(
 
 
 def _doubts(names: Sequence[str], best: _Hypothesis, found: Sequence[_Hypothesis], share: Array) -> tuple[str, ...]:
-    """Which points may be wrong besides, or in place of, those of the likeliest set."""
+    """Sentences on points that may be wrong besides, or in place of, those of the likeliest set."""
     chance = [
         sum(weight for one, weight in zip(found, share, strict=True) if i in one.wrong) for i in range(len(names))
     ]

@@ -29,7 +29,7 @@ _ANNOTATION_FIELDS = (
 """The fields of `Annotation` in the order in which files have them."""
 _ROAD_USER_FIELDS = tuple(name for name in _ANNOTATION_FIELDS if name in RoadUser.__dataclass_fields__)
 _NO_KEYPOINTS = [0] * (3 * keypoints.K)
-"""What a road user's row has for keypoints: all v = 0, not labelled. torchvision's readers ask every row for some."""
+"""Keypoints in a road user's row: all v = 0, not labelled. torchvision's readers ask every row for some."""
 
 
 # ----------------------------------------------------------------------------------------------------------- reading
@@ -102,7 +102,7 @@ def _by_kind(labels: Iterable[Annotation | RoadUser]) -> dict[str, Any]:
 
 
 def _label_parser(categories: tuple[str, ...]) -> Callable[[Mapping[str, Any]], Annotation | RoadUser]:
-    """What makes a record of an element of `annotations` in a file of these categories.
+    """Make a parser of elements of `annotations` in a file of these categories.
 
     Where vehicles are the only category, each row is one, whatever id the file's makers gave to vehicles.
     """
@@ -448,7 +448,16 @@ def write_rows(
     scheme: Scheme = SKOPE33,
     categories: tuple[str, ...] = schema.VEHICLE_ALONE,
 ) -> None:
-    """Write already serialised records (see `image_to_dict`, `label_rows`) as an annotation file."""
+    """Write records that are dictionaries already (see `image_to_dict`, `label_rows`) as an annotation file.
+
+    Args:
+        path: The .json file to write; it is replaced as a whole or not at all.
+        info: Further fields of the file's `info`.
+        images: Elements of `images`.
+        annotations: Elements of `annotations`.
+        scheme: Definition of the keypoints.
+        categories: Names of the categories that the file declares.
+    """
     write_lines(path, info, map(json_bytes, images), map(json_bytes, annotations), scheme, categories)
 
 
@@ -460,7 +469,16 @@ def write_lines(
     scheme: Scheme = SKOPE33,
     categories: tuple[str, ...] = schema.VEHICLE_ALONE,
 ) -> None:
-    """Write records that are JSON already as an annotation file, a line each."""
+    """Write records that are JSON already as an annotation file, a line each.
+
+    Args:
+        path: The .json file to write; it is replaced as a whole or not at all.
+        info: Further fields of the file's `info`; what `scheme` gives replaces theirs of the same name.
+        images: Elements of `images`, JSON each.
+        annotations: Elements of `annotations`, JSON each.
+        scheme: Definition of the keypoints.
+        categories: Names of the categories that the file declares.
+    """
     head = {**scheme.fields(), "schema_version": schema.SCHEMA_VERSION, "skope": __version__}
     head |= {name: value for name, value in info.items() if name != "keypoint_edition"} | scheme.fields()
     listed = json.dumps(schema.category_rows(categories, scheme))

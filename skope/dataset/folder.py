@@ -24,7 +24,7 @@ MANIFEST: Final = "manifest.json"
 """Checksums (SHA-256) of a dataset's files, and of each image what its card counts."""
 FRAMES: Final = "frames.json"
 PREDICTIONS: Final = "predictions.json"
-"""What `skope eval predict` writes: the images, and what was found in them."""
+"""File that `skope eval predict` writes: the images, and what was found in them."""
 FOLLOWED: Final = "followed"
 """Under this name the `info` of frames says whether vehicles were followed by points on them from image to image."""
 CHANGES: Final = "view_changes"
@@ -211,7 +211,7 @@ def read_manifest(root: Path) -> dict[str, dict[str, Any]]:
 
 
 _JPEG_MARKER: Final = re.compile(rb"\xff+([^\x00\xff\xd0-\xd7])")
-"""What ends the coded pixels of a scan: neither a stuffed byte nor a restart."""
+"""Marker that ends the coded pixels of a scan: neither a stuffed byte nor a restart."""
 _JPEG_END: Final = 0xD9
 _JPEG_ALONE: Final = (0x01, 0xD8)
 """Markers that no length follows."""

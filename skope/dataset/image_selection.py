@@ -100,7 +100,7 @@ def _with_images(file: AnnotationFile, labels: Iterable[L]) -> Iterator[tuple[Im
 
 
 def _track(image: Image, label: Labelled) -> tuple[str | None, str | None, int] | None:
-    """Which one it is in its whole recording; None where the file does not say."""
+    """Site, recording and track of a road user; None where the file does not say which track it is."""
     return None if label.track_id is None else (image.site, image.recording, label.track_id)
 
 

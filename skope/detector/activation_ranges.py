@@ -60,7 +60,7 @@ def noted(model: nn.Module) -> Iterator[dict[str, tuple[float, float]]]:
 
 
 def to_metadata(model: nn.Module, ranges: Ranges) -> dict[str, Any]:
-    """What a checkpoint's metadata says of ranges: nothing where a layer has none."""
+    """Ranges as a checkpoint's metadata has them: nothing where a layer has none."""
     return (
         {RANGES_KEY: {name: list(ends) for name, ends in ranges.items()}}
         if set(ranges) == set(rounded_layers(model))

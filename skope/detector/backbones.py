@@ -42,7 +42,7 @@ class Backbone:
     imagenet: WeightsEnum
     """Weights trained on ImageNet."""
     norm_eps: float
-    """What normalisation adds to variances in these weights."""
+    """Constant that normalisation adds to variances in these weights."""
 
     @property
     def returned(self) -> dict[str, str]:

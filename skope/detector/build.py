@@ -26,8 +26,8 @@ ANCHORS: Final = (32, 64, 128, 256, 512)
 ASPECTS: Final = (0.5, 1.0, 2.0)
 """Heights of the anchors of a level over their widths, as in torchvision's own model."""
 MAX_DETECTIONS: Final = 300
-"""What may be found in one image, vehicles and other road users together; torchvision's own 100 is too few for a queue
-at rush hour."""
+"""Most detections in one image, vehicles and other road users together; torchvision's own 100 is too few for a queue at
+rush hour."""
 PROPOSALS: Final = 300
 """Regions of an image that are looked at closely when vehicles are found; of torchvision's own 1000 the others cost a
 third of the time on a CPU and found no further vehicle (docs/results.md)."""
@@ -59,7 +59,7 @@ class DetectorConfig:
     max_size: int
     """Largest long side of the image inside the network, pixels."""
     scheme: str = keypoints.SCHEME
-    """What the keypoints are: a name in `keypoints.SCHEMES`."""
+    """Scheme of the keypoints: a name in `keypoints.SCHEMES`."""
     anchors: tuple[int, ...] = ANCHORS
     """Sides of the anchors of each level of the pyramid, finest first, pixels inside the network."""
     keypoint_edition: int = keypoints.EDITION
@@ -68,9 +68,9 @@ class DetectorConfig:
     """Names of what it finds, of `schema.CATEGORIES`: label k of the network is the k-th, label 0 the background.
     Vehicles are label 1, and they alone have keypoints."""
     box_passes: int = 1
-    """How often the box head looks at what is found: 2 lets it correct each box once more, from the box itself."""
+    """Passes of the box head: 2 lets it correct each box once more, from the box itself."""
     backbone: str = DEFAULT_BACKBONE
-    """What makes the feature maps: a name in `skope.detector.backbones.BACKBONES`."""
+    """Network that makes the feature maps: a name in `skope.detector.backbones.BACKBONES`."""
     pyramid_width: int = PYRAMID_WIDTH
     """Channels of the pyramid's maps, and of the proposals' head on them."""
     keypoint_layers: int = HEADS[0]
@@ -225,7 +225,7 @@ def build(config: DetectorConfig, *, trainable_layers: int = 5, num_keypoints: i
 
 
 def _heads(config: DetectorConfig, num_keypoints: int) -> dict[str, Any]:
-    """What torchvision's Keypoint R-CNN takes for the heads of a config: it makes its own ones by itself."""
+    """Arguments of torchvision's Keypoint R-CNN for the heads of a config; without them it makes its own."""
     classes = 1 + len(config.categories)  # 0 is the background
     if config.heads == HEADS:
         return {"num_classes": classes, "num_keypoints": num_keypoints}

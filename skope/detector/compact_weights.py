@@ -24,7 +24,7 @@ BYTES: Final = 33_500_000
 """Bytes that the rounded weights of a detector take at most."""
 
 WAYS: Final = ("integers", "half", "exact")
-"""How a weight is kept: rounded, as float16, or as it is."""
+"""Ways to keep a weight: rounded, as float16, or as it is."""
 
 DELICATE: Final = (
     "backbone.body.conv1.",  # of a ResNet

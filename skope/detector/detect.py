@@ -161,7 +161,7 @@ def _in_image(
     scores: torch.Tensor,
     points: torch.Tensor,
 ) -> Detections:
-    """What was found in an image, in its own pixels."""
+    """Detections in an image, in its own pixels."""
     size = (image.shape[1], image.shape[0])
     scale = _scale(inner_size, size)
     in_pixels = _in_pixels(rectangles, scale)

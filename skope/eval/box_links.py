@@ -20,7 +20,7 @@ FARTHEST_S: Final = 0.3
 LOST_S: Final = 1.0
 """A vehicle that is not seen for so long is another one when it comes back, seconds."""
 _REACH_SIZES: Final = 0.7
-"""How far from where it is expected a vehicle may be, in its sizes."""
+"""Largest distance of a vehicle from its expected place, in its sizes."""
 _FIRST_REACH: Final = 1.5
 """The same while its speed is not known."""
 _ALIKE: Final = 1.8
@@ -60,7 +60,16 @@ class BoxLinks:
         self._count = 0
 
     def add(self, time_s: float, found: Sequence[Found], first: Sequence[bool] | None = None) -> Integers32:
-        """Take the detections of the next frame, which is later; see `add_boxes`."""
+        """Take the detections of the next frame, which is later, as `add_boxes` takes boxes.
+
+        Args:
+            time_s: Seconds.
+            found: N detections of the frame; `track_id` says where points were followed to.
+            first: Which of them choose their vehicles before the others; None: all.
+
+        Returns:
+            (N,) the number of each detection's vehicle.
+        """
         boxes = np.array([one.bbox for one in found]).reshape(-1, 4)
         return self.add_boxes(time_s, boxes, followed=[one.track_id for one in found], first=first)
 

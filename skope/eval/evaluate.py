@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 REPORT: Final = "report.html"
 OVERLAY_COUNT: Final = 4
-"""How many pictures of each split are drawn."""
+"""Number of pictures that are drawn of each split."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,7 +46,7 @@ class EvalJob:
     checkpoint: Path | None
     predictions: Path | None
     settings: Settings
-    """How `checkpoint` is run."""
+    """Settings with which `checkpoint` is run."""
     fast: bool = False
     """Carry only the detections that count through the keypoint head."""
     max_images: int | None = None
@@ -184,7 +184,7 @@ def _read(job: EvalJob, splits: Sequence[AnnotationFile]) -> dict[str, tuple[Any
 def _doubts(
     job: EvalJob, splits: Sequence[AnnotationFile], results: Mapping[str, Sequence[AnyResult]]
 ) -> Iterator[str]:
-    """What was guessed of a results file, and what in annotations cannot be right, in words."""
+    """Sentences on what was guessed of a results file, and on what in annotations cannot be right."""
     for found in results.values():
         unboxed = [result for result in apart(found)[0] if not result.boxed]
         if unboxed:
@@ -232,7 +232,7 @@ def _overlays(job: EvalJob, file: AnnotationFile, results: Sequence[AnyResult], 
 
 
 def _advice(job: EvalJob, entries: Mapping[str, Any], results: Mapping[str, Sequence[Result]]) -> list[str]:
-    """What to say of splits in which nothing scored high enough to count."""
+    """Advice on splits in which nothing scored high enough to count."""
     silent = [name for name, split in entries.items() if split["ground_truth"] and not split["detections"]]
     if not silent:
         return []

@@ -124,7 +124,7 @@ class ImageMotion:
     sigma_turn: float
     """Standard deviation of the turn, radians."""
     growth: float = 0.0
-    """How much larger everything has become, as a share: a zoom."""
+    """Growth of everything in the image, as a share: a zoom."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -60,6 +60,15 @@ def read_json(path: Path) -> Any:
 
 
 def check_version(path: Path, found: Any, expected: int) -> None:
-    """Raise a UserError where the file at `path` is of another version than is read here."""
+    """Refuse a file of another version.
+
+    Args:
+        path: The file.
+        found: The version that stands in it.
+        expected: The version that is read here.
+
+    Raises:
+        UserError: They differ, or what was found is no whole number.
+    """
     if type(found) is not int or found != expected:
         raise UserError(f"{path}: version: expected {expected}, got {found!r:.60}")

@@ -169,7 +169,7 @@ def move_new(source: Path, target: Path) -> None:
 
 
 def _recorded_work(folder: Path, flag: str) -> Any:
-    """What `work.json` says of a folder; None where the folder is missing or holds nothing else.
+    """Content of a folder's `work.json`; None where the folder is missing or holds nothing else.
 
     Raises UserError for a file, and for a folder with files of which no `work.json` says what they are.
     """

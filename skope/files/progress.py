@@ -23,7 +23,7 @@ class Progress:
         self._path = path
         self._fields = set(fields)
         self.count = 0
-        """How many rows an earlier run left behind: objects with these `fields`, up to the first damaged one."""
+        """Number of rows that an earlier run left behind: objects with these `fields`, up to the first damaged one."""
         whole = 0
         with writing(self._path.parent):
             path.parent.mkdir(parents=True, exist_ok=True)

@@ -16,7 +16,7 @@ from skope.schema import Annotation, AnnotationFile, Found, Labelled, Result
 AP_DETECTIONS: Final = 300
 """Detections an image that count; pycocotools' own default for keypoints, 20, is fewer than a queue has vehicles."""
 NO_PRECISION: Final = dict.fromkeys(("box_ap", "box_ap50", "keypoint_ap", "keypoint_ap50"))
-"""What is reported where results leave out what scores low: AP of those would mean nothing."""
+"""Figures where results leave out what scores low: AP of those would mean nothing."""
 _WHATEVER_SIZE: Final = {"all": (0.0, 1e10)}
 
 Row: TypeAlias = dict[str, Any]

@@ -21,7 +21,7 @@ from skope.types import Array, Integers, Mask
 
 PROTOCOLS: Final = ("pooled", "paper")
 LABELLED: Final = ("visible", "all")
-"""Which ground-truth keypoints count: those with v = 2, or all with v > 0."""
+"""Choices of the ground-truth keypoints that count: those with v = 2, or all with v > 0."""
 
 
 Name = tuple[str, str | None]
@@ -45,9 +45,9 @@ class Options:
     alpha: float = 0.1
     """A keypoint is correct within alpha times the longer edge of the ground-truth box."""
     labelled: str = "visible"
-    """Which keypoints of the ground truth count, one of `LABELLED`."""
+    """Keypoints of the ground truth that count, one of `LABELLED`."""
     boxes: str = "full"
-    """Which boxes of the ground truth detections are matched to, one of `BOX_KINDS`."""
+    """Boxes of the ground truth that detections are matched to, one of `BOX_KINDS`."""
     iou: tuple[float, ...] = THRESHOLDS
     """Thresholds at which detections match, in the order in which they are reported."""
     keypoint_score: float = 0.0

@@ -34,7 +34,7 @@ class Blocks:
     """Groups of images of a split, each one piece of evidence."""
 
     unit: str
-    """What a block is: "site", "recording", "10 s" or "image"."""
+    """Kind of the blocks: "site", "recording", "10 s" or "image"."""
     number: Integers
     """(N,) block of each image, counted from 0."""
     sites: int | None

@@ -19,7 +19,7 @@ THRESHOLDS: Final = (0.9, 0.8, 0.7, 0.6)
 """IoU thresholds of the paper's table, in its order."""
 
 BOX_KINDS: Final = ("full", "visible")
-"""Which of a vehicle's boxes a detection has to meet: the whole silhouette's, or that of its visible pixels."""
+"""Boxes of a vehicle that a detection may have to meet: the whole silhouette's, or that of its visible pixels."""
 
 
 _PAIRS_AT_ONCE: Final = 1 << 20

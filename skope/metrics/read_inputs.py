@@ -54,7 +54,7 @@ def read_dataset(root: Path, names: Sequence[str]) -> GroundTruth:
 
 
 def _fleet(root: Path, card: dict[str, Any]) -> FleetInfo:
-    """What a dataset's card says of its vehicle models; datasets of other programs say nothing."""
+    """Vehicle models of a dataset by its card; datasets of other programs say nothing of them."""
     entry = card.get("fleet")
     if entry is None:
         return FleetInfo()

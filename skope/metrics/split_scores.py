@@ -23,7 +23,7 @@ class SplitScores:
     file: AnnotationFile
     results: Sequence[Result]
     road_users: Sequence[RoadUserResult]
-    """What it found of the other road users."""
+    """Results of the detector for the other road users."""
     matches: Matches
     outcomes: Mapping[float, Outcomes]
     """IoU threshold -> what became of each vehicle."""

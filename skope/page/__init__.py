@@ -11,9 +11,15 @@ from skope.page.html_pieces import tag
 
 
 def document(title: str, *body: str, plays_files: bool = False) -> str:
-    """The whole page around its parts, which are markup.
+    """Put a whole page together from its parts.
 
-    With `plays_files` it may play videos that its reader chooses on their own computer.
+    Args:
+        title: Title of the page, plain text.
+        body: Parts of its main element, markup.
+        plays_files: The page may play videos that its reader chooses on their own computer.
+
+    Returns:
+        The page as HTML, with its styles and script inside; it can make no request.
     """
     media = " media-src blob:;" if plays_files else ""
     head = (

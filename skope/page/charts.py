@@ -48,7 +48,18 @@ class Axes:
 
 
 def chart(title: str, axes: Axes, lines: Sequence[Line], *, diagonal: bool = False, every: int = 1) -> str:
-    """A figure with lines; a marker stands on each `every`th point and says its numbers."""
+    """Draw a figure with lines; each marker says its numbers.
+
+    Args:
+        title: Caption, plain text.
+        axes: Labels and ends.
+        lines: The lines, in the order of their markers and colours, of which there are four.
+        diagonal: Draw the line from corner to corner too.
+        every: Mark each so many-th point of a line and list it in the table.
+
+    Returns:
+        The figure as markup: drawing, legend and the numbers as a table.
+    """
     parts = [_grid(axes)]
     if diagonal:
         (x0, y0), (x1, y1) = axes.place(0, 0), axes.place(axes.x_end, axes.y_end)
@@ -58,7 +69,16 @@ def chart(title: str, axes: Axes, lines: Sequence[Line], *, diagonal: bool = Fal
 
 
 def histogram(title: str, axes: Axes, groups: Sequence[Line]) -> str:
-    """A figure with a bar for each band of each group, whose `x` are the middles of bands of one width."""
+    """Draw a figure with a bar for each band of each group.
+
+    Args:
+        title: Caption, plain text.
+        axes: Labels and ends.
+        groups: Groups of bars: `x` are the middles of bands of one width, `y` the heights.
+
+    Returns:
+        The figure as markup: drawing, legend and the numbers as a table.
+    """
     parts = [_grid(axes), *(_bars(i, group, axes) for i, group in enumerate(groups))]
     return _figure(title, axes, groups, parts, every=1)
 

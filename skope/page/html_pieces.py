@@ -9,7 +9,16 @@ _VOID: Final = ("img",)
 
 
 def tag(name: str, *children: str, **attributes: object) -> str:
-    """An element; children are markup, attributes are escaped. `class_` is class, and `aria_label` aria-label."""
+    """Write an HTML element.
+
+    Args:
+        name: Name of the element.
+        children: Markup inside it; elements that have no content ignore it.
+        attributes: Attributes, which are escaped; None leaves one out, `class_` is class and `aria_label` aria-label.
+
+    Returns:
+        The element as markup.
+    """
     written = "".join(
         f' {key.rstrip("_").replace("_", "-")}="{escape(str(value), quote=True)}"'
         for key, value in attributes.items()
@@ -29,7 +38,17 @@ def plain(value: float | None, digits: int = 3) -> str:
 
 
 def table(head: Sequence[str], rows: Sequence[Sequence[str]], *, caption: str, sortable: bool = False) -> str:
-    """A table; the first cell of each row is its header, cells are markup. Sortable ones have buttons for headings."""
+    """Write an HTML table.
+
+    Args:
+        head: Headings of the columns, plain text.
+        rows: Cells of each row, markup; the first one is the row's header.
+        caption: Plain text.
+        sortable: Headings are buttons, by which the page's script sorts.
+
+    Returns:
+        The table as markup, in a box that scrolls.
+    """
     titles = [tag("button", escape(title), type="button") if sortable else escape(title) for title in head]
     top = tag("tr", *(tag("th", title, scope="col") for title in titles))
     body = [tag("tr", tag("th", row[0], scope="row"), *(tag("td", cell) for cell in row[1:])) for row in rows]
@@ -51,5 +70,14 @@ def bar(value: float | None) -> str:
 
 
 def details(summary: str, *children: str, opened: bool = False) -> str:
-    """A section that is shown when its summary is clicked, or, `opened`, from the beginning."""
+    """Write a section that opens when its summary is clicked.
+
+    Args:
+        summary: The line that is always shown, plain text.
+        children: Markup of the section.
+        opened: Show the section from the beginning.
+
+    Returns:
+        The section as markup.
+    """
     return tag("details", tag("summary", escape(summary)), *children, open="" if opened else None)

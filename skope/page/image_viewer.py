@@ -33,7 +33,16 @@ def embedded(path: Path, size: tuple[int, int]) -> str:
 
 
 def jpeg(pixels: NDArray[np.uint8], *, longest: int = LONGEST, quality: int = QUALITY) -> str:
-    """(H, W, 3) RGB as a data address, made smaller where it is longer than `longest`."""
+    """Encode an image as a data address.
+
+    Args:
+        pixels: (H, W, 3) RGB.
+        longest: Longer edge at most, pixels; larger images are made smaller.
+        quality: Of the JPEG, 0 to 100.
+
+    Returns:
+        A `data:` address.
+    """
     scale = min(1.0, longest / max(pixels.shape[:2]))
     if scale < 1:
         pixels = np.asarray(cv2.resize(pixels, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), dtype=np.uint8)
@@ -48,7 +57,16 @@ def drawing(layers: Sequence[str], size: tuple[int, int]) -> str:
 
 
 def switches(legend: str, layers: dict[str, str], shown: Collection[str]) -> str:
-    """A box to tick for each layer (class: words) of the gallery around it; those in `shown` are ticked."""
+    """Write a box to tick for each layer of the gallery around it.
+
+    Args:
+        legend: Title of the boxes, plain text.
+        layers: Class of each layer -> its words, plain text.
+        shown: Classes of those that are ticked at first.
+
+    Returns:
+        The boxes as markup.
+    """
     boxes = "".join(
         f'<label><input type="checkbox" data-layer="{layer}"{" checked" if layer in shown else ""}> '
         f'<span class="key {layer}"></span>{escape(words)}</label>'

@@ -55,9 +55,17 @@ class Point:
 
 
 def outline(title: str, points: Mapping[str, Point], head: Sequence[str]) -> str:
-    """Shares of keypoints (by name) in their places on the vehicle; `head` titles the columns of the points' cells.
+    """Draw shares of keypoints in their places on the vehicle.
 
     Of keypoints whose place is not known, those of another scheme, there are only the numbers.
+
+    Args:
+        title: Caption, plain text.
+        points: Name of each keypoint -> its share and cells.
+        head: Headings of the columns of the points' cells, plain text.
+
+    Returns:
+        The figure as markup: drawing, legend and the numbers as a table.
     """
     places = {name: plan(name) for name in keypoints.NAMES}
     edges = "".join(

@@ -40,12 +40,12 @@ _LARGEST_PX: Final = 8192
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CalibrationMarks:
-    """What tells a camera, in pixels of the footage."""
+    """Marks and prior knowledge that tell a camera, in pixels of the footage."""
 
     size: tuple[int, int] | None
     """Width and height of the images that were marked, pixels; None: the file does not say it."""
     when: datetime | None
-    """When they were marked."""
+    """Time at which they were marked."""
     points: tuple[MarkedPoint, ...] = ()
     lengths: tuple[MarkedLength, ...] = ()
     parallels: tuple[ParallelLines, ...] = ()
@@ -53,14 +53,14 @@ class CalibrationMarks:
     fov_deg: tuple[float, float] | None = None
     """Horizontal field of view and its standard deviation, degrees."""
     lens: Mapping[str, tuple[float, float]] | None = None
-    """What a calibration of the lens says: `focal_px`, and `k1` where it is known, each with its standard deviation."""
+    """Calibration of the lens: `focal_px`, and `k1` where it is known, each with its standard deviation."""
     height_m: tuple[float, float] | None = None
     """The camera's height over the road and its standard deviation, metres."""
     vehicles: Belief | None = None
-    """What its vehicles say of the camera."""
+    """Evidence of its vehicles on the camera."""
 
     def evidence(self, size: tuple[int, int] | None = None) -> Evidence:
-        """What the solver takes, for images of `size`; None: of the file's own.
+        """Evidence for the solver, for images of `size`; None: of the file's own.
 
         Raises UserError where neither says a size, or they contradict each other.
         """
@@ -83,7 +83,14 @@ def beliefs_of(
     lens: Mapping[str, tuple[float, float]] | None = None,
     height_m: tuple[float, float] | None = None,
 ) -> tuple[Belief, ...]:
-    """What is known of a camera whose images are `width` pixels wide, as `CalibrationMarks` has it."""
+    """Prior knowledge of a camera as evidence for its calibration.
+
+    Args:
+        width: Width of the images, pixels.
+        fov_deg: Horizontal field of view and its standard deviation, degrees; None: not known.
+        lens: `focal_px` and, where it is known, `k1`, each with its standard deviation; None: not known.
+        height_m: Height over the road and its standard deviation, metres; None: not known.
+    """
     out = []
     if fov_deg:
         out.append(Belief.of_fov(*fov_deg, width))

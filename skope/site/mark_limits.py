@@ -1,4 +1,4 @@
-"""Which numbers of marks, and of what is known of a camera, are taken: by a site file and by the page alike."""
+"""Limits of numbers in marks, and in what is known of a camera, for a site file and the page alike."""
 
 from typing import Final
 
@@ -18,10 +18,16 @@ LENS: Final = {"focal_px": (10.0, 1e5), "k1": (-2.0, 2.0)}
 LONGEST_NAME: Final = 200
 """Letters of a name."""
 LENGTH_SIGMA_M: Final = 0.05
-"""How exactly a length is known where nothing is said of it, metres."""
+"""Standard deviation of a length where nothing is said of it, metres."""
 
 
 def is_known(value: float, sigma: float, limits: tuple[float, float]) -> bool:
-    """Whether a value with its standard deviation is one that a camera can have."""
+    """Whether a value with its standard deviation is one that a camera can have.
+
+    Args:
+        value: The value.
+        sigma: Its standard deviation, in the same unit: from `LEAST_KNOWN_SIGMA` to the upper limit.
+        limits: Least and largest value.
+    """
     low, high = limits
     return low <= value <= high and LEAST_KNOWN_SIGMA <= sigma <= high

@@ -1,4 +1,4 @@
-"""What a user draws on a road, as a site file has it: gates, zones, lanes, occluders."""
+"""Drawings of a user on a road, as a site file has them: gates, zones, lanes, occluders."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -20,7 +20,7 @@ class Gate:
     line: Outline
     """Its two ends, world x and y, metres; of a gate in the image columns and rows, pixels."""
     directions: tuple[str, str] | None = None
-    """What crossings from left to right, and from right to left, of the line as drawn are called; None: not named."""
+    """Names of crossings from left to right, and from right to left, of the line as drawn; None: not named."""
     edges: tuple[str, str] | None = None
     """The edges of a SUMO network on which it is crossed from left to right and back, "" where there is none; None: not
     said."""
@@ -77,7 +77,7 @@ def read_image_gate(row: TomlTable) -> Gate:
 
 
 def _directions(row: TomlTable) -> tuple[str, str] | None:
-    """What the two directions of a gate are called; None where the row does not say it."""
+    """Names of a gate's two directions; None where the row does not say them."""
     if "directions" not in row:
         return None
     names = row.value("directions")
@@ -148,7 +148,19 @@ def read_name(row: TomlTable) -> str:
 
 
 def checked_name(row: TomlTable, key: str, name: str) -> str:
-    """A name that people give: any script, but of one line, and not too long to be shown."""
+    """Check a name that people give; it may be of any script.
+
+    Args:
+        row: The table that it stands in, for the message.
+        key: Its key there, likewise.
+        name: The name.
+
+    Returns:
+        The name.
+
+    Raises:
+        UserError: It is empty, longer than `LONGEST_NAME`, or cannot be printed in one line.
+    """
     if not name.strip() or len(name) > LONGEST_NAME or not name.isprintable():
         raise row.wrong(key, f"expected a name of one line and up to {LONGEST_NAME} letters")
     return name

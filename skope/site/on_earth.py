@@ -1,4 +1,4 @@
-"""Where places of a site lie on the Earth, by its [world] table."""
+"""Places of a site on the Earth, by its [world] table."""
 
 from functools import partial
 from typing import TYPE_CHECKING

@@ -16,7 +16,7 @@ class PlanPicture:
     """A picture of the road from above."""
 
     file: Path
-    """Where the picture is; it need not be there."""
+    """File of the picture, which need not be there."""
     metres_per_pixel: float
     origin: tuple[float, float]
     """World x and y of the picture's top-left corner, metres."""

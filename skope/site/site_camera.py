@@ -38,7 +38,7 @@ class OwnCamera:
     said: str
     """A sentence on how well the camera fits its control points; empty without any."""
     known: UncertainCamera | None = None
-    """How well it is known; None: nothing says that."""
+    """The camera with its covariance; None: nothing says how well it is known."""
 
 
 def read_camera(table: TomlTable, picture: Size | None) -> OwnCamera:
@@ -54,7 +54,7 @@ def read_camera(table: TomlTable, picture: Size | None) -> OwnCamera:
 
 
 def _known(table: TomlTable, camera: Camera) -> UncertainCamera | None:
-    """How well the camera is known: what the table says, or the file that all of it comes from."""
+    """The camera with the covariance of the table, or of the file that all of it comes from; None: neither has one."""
     if "covariance" in table:
         own = table.table("covariance")
         told = {key: own.value(key) for key in ("of", "matrix")}

@@ -45,7 +45,7 @@ class SiteParts:
     """The parts of a site file that generating and evaluating share, but for camera and occluders."""
 
     calibration: CalibrationMarks | None
-    """What was marked to calibrate the camera; None: nothing."""
+    """Marks that calibrate the camera; None: there are none."""
     gates: tuple[Gate, ...]
     image_gates: tuple[Gate, ...]
     """Gates in pixels of the footage, to count by where nothing gives metres."""
@@ -54,9 +54,9 @@ class SiteParts:
     time_zone: str | None
     """Name of the time zone that people at the road live by, as "Europe/Berlin"; None: not said."""
     start: datetime | None
-    """When the footage begins, with its zone; None: not said."""
+    """Time at which the footage begins, with its zone; None: not said."""
     world: Mapping[str, Any] | None
-    """Where the world's (0, 0) is on a map, as `read_world` has it; None: not said."""
+    """Place of the world's (0, 0) on a map, as `read_world` has it; None: not said."""
     plan: PlanPicture | None
     """A picture of the road from above; None: there is none."""
     traffic: TrafficSettings

@@ -64,6 +64,17 @@ class TomlTable:
     def number(
         self, key: str, default: float | None = None, *, low: float = -math.inf, high: float = math.inf
     ) -> float:
+        """Read a number.
+
+        Args:
+            key: Key of the table.
+            default: Value of a key that is missing; None: it must be there.
+            low: Least value.
+            high: Largest value.
+
+        Raises:
+            UserError: The key is missing, or is no finite number in these limits.
+        """
         if key not in self and default is not None:
             return default
         return self._checked(key, self.value(key), low, high)
@@ -83,6 +94,19 @@ class TomlTable:
         return tuple(self._checked(key, item) for item in value)
 
     def matrix(self, key: str, rows: int, columns: int) -> list[tuple[float, ...]]:
+        """Read a matrix.
+
+        Args:
+            key: Key of the table.
+            rows: Number of rows.
+            columns: Number of columns.
+
+        Returns:
+            The rows.
+
+        Raises:
+            UserError: It is not a list of so many rows of numbers.
+        """
         value = self.value(key)
         right = isinstance(value, list) and len(value) == rows
         if not right or any(not isinstance(row, list) or len(row) != columns for row in value):

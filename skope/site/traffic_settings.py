@@ -10,7 +10,7 @@ VEHICLE_CLASSES: Final = ("car", "van", "lorry", "bus")
 """Classes that a vehicle can be of; one whose class is not sure enough to be named is of class unknown."""
 UNKNOWN: Final = "unknown"
 OF_VEHICLES: Final = frozenset({*VEHICLE_CLASSES, UNKNOWN})
-"""What a vehicle's class may be called."""
+"""Classes of vehicles, with that of those whose class is not sure enough."""
 CLASSES: Final = (*VEHICLE_CLASSES, UNKNOWN, "motorcycle", "bicycle", "pedestrian")
 """All classes that traffic is counted by."""
 _DAY_MINUTES: Final = 1440
@@ -18,7 +18,7 @@ _DAY_MINUTES: Final = 1440
 
 @dataclass(frozen=True, kw_only=True)
 class TrafficSettings:
-    """What counts as an event, and over what is summed up."""
+    """Limits of events, and the intervals that they are summed up over."""
 
     interval_minutes: int = 15
     """Length of the intervals on the clock; a day is a whole number of them."""
@@ -35,15 +35,16 @@ class TrafficSettings:
     hard_braking_ms2: float = 4.0
     """A vehicle that brakes so hard for a second brakes hard."""
     queue_speed_kmh: float = 5.0
-    """Who is slower stands in a queue."""
+    """A vehicle that is slower stands in a queue."""
     queue_end_kmh: float = 10.0
-    """And until it is faster than this."""
+    """A vehicle in a queue stands in it until it is faster than this."""
     queue_gap_m: float = 20.0
     """A queue ends where the next vehicle is farther away than this."""
     stop_kmh: float = 3.0
-    """Who is slower for a second and longer has stopped."""
+    """A road user that is slower for a second and longer has stopped, until it is twice as fast as this."""
     free_flow_kmh: float | None = None
-    """Speed without hindrance, which delays are counted from; None: the 85th percentile of each section's vehicles."""
+    """Speed without hindrance, which delays are counted from; None: the 85th percentile of the section's motor
+    vehicles."""
     turning: tuple[str, ...] | None = None
     """Names of the gates between which movements are counted; None: all."""
     trajectory_interval_s: float = 0.5

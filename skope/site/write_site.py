@@ -111,7 +111,7 @@ def _merge_rows(table: Any, key: str, rows: Sequence[Mapping[str, Any]]) -> None
 
 
 def _partners(before: Sequence[Mapping[str, Any]], rows: Sequence[Mapping[str, Any]]) -> list[int | None]:
-    """Which row each one was before: that of its name, or the one in its place that differs in its name alone."""
+    """Index of the row that each was before: of its name, or in its place with another name alone; None: it is new."""
 
     def other_than_name(row: Mapping[str, Any]) -> dict[str, Any]:
         return {key: value for key, value in row.items() if key != "name"}

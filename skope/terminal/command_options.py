@@ -138,7 +138,7 @@ class CommandGroup(TyperGroup):
 
 
 def _meant(root: Any, word: str) -> str:
-    """Which commands of the whole program a word may mean, in words."""
+    """Commands of the whole program that a word may mean, in words."""
     names = {path: path.rpartition(" ")[2] for path in _paths(root, "skope")}
     near = get_close_matches(word, names.values(), n=2, cutoff=0.7)
     for alike in (

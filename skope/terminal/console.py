@@ -43,7 +43,17 @@ class Console:
         typer.echo(json.dumps(value, indent=1, allow_nan=False))
 
     def bar(self, items: Iterable[T] | None = None, *, total: int | None = None, unit: str, label: str) -> "tqdm[T]":
-        """A progress bar with rate and time left, over `items` or updated by hand; lines where there is no terminal."""
+        """Make a progress bar with rate and time left; where there is no terminal it prints lines.
+
+        Args:
+            items: What it goes through; None: it is updated by hand.
+            total: Number of steps; None: that of `items`, if it has a length.
+            unit: What a step is, in the singular.
+            label: What is being done.
+
+        Returns:
+            The bar, which gives the items; it draws nothing on a quiet console.
+        """
         kind = tqdm if sys.stderr.isatty() else _Lines
         return kind(items, total=total, unit=unit, desc=label, disable=self.quiet, dynamic_ncols=True)
 

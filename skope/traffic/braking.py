@@ -1,4 +1,4 @@
-"""Who brakes hard, and where."""
+"""Hard braking: road users and places."""
 
 import math
 from collections.abc import Sequence
@@ -24,7 +24,7 @@ class HardBraking:
 
     trajectory: Trajectory
     time_s: float
-    """When it brakes hardest, seconds."""
+    """Time at which it brakes hardest, seconds."""
     place: Array
     """(2,) metres."""
     deceleration: float

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 _YEARS: Final = range(1900, 2900)
 """In which footage may begin."""
 _PRECISE: Final = timedelta(seconds=1)
-"""When clocks change is found to this; they do so at whole seconds."""
+"""Precision to which a change of clocks is found; they change at whole seconds."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,12 +23,12 @@ class ClockInterval:
     begin_s: float
     end_s: float
     begin: datetime | None
-    """When it begins, in the time of the site; None where nothing says when the footage was taken."""
+    """Time at which it begins, in the site's zone; None where nothing says when the footage was taken."""
     end: datetime | None
 
 
 def local_start(site: "SiteParts") -> datetime | None:
-    """When the footage begins, in the site's time zone; None: the site does not say."""
+    """Time at which the footage begins, in the site's zone; None: the site does not say."""
     return None if site.start is None else local_time(site.start, site)
 
 
@@ -38,7 +38,16 @@ def local_time(time: datetime, site: "SiteParts") -> datetime:
 
 
 def time_of(text: Any, where: str, like: str = "2026-11-26T10:00:00") -> datetime:
-    """The time that a text says, with or without a zone. Raises UserError that begins with `where`."""
+    """Read a time.
+
+    Args:
+        text: A time as ISO 8601 writes it, with or without a zone.
+        where: What the message begins with.
+        like: An example for the message.
+
+    Raises:
+        UserError: It is no such time, or of no year that footage can be of.
+    """
     try:
         time = datetime.fromisoformat(text)
     except (TypeError, ValueError):
@@ -49,7 +58,7 @@ def time_of(text: Any, where: str, like: str = "2026-11-26T10:00:00") -> datetim
 
 
 def clock_doubt(time: datetime, zone: ZoneInfo) -> str:
-    """What is wrong with a time without an offset by the clocks of a zone, where they are put forward or back."""
+    """Fault of a time without an offset by the clocks of a zone, where they are put forward or back; empty: none."""
     first, second = (time.replace(tzinfo=zone, fold=fold) for fold in (0, 1))
     if first.astimezone(UTC).astimezone(zone).replace(tzinfo=None) != time:
         return f"there is no such time in {zone.key}: clocks are put forward then"

@@ -96,9 +96,17 @@ def deceleration_to_avoid(
     seconds: Array,
     doubt: Doubt | None = None,
 ) -> Array:
-    """(K,) m/s^2 that avoid the collisions which are `seconds` (K,) ahead; 0 where there is none.
+    """Decelerations that avoid collisions.
 
-    `rows` and `doubt` are those of `times_to_collision`.
+    Args:
+        one: A road user.
+        other: Another one.
+        rows: (K,) of the moments of each, which are the same in time.
+        seconds: (K,) until the collision; infinite where there is none.
+        doubt: Places and speeds instead of those that were measured; None: as measured.
+
+    Returns:
+        (K,) m/s², as the module has it; 0 where no collision is ahead.
     """
     speeds = doubt.speeds if doubt else (one.speed[rows[0]], other.speed[rows[1]])
     ahead = np.isfinite(seconds)

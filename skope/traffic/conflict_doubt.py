@@ -1,4 +1,4 @@
-"""How uncertain a conflict is: by other places and speeds that the two may have had."""
+"""Uncertainty of a conflict: by other places and speeds that the two may have had."""
 
 import math
 from dataclasses import replace
@@ -27,7 +27,7 @@ _FEWER: Final = 60
 
 _FEWEST_PLACES: Final = 10
 _SHORTEST_S: Final = 2.0
-"""Who is in a conflict has so many places, and is followed for so long at least;"""
+"""A road user in a conflict has so many places, and is followed for so long at least, seconds;"""
 _AROUND_S: Final = 1.0
 _LONGEST_GAP_S: Final = 0.6
 """from so long before the conflict until so long after it there is no longer time without a place (a detector that sees
@@ -51,7 +51,19 @@ def is_followed(trajectory: Trajectory, time_s: float) -> bool:
 def ttc_doubt(
     one: FootprintPath, other: FootprintPath, row: tuple[int, int], settings: TrafficSettings, rng: np.random.Generator
 ) -> tuple[float, float, float]:
-    """Between what the time to collision lies with 90%, and the probability that it is within the limit, of two."""
+    """Interval of a time to collision, and its probability to be within the limit.
+
+    Args:
+        one: A road user.
+        other: Another one.
+        row: The moment's rows of each.
+        settings: `ttc_s` is the limit.
+        rng: Draws places and speeds.
+
+    Returns:
+        Low and high end of the interval that holds 90%, seconds, infinite where there may be no collision; and the
+        probability that the time is within the limit and both are road users.
+    """
     index, doubt = _drawn(one, other, row, rng)
     drawn = times_to_collision(one, other, index, _farthest_s(settings), doubt)
     both = event_probability(one.trajectory) * event_probability(other.trajectory)
@@ -66,9 +78,18 @@ def hardest_needed(
     settings: TrafficSettings,
     rng: np.random.Generator,
 ) -> tuple[float, float, float]:
-    """The largest deceleration that avoids a collision, and between what it lies with 90%; NaN where there is none.
+    """The largest deceleration that avoids a collision.
 
-    `seconds` (K,) are the times to it at the moments `rows`.
+    Args:
+        one: A road user.
+        other: Another one.
+        rows: (K,) of the moments of each.
+        seconds: (K,) times to the collision then.
+        settings: How far ahead is looked.
+        rng: Draws places and speeds.
+
+    Returns:
+        m/s², and the low and high end of the interval that holds 90%; all NaN where there is no collision.
     """
     drac = deceleration_to_avoid(one, other, rows, seconds)
     if not len(drac) or drac.max() <= 0:
@@ -80,7 +101,17 @@ def hardest_needed(
 
 
 def surely_encroaches(one: FootprintPath, other: FootprintPath, i: int, j: int, most_s: float) -> bool:
-    """Whether one gets where the other was also if places are off by what they may be, and they are smaller by that."""
+    """Whether one gets where the other was even if both are smaller than they seem.
+
+    Length and width of each are taken to be less by the interval that holds 90% of its place at its moment.
+
+    Args:
+        one: A road user.
+        other: Another one.
+        i: Row of the one's moment.
+        j: Row of the other's.
+        most_s: Encroachments are looked for up to a second more than this.
+    """
     shrunk = []
     for path, row in ((one, i), (other, j)):
         spread = path.trajectory.at(path.trajectory.covariance, float(path.times_s[row]))
@@ -94,7 +125,16 @@ def surely_encroaches(one: FootprintPath, other: FootprintPath, i: int, j: int, 
 
 
 def pet_sigma(one: FootprintPath, other: FootprintPath, reached: Encroachment | None) -> float:
-    """Standard deviation of an encroachment's time: of the two times, by places, lengths and speeds."""
+    """Standard deviation of an encroachment's time: of the two times, by places, lengths and speeds.
+
+    Args:
+        one: A road user.
+        other: Another one.
+        reached: The encroachment; None: there is none.
+
+    Returns:
+        Seconds; NaN where there is none.
+    """
     if reached is None:
         return math.nan
     total = 0.0
@@ -111,7 +151,7 @@ def in_order(times: tuple[float, float], reached: Encroachment) -> tuple[float, 
 
 
 def _farthest_s(settings: TrafficSettings) -> float:
-    """How far ahead drawn collisions are looked for, seconds: much farther than the one that was found."""
+    """Seconds ahead for which drawn collisions are looked for: much farther than the one that was found."""
     return 4 * max(settings.ttc_s, HORIZON_S)
 
 

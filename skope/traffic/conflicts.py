@@ -28,7 +28,7 @@ class Conflict:
 
     first: Trajectory
     second: Trajectory
-    """Who gets where the other one was, or, where that does not happen, who drives behind."""
+    """The one that gets where the other one was, or, where that does not happen, that drives behind."""
     time_s: float
     """Of the least time to collision; without one, when the second one gets there. Seconds of the footage."""
     first_s: float
@@ -78,9 +78,16 @@ def conflicts(
     rng: np.random.Generator,
     zones: Sequence[Zone] = (),
 ) -> ConflictSearch:
-    """All pairs with a time to collision up to `settings.ttc_s`, or whose ways cross within `settings.pet_s`.
+    """Find all pairs with a time to collision up to `settings.ttc_s`, or whose ways cross within `settings.pet_s`.
 
-    `zones` give the conflicts in them a name.
+    Args:
+        trajectories: All tracks, in metres.
+        settings: Limits of the two times.
+        rng: Draws places and speeds, for how uncertain a conflict is.
+        zones: Give the conflicts in them a name.
+
+    Returns:
+        The conflicts by time, and how many pairs were left out.
     """
     made = paths([one for one in trajectories if wandering(one)], STEP_S)
     found, overlapping, unsteady = [], 0, 0

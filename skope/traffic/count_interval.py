@@ -1,4 +1,4 @@
-"""How many there really were: the interval of a count whose events are each more or less sure, and some were missed.
+"""Interval of a true number: each event that was counted is more or less sure, and some were missed.
 
 How many of the events happened is a Poisson binomial number: a sum of trials that each have a probability of their own
 (Hong, "On computing the distribution function for the Poisson binomial distribution", 2013). How many happened besides
@@ -59,7 +59,7 @@ def poisson_binomial(probabilities: Sequence[float]) -> Array:
 
 @dataclass(frozen=True)
 class Group:
-    """What was counted of those who are missed alike."""
+    """Counted events of road users that are missed alike."""
 
     probabilities: Sequence[float]
     """Of each event that was seen, how probable it is that it happened and is counted once."""
@@ -69,11 +69,11 @@ class Group:
     """The share of the events that are one, common to all of them, as a Beta distribution whose mean is in the
     probabilities; None: each is one or not by itself."""
     possible: int = 0
-    """How many more there may have been."""
+    """Number of further ones that there may have been."""
     came: Beta = (1.0, 1.0)
     """The share of these that there were, as a Beta distribution; (1, 1): any number is as probable as any other."""
     learnt: LearntShares | None = None
-    """What a hand count says of these shares, in place of the distributions over all gates; None: there is none."""
+    """These shares as a hand count tells them, in place of the distributions over all gates; None: there is none."""
 
     def with_came(self, came: Beta) -> "Group":
         """The group where of those who may have been there as many came as a Beta distribution says."""

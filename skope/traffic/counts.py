@@ -1,4 +1,4 @@
-"""How many crossed each gate, by direction, lane, class and interval on the clock."""
+"""Numbers of crossings at each gate, by direction, lane, class and interval on the clock."""
 
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
@@ -22,11 +22,11 @@ _WHOLE: Final = 0.999
 
 @dataclass(frozen=True, kw_only=True)
 class Count:
-    """How many of a kind crossed a gate in an interval."""
+    """Number of a kind that crossed a gate in an interval."""
 
     interval: ClockInterval
     observed_s: float
-    """How much of the interval was observed, seconds."""
+    """Observed part of the interval, seconds."""
     gate: str
     direction: str
     lane: str
@@ -63,9 +63,19 @@ def counts(
     *,
     by_class: bool = True,
 ) -> list[Count]:
-    """A count for each interval, gate and direction: of all, of vehicles, of each class, and of each lane.
+    """Count for each interval, gate and direction: all, vehicles, each class, and each lane.
 
-    Nothing counted is 0; nothing observed has no count. Without `by_class` there are no rows of single classes.
+    Nothing counted is 0; nothing observed has no count. Vehicles have rows of their own where others are counted too.
+
+    Args:
+        crossings: Those that are counted.
+        gates: All gates.
+        lanes: Names of all lanes; a gate has rows of those that anybody crosses it in.
+        intervals: The intervals.
+        observation: When was observed.
+        settings: The classes that are counted.
+        unseen: Who may have crossed and is not counted.
+        by_class: Make rows of single classes too.
     """
     out = []
     for interval in intervals:
@@ -140,9 +150,17 @@ def expected(
 ) -> CountInterval | None:
     """The interval of how many there were, of classes, in a lane or in all.
 
-    Who is counted in another lane or class may be of these: each counts with the probability that it is. `most` is how
-    many more there may have been of classes. None: nobody is of the class in truth, or the gate sees so few of them
-    that nothing can be said.
+    Who is counted in another lane or class may be of these: each counts with the probability that it is.
+
+    Args:
+        crossings: Of the gate, direction and interval: those that are counted, and doubtful ones.
+        kinds: What is missed at the gate, of whom.
+        most: How many more may have crossed, of the classes that it is called with.
+        lane: Name of a lane, or `ALL`.
+        classes: The classes that are asked for.
+
+    Returns:
+        The interval; None: nobody is of the class in truth, or the gate sees so few of them that nothing can be said.
     """
     groups = []
     for kind in kinds:
@@ -163,9 +181,17 @@ def group_of(
     lane: str,
     classes: Collection[str],
 ) -> Group | None:
-    """Those of a kind who may have been of one of the classes, and in the lane; None where the kind has none of them.
+    """Those of a kind who may have been of one of the classes, and in the lane.
 
-    `most` is how many more there may have been of classes.
+    Args:
+        kind: Road users that are missed alike.
+        crossings: Of the gate, direction and interval: those that are counted, and doubtful ones.
+        most: How many more may have crossed, of the classes that it is called with.
+        lane: Name of a lane, or `ALL`.
+        classes: The classes that are asked for.
+
+    Returns:
+        Their probabilities, and what is missed; None where the kind has none of the classes.
     """
     named = kind.classes - {UNKNOWN}
     if not named & set(classes):

@@ -29,15 +29,21 @@ class Encroachment:
 
     seconds: float
     first_s: float
-    """When the first one was there, seconds of the footage."""
+    """Time at which the first one was there, seconds of the footage."""
     second_s: float
-    """When the second one gets there."""
+    """Time at which the second one gets there, seconds of the footage."""
     swapped: bool
     """Whether the second of the two that were asked for was the first one there."""
 
 
 def near(one: FootprintPath, other: FootprintPath, most_s: float) -> bool:
-    """Whether their ways come so near within `most_s` that the footprints may touch."""
+    """Whether their ways come so near within `most_s` that the footprints may touch.
+
+    Args:
+        one: A road user.
+        other: Another one.
+        most_s: Longest time between the two, seconds.
+    """
     rows, columns = slice(None, None, _COARSE), slice(None, None, _COARSE)
     away = np.linalg.norm(one.place[rows, None] - other.place[None, columns], axis=-1)
     late = np.abs(one.times_s[rows, None] - other.times_s[None, columns])
@@ -47,7 +53,16 @@ def near(one: FootprintPath, other: FootprintPath, most_s: float) -> bool:
 
 
 def by_places(one: FootprintPath, other: FootprintPath, most_s: float) -> Encroachment | None:
-    """The encroachment by SSAM's definition; None where there is none within `most_s`."""
+    """Find the encroachment by SSAM's definition.
+
+    Args:
+        one: A road user.
+        other: Another one.
+        most_s: Longest time between the two, seconds.
+
+    Returns:
+        The shorter of the two directions; None where there is none within `most_s`.
+    """
     found = [
         made
         for first, second, swapped in ((one, other, False), (other, one, True))
@@ -93,7 +108,16 @@ def _finer(
 
 
 def by_area(one: FootprintPath, other: FootprintPath, about_s: float) -> Encroachment | None:
-    """The encroachment by the area that both drive over, around a time; None where there is no such area."""
+    """Find the encroachment by the area that both drive over, around a time.
+
+    Args:
+        one: A road user.
+        other: Another one.
+        about_s: The time, seconds of the footage.
+
+    Returns:
+        The encroachment; None where there is no such area.
+    """
     from shapely import polygons, unary_union
 
     shown = [_during(path, about_s) for path in (one, other)]
@@ -114,7 +138,7 @@ def _during(path: FootprintPath, about_s: float) -> Array:
 
 
 def _stay(path: FootprintPath, rows: Array, shapes: Any, area: Any) -> tuple[float, float]:
-    """When the footprint enters the area and leaves it, seconds."""
+    """Times at which the footprint enters the area and leaves it, seconds."""
     from shapely import intersects, polygons
 
     def within(time_s: float) -> bool:

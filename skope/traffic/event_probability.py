@@ -1,4 +1,4 @@
-"""How probable it is that an event happened once, and that events happened that nothing saw.
+"""Probabilities that an event happened once, and that events happened that nothing saw.
 
 Measured on 13 generated clips of four sites by day, at night and in rain, of which everything is known
 (`scripts/research/traffic_clips.py`, 2217 crossings that were told); sites that a fit has not seen say the same of it.
@@ -17,7 +17,7 @@ from skope.traffic.gate_shares import Beta, LearntShares
 from skope.traffic.trajectories import VEHICLE, Trajectory, worst_sigma
 
 COUNTED_FROM: Final = 0.5
-"""What is less probable is not counted."""
+"""A less probable event is not counted."""
 _MOST_PLACES: Final = 48
 """More places than this say no more."""
 _DOUBTED: Final = 0.75
@@ -36,7 +36,7 @@ without a place (and 0.1 s), and with a class that is unknown."""
 _REAL_OF_OTHERS: Final[Mapping[str, float]] = {"bicycle": 0.89, "motorcycle": 0.89, "pedestrian": 0.87}
 """Share of others' crossings that are one, of 98, 99 and 157 well inside a gate: nothing of the track says more."""
 _FASTEST: Final[Mapping[str, float]] = {"bicycle": 16.0, "pedestrian": 6.0}
-"""Who is faster where it crosses, m/s, is a track that jumps from one to another: a sprinter, or a cyclist downhill, is
+"""A track that is faster where it crosses, m/s, jumps from one to another: only a sprinter, or a cyclist downhill, is
 as fast."""
 _JUMPS: Final = 0.1
 """Factor for such a crossing."""
@@ -70,7 +70,7 @@ class SeenAlike:
     too_small: bool = False
     """Whether nothing is said of any: too few are seen."""
     learnt: LearntShares | None = None
-    """What hand counts tell of one gate's shares; None: nothing."""
+    """One gate's shares as hand counts tell them; None: they tell nothing."""
 
     @property
     def mean_missed(self) -> float:
@@ -95,7 +95,7 @@ _OTHERS: Final = (_TWO_WHEELED, frozenset({"pedestrian"}))
 
 
 def seen_in_metres(pixels_per_metre: float | None) -> tuple[SeenAlike, ...]:
-    """Who is missed, how often, where a metre is so many pixels; None: that is not known.
+    """Kinds of road users that are missed alike, where a metre is so many pixels; None: that is not known.
 
     4% of vehicles are missed in the mean without a trace, by day, at night and in rain alike. Of people and
     two-wheelers it depends on how large they are in the image: of 185, 361 and 143 who were large, smaller and too
@@ -111,11 +111,11 @@ def seen_in_metres(pixels_per_metre: float | None) -> tuple[SeenAlike, ...]:
 
 
 SEEN_IN_METRES: Final = seen_in_metres(None)
-"""Where it is not known how many pixels a metre is."""
+"""Kinds where it is not known how many pixels a metre is."""
 
 SEEN_IN_PIXELS: Final = (SeenAlike(frozenset(CLASSES), missed=(1.2, 8.0), came=(1.0, 1.0)),)
-"""Where nothing gives metres: 13% are missed in the mean, 1 to 34% with 90%. Of 57 and 56 vehicles of generated footage
-4 were missed by day and 15 in rain, over all distances."""
+"""Kinds where nothing gives metres: 13% are missed in the mean, 1 to 34% with 90%. Of 57 and 56 vehicles of generated
+footage 4 were missed by day and 15 in rain, over all distances."""
 
 
 def event_probability(trajectory: Trajectory) -> float:
@@ -146,7 +146,17 @@ def crossing_probability(trajectory: Trajectory, time_s: float, step_s: float) -
 
 
 def crossing_evidence(trajectory: Trajectory, time_s: float, step_s: float) -> tuple[float, ...]:
-    """What `_LOGIT` weighs of a vehicle's crossing at a time (see `crossing_probability`)."""
+    """Evidence on a vehicle's crossing that `_LOGIT` weighs (see `crossing_probability`).
+
+    Args:
+        trajectory: The track that crosses.
+        time_s: When, seconds of the footage.
+        step_s: Usual time from place to place in the footage (`usual_step`).
+
+    Returns:
+        1, and logarithms of the places on the shorter side, of the place's standard deviation (metres), and of the
+        longest gap (seconds); 1 where the class is unknown, else 0.
+    """
     times = trajectory.times_s[trajectory.measured]
     sides = (time_s - times[times < time_s], times[times >= time_s] - time_s)
     parts = min(len(np.unique(np.floor(side / _HALF_S))) for side in sides)

@@ -15,7 +15,13 @@ _NODE_M: Final = 0.3
 
 
 def corners(place: Array, facing: Array, size: tuple[float, float]) -> Array:
-    """(..., 4, 2) corners of rectangles around places (..., 2) that face (..., 2), of length and width `size`."""
+    """(..., 4, 2) corners of rectangles.
+
+    Args:
+        place: (..., 2) middles, metres.
+        facing: (..., 2) unit vectors.
+        size: Length and width, metres.
+    """
     across = np.stack([-facing[..., 1], facing[..., 0]], axis=-1)
     offsets = _CORNERS * size
     along, aside = offsets[:, :1] * facing[..., None, :], offsets[:, 1:] * across[..., None, :]

@@ -1,4 +1,4 @@
-"""What a gate's own shares make of the crossings that were seen there: how many are one, and how many more there were.
+"""Shares of one gate, and what they make of crossings seen there: how many are one, and how many more there were.
 
 Gates differ in what is missed and counted wrongly there. Each share is known as a distribution over gates; what a hand
 count tells of one gate is a number of equally probable values for it (`LearntShares`).
@@ -45,7 +45,7 @@ def chances_at(real: Beta | None, probabilities: Array, levels: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class LearntShares:
-    """What is known of a gate's shares after a hand count: values (S,) that are equally probable, in no order."""
+    """A gate's shares after a hand count: values (S,) that are equally probable, in no order."""
 
     missed: Array
     """The share of who crosses that nothing sees."""

@@ -28,7 +28,7 @@ _ALONG_M: Final = {"bus": 0.6, "bicycle": 0.6, "lorry": 0.15}
 """By so much the middles of some bodies are off along the way besides, all the way, one standard deviation: of 16, 36
 and 12 in generated clips by 0.2, 0.5 and 0 m in the median, and by 0.54, 0.45 and 0.17 m from there."""
 _BESIDE: Final = 0.05
-"""Who goes past a gate's end, not through it, with less probability than this does so without doubt; likewise back."""
+"""A crossing that is less probably through the gate than this goes past its end without doubt, and the reverse."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -40,15 +40,15 @@ class GateCrossing:
     direction: int
     """0 from the gate's left to its right as it is drawn, 1 back."""
     direction_name: str
-    """What the user calls that direction; "1" and "2" where it has no name."""
+    """Name of that direction; "1" and "2" where the user gives none."""
     time_s: float
-    """When the body's middle crosses, seconds of the footage."""
+    """Time at which the body's middle crosses, seconds of the footage."""
     sigma_s: float
     """Standard deviation of the times, from how well the places are known."""
     front_s: float
-    """When the front crosses; NaN where the track does not show it."""
+    """Time at which the front crosses; NaN where the track does not show it."""
     rear_s: float
-    """When the rear does; NaN likewise."""
+    """Time at which the rear does; NaN likewise."""
     place: Array
     """(2,) where, metres."""
     speed: float
@@ -61,8 +61,8 @@ class GateCrossing:
     probability: float
     """Probability that this happened, once."""
     doubt: str
-    """Why that is in doubt: begins or ends, where the track does so on the gate; beside, where it may have gone past
-    the gate's end, or through it; else empty."""
+    """Reason for doubt: begins or ends, where the track does so on the gate; beside, where it may have gone past the
+    gate's end, or through it; else empty."""
     counts: bool
     """Whether it is counted: between the ends of the gate, by a track that more probably crosses there than not. One
     that ends on the gate is counted, and is in doubt."""
@@ -74,7 +74,7 @@ class GateCrossing:
 
 
 def direction_names(gate: Gate) -> tuple[str, str]:
-    """What crossings from left to right, and back, are called."""
+    """Names of crossings from left to right, and back."""
     return gate.directions or ("1", "2")
 
 
@@ -99,7 +99,13 @@ def crossings(
 ) -> list[GateCrossing]:
     """All crossings of all gates, in order of time; tracks that are not confirmed, or never moved, have none.
 
-    In `metres` it is known how certain places are, and by that how probable crossings are; in pixels it is not.
+    Args:
+        trajectories: All tracks.
+        gates: All gates.
+        lanes: The lanes; in which one crosses is said.
+        settings: The classes that are counted, and how far somebody has to be seen on either side.
+        metres: Places are in metres, with how certain they are, which tells how probable a crossing is; in pixels
+            nothing does.
     """
     step_s = usual_step(trajectories) if metres else None
     found = [
@@ -149,7 +155,7 @@ def _of_one(
 
 
 def _rule(trajectory: Trajectory, gate: Gate, signed: Array, settings: TrafficSettings) -> dict[str, float]:
-    """How far it has to be seen on the other side, and how far it has to move: more where places are less certain."""
+    """Distances that it has to be seen on the other side, and to move: more where places are less certain."""
     near = trajectory.covariance[np.abs(signed) < _NEAR_M]
     normal = normal_of(gate)
     spread = float(np.median(np.einsum("i,mij,j->m", normal, near, normal))) if len(near) else 0.0
@@ -218,7 +224,8 @@ def _along_s(trajectory: Trajectory, velocity: Array, *, metres: bool) -> float:
 
 
 def _end_time(trajectory: Trajectory, gate: Gate, places: Array, passage: Passage, rule: dict[str, float]) -> float:
-    """When the front or the rear (M, 2) crosses the gate's line in the same direction; NaN where that is not seen."""
+    """Time at which the front or the rear (M, 2) crosses the gate's line in the same direction; NaN where that is not
+    seen."""
     signed, _ = signed_distances(gate, places)
     times = [
         one.time_s

@@ -1,4 +1,4 @@
-"""What was counted by hand beside what skope counted, and what that changes in what is said of the gates."""
+"""Hand counts beside what skope counted, and what they change in what is said of the gates."""
 
 import math
 from collections.abc import Callable, Collection, Iterator, Sequence
@@ -29,7 +29,7 @@ class HandCheck:
 
     hand: HandCount
     count: int
-    """How many skope counted."""
+    """Number that skope counted."""
     near: bool
     """Whether anybody was ever seen near the gate: of another one nothing is learnt."""
     expected: CountInterval | None
@@ -49,7 +49,14 @@ class HandCheck:
 def hand_checks(
     hands: Sequence[HandCount], crossings: Sequence[GateCrossing], unseen: Unseen, settings: TrafficSettings
 ) -> list[HandCheck]:
-    """Each hand count beside what was counted (`crossings`)."""
+    """Put each hand count beside what was counted.
+
+    Args:
+        hands: The hand counts.
+        crossings: All crossings that are counted.
+        unseen: Who may have crossed and is not counted.
+        settings: The classes that are counted.
+    """
     out = []
     for one in hands:
         near = one.gate not in unseen.gates
@@ -93,7 +100,19 @@ def adjusted(
     gates: Sequence[Gate],
     settings: TrafficSettings,
 ) -> Unseen:
-    """What may have been missed, with what hand counts tell of it."""
+    """Learn from hand counts what gates miss.
+
+    Args:
+        checks: The hand counts beside what was counted.
+        crossings: All crossings that are counted.
+        unseen: Who may have crossed and is not counted.
+        gates: All gates.
+        settings: The classes that are counted.
+
+    Returns:
+        `unseen` with what is learnt of each gate and direction; counts at gates that nobody was ever seen near teach
+        nothing.
+    """
     told = [one for one in checks if one.near]
     evidence = [
         CountEvidence(
@@ -122,14 +141,14 @@ def _seen(hand: HandCount, crossings: Sequence[GateCrossing], unseen: Unseen) ->
 
 
 def _most(hand: HandCount, unseen: Unseen) -> Callable[[Collection[str]], int]:
-    """How many more may have crossed meanwhile, of classes."""
+    """Make a function of classes that gives how many more of them may have crossed meanwhile."""
     return partial(unseen.most, hand.gate, hand.direction, hand.interval)
 
 
 def _groups(
     hand: HandCount, own: Sequence[GateCrossing], unseen: Unseen, settings: TrafficSettings
 ) -> dict[int, Group]:
-    """What was seen (`own`) while somebody counted, by which of the gate's kinds it is."""
+    """Crossings (`own`) while somebody counted, by which of the gate's kinds they are."""
     found = {
         k: group_of(kind, own, _most(hand, unseen), ALL, hand.classes)
         for k, kind in enumerate(unseen.kinds_at(hand.gate, hand.direction))

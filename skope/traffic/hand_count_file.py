@@ -26,7 +26,7 @@ _SHOWN: Final = 40
 
 @dataclass(frozen=True, kw_only=True)
 class HandCount:
-    """How many crossed a gate, counted by hand."""
+    """Number that crossed a gate, counted by hand."""
 
     gate: str
     direction: int
@@ -35,12 +35,12 @@ class HandCount:
     class_name: str
     """A class, `MOTOR` or `ALL`."""
     interval: ClockInterval
-    """When it was counted."""
+    """Interval in which it was counted."""
     number: int
 
     @property
     def classes(self) -> frozenset[str]:
-        """Who was counted."""
+        """Classes that were counted."""
         return {ALL: frozenset(CLASSES), MOTOR: MOTOR_CLASSES}.get(self.class_name, frozenset({self.class_name}))
 
 

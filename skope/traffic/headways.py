@@ -1,4 +1,4 @@
-"""Who drives behind whom at a gate: headways, gaps, and how long the gate is occupied.
+"""Vehicles behind each other at a gate: headways, gaps, and how long the gate is occupied.
 
 Definitions are those of the Highway Capacity Manual: headway from front to front, gap from rear to front, in seconds;
 occupancy is the share of time in which a vehicle is over the detector, here over the gate's line.
@@ -31,13 +31,13 @@ class Headway:
 
 @dataclass(frozen=True, kw_only=True)
 class Occupancy:
-    """How long the line of a gate was occupied in an interval."""
+    """Time for which the line of a gate was occupied in an interval."""
 
     interval: ClockInterval
     gate: str
     direction: str
     lane: str
-    """Empty: no lanes are drawn there, the whole gate."""
+    """Empty: of those in no lane; where no lanes are drawn, of the whole gate."""
     observed_s: float
     occupied_s: float
     sigma_s: float
@@ -77,9 +77,14 @@ def headways(crossings: Sequence[GateCrossing], observation: Observation) -> lis
 def occupancies(
     crossings: Sequence[GateCrossing], intervals: Sequence[ClockInterval], observation: Observation
 ) -> list[Occupancy]:
-    """The occupancy of each gate, direction and lane, in each interval of which something was observed.
+    """Occupancies of each gate, direction and lane that vehicles cross, in each interval that was observed in part.
 
     Of vehicles alone: how long others are is not measured.
+
+    Args:
+        crossings: The crossings that are counted.
+        intervals: The intervals.
+        observation: When was observed.
     """
     out = []
     for own in streams([one for one in crossings if one.trajectory.category == VEHICLE]):

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 _HYSTERESIS: Final = 3.0
 """In standard deviations of where a box stands."""
 _NEAR_PX: Final = 50.0
-"""Who is this near to a gate is seen near it, pixels."""
+"""A gate is seen near where somebody is this near to it, pixels."""
 _WHY: Final = (
     "no metres: nothing calibrates the camera. Counts are of boxes' feet over gates in the image; speeds, headways, "
     "queues, delays and conflicts are refused (`skope eval site` calibrates a camera)"
@@ -103,6 +103,6 @@ def count_in_image(
 
 
 def _in_pixels(track: Trajectory, settings: TrafficSettings) -> TrafficSettings:
-    """What a crossing needs, by how exactly it is known where this track's box stands."""
+    """Settings of a crossing in pixels, by how exactly it is known where this track's box stands."""
     sigma = float(np.median(np.sqrt(track.covariance[:, 0, 0])))
     return replace(settings, hysteresis_m=_HYSTERESIS * sigma, least_travel_m=2 * _HYSTERESIS * sigma)

@@ -16,7 +16,7 @@ import numpy as np
 from skope.traffic.trajectories import COLUMNS, Trajectory, worst_sigma
 
 _LONGEST_S: Final = 8.0
-"""Who is not seen for longer is somebody else."""
+"""A road user that is not seen for longer, seconds, is somebody else."""
 _OVERLAP_S: Final = 0.6
 """A track goes on by its box for half a second when another one has already begun."""
 _SWERVE: Final = 1.5
@@ -26,7 +26,7 @@ _UNEVEN: Final = 1.5
 _MOST_M: Final = 8.0
 """Largest standard deviation of where somebody should be that still says who begins there, metres."""
 _STRANGER: Final = 2e-5
-"""How many road users begin for no other reason at a place in the middle of the road, per square metre and second."""
+"""Road users that begin for no other reason in the middle of the road, per square metre and second."""
 _SIZE_SIGMA: Final = 0.08
 """Standard deviation of a measured length, as a share."""
 _LIKELY: Final = 0.8
@@ -124,7 +124,7 @@ def _together(before: Trajectory, after: Trajectory, probability: float) -> Traj
 
 
 def _flags(before: Trajectory, after: Trajectory) -> tuple[str, ...]:
-    """What either should be distrusted for; who moved in one of the two has moved."""
+    """Reasons to distrust either track; one that moved in one of the two has moved."""
     moved = "never_moved" not in before.flags or "never_moved" not in after.flags
     names = dict.fromkeys((*before.flags, *after.flags))
     return tuple(name for name in names if not (moved and name == "never_moved"))

@@ -1,4 +1,4 @@
-"""Who drives in which lane, and changes it."""
+"""Lanes that road users drive in, and change."""
 
 import itertools
 import math
@@ -17,7 +17,7 @@ from skope.types import Array
 _WIDTH_M: Final = 3.5
 """Of a lane that does not say how wide it is."""
 _STAYS_S: Final = 1.0
-"""Who is in a lane for a shorter time has not changed to it."""
+"""A road user that is in a lane for less time, seconds, has not changed to it."""
 _BETWEEN_S: Final = 3.0
 """Between two lanes no longer than this is a change from one to the other."""
 _ALONGSIDE: Final = math.cos(math.radians(45))
@@ -41,7 +41,7 @@ class LaneChange:
 
 
 class LaneMap:
-    """Which lane a place is in."""
+    """Map of the lanes: tells which one a place is in."""
 
     def __init__(self, lanes: Sequence[Lane]) -> None:
         self.lanes = tuple(lanes)
@@ -51,7 +51,8 @@ class LaneMap:
     def indices(self, places: Array, least: float = 0.0) -> tuple[NDArray[np.int64], Array, Array]:
         """The lane of each place (M, 2): index or -1, distance to its middle (M,), and (M, 2) where it leads there.
 
-        `least` metres inside its edges are asked for. Where lanes overlap, that whose middle is nearest.
+        `least` metres inside its edges are asked for. Where lanes overlap, that whose middle is nearest, in widths of
+        the lane.
         """
         if not self.lanes:
             count = len(places)
@@ -113,7 +114,13 @@ def _from_line(line: Array, places: Array) -> tuple[Array, Array]:
 
 
 def lane_changes(trajectories: Sequence[Trajectory], lanes: LaneMap, hysteresis_m: float) -> list[LaneChange]:
-    """All changes of lane, in order of time."""
+    """All changes of lane, in order of time.
+
+    Args:
+        trajectories: All tracks; those that are not confirmed, or never moved, change no lane.
+        lanes: The lanes; of one there are no changes.
+        hysteresis_m: How far inside a lane's edges somebody has to be seen, metres.
+    """
     found: list[LaneChange] = []
     if len(lanes.lanes) > 1:
         for trajectory in filter(wandering, trajectories):

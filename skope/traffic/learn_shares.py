@@ -1,4 +1,4 @@
-"""What hand counts say of the shares that gates miss and count wrongly.
+"""Shares that gates miss and count wrongly, learnt from hand counts.
 
 Each share of a gate and direction is a place on the normal scale: the share of all gates that have less is the normal
 distribution's there. Places of one site have a part in common, those of one gate another one, those of one direction a
@@ -36,7 +36,7 @@ _SIDE: Final = 0.95
 others."""
 _STEP: Final = 1 / 3
 _PLACES: Final = np.arange(-4.0, 4.0 + _STEP / 2, _STEP)
-"""Where shares are looked at, standard deviations."""
+"""Grid of the shares, standard deviations."""
 _LEVELS: Final = ndtr(_PLACES)
 _WHOLE: Final = (len(_PLACES),) * 3
 """A weight for each place of the share that is missed, that came, and that is one."""
@@ -54,7 +54,7 @@ class CountEvidence:
 
     side: Side
     groups: Mapping[int, Group]
-    """What was seen of those who were counted, by which of the kinds that are seen alike they are."""
+    """Crossings of those who were counted that were seen, by which of the kinds that are seen alike they are."""
     number: int
 
 
@@ -114,7 +114,7 @@ def _with_learnt(kind: SeenAlike, beliefs: Sequence[Array], *, looked: bool) -> 
 # --------------------------------------------------------------------------------------------------- along the tree
 
 Message = tuple[Side, Array]
-"""What one hand count says: how probable it is by where the shares are at its gate and direction, whenever."""
+"""Message of one hand count: how probable it is by where the shares are at its gate and direction, whenever."""
 
 
 @cache
@@ -131,14 +131,14 @@ _TO_TIME: Final = float(np.sqrt(_SIDE))
 
 
 def _up(correlation: float, message: Array) -> Array:
-    """What is said of a place, by the place above it."""
+    """Take a message of a place up to the place above it."""
     for axis in range(3):
         message = np.moveaxis(np.tensordot(_kernel(correlation), message, (1, axis)), 0, axis)
     return np.asarray(message / message.max())
 
 
 def _down(correlation: float, belief: Array) -> Array:
-    """How probable places are, by those of the place above."""
+    """Take probabilities of the place above down to a place."""
     for axis in range(3):
         belief = np.moveaxis(np.tensordot(_kernel(correlation).T, belief, (1, axis)), 0, axis)
     return np.asarray(belief / belief.sum())
@@ -161,7 +161,7 @@ def _at_gate(messages: Iterable[Message]) -> Array:
 
 
 def _belief(messages: Sequence[Message], side: Side) -> Array:
-    """How probable shares are at a gate and direction, at another time than the hand counts'."""
+    """Probabilities of shares at a gate and direction, at another time than the hand counts'."""
     plain = np.exp(-(_PLACES**2) / 2)
     belief = np.multiply.outer(np.multiply.outer(plain, plain), plain)
     others = sorted((one for one in messages if one[0][0] != side[0]), key=lambda one: one[0])
@@ -198,7 +198,7 @@ def _messages(evidence: Sequence[CountEvidence], number: int) -> list[list[Messa
 
 
 def _said(group: Group, number: int, others: Array) -> Array:
-    """How probable a hand count is by a group's shares, of whom there were besides others (M,) of these numbers."""
+    """Probability of a hand count by a group's shares, where others were counted besides in these numbers (M,)."""
     most = _most(number)
     total = np.arange(most + len(others))
     sigma = np.array([hand_sigma(one) for one in total.tolist()])

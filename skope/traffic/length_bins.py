@@ -28,9 +28,9 @@ from skope.types import Array
 
 BINS: Final = ("short", "medium", "long")
 UNTOLD: Final = "unknown"
-"""Who is in no bin with `TOLD`."""
+"""Name for vehicles that are in no bin with `TOLD`."""
 TOLD: Final = 0.8
-"""Who is in a bin with this probability, and more, is counted there."""
+"""A vehicle is counted in a bin that it is in with this probability, or more."""
 LONGEST_M: Final = 12.0
 """No vehicle longer than this was among those that errors were measured on."""
 WHY_NOT: Final = f"no interval: errors of lengths were measured on vehicles of up to {LONGEST_M:g} m"
@@ -42,12 +42,12 @@ _LONGEST_CAR_M: Final = 6.2
 _ANY_M: Final = (3.0, 13.0)
 """Lengths of those whose body was mistaken."""
 _MAY: Final = 0.02
-"""Who was lost may have been in a bin that its track is in with this probability."""
+"""A vehicle that was lost may have been in a bin that its track is in with this probability."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class LengthCount:
-    """How many vehicles of a length crossed a gate in an interval."""
+    """Number of vehicles of a length that crossed a gate in an interval."""
 
     interval: ClockInterval
     observed: str
@@ -98,7 +98,16 @@ def bin_probabilities(trajectory: Trajectory, limits_m: Sequence[float], common_
 
 
 def length_bin(trajectory: Trajectory, limits_m: Sequence[float], common_sigma: float | None) -> tuple[str, float]:
-    """The bin of a vehicle, or `UNTOLD`, and the probability of the most probable one."""
+    """The bin of a vehicle.
+
+    Args:
+        trajectory: A vehicle whose length was measured.
+        limits_m: From which lengths on vehicles are medium, and long, metres.
+        common_sigma: As `length_sigma_m` takes it.
+
+    Returns:
+        The most probable bin, or `UNTOLD` where its probability is less than `TOLD`; and that probability.
+    """
     chances = bin_probabilities(trajectory, limits_m, common_sigma)
     return _bin_of(chances), float(chances.max())
 
@@ -122,8 +131,19 @@ def length_counts(
     settings: TrafficSettings,
     unseen: Unseen,
 ) -> list[LengthCount]:
-    """A count for each interval, gate, direction and bin, and of those who are in none; empty where no class of
-    vehicles is counted."""
+    """Count for each interval, gate, direction and bin, and those who are in none.
+
+    Args:
+        crossings: The crossings that are counted.
+        gates: All gates.
+        intervals: The intervals.
+        observation: When was observed, and how uncertain the camera leaves all lengths.
+        settings: The limits of the bins, and the classes that are counted.
+        unseen: Who may have crossed and is not counted.
+
+    Returns:
+        The counts; empty where no class of vehicles is counted.
+    """
     if OF_VEHICLES.isdisjoint(settings.classes):
         return []
     limits, common = settings.length_bins_m, observation.common_sigma
@@ -159,7 +179,7 @@ def length_counts(
 
 _NONE: Final = (None, None, None, None)
 Chances = dict[GateCrossing | Vanished, Array]
-"""How probable each bin is of somebody."""
+"""Probability of each bin, by crossing or vanished track."""
 
 
 def _between(

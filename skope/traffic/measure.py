@@ -75,7 +75,7 @@ def measure(
     missed = adjusted(checks, crossed, missed, site.gates, settings)
     moved = movements(crossed, settings, usual_step(trajectories) if broken else None)
     sections = section_passes(moved)
-    speeds = speed_groups(crossed, sections, intervals, observation, settings)
+    speeds = speed_groups(crossed, sections, intervals, observation)
     search = conflicts(trajectories, settings, np.random.default_rng(_SEED), site.zones)
     late = delays(sections, speeds, settings)
     names = [lane.name for lane in site.lanes]
@@ -117,7 +117,15 @@ def total_counts(
     settings: TrafficSettings,
     missed: Unseen,
 ) -> tuple[Count, ...]:
-    """The counts of the whole footage, of each gate and direction, of all and of vehicles."""
+    """The counts of the whole footage, of each gate and direction, of all and of vehicles.
+
+    Args:
+        crossed: The crossings that are counted.
+        gates: All gates.
+        observation: When was observed.
+        settings: The classes that are counted.
+        missed: Who may have crossed and is not counted.
+    """
     whole = [whole_footage(observation)]
     return tuple(counts(crossed, gates, (), whole, observation, settings, missed, by_class=False))
 

@@ -1,4 +1,4 @@
-"""Where two road users come near to a collision, or one gets where the other one was: what a conflict is made of."""
+"""Meetings of two road users near a collision, or of one that gets where the other was: what conflicts are made of."""
 
 import math
 from dataclasses import dataclass
@@ -55,7 +55,17 @@ class Meeting:
 
 
 def meeting_of(one: FootprintPath, other: FootprintPath, settings: TrafficSettings) -> Meeting | None:
-    """Where two meet by `settings.ttc_s` or `settings.pet_s`; None where they do not."""
+    """Find where two come near a collision, or get where the other one was.
+
+    Args:
+        one: A road user.
+        other: Another one.
+        settings: `ttc_s` and `pet_s` are the limits.
+
+    Returns:
+        The meeting; None where there is none, where one only follows the other, or where it is doubtful that places
+        cross.
+    """
     rows, seconds = _approaches(one, other, settings)
     least = int(seconds.argmin()) if len(seconds) else 0
     close = bool(len(seconds) and seconds[least] <= settings.ttc_s)

@@ -1,4 +1,4 @@
-"""When the camera has observed the road: without that, nothing counted and nothing observed look alike."""
+"""Times at which the camera observed the road: without that, nothing counted and nothing observed look alike."""
 
 import math
 from collections.abc import Sequence
@@ -16,14 +16,14 @@ from skope.traffic.clock import time_of
 from skope.types import Array
 
 FOOTAGE: Final = "footage.json"
-"""What `skope eval track` writes of its footage, beside the tracks."""
+"""File of `skope eval track` on its footage, beside the tracks."""
 _VERSION: Final = 1
 _WITH_OFFSET: Final = "2026-11-26T10:00:00+01:00"
 _GAP_S: Final = 1.0
 """Between frames that are farther apart than this, and than `_GAP_STEPS` usual steps, nothing was observed."""
 _GAP_STEPS: Final = 3.0
 _CUT_S: Final = 1.0
-"""What begins or ends so near to where the footage does, or a gap in it, is cut by that."""
+"""Something that begins or ends so near to an end of the footage, or to a gap in it, is cut by that, seconds."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -38,7 +38,7 @@ class Observation:
     """Relative standard deviation that all distances and speeds share, from the camera's calibration; None: nothing
     says how well the camera is known."""
     eye: tuple[float, float, float] | None = None
-    """Where the camera hangs, world, metres; None: not known."""
+    """Place of the camera, world, metres; None: not known."""
     focal_px: float | None = None
     """The camera's focal length, pixels; None: not known."""
     road_sigma_m: float = 0.0
@@ -48,9 +48,9 @@ class Observation:
     sight: Array = field(default_factory=lambda: np.zeros((0, 3)))
     """(L, 3) times (s), rising, brightness (0 to 1) and contrast of pictures of the footage; empty: not measured."""
     begins: datetime | None = None
-    """When second 0 was, with its zone, as the footage itself says; None: it does not."""
+    """Time of second 0, with its zone, as the footage itself says; None: it does not."""
     parts: tuple["Observation", ...] = ()
-    """Where it is of several recordings, each of them, in order, in the same seconds; each knows its own camera."""
+    """The recordings, where it is of several, in order, in the same seconds; each knows its own camera."""
 
     @cached_property
     def spans(self) -> Array:
@@ -88,11 +88,11 @@ class Observation:
 
     @property
     def observed_s(self) -> float:
-        """How many seconds were observed in all."""
+        """Seconds that were observed in all."""
         return self.seconds_in(-math.inf, math.inf)
 
     def seconds_in(self, begin_s: float, end_s: float) -> float:
-        """How many seconds from `begin_s` to `end_s` were observed."""
+        """Seconds from `begin_s` to `end_s` that were observed."""
         spans = np.clip(self.spans, begin_s, end_s)
         return float((spans[:, 1] - spans[:, 0]).sum())
 
@@ -106,7 +106,7 @@ class Observation:
         return not len(self.spans) or bool(np.abs(self.spans - time_s).min() < _CUT_S)
 
     def pixels_per_metre(self, place: Array) -> float | None:
-        """How many pixels a metre across the line of sight is at a place (2,) of the road; None: not known.
+        """Pixels of a metre across the line of sight at a place (2,) of the road; None: not known.
 
         Of several recordings that in which it is the fewest.
         """
@@ -118,7 +118,7 @@ class Observation:
         return self.focal_px / max(1.0, math.dist(self.eye, (*map(float, place), 0.0)))
 
     def to_dict(self) -> dict[str, Any]:
-        """What `footage.json` holds."""
+        """Content of `footage.json`."""
         return {
             "version": _VERSION,
             "source": self.source,
@@ -134,9 +134,13 @@ class Observation:
 
 
 def held_s(times_s: Array, begin_s: float, end_s: float, further_s: Sequence[float] | Array = ()) -> Array:
-    """(N,) for how many seconds from `begin_s` to `end_s` each frame stands: until the next one, but for gaps.
+    """(N,) seconds of an interval for which each frame stands: until the next one, but not through gaps.
 
-    `further_s` is when further recordings begin: a frame does not stand until a frame of the next recording.
+    Args:
+        times_s: (N,) of the frames, rising, seconds.
+        begin_s: Begin of the interval, seconds.
+        end_s: Its end, seconds.
+        further_s: When further recordings begin, seconds: a frame does not stand until one of the next recording.
     """
     ends = [_ends(part) for part in np.split(times_s, np.searchsorted(times_s, further_s))]
     return np.asarray(np.clip(np.concatenate(ends), begin_s, end_s) - np.clip(times_s, begin_s, end_s))
@@ -154,7 +158,7 @@ def _usual_step(times_s: Array) -> float:
 
 
 def read_observation(folder: Path) -> Observation:
-    """What `skope eval track` has written of the footage in a folder of tracks.
+    """Read what `skope eval track` has written of the footage in a folder of tracks.
 
     Raises:
         UserError: It is missing or wrong; the message names the file and the field.

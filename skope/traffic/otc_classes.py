@@ -1,4 +1,4 @@
-"""What OpenTrafficCam calls the classes, as OTVision and OTAnalytics know them."""
+"""OpenTrafficCam's names of the classes, as OTVision and OTAnalytics know them."""
 
 from typing import Final
 

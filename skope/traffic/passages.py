@@ -1,4 +1,4 @@
-"""When something goes from one side of a line to the other, and stays there: once, however it jitters on the way.
+"""Passages from one side of a line to the other, to stay there: one each, however a track jitters on the way.
 
 What is looked at is a signed distance over time: of a gate's line, or of a zone's border. A point that lies exactly on
 the line belongs to the side that it is about to reach, whichever that is (a half-open rule in time): who arrives at the
@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 from skope.types import Array
 
 _SHORTEST_STAY_S: Final = 0.5
-"""Who goes over and comes back within this would have to brake and reverse harder than tyres can."""
+"""A road user that goes over and comes back within this, seconds, would have to brake and reverse harder than tyres
+can."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,8 +29,8 @@ class Passage:
     came_from: int
     """Sign of the side before: 1 or -1."""
     time_s: float
-    """When the line was crossed, between the moments on either side of it; of several times back and forth the middle
-    one."""
+    """Time at which the line was crossed, between the moments on either side of it; of several times back and forth the
+    middle one."""
     spread_s: float
     """Half the time from the first to the last of these."""
     begins: bool
@@ -37,7 +38,7 @@ class Passage:
     ends: bool
     """Whether it ends so near to the line, or so soon after, that the side after is in doubt."""
     depth: float
-    """How far from the line it was on the side that is in doubt, in the distance's unit; infinite without doubt."""
+    """Distance from the line on the side that is in doubt, in the distance's unit; infinite without doubt."""
 
 
 def passages(signed: Array, times_s: Array, *, hysteresis: float, least_travel: float = 0.0) -> list[Passage]:
@@ -127,7 +128,7 @@ def _without_jumps(
 
 
 def _times_of_change(signed: Array, sign: NDArray[np.int64], times_s: Array, a: int, b: int) -> list[float]:
-    """When the line was crossed, either way, between the moments a and b."""
+    """Times at which the line was crossed, either way, between the moments a and b."""
     at = a + np.flatnonzero(np.diff(sign[a : b + 1]))
     share = signed[at] / (signed[at] - signed[at + 1])
     return list(map(float, times_s[at] + share * (times_s[at + 1] - times_s[at])))

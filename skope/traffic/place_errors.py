@@ -1,4 +1,4 @@
-"""How uncertain places and speeds are, beyond what tracks say of themselves.
+"""Uncertainty of places and speeds, beyond what tracks say of themselves.
 
 A track's filter takes the errors of its poses for independent, so that many poses make a place certain. But a vehicle
 stands above or below the plane that the road is taken for, and is a little higher or lower than its shape says, all the
@@ -23,10 +23,14 @@ _ACROSS: Final = 2.0
 
 
 def place_covariance(place: Array, z: Array, sigma: Array, observation: Observation) -> Array:
-    """(M, 2, 2) covariances of places (M, 2) on the road at heights z (M,), square metres.
+    """(M, 2, 2) covariances of places on the road, square metres.
 
-    `sigma` (M,) is what the track says of the worst direction. Where that includes what the camera leaves uncertain, it
-    is taken for all directions: how it divides is not told.
+    Args:
+        place: (M, 2) world, metres.
+        z: (M,) heights of the road there, metres.
+        sigma: (M,) standard deviation of the worst direction, as the track says it, metres. Where it includes what the
+            camera leaves uncertain, it is taken for all directions: how it divides is not told.
+        observation: Where the camera hangs; where that is not known, only `sigma` counts.
     """
     if observation.eye is None:
         return np.asarray(sigma[:, None, None] ** 2 * np.eye(2))
@@ -39,7 +43,15 @@ def place_covariance(place: Array, z: Array, sigma: Array, observation: Observat
 
 
 def speed_sigma(place: Array, velocity: Array, z: Array, sigma: Array, observation: Observation) -> Array:
-    """(M,) standard deviations of the speeds of velocities (M, 2), where tracks say `sigma` (M,), m/s."""
+    """(M,) standard deviations of speeds, m/s.
+
+    Args:
+        place: (M, 2) world, metres.
+        velocity: (M, 2) m/s.
+        z: (M,) heights of the road there, metres.
+        sigma: (M,) standard deviations as tracks say them, m/s.
+        observation: Where the camera hangs; where that is not known, only `sigma` counts.
+    """
     if observation.eye is None:
         return sigma
     ray, _, height = _sight(place, z, observation.eye)

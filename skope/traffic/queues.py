@@ -28,7 +28,7 @@ from skope.types import Array
 _STEP_S: Final = 1.0
 """Queues are looked at so often."""
 _STOP_S: Final = 1.0
-"""Who is slow for a shorter time has not stopped."""
+"""A road user that is slow for less time, seconds, has not stopped."""
 _SHIFTS: Final = (-Z, -Z / 2, Z / 2, Z)
 """Speeds are tried so many standard deviations away: what is one stop at one speed may be two or none at another."""
 Queue = tuple[float, float, tuple[float, ...]]
@@ -47,7 +47,7 @@ class QueueRecord:
     sigma_m: float
     """Standard deviation of that, from both places, metres."""
     at_s: float
-    """When it was so long, seconds; NaN without a queue."""
+    """Time at which it was so long, seconds; NaN without a queue."""
     vehicles: int
     """In the longest queue."""
     vehicles_expected: CountInterval
@@ -74,7 +74,13 @@ class Delay:
 
 
 def standing(speed: Array, begin: float, end: float) -> NDArray[np.bool_]:
-    """(M,) whether somebody of these speeds stands: from under `begin` until over `end`."""
+    """(M,) whether somebody stands; before the first speed that tells, it does not.
+
+    Args:
+        speed: (M,) of one road user, in order of time.
+        begin: Who is slower begins to stand, in the unit of `speed`.
+        end: Who is faster drives again.
+    """
     told = np.where(speed < begin, 1, np.where(speed > end, 0, -1))
     known = np.flatnonzero(told >= 0)
     if not len(known):
@@ -86,13 +92,13 @@ def standing(speed: Array, begin: float, end: float) -> NDArray[np.bool_]:
 def stops(
     trajectory: Trajectory, begin_s: float, end_s: float, settings: TrafficSettings, shift: float = 0.0
 ) -> tuple[int, float]:
-    """How often somebody has stopped between two times, and for how many seconds in all.
+    """Number of stops between two times, and how many seconds they last in all.
 
     Args:
         trajectory: Who it is.
         begin_s: The one time, seconds.
         end_s: The other time, seconds.
-        settings: From which speed on somebody stands.
+        settings: Somebody stands from under `stop_kmh` until over twice that.
         shift: By how many of their standard deviations all speeds are taken to be larger.
     """
     times = trajectory.times_s
@@ -114,7 +120,15 @@ def queues(
     observation: Observation,
     settings: TrafficSettings,
 ) -> list[QueueRecord]:
-    """The queues of each lane, in each interval of which something was observed."""
+    """The longest queue of each lane, in each interval of which something was observed.
+
+    Args:
+        trajectories: All tracks, in metres.
+        lanes: The lanes.
+        intervals: The intervals.
+        observation: When was observed.
+        settings: Speeds at which queues begin and end, and the gap that ends one.
+    """
     spans = observation.spans
     moments = np.unique(np.concatenate([np.arange(math.ceil(a), b, _STEP_S) for a, b in spans] or [np.zeros(0)]))
     found = [
@@ -151,7 +165,7 @@ def queues(
 
 @cache
 def _between(chances: tuple[float, ...]) -> CountInterval:
-    """How many there are in a queue of vehicles that are so probable, if as many are missed as at gates."""
+    """Interval of the number in a queue of vehicles that are so probable, if as many are missed as at gates."""
     return count_interval(chances, SEEN_IN_METRES[0].missed)
 
 
@@ -205,7 +219,11 @@ def _queue(chain: Sequence[tuple[float, float, float, float]]) -> Queue:
 def delays(sections: Sequence[SectionPass], groups: Sequence[SpeedGroup], settings: TrafficSettings) -> list[Delay]:
     """Stops and delay of everyone who was seen at two gates.
 
-    Free flow is `settings.free_flow_kmh`, or the 85th percentile of the section's motor vehicles where that is known.
+    Args:
+        sections: Everyone who was seen at two gates.
+        groups: Speeds of the sections, with 85th percentiles of motor vehicles.
+        settings: `free_flow_kmh` is the speed of free flow on all sections; None: the 85th percentile, where it is
+            known.
     """
     free: dict[str, tuple[float, float]] = {}
     for group in groups:

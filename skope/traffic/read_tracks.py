@@ -98,7 +98,7 @@ def _numbers(path: Path, rows: Rows, name: str, *, empty: bool = False) -> Array
 
 
 def _columns(path: Path, rows: Rows, observation: Observation) -> dict[str, Any]:
-    """What vehicles and other road users have alike, by the names of `Trajectory`."""
+    """Columns that vehicles and other road users have alike, by the names of `Trajectory`."""
     column = {name: _numbers(path, rows, name, empty=name == "heading_deg") for name in _SHARED}
     if (np.diff(column["time_s"]) <= 0).any():
         raise UserError(f"{path}: line {rows[0]['line']}: time_s: expected times that rise along the track")

@@ -1,4 +1,4 @@
-"""When a recording begins: as somebody says it, or guessed from the name of its footage."""
+"""Begin of a recording: as somebody says it, or guessed from the name of its footage."""
 
 import re
 from datetime import UTC, datetime
@@ -20,10 +20,18 @@ offset behind it, or a counter, leaves it in doubt."""
 
 
 def said_begin(said: str | datetime, site: "SiteFile", where: str) -> datetime:
-    """The time that somebody says, in the site's zone where it has none of its own.
+    """Read the time at which somebody says that footage begins.
+
+    Args:
+        said: The time, with or without a zone.
+        site: Its zone is taken for a time that has none.
+        where: What the message begins with.
+
+    Returns:
+        The time, in the site's zone where it has none of its own.
 
     Raises:
-        UserError: It is no time, has no zone at all, or clocks show it never or twice; the message begins with `where`.
+        UserError: It is no time, has no zone at all, or clocks show it never or twice.
     """
     begin = said if isinstance(said, datetime) else time_of(said, where)
     if begin.tzinfo is not None:

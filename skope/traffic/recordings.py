@@ -45,11 +45,11 @@ class SiteRecording:
     source: str
     """Name of its footage."""
     begin: datetime
-    """When its own second 0 was, in the site's time."""
+    """Time of its own second 0, in the site's zone."""
     begin_s: float
     """Second of the report that its own second 0 is."""
     added: int
-    """What is added to the numbers of its tracks."""
+    """Number that is added to those of its tracks."""
     guessed: bool
     """Whether its begin is guessed from the name of its footage."""
     late_s: float
@@ -58,14 +58,14 @@ class SiteRecording:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RecordedTraffic:
-    """What one or several recordings of a site hold."""
+    """Content of one or several recordings of a site."""
 
     tracks: tuple[Trajectory, ...]
     observation: Observation
     start: datetime | None
-    """When second 0 was; None where that of a single recording is not known."""
+    """Time of second 0; None where that of a single recording is not known."""
     recordings: tuple[SiteRecording, ...] = ()
-    """Where there are several, each of them, in the order of time."""
+    """The recordings, where there are several, in the order of time."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -78,7 +78,7 @@ class _Placed:
     guessed: bool
 
     def at(self, second: int) -> datetime:
-        """When its frames begin (0) or end (1)."""
+        """Time at which its frames begin (0) or end (1)."""
         return _later(self.begin, self.observation.extent[second])
 
 
@@ -137,7 +137,7 @@ def read_recordings(
 
 
 def recording_lines(recordings: Sequence[SiteRecording], observation: Observation) -> Iterator[str]:
-    """How it is known when recordings began, and in what their cameras differ, in sentences."""
+    """Sentences on how it is known when recordings began, and in what their cameras differ."""
     if guessed := [one for one in recordings if one.guessed]:
         first = guessed[0]
         yield (
@@ -172,7 +172,16 @@ def _only(folder: Path, said: datetime | None, site: "SiteFile") -> RecordedTraf
 
 
 def begin_of(said: datetime | None, observation: Observation, site: "SiteFile") -> datetime | None:
-    """When a recording begins, in the site's time: as somebody says, else as it says itself; None: neither does."""
+    """Time at which a recording begins, in the site's zone.
+
+    Args:
+        said: Begin as somebody says it; None: nobody does.
+        observation: What the footage says of itself.
+        site: Its zone is that of the result.
+
+    Returns:
+        What somebody says, else what the footage says; None: neither does.
+    """
     return local_time(observation.begins, site) if said is None and observation.begins is not None else said
 
 

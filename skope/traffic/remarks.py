@@ -1,4 +1,4 @@
-"""What a traffic report lacks, or should be distrusted for, in sentences."""
+"""Sentences on what a traffic report lacks, or should be distrusted for."""
 
 import math
 from collections.abc import Iterator

@@ -1,4 +1,4 @@
-"""What was measured of the traffic in a footage."""
+"""Report of the traffic in a footage."""
 
 from dataclasses import dataclass
 from datetime import datetime
@@ -29,11 +29,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TrafficReport:
-    """What was measured."""
+    """All that was measured of the traffic in a footage."""
 
     site: "SiteParts"
     start: datetime | None
-    """When the footage begins, in the site's time; None: not known."""
+    """Time at which the footage begins, in the site's zone; None: not known."""
     observation: Observation
     intervals: tuple[ClockInterval, ...]
     trajectories: tuple[Trajectory, ...]
@@ -49,9 +49,9 @@ class TrafficReport:
     lengths_total: tuple[LengthCount, ...]
     """Those of the whole footage."""
     unseen: Unseen
-    """Who may have crossed gates and is not counted."""
+    """Road users that may have crossed gates and are not counted."""
     hand_checks: tuple[HandCheck, ...]
-    """What was counted by hand, beside what was counted here."""
+    """Hand counts, beside what was counted here."""
     movements: tuple[Movement, ...]
     turning: tuple[TurningCount, ...]
     turning_total: tuple[TurningCount, ...]
@@ -65,9 +65,9 @@ class TrafficReport:
     conflicts: ConflictSearch
     brakings: tuple[HardBraking, ...]
     recordings: tuple[SiteRecording, ...] = ()
-    """Where it is of several recordings, each of them, in the order of time."""
+    """The recordings, where it is of several, in the order of time."""
     refused: tuple[str, ...] = ()
-    """What could not be measured, or should be distrusted, and why: a sentence each."""
+    """Sentences on what could not be measured, or should be distrusted, and why."""
     metres: bool = True
     """Whether places are metres on the road; else pixels, and nothing is measured but counts and movements."""
 

@@ -123,7 +123,7 @@ _NO_LENGTH: Final = (None,) * 5
 
 
 def _length(report: TrafficReport, one: Trajectory) -> Row:
-    """What OpenTrafficCam calls somebody, the length, its standard deviation, the bin and its probability."""
+    """Cells of a road user: OpenTrafficCam's class, length, its standard deviation, the bin and its probability."""
     otc = OTC_CLASSES[one.class_name]
     if not report.metres or not has_length(one):
         return otc, *_NO_LENGTH[1:]

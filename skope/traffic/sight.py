@@ -18,7 +18,7 @@ vehicles can be told, has 0.010 and 0.012, other fog 0.031 and more, photographs
 
 @dataclass(frozen=True, kw_only=True)
 class SightIn:
-    """What the camera saw in an interval; None where nothing was measured in it."""
+    """Sight of the camera in an interval; None where nothing was measured in it."""
 
     dark_s: float | None
     """Seconds in which the picture was dark."""
@@ -35,7 +35,13 @@ class SightIn:
 
 
 def sight_in(observation: Observation, begin_s: float, end_s: float) -> SightIn:
-    """What the camera saw from `begin_s` to `end_s`."""
+    """Measure how well the camera saw in an interval.
+
+    Args:
+        observation: What is known of the footage.
+        begin_s: Begin of the interval, seconds.
+        end_s: Its end, seconds.
+    """
     every = np.union1d(observation.times_s, observation.moved_s)
     moved_s = float(held_s(every, begin_s, end_s, observation.further_s)[np.isin(every, observation.moved_s)].sum())
     times, brightness, contrast = observation.sight.T
@@ -58,7 +64,7 @@ def sight_in(observation: Observation, begin_s: float, end_s: float) -> SightIn:
 
 
 def sight_lines(observation: Observation) -> Iterator[str]:
-    """How long the camera saw little, in a sentence; none where it always saw."""
+    """Sentence on how long the camera saw little; none where it always saw."""
     found = sight_in(observation, -np.inf, np.inf)
     parts = {
         "dark": found.dark_s,

@@ -19,7 +19,7 @@ from skope.traffic.normal_distribution import LEVEL, Z
 
 PERCENTILES: Final[Mapping[str, float]] = {"v15": 0.15, "v50": 0.50, "v85": 0.85}
 _LEAST_RATIO: Final = 0.5
-"""Where true speeds would vary by less than this share of the measured variance, errors hide how they vary."""
+"""Errors hide how speeds vary if true ones would vary by less than this share of the measured variance."""
 
 
 _SHAPE: Final = 0.15

@@ -88,7 +88,16 @@ def _pass(movement: Movement) -> SectionPass:
 
 
 def way(trajectory: Trajectory, begin_s: float, end_s: float) -> float:
-    """Length of the way that a road user takes from one time to another, metres."""
+    """Length of the way that a road user takes from one time to another.
+
+    Args:
+        trajectory: The track.
+        begin_s: The one time, seconds.
+        end_s: The other time, seconds.
+
+    Returns:
+        Metres, in steps of `_RULER_M` and more: shorter ones would add up what places jitter.
+    """
     inner = trajectory.times_s[(trajectory.times_s > begin_s) & (trajectory.times_s < end_s)]
     places = trajectory.at(trajectory.place, np.array([begin_s, *inner, end_s]))
     total, at = 0.0, places[0]
@@ -104,9 +113,15 @@ def speed_groups(
     sections: Sequence[SectionPass],
     intervals: Sequence[ClockInterval],
     observation: Observation,
-    settings: TrafficSettings,
 ) -> list[SpeedGroup]:
-    """The percentiles of the whole footage by class, and of motor vehicles by interval too."""
+    """Percentiles of the speeds of the whole footage by class, and of motor vehicles by interval too.
+
+    Args:
+        crossings: The crossings, whose speeds are those at a spot.
+        sections: Everyone who was seen at two gates.
+        intervals: The intervals.
+        observation: How uncertain the camera leaves all speeds.
+    """
     known = observation.common_sigma
 
     def grouped(

@@ -59,7 +59,7 @@ class Trajectory:
     confirmed: bool = True
     """Whether it has been seen often and long enough to be a road user: others never count."""
     flags: tuple[str, ...] = ()
-    """What the track should be distrusted for."""
+    """Reasons to distrust the track."""
     joined: tuple[int, ...] = ()
     """Numbers of further tracks that were joined to this one."""
     joined_probability: float = 1.0

@@ -42,17 +42,17 @@ class Movement:
 
     @property
     def time_s(self) -> float:
-        """When it crosses the first of the two that it is seen at, seconds."""
+        """Time at which it crosses the first of the two gates that it is seen at, seconds."""
         return self._first.time_s
 
     @property
     def sides(self) -> tuple[Side, Side]:
-        """Where from and where to."""
+        """Origin and destination, a gate and direction each."""
         return _side(self.origin), _side(self.destination)
 
     @property
     def trajectory(self) -> Trajectory:
-        """Whose it is."""
+        """Track of the road user."""
         return self._first.trajectory
 
     @property
@@ -69,7 +69,7 @@ class Movement:
 
 @dataclass(frozen=True, kw_only=True)
 class TurningCount:
-    """How many went from one gate to another in an interval."""
+    """Number that went from one gate to another in an interval."""
 
     interval: ClockInterval
     origin: Side
@@ -121,7 +121,7 @@ def movements(
 
 
 def _between(before: GateCrossing | None, after: GateCrossing | None, step_s: float | None) -> list[Movement]:
-    """What two crossings of a track that follow each other make: one movement, or two that lack the other gate."""
+    """Movements of two crossings of a track that follow each other: one, or two that lack the other gate."""
     if before is None or after is None or step_s is None:
         return [Movement(origin=before, destination=after)]
     same = same_probability(before.trajectory, before.time_s, after.time_s, step_s)
@@ -138,12 +138,19 @@ def turning_counts(
     settings: TrafficSettings,
     missed: Unseen,
 ) -> list[TurningCount]:
-    """The matrix of each interval: a count for each pair that anybody has driven in the whole footage, of all and of
-    vehicles.
+    """The matrix of each interval: a count for each pair that anybody has driven in the whole footage.
 
-    A movement counts in the interval of the crossing that it comes from, or, without one, of that which it goes to.
-    Of what is `missed` at the two gates of a movement that of the gate and direction which misses more counts, with
-    what hand counts tell of it.
+    Each pair has a count of all, and of vehicles where others are counted too. A movement counts in the interval of the
+    crossing that it comes from, or, without one, of that which it goes to.
+
+    Args:
+        found: All movements.
+        gates: All gates; `settings.turning` may name those that count.
+        intervals: The intervals.
+        observation: When was observed.
+        settings: The classes that are counted.
+        missed: Who may have crossed and is not counted. Of the two gates of a movement that one counts which misses
+            more, with what hand counts tell of it.
     """
     chosen = [gate for gate in gates if settings.turning is None or gate.name in settings.turning]
     kinds = {
@@ -184,10 +191,11 @@ def _missed_more(origin: Sequence[SeenAlike], destination: Sequence[SeenAlike]) 
 def _expected(
     members: Sequence[Movement], pair: tuple[Side, Side], kinds: Sequence[SeenAlike], classes: Collection[str]
 ) -> CountInterval | None:
-    """Who was lost after the first gate may have gone this way: nearly none of them, or nearly all, as where they went
-    has no gate, or has one that loses them.
+    """Interval of a count. Road users that were lost after the first gate may have gone this way: nearly none of them,
+    or nearly all, as where they went has no gate, or has one that loses them.
 
-    None where people are among those at either gate: more than half of their tracks go over to others on the way."""
+    None where people are among those at either gate: more than half of their tracks go over to others on the way.
+    """
     if any(on_foot(one) and (one.sides[0] == pair[0] or one.sides[1] == pair[1]) for one in members):
         return None
     groups = []

@@ -1,4 +1,4 @@
-"""Who may have crossed a gate and is not counted: tracks that end before a gate or begin behind it, doubtful crossings.
+"""Road users that may have crossed a gate uncounted: tracks lost before it or found behind it, doubtful crossings.
 
 A gate where the camera loses vehicles counts few, and that few are seen there does not show in the count: only in the
 tracks around it.
@@ -20,10 +20,10 @@ from skope.traffic.observation import Observation
 from skope.traffic.trajectories import Trajectory
 
 _SOON_S: Final = 3.0
-"""Who would be at the gate within this time after the track ends may have crossed it, seconds; or has come from there
-so long before it begins."""
+"""A road user that would be at the gate within this time after the track ends, seconds, may have crossed it; or has
+come from there so long before it begins."""
 _SLOWEST: Final = 0.5
-"""Who moves along the gate's normal by less than this when lost, m/s, was on no way across it."""
+"""A road user that moved along the gate's normal by less than this when lost, m/s, was on no way across it."""
 NEAR_M: Final = 10.0
 """A gate within this of which nobody was ever seen is one that the camera may not see, metres."""
 
@@ -37,33 +37,39 @@ class Vanished:
     direction: int
     """In which it would have crossed, or has: 0 from the gate's left to its right."""
     time_s: float
-    """When, at the speed that it had, seconds of the footage."""
+    """Time of that at the speed that it had, seconds of the footage."""
     begins: bool
     """Whether the track begins behind the gate; else it ends before."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Unseen:
-    """What a camera may have missed at gates."""
+    """Road users that a camera may have missed at gates."""
 
     vanished: tuple[Vanished, ...] = ()
     doubtful: tuple[GateCrossing, ...] = ()
     """Crossings that are not counted: more probably none than one, or just beside the gate."""
     kinds: Mapping[str, tuple[SeenAlike, ...]] = field(default_factory=dict)
-    """What else is missed at each gate, of whom; of a gate that is not named `SEEN_IN_METRES`."""
+    """Kinds of road users missed besides at each gate; at a gate that is not named, `SEEN_IN_METRES`."""
     gates: frozenset[str] = frozenset()
     """Names of gates near which nobody was ever seen: whether somebody crossed them is not known."""
     learnt: Mapping[tuple[str, int], tuple[SeenAlike, ...]] = field(default_factory=dict)
     """Of gates and directions, their kinds with what hand counts tell of them there."""
 
     def kinds_at(self, gate: str, direction: int) -> tuple[SeenAlike, ...]:
-        """What is missed at a gate, in a direction, of whom."""
+        """Kinds of road users missed at a gate, in a direction."""
         return self.learnt.get((gate, direction)) or self.kinds.get(gate, SEEN_IN_METRES)
 
     def most(self, gate: str, direction: int, interval: ClockInterval, classes: Collection[str]) -> int:
-        """How many more may have crossed a gate in a direction and an interval, of some classes.
+        """Count how many more may have crossed a gate.
 
-        Who ends before a gate and who begins behind it may be one and the same.
+        Who ends before a gate and who begins behind it may be one and the same: the larger of the two numbers counts.
+
+        Args:
+            gate: Name of the gate.
+            direction: 0 from the gate's left to its right, 1 back.
+            interval: The interval in which they would have crossed.
+            classes: Their classes.
         """
         own = [
             one
@@ -85,10 +91,16 @@ def unseen(
     near: float = NEAR_M,
     kinds: tuple[SeenAlike, ...] | None = None,
 ) -> Unseen:
-    """Who may have crossed without being counted, of all crossings.
+    """Gather who may have crossed gates without being counted.
 
-    `near` to a gate is who is so far from it. `kinds` are missed alike at all gates; None: by how many pixels a metre
-    is at each.
+    Args:
+        trajectories: All tracks.
+        gates: All gates.
+        crossings: All crossings, counted or not.
+        observation: When was observed, and how many pixels a metre is.
+        settings: The classes that are counted.
+        near: A gate is seen near where somebody was so far from it, in the unit of places.
+        kinds: What is missed at all gates alike; None: by how many pixels a metre is at each.
     """
     crossed = {(one.trajectory.number, one.gate) for one in crossings}
     found = [

@@ -79,7 +79,13 @@ def _recordings(report: TrafficReport) -> list[dict[str, Any]]:
 
 
 def summary(report: TrafficReport, *, tracks: str | list[str], revision: str | None) -> dict[str, Any]:
-    """What a result was made of and by, so that it can be made again, and its totals."""
+    """The totals of a result, and what it was made of and by, so that it can be made again.
+
+    Args:
+        report: What was measured.
+        tracks: What the tracks were read from; of several recordings a list.
+        revision: Of the site file; None: there is none.
+    """
     observation = report.observation
     spans = observation.spans
     totals = [

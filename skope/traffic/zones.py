@@ -1,4 +1,4 @@
-"""Who is in a zone, from when to when."""
+"""Road users in a zone, from when to when."""
 
 import math
 from collections.abc import Sequence
@@ -64,7 +64,13 @@ def depth(polygon: Array, places: Array) -> Array:
 
 
 def visits(trajectories: Sequence[Trajectory], zones: Sequence[Zone], settings: TrafficSettings) -> list[ZoneVisit]:
-    """All visits of all zones, by when they are first seen."""
+    """All visits of all zones, by when they are first seen.
+
+    Args:
+        trajectories: All tracks; those that are confirmed and of a class that is counted visit.
+        zones: The zones.
+        settings: The classes, and how far over the edge somebody has to come.
+    """
     found = [
         visit
         for trajectory in trajectories

@@ -30,4 +30,4 @@ class Collection:
     truth: bool = True
     """Whether the vehicles in the files are ground truth; footage has none."""
     options: Options | None = None
-    """What counts as a detection and how it is held against the ground truth; None where there are no predictions."""
+    """Options by which detections count and are held against the ground truth; None where there are no predictions."""

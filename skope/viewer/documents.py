@@ -31,7 +31,7 @@ _FACETS: Final[dict[str, Callable[[Image], str | None]]] = {
     "recording": lambda image: None if image.recording is None else f"{image.site or '-'}/{image.recording}",
     "weather": lambda image: image.weather,
 }
-"""What images are filtered by."""
+"""Facets that images are filtered by."""
 
 
 class Documents:
@@ -100,7 +100,7 @@ class Documents:
         return split, number - (self._ends[split - 1] if split else 0)
 
     def _scores(self, step: int) -> dict[str, Any]:
-        """What the detections above a score threshold are worth, image by image."""
+        """Figures of the detections above a score threshold, image by image."""
         parts = [split.scores(step) for split in self._splits]
         return {name: [value for part in parts for value in part[name]] for name in parts[0]}
 
@@ -144,7 +144,7 @@ class _SplitDocuments:
         return self._drawn(vehicle) | {"points": _rounded(vehicle.keypoints), "kind": self._kinds[vehicle.id]}
 
     def _drawn(self, label: Annotation | RoadUser) -> dict[str, Any]:
-        """What is drawn and said of a road user of any category."""
+        """Drawing and words for a road user of any category."""
         return {
             "box": _rounded(box_of(label, self._boxes)),
             "words": draw.words_of(label),
@@ -211,7 +211,7 @@ class _SplitDocuments:
 
 
 def _of_image(numbers: Integers, index: int) -> range:
-    """Where an image's entries lie in a sorted column of image numbers."""
+    """Rows of an image's entries in a sorted column of image numbers."""
     first, last = np.searchsorted(numbers, [index, index + 1])
     return range(int(first), int(last))
 
@@ -226,7 +226,7 @@ def _rounded(values: Array) -> list[float]:
 
 
 def _facts(image: Image, split: str) -> list[list[str]]:
-    """What is known of an image, in words: name and value."""
+    """Facts about an image, in words: name and value."""
     told: Sequence[tuple[str, object]] = (
         ("size", f"{image.width}x{image.height}"),
         ("split", image.split or split),

@@ -136,7 +136,13 @@ class LocalHandler(BaseHTTPRequestHandler):
     do_HEAD = do_PUT = do_DELETE = do_PATCH = do_OPTIONS = _refuse
 
     def send_error(self, code: int, message: str | None = None, explain: str | None = None) -> None:
-        """Answer with a line of text, which is also how the base class refuses what is no request at all."""
+        """Answer with a line of text, which is also how the base class refuses what is no request at all.
+
+        Args:
+            code: HTTP status.
+            message: The line; None: what the status is called.
+            explain: Not used: of the base class.
+        """
         self._send(code, TEXT, (message or HTTPStatus(code).phrase).encode(errors="replace"))
 
     def _send(self, code: int, media_type: str, data: bytes) -> None:
@@ -178,7 +184,13 @@ def bound_to(make: Callable[[int], S], port: int | None) -> S:
 
 
 def serve_until_stopped(server: LocalServer, title: str, console: Console) -> None:
-    """Answer until Ctrl-C; title and address are printed in one line."""
+    """Answer until Ctrl-C; title and address are printed in one line.
+
+    Args:
+        server: Closed at the end.
+        title: What is served, for the line.
+        console: Prints the line.
+    """
     with server:
         try:
             console.result(f"{title}: http://{ADDRESS}:{server.server_port}/ (Ctrl-C ends it)")

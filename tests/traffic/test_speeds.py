@@ -106,7 +106,7 @@ def test_free_flow_is_the_sections_own_85th_percentile() -> None:
     tracks = [straight(k, (-20, 0), (v, 0), 100 / v, begin_s=10.0 * k) for k, v in enumerate(speeds)]
     found = crossings(tracks, [GATE, FAR_GATE], NO_LANES, SETTINGS)
     sections = section_passes(movements(found, SETTINGS))
-    groups = speed_groups(found, sections, [], watched(700), SETTINGS)
+    groups = speed_groups(found, sections, [], watched(700))
     v85 = next(one for one in groups if one.kind == "section" and one.class_name == "motor").percentiles["v85"].value
     assert v85 == pytest.approx(np.quantile(speeds, 0.85), rel=0.01)
     late = delays(sections, groups, SETTINGS)

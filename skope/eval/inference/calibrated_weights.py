@@ -49,7 +49,16 @@ def fit_boxes(scores: Array, right: NDArray[np.bool_]) -> tuple[float, float]:
 
 
 def calibrated(scores: Array, scale: float, offset: float) -> Array:
-    """The scores of a category's boxes after calibration."""
+    """Calibrate the scores of a category's boxes.
+
+    Args:
+        scores: (D,) raw scores, 0 to 1.
+        scale: Factor of their logits.
+        offset: What is added to it then.
+
+    Returns:
+        (D,) calibrated scores.
+    """
     return sigmoid(scale * _logits(scores) + offset)
 
 
@@ -61,9 +70,9 @@ def fold(model: KeypointRCNN, boxes: Mapping[int, tuple[float, float]], points: 
     """Scale and shift the last layers of a model, in float32, so that its own scores are the calibrated ones.
 
     Args:
-        model: A detector; it is changed.
+        model: Its box and keypoint predictors are changed in place.
         boxes: Category's id, from 1 -> scale and offset of its logit. The others get the vehicles' scale.
-        points: The keypoints' scales and offsets.
+        points: Scale and offset of the keypoints' heat maps; a scale is taken to be `_FLATTEST` at least.
     """
     box, maps = model.roi_heads.box_predictor.cls_score, model.roi_heads.keypoint_predictor.kps_score_lowres
     steepness = torch.as_tensor(np.maximum(points.scale, _FLATTEST), dtype=torch.float32)

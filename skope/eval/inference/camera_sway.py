@@ -58,7 +58,8 @@ class SwayRecord:
     """Of the images, pixels."""
 
     def view_changes(self, looks: Sequence[tuple[float, str]]) -> list[ViewChange]:
-        """When the view changes for good: where the image's mean place does, and else as `changes` has it of looks.
+        """Times at which the view changes for good: where the image's mean place does, and else as `changes` has it of
+        looks.
 
         Looks alone, which are half a second apart, may fall on one side of a sway again and again.
         """
@@ -100,7 +101,7 @@ class SwayRecord:
         return int(np.isfinite(self._values[soon, 0]).sum()) < _FEWEST_FRAMES
 
     def _moves(self) -> list[ViewChange]:
-        """Where the mean place of the image, over some seconds, has moved."""
+        """Changes of the view: times from which on the mean place of the image, over some seconds, is another one."""
         known = np.isfinite(self._values[:, 0])
         places, times = self._values[known, :2], self.times_s[known]
         if not len(times):

@@ -27,9 +27,9 @@ _FEWEST_KEYS: Final = 2
 _NEARLY_ALWAYS: Final = 0.8
 """A vehicle keeps its weak detections if more than this share of its detections are sure."""
 _STANDS_SIZES: Final = 0.3
-"""What never moves by more of its size stands."""
+"""A vehicle that never moves by more of its size stands."""
 _DRIVES_SIZES: Final = 1.0
-"""What moves by more of its size drives."""
+"""A vehicle that moves by more of its size drives."""
 
 
 @dataclass(slots=True)
@@ -41,16 +41,16 @@ class _Vehicle:
     seen: int = 0
     """In how many frames it is."""
     found: int = 0
-    """How often the detector has found it; in other frames it is interpolated."""
+    """Number of frames in which the detector has found it; in others it is interpolated."""
     sure: int = 0
-    """How often the detector has found it surely."""
+    """Number of frames in which the detector has found it surely."""
     lowest: Array = field(default_factory=lambda: np.full(2, np.inf))
     """(2,) least x and y of its middle."""
     highest: Array = field(default_factory=lambda: np.full(2, -np.inf))
     sizes: float = 0.0
     """Sum of its sizes."""
     samples: list[Sample] = field(default_factory=list)
-    """Where its box stands on the road, x and y, and its size there: one for each size that it has moved."""
+    """Places of its box on the road, x and y, and its size there: one for each size that it has moved."""
 
     @property
     def size(self) -> float:
@@ -78,7 +78,7 @@ class Confirmation:
     """Detections of a video, frame by frame, and which of them the others confirm."""
 
     def __init__(self, score: float, *, every: int = 1) -> None:
-        """What scores above `score` is sure; the detector sees each `every`-th frame."""
+        """Detections above `score` are sure; the detector sees each `every`-th frame."""
         self._sure = score
         self._fewest = _FEWEST_FRAMES if every == 1 else _FEWEST_KEYS
         self._links = BoxLinks()

@@ -8,7 +8,7 @@ import numpy as np
 from skope.types import Array
 
 Sample = tuple[float, float, float]
-"""Where a box stands on the road, x and y, and its size there, the square root of its area; pixels."""
+"""Place of a box on the road, x and y, and its size there, the square root of its area; pixels."""
 
 _FEWEST_DRIVERS: Final = 4
 """So many vehicles must have driven before they tell how large others are."""

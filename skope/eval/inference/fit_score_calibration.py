@@ -145,7 +145,7 @@ def _tell(what: str, before: Array, after: Array, right: NDArray[np.bool_], cons
 
 
 def _work(job: CalibrationJob, files: Sequence[Path], share: float) -> dict[str, Any]:
-    """What identifies the calibration in `work.json`: checkpoint, data and options."""
+    """Identity of the calibration for `work.json`: checkpoint, data and options."""
     options = {"split": job.split, "last": share, "score": job.score, "max_images": job.max_images}
     settings = {name: getattr(job.settings, name) for name in ("backend", "precision", "min_size")}
     # The command was called so when the first calibrations were written, which stay valid.
@@ -153,7 +153,7 @@ def _work(job: CalibrationJob, files: Sequence[Path], share: float) -> dict[str,
 
 
 def _share(job: CalibrationJob, metadata: dict[str, Any]) -> float:
-    """How much of each recording to take: what training kept for validation, all of other splits."""
+    """Share of each recording to take: what training kept for validation, all of other splits."""
     if job.last is not None:
         if not 0 < job.last <= 1:
             raise UserError(f"--last: expected a share above 0 and up to 1, got {job.last}")
@@ -171,7 +171,7 @@ def _share(job: CalibrationJob, metadata: dict[str, Any]) -> float:
 
 
 def _taken(job: CalibrationJob, file: AnnotationFile, share: float) -> AnnotationFile:
-    """What the scores are fitted to: nothing that was learnt from, unless `--last` asks for it."""
+    """Annotations to fit the scores to: nothing that was learnt from, unless `--last` asks for it."""
     if job.last is not None or job.split != TRAIN_SPLIT:
         return last_frames(file, share)
     return ignoring(*held_back(file, share))

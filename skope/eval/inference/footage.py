@@ -80,13 +80,13 @@ class Footage(ABC):
     name: str
     cut: Cut = field(default_factory=Cut)
     skipped: list[str] = field(default_factory=list)
-    """What could not be read, a line of text each."""
+    """Lines on images that could not be read."""
     images: tuple[Path, ...] = ()
     """Image files, in order; empty for a video or stream."""
     clip: Clip | None = None
-    """What a video or stream says of itself; None for image files."""
+    """The video or stream as it describes itself; None for image files."""
     begins: datetime | None = None
-    """When second 0 of a live stream was, by this computer's clock, once its first frame has come; else None."""
+    """Time of second 0 of a live stream, by this computer's clock, once its first frame has come; else None."""
 
     @property
     def live(self) -> bool:
@@ -331,7 +331,7 @@ def _open_clip(video: str) -> Clip:
 
 
 def _times(video: str) -> tuple[float, ...]:
-    """When each frame of a file is shown, from the first: as its packets say, none of which is decoded.
+    """Times at which each frame of a file is shown, from the first: as its packets say, none of which is decoded.
 
     Empty where they do not say it, or two frames at once.
     """

@@ -157,11 +157,11 @@ def _keypoints(result: AnyResult) -> Array:
 
 
 Way: TypeAlias = list[_Place | None]
-"""Where a vehicle is in each frame; None where it is lost."""
+"""Places of a vehicle, one in each frame; None where it is lost."""
 
 
 def _followed(grey: Sequence[Pixels], vehicles: Sequence[AnyResult]) -> list[Way]:
-    """Where the vehicles of the first frame are in each frame."""
+    """Follow the vehicles of the first frame through all frames."""
     ways: list[Way] = [[_Place.of(vehicle)] for vehicle in vehicles]
     points = [_points(vehicle) for vehicle in vehicles]
     for before, after in itertools.pairwise(grey):
@@ -210,7 +210,8 @@ def _step(place: _Place | None, old: Floats32, new: Floats32) -> _Place | None:
 
 
 def _same(first: Sequence[AnyResult], ahead: Sequence[Way], last: Sequence[AnyResult]) -> list[tuple[int, int]]:
-    """Who of the first key frame, followed as far as they were, are who of the same category in the last one."""
+    """Pairs of road users of the first key frame, followed as far as they were, and those of the same category in the
+    last one."""
     out: list[tuple[int, int]] = []
     for category in sorted({one.category_id for one in last}):
         before = [i for i, one in enumerate(first) if one.category_id == category]

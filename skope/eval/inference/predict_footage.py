@@ -75,7 +75,7 @@ class PredictJob:
     """Least score of a detection that is kept."""
     camera: Camera | None = None
     camera_info: Mapping[str, float] = field(default_factory=dict)
-    """What is known of the camera besides, for the `info` of the frames."""
+    """Further knowledge of the camera, for the `info` of the frames."""
     overlay: bool = False
     blur: bool = False
     unconfirmed: bool = False
@@ -271,7 +271,7 @@ def _info(
     changed: Sequence[ViewChange],
     sways: CameraMotion | None,
 ) -> dict[str, Any]:
-    """What the `info` of the frames says of the footage."""
+    """The `info` of the frames: what is known of the footage."""
     info: dict[str, Any] = {"source": job.footage.name, "fps": job.footage.fps, **_found_at(job), **job.camera_info}
     if job.footage.begins is not None:
         info[BEGINS] = job.footage.begins.isoformat(timespec="milliseconds")
@@ -287,7 +287,7 @@ def _info(
 
 
 def _sway_watch(job: PredictJob, last: int) -> SwayWatch:
-    """What measures the camera's sway, against the first frame also where a run goes on."""
+    """Make the measure of the camera's sway, against the first frame also where a run goes on."""
     if not last or job.footage.live:
         return SwayWatch()
     first = next(job.footage.frames(), None)
@@ -331,7 +331,7 @@ class _Seen:
 
 
 def _found_at(job: PredictJob) -> dict[str, str]:
-    """Where the pictures of the frames are, seen from the output folder, so that both may move together."""
+    """Paths of the frames' pictures relative to the output folder, so that both may move together."""
     place = job.footage.place
     return {FOUND_AT: os.path.relpath(place.resolve(), job.out.resolve())} if place else {}
 
@@ -401,7 +401,7 @@ def _claim(job: PredictJob, files: Sequence[Path]) -> None:
 
 
 def _killed_source(job: PredictJob) -> str | None:
-    """What a run of a live stream was of that was killed in the output folder; None: there was none."""
+    """Source of a killed run of a live stream in the output folder; None: there was none."""
     if not job.footage.live or not (job.out / _PROGRESS_FILE).is_file() or not (job.out / WORK).is_file():
         return None
     held = read_json(job.out / WORK)
@@ -422,7 +422,8 @@ def content_of(footage: Footage) -> str:
 
 
 def _kept(job: PredictJob, progress: Progress, images: Sequence[Image]) -> Kept:
-    """What gives the results of a frame that stay: those above the score, in a video those that others confirm.
+    """Choose how the results of a frame that stay are told: those above the score, in a video those that others
+    confirm.
 
     In a video they have the number of their vehicle or other road user, from 1.
     """

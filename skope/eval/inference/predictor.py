@@ -128,7 +128,7 @@ class Predictor:
 
     @property
     def settings(self) -> Settings:
-        """How the checkpoint is run."""
+        """Settings with which the checkpoint is run."""
         return self._settings
 
     def check_scheme(self, scheme: Scheme, data: Path) -> None:
@@ -234,7 +234,7 @@ class Predictor:
         return tiles_of(width, height, short=self.config.min_size, long=self.config.max_size)
 
     def _with_tiles(self, image: Pixels, whole: Detections, parts: list[Tile]) -> Detections:
-        """What the whole image and its tiles show together."""
+        """Join detections of the whole image and of its tiles."""
         batches = _batches(((part, part.of(image)) for part in parts), self.batch_size)
         found = [one for batch in batches for one in self._run([pixels for _, pixels in batch])]
         return joined(whole, list(zip(parts, found, strict=True)))

@@ -57,7 +57,7 @@ class Registration:
     motion: ImageMotion
     corners: int
     off_px: float
-    """How far corners are from where the turn puts them, root mean square an axis, pixels."""
+    """Distance of corners from where the turn puts them, root mean square an axis, pixels."""
     near_m: float
     """Distance of corners on the road near by that tell that the camera was not moved, metres."""
 
@@ -194,7 +194,7 @@ def _turn(camera: Camera, rays: Array, corners: FollowedCorners, motion: ImageMo
 
 
 def _by_the_lens(known: UncertainCamera, turned: Camera, rays: Array) -> float:
-    """How far off corners may be as focal length and lens are not known exactly, root mean square an axis, pixels."""
+    """Error of corners since focal length and lens are not known exactly, root mean square an axis, pixels."""
     T = turned.T_camera_world @ np.linalg.inv(known.camera.T_camera_world)
     pixels = known.camera.project(rays @ known.camera.T_camera_world[:3, :3] + known.camera.position)[0]
     shifts, total = _shifts(known.camera, T, pixels), 0.0
@@ -216,9 +216,18 @@ def _shifts(camera: Camera, T: Array, pixels: Array) -> Array:
 
 
 def moved_evidence(evidence: Evidence, camera: Camera, registered: Registration) -> Evidence:
-    """The marks where the turned camera shows them, as uncertain as the registration makes them besides.
+    """Move marks to where the turned camera shows them; the error of the registration is added to theirs.
 
-    Raises UserError where the new picture cannot show one of them.
+    Args:
+        evidence: The marks in the old picture.
+        camera: The camera that took the old picture.
+        registered: The camera that took the new one, turned, and how far off corners are.
+
+    Returns:
+        The same evidence with marks in pixels of the new picture; what is known of the camera besides stays.
+
+    Raises:
+        UserError: The new picture cannot show one of the marks.
     """
 
     def moved(pixels: Array) -> Array:
@@ -311,5 +320,5 @@ def _frame(source: str, *, at_rest: bool) -> Pixels:
 
 
 def _saved(source: str) -> Any:
-    """When the new picture was saved, ISO 8601."""
+    """Time at which the new picture was saved, ISO 8601."""
     return datetime.fromtimestamp(int(Path(_split(source)[0]).stat().st_mtime), UTC).isoformat()

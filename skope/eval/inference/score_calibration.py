@@ -39,7 +39,7 @@ class ScoreCalibration:
     offset: Array
     """(33,) added to the scaled maximum."""
     fitted_on: dict[str, Any]
-    """What the calibration was fitted on, in words and counts for people."""
+    """Data that the calibration was fitted on, in words and counts for people."""
 
     def __call__(self, points: Array) -> Array:
         """(N, 33, 3) points as `skope.detector` gives them -> the same with calibrated scores."""

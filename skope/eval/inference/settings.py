@@ -17,13 +17,13 @@ class Settings:
     """Settings of inference."""
 
     device: str = "auto"
-    """Where the network runs: "cpu", "cuda", "cuda:N", or "auto" for a GPU where there is one."""
+    """Device of the network: "cpu", "cuda", "cuda:N", or "auto" for a GPU where there is one."""
     given: bool = False
     """Leave detection out and place the keypoints of the ground-truth vehicles inside their own boxes."""
     min_score: float | None = None
     """Only detections above this go through the keypoint head; None: those above the detector's own 0.05."""
     backend: str = "torch"
-    """What computes the network's costly parts; "auto" is OpenVINO on a CPU where it is installed, else torch."""
+    """Library for the network's costly parts; "auto" is OpenVINO on a CPU where it is installed, else torch."""
     precision: str = "float32"
     """Number format of the costly parts' products; "auto": the fastest that backend, processor and checkpoint have."""
     min_size: int | None = None

@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from skope.errors import UserError
 
 RETURN_S = 10.0
-"""How long a stream that broke off is waited for."""
+"""Seconds for which a stream that broke off is waited for."""
 _PAUSE_S: Final = 1.0
 _PATIENCE_S: Final = 5.0
-"""How long the end waits for a reader that waits for the network."""
+"""Seconds for which the end waits for a reader that waits for the network."""
 
 
 class BrokenOffError(Exception):
@@ -28,7 +28,7 @@ class Frame(NamedTuple):
     """A frame of a stream."""
 
     number: int
-    """How many frames came before it."""
+    """Number of frames before it."""
     time_s: float
     """Seconds since the first frame."""
     bgr: NDArray[np.generic]
@@ -69,8 +69,16 @@ def frames(
 ) -> Generator[Frame]:
     """Every so many-th frame of a stream as far as the caller keeps up: what comes meanwhile is passed over.
 
-    Times are those that the frames carry where `camera_clock` says that they are worth it, else those of arrival. A
-    stream that breaks off is opened again; raises BrokenOffError where it does not come back.
+    Args:
+        opened: Opens the stream, each time anew.
+        every: Take each so many-th frame.
+        camera_clock: Times are those that the frames carry; else those of arrival.
+
+    Yields:
+        The newest frame whenever the caller asks for one.
+
+    Raises:
+        BrokenOffError: The stream broke off, was opened again and did not come back.
     """
     newest = _Newest()
     reader = threading.Thread(target=_read, args=(opened, every, camera_clock, newest), daemon=True)

@@ -62,7 +62,7 @@ def tiles_of(width: int, height: int, *, short: int, long: int) -> list[Tile]:
 
 
 def _begins(whole: int, part: int) -> list[int]:
-    """Where parts begin that cover a side evenly, each a share of `_TILE_OVERLAP` or more over the next one."""
+    """Begins of parts that cover a side evenly, each a share of `_TILE_OVERLAP` or more over the next one."""
     count = max(1, math.ceil((whole - _TILE_OVERLAP * part) / ((1 - _TILE_OVERLAP) * part)))
     return [round(i * (whole - part) / max(1, count - 1)) for i in range(count)]
 
@@ -111,7 +111,7 @@ def _whole_road_users(tile: Tile, part: RoadUserDetections, whole: Detections) -
 
 
 def _uncut(tile: Tile, size: tuple[int, int], part: _Scored, whole: _Scored) -> NDArray[np.bool_]:
-    """Which boxes of a tile are neither cut by its edge nor parts of what it cuts.
+    """(N,) whether a tile's box is neither cut by its edge nor part of a surer box of the whole image that it cuts.
 
     Args:
         tile: The tile.

@@ -32,7 +32,7 @@ class ViewChange:
     cut: bool
     """Whether nothing of the view before is seen; else the camera was turned."""
     shift: float
-    """How far the view has moved, as a share of the image's width; 0 for a cut."""
+    """Distance by which the view has moved, as a share of the image's width; 0 for a cut."""
 
     def __str__(self) -> str:
         what = "cuts to another view" if self.cut else f"moves by {self.shift:.1%} of its width"
@@ -58,7 +58,7 @@ class Looks:
 
 
 def changes(looks: Sequence[tuple[float, str]], stays: Callable[[float], bool] = lambda _: True) -> list[ViewChange]:
-    """When the view changes for good, of looks with their times in seconds, which rise.
+    """Times at which the view changes for good, of looks with their times in seconds, which rise.
 
     Args:
         looks: Small pictures, as `Looks` takes them.
@@ -109,6 +109,6 @@ def unpacked(packed: str) -> Pixels:
 
 
 def _moved(one: Array, other: Array) -> float | None:
-    """How far a view has moved, as a share of the image's width; None where the two show different views."""
+    """Distance by which a view has moved, as a share of the image's width; None where the two show different views."""
     shift = coarse_shift(one, other)
     return None if shift is None else float(np.hypot(*shift))

@@ -39,13 +39,13 @@ _OFFSET: Final = 0.04
 _FIRST_BUMPER_OFFSET: Final = 0.12
 """The same of the corners of bumpers, which the first edition has under the lip, and people see at the outline."""
 _HIDDEN: Final = 6.0
-"""What a keypoint costs that the body hides: else cameras would win that see little."""
+"""Cost of a keypoint that the body hides: without one, cameras that see little would win."""
 _MIDDLE_OFFSET: Final = 0.001
 """The same, to the side, of keypoints in the vehicle's middle."""
 _BEHIND: Final = 1e6
 """Squared distance of a keypoint that would lie behind the camera."""
 _START_CAP: Final = 300.0
-"""What a view can cost at most where the vehicle's body type is chosen."""
+"""Largest cost of a view where the vehicle's body type is chosen."""
 START_ROAD: Final = Ground(height_sigma=0.03, tilt_sigma=math.radians(0.7))
 """On it vehicles are placed before they are adjusted."""
 _FIRST_DAMPING: Final = 1e-3
@@ -54,13 +54,13 @@ _STUCK: Final = 1e4
 _MOST_STEPS: Final = 20
 """Steps of a search for everything but body types, at most."""
 _TYPE_ROUNDS: Final = 3
-"""How often body types are chosen anew, at most."""
+"""Rounds at most in which body types are chosen anew."""
 _LITTLE: Final = 0.01
 """A round that gains less is the last."""
 _FEW_STEPS: Final = 6
 """Steps of a search for shapes and places alone."""
 _LOOK_AGAIN: Final = 3
-"""Which keypoints bodies hide is worked out anew after so many steps."""
+"""Steps after which it is worked out anew which keypoints bodies hide."""
 _SETTLED: Final = 1e-5
 """The search ends when a step lowers the cost by less than this share of it."""
 
@@ -133,11 +133,23 @@ class Bundle:
         return self.shared[: len(UNKNOWN_NAMES)]
 
     def moved(self, shared: Array, shape: Array, pose: Array) -> Self:
-        """A step away."""
+        """Values of the unknowns after a step.
+
+        Args:
+            shared: (5 + 3 G,) added to the shared unknowns.
+            shape: (N, M) added to the shapes.
+            pose: (B, 3) added to the poses.
+        """
         return replace(self, shared=self.shared + shared, shape=self.shape + shape, pose=self.pose + pose)
 
     def where(self, better: Mask, other: Self, vehicle: NDArray[np.intp]) -> Self:
-        """The vehicles `better` (N,) as in `other`; the shared unknowns are the same, `vehicle` (B,) is the views'."""
+        """These values, but some vehicles' as in `other`.
+
+        Args:
+            better: (N,) which vehicles are taken from `other`: body type, shape and the poses in their views.
+            other: Values with the same shared unknowns.
+            vehicle: (B,) the vehicle of each view.
+        """
         return replace(
             self,
             kind=np.where(better, other.kind, self.kind),

@@ -15,7 +15,7 @@ from skope.types import Array
 _LEAST_AGREEMENT: Final = 0.92
 """Share of the keypoints that are not hidden which must agree; of right cameras it is 0.95 to 1."""
 _UNEVEN_SIGMAS: Final = 0.6
-"""How far views may lie off the road, in the median and in standard deviations."""
+"""Largest median distance of views from the road, in standard deviations."""
 _UNKNOWN: Final = 0.12
 """Standard deviation of ways on the road, as a share of them, from which a camera is worth nothing."""
 _UNKNOWN_FOCAL: Final = 0.3

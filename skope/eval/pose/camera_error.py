@@ -91,7 +91,7 @@ def with_camera_error(poses: Poses, known: UncertainCamera | None, ground: Groun
 def camera_errors(
     known: UncertainCamera, places: Array, velocities: Array, slope: tuple[float, float]
 ) -> tuple[Array, Array]:
-    """What the camera's error adds to the covariances of places and velocities.
+    """Covariances of places and velocities that the camera's error adds.
 
     Where the camera does not see a place, all ways are off by the share that those it sees are.
 

@@ -124,7 +124,7 @@ def image_size(text: str) -> tuple[int, int]:
 
 
 def _saved(path: Path) -> datetime:
-    """When the marks were made, as far as the file itself tells."""
+    """Time at which the marks were made, as far as the file itself tells."""
     return datetime.fromtimestamp(int(path.stat().st_mtime), UTC)
 
 

@@ -23,7 +23,7 @@ from skope.types import Array
 MOTION: Final = "camera_motion"
 """Under this name the `info` of frames says how the camera swayed: what `CameraMotion.to_dict` makes."""
 MOVED_REASON: Final = "camera_moved"
-"""Why a vehicle has no place: the camera was moved after it had been calibrated."""
+"""Reason for a vehicle without a place: the camera was moved after it had been calibrated."""
 _TURNS: Final = ("pitch", "roll", "yaw")
 _DIFFERENCE_STEPS: Final = np.array([0.5, 0.5, 1e-3])
 """Steps of numeric derivatives by x and y (pixels) and turn (radians)."""
@@ -60,9 +60,19 @@ class CameraMotion:
         return camera if motion is None else turned_camera(camera, motion.x, motion.y, motion.turn)
 
     def stilled(self, camera: Camera | None, image: Image, pixels: Array) -> Array:
-        """Move pixels (..., 2) of a frame to where they lie at rest; NaN beyond the lens. Without a camera its lens is
-        not known."""
-        motion = self.frames[image.id]
+        """Move pixels of a frame to where they lie at rest.
+
+        Args:
+            camera: The camera at rest; None: its lens is not known, and the image is moved and turned as a plane.
+            image: The frame; where its motion is not known it is taken to be at rest, as in `camera_in`.
+            pixels: (..., 2) in the frame.
+
+        Returns:
+            (..., 2) in the image at rest; NaN beyond the lens.
+        """
+        motion = self.frames.get(image.id)
+        if motion is None:
+            return pixels
         if camera is None:
             middle = np.array([image.width, image.height]) / 2
             c, s = math.cos(motion.turn), math.sin(motion.turn)
@@ -93,7 +103,7 @@ class CameraMotion:
         return UncertainCamera(camera, whole, covariance)
 
     def to_dict(self) -> dict[str, Any]:
-        """What `from_dict` reads: pixels to 0.0001, angles to 1e-7 radians."""
+        """The sway as `from_dict` reads it: pixels to 0.0001, angles to 1e-7 radians."""
         rows = [
             [number, *(round(v, 4) for v in (one.x, one.y)), round(one.turn, 7)]
             + [round(one.sigma_px, 4), round(one.sigma_turn, 7)]
@@ -131,9 +141,13 @@ def motion_of_info(name: str, info: Mapping[str, Any]) -> CameraMotion | None:
 
 
 def turned_camera(camera: Camera, x: float, y: float, turn: float) -> Camera:
-    """The camera turned about itself so that what was at its image's middle lies x, y (pixels) beside it.
+    """Turn a camera about itself so that its image moves and turns as it is told.
 
-    Everything around is turned by `turn` (radians, from x towards y).
+    Args:
+        camera: The camera at rest.
+        x: How far the image's middle moves to the right, pixels.
+        y: How far it moves down, pixels.
+        turn: How far the image turns about that place, radians, from x towards y.
     """
     middle = np.array([camera.width, camera.height]) / 2
     rays = camera.rays(np.stack([middle, middle + [x, y]]))[0]

@@ -63,7 +63,13 @@ class Pictured:
 
     @classmethod
     def of(cls, camera: Array, size: tuple[int, int], world: Array) -> Self:
-        """Picture points (B, P, 3) of the world, metres, with the unknowns (5,) in an image of `size` pixels."""
+        """Picture points of the world.
+
+        Args:
+            camera: (5,) the unknowns, as `UNKNOWN_NAMES` names them.
+            size: Width and height of the image, pixels.
+            world: (B, P, 3) points, metres; the camera hangs over the origin and looks along x.
+        """
         pitch, roll = camera[PITCH], camera[ROLL]
         forward = np.array([math.cos(pitch), 0.0, -math.sin(pitch)])
         right = np.array([0.0, -1.0, 0.0])

@@ -24,7 +24,14 @@ _KEPT_TYPES: Final = 2
 
 
 def starts_of(seen: Observed, shapes: Shapes, ground: Ground | None, chosen: Mask | None = None) -> Starts:
-    """A start for each body type, from the keypoints `chosen` (N, 33), by default all that count."""
+    """Start a fit of each body type to each vehicle.
+
+    Args:
+        seen: N vehicles.
+        shapes: The body types, each of which has a start.
+        ground: The road; None: the size of vehicles tells distance.
+        chosen: (N, 33) keypoints to begin from; None: all that count.
+    """
     return initialize.on_ground(seen, shapes, ground, chosen) if ground else initialize.free(seen, shapes, chosen)
 
 

@@ -30,15 +30,15 @@ _HEIGHT: Final = (2.6, 3.7, 5.2, 7.4, 10.5, 15.0, 22.0)
 _JUDGED: Final = (20, 60)
 """Views by which the grid is judged, and then the best of it, at most."""
 _JUDGED_AGAIN: Final = 100
-"""How many cameras of the grid are judged by more views."""
+"""Number of cameras of the grid that are judged by more views."""
 _CAP: Final = 150.0
-"""What a view can cost at most, so that a false detection does not decide."""
+"""Largest cost of a view, so that a false detection does not decide."""
 _START_DISTANCE: Final = 0.45
 """Cameras of the grid that are nearer to one another than this, in logarithms and twice radians, are one start."""
 _STARTS: Final = 10
-"""How many cameras of the grid, the best, are adjusted."""
+"""Number of cameras of the grid, the best ones, that are adjusted."""
 _REFINED: Final = 4
-"""How many of those have the body types of their vehicles chosen by full fits."""
+"""Number of those for which full fits choose the body types of their vehicles."""
 _SAME_UNKNOWNS: Final = 0.02
 """Cameras whose unknowns differ by less than this are one."""
 _INFLATION: Final = 1.5
@@ -60,7 +60,7 @@ class Rival:
     unknowns: Array
     """(5,) as `skope.eval.pose.camera_unknowns.UNKNOWN_NAMES` names them."""
     behind: float
-    """How much less likely it is, twice the log likelihood."""
+    """Twice the log likelihood by which it is less likely."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +73,7 @@ class CameraEstimate:
     covariance: Array
     """(5, 5) of the unknowns that `skope.eval.pose.camera_unknowns.UNKNOWN_NAMES` names."""
     unevenness: float
-    """How far the views lie off the road, as `BundleAdjustment.unevenness` says; 0.3 to 0.5 on level ones."""
+    """Distance of the views from the road, as `BundleAdjustment.unevenness` says; 0.3 to 0.5 on level ones."""
     rival: Rival | None
     """The likeliest of other cameras."""
 

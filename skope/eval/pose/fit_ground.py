@@ -42,7 +42,7 @@ _WEIGHT_ROUNDS: Final = 5
 _VEHICLES: Final = 40
 """So many vehicles are used at most."""
 _CLEAR: Final = 5.0
-"""How much less a view must contradict another plane (twice the log likelihood) before the level z = 0 is given up."""
+"""The level z = 0 is given up only if a view contradicts another plane by this much less (twice the log likelihood)."""
 
 
 @dataclass(frozen=True)

@@ -42,6 +42,17 @@ class Linearised:
         by_shape: Array,
         by_shared: Array,
     ) -> Self:
+        """Make the normal equations of derivatives and weights.
+
+        Args:
+            squared: (B, 33) squared distances in the image, in variances.
+            vehicle_cost: (N,) costs of the vehicles.
+            weight: (B, 33) weights of the keypoints, in pixels^-2.
+            away: (B, 33, 2) from the keypoints that were found to the model's, pixels.
+            by_pose: (B, 33, 2, 3) derivatives of the image by the pose.
+            by_shape: (B, 33, 2, M) by the shape.
+            by_shared: (B, 33, 2, U) by the shared unknowns.
+        """
         views = len(away)
         J = np.concatenate([by_pose, by_shape, by_shared], axis=-1).reshape(views, 2 * keypoints.K, -1)
         weighted = np.swapaxes(J * np.repeat(weight, 2, axis=1)[..., None], -1, -2)
@@ -49,7 +60,13 @@ class Linearised:
         return cls(squared, vehicle_cost, weighted @ J, gradient, by_shape.shape[-1])
 
     def where(self, better: Mask, other: Self, vehicle: NDArray[np.intp]) -> Self:
-        """The vehicles `better` (N,) as in `other`."""
+        """These normal equations, but some vehicles' as in `other`.
+
+        Args:
+            better: (N,) which vehicles are taken from `other`.
+            other: Normal equations of the same views.
+            vehicle: (B,) the vehicle of each view.
+        """
         rows = better[vehicle]
         return replace(
             self,

@@ -62,9 +62,12 @@ class Fits:
         return Fits(*(getattr(self, f.name)[row, order] for f in fields(self)))
 
     def replace_where(self, rows: NDArray[np.intp], other: "Fits", better: NDArray[np.bool_]) -> None:
-        """Replace the fits of some of the vehicles `rows` by those of `other`, which holds a row for each of `rows`.
+        """Replace the fits of some vehicles, in place.
 
-        `better` (len(rows),) says which are replaced.
+        Args:
+            rows: (R,) vehicles of these fits.
+            other: Fits of R vehicles, in the order of `rows`.
+            better: (R,) which of them are taken from `other`.
         """
         for f in fields(self):
             getattr(self, f.name)[rows[better]] = getattr(other, f.name)[better]

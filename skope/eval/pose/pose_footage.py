@@ -20,7 +20,7 @@ _PROGRESS_FILE: Final = ".vehicles.jsonl"
 
 @dataclass(frozen=True, kw_only=True)
 class PoseJob:
-    """Whose poses to work out, and where to write them."""
+    """Vehicles whose poses to work out, and where to write them."""
 
     scene: Scene
     out: Path

@@ -29,14 +29,14 @@ _SUBSETS: Final = {True: 24, False: 4}
 _SUBSET: Final = 6
 """Keypoints of a random start."""
 _BETTER: Final = 12.0
-"""How much lower (twice the log likelihood) the cost must be for labels to count as exchanged."""
+"""Labels count as exchanged if the cost (twice the negative log likelihood) is lower by this much."""
 _HIDDEN: Final = 9.0
 """Cost of a keypoint that is unrelated to the pose, uniform over the box: about the box's area over that of the
 keypoint's own uncertainty, as a log likelihood."""
 RIVAL: Final = 30.0
 """Difference of cost within which the opposite heading leaves doubt: 2% of the right ones, half of the wrong."""
 _HIDDEN_ROUNDS: Final = 2
-"""How often the hidden keypoints are worked out from a pose and the pose is fitted again without them."""
+"""Rounds in which the hidden keypoints are worked out from a pose and the pose is fitted again without them."""
 _ORDERS: Final = (list(FLIP), list(OTHER_END), [FLIP[i] for i in OTHER_END])
 """Order of the keypoints after each of `EXCHANGES`."""
 

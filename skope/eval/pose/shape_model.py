@@ -41,7 +41,16 @@ class Shapes:
 
     @classmethod
     def known(cls, points: ArrayLike, size_lwh: ArrayLike, *, name: str = "known") -> Self:
-        """The one shape of a vehicle whose keypoints (33, 3) and dimensions (3,) are known."""
+        """Make the shape of a vehicle that is known.
+
+        Args:
+            points: (33, 3) keypoints in the vehicle frame, metres.
+            size_lwh: (3,) length, width and height, metres.
+            name: What the body type is called.
+
+        Returns:
+            One body type without directions: nothing of its shape is free.
+        """
         row = np.concatenate([np.asarray(points, dtype=np.float64), [np.asarray(size_lwh, dtype=np.float64)]])
         return cls((name,), np.ones(1), row[None], np.zeros((1, 0, SHAPE_ROWS, 3)), np.zeros((1, keypoints.K)))
 

@@ -33,9 +33,9 @@ REFUSALS: Final = ("few_keypoints", "on_a_line", "no_fit", "inconsistent", "unce
 """Why a vehicle has no pose: fewer keypoints than a pose needs; keypoints on one line; nothing in front of the camera
 fits; more than 60% of the keypoints contradict the rest; the covariance says that the answer is worth nothing."""
 POSE_FLAGS: Final = (*EXCHANGES, "outliers", "heading_in_doubt", "end_in_doubt", "cut")
-"""What a pose should be distrusted for: keypoints that fit only with left and right, or front and rear, or both taken
-for each other; some keypoints left out; another heading fits about as well; the keypoints that are seen belong to the
-end that faces away from the camera; the image shows a part of the vehicle only."""
+"""Reasons to distrust a pose: keypoints that fit only with left and right, or front and rear, or both taken for each
+other; some keypoints left out; another heading fits about as well; the keypoints that are seen belong to the end that
+faces away from the camera; the image shows a part of the vehicle only."""
 
 _CHUNK_VEHICLES: Final = 128
 """Vehicles that are worked out together; not all at once, so that memory stays small."""
@@ -51,7 +51,7 @@ _HOPELESS: Final = 1e5
 _BESIDE_M: Final = 6.0
 """Metres before or behind a vehicle's middle from which a camera sees one end of it and not the other."""
 _LAMP_MARGIN: Final = 0.4
-"""How much more probable the lamps of the other end must be to contradict the pose."""
+"""The lamps of the other end contradict a pose if they are more probable by this much."""
 _WORST_HEADING: Final = math.radians(25)
 """Largest standard deviation of a heading that is worth something."""
 _WORST_DISTANCE: Final = 0.1

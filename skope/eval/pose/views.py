@@ -36,12 +36,12 @@ MATCH_IOU: Final = 0.6
 _SIGMA_SHARE: Final = 0.02
 """Standard deviation of a predicted keypoint as a share of its box's longer edge, at least a pixel."""
 _EDGE_SHARE: Final = 0.04
-"""How far from the image's edge a predicted box may end that the image cuts, as a share of the box's longer edge."""
+"""Largest distance from the image's edge to a predicted box that it cuts, as a share of the box's longer edge."""
 _EDGE_PX: Final = 4.0
 """Least of that distance, pixels."""
 _PUSHED_SHARE: Final = 0.02
-"""How far from the edge that cuts its box a keypoint may lie to be taken for one that the detector pushed there, as a
-share of the box's longer edge."""
+"""Largest distance of a keypoint from the edge that cuts its box to be taken for one that the detector pushed there, as
+a share of the box's longer edge."""
 _PUSHED_PX: Final = 2.0
 """Least of that distance, pixels."""
 
@@ -79,17 +79,17 @@ class Scene:
     camera: Camera | None
     """Camera of all images, in place of the images' own; None: each image has its own."""
     ground: Ground | None
-    """Where the road is; None: unknown."""
+    """The road; None: unknown."""
     left_out: str | None = None
-    """Which images of the file are not here, as they show another view; None: all are here."""
+    """Images of the file that are not here, as they show another view, in words; None: all are here."""
     road_users: Iterable[RoadUserResult] | None = None
     """The other road users that were found, in any order; may be of other images too. None: the annotations' own."""
     roads: Mapping[int, Ground | None] = field(default_factory=dict)
-    """Where the road is in single images, by their ids, of a file of several cameras."""
+    """The road in single images, by their ids, of a file of several cameras."""
     known: UncertainCamera | None = None
-    """How well the camera of all images is known; None: nothing says that."""
+    """The camera of all images with its covariance; None: nothing says how well it is known."""
     motion: CameraMotion | None = None
-    """How the camera sways around where it is calibrated; None: it stands still, as far as is known."""
+    """Sway of the camera around where it is calibrated; None: it stands still, as far as is known."""
     moved: frozenset[int] = frozenset()
     """Ids of images that another view than the calibrated one shows: they have no places in metres."""
 

@@ -31,7 +31,7 @@ class VehicleCamera(NamedTuple):
 
     estimate: CameraEstimate
     told: str
-    """Who has told it, in words."""
+    """Vehicles that have told it, in words."""
     numbered: bool
     """Whether it was known which views are of the same vehicle."""
 
@@ -84,7 +84,15 @@ def from_vehicles(
     lengths: Sequence[KnownLength],
     out: Path,
 ) -> Iterator[str]:
-    """Fit to the vehicles of a scene, which lies in `folder`, and write `out`; yields what was found.
+    """Fit a camera to the vehicles of a scene and write its file; yields lines on what was found.
+
+    Args:
+        scene: Images of one camera, and the keypoints in them.
+        folder: Where the scene's results lie, for the command that comes next; None: it is not named.
+        count: Use at most so many vehicles.
+        score, noise, sigma_px, height, fov_deg: As `camera_of_vehicles` takes them.
+        lengths: Lengths that are known, which correct the scale; there may be none.
+        out: The camera file, which must not be there with other content.
 
     Raises:
         UserError: The vehicles do not tell the camera, or the camera that they tell does not hold together.

@@ -55,7 +55,16 @@ def _spread(candidates: list[int], blocks: Integers) -> list[int]:
 
 
 def gallery(measured: SplitScores, root: Path, options: Options) -> str:
-    """Figures of the chosen images whose files are there, as markup."""
+    """Draw the best, the median and the worst images of a split, with the failures in each.
+
+    Args:
+        measured: Scores of the split.
+        root: Folder that the paths of the images begin at.
+        options: How was measured; the loosest IoU threshold chooses the images.
+
+    Returns:
+        Figures as markup; images whose files cannot be read are left out.
+    """
     threshold = options.loosest
     outcomes = measured.outcomes[threshold]
     kinds = wrong_points(measured.matches, outcomes, options)

@@ -68,9 +68,19 @@ def render(
     beside: Mapping[str, Any] | None,
     subject: str,
 ) -> str:
-    """The whole report as HTML: what `subject` names, of which `document` has the figures.
+    """Write the report as one HTML page.
 
-    Images are taken from below `root` where they are there.
+    Args:
+        document: The content of `metrics.json`.
+        measured: Scores of the splits.
+        root: Folder that the paths of the images begin at; those whose files are not there are not shown.
+        options: How was measured.
+        protocol: Which table is shown, one of `PROTOCOLS`.
+        beside: A published table (see `table.published`); None: none.
+        subject: What was measured, for the title.
+
+    Returns:
+        The page as HTML.
     """
     names = ", ".join(split.file.name for split in measured)
     links = {"images": "Images", "figures": "Figures", **{_anchor(s): f"Split {s.file.name}" for s in measured}}
@@ -116,7 +126,7 @@ def _about(document: Mapping[str, Any]) -> str:
 
 
 def _source(of: Mapping[str, Any] | None) -> str:
-    """Which files the figures are of, and what worked them out when."""
+    """Sentence on the files that the figures are of, and on what worked them out when."""
     if of is None:
         return tag("p", escape(f"skope {__version__}."))
     files = "; ".join(f"{path} (SHA-256 {digest[:12]})" for path, digest in of["inputs"].items())

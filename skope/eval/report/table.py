@@ -44,9 +44,19 @@ def published() -> dict[str, Any]:
 
 
 def render(metrics: Mapping[str, Any], protocol: str, width: int, *, beside: Mapping[str, Any] | None = None) -> str:
-    """The splits of a `metrics.json` as lines of at most `width` characters (but never less than one split needs).
+    """Write the splits of a `metrics.json` as text.
 
-    `beside` is a published table (see `published`), whose rows stand below ours.
+    Args:
+        metrics: The content of `metrics.json`.
+        protocol: Which figures are shown, one of `PROTOCOLS`.
+        width: Longest line of the table in characters; a single split may need more.
+        beside: A published table (see `published`), whose rows stand below ours; None: none.
+
+    Returns:
+        The lines of the table, and what belongs below it.
+
+    Raises:
+        UserError: There is no such protocol.
     """
     one_of("--protocol", protocol, PROTOCOLS)
     splits = list(metrics["splits"].items())
@@ -87,7 +97,16 @@ def row_of(figures: Mapping[str, Any], protocol: str) -> list[Any]:
 
 
 def published_row(table: Mapping[str, Any], split: str, threshold: str) -> list[float | None]:
-    """A published table's figures in the order of `row_of`; None where it has no such split or threshold."""
+    """Look up a published table's figures.
+
+    Args:
+        table: A published table (see `published`).
+        split: Name of the split.
+        threshold: IoU threshold, as the table writes it.
+
+    Returns:
+        Figures in the order of `row_of`; all None where the table has no such split or threshold.
+    """
     row = table["splits"].get(split, {}).get(threshold)
     return list(row) if row else [None] * (1 + len(FIGURE_COLUMNS))
 
@@ -136,7 +155,8 @@ def _categories(splits: Mapping[str, Any], score: float) -> list[str]:
 
 
 def _localisation(splits: Mapping[str, Any]) -> list[str]:
-    """How exact the keypoints of the vehicles found are, at the lowest threshold; nothing where nothing is labelled."""
+    """Lines on how exact the keypoints of the vehicles found are, at the lowest threshold; none where nothing is
+    labelled."""
     found = {name: split["localisation"] for name, split in splits.items() if split.get("localisation")}
     rows = [
         [

@@ -1,4 +1,4 @@
-"""What is missing or turned round in the marks, in the words of somebody who has a road and a map."""
+"""Advice on what is missing or turned round in the marks, in words of somebody who has a road and a map."""
 
 from collections.abc import Mapping
 from typing import Any, Final
@@ -30,7 +30,7 @@ _TOGETHER: Final = 0.2
 
 
 def missing(document: Mapping[str, Any], marks: Marks) -> str:
-    """What has to be marked or typed before points can tell a camera; empty where points are not what is missing."""
+    """Advice on what to mark or type before points can tell a camera; empty where points are not what is missing."""
     evidence = marks.evidence
     # Three points have as many coordinates as a pose; a fourth is needed where the lens is not known.
     needed = FEWEST - 1 if any("focal" in belief.of for belief in evidence.beliefs) else FEWEST

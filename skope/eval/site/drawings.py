@@ -20,7 +20,7 @@ DRAWN: Final = ("gates", "zones", "lanes", "occluders")
 LANE_M: Final = 3.5
 """Width of a lane that says none."""
 _FIELDS: Final = {"gates": "line", "zones": "polygon", "lanes": "line", "occluders": "polygon"}
-"""Where the positions of each kind are."""
+"""Field of each kind that holds its positions."""
 _FEWEST: Final = {"gates": 2, "zones": 3, "lanes": 2, "occluders": 3}
 _STEP_M: Final = 0.5
 """Lines on the road are projected in so many metres each, since a lens bends them."""
@@ -63,7 +63,7 @@ def read_drawings(document: Mapping[str, Any]) -> tuple[list[Drawing], list[Prob
 
 
 def _problems(kind: str, index: int, entry: Mapping[str, Any], names: set[str]) -> list[Problem]:
-    """What is wrong with an entry; `names` are those of the entries before it, to which its own is added."""
+    """Problems of an entry; `names` are those of the entries before it, to which its own is added."""
     out: list[Problem] = []
 
     def wrong(field: str, text: str, *, missing: bool = False) -> None:
@@ -121,10 +121,19 @@ def _direction_problems(index: int, entry: Mapping[str, Any]) -> list[Problem]:
 def shapes(
     drawings: Sequence[Drawing], camera: Camera, place_error: Callable[[Array], Array] | None
 ) -> list[dict[str, Any]]:
-    """What the page draws of each drawing: polylines in pixels, pixels of its corners, warnings, and `ways`.
+    """Work out what the page draws of each drawing.
 
     The ways (two places each, metres) are a lane's last leg and the two directions across a gate, from its left to its
     right and back; `arrows` are the same in the image.
+
+    Args:
+        drawings: The drawings without faults.
+        camera: The camera, over a road at z = 0.
+        place_error: Takes pixels (..., 2) to errors of places in metres (...,); None: they are not known.
+
+    Returns:
+        For each drawing `kind`, `index` and `warnings`; `lines` and `corners` in pixels, but of occluders; of gates and
+        lanes `ways` and `arrows`; of lanes `edges`, in pixels.
     """
     lanes = [(one.positions, one.width) for one in drawings if one.kind == "lanes"]
     out = []

@@ -1,4 +1,4 @@
-"""How well places are known everywhere in an image: the radius that holds a place in 90% of the cases."""
+"""Errors of places everywhere in an image: the radius that holds a place in 90% of the cases."""
 
 from typing import Any, Final
 

@@ -14,7 +14,7 @@ FIELDS: Final = ("time_zone", "start")
 
 @dataclass(frozen=True, kw_only=True)
 class FootageTime:
-    """When the footage was taken, as far as the page says it."""
+    """Time at which the footage was taken, as far as the page says it."""
 
     time_zone: str | None
     start: datetime | None

@@ -21,7 +21,7 @@ _EMPTY: Final = (226, 226, 226)
 
 
 def seen_from_above(camera: Camera, pixels: NDArray[np.uint8] | None) -> dict[str, Any]:
-    """What a camera's picture (H, W, 3), or None for an empty one, shows of the road.
+    """Show the road of a camera's picture (H, W, 3), or of an empty one (None), from above.
 
     Returns `low` and `high`, world x, y of the south-west and north-east corners in metres, `cell_m`, `size` in cells,
     and `image`, a data address.

@@ -1,4 +1,4 @@
-"""What makes a gate count badly: no room for tracks on both sides, a lane that it runs along, places not well known."""
+"""Checks of gates that count badly: no room for tracks on both sides, a lane along them, places not well known."""
 
 import itertools
 import math

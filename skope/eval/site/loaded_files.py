@@ -16,13 +16,13 @@ from skope.files.atomic import write_text
 
 POINT_FILES: Final = (".otrfpts", ".csv")
 _FOCAL_SHARE: Final = 0.01
-"""How well the focal length of a camera file is believed, as a share of it: zoom and focus may have changed since."""
+"""Standard deviation of the focal length of a camera file, as a share: zoom and focus may have changed since."""
 _K1_SIGMA: Final = 0.02
 CAMERA_FILES: Final = (".json", ".yml", ".yaml", ".xml", ".txt")
 
 
 def read_file(sent: Mapping[str, Any], folder: Path, size: tuple[int, int]) -> dict[str, Any]:
-    """What a file that the browser sends adds to the document: `points` with their `world`, or `lens` and `camera`.
+    """Parts of the document from a file that the browser sends: `points` with their `world`, or `lens` and `camera`.
 
     `said` are words to the user.
 
@@ -50,7 +50,7 @@ def read_file(sent: Mapping[str, Any], folder: Path, size: tuple[int, int]) -> d
 
 
 def loaded(path: Path, size: tuple[int, int]) -> dict[str, Any]:
-    """What a file of points or a camera adds to the document. Raises UserError as `read_file` does."""
+    """Parts of the document from a file of points or a camera. Raises UserError as `read_file` does."""
     if path.suffix.lower() in POINT_FILES:
         file = read_points(path)
         # Map coordinates from a local origin have digits that nobody typed: tenths of millimetres are kept.
@@ -67,7 +67,7 @@ def loaded(path: Path, size: tuple[int, int]) -> dict[str, Any]:
 
 
 def lens_of(camera: Camera) -> dict[str, list[float]]:
-    """What a camera file says of the lens, as evidence: `focal_px`, and `k1` of OpenCV's usual model."""
+    """The lens of a camera file as evidence: `focal_px`, and `k1` of OpenCV's usual model."""
     focal = round(float(camera.K[0, 0]), 3)
     out = {"focal_px": [focal, round(_FOCAL_SHARE * focal, 3)]}
     if camera.distortion.model == "brown":

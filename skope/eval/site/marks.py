@@ -1,4 +1,4 @@
-"""What the page has marked, as evidence for the solver, and what is wrong or missing in it, field by field.
+"""Marks of the page as evidence for the solver, and what is wrong or missing in them, field by field.
 
 The page's document has lists `points`, `lengths`, `parallels`, `verticals` (pixels of the footage's own size, metres)
 and `gates`, `zones`, `lanes` (the world's metres) and `occluders` (pixels). A value that is not given yet is None; what
@@ -44,7 +44,7 @@ SIGMAS: Final = ("sigma_m", "sigma_px", "sigma_z_m")
 
 @dataclass(frozen=True, kw_only=True)
 class Problem:
-    """What is wrong with one field of one entry of the document."""
+    """Fault of one field of one entry of the document."""
 
     kind: str
     """Name of the list."""
@@ -99,7 +99,7 @@ def read_marks(document: Mapping[str, Any], size: tuple[int, int]) -> Marks:
 
 
 def _known(value: Any, width: int) -> tuple[tuple[Belief, ...], list[Problem]]:
-    """What is known of the camera beforehand: `fov_deg` and `height_m`, each [value, standard deviation]."""
+    """Prior knowledge of the camera: `fov_deg` and `height_m`, each [value, standard deviation]."""
     found: dict[str, tuple[float, float]] = {}
     problems = []
     for name, limits in KNOWN.items():
@@ -118,7 +118,7 @@ def _known(value: Any, width: int) -> tuple[tuple[Belief, ...], list[Problem]]:
 
 
 def _lens(value: Any) -> dict[str, tuple[float, float]]:
-    """What a camera file says of the lens, which the page shows and does not change."""
+    """The lens of a camera file, which the page shows and does not change."""
     given = {key: value[key] for key in LENS if value.get(key) is not None} if isinstance(value, dict) else {}
     rows = positions(list(given.values()), 2)
     lens = {key: (row[0], row[1]) for key, row in zip(given, rows or [], strict=False)}

@@ -1,4 +1,4 @@
-"""What is drawn into the image to judge a camera by: a grid of metres, posts, boxes as large as cars, the horizon.
+"""Overlays to judge a camera by: a grid of metres, posts, boxes as large as cars, the horizon.
 
 All are polylines in pixels, cut where the camera does not see them.
 """
@@ -84,7 +84,16 @@ def horizon(camera: Camera) -> list[Polyline]:
 
 
 def box(camera: Camera, place: Array, way: Array) -> list[Polyline]:
-    """The edges of a car that stands on a place (3,) of the road along a direction (2,)."""
+    """Draw the edges of a car of `CAR_LWH` that stands on the road.
+
+    Args:
+        camera: The camera.
+        place: (3,) middle of the car on the road, metres.
+        way: (2,) unit vector in which it heads.
+
+    Returns:
+        The parts of its edges that the camera sees, pixels.
+    """
     turn = np.array([[way[0], -way[1], 0], [way[1], way[0], 0], [0, 0, 1]])
     corners = place + (_CORNERS * CAR_LWH) @ turn.T
     return [line for a, b in _EDGES for line in drawn(camera, corners[[a, b]])]

@@ -1,4 +1,4 @@
-"""How large a plan is that a user has loaded, and how it is turned, from two of its points."""
+"""Scale and rotation of a plan that a user has loaded, from two of its points."""
 
 import math
 from collections.abc import Mapping

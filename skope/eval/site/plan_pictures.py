@@ -14,7 +14,7 @@ _KINDS: Final = (
     (b"\xff\xd8\xff", ".jpg", "image/jpeg"),
     (b"RIFF", ".webp", "image/webp"),
 )
-"""How the files begin that every browser shows."""
+"""First bytes, ending and type of the files that every browser shows."""
 _LARGEST: Final = 24 << 20
 
 
@@ -51,7 +51,7 @@ class PlanPictures:
         return self._pictures.get(name) if isinstance(name, str) else None
 
     def saved_beside(self, site: Path, name: Any) -> str | None:
-        """What the site file is to call a picture, which is written beside it where it is not there yet.
+        """Name of a picture in the site file; the picture is written beside that where it is not there yet.
 
         No other file is overwritten. None where there is no such picture.
         """

@@ -92,7 +92,17 @@ def serve_site(frames: SiteFrames, path: Path, added: Mapping[str, Any], port: i
 
 
 def bound_site(frames: SiteFrames, path: Path, added: Mapping[str, Any], port: int | None) -> "SiteServer":
-    """A server that listens; see `serve_site`."""
+    """Start the server of a site's page, which listens; `serve_site` lets it answer.
+
+    Args:
+        frames: The footage.
+        path: The site file, which need not be there.
+        added: What is put into the page's document besides what the file holds.
+        port: Where the server listens; None: any usual one.
+
+    Raises:
+        UserError: The site file cannot be read, or `port` not be used.
+    """
     return bound_to(lambda free: SiteServer(frames, path, added, free), port)
 
 
@@ -114,7 +124,7 @@ class SiteServer(LocalServer):
         return shlex.join(["skope", "eval", "traffic", self.frames.source, "--site", str(self.store.path)])
 
     def begin(self) -> dict[str, Any]:
-        """What the page is of, its document, and the document as it is saved."""
+        """Title of the page, its document, and the document as it is saved."""
         opened = self._opened()
         document = opened.document
         if opened.revision is None:

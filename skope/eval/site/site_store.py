@@ -23,9 +23,9 @@ from skope.site.site_file import SiteFile, read_site
 from skope.site.write_site import save_site
 
 KNOWN: Final = ("fov_deg", "height_m", "lens")
-"""What may be known of a camera beforehand, with standard deviations."""
+"""Keys of prior knowledge of a camera, with standard deviations."""
 PLAN: Final = ("metres_per_pixel", "origin", "rotation_deg")
-"""Where the pixels of a plan lie in the world."""
+"""Keys of a plan that say where its pixels lie in the world."""
 _POSES: Final = (
     *("file", "raw", "fov_deg", "R", "t", "position", "look_at", "yaw_deg", "pitch_deg", "roll_deg", "points"),
     "ground",
@@ -46,7 +46,7 @@ class Opened:
     revision: str | None
     """None: there is no file yet."""
     vehicles: Belief | None = None
-    """What vehicles say of the camera."""
+    """Evidence of vehicles on the camera."""
     plan: Path | None = None
     """The plan's picture, which need not be there."""
 
@@ -79,7 +79,17 @@ class SiteStore:
         when: datetime,
         plan: str | None = None,
     ) -> str:
-        """Write a document into the file; returns its new revision. `plan` is what its plan's picture is called.
+        """Write a document into the file.
+
+        Args:
+            document: The page's document, without problems.
+            solved: Its camera.
+            revision: Revision of what the page has read; None: there was no file.
+            when: Now, which the file says of its calibration.
+            plan: File name of the plan's picture; None: it keeps the name that it has in the file.
+
+        Returns:
+            The file's new revision.
 
         Raises:
             SavedElsewhereError: The file is not the one of `revision` any more; nothing is written.
@@ -98,7 +108,7 @@ class SiteStore:
 
 
 def document_of(site: SiteFile | None, size: tuple[int, int]) -> dict[str, Any]:
-    """What the page shows of a site file.
+    """The page's document of a site file.
 
     Raises UserError where the file's marks are of images of another size than `size`.
     """
@@ -192,7 +202,18 @@ def changes_of(
     when: datetime,
     plan: str | None,
 ) -> dict[str, Any]:
-    """New values of the file's keys, as `save_site` takes them, of a document without problems."""
+    """New values of the file's keys, as `save_site` takes them.
+
+    Args:
+        document: The page's document, without problems.
+        solved: Its camera.
+        size: Width and height of the images, pixels.
+        when: Now, which the file says of its calibration.
+        plan: File name of the plan's picture; None: it keeps the name that it has in the file.
+
+    Returns:
+        Keys at the top of the file -> values; None removes a key.
+    """
     out: dict[str, Any] = {}
     marked = {kind: _saved_marks(document, kind) for kind in KINDS}
     known = {name: document.get("known", {}).get(name) for name in KNOWN}

@@ -1,4 +1,4 @@
-"""What the server answers to a document of the page: the camera that its marks tell, and all that is drawn of it."""
+"""Answers of the server to a document of the page: the camera that its marks tell, and all that is drawn of it."""
 
 import json
 import math
@@ -38,17 +38,17 @@ class SolvedCamera:
 
     camera: Camera | None
     known: UncertainCamera | None
-    """How well the camera is known; None where nothing says it."""
+    """The camera with its covariance; None where nothing says how well it is known."""
     message: str
-    """Why there is no camera, or why it is not that of the marks; empty where it is."""
+    """Reason why there is no camera, or why it is not that of the marks; empty where it is."""
     mend: str = ""
-    """What the page may offer to mend by itself: "degrees" or "mirrored" places; empty: nothing."""
+    """Faults that the page may offer to mend by itself: "degrees" or "mirrored" places; empty: none."""
     left_out: Mapping[str, LeftOutError] = field(default_factory=dict)
-    """Where the others put each point that is left out once, by its name."""
+    """Error of each point, left out once and placed by the others, by its name."""
 
     @property
     def calibration(self) -> SiteCalibration | None:
-        """What the marks told; None where the camera is a given one."""
+        """The camera that the marks told; None where it is a given one."""
         return self.known if isinstance(self.known, SiteCalibration) else None
 
 
@@ -124,7 +124,7 @@ class SolvedPage:
         return out
 
     def places(self, document: Mapping[str, Any], pixels: Any) -> dict[str, Any]:
-        """Where pixels (N, 2) lie on the road: rows [x, y] in metres or None, and the error of each in metres."""
+        """Places of pixels (N, 2) on the road: rows [x, y] in metres or None, and the error of each in metres."""
         rows = positions(pixels, 2)
         if rows is None:
             raise UserError("pixels: expected rows of two numbers")
@@ -161,7 +161,7 @@ def given_camera(document: Mapping[str, Any], size: tuple[int, int]) -> GivenCam
 
 
 def _known(camera: Camera, value: Any) -> UncertainCamera | None:
-    """How well a camera is known, by the covariance that came with it."""
+    """The camera with the covariance that came with it; None where none did."""
     return UncertainCamera.from_dict(camera, value) if isinstance(value, dict) else None
 
 
@@ -205,7 +205,7 @@ def _sigmas(known: UncertainCamera | None) -> dict[str, float]:
 
 
 def _residuals(calibration: SiteCalibration, marks: Marks, without: Mapping[str, LeftOutError]) -> list[dict[str, Any]]:
-    """How far each mark is from the camera, in the order of the document's lists; left-out points too.
+    """Distance of each mark from the camera, in the order of the document's lists; left-out points too.
 
     `by_others` of a point is [how far from its place the others put it, within what that lies in 90% of the cases],
     metres; None where they do not say it.
@@ -253,7 +253,7 @@ def _toward(drawings: list[Drawing]) -> Array | None:
 
 
 def unfinished(problems: list[Problem]) -> str:
-    """What keeps a document from being saved, in a sentence; empty where nothing does."""
+    """Sentence on what keeps a document from being saved; empty where nothing does."""
     if not problems:
         return ""
     first = problems[0]

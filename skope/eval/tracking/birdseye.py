@@ -28,7 +28,7 @@ _DPI: Final = 150
 _WIDTH_INCHES: Final = 10.0
 """Inches."""
 _MAP_PLACE: Final = {"left": 0.055, "right": 0.895, "top": 0.85, "bottom": 0.5}
-"""Where the map is: shares of the picture's width to the left and right, inches at the top and bottom."""
+"""Place of the map: shares of the picture's width to the left and right, inches at the top and bottom."""
 _MARGIN_M: Final = 10.0
 _SURE_M: Final = 1.5
 """The map is of the places that are known as well as this, one standard deviation: farther ones would make it small."""
@@ -43,11 +43,11 @@ _FEWER_CELLS: Final = 1200
 _KEPT_ROAD: Final = 70
 """Cells of the road's picture that is kept for other maps, along its longer side, and how well its file keeps it."""
 _DRIVING_KMH: Final = 5.0
-"""What is slower may stand, and says nothing of how fast vehicles drive."""
+"""A slower vehicle may stand, and says nothing of how fast vehicles drive."""
 _STANDS_M: Final = 4.0
 """A track shorter than this has no direction of travel."""
 _WEDGE: Final = ((0.85, 0.0), (0.1, 0.7), (0.1, -0.7))
-"""What points to a vehicle's front, in halves of its length and width."""
+"""Wedge that points to a vehicle's front, in halves of its length and width."""
 
 
 def draw(

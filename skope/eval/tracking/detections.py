@@ -45,9 +45,10 @@ class Detection:
     pose: PoseMeasurement | None
     """Its pose; None where the pose solver refused one."""
     link: int | None = None
-    """What the detections of one vehicle share from frame to frame, as boxes and points on it say; None: not known."""
+    """Number that the detections of one vehicle share from frame to frame, as boxes and points on it say; None: not
+    known."""
     refused: str | None = None
-    """Why the pose solver refused one; None also where none was asked for, as between key frames."""
+    """Reason for which the pose solver refused one; None also where none was asked for, as between key frames."""
 
 
 def detections_of(image: Located, *, linked: bool = True) -> list[Detection]:

@@ -18,16 +18,27 @@ _SHADOWING_M: Final = 2.0
 
 
 def encloses(track: OpenTrack, place: Array, covariance: Array) -> bool:
-    """Whether a place (2,), known as well as its `covariance` (2, 2) says, is inside a track's vehicle."""
+    """Whether a place is inside a track's vehicle, give or take a standard deviation.
+
+    Args:
+        track: The track, with a pose.
+        place: (2,) world, metres.
+        covariance: (2, 2) of the place, square metres; that of the track's own place is added.
+    """
     mean, spread = track.state
     return inside(track.last_pose, place - mean[:2], covariance + spread[:2, :2])
 
 
 def inside(vehicle: PoseMeasurement, away: Array, covariance: Array) -> bool:
-    """Whether what is `away` (2,) from a vehicle's middle, metres, is inside it, give or take a standard deviation.
+    """Whether a place is inside a vehicle, give or take a standard deviation.
 
-    `covariance` (2, 2) is that of `away`. Far away a standard deviation is more than the way to the next vehicle in a
-    queue or a car park: at most half a width is given to the sides, and a quarter of the length ahead.
+    Far away a standard deviation is more than the way to the next vehicle in a queue or a car park: at most half a
+    width is given to the sides, and a quarter of the length ahead.
+
+    Args:
+        vehicle: Its heading and size.
+        away: (2,) world x and y from the vehicle's middle, metres.
+        covariance: (2, 2) of `away`, square metres.
     """
     x, y = away.tolist()
     (a, b), (_, d) = covariance.tolist()

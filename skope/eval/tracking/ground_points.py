@@ -53,9 +53,9 @@ class Sight:
     links: tuple[tuple[int, int], ...]
     """Category and number: what the sights of one road user share from frame to frame, where it is known."""
     scores: Mapping[int, float]
-    """How surely it is of each category."""
+    """Confidence in each category."""
     point: GroundPoint | None
-    """Where it stands; None where the box does not say: cut, followed from other frames, or too far away."""
+    """Its place on the ground; None where the box does not say: cut, followed from other frames, or too far away."""
 
 
 def sights_of(scene: Scene, *, score: float, sigma_px: float | None) -> list[list[Sight]]:

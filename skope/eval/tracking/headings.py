@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 from skope.types import Array
 
 _MEMORY_S: Final = 1.5
-"""How long a rate of turn lasts."""
+"""Time for which a rate of turn lasts, seconds."""
 _MOVING: Final = 1.5
 """Speed from which the direction of travel says where the front is, m/s."""
 _TURN: Final = 0.35
-"""How much the rate of turn of a driving vehicle changes in a second, radians a second."""
+"""Change of a driving vehicle's rate of turn in a second, radians a second."""
 _TURNING: Final = 5.0
 """Speed from which `_TURN` holds, m/s; a slower vehicle's rate of turn changes less, in proportion."""
 _TREMOR: Final = math.radians(0.5)

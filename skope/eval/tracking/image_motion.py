@@ -14,13 +14,13 @@ from skope.eval.tracking.tracks import OpenTrack, TrackStep
 from skope.types import Array
 
 _PACE_S: Final = 0.3
-"""How fast a vehicle moves in the image is told by its last box and the newest that is so much older, seconds."""
+"""The last box and the newest one older by so much tell how fast a vehicle moves in the image, seconds."""
 _FASTER: Final = 2.0
 """It may have stopped, or moved on so many times as fast: in the image vehicles that come near grow faster."""
 _ASIDE_DIAGONALS: Final = 0.6
-"""How far from that way a vehicle may be found at once, in diagonals of its box."""
+"""Largest distance of a vehicle from that way at once, in diagonals of its box."""
 _SWERVES: Final = 0.7
-"""How much farther a second later: it may have turned."""
+"""Growth of that distance in a second: it may have turned."""
 _FIRST: Final = (1.0, 8.0)
 """The same two for one that has been seen once: 8 lengths a second are 130 km/h."""
 
@@ -30,13 +30,13 @@ class Whereabouts:
     """Region of an image for the middle of a track's box: near a line from where it was."""
 
     middle: tuple[float, float]
-    """Where it was, pixels."""
+    """Its last place, pixels."""
     way: tuple[float, float]
-    """How far it may have gone on from there, pixels."""
+    """Longest way that it may have gone on from there, pixels."""
     diagonal: float
     """Of the last box, pixels."""
     reach: float
-    """How far from the line it may be, in diagonals."""
+    """Largest distance from the line, in diagonals."""
 
     def holds(self, detection: Detection) -> bool:
         """Whether a detection can be this vehicle."""

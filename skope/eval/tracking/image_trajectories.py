@@ -22,7 +22,7 @@ _FOOT_SIGMA_SHARE: Final = 0.03
 """Standard deviation of the lower edge's middle, as a share of a box's longer edge, and a pixel at least."""
 _FEWEST_BOXES: Final = 3
 _SHORTEST_S: Final = 0.4
-"""Who is seen more seldom, or for a shorter time, does not count."""
+"""A road user that is seen in fewer boxes, or for less time (seconds), does not count."""
 _TOGETHER_SHARE: Final = 0.5
 """Two tracks are one road user's where their boxes are in the median, over so much of the shorter track."""
 Rows = list[tuple[float, ...]]

@@ -31,8 +31,8 @@ _ACCELERATION: Final = 2.0
 _SLIDE: Final = 0.5
 """Standard deviation of a standing vehicle's speed to its side, m/s."""
 _SLIP: Final = 0.15
-"""What is added to `_SLIDE` for a driving vehicle, as a share of its speed: in a turn its middle does not move where
-its front points."""
+"""Share of a driving vehicle's speed that is added to `_SLIDE`: in a turn its middle does not move where its front
+points."""
 
 
 def first_state(pose: PoseMeasurement) -> State:

@@ -36,7 +36,17 @@ def unit_m(axes: "Axes") -> float:
 
 
 def corners(track: Track, i: int, shape: Sequence[tuple[float, float]]) -> list[Array]:
-    """World x, y of points on a vehicle: (1, 1) is its front left corner, (-1, -1) the rear right one."""
+    """Places of points on a vehicle.
+
+    Args:
+        track: The vehicle's track.
+        i: Row of the track.
+        shape: Points ahead and to the left of the middle, in half lengths and half widths: (1, 1) is the front left
+            corner, (-1, -1) the rear right one.
+
+    Returns:
+        World x, y (2,) of each, metres.
+    """
     ahead = np.array([np.cos(track.heading[i]), np.sin(track.heading[i])])
     across = np.array([-ahead[1], ahead[0]])
     length, width = track.size_lwh[:2] / 2
@@ -83,10 +93,17 @@ def draw_labels(
     present: Mapping[int, int],
     taken: Sequence["Bbox"],
 ) -> None:
-    """The numbers of the tracks that are `labelled`, with the speed of the vehicles that are drawn and drive.
+    """Write the numbers of tracks, with the speed of vehicles that are drawn and drive.
 
-    No label lies on another one, on a vehicle or on the boxes that are `taken`. It takes the place where
-    it hides least of the ways driven; what finds no place near its vehicle is left out: tracks.csv has them all.
+    No label lies on another one, on a vehicle or on a box that is taken. It takes the place where it hides least of the
+    ways driven; what finds no place near its vehicle is left out: tracks.csv has them all.
+
+    Args:
+        axes: The map.
+        tracks: All tracks that are drawn; labels keep off their ways.
+        labelled: Those that get a label.
+        present: Number of a track -> its row at the moment of the map, for vehicles that are drawn.
+        taken: Boxes that are not free, pixels of the figure.
     """
     # Window coordinates of matplotlib: pixels from the bottom left.
     drawn = [corners(track, present[track.number], OUTLINE) for track in tracks if track.number in present]
@@ -144,7 +161,16 @@ def draw_frame(axes: "Axes") -> None:
 
 
 def draw_key(axes: "Axes", tracks: Sequence[Track], camera: Camera) -> "Bbox":
-    """A scale bar in the emptiest corner; returns where, in pixels."""
+    """Draw a scale bar in the emptiest corner.
+
+    Args:
+        axes: The map, in metres.
+        tracks: What is drawn: the bar keeps off their places.
+        camera: And off the camera's.
+
+    Returns:
+        The box that it takes, pixels of the figure.
+    """
     from matplotlib.patches import FancyBboxPatch
 
     (x0, x1), (y0, y1) = axes.get_xlim(), axes.get_ylim()
@@ -190,6 +216,13 @@ def _box_around(points: ArrayLike) -> "Bbox":
 
 
 def draw_scale(axes: "Axes", colors: "Colormap", norm: "Normalize") -> None:
+    """Draw the scale of colours for speeds in km/h.
+
+    Args:
+        axes: Where it is drawn; it is filled.
+        colors: Colours of speeds.
+        norm: Speeds, km/h, that the colours begin and end at.
+    """
     from matplotlib.cm import ScalarMappable
 
     axes.figure.colorbar(ScalarMappable(norm, colors), cax=axes, extend="max")  # some may drive faster

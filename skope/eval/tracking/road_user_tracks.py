@@ -29,14 +29,14 @@ _SPEEDS: Final = {"bicycle": 5.0, "motorcycle": 12.0, "pedestrian": 1.5}
 _SLACK_M: Final = 0.3
 """Added to every prediction's standard deviation when road users are told apart."""
 _LOST_S: Final = 1.0
-"""Who is not seen for so long is somebody else when coming back."""
+"""A road user that is not seen for so long, seconds, is somebody else when coming back."""
 _LAG_S: Final = 20.0
-"""What was seen so long ago is not changed by what is seen now."""
+"""A sight so long ago, seconds, is not changed by later ones."""
 _LINKED: Final = 36.0
 """A sight with a track's number joins it if it is nearer than this, in variances: a number jumps from one who walks to
 another where they meet."""
 _ON_FOOT: Final = 4.0
-"""Who is faster in the median, m/s, is not on foot but on wheels, whatever the boxes say."""
+"""A road user whose median speed is higher, m/s, is on wheels and not on foot, whatever the boxes say."""
 _ON_WHEELS: Final = (CATEGORIES.index("bicycle") + 1, CATEGORIES.index("motorcycle") + 1)
 _OTHER_KIND: Final = 4.0
 """Added to the squared distance, in variances, of a sight of another category than the track's."""
@@ -50,7 +50,7 @@ that ends too low by 3% of its height does so in frame after frame."""
 _HALF_WHEELBASE_M: Final = 0.6
 """A two-wheeler's box stands on the nearer wheel, so far from its middle where it comes or goes."""
 _MOVES: Final = 2.0
-"""Who moves by so many standard deviations of the speed, and by `_LEAST_SPEED`, has a heading."""
+"""A road user has a heading if its speed is this many standard deviations, and `_LEAST_SPEED`, m/s."""
 _LEAST_SPEED: Final = 0.5
 
 
@@ -105,7 +105,7 @@ class _Open:
     last_s: float
     """Time of the latest place."""
     scores: Counter[int] = field(default_factory=Counter)
-    """How surely it is of each category, over all sights."""
+    """Confidence in each category, summed over all sights."""
     rows: list[tuple[float, ...]] = field(default_factory=list)
     """The frames before `steps`, smoothed: frame, time, x, y, vx, vy, sigmas, z, box, score."""
 

@@ -18,7 +18,7 @@ moves as nothing on wheels does, as where two vehicles have one track; all other
 _FEW: Final = 2
 """Poses of a track that tell little."""
 _STANDS_M: Final = 1.5
-"""What never gets farther than this from where it is mostly never moved, metres."""
+"""A track that stays nearer than this to its median place in 95% of its frames never moved, metres."""
 _STANDS_S: Final = 5.0
 """And was seen for so long, seconds."""
 _FORCE: Final = 9.0
@@ -28,7 +28,7 @@ _FORCE_S: Final = 0.5
 _DIRECTION_MPS: Final = 3.0
 """Speed from which directions count, m/s."""
 _BESIDE_M: Final = 1.5
-"""Who passes so near to where a vehicle was drives where it does, metres."""
+"""A vehicle that passes so near to where another one was drives where that does, metres."""
 _FEWEST_OTHERS: Final = 5
 """So many others drive the other way."""
 _OPPOSITE: Final = math.radians(150)

@@ -47,7 +47,7 @@ class TrackJob:
     fps: float | None
     """Images a second; None: the images tell their times."""
     begins: datetime | None
-    """When second 0 was, with its zone; None: as the file of frames says, which does so of live streams."""
+    """Time of second 0, with its zone; None: as the file of frames says, which does so of live streams."""
     noise: float
     """Standard deviation of the noise that is added to labelled keypoints, pixels."""
     score: float
@@ -119,7 +119,7 @@ def run(job: TrackJob, console: Console) -> Iterator[str]:
 
 
 def begins_of(scene: Scene, begins: datetime | None) -> datetime | None:
-    """When second 0 was: as `begins` says, else as the file of frames, which says so of live streams; None: neither."""
+    """Time of second 0: as `begins` says, else as the file of frames, which says so of live streams; None: neither."""
     said = scene.file.info.get(BEGINS)
     where = f"{scene.file.name}: info.{BEGINS}"
     return read_begins(said, where) if begins is None and said is not None else begins
@@ -155,7 +155,7 @@ def followed(
 
 
 def observation_of(scene: Scene, times: Sequence[float], begins: datetime | None) -> Observation:
-    """When the road was observed, which no track tells: `skope.traffic` counts by it.
+    """Times at which the road was observed, which no track tells: `skope.traffic` counts by it.
 
     Args:
         scene: The footage.
@@ -208,7 +208,7 @@ def _write_road_users(job: TrackJob, tracks: list[RoadUserTrack], index: list[in
 
 
 def _road_user_words(job: TrackJob, tracks: list[RoadUserTrack]) -> Iterator[str]:
-    """How many of each category there are, or why there is none."""
+    """Numbers of road users of each category in words, or why there is none."""
     if tracks:
         counts = Counter(track.category for track in tracks)
         yield f"besides: {', '.join(counted(counts[name], name) for name in CATEGORIES if counts[name])}"

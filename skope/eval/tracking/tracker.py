@@ -38,11 +38,11 @@ Posed = tuple[Detection, PoseMeasurement]
 """A detection that has a pose, and the pose."""
 
 _NEW: Final = 2 * math.log(20_000.0)
-"""What it costs, as twice a negative log likelihood, to take a detection for a new vehicle: one in 20 000 m^2."""
+"""Cost of taking a detection for a new vehicle, twice a negative log likelihood: one in 20 000 m^2."""
 GATE_SLACK_M: Final = 0.5
 """Metres added to every prediction's standard deviation when vehicles are told apart."""
 _SWERVE: Final = 6.0
-"""How suddenly a vehicle may have turned or braked since its last pose, m/s^2."""
+"""Acceleration with which a vehicle may have turned or braked since its last pose, m/s^2."""
 _SWERVE_S: Final = 1.0
 """For how long at most it may have done so, seconds."""
 _CONTINUING_IOU: Final = 0.3
@@ -60,7 +60,7 @@ _LOST_S: Final = 3.0
 _APPROACH_S: Final = 0.5
 """For how long before a vehicle's first pose its boxes belong to its track, seconds."""
 _LAG_S: Final = 20.0
-"""What was seen so long ago, seconds, is not changed by what is seen now."""
+"""A frame so long ago, seconds, is not changed by later ones."""
 
 
 def follow(images: Iterable[Sequence[Detection]], times_s: Sequence[float]) -> list[Track]:

@@ -132,15 +132,15 @@ class OpenTrack:
     parts: list[TrackPart] = field(default_factory=list)
     """The frames before `steps`, which no longer change."""
     kinds: Counter[str] = field(default_factory=Counter)
-    """How many of its poses have each body type."""
+    """Number of its poses with each body type."""
     last_pose_s: float = 0.0
     """Time of `last_pose`, seconds."""
     elsewhere: dict[int, Detection] = field(default_factory=dict)
     """By frame, the detections since `last_pose` that its box says are this vehicle and whose pose is elsewhere."""
     successor: "OpenTrack | None" = None
-    """What goes on from `elsewhere` in place of this track, which then ends with `last_pose`."""
+    """Track that goes on from `elsewhere` in place of this one, which then ends with `last_pose`."""
     approach: list[Sighting] = field(default_factory=list)
-    """What was seen of it before its first pose, latest first."""
+    """Sights of it before its first pose, latest first."""
     surrounding: "OpenTrack | None" = None
     """Another track inside whose vehicle this one's middle is: perhaps both are one vehicle."""
     surrounded_s: float = 0.0

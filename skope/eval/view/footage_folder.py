@@ -58,7 +58,7 @@ def _checkpoint(folder: Path) -> str:
 
 
 def _pictures(folder: Path, found_at: Any) -> Callable[[Image], Picture]:
-    """What gives the pictures of the frames: those of the files or the video that the folder says it is of."""
+    """Make a reader of the frames' pictures: those of the files or the video that the folder says it is of."""
     source = folder / found_at if isinstance(found_at, str) else None
     if source and source.is_file():
         return VideoFrames(source).picture

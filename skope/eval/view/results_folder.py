@@ -98,7 +98,7 @@ def _check_unchanged(path: Path, source: Path, inputs: Mapping[str, str]) -> Non
 
 
 def _options(path: Path, metrics: Mapping[str, Any], truth: GroundTruth) -> Options:
-    """What counted in an evaluation."""
+    """Options that an evaluation was made with."""
     try:
         thresholds = [float(t) for split in metrics["splits"].values() for t in split["iou"]]
         points = tuple(metrics["points"])

@@ -53,7 +53,7 @@ def write_excel(folder: Path, report: TrafficReport) -> list[Path]:
 
 
 class _Formats:
-    """How cells look."""
+    """Formats of cells."""
 
     def __init__(self, book: "Workbook") -> None:
         self.head: Format = book.add_format({"bold": True, "bottom": 1, "text_wrap": True, "valign": "top"})

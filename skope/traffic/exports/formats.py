@@ -22,13 +22,21 @@ FORMATS: Final[Mapping[str, str]] = {
     "ssam": "FHWA's surrogate safety model",
     "sumo": "counts for routeSampler and flowrouter",
 }
-"""What each is, in a few words."""
+"""Formats by their names, each in a few words."""
 IN_PIXELS: Final = frozenset({"excel", "parquet", "otanalytics"})
 """Those that need no metres."""
 
 
 def checked_formats(text: str, site: "SiteParts", *, metres: bool) -> tuple[str, ...]:
-    """The names in a list with commas, each once, in the order of `FORMATS`.
+    """Read a list of formats.
+
+    Args:
+        text: Names with commas between.
+        site: The site that is exported with the tracks.
+        metres: Whether the tracks are in metres.
+
+    Returns:
+        The names, each once, in the order of `FORMATS`.
 
     Raises:
         UserError: A name is none of a format; or the format needs metres, a library, or something of the site, that

@@ -1,4 +1,4 @@
-"""What OTAnalytics draws tracks and gates on: the camera's image, or the road from above with its georeference."""
+"""Backgrounds of OTAnalytics for tracks and gates: the camera's image, or the georeferenced road from above."""
 
 import math
 from collections.abc import Callable, Iterable, Sequence
@@ -53,7 +53,7 @@ class OtView:
 
 
 def image_view(site: "SiteParts", camera: Camera) -> OtView:
-    """What a camera sees of places in metres on a road at z = 0, where gates are drawn.
+    """View of a camera on places in metres on a road at z = 0, where gates are drawn.
 
     Of gates the part that lies in the image is kept, the longest one of several. Those that are drawn in the image stay
     as they are; where one on the road has the same name, theirs gets "(image)".

@@ -54,7 +54,7 @@ def _write(path: Path, table: ReportTable) -> Path:
 
 
 def _type_of(values: list[Any]) -> Any:
-    """What a column holds: whole numbers only where all are."""
+    """Type of a column: whole numbers only where all are."""
     import pyarrow as pa
 
     known = [value for value in values if value is not None]

@@ -20,7 +20,7 @@ from skope.types import Array
 
 FILE: Final = "tracks.trj"
 _STEP_S: Final = 0.1
-"""What SSAM looks at collisions by."""
+"""Step of time in which SSAM looks at collisions, seconds."""
 _VERSION: Final = 3.0
 _FORMAT, _DIMENSIONS, _TIME_STEP, _VEHICLE = range(4)
 _METRES: Final = 1

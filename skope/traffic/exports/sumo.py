@@ -69,7 +69,7 @@ def _observed(report: TrafficReport, interval: ClockInterval) -> bool:
 
 
 def _shift(report: TrafficReport) -> float:
-    """What to add to seconds of the footage, so that none is before 0."""
+    """Seconds to add to those of the footage: from midnight where the clock is known, else so that none is before 0."""
     if not report.intervals:
         return 0.0
     first = report.intervals[0]
@@ -90,7 +90,8 @@ def _interval(one: ClockInterval, shift: float) -> str:
 def _turns(
     report: TrafficReport, whole: Sequence[ClockInterval], edges: dict[Side, str], shift: float
 ) -> Iterator[str]:
-    """Who went from edge to edge, in the interval of the first one, as in the matrix of movements."""
+    """Elements with the numbers from edge to edge, in the interval of the first crossing, as in the matrix of
+    movements."""
     for interval in whole:
         pairs = Counter(
             one.sides

@@ -1,4 +1,4 @@
-"""Who went from where to where, as bands between the gates, as wide as they are many."""
+"""Flows from gate to gate as bands between them, as wide as their numbers are large."""
 
 import math
 from collections import Counter
@@ -23,7 +23,7 @@ _THINNEST: Final = 1.5
 _APART_DEG: Final = 14.0
 """Between where bands come out of a gate and where they go into it."""
 _INWARD: Final = 0.25
-"""How near the middle of a turn's band comes to the diagram's, as a share."""
+"""Nearness of a turn's band, at its middle, to the diagram's middle, as a share."""
 _TURNED: Final = 0.6
 """And that of somebody who turns around."""
 
@@ -76,7 +76,7 @@ def flow_diagram(report: TrafficReport) -> str:
 
 
 def _angles(middles: dict[str, Array]) -> dict[str, float]:
-    """Where each gate lies around the middle of all, radians, moved apart where two are near each other."""
+    """Angle of each gate around the middle of all, radians, moved apart where two are near each other."""
     centre = np.mean(list(middles.values()), axis=0)
     found = {name: math.atan2(*(place - centre)[::-1]) for name, place in middles.items()}
     names = sorted(found, key=lambda name: found[name])

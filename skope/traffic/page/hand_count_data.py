@@ -1,4 +1,4 @@
-"""What the page needs so that somebody can count by hand in it: gates, when the road was observed, who crossed when.
+"""Data for counting by hand in the page: gates, when the road was observed, who crossed when.
 
 Times of crossings are whole milliseconds, each as what it is later than the one before, with a letter behind it for the
 class: some five bytes for each.
@@ -25,7 +25,7 @@ from skope.traffic.speeds import MOTOR, MOTOR_CLASSES
 from skope.types import Array
 
 LETTERS: Final[Mapping[str, str]] = {name: chr(ord("a") + k) for k, name in enumerate(CLASSES)}
-"""What each class is written as."""
+"""Letter of each class."""
 MOST_CROSSINGS: Final = 100_000
 """So many crossings are held by the page: about 0.6 MB. Of more it has none."""
 _ARROW_M: Final = 3.0
@@ -35,7 +35,7 @@ _DIGITS: Final = 1
 
 
 def hand_count_data(report: TrafficReport, camera: Camera | None) -> dict[str, Any]:
-    """What the page's script reads, as JSON has it.
+    """Data for the page's script, as JSON has it.
 
     Args:
         report: The report.
@@ -62,7 +62,7 @@ def hand_count_data(report: TrafficReport, camera: Camera | None) -> dict[str, A
 
 
 def _kinds(report: TrafficReport) -> list[list[str]]:
-    """What can be counted, and the letters of the classes that it is."""
+    """Names of what can be counted, and the letters of the classes in each."""
     classes = report.site.traffic.classes
     whole = {ALL: frozenset(CLASSES), MOTOR: MOTOR_CLASSES, **{name: frozenset({name}) for name in classes}}
     return [
@@ -102,7 +102,7 @@ def _step(times_s: Array) -> float:
 
 
 def _view(report: TrafficReport, camera: Camera | None) -> dict[str, Any] | None:
-    """Where gates lie in the picture: lines, and from where to where the first direction goes, pixels."""
+    """Gates in the picture: lines, and from where to where the first direction goes, pixels; None without a camera."""
     if report.metres and camera is None:
         return None
     view = pixel_view(report.site) if camera is None or not report.metres else image_view(report.site, camera)
@@ -127,7 +127,7 @@ def _arrow(gate: Gate, view: OtView, length: float) -> list[list[float]] | None:
 
 
 def _machine(report: TrafficReport, sides: Sequence[tuple[str, str]]) -> dict[str, Any]:
-    """Who crossed each gate and direction when, and who went from one to another; None where these are too many."""
+    """Crossings of each gate and direction, and movements from one to another; None where crossings are too many."""
     if len(report.crossings) > MOST_CROSSINGS:
         return {"crossings": None, "movements": None}
     numbers = {side: k for k, side in enumerate(sides)}

@@ -58,7 +58,17 @@ def write_page(
 def traffic_page(
     report: TrafficReport, *, tracks: str, road: RoadPicture | None = None, camera: Camera | None = None
 ) -> str:
-    """The page's text."""
+    """Write the page of a report.
+
+    Args:
+        report: What was measured.
+        tracks: What the tracks were read from.
+        road: The empty road from above, that the tracks are drawn on; None: there is no picture.
+        camera: What the footage was seen with, to draw gates over a video; None: not known.
+
+    Returns:
+        The page as HTML.
+    """
     name = report.observation.source or tracks
     by_hand = hand_count_panel(report, camera)
     sections = {
@@ -80,7 +90,7 @@ def traffic_page(
 
 
 def _what(report: TrafficReport) -> str:
-    """When, and of what."""
+    """Sentence on the number of road users, and on the time that was observed."""
     spans = report.observation.spans
     told = (
         f"{len(report.trajectories)} road users in {report.observation.observed_s / 60:.1f} minutes that were observed"
@@ -229,7 +239,7 @@ def _end(value: float) -> str:
 
 
 def _accuracy(report: TrafficReport) -> str:
-    """What was counted by hand beside what was counted here."""
+    """Table of hand counts beside what was counted here."""
     rows = []
     for one in report.hand_checks:
         hand = one.hand

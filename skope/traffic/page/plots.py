@@ -53,7 +53,7 @@ def counts_over_time(report: TrafficReport) -> Iterator[str]:
 
 
 def _hours(report: TrafficReport) -> str:
-    """What hours count from."""
+    """Label of hours: what they count from."""
     return "hours of the footage" if report.start is None else f"hours after {report.start:%H:%M:%S on %d %b %Y}"
 
 

@@ -35,7 +35,7 @@ _BARS_M: Final = (1, 2, 5, 10, 20, 50, 100, 200, 500)
 
 
 class _Frame:
-    """How places become points of the drawing."""
+    """Frame that takes places to points of the drawing."""
 
     def __init__(self, places: Array) -> None:
         low, high = places.min(axis=0), places.max(axis=0)
