@@ -7,7 +7,7 @@ from typing import Final, TypeVar
 
 import numpy as np
 
-from skope.site.traffic_settings import CLASSES, TrafficSettings
+from skope.site.traffic_settings import CLASSES
 from skope.traffic.clock import ClockInterval
 from skope.traffic.gates import GateCrossing
 from skope.traffic.observation import Observation

@@ -42,6 +42,8 @@ def test_stilled_pixels_are_those_of_the_resting_camera() -> None:
     places = np.array([[20.0, 5.0, 0.0], [15.0, 8.0, 1.0]])
     swayed = motion.camera_in(CAMERA, 1).project(places)[0]
     assert motion.stilled(CAMERA, image, swayed) == pytest.approx(CAMERA.project(places)[0], abs=1e-6)
+    unknown = replace(image, id=99)
+    assert motion.stilled(CAMERA, unknown, swayed) == pytest.approx(swayed), "at rest, as `camera_in` has it"
     near = motion.stilled(None, image, np.array([[960.0, 540.0]]))
     assert near == pytest.approx(motion.stilled(CAMERA, image, np.array([[960.0, 540.0]])), abs=0.3)
 
