@@ -50,7 +50,7 @@ DATASETS: Final = {
     "world_51": "--preset world --frames 576 --seed 51",
     "paper_22": f"--preset paper --frames 240 --seed 22 --sites {TRAIN}",
     "varied_22": f"--preset varied --frames 144 --seed 22 --sites {TRAIN}",
-    "world_777": "--preset world --frames 192 --seed 777",
+    "world_777": "--preset world --frames 24 --seed 777 --size 1280x720",
     "paper_7": f"--preset paper --frames 150 --seed 7 --sites {TESTED}",
     "varied_7": f"--preset varied --frames 120 --seed 7 --sites {TESTED}",
     "extra_7": "--preset extra --frames 12 --seed 7",
@@ -208,7 +208,7 @@ def calibrate(clock: Clock, options: argparse.Namespace, full: Path) -> Path:
     """Give the scores their meaning on places of their own."""
     out: Path = options.out / "calibrated.safetensors"
     if not out.is_file():
-        what = ["--data", str(options.data / CALIBRATION), "--split", "train", "--last", "0.17", "--score", "0.5"]
+        what = ["--data", str(options.data / CALIBRATION), "--split", "train", "--last", "1", "--score", "0.5"]
         clock.run(["eval", "calibrate-scores", "--checkpoint", str(full), *what, "--out", str(out)])
     return out
 

@@ -62,7 +62,7 @@ class KeypointOptions:
             min=1,
             max=EDITION,
             help="By which edition of their definition (docs/conventions.md) the keypoints are marked; road33 has "
-            "learnt the first.",
+            "learnt the second, its first edition the first.",
             show_default="what the file of images says",
         ),
     ] = None
@@ -79,7 +79,7 @@ class KeypointOptions:
         if self.predictions is not None and self.keypoint_edition is None:
             console.warn(
                 f"{self.predictions}: taken to hold keypoints of edition {scene.file.scheme.edition}, as "
-                f"{scene.file.name} does; --keypoint-edition says another (road33: 1)"
+                f"{scene.file.name} does; --keypoint-edition says another (road33: 2, its first edition: 1)"
             )
         return scene
 
