@@ -12,6 +12,7 @@ from typing import Final
 import numpy as np
 from scipy.special import expit
 
+from skope.schema import PEDESTRIAN
 from skope.site.traffic_settings import CLASSES, OF_VEHICLES, UNKNOWN
 from skope.traffic.count_interval import Group
 from skope.traffic.gate_shares import Beta, LearntShares
@@ -92,7 +93,7 @@ _LARGE: Final = 17.0
 _SMALL: Final = 12.7
 """Pixels of a metre where who walks is 29 and 22 pixels high."""
 _TWO_WHEELED: Final = frozenset({"bicycle", "motorcycle"})
-_OTHERS: Final = (_TWO_WHEELED, frozenset({"pedestrian"}))
+_OTHERS: Final = (_TWO_WHEELED, frozenset({PEDESTRIAN}))
 
 
 def seen_in_metres(pixels_per_metre: float | None) -> tuple[SeenAlike, ...]:
