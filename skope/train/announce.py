@@ -1,4 +1,4 @@
-"""What a training run says of itself before it begins."""
+"""Messages of a training run before it begins."""
 
 from collections.abc import Sequence
 

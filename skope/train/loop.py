@@ -22,7 +22,7 @@ from skope.train.distributed import ProcessGroup
 from skope.train.fold_batchnorm import fold_norms
 from skope.train.interrupt import StopRequest
 from skope.train.loading import Loader
-from skope.train.progress import TrainingProgress, in_words
+from skope.train.progress import TrainingProgress, figures_text
 from skope.train.recipe import SMALL_SIZE
 from skope.train.run_folder import RunConfig, TrainingState
 from skope.train.splits import TrainingSource
@@ -295,7 +295,7 @@ class _Run:
             model, file = training.shown, self.file
             figures = validate.validate(model, file, self.paths, self.device)
             row["validation"] = figures
-            self.progress.note(f"epoch {row['epoch']}: {in_words(figures)}")
+            self.progress.note(f"epoch {row['epoch']}: {figures_text(figures)}")
             sheet = self.out / "progress" / f"epoch_{row['epoch']:03d}.jpg"
             monitor.prediction_sheet(sheet, model, file, self.paths, row["epoch"], self.device)
             if self.board is not None:

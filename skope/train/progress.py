@@ -1,4 +1,4 @@
-"""What a training run shows while it is under way."""
+"""Bar and figures of a training run under way."""
 
 import time
 from collections.abc import Mapping
@@ -47,7 +47,7 @@ class TrainingProgress:
             self.note(f"{each:.2g} s a step: about {minutes(self._total / rate)} for {self._total} images")
 
 
-def in_words(figures: Mapping[str, Any]) -> str:
+def figures_text(figures: Mapping[str, Any]) -> str:
     """The figures of a validation (`skope.train.validate.validate`) in one line."""
 
     def percent(name: str) -> str:

@@ -1,4 +1,4 @@
-"""What was found in footage, drawn over it."""
+"""Overlays: the results of a prediction, drawn over its footage."""
 
 from collections import Counter
 from collections.abc import Callable, Iterator

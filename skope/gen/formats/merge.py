@@ -120,7 +120,7 @@ def _write_images(
 
 
 def _source_row(dataset: Dataset, names: "_Sites") -> dict[str, Any]:
-    """What the card of the joined dataset says of one of its sources."""
+    """Row of one of the sources in the card of the joined dataset."""
     return {
         "name": dataset.root.resolve().name,
         "command": dataset.card.get("command"),

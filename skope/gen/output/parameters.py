@@ -59,7 +59,7 @@ class Parameters:
     """What the renderer draws with, as `choose_renderer` names it; pixels are the same on the same driver only."""
     rules: Rules
     variation: Variation = field(default_factory=Variation)
-    """What is drawn for each recording, and from which ranges; the card names its fields among these."""
+    """Things that are drawn for each recording, and their ranges; the card names its fields among these."""
     keypoint_edition: int = keypoints.EDITION
     """By which definition vehicles are marked, as `skope.keypoints.EDITION`."""
     vehicles: Mapping[str, str] = field(default_factory=dict)

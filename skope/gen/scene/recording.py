@@ -65,7 +65,7 @@ class RecordingPlan:
     """Horizontal field of view of the site's camera; a user's own camera has its own."""
     seed: int
     variation: Variation = field(default_factory=Variation)
-    """What is drawn for it, and from which ranges."""
+    """Things that are drawn for it, and their ranges."""
     vehicles: tuple[str, ...] = ()
     """Models that were asked for, of the user (`skope gen vehicles add`) or of the fleet."""
     vehicle_share: float | None = None

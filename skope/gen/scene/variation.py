@@ -8,7 +8,7 @@ from skope.gen.scene.conditions import Range
 
 @dataclass(frozen=True, kw_only=True)
 class Variation:
-    """What is drawn at random for each recording, and from which ranges; by default, as little as can be.
+    """Things that are drawn at random for each recording, and their ranges; by default, as few as can be.
 
     A dataset has one, `Parameters.variation`, and so has each of its recordings, `RecordingPlan.variation`. Cards of
     datasets name the fields among the parameters.
