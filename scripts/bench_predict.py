@@ -39,7 +39,8 @@ from skope.detector.checkpoint import load_weights
 from skope.detector.detect import MIN_SCORE, as_tensor
 from skope.eval.inference.confirmation import WEAK, Confirmation
 from skope.eval.inference.footage import Cut, Footage, open_footage
-from skope.eval.inference.predict_footage import PredictJob, found_in
+from skope.eval.inference.predict_footage import found_in
+from skope.eval.inference.predict_job import PredictJob
 from skope.eval.inference.predictor import Predictor
 from skope.eval.inference.settings import Settings
 from skope.schema import AnnotationFile, Image, Result

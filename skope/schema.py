@@ -22,7 +22,9 @@ from skope.keypoints import SKOPE33, Scheme
 from skope.types import Array
 
 SCHEMA_VERSION: Final = 1
-CATEGORIES: Final = ("vehicle", "bicycle", "motorcycle", "pedestrian")
+PEDESTRIAN: Final = "pedestrian"
+"""The category of people on foot, the only road users who ride nothing."""
+CATEGORIES: Final = ("vehicle", "bicycle", "motorcycle", PEDESTRIAN)
 """Names of the categories, whose ids count from 1. Only a vehicle has keypoints; a rider belongs to what is ridden."""
 VEHICLE_ALONE: Final = CATEGORIES[:1]
 """The categories of a file whose makers labelled vehicles alone."""

@@ -21,7 +21,7 @@ from skope.types import Pixels
 
 if TYPE_CHECKING:
     from skope.eval.inference.footage import Footage
-    from skope.eval.inference.predict_footage import PredictJob
+    from skope.eval.inference.predict_job import PredictJob
     from skope.eval.inference.predictor import Predictor
     from skope.eval.pose.fit_camera import CameraEstimate
     from skope.eval.pose.views import Scene
@@ -277,7 +277,7 @@ def open_video(
     """
     from skope.dataset.camera_of_file import read_camera
     from skope.eval.inference.footage import Cut, open_footage
-    from skope.eval.inference.predict_footage import PredictJob
+    from skope.eval.inference.predict_job import PredictJob
     from skope.eval.pose.camera_error import camera_info
 
     in_range("score", score, 0.0, 1.0)

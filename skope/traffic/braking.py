@@ -7,6 +7,7 @@ from typing import Final
 
 import numpy as np
 
+from skope.schema import PEDESTRIAN
 from skope.site.traffic_settings import TrafficSettings
 from skope.traffic.normal_distribution import at_most
 from skope.traffic.trajectories import Trajectory, wandering
@@ -39,7 +40,7 @@ def hard_brakings(trajectories: Sequence[Trajectory], settings: TrafficSettings)
     """The hardest braking of each vehicle that brakes harder than `settings.hard_braking_ms2`, in order of time."""
     found = []
     for trajectory in trajectories:
-        if wandering(trajectory) and trajectory.category != "pedestrian":
+        if wandering(trajectory) and trajectory.category != PEDESTRIAN:
             hardest = _hardest(trajectory, settings.hard_braking_ms2)
             if hardest is not None and hardest.probability > _LEAST:
                 found.append(hardest)

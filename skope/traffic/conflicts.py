@@ -7,6 +7,7 @@ from typing import Final
 
 import numpy as np
 
+from skope.schema import PEDESTRIAN
 from skope.site.marks import Zone
 from skope.site.traffic_settings import TrafficSettings
 from skope.traffic.collision import REAR_END_DEG, angle_deg
@@ -115,7 +116,7 @@ def _pairs(made: Sequence[FootprintPath], late_s: float) -> Iterator[tuple[Footp
     for path in ordered:
         present = [other for other in present if other.times_s[-1] + late_s >= path.times_s[0]]
         for other in present:
-            if not path.trajectory.category == other.trajectory.category == "pedestrian":
+            if not path.trajectory.category == other.trajectory.category == PEDESTRIAN:
                 yield other, path
         present.append(path)
 

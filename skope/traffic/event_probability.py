@@ -10,7 +10,9 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from scipy.special import expit
 
+from skope.schema import PEDESTRIAN
 from skope.site.traffic_settings import CLASSES, OF_VEHICLES, UNKNOWN
 from skope.traffic.count_interval import Group
 from skope.traffic.gate_shares import Beta, LearntShares
@@ -91,7 +93,7 @@ _LARGE: Final = 17.0
 _SMALL: Final = 12.7
 """Pixels of a metre where who walks is 29 and 22 pixels high."""
 _TWO_WHEELED: Final = frozenset({"bicycle", "motorcycle"})
-_OTHERS: Final = (_TWO_WHEELED, frozenset({"pedestrian"}))
+_OTHERS: Final = (_TWO_WHEELED, frozenset({PEDESTRIAN}))
 
 
 def seen_in_metres(pixels_per_metre: float | None) -> tuple[SeenAlike, ...]:
@@ -142,7 +144,7 @@ def crossing_probability(trajectory: Trajectory, time_s: float, step_s: float) -
         return _REAL_OF_OTHERS[trajectory.category] * undoubted(trajectory) * (_JUMPS if jumps else 1.0)
     evidence = crossing_evidence(trajectory, time_s, step_s)
     logit = sum(weight * value for weight, value in zip(_LOGIT, evidence, strict=True))
-    return undoubted(trajectory) / (1 + math.exp(-logit))
+    return undoubted(trajectory) * float(expit(logit))
 
 
 def crossing_evidence(trajectory: Trajectory, time_s: float, step_s: float) -> tuple[float, ...]:
@@ -189,7 +191,7 @@ def same_probability(trajectory: Trajectory, begin_s: float, end_s: float, step_
         covariances = trajectory.at(trajectory.covariance, np.array([begin_s, *between, end_s]))
         constant, of_sigma = _SAME_WALKER
         logit = constant + of_sigma * math.log(0.05 + float(worst_sigma(covariances).max()))
-    return 1 / (1 + math.exp(-logit))
+    return float(expit(logit))
 
 
 def usual_step(trajectories: Sequence[Trajectory]) -> float:

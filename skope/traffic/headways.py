@@ -9,6 +9,7 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
+from skope.schema import PEDESTRIAN
 from skope.traffic.clock import ClockInterval
 from skope.traffic.gates import GateCrossing
 from skope.traffic.observation import Observation
@@ -52,7 +53,7 @@ def streams(crossings: Sequence[GateCrossing]) -> Iterator[list[GateCrossing]]:
     def key(one: GateCrossing) -> tuple[str, int, str]:
         return one.gate, one.direction, one.lane
 
-    driving = [one for one in crossings if one.trajectory.category != "pedestrian"]
+    driving = [one for one in crossings if one.trajectory.category != PEDESTRIAN]
     for _, own in itertools.groupby(sorted(driving, key=key), key):
         yield sorted(own, key=lambda one: one.time_s if math.isnan(one.front_s) else one.front_s)
 

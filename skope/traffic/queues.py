@@ -14,6 +14,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from skope.schema import PEDESTRIAN
 from skope.site.traffic_settings import TrafficSettings
 from skope.traffic.clock import ClockInterval
 from skope.traffic.count_interval import CountInterval, count_interval
@@ -175,7 +176,7 @@ def _in_lane(
     """The lane's longest queue, where there is one, by moment."""
     waiting: dict[float, list[tuple[float, float, float, float]]] = {}
     for trajectory in trajectories:
-        if not trajectory.confirmed or trajectory.category == "pedestrian":
+        if not trajectory.confirmed or trajectory.category == PEDESTRIAN:
             continue
         there = moments[(moments >= trajectory.times_s[0]) & (moments <= trajectory.times_s[-1])]
         begin, end = settings.queue_speed_kmh / KMH, settings.queue_end_kmh / KMH

@@ -7,6 +7,7 @@ from typing import Final, TypeVar
 
 import numpy as np
 
+from skope.schema import PEDESTRIAN
 from skope.site.traffic_settings import CLASSES
 from skope.traffic.clock import ClockInterval
 from skope.traffic.gates import GateCrossing
@@ -17,7 +18,7 @@ from skope.traffic.turning import Movement
 
 MOTOR: Final = "motor"
 """All classes of vehicles and motorcycles together."""
-MOTOR_CLASSES: Final = frozenset(CLASSES) - {"bicycle", "pedestrian"}
+MOTOR_CLASSES: Final = frozenset(CLASSES) - {"bicycle", PEDESTRIAN}
 _RULER_M: Final = 1.0
 """Ways are measured in steps of this: shorter ones would add up what places jitter."""
 _Measured = TypeVar("_Measured")

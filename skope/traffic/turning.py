@@ -10,6 +10,7 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import Final
 
+from skope.schema import PEDESTRIAN
 from skope.site.marks import Gate
 from skope.site.traffic_settings import TrafficSettings
 from skope.traffic.clock import ClockInterval
@@ -86,7 +87,7 @@ class TurningCount:
 
 def on_foot(movement: Movement) -> bool:
     """Whether somebody walks."""
-    return movement.trajectory.category == "pedestrian"
+    return movement.trajectory.category == PEDESTRIAN
 
 
 def _side(crossing: GateCrossing | None) -> Side:

@@ -3,7 +3,7 @@
 import contextlib
 import math
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final, Self
@@ -14,13 +14,15 @@ from skope.detector.checkpoint import checkpoint_name
 from skope.errors import UserError
 from skope.files.atomic import write_text
 from skope.schema import CATEGORIES, AnnotationFile
-from skope.terminal.console import Console, counted, minutes
+from skope.terminal.console import Console, counted
 from skope.train import data, distributed, monitor, run_card, run_folder, splits, step, validate
+from skope.train.announce import announce
 from skope.train.data import Draw, TrainingSample, TrainingSet
 from skope.train.distributed import ProcessGroup
 from skope.train.fold_batchnorm import fold_norms
 from skope.train.interrupt import StopRequest
 from skope.train.loading import Loader
+from skope.train.progress import TrainingProgress, figures_text
 from skope.train.recipe import SMALL_SIZE
 from skope.train.run_folder import RunConfig, TrainingState
 from skope.train.splits import TrainingSource
@@ -37,8 +39,6 @@ _LEAST_VALIDATED = 4
 _VALIDATED_PART = 5
 """An epoch over few images is validated on no more than a fifth of their number: to look must not cost more than to
 learn."""
-_MEASURED_STEPS = 2
-"""Steps whose duration tells how long the run will take."""
 _LEAST_INSIDE = 0.8
 """Share of the labelled keypoints that must lie inside their vehicle's box in the first batch."""
 
@@ -106,7 +106,7 @@ def train(
             if processes.first:
                 run_folder.record(out, config)
             where = f"on {device} x {processes.size}, {workers} extra processes"
-            _announce(config, training, training_set, parts, where, console)
+            announce(config, training, training_set, parts, where, console)
             if unlearnt:
                 console.say(f"{', '.join(unlearnt)}: labelled, and background to this run, as --categories has it")
             run = _Run.begun(
@@ -148,7 +148,7 @@ class _Run:
     loader: Loader
     board: Any
     """TensorBoard's writer; None where there is none, and in other processes than the first."""
-    progress: "_Progress"
+    progress: TrainingProgress
     saved_at: float
     """When the state was saved last, as `time.monotonic` has it; likewise those below."""
     checkpoint_at: float
@@ -202,7 +202,7 @@ class _Run:
             paths=paths,
             loader=loader,
             board=monitor.tensorboard(out / "tensorboard", step_done) if processes.first else None,
-            progress=_Progress(left, recipe.epochs, console),
+            progress=TrainingProgress(left, recipe.epochs, console),
             saved_at=now,
             checkpoint_at=now,
             drawn_at=now,
@@ -295,7 +295,7 @@ class _Run:
             model, file = training.shown, self.file
             figures = validate.validate(model, file, self.paths, self.device)
             row["validation"] = figures
-            self.progress.note(f"epoch {row['epoch']}: {_in_words(figures)}")
+            self.progress.note(f"epoch {row['epoch']}: {figures_text(figures)}")
             sheet = self.out / "progress" / f"epoch_{row['epoch']:03d}.jpg"
             monitor.prediction_sheet(sheet, model, file, self.paths, row["epoch"], self.device)
             if self.board is not None:
@@ -351,63 +351,6 @@ def _explain_out_of_memory(config: RunConfig) -> Iterator[None]:
         ) from None
 
 
-def _announce(
-    config: RunConfig,
-    training: TrainingState,
-    training_set: TrainingSet,
-    parts: Sequence[TrainingSource],
-    where: str,
-    console: Console,
-) -> None:
-    recipe = config.recipe
-    console.say(f"{recipe.describe(training.config.min_size)}; {training.origin}; seed {config.seed}; {where}")
-    if not training.config.stock:
-        console.say(f"network: {training.config.architecture}")
-    if training.teacher is not None:
-        console.say(f"learns from {recipe.teacher.checkpoint} beside the labels")
-        theirs, ours = training.teacher.config.keypoint_edition, training.config.keypoint_edition
-        if theirs != ours and recipe.teacher.keypoints:
-            console.warn(
-                f"{recipe.teacher.checkpoint} has learnt keypoints of edition {theirs}, the data holds edition {ours}: "
-                "corners of bumpers, hoods and trunks lie elsewhere (--set teacher.keypoints=0 leaves them out)"
-            )
-    names = " + ".join(config.data)
-    if config.scheme.flip is None:
-        console.say(f"images are not mirrored: of scheme {config.scheme.name} no mirror partners are known")
-    learnt = f"{counted(len(training_set), 'image')} with {counted(training_set.vehicles, 'vehicle')} to learn from"
-    kept = [part.validated for part in parts]
-    images, vehicles = sum(len(file.images) for file in kept), sum(not a.ignored for f in kept for a in f.annotations)
-    checked = f"{counted(images, 'image')} with {counted(vehicles, 'vehicle')}" if images else "none"
-    console.say(f"{names}: {learnt}, {checked} to validate on")
-    if len(config.detector_categories) > 1:
-        learnt = f"{counted(training_set.road_users, 'other road user')} to learn from"
-        console.say(f"categories {', '.join(config.detector_categories)}: {learnt}; keypoints of vehicles alone")
-    for part in parts if recipe.exclude_types else ():
-        types = ", ".join(recipe.exclude_types)
-        console.say(f"{part.dataset.root}: {counted(part.excluded, 'vehicle')} left out by type ({types})")
-        if part.untyped:
-            console.warn(
-                f"{part.dataset.root}: does not say the type of {counted(part.untyped, 'vehicle')}: they are learnt, "
-                f"whether {types} or not"
-            )
-    if training.epochs_done or training.steps_done:
-        within = f" and {training.steps_done} steps" if training.steps_done else ""
-        console.say(f"resumed after epoch {training.epochs_done}{within}")
-    elif training.config.norm == "batch" and recipe.learning_rate < 0.01 and "random" in training.origin:
-        console.say(f"recipe {recipe.name} fine-tunes trained weights; `--recipe scratch` is made for random ones")
-
-
-def _in_words(figures: Mapping[str, Any]) -> str:
-    def percent(name: str) -> str:
-        return "-" if figures[name] is None else f"{figures[name]:.1%}"
-
-    return (
-        f"PCK {percent('pck')} of found vehicles ({percent('box_recall')} of {figures['vehicles']}), "
-        f"{percent('pck_given')} in given boxes; keypoint recall {percent('keypoint_recall')}"
-        + "".join(f"; {name} recall {percent(f'{name}_recall')}" for name in CATEGORIES if f"{name}_recall" in figures)
-    )
-
-
 def _check_first(batch: Sequence[TrainingSample], console: Console) -> None:
     """Keypoint R-CNN can only learn points inside their box: stop when boxes and keypoints do not belong together."""
     share = data.share_inside(batch)
@@ -419,39 +362,3 @@ def _check_first(batch: Sequence[TrainingSample], console: Console) -> None:
             f"{names}: no labelled keypoint lies inside its vehicle's bbox: fields bbox and keypoints differ"
         )
     console.say(f"warning: {names}: only {share:.0%} of the labelled keypoints lie inside their vehicle's bbox")
-
-
-class _Progress:
-    """A bar over all images of the run with the epoch's mean losses; says once how long the run will take."""
-
-    def __init__(self, images: int, epochs: int, console: Console) -> None:
-        self._console = console
-        self._epochs, self._total, self._seen, self._images = epochs, images, 0, 0
-        self._bar = console.bar(total=images, unit="image", label="training")
-        self._since = time.perf_counter()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._bar.close()
-
-    def note(self, text: str) -> None:
-        """Print a line above the bar."""
-        self._bar.clear()
-        self._console.say(text)
-
-    def tick(self, epoch: int, images: int, losses: Mapping[str, float]) -> None:
-        """Note that a step over `images` images is done."""
-        values = {name.removeprefix("loss_"): f"{value:.3f}" for name, value in losses.items()}
-        self._bar.set_postfix({"epoch": f"{epoch + 1}/{self._epochs}", **values}, refresh=False)
-        self._bar.update(images)
-        self._seen += 1
-        if self._seen == 1:  # the first step is slower: libraries choose algorithms and ask for memory
-            self._since, self._images = time.perf_counter(), 0
-            return
-        self._images += images
-        if self._seen == 1 + _MEASURED_STEPS:
-            seconds = time.perf_counter() - self._since
-            rate, each = self._images / seconds, seconds / _MEASURED_STEPS
-            self.note(f"{each:.2g} s a step: about {minutes(self._total / rate)} for {self._total} images")

@@ -72,7 +72,8 @@ def predict(
     out = out or PREDICTED / (Path(footage.name).stem or "images")
     fixed = read_camera(camera)[0] if camera else None
 
-    from skope.eval.inference.predict_footage import PredictJob, predict
+    from skope.eval.inference.predict_footage import predict
+    from skope.eval.inference.predict_job import PredictJob
     from skope.eval.pose.camera_error import camera_info
 
     job = PredictJob(

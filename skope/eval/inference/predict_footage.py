@@ -1,55 +1,39 @@
 """`skope eval predict`: a checkpoint run over footage, frame by frame, so that a stopped run goes on."""
 
-import hashlib
 import math
-import os
 import signal
 import threading
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
-from datetime import UTC, datetime
+from datetime import datetime
 from functools import partial
-from pathlib import Path, PurePath
-from typing import Any, Final, Protocol
+from pathlib import Path
+from typing import Any, Protocol
 
 import numpy as np
 
-from skope.camera.model import Camera
 from skope.dataset import coco
 from skope.dataset.camera_of_file import with_camera
 from skope.dataset.folder import BEGINS, CHANGES, FOLLOWED, FRAMES, PREDICTIONS, SIGHT_FIELD
-from skope.detections import apart
-from skope.detector.device import choose_device
 from skope.errors import UserError
 from skope.eval.box_links import FARTHEST_S
-from skope.eval.inference.anonymize import blurred
 from skope.eval.inference.camera_sway import SwayRecord, SwayWatch, motion_to_row, record_of_rows
-from skope.eval.inference.confirmation import WEAK, Confirmation
-from skope.eval.inference.footage import FOUND_AT, Footage
-from skope.eval.inference.key_frames import INTERVAL_S, with_frames_between
+from skope.eval.inference.confirmation import Confirmation
+from skope.eval.inference.footage import Footage
+from skope.eval.inference.key_frames import with_frames_between
 from skope.eval.inference.numbers_by_category import Linked, NumbersByCategory
+from skope.eval.inference.overlays import Kept, write_overlay
 from skope.eval.inference.picture_sight import sight_rows
+from skope.eval.inference.predict_job import PROGRESS_FILE, PredictJob, claim, found_at
 from skope.eval.inference.predictor import Predictor
-from skope.eval.inference.settings import Settings
 from skope.eval.inference.view_changes import Looks, ViewChange
 from skope.eval.pose.camera_motion import MOTION, CameraMotion
-from skope.files.atomic import replacing
-from skope.files.json_files import read_json
-from skope.files.output_folders import WORK, claim_output
 from skope.files.progress import Progress
-from skope.files.reading import sha256_of
-from skope.keypoints import Scheme
-from skope.pictures import draw
-from skope.pictures.video import write_video
 from skope.schema import CATEGORIES, AnnotationFile, AnyResult, Image
 from skope.terminal.console import Console, counted
 from skope.types import Pixels
-
-_PROGRESS_FILE: Final = ".predict.jsonl"
-OVERLAY_VIDEO: Final = "overlay.mp4"
-OVERLAY_FOLDER: Final = "overlays"
 
 
 class Watcher(Protocol):
@@ -57,59 +41,6 @@ class Watcher(Protocol):
 
     def watch(self, frames: Iterator[tuple[Image, Pixels]]) -> Iterator[tuple[Image, Pixels]]:
         """The same frames, in their order."""
-
-
-Kept = Callable[[dict[str, Any]], list[dict[str, Any]]]
-"""The results of a frame, of its row in the file of progress, that stay."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class PredictJob:
-    """A run of a checkpoint on footage, and what it writes."""
-
-    footage: Footage
-    checkpoint: Path
-    out: Path
-    settings: Settings = field(default_factory=Settings)
-    score: float = 0.5
-    """Least score of a detection that is kept."""
-    camera: Camera | None = None
-    camera_info: Mapping[str, float] = field(default_factory=dict)
-    """Further knowledge of the camera, for the `info` of the frames."""
-    overlay: bool = False
-    blur: bool = False
-    unconfirmed: bool = False
-    """Whether detections in a video are kept that its other frames do not confirm."""
-    every_frame: bool = False
-    """Whether the detector sees every frame of a video, not key frames only."""
-
-    @property
-    def key_every(self) -> int:
-        """Number of frames from one that the detector sees to the next, where it runs on a CPU.
-
-        Vehicles are followed through the frames of a recorded video that are dense enough for that; a live stream's
-        come as they can.
-        """
-        dense = self.footage.fps is not None and self.footage.fps * FARTHEST_S >= 1
-        if self.every_frame or not dense or choose_device(self.settings.device).type != "cpu":
-            return 1
-        return max(1, round(INTERVAL_S * (self.footage.fps or 0.0)))
-
-    @property
-    def least_score(self) -> float:
-        """Score from which the detector makes detections: weak ones continue vehicles of a video."""
-        return min(self.score, WEAK) if self.confirms else self.score
-
-    @property
-    def confirms(self) -> bool:
-        """Whether frames are held against each other: those of a video, so far as it says how dense they are."""
-        return self.links and not self.unconfirmed
-
-    @property
-    def links(self) -> bool:
-        """Whether vehicles are followed from frame to frame."""
-        dense = self.footage.fps is None or self.footage.fps * FARTHEST_S >= 1
-        return self.footage.clip is not None and dense
 
 
 def predict(job: PredictJob, console: Console) -> list[Path]:
@@ -131,7 +62,7 @@ def predict(job: PredictJob, console: Console) -> list[Path]:
     batch_size = job.settings.batch_size or (1 if job.footage.live else None)
     settings = replace(job.settings, min_score=job.least_score, batch_size=batch_size)
     predictor = Predictor.load(job.checkpoint, settings, console)
-    _claim(job, predictor.files)
+    claim(job, predictor.files)
     prediction = Prediction(job, predictor)
     done = prediction.last
     if prediction.killed:
@@ -157,7 +88,7 @@ class Prediction:
     def __init__(self, job: PredictJob, predictor: Predictor) -> None:
         """Go on after what a stopped run has kept in the job's output folder."""
         self._job, self._predictor = job, predictor
-        self._progress = Progress(job.out / _PROGRESS_FILE, ("image", "results", "skipped", "key", "look", "motion"))
+        self._progress = Progress(job.out / PROGRESS_FILE, ("image", "results", "skipped", "key", "look", "motion"))
         self.images: list[Image] = []
         """The frames so far, with the job's camera."""
         self._last_key, self._last_look_s = 1, None
@@ -242,7 +173,7 @@ class Prediction:
         )
         coco.write(written[1], frames_file)
         if job.overlay:
-            written.append(_overlay(job, progress, kept, len(images), scheme, console))
+            written.append(write_overlay(job, progress, kept, len(images), scheme, console))
         progress.end()
         console.result(f"{seen} in {counted(len(images), 'image')}")
         return written
@@ -272,7 +203,7 @@ def _info(
     sways: CameraMotion | None,
 ) -> dict[str, Any]:
     """The `info` of the frames: what is known of the footage."""
-    info: dict[str, Any] = {"source": job.footage.name, "fps": job.footage.fps, **_found_at(job), **job.camera_info}
+    info: dict[str, Any] = {"source": job.footage.name, "fps": job.footage.fps, **found_at(job), **job.camera_info}
     if job.footage.begins is not None:
         info[BEGINS] = job.footage.begins.isoformat(timespec="milliseconds")
     if job.key_every > 1:
@@ -330,12 +261,6 @@ class _Seen:
         )
 
 
-def _found_at(job: PredictJob) -> dict[str, str]:
-    """Paths of the frames' pictures relative to the output folder, so that both may move together."""
-    place = job.footage.place
-    return {FOUND_AT: os.path.relpath(place.resolve(), job.out.resolve())} if place else {}
-
-
 def found_in(
     job: PredictJob,
     predictor: Predictor,
@@ -380,50 +305,8 @@ def found_in(
             yield image, found, key
 
 
-def _claim(job: PredictJob, files: Sequence[Path]) -> None:
-    """Take the output folder for this footage, a predictor's files and settings; overlays may come later."""
-    cut, settings = job.footage.cut, job.settings
-    options = {
-        "source": _killed_source(job) or content_of(job.footage),
-        "every": cut.every,
-        "start": cut.start_s,
-        "end": cut.end_s if math.isfinite(cut.end_s) else None,
-        "score": job.score,
-        "backend": settings.backend,
-        "precision": settings.precision,
-        "min_size": settings.min_size,
-        "tiles": settings.tiles,
-        "unconfirmed": job.unconfirmed,
-        "key_every": job.key_every,
-        "camera": job.camera.to_dict() if job.camera else None,
-    }
-    claim_output(job.out, "skope eval predict", files, options)
-
-
-def _killed_source(job: PredictJob) -> str | None:
-    """Source of a killed run of a live stream in the output folder; None: there was none."""
-    if not job.footage.live or not (job.out / _PROGRESS_FILE).is_file() or not (job.out / WORK).is_file():
-        return None
-    held = read_json(job.out / WORK)
-    options = held.get("options") if isinstance(held, dict) else None
-    source = options.get("source") if isinstance(options, dict) else None
-    return source if isinstance(source, str) and source.startswith(f"{job.footage.name} of ") else None
-
-
-def content_of(footage: Footage) -> str:
-    """Identity of the frames: checksums of their files; for a live stream, which comes once, the time it began."""
-    if footage.live:
-        return f"{footage.name} of {datetime.now(UTC).isoformat()}"
-    if footage.clip and "://" in footage.clip.address:
-        return footage.clip.address
-    files = [Path(footage.clip.address)] if footage.clip else footage.images
-    digest = hashlib.sha256(" ".join(map(sha256_of, files)).encode()).hexdigest()
-    return f"{footage.name}, {len(files)} files, {digest[:16]}" if footage.images else f"{footage.name}, {digest[:16]}"
-
-
 def _kept(job: PredictJob, progress: Progress, images: Sequence[Image]) -> Kept:
-    """Choose how the results of a frame that stay are told: those above the score, in a video those that others
-    confirm.
+    """The rule by which results of a frame stay: those above the score, in a video those that others confirm.
 
     In a video they have the number of their vehicle or other road user, from 1.
     """
@@ -442,32 +325,3 @@ def _kept(job: PredictJob, progress: Progress, images: Sequence[Image]) -> Kept:
         for result, number in zip(row["results"], of_frame[row["image"]["id"]].tolist(), strict=True)
         if number >= 0
     ]
-
-
-def _overlay(job: PredictJob, progress: Progress, kept: Kept, count: int, scheme: Scheme, console: Console) -> Path:
-    """Draw what was found: a video of a video, images of images."""
-    drawn = console.bar(_drawn(job, progress, kept, scheme), total=count, unit="image", label="overlay")
-    if job.footage.clip is None:
-        folder = job.out / OVERLAY_FOLDER
-        shared = Counter(PurePath(name).with_suffix("") for name in job.footage.names)
-        for image, pixels in drawn:
-            bare = PurePath(image.file_name).with_suffix("")
-            draw.write(folder / f"{bare if shared[bare] == 1 else image.file_name}.jpg", pixels)
-        return folder
-    path = job.out / OVERLAY_VIDEO
-    with replacing(path) as temporary:
-        write_video(temporary, (pixels for _, pixels in drawn), job.footage.fps or 25.0)
-    return path
-
-
-def _drawn(job: PredictJob, progress: Progress, kept: Kept, scheme: Scheme) -> Iterator[tuple[Image, Pixels]]:
-    rows = progress.rows()
-    row = next(rows, None)
-    for image, pixels in job.footage.frames():
-        if row is None:
-            return
-        if row["image"]["id"] == image.id:  # other images could not be read, and have no row
-            found, others = apart(map(coco.any_result_from_dict, kept(row)))
-            shown = blurred(pixels, found, others) if job.blur else pixels
-            yield image, draw.results(shown, found, others, scheme=scheme)
-            row = next(rows, None)

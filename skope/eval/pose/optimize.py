@@ -10,6 +10,7 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from skope import keypoints
 from skope.eval.pose import cauchy
@@ -151,7 +152,11 @@ class _Problem:
             diagonal += damping[live, None] * diagonal + 1e-9
             step: Array = np.linalg.solve(H, -gradient[live][..., None])[..., 0].astype(np.float64)
             # Try the step: shift, turn about the vehicle's own axes, change of shape.
-            moved = p[live] + step[:, :3], R[live] @ _turn(step[:, 3:6]), a[live] + step[:, 6:]
+            moved = (
+                p[live] + step[:, :3],
+                R[live] @ Rotation.from_rotvec(step[:, 3:6]).as_matrix(),
+                a[live] + step[:, 6:],
+            )
             there = part._linearised(*moved)
             better = there[0] <= cost[live]
             gained = cost[live] - there[0]
@@ -253,13 +258,3 @@ class _Problem:
 def _from_above(p: Array, R: Array) -> NDArray[np.bool_]:
     """(B,) whether the camera, upright itself, sees upright vehicles from above their road."""
     return np.asarray((R[:, 1, 2] < 0) & (np.einsum("bi,bi->b", p, R[:, :, 2]) < 0))
-
-
-def _turn(w: Array) -> Array:
-    """(B, 3) rotation vectors -> (B, 3, 3), Rodrigues' formula."""
-    angle = np.linalg.norm(w, axis=1)[:, None, None]
-    x, y, z = w.T
-    zero = np.zeros_like(x)
-    W = np.stack([np.stack([zero, -z, y], -1), np.stack([z, zero, -x], -1), np.stack([-y, x, zero], -1)], axis=-2)
-    safe = np.maximum(angle, 1e-9)
-    return np.asarray(np.eye(3) + np.sin(safe) / safe * W + (1 - np.cos(safe)) / safe**2 * (W @ W))

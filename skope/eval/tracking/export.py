@@ -17,6 +17,7 @@ from skope.eval.tracking.ground_track import GroundTrack
 from skope.eval.tracking.road_user_tracks import RoadUserTrack
 from skope.eval.tracking.tracks import Track
 from skope.files.atomic import replacing
+from skope.schema import PEDESTRIAN
 
 T = TypeVar("T", bound=GroundTrack)
 
@@ -180,7 +181,7 @@ def _fcd_road_user(track: RoadUserTrack, i: int) -> str:
         "type": track.category,
         "speed": f"{track.speed[i]:.3f}",
     }
-    return _fcd_element("person" if track.category == "pedestrian" else "vehicle", values)
+    return _fcd_element("person" if track.category == PEDESTRIAN else "vehicle", values)
 
 
 def _fcd_element(name: str, values: Mapping[str, str]) -> str:

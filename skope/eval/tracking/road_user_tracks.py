@@ -19,7 +19,7 @@ from skope.eval.tracking import kalman
 from skope.eval.tracking.ground_points import GroundPoint, Sight
 from skope.eval.tracking.ground_track import GroundTrack
 from skope.eval.tracking.kalman import GATE, State
-from skope.schema import CATEGORIES
+from skope.schema import CATEGORIES, PEDESTRIAN
 from skope.types import Array
 
 Link = tuple[int, int]
@@ -69,7 +69,7 @@ class RoadUserTrack(GroundTrack):
         away = np.linalg.norm(line, axis=1)
         per_metre = away / np.maximum(1.0, eye[2] - self.position[:, 2])
         position = self.position.copy()
-        if self.category != "pedestrian":
+        if self.category != PEDESTRIAN:
             along = np.abs(np.cos(self.heading - np.arctan2(line[:, 1], line[:, 0])))
             # Whether it comes or crosses is not known of one that stands.
             shift = _HALF_WHEELBASE_M * np.where(np.isnan(along), 0.5, along)
@@ -129,7 +129,7 @@ class _Open:
 
     def category(self, speed: float) -> str:
         """Its category, by how sure the sights are and by its speed in the median, m/s."""
-        on_foot = CATEGORIES[self.category_id - 1] == "pedestrian"
+        on_foot = CATEGORIES[self.category_id - 1] == PEDESTRIAN
         if on_foot and speed > _ON_FOOT:
             return CATEGORIES[max(_ON_WHEELS, key=lambda category_id: self.scores[category_id]) - 1]
         return CATEGORIES[self.category_id - 1]

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from hashlib import sha256
 from pathlib import Path
+from typing import Any
 
 from skope.dataset import shards
 from skope.dataset.folder import MANIFEST, Dataset, read_manifest
@@ -36,18 +37,8 @@ def merge(sources: Sequence[Path], out: Path, console: Console, *, vehicles_alon
         UserError: The datasets have different keypoint schemes, or, without `vehicles_alone`, different categories;
             licences that exclude each other, or a site or image in different splits.
     """
-    if len(sources) < 2:
-        raise UserError(f"expected two or more datasets and a new folder, got {len(sources)} before {out}")
-    if len({source.resolve() for source in sources}) < len(sources):
-        raise UserError("a dataset is named twice")
-    check_outside(out, sources)
-    datasets = [dataset_at(source) for source in sources]
+    datasets = _opened(sources, out)
     first = datasets[0]
-    for other in datasets[1:]:
-        if other.scheme is not first.scheme:
-            raise UserError(
-                f"{other.root}: has keypoint scheme {other.scheme.title}, {first.root} has {first.scheme.title}"
-            )
     categories = VEHICLE_ALONE if vehicles_alone else first.categories
     licence = united([dataset.licence for dataset in datasets])
     with replacing_folder(out) as folder:
@@ -55,26 +46,7 @@ def merge(sources: Sequence[Path], out: Path, console: Console, *, vehicles_alon
         for dataset in datasets:
             if not vehicles_alone:
                 _check_categories(dataset.root, dataset.categories, first.root, categories)
-        names, begun, taken, left_out = _Sites(), dict[str, tuple[Path, str]](), set[str](), 0
-        for dataset in datasets:
-            twice = Counter[Path]()
-            sums = read_manifest(dataset.root)["sha256"] if (dataset.root / MANIFEST).is_file() else {}
-            for split in dataset.splits:
-                file = dataset.read(split)
-                if vehicles_alone:
-                    left_out += len(file.road_users)
-                    file = replace(file, road_users=())
-                else:
-                    _check_categories(dataset.root / split, file.categories, first.root, categories)
-                names.check(dataset, split, file)
-                twice.update(_twice(dataset, split, file, begun))
-                images = console.bar(file.images, unit="image", label=f"{dataset.root.resolve().name}: {split}")
-                writer.add(split, _frames(dataset, split, file, images, names, sums, taken))
-            names.close(dataset)
-            for whose, count in twice.items():
-                console.say(
-                    f"{dataset.root}: {count} recordings show the same as recordings of {whose}: they are there twice"
-                )
+        names, left_out = _write_images(writer, datasets, categories, console, vehicles_alone=vehicles_alone)
         if left_out:
             console.say(f"{left_out} labels of people on foot and on two wheels are left out")
         finish_dataset(
@@ -88,17 +60,73 @@ def merge(sources: Sequence[Path], out: Path, console: Console, *, vehicles_alon
             ),
             licence=licence,
             label_rules=list(dict.fromkeys(rule for d in datasets for rule in d.card.get("label_rules", ()))),
-            sources=[
-                {
-                    "name": d.root.resolve().name,
-                    "command": d.card.get("command"),
-                    "licence": d.licence,
-                    "sites": names.of(d),
-                }
-                for d in datasets
-            ],
+            sources=[_source_row(dataset, names) for dataset in datasets],
             **_fleet(datasets),
         )
+
+
+def _opened(sources: Sequence[Path], out: Path) -> list[Dataset]:
+    """The datasets, of one keypoint scheme; a UserError where they are not different ones outside of `out`."""
+    if len(sources) < 2:
+        raise UserError(f"expected two or more datasets and a new folder, got {len(sources)} before {out}")
+    if len({source.resolve() for source in sources}) < len(sources):
+        raise UserError("a dataset is named twice")
+    check_outside(out, sources)
+    datasets = [dataset_at(source) for source in sources]
+    first = datasets[0]
+    for other in datasets[1:]:
+        if other.scheme is not first.scheme:
+            raise UserError(
+                f"{other.root}: has keypoint scheme {other.scheme.title}, {first.root} has {first.scheme.title}"
+            )
+    return datasets
+
+
+def _write_images(
+    writer: FolderWriter,
+    datasets: Sequence[Dataset],
+    categories: Sequence[str],
+    console: Console,
+    *,
+    vehicles_alone: bool,
+) -> tuple["_Sites", int]:
+    """Write the images of all datasets, and say which recordings are there twice.
+
+    Returns:
+        The names that sites have now, and the number of labels of other road users that are left out.
+    """
+    first = datasets[0]
+    names, begun, taken, left_out = _Sites(), dict[str, tuple[Path, str]](), set[str](), 0
+    for dataset in datasets:
+        twice = Counter[Path]()
+        sums = read_manifest(dataset.root)["sha256"] if (dataset.root / MANIFEST).is_file() else {}
+        for split in dataset.splits:
+            file = dataset.read(split)
+            if vehicles_alone:
+                left_out += len(file.road_users)
+                file = replace(file, road_users=())
+            else:
+                _check_categories(dataset.root / split, file.categories, first.root, categories)
+            names.check(dataset, split, file)
+            twice.update(_twice(dataset, split, file, begun))
+            images = console.bar(file.images, unit="image", label=f"{dataset.root.resolve().name}: {split}")
+            writer.add(split, _frames(dataset, split, file, images, names, sums, taken))
+        names.close(dataset)
+        for whose, count in twice.items():
+            console.say(
+                f"{dataset.root}: {count} recordings show the same as recordings of {whose}: they are there twice"
+            )
+    return names, left_out
+
+
+def _source_row(dataset: Dataset, names: "_Sites") -> dict[str, Any]:
+    """Row of one of the sources in the card of the joined dataset."""
+    return {
+        "name": dataset.root.resolve().name,
+        "command": dataset.card.get("command"),
+        "licence": dataset.licence,
+        "sites": names.of(dataset),
+    }
 
 
 def _check_categories(where: Path, has: Sequence[str], whose: Path, wanted: Sequence[str]) -> None:

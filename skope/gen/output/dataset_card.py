@@ -33,10 +33,10 @@ def card(plan: DatasetPlan, counts: Counts) -> dict[str, Any]:
         plan: Parameters and recordings of the dataset.
         counts: Images and vehicles of the whole dataset.
     """
-    parameters = plan.parameters
+    parameters, variation = plan.parameters, plan.parameters.variation
     own, solid = parameters.own, parameters.renderer == "pybullet"
     asked = {name: fleet()[name] for name in parameters.vehicles if name in fleet()}
-    models = {**fleet(further=parameters.further_models), **asked}
+    models = {**fleet(further=variation.further_models), **asked}
     return {
         "version": schema.SCHEMA_VERSION,
         **keypoints.SKOPE33.fields(),
@@ -45,7 +45,7 @@ def card(plan: DatasetPlan, counts: Counts) -> dict[str, Any]:
         "seed": parameters.seed,
         "command": command(parameters),
         "counts": counts.to_dict(),
-        "label_rules": [*label_rules(parameters.rules), *(road_user_rules() if parameters.road_users else [])],
+        "label_rules": [*label_rules(parameters.rules), *(road_user_rules() if variation.road_users else [])],
         "occlusion_rules": {
             "vehicles": counts.tally["vehicles"],
             "taken_by_others": counts.tally["occluded_others"],
@@ -71,7 +71,7 @@ def card(plan: DatasetPlan, counts: Counts) -> dict[str, Any]:
 
 def command(p: Parameters) -> str:
     """The command that makes the same dataset again."""
-    counts = set(p.frames.values())
+    variation, counts = p.variation, set(p.frames.values())
     parts = [f"skope gen --preset {p.preset} --seed {p.seed}"]
     parts.append(f"--site {p.own.file}" if p.own else f"--sites {','.join(p.sites)}")
     if len(counts) == 1:  # else they are the preset's
@@ -90,16 +90,20 @@ def command(p: Parameters) -> str:
     parts += [f"--vehicles {','.join(p.vehicles)}"] if p.vehicles else []
     parts += [f"--share {p.vehicle_share}"] if p.vehicle_share else []
     if p.preset in _VARIED:
-        parts += [f"--views {p.views}", _switch("town-jitter", p.town_jitter), _switch("shape-jitter", p.shape_jitter)]
-        parts += [] if p.road_users else ["--no-road-users"]
+        parts += [
+            f"--views {variation.views}",
+            _switch("town-jitter", variation.town_jitter),
+            _switch("shape-jitter", variation.shape_jitter),
+        ]
+        parts += [] if variation.road_users else ["--no-road-users"]
     else:
-        parts += ["--shape-jitter"] if p.shape_jitter else []
-        parts += [f"--views {p.views}"] if p.views else []
-        parts += ["--town-jitter"] if p.town_jitter else []
-        parts += ["--road-users"] if p.road_users else []
-    parts += ["--camera-jitter"] if "zoom_by" in p.cameras else []
+        parts += ["--shape-jitter"] if variation.shape_jitter else []
+        parts += [f"--views {variation.views}"] if variation.views else []
+        parts += ["--town-jitter"] if variation.town_jitter else []
+        parts += ["--road-users"] if variation.road_users else []
+    parts += ["--camera-jitter"] if "zoom_by" in variation.cameras else []
     parts += [f"--licence {shlex.quote(p.licence)}"] if p.licence != licences.DEFAULT_LICENCE else []
-    return " ".join([*parts, *(f"--set {name}={low}..{high}" for name, (low, high) in p.settings.items())])
+    return " ".join([*parts, *(f"--set {name}={low}..{high}" for name, (low, high) in variation.settings.items())])
 
 
 def _switch(name: str, on: bool) -> str:

@@ -15,6 +15,7 @@ from skope.gen.output.frames import Encoding
 from skope.gen.scene.conditions import Range
 from skope.gen.scene.package_versions import versions
 from skope.gen.scene.recording import RecordingInfo
+from skope.gen.scene.variation import Variation
 from skope.schema import CATEGORIES, VEHICLE_ALONE
 
 
@@ -57,10 +58,8 @@ class Parameters:
     driver: str
     """What the renderer draws with, as `choose_renderer` names it; pixels are the same on the same driver only."""
     rules: Rules
-    settings: Mapping[str, Range] = field(default_factory=dict)
-    """Ranges of conditions that `--set` or the preset gives; the others follow each site's weather and hour."""
-    cameras: Mapping[str, Range] = field(default_factory=dict)
-    """Ranges that each recording's camera is drawn from; empty to use the sites' own cameras."""
+    variation: Variation = field(default_factory=Variation)
+    """Things that are drawn for each recording, and their ranges; the card names its fields among these."""
     keypoint_edition: int = keypoints.EDITION
     """By which definition vehicles are marked, as `skope.keypoints.EDITION`."""
     vehicles: Mapping[str, str] = field(default_factory=dict)
@@ -72,25 +71,8 @@ class Parameters:
     """Weathers that recordings may have; empty for those of the sites and of `presets.toml`."""
     time_of_day: tuple[str, ...] = ()
     """Hours that recordings may have; empty likewise."""
-    shape_jitter: bool = False
-    """Whether each vehicle gets a shape of its own near its model's."""
-    views: int = 0
-    """Number of recordings of a site for training that share one simulated traffic, each with a camera at another
-    corner of the town; 0 where cameras hang at their sites and each recording has its own traffic."""
     traffic: Range | None = None
     """Range of a recording's traffic, times its site's; None for what `presets.toml` says of the split."""
-    town_jitter: bool = False
-    """Whether what stands along the roads is drawn anew for each simulated traffic."""
-    distractors: Range | None = None
-    """Range of the number of things around the cameras that resemble vehicles and are none; None for none."""
-    seasons: bool = False
-    """Whether grass and leaves have the colours of a season, drawn for each town that is drawn anew."""
-    further_models: bool = False
-    """Whether traffic also has the models of `further_fleet.toml`: more lorries, buses, vans and others."""
-    road_users: bool = False
-    """Whether people on foot and on two wheels are labelled, in categories of their own, and there are more of them."""
-    randomised: float = 0.0
-    """Share of the simulated traffics whose ground and walls have random colours and patterns, 0..1."""
     own: OwnSiteRecord | None = None
     """A user's own site (`--site`), in place of those of the package."""
     encoding: Encoding = field(default_factory=Encoding)
@@ -104,7 +86,7 @@ class Parameters:
     @property
     def categories(self) -> tuple[str, ...]:
         """Names of the categories that the labels have."""
-        return CATEGORIES if self.road_users else VEHICLE_ALONE
+        return CATEGORIES if self.variation.road_users else VEHICLE_ALONE
 
     def pixels(self) -> tuple[int, int]:
         """Width and height of the images; a UserError where `size` says none of 16 to 8192 pixels."""
@@ -114,19 +96,17 @@ class Parameters:
         return int(match[1]), int(match[2])
 
     def to_dict(self) -> dict[str, Any]:
-        """The parameters as JSON values."""
-        values = {f.name: getattr(self, f.name) for f in fields(self) if f.name not in _ASKED or getattr(self, f.name)}
-        return {
-            **values,
-            "sites": list(self.sites),
+        """The parameters as JSON values, those of `variation` among them, in the order of `_FIELD_KINDS`."""
+        values = {f.name: getattr(of, f.name) for of in (self, self.variation) for f in fields(of)}
+        values |= {
             "rules": asdict(self.rules),
-            "settings": {name: list(pair) for name, pair in self.settings.items()},
-            "cameras": {name: list(pair) for name, pair in self.cameras.items()},
-            **{name: list(pair) if (pair := getattr(self, name)) else None for name in _RANGES},
-            **{name: list(values[name]) for name in _NAMES if name in values},
             "own": self.own.to_dict() if self.own else None,
             "encoding": asdict(self.encoding),
+            **{name: list(values[name]) for name in ("sites", *_NAMES)},
+            **{name: {key: list(pair) for key, pair in values[name].items()} for name in _RANGES_BY_NAME},
+            **{name: list(pair) if (pair := values[name]) else None for name in _RANGES},
         }
+        return {name: values[name] for name in _FIELD_KINDS if name not in _ASKED or values[name]}
 
     @classmethod
     def from_dict(cls, values: Any, where: str = "parameters") -> Self:
@@ -150,11 +130,12 @@ class Parameters:
             if values.get(name):
                 low, high = values[name]
                 made[name] = (low, high)
-        for name in ("settings", "cameras"):
+        for name in _RANGES_BY_NAME:
             made[name] = {key: (low, high) for key, (low, high) in values[name].items()}
         for name in ("sites", *_NAMES):
             made[name] = tuple(values.get(name, ()))
-        return cls(**made)
+        varied = {f.name: made.pop(f.name) for f in fields(Variation) if f.name in made}
+        return cls(variation=Variation(**varied), **made)
 
 
 @dataclass(frozen=True)
@@ -226,24 +207,47 @@ _RANGE_BY_NAME: Final = _Kind("an object of pairs of numbers", _object_of(_is_ra
 
 _RANGES: Final = ("traffic", "distractors")
 """Fields that hold a range or None."""
+_RANGES_BY_NAME: Final = ("settings", "cameras")
+"""Fields that hold ranges by their names."""
 _NAMES: Final = ("weather", "time_of_day")
 """Fields that hold names that were asked for."""
 _ASKED: Final = ("vehicle_share", "further_models", "road_users", *_NAMES)
 """Fields that are written only where they were asked for: cards of other datasets stay as they are."""
 _FIELD_KINDS: Final[Mapping[str, _Kind]] = {
-    **dict.fromkeys(("preset", "size", "renderer", "driver", "format", "licence"), _TEXT),
-    **dict.fromkeys(("seed", "recordings", "views", "keypoint_edition"), _WHOLE_NUMBER),
-    **dict.fromkeys(("interval_s", "fov_deg", "randomised"), _NUMBER),
-    **dict.fromkeys(("rules", "encoding"), _OBJECT),
-    **dict.fromkeys(("settings", "cameras"), _RANGE_BY_NAME),
-    **dict.fromkeys(("vehicles", "versions"), _TEXT_BY_NAME),
-    **dict.fromkeys(("sites", *_NAMES), _TEXTS),
-    "vehicle_share": _NUMBER_OR_NULL,
+    "preset": _TEXT,
+    "seed": _WHOLE_NUMBER,
+    "sites": _TEXTS,
     "frames": _COUNT_BY_NAME,
-    **dict.fromkeys(("further_models", "road_users", "seasons", "shape_jitter", "town_jitter"), _SWITCH),
+    "recordings": _WHOLE_NUMBER,
+    "interval_s": _NUMBER,
+    "size": _TEXT,
+    "fov_deg": _NUMBER,
+    "renderer": _TEXT,
+    "driver": _TEXT,
+    "rules": _OBJECT,
+    "settings": _RANGE_BY_NAME,
+    "cameras": _RANGE_BY_NAME,
+    "keypoint_edition": _WHOLE_NUMBER,
+    "vehicles": _TEXT_BY_NAME,
+    "vehicle_share": _NUMBER_OR_NULL,
+    "weather": _TEXTS,
+    "time_of_day": _TEXTS,
+    "shape_jitter": _SWITCH,
+    "views": _WHOLE_NUMBER,
+    "traffic": _RANGE_OR_NULL,
+    "town_jitter": _SWITCH,
+    "distractors": _RANGE_OR_NULL,
+    "seasons": _SWITCH,
+    "further_models": _SWITCH,
+    "road_users": _SWITCH,
+    "randomised": _NUMBER,
     "own": _OBJECT_OR_NULL,
-    **dict.fromkeys(_RANGES, _RANGE_OR_NULL),
+    "encoding": _OBJECT,
+    "format": _TEXT,
+    "licence": _TEXT,
+    "versions": _TEXT_BY_NAME,
 }
+"""Kind of each field, of `Parameters` and of `Variation`, in the order in which files have them."""
 _OPTIONAL: Final = frozenset(
     (
         *("distractors", "keypoint_edition", "licence", "own", "randomised", "recordings", "seasons", "town_jitter"),

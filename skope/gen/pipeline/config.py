@@ -17,6 +17,7 @@ from skope.gen.scene import camera_sampling
 from skope.gen.scene.conditions import TIMES_OF_DAY, Range, check_settings
 from skope.gen.scene.random_streams import Stream
 from skope.gen.scene.recording import RecordingPlan
+from skope.gen.scene.variation import Variation
 from skope.gen.site_files.site_file import OwnSite
 from skope.gen.towns.sites import Site, site, sites
 from skope.gen.traffic.sumo import step_for
@@ -55,8 +56,8 @@ class DatasetRequest:
         if not 5 <= p.fov_deg <= 150:
             raise UserError(f"--fov: expected degrees from 5 to 150, got {p.fov_deg}")
         step_for(p.interval_s)
-        check_settings(p.settings)
-        camera_sampling.check_ranges(p.cameras)
+        check_settings(p.variation.settings)
+        camera_sampling.check_ranges(p.variation.cameras)
         self._check_lens()
         for flag, asked, known in (
             ("--weather", p.weather, WEATHERS),
@@ -67,8 +68,8 @@ class DatasetRequest:
             if len(set(asked)) < len(asked):
                 raise UserError(f"{flag}: expected different names, got {','.join(asked)}")
         self._check_vehicles()
-        if not 0 <= p.views <= 16:
-            raise UserError(f"--views: expected a whole number from 0 to 16, got {p.views}")
+        if not 0 <= (views := p.variation.views) <= 16:
+            raise UserError(f"--views: expected a whole number from 0 to 16, got {views}")
         if self.own:
             self._check_own(self.own)
 
@@ -80,7 +81,7 @@ class DatasetRequest:
             if not 0 < p.vehicle_share <= 1:
                 raise UserError(f"--share: expected a share above 0, up to 1, got {p.vehicle_share:g}")
         for name in p.vehicles.keys() & fleet().keys():
-            if p.vehicle_share is None and name in fleet(further=p.further_models):
+            if p.vehicle_share is None and name in fleet(further=p.variation.further_models):
                 raise UserError(
                     f"--vehicles {name}: is a model of the fleet, which drives by anyway; "
                     "say with --share how much of the traffic it makes"
@@ -94,17 +95,17 @@ class DatasetRequest:
 
     def _check_lens(self) -> None:
         """Raise a UserError where the strongest distortion at the widest angle would fold the image."""
-        p = self.parameters
-        widest = p.cameras.get("fov_deg", (p.fov_deg, p.fov_deg))[1]
-        low, high = map(round, p.settings.get("fisheye", (0.0, 0.0)))
-        for k1 in set(p.settings.get("k1", (0.0, 0.0))):
+        p, settings = self.parameters, self.parameters.variation.settings
+        widest = p.variation.cameras.get("fov_deg", (p.fov_deg, p.fov_deg))[1]
+        low, high = map(round, settings.get("fisheye", (0.0, 0.0)))
+        for k1 in set(settings.get("k1", (0.0, 0.0))):
             for model in ("brown", "fisheye")[low : high + 1]:
                 if k1 or model == "fisheye":
                     lens = Distortion(model, (k1, 0.0, 0.0, 0.0))
                     pinhole_of(self.site(p.sites[0]).camera(p.pixels(), widest, lens))
 
     def _check_own(self, own: OwnSite) -> None:
-        p = self.parameters
+        p, variation = self.parameters, self.parameters.variation
         if p.recordings != len(own.splits):
             raise UserError(f"--recordings: {own.path} names the splits of {len(own.splits)} recordings")
         camera, photograph, (width, height) = own.road.camera, own.road.photograph, p.pixels()
@@ -113,18 +114,18 @@ class DatasetRequest:
                 f"--size {p.size}: the camera of {own.path} has {camera.width}x{camera.height}: "
                 "only sizes of that shape can be had"
             )
-        lens = next((name for name in ("k1", "fisheye") if name in p.settings), None)
+        lens = next((name for name in ("k1", "fisheye") if name in variation.settings), None)
         if lens and (photograph or camera.distortion.model != "none"):
             raise UserError(f"--set {lens}: {own.path} says already how its camera distorts")
         if photograph and (p.weather or p.time_of_day):
             flag = "--weather" if p.weather else "--time-of-day"
             raise UserError(f"{flag}: {own.path} shows a photograph, in whose light all recordings are")
-        if p.views or p.town_jitter:
-            flag = "--views" if p.views else "--town-jitter"
+        if variation.views or variation.town_jitter:
+            flag = "--views" if variation.views else "--town-jitter"
             raise UserError(f"{flag}: {own.path} is a road of your own; only the towns of the package can be changed")
-        if p.cameras and photograph:
+        if variation.cameras and photograph:
             raise UserError(f"{own.path}: a photograph shows the road from one camera only: no other can be drawn")
-        if p.cameras.keys() & {"fov_deg", "height_m", "pitch_deg"}:
+        if variation.cameras.keys() & {"fov_deg", "height_m", "pitch_deg"}:
             raise UserError(f"--preset {p.preset}: {own.path} says how its camera hangs (try --camera-jitter)")
 
     def site(self, name: str) -> Site:
@@ -149,16 +150,7 @@ class DatasetRequest:
             size=p.pixels(),
             fov_deg=p.fov_deg,
             seed=p.seed,
-            settings=p.settings,
-            cameras=p.cameras,
-            shape_jitter=p.shape_jitter,
-            views=p.views if self.site(name).split == "train" else 0,
-            town_jitter=p.town_jitter,
-            distractors=p.distractors,
-            seasons=p.seasons,
-            further_models=p.further_models,
-            road_users=p.road_users,
-            randomised=p.randomised,
+            variation=p.variation if self.site(name).split == "train" else replace(p.variation, views=0),
         )
         return replace(plan, **self._asked_vehicles(plan))
 
@@ -191,7 +183,7 @@ class DatasetRequest:
             share = round(float(plan.shared_rng(Stream.HEAVY_SHARE).uniform(*row["heavy"])), 3) or None
         if p.vehicles or share is None:
             return {"vehicles": tuple(p.vehicles), "vehicle_share": p.vehicle_share}
-        models, learnt = fleet(further=p.further_models), plan.site.split == "train"
+        models, learnt = fleet(further=p.variation.further_models), plan.site.split == "train"
         heavy = [
             name
             for name, entry in models.items()
@@ -245,13 +237,13 @@ def from_preset(
         own: A user's own site in place of the preset's sites; its file gives camera and image size.
         camera_jitter: Whether each recording's camera hangs a little differently.
         settings: Ranges of conditions, on top of the preset's.
-        overrides: Other fields of `Parameters`; None leaves the preset's value.
+        overrides: Other fields of `Parameters`, or of its `variation`; None leaves the preset's value.
 
     Raises:
         UserError: There is no such preset, or a value is out of range.
     """
     row = presets()[one_of("--preset", preset, tuple(presets()))]
-    known = {f.name for f in fields(Parameters)}
+    known = {f.name for f in (*fields(Parameters), *fields(Variation))}
     values = {name: value for name, value in row.items() if name in known}
     values["sites"] = tuple(name for split in row["frames"] for name in sites() if site(name).split == split)
     if own is not None:
@@ -273,7 +265,10 @@ def from_preset(
     values["cameras"] = range_pairs(row.get("cameras", {}) | (tables()["camera_jitter"] if camera_jitter else {}))
     if frames is not None:
         values["frames"] = dict.fromkeys(row["frames"], frames)
-    parameters = Parameters(preset=preset, seed=seed, renderer=renderer, driver=driver, rules=rules, **values)
+    variation = Variation(**{f.name: values.pop(f.name) for f in fields(Variation) if f.name in values})
+    parameters = Parameters(
+        preset=preset, seed=seed, renderer=renderer, driver=driver, rules=rules, variation=variation, **values
+    )
     return DatasetRequest(parameters, own)
 
 

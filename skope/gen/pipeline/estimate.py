@@ -132,8 +132,8 @@ def _rendering(
     if request.own and request.own.road.photograph:
         lights = []
     lighting = max(sum(lights) / cores, max(lights, default=0.0) / _LIGHT_PARTS)
-    grown = TOWN_S * len({(plan.site.name, plan.leader) for plan in plans}) if p.town_jitter else 0.0
-    shapes = SHAPES_S * len(plans) if p.shape_jitter else 0.0
+    grown = TOWN_S * len({(plan.site.name, plan.leader) for plan in plans}) if p.variation.town_jitter else 0.0
+    shapes = SHAPES_S * len(plans) if p.variation.shape_jitter else 0.0
     frames = sum(left[plan.info] for plan in plans)
     drawing = of(rate.frame) * max(frames / cores, min(frames, CHUNK))
     return lighting + (grown + shapes) / cores + drawing

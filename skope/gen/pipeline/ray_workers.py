@@ -81,7 +81,7 @@ class RayPool:
         spec: RenderJobSpec,
         on_light: Callable[[str], None],
     ) -> Iterator[int]:
-        queue = JobQueue(missing, views=store.plan.parameters.views)
+        queue = JobQueue(missing, views=store.plan.parameters.variation.views)
         held, sent = dict[Any, RecordingInfo](), dict[RecordingInfo, Any]()
 
         def next_for(worker: Any) -> RenderJob:

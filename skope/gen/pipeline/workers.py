@@ -203,7 +203,7 @@ class InProcessPool:
         spec: RenderJobSpec,
         on_light: Callable[[str], None],
     ) -> Iterator[int]:
-        queue, recording = JobQueue(missing, views=store.plan.parameters.views), None
+        queue, recording = JobQueue(missing, views=store.plan.parameters.variation.views), None
         while queue:
             job = queue.next_for(recording)
             recording = job.recording
@@ -244,7 +244,7 @@ class ProcessPool:
         spec: RenderJobSpec,
         on_light: Callable[[str], None],
     ) -> Iterator[int]:
-        queue = JobQueue(missing, views=store.plan.parameters.views)
+        queue = JobQueue(missing, views=store.plan.parameters.variation.views)
         for worker in self._workers:
             worker.recording = None
 

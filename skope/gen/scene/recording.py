@@ -21,8 +21,9 @@ from skope.errors import UserError, one_of
 from skope.files import safe_names
 from skope.files.atomic import write_bytes
 from skope.files.reading import read_bytes
-from skope.gen.scene.conditions import Conditions, Range
+from skope.gen.scene.conditions import Conditions
 from skope.gen.scene.random_streams import Stream, rng
+from skope.gen.scene.variation import Variation
 from skope.gen.towns.sites import Site
 from skope.gen.towns.town import Mast, Town, Variant, towns
 from skope.gen.towns.user_road import OwnRoad
@@ -63,36 +64,17 @@ class RecordingPlan:
     fov_deg: float
     """Horizontal field of view of the site's camera; a user's own camera has its own."""
     seed: int
-    settings: Mapping[str, Range] = field(default_factory=dict)
-    """Ranges of conditions that the user or preset sets; the others follow the site's weather and hour."""
-    cameras: Mapping[str, Range] = field(default_factory=dict)
-    """What the camera is drawn from, of `skope.gen.scene.camera_sampling.CAMERA_LIMITS`; empty: the site's own."""
+    variation: Variation = field(default_factory=Variation)
+    """Things that are drawn for it, and their ranges."""
     vehicles: tuple[str, ...] = ()
     """Models that were asked for, of the user (`skope gen vehicles add`) or of the fleet."""
     vehicle_share: float | None = None
     """Share of the traffic that `vehicles` make together; None for a tenth of the fleet's number each."""
-    shape_jitter: bool = False
-    """Whether each vehicle gets a shape of its own near its model's."""
-    views: int = 0
-    """Number of recordings in a row that share one simulated traffic, each with a camera at another corner of the town;
-    0 where the camera hangs at its site and the traffic is its own."""
-    town_jitter: bool = False
-    """Whether what stands along the roads is drawn anew; recordings that share their traffic share it too."""
-    distractors: Range | None = None
-    """Range of the number of things around the cameras that resemble vehicles; None for none."""
-    seasons: bool = False
-    """Whether the season is drawn where what stands along the roads is."""
-    further_models: bool = False
-    """Whether traffic also has the fleet's further models."""
-    road_users: bool = False
-    """Whether people on foot and on two wheels are labelled, and there are more and other ones of them."""
-    randomised: float = 0.0
-    """Share of simulated traffics whose ground and walls have random colours and patterns, 0..1."""
 
     @property
     def leader(self) -> int:
         """Number of the first of the recordings that share this one's traffic."""
-        return self.index - self.index % self.views if self.views else self.index
+        return self.index - self.index % views if (views := self.variation.views) else self.index
 
     @property
     def info(self) -> RecordingInfo:
@@ -109,7 +91,7 @@ class RecordingPlan:
 
     def shape_rng(self, name: str, model: str) -> np.random.Generator:
         """The generator of a vehicle's shape: its own, or, with views, that of one of the model's `SHAPES`."""
-        if not self.views:
+        if not self.variation.views:
             return self.rng_of(name)
         return rng(self.seed, model, zlib.crc32(name.encode()) % SHAPES, Stream.SHAPE)
 

@@ -150,14 +150,15 @@ class Recorder:
     def _vehicle(self, name: str, model: str) -> Vehicle:
         if name not in self._vehicles:
             vehicle = self._models[model].vehicle
-            if self._plan.shape_jitter and model in fleet():
-                vehicle = build(model, jittered(model, self._plan.shape_rng(name, model)), recurs=self._plan.views > 0)
+            variation = self._plan.variation
+            if variation.shape_jitter and model in fleet():
+                vehicle = build(model, jittered(model, self._plan.shape_rng(name, model)), recurs=variation.views > 0)
             self._vehicles[name] = vehicle
         return self._vehicles[name]
 
     def _paint(self, name: str, vehicle: Vehicle, color: str) -> str:
         """The paint of a vehicle: its own, or, where cameras share the traffic, one that is drawn for this camera."""
-        if not self._plan.views:
+        if not self._plan.variation.views:
             return color
         if name not in self._paints:
             rng = self._plan.rng(Stream.PAINT, zlib.crc32(name.encode()))
@@ -166,7 +167,7 @@ class Recorder:
 
     def _daytime_lamps(self, name: str) -> int:
         """The lamps that a vehicle has lit by day too."""
-        lit = self._plan.views and zlib.crc32(f"{name} by day".encode()) < DAYTIME_LAMPS * 2**32
+        lit = self._plan.variation.views and zlib.crc32(f"{name} by day".encode()) < DAYTIME_LAMPS * 2**32
         return LAMPS["low_beam"] if lit else 0
 
     def add(
@@ -222,12 +223,12 @@ class Recorder:
         labelled: bool = True,
         parked: bool = False,
     ) -> None:
-        if self._plan.views and not self._shows(pose.T_world_chassis[:3, 3]):
+        if self._plan.variation.views and not self._shows(pose.T_world_chassis[:3, 3]):
             return
         if name not in self._index:
             self._index[name] = len(self._entries)
             track = self._first_track + len(self._entries)
-            recurs = labelled and self._plan.views > 0
+            recurs = labelled and self._plan.variation.views > 0
             one = RecordedVehicle(track, model, shape, color, parked=parked, labelled=labelled, recurs=recurs)
             self._entries.append(one)
         self._rows.append((frame, self._index[name], pose, lamps))
@@ -244,7 +245,7 @@ class Recorder:
     def recording(self, plan: RecordingPlan, camera: Camera, conditions: Conditions) -> Recording:
         site, poses = plan.site, [row[2] for row in self._rows]
         # Many views must travel: their poses are kept to 24 bits, a hundredth of a millimetre.
-        number = np.float32 if plan.views else np.float64
+        number = np.float32 if plan.variation.views else np.float64
         trailers = _rounded([pose.T_world_trailer for pose in poses], number).reshape(-1, 3, 4, 4)
         return Recording(
             town=site.town,
@@ -267,5 +268,5 @@ class Recorder:
             T_world_trailer=trailers if (trailers != np.eye(4)).any() else None,
             velocity=_rounded([pose.velocity for pose in poses], number).reshape(-1, 3),
             lamps=np.array([row[3] for row in self._rows], dtype=np.uint8),
-            road_users=plan.road_users,
+            road_users=plan.variation.road_users,
         )

@@ -85,15 +85,15 @@ def simulate_together(plans: Sequence[RecordingPlan]) -> list[Recording]:
             passing=RoadGraph.of(site.town).seen_by(site.road.camera, SIMULATED_WITHIN_M) if site.road else frozenset(),
             step=step,
             watched=cameras.watch,
-            riders=Riding.drawn(first.shared_rng(Stream.RIDERS)) if first.road_users else USUAL_RIDERS,
+            riders=Riding.drawn(first.shared_rng(Stream.RIDERS)) if first.variation.road_users else USUAL_RIDERS,
         ) as traffic,
         World(step) as world,
     ):
         kinds = {trip.name: trip.model for trip in traffic.trips.values()}
-        riders = Riders(kinds, first.rng_of, jointed=first.road_users)
+        riders = Riders(kinds, first.rng_of, jointed=first.variation.road_users)
         traffic.warm_up(warm_up - ahead)
         snapshots: Iterable[Snapshot] = traffic.steps(steps + 2 * ahead)
-        if first.views:
+        if first.variation.views:
             snapshots = list(snapshots)
             cameras.choose(snapshots[ahead:])
         cameras.set_up()
@@ -129,8 +129,9 @@ class _Cameras:
         self.walkers: list[Walkers] = []
         self._plans, self._conditions, self._models = list(plans), conditions, models
         self._starts, self._stride = starts, stride
-        self._cameras = [] if plans[0].views else [self._own_camera(plans[0], conditions[0])]
-        if plans[0].town_jitter and not plans[0].views:
+        variation = plans[0].variation
+        self._cameras = [] if variation.views else [self._own_camera(plans[0], conditions[0])]
+        if variation.town_jitter and not variation.views:
             self._move_to(_variant(plans[0], ()))
         if self._cameras:
             self._add_recorders()
@@ -189,19 +190,19 @@ class _Cameras:
 
 
 def _walkers(plan: RecordingPlan, paths: Sequence[Array], parked: Sequence[Polygon], *, raining: bool) -> Walkers:
-    if plan.road_users:
+    if plan.variation.road_users:
         return Walkers.labelled(paths, plan.rng(Stream.CROWDS), parked, raining=raining)
     return Walkers(paths, plan.rng(Stream.PEDESTRIANS), parked)
 
 
 def _conditions(plan: RecordingPlan) -> Conditions:
     site = plan.site
-    spans = ranges(site.weather, site.time_of_day, {**site.conditions, **plan.settings})
+    spans = ranges(site.weather, site.time_of_day, {**site.conditions, **plan.variation.settings})
     return Conditions.drawn(spans, plan.rng(Stream.CONDITIONS))
 
 
 def _camera_ranges(plan: RecordingPlan, conditions: Conditions) -> CameraRanges:
-    return CameraRanges(plan.size, plan.fov_deg, conditions.distortion, plan.cameras)
+    return CameraRanges(plan.size, plan.fov_deg, conditions.distortion, plan.variation.cameras)
 
 
 def _variant(plan: RecordingPlan, masts: tuple[Mast, ...]) -> Variant:
@@ -210,13 +211,14 @@ def _variant(plan: RecordingPlan, masts: tuple[Mast, ...]) -> Variant:
     def seed(stream: Stream) -> int:
         return int(plan.shared_rng(stream).integers(1, 2**31))
 
-    low, high = plan.distractors or (0, 0)
-    randomised = plan.shared_rng(Stream.RANDOMISED).random() < plan.randomised
+    variation = plan.variation
+    low, high = variation.distractors or (0, 0)
+    randomised = plan.shared_rng(Stream.RANDOMISED).random() < variation.randomised
     return Variant(
-        seed(Stream.VARIANT) if plan.town_jitter else 0,
+        seed(Stream.VARIANT) if variation.town_jitter else 0,
         masts,
         distractors=int(plan.shared_rng(Stream.DISTRACTORS).integers(int(low), int(high) + 1)),
-        season=seed(Stream.SEASON) if plan.town_jitter and plan.seasons else 0,
+        season=seed(Stream.SEASON) if variation.town_jitter and variation.seasons else 0,
         randomised=seed(Stream.RANDOMISED) if randomised else 0,
     )
 
@@ -236,7 +238,7 @@ def _models(plan: RecordingPlan) -> dict[str, FleetEntry]:
     With a share, the models that were asked for make it together, in equal parts, and the others make the rest.
     """
     train = plan.site.split == "train"
-    driving = fleet(further=plan.further_models)
+    driving = fleet(further=plan.variation.further_models)
     usual = {name: entry for name, entry in driving.items() if not (train and entry.held_out)}
     models = in_town(usual, plan.site.town.name)
     asked = {name: _asked(name) for name in plan.vehicles}

@@ -180,7 +180,7 @@ class FleetEntry:
     held_out: bool = False
     """Whether the model is kept for testing, and so never in a split `train`."""
     further: bool = False
-    """Whether it drives only where `Parameters.further_models` says so."""
+    """Whether it drives only where `Variation.further_models` says so."""
 
 
 @cache

@@ -9,6 +9,7 @@ from typing import Final
 import numpy as np
 
 from skope.page.html_pieces import tag
+from skope.schema import PEDESTRIAN
 from skope.site.marks import Outline
 from skope.traffic.count_interval import in_words
 from skope.traffic.counts import ALL
@@ -121,7 +122,7 @@ def _marks(report: TrafficReport, frame: _Frame) -> Iterator[str]:
 def _tracks(tracks: Sequence[Trajectory], frame: _Frame) -> Iterator[str]:
     faint = max(0.15, min(0.8, 40 / max(1, len(tracks))))
     for one in tracks:
-        kind = 0 if one.category == VEHICLE else 2 if one.category == "pedestrian" else 1
+        kind = 0 if one.category == VEHICLE else 2 if one.category == PEDESTRIAN else 1
         path = frame.path(one.place[thinned(one, _STEP_S)])
         tip = f"{one.class_name} {one.number}"
         yield tag("path", d=path, class_=f"track road-{kind}", stroke_opacity=f"{faint:.2f}", data_tip=tip)

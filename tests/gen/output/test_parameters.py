@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,7 @@ from skope.gen.labels.annotate import Rules
 from skope.gen.output.frames import Encoding
 from skope.gen.output.parameters import DatasetPlan, OwnSiteRecord, Parameters
 from skope.gen.scene.recording import RecordingInfo
+from skope.gen.scene.variation import Variation
 
 OWN = OwnSiteRecord(file="site.toml", digests={"site": "ab"}, town="cd", photograph=True, splits=("train", "test"))
 PARAMETERS = Parameters(
@@ -27,17 +28,19 @@ PARAMETERS = Parameters(
     renderer="gl",
     driver="a driver",
     rules=Rules(occlusion="paper", min_box=10),
-    settings={"rain_mm_h": (2.0, 6)},
-    cameras={"zoom_by": (0.9, 1.1)},
+    variation=Variation(
+        settings={"rain_mm_h": (2.0, 6)},
+        cameras={"zoom_by": (0.9, 1.1)},
+        shape_jitter=True,
+        distractors=(0, 25),
+        seasons=True,
+        further_models=True,
+        randomised=0.25,
+    ),
     vehicles={"mine": "ef"},
     vehicle_share=0.25,
     weather=("rain", "fog"),
     time_of_day=("night",),
-    shape_jitter=True,
-    distractors=(0, 25),
-    seasons=True,
-    further_models=True,
-    randomised=0.25,
     own=OWN,
     encoding=Encoding(image="png", depth=False),
     format="shards",
@@ -61,16 +64,30 @@ def test_folders_of_before_lack_what_there_was_not() -> None:
     for name in ("distractors", "licence", "own", "randomised", "recordings", "seasons"):
         del values[name]
     made = Parameters.from_dict(values)
-    assert (made.distractors, made.randomised, made.seasons) == (None, 0.0, False)
+    varied = made.variation
+    assert (varied.distractors, varied.randomised, varied.seasons) == (None, 0.0, False)
     del values["further_models"]
-    assert not Parameters.from_dict(values).further_models
+    assert not Parameters.from_dict(values).variation.further_models
     assert (made.licence, made.own, made.recordings) == ("CC BY 4.0", None, 1)
+
+
+def test_every_field_is_written_in_one_object() -> None:
+    """What varies stands among the other parameters, as in cards of before `Variation`, and in their order."""
+    variation = replace(PARAMETERS.variation, road_users=True)
+    names = list(replace(PARAMETERS, variation=variation).to_dict())
+    assert set(names) == {f.name for f in (*fields(Parameters), *fields(Variation))} - {"variation"}
+    assert names[11:28] == [
+        *("settings", "cameras", "keypoint_edition", "vehicles", "vehicle_share", "weather", "time_of_day"),
+        *("shape_jitter", "views", "traffic", "town_jitter", "distractors", "seasons", "further_models", "road_users"),
+        *("randomised", "own"),
+    ]
 
 
 def test_what_was_not_asked_for_is_not_written() -> None:
     """Cards of datasets without these options are the bytes that they were before there were any."""
     asked = {"vehicle_share", "further_models", "weather", "time_of_day"}
-    plain = replace(PARAMETERS, vehicle_share=None, further_models=False, weather=(), time_of_day=())
+    variation = replace(PARAMETERS.variation, further_models=False)
+    plain = replace(PARAMETERS, vehicle_share=None, variation=variation, weather=(), time_of_day=())
     assert PARAMETERS.to_dict().keys() - plain.to_dict().keys() == asked
     assert Parameters.from_dict(through_json(plain.to_dict())) == plain
 

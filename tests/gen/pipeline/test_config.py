@@ -96,9 +96,11 @@ def test_models_that_are_held_out_are_for_test_sites_only() -> None:
 
 def test_further_models_belong_to_two_presets() -> None:
     """Datasets of the others stay as they were."""
-    assert {name for name in presets() if asked(name).parameters.further_models} == {"world", "conditions"}
+    assert {name for name in presets() if asked(name).parameters.variation.further_models} == {"world", "conditions"}
     for name in presets():
-        assert all(plan.further_models == (name in ("world", "conditions")) for plan in asked(name, frames=1).plans())
+        assert all(
+            plan.variation.further_models == (name in ("world", "conditions")) for plan in asked(name, frames=1).plans()
+        )
     # There they drive by anyway; elsewhere they need not be given a share.
     with pytest.raises(UserError, match="--vehicles truck_mixer: is a model of the fleet, which drives by anyway"):
         asked("world", vehicles={"truck_mixer": ""})

@@ -74,7 +74,7 @@ def test_what_varies_can_be_drawn_and_flags_win_over_it() -> None:
         for name, (low, high) in wide.items():
             assert CONDITION_LIMITS[name][0] <= low <= high <= CONDITION_LIMITS[name][1]
     plan = next(p for p in asked("world", settings={"glare": (2.0, 2.0)}).plans() if p.site.time_of_day == "night")
-    spans = ranges(plan.site.weather, plan.site.time_of_day, {**plan.site.conditions, **plan.settings})
+    spans = ranges(plan.site.weather, plan.site.time_of_day, {**plan.site.conditions, **plan.variation.settings})
     drawn = Conditions.drawn(spans, np.random.default_rng(0))
     assert drawn.glare == 2.0
     assert spans["street_lights_lit"] == (0.3, 1)
@@ -82,7 +82,7 @@ def test_what_varies_can_be_drawn_and_flags_win_over_it() -> None:
 
 def test_paper_knows_nothing_of_what_varies() -> None:
     for plan in asked("paper").plans():
-        spans = ranges(plan.site.weather, plan.site.time_of_day, {**plan.site.conditions, **plan.settings})
+        spans = ranges(plan.site.weather, plan.site.time_of_day, {**plan.site.conditions, **plan.variation.settings})
         drawn = Conditions.drawn(spans, np.random.default_rng(0))
         assert (drawn.glare, drawn.street_lights_lit, drawn.spray, drawn.lens_dirt, drawn.snow_cover) == (1, 1, 0, 0, 0)
 

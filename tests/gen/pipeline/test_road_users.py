@@ -196,12 +196,12 @@ def test_only_two_presets_label_people() -> None:
     for name in presets():
         request = from_preset(name, seed=0, renderer="gl", driver="", rules=Rules(), frames=2)
         on = name in ("world", "conditions")
-        assert request.parameters.road_users == on
+        assert request.parameters.variation.road_users == on
         assert request.parameters.categories == (schema.CATEGORIES if on else ("vehicle",))
-        assert all(plan.road_users == on for plan in request.plans())
+        assert all(plan.variation.road_users == on for plan in request.plans())
         assert ("road_users" in request.parameters.to_dict()) == on
     off = from_preset("world", seed=0, renderer="gl", driver="", rules=Rules(), frames=2, road_users=False)
-    assert not off.parameters.road_users
+    assert not off.parameters.variation.road_users
 
 
 def test_recordings_say_whether_people_are_labelled(tmp_path: Path, made: Path) -> None:
@@ -209,7 +209,8 @@ def test_recordings_say_whether_people_are_labelled(tmp_path: Path, made: Path) 
         "demo", seed=3, renderer="gl", driver="", rules=Rules(), frames=2, sites=("t01_mill_corner",), road_users=True
     )
     (plan,) = request.plans()
-    labelled, before = simulate(plan), simulate(replace(plan, road_users=False))
+    unlabelled = replace(plan, variation=replace(plan.variation, road_users=False))
+    labelled, before = simulate(plan), simulate(unlabelled)
     recordings.save(tmp_path / "a.npz", labelled)
     recordings.save(tmp_path / "b.npz", before)
     assert recordings.load(tmp_path / "a.npz").road_users

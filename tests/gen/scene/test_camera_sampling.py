@@ -29,7 +29,7 @@ def test_a_fisheye_shows_the_field_of_view_it_is_asked_for() -> None:
     (plan, *_) = request("demo", settings={"fisheye": (1.0, 1.0), "k1": (-0.03, -0.03)}).plans()
     lens = camera_sampling.drawn(
         plan.site,
-        CameraRanges(SIZE, 110.0, conditions_of(plan.settings).distortion, plan.cameras),
+        CameraRanges(SIZE, 110.0, conditions_of(plan.variation.settings).distortion, plan.variation.cameras),
         np.random.default_rng(0),
     )
     half = math.radians(55)
@@ -48,7 +48,7 @@ def conditions_of(settings: object):  # type: ignore[no-untyped-def]
 
 
 def test_varied_cameras_keep_to_the_ranges_and_see_road() -> None:
-    spans = request().parameters.cameras
+    spans = request().parameters.variation.cameras
     seen = {"fov_deg": [], "height_m": [], "pitch_deg": []}  # type: dict[str, list[float]]
     for number, name in enumerate(request().parameters.sites):
         layout = Layout.of(site(name).town)
@@ -72,7 +72,7 @@ def test_varied_cameras_keep_to_the_ranges_and_see_road() -> None:
 
 
 def test_jitter_moves_each_recordings_camera_a_little() -> None:
-    spans = request("demo", camera_jitter=True).parameters.cameras
+    spans = request("demo", camera_jitter=True).parameters.variation.cameras
     own = site("t01_mill_corner")
     first, second = (
         camera_sampling.drawn(own, CameraRanges(SIZE, 80.0, None, spans), np.random.default_rng(seed))
@@ -84,7 +84,7 @@ def test_jitter_moves_each_recordings_camera_a_little() -> None:
         assert 1e-3 < math.degrees(math.acos(angle)) < 6
         assert abs(camera.position[2] - plain.position[2]) <= 0.5
     assert not np.allclose(first.T_camera_world, second.T_camera_world)
-    assert request("demo").parameters.cameras == {}
+    assert request("demo").parameters.variation.cameras == {}
 
 
 def test_views_that_show_no_road_are_refused() -> None:

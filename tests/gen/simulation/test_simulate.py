@@ -11,6 +11,7 @@ from skope.errors import UserError
 from skope.gen.scene import recording as recordings
 from skope.gen.scene.lamps import LAMPS
 from skope.gen.scene.recording import RecordingPlan
+from skope.gen.scene.variation import Variation
 from skope.gen.scenery.build import bays_of
 from skope.gen.simulation.parked import parked
 from skope.gen.simulation.physics import World, at_rest
@@ -270,13 +271,16 @@ def test_models_that_were_asked_for_make_their_share_of_the_traffic(share: float
         assert models["van"].share / models["sedan"].share == usual["van"].share / usual["sedan"].share
 
 
+FURTHER = Variation(further_models=True)
+
+
 def planned(**changes: Any) -> RecordingPlan:
     values = {"index": 0, "frames": 1, "interval": 0.5, "size": (640, 360), "fov_deg": 60.0, "seed": 0}
     return RecordingPlan(**{"site": site("t01_main_west"), **values, **changes})
 
 
 def test_further_models_drive_only_where_they_are_asked_for() -> None:
-    plain, more = _models(planned()), _models(planned(further_models=True))
+    plain, more = _models(planned()), _models(planned(variation=FURTHER))
     assert plain == in_town(fleet(further=False), "town01")
     assert plain.keys() < more.keys() == fleet().keys()
     for models in (plain, more):
@@ -288,7 +292,7 @@ def test_further_models_drive_only_where_they_are_asked_for() -> None:
 
 def test_further_models_that_are_held_out_never_drive_past_sites_for_training() -> None:
     train, test = (
-        _models(planned(site=site(name), further_models=True)) for name in ("t01_mill_corner", "t01_main_west")
+        _models(planned(site=site(name), variation=FURTHER)) for name in ("t01_mill_corner", "t01_main_west")
     )
     held_out = {name for name, entry in fleet().items() if entry.held_out}
     assert not train.keys() & held_out
@@ -305,7 +309,7 @@ def test_traffic_without_further_models_sets_out_as_before_there_were_any() -> N
         return list(trips(plan.site.town.network, models, vehicles_per_hour=600.0, duration=3600.0, rng=rng))
 
     assert drawn(_models(plan)) == drawn(in_town(fleet(further=False), "town01"))
-    more = drawn(_models(replace(plan, further_models=True)))
+    more = drawn(_models(replace(plan, variation=FURTHER)))
     assert {trip.model for trip in more} - set(RIDERS) - fleet(further=False).keys()
 
 

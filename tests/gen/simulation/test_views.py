@@ -33,7 +33,9 @@ def request(**changes: object) -> DatasetRequest:
         sites=("t01_mill_corner",),
         size="320x180",
     )
-    return replace(made, parameters=replace(made.parameters, **{"recordings": 4, **changes}))
+    own = {name: changes.pop(name) for name in vars(made.parameters.variation).keys() & changes.keys()}
+    changes = {"recordings": 4, "variation": replace(made.parameters.variation, **own), **changes}
+    return replace(made, parameters=replace(made.parameters, **changes))
 
 
 @pytest.fixture(scope="module")
@@ -175,4 +177,4 @@ def test_town_jitter_without_views_keeps_the_sites_camera() -> None:
 
 def test_sites_that_are_tested_on_keep_their_cameras() -> None:
     made = from_preset("world", seed=0, renderer="gl", driver="", rules=Rules(), frames=12, sites=("t01_school_lane",))
-    assert [plan.views for plan in made.plans()] == [0]
+    assert [plan.variation.views for plan in made.plans()] == [0]

@@ -31,6 +31,7 @@ from skope.gen.render.gl.renderer import device
 from skope.gen.scene import recording as recordings
 from skope.gen.scene.recording import Recording, RecordingPlan
 from skope.gen.scene.sun import sun_direction, time_of_day
+from skope.gen.scene.variation import Variation
 from skope.gen.scenery.build import scenery
 from skope.gen.scenery.markings import crossings, markings
 from skope.gen.simulation.simulate import simulate
@@ -160,7 +161,9 @@ def test_the_light_of_a_drawn_photograph_is_found_again() -> None:
     name, ev = "t01_mill_corner", 0.4
     plan = RecordingPlan(
         site=site(name), index=0, frames=1, interval=0.5, size=(480, 270), fov_deg=80, seed=1,
-        settings={"exposure_ev": (ev, ev), "noise": (0, 0), "vignetting": (0, 0), "clouds": (0, 0)},
+        variation=Variation(
+            settings={"exposure_ev": (ev, ev), "noise": (0, 0), "vignetting": (0, 0), "clouds": (0, 0)}
+        ),
     )  # fmt: skip
     recording = simulate(plan)
     rows = ("frame", "vehicle", "T_world_chassis", "T_world_wheels", "velocity", "lamps")

@@ -183,7 +183,7 @@ def test_splits_and_presets() -> None:
     assert (len(made["full"].parameters.sites), made["full"].images) == (28, 25_004)
     assert sum(plan.frames for plan in made["paper"].plans()) == 13_500
     assert made["varied"].images == 13_500
-    assert made["varied"].parameters.cameras["height_m"] == (4, 20)
+    assert made["varied"].parameters.variation.cameras["height_m"] == (4, 20)
 
 
 def test_a_plan_shows_roads_and_cameras() -> None:

@@ -90,38 +90,11 @@ class Stage:
             *(("PATTERNS",) if palette.patterns else ()),
             *(("SNOW",) if conditions.snow_cover > 0 else ()),
         )
-        first, second = pattern_tables(palette)
         self._seen, self._casting = _scenery_parts(device, mesh, _Eye.of(camera))
         self.noise = device.context.texture((256, 256), 4, noise_tile())
         self.noise.build_mipmaps()
         self.noise.filter = (device.gl.LINEAR_MIPMAP_LINEAR, device.gl.LINEAR)
-        self.uniforms: dict[str, Any] = {
-            "u_eye": camera.position,
-            "u_sun_direction": daylight.sun_direction,
-            "u_sun": daylight.sun,
-            "u_zenith": daylight.zenith,
-            "u_horizon": daylight.horizon,
-            "u_afterglow": daylight.afterglow,
-            "u_sunset": daylight.sunset,
-            "u_ground": daylight.ground,
-            "u_cloud": daylight.clouds,
-            "u_albedo": albedo_table(palette),
-            "u_pattern_first": first,
-            "u_pattern_second": second,
-            "u_exposure": daylight.exposure,
-            "u_haze": daylight.haze,
-            "u_haze_density": daylight.haze_density,
-            "u_vignetting": daylight.vignetting,
-            "u_lamp_radiance": daylight.lamp_radiance,
-            "u_pixels": camera.width / 1920,
-            "u_wetness": conditions.wetness,
-            "u_puddles": conditions.puddles,
-            "u_standing": STANDING_WATER,
-            "u_lit_windows": conditions.lit_windows,
-            "u_all_lit": conditions.street_lights_lit >= 1,
-            "u_snow": conditions.snow_cover,
-            **self.street_lights.uniforms,
-        }
+        self.uniforms = {**_look_of(camera, conditions, daylight, palette), **self.street_lights.uniforms}
         self.pixels: dict[str, Any] = {
             "u_size": list(self._size),
             "u_camera_from_pixel": np.linalg.inv(camera.K),
@@ -287,6 +260,37 @@ class Stage:
         turned = {"u_world_from_camera": placed[:3, :3] @ self.pixels["u_world_from_camera"]}
         put(sky, {**self.uniforms, **self.pixels, **turned, "u_noise": 0, "u_jitter": [-share[0], -share[1]]})
         device.screen(sky)
+
+
+def _look_of(camera: Camera, conditions: Conditions, daylight: Daylight, palette: Palette) -> dict[str, Any]:
+    """Uniforms of the programs that draw scenery: sun and sky, colours, haze, water and snow."""
+    first, second = pattern_tables(palette)
+    return {
+        "u_eye": camera.position,
+        "u_sun_direction": daylight.sun_direction,
+        "u_sun": daylight.sun,
+        "u_zenith": daylight.zenith,
+        "u_horizon": daylight.horizon,
+        "u_afterglow": daylight.afterglow,
+        "u_sunset": daylight.sunset,
+        "u_ground": daylight.ground,
+        "u_cloud": daylight.clouds,
+        "u_albedo": albedo_table(palette),
+        "u_pattern_first": first,
+        "u_pattern_second": second,
+        "u_exposure": daylight.exposure,
+        "u_haze": daylight.haze,
+        "u_haze_density": daylight.haze_density,
+        "u_vignetting": daylight.vignetting,
+        "u_lamp_radiance": daylight.lamp_radiance,
+        "u_pixels": camera.width / 1920,
+        "u_wetness": conditions.wetness,
+        "u_puddles": conditions.puddles,
+        "u_standing": STANDING_WATER,
+        "u_lit_windows": conditions.lit_windows,
+        "u_all_lit": conditions.street_lights_lit >= 1,
+        "u_snow": conditions.snow_cover,
+    }
 
 
 def joined(parts: Sequence[Arrays]) -> dict[str, NDArray[np.float16]]:
