@@ -23,7 +23,7 @@ from traffic_truth import TRUTH, read_truth
 from skope.traffic.length_bins import bin_probabilities
 from skope.traffic.normal_distribution import Z
 from skope.traffic.observation import read_observation
-from skope.traffic.read_tracks import TRACKS_CSV, read_trajectories
+from skope.traffic.read_track_folder import TRACKS_CSV, read_trajectories
 from skope.traffic.trajectories import VEHICLE, Trajectory, wandering
 from skope.types import Array
 

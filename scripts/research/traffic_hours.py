@@ -32,7 +32,7 @@ import numpy as np
 
 from skope.files.json_files import write_json
 from skope.traffic.observation import FOOTAGE, Observation
-from skope.traffic.read_tracks import TRACKS_CSV
+from skope.traffic.read_track_folder import TRACKS_CSV
 from skope.types import Array
 
 PER_HOUR: Final = 800

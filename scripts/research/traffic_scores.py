@@ -33,7 +33,7 @@ from skope.traffic.gates import direction_names
 from skope.traffic.measure import measure
 from skope.traffic.normal_distribution import Z
 from skope.traffic.observation import Observation, read_observation
-from skope.traffic.read_tracks import read_trajectories
+from skope.traffic.read_track_folder import read_trajectories
 from skope.traffic.trajectories import KMH, VEHICLE
 from skope.traffic.turning import NOWHERE
 from skope.traffic.write_report import SUMMARY

@@ -62,7 +62,7 @@ def table(head: Sequence[str], rows: Sequence[Sequence[str]], *, caption: str, s
     return tag("div", inner, class_="scroll", tabindex=0, role="region", aria_label=caption)
 
 
-def bar(value: float | None) -> str:
+def share_bar(value: float | None) -> str:
     """A share in percent with a bar behind it."""
     if value is None:
         return "–"

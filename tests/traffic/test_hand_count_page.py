@@ -27,7 +27,7 @@ from skope.traffic.observation import FOOTAGE, Observation
 from skope.traffic.page.hand_count_data import LETTERS, hand_count_data, packed
 from skope.traffic.page.hand_count_panel import hand_count_panel
 from skope.traffic.page.page import traffic_page
-from skope.traffic.read_tracks import TRACKS_CSV
+from skope.traffic.read_track_folder import TRACKS_CSV
 from skope.traffic.recordings import SiteRecording
 from skope.traffic.report import TrafficReport
 from tests.chromium import Browser

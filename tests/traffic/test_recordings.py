@@ -18,7 +18,7 @@ from skope.errors import UserError
 from skope.files.json_files import write_json
 from skope.site.site_file import parse_site
 from skope.traffic.observation import FOOTAGE, Observation, held_s
-from skope.traffic.read_tracks import TRACKS_CSV
+from skope.traffic.read_track_folder import TRACKS_CSV
 from skope.traffic.recording_begin import begin_in_name
 from skope.traffic.report_tables import report_tables
 from skope.traffic.trajectories import Trajectory

@@ -22,7 +22,7 @@ from skope.site.write_site import save_site
 from skope.traffic.measure import measure
 from skope.traffic.observation import Observation, read_observation
 from skope.traffic.place_errors import place_covariance
-from skope.traffic.read_tracks import read_trajectories
+from skope.traffic.read_track_folder import read_trajectories
 from tests.eval.cli.test_footage import numbered_video
 from tests.eval.sightings import CAMERA, drive
 from tests.traffic.drives import straight

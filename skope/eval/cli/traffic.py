@@ -96,7 +96,7 @@ def _report(
     """Measure what the sources are: tracks in metres, what was found in an image, or footage."""
     from skope.traffic.exports.formats import checked_formats
     from skope.traffic.observation import FOOTAGE
-    from skope.traffic.read_tracks import TRACKS_CSV
+    from skope.traffic.read_track_folder import TRACKS_CSV
 
     formats = checked_formats(also, site, metres=True)
     folder = Path(sources[0])
@@ -126,7 +126,7 @@ def _report_of_tracks(
 ) -> Iterator[str]:
     """Measure the tracks of one or several recordings of the site."""
     from skope.traffic.measure import measure
-    from skope.traffic.read_tracks import TRACKS_CSV, track_files
+    from skope.traffic.read_track_folder import TRACKS_CSV, track_files
     from skope.traffic.recordings import read_recordings
 
     footage = read_recordings(folders, begins, site, _BEGINS)
@@ -159,7 +159,7 @@ def _report_of_footage(
     from skope.eval.cli.tracked_footage import TRACKS, tracked_footage
     from skope.traffic.measure import measure
     from skope.traffic.observation import read_observation
-    from skope.traffic.read_tracks import read_trajectories, track_files
+    from skope.traffic.read_track_folder import read_trajectories, track_files
 
     if hand_count is not None:
         raise UserError(

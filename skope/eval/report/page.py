@@ -14,7 +14,7 @@ from skope.metrics.road_users import AP50_IOU
 from skope.metrics.split_scores import SplitScores
 from skope.page import document as page
 from skope.page.charts import Axes, chart
-from skope.page.html_pieces import bar, plain, share, table, tag
+from skope.page.html_pieces import plain, share, share_bar, table, tag
 from skope.page.image_viewer import switches
 from skope.page.vehicle_outline import Point, outline
 from skope.version import __version__
@@ -299,8 +299,10 @@ def _part(title: str, of: Mapping[str, Any], threshold: str) -> str:
     rows = []
     for name, by_threshold in of.items():
         figures = by_threshold[threshold]
-        vehicles = (str(figures["ground_truth"]), bar(figures["box_recall"])) if "ground_truth" in figures else ("", "")
-        rows.append([escape(name), *vehicles, str(figures["labelled"]), bar(figures["pck"])])
+        vehicles = (
+            (str(figures["ground_truth"]), share_bar(figures["box_recall"])) if "ground_truth" in figures else ("", "")
+        )
+        rows.append([escape(name), *vehicles, str(figures["labelled"]), share_bar(figures["pck"])])
     return table(("part", "vehicles", "recall %", "keypoints", "PCK %"), rows, caption=title, sortable=True)
 
 
