@@ -48,7 +48,7 @@ def shipped() -> KeypointRCNN:
 
 
 def found(model: KeypointRCNN, pixels: NDArray[np.uint8]) -> Detections:
-    return detect(model, [pixels], CPU, min_score=0.3)[0]
+    return detect(model, [pixels], CPU, min_score=0.3, categories=CATEGORIES)[0]
 
 
 @pytest.fixture(scope="module")
