@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from skope import keypoints
 from skope.keypoints import Scheme
 from skope.page.charts import Axes, Line, histogram
-from skope.page.html_pieces import bar, share, table, tag
+from skope.page.html_pieces import share, share_bar, table, tag
 from skope.page.vehicle_outline import Point, outline
 from skope.schema import Annotation, AnnotationFile
 
@@ -99,7 +99,7 @@ def _bars(title: str, unit: str, groups: Sequence[Mapping[str, int]]) -> str:
     if len(counts) == 1:
         ((name, count),) = counts.items()
         return tag("p", tag("b", escape(f"{title}: ")), escape(f"{name} ({count} {unit})"))
-    rows = [[escape(name), str(count), bar(count / total)] for name, count in counts.most_common()]
+    rows = [[escape(name), str(count), share_bar(count / total)] for name, count in counts.most_common()]
     return table((title.lower(), unit, "%"), rows, caption=title, sortable=True)
 
 
