@@ -130,7 +130,9 @@ def test_editions_are_not_mixed(skope: Any, tmp_path: Path) -> None:
 
 def test_checkpoints_hold_what_they_have_learnt() -> None:
     header, _ = read_checkpoint(weights.path(weights.DEFAULT))
-    assert DetectorConfig.from_dict(header["config"]).keypoint_scheme is FIRST
+    assert DetectorConfig.from_dict(header["config"]).keypoint_scheme is SKOPE33
+    older = {name: value for name, value in header["config"].items() if name != "keypoint_edition"}
+    assert DetectorConfig.from_dict(older).keypoint_scheme is FIRST, "what was trained before says nothing"
     config = DetectorConfig(norm="frozen", norm_eps=0.0, min_size=640, max_size=1138, keypoint_edition=2)
     assert DetectorConfig.from_dict(config.to_dict()).keypoint_scheme is SKOPE33
     assert "keypoint_edition" not in replace(config, keypoint_edition=1).to_dict()
