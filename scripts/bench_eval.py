@@ -29,7 +29,7 @@ from skope.detector.checkpoint import find_checkpoint, load_weights
 from skope.detector.device import choose_device
 from skope.eval.inference.predictor import Predictor
 from skope.eval.inference.settings import Settings
-from skope.metrics.counts import Options
+from skope.metrics.outcomes import Options
 from skope.metrics.precision_recall import score_split
 from skope.schema import Annotation, AnnotationFile, Image, Result
 from skope.terminal.console import Console

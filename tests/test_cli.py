@@ -30,8 +30,8 @@ from skope.gen.output.writers import DATASET_FORMATS
 from skope.gen.pipeline.presets import presets
 from skope.gen.render.choose_renderer import RENDERERS
 from skope.gen.scene.conditions import TIMES_OF_DAY
-from skope.metrics.counts import LABELLED, PROTOCOLS
 from skope.metrics.match import BOX_KINDS
+from skope.metrics.outcomes import LABELLED, PROTOCOLS
 from skope.metrics.read_inputs import RESULT_SCHEMES
 from skope.terminal import command_options
 from skope.terminal.command_options import Commands, option

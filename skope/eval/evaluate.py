@@ -20,7 +20,7 @@ from skope.files.json_files import write_json
 from skope.files.output_folders import claim_output
 from skope.files.progress import Progress
 from skope.metrics import precision_recall, read_inputs
-from skope.metrics.counts import Options
+from skope.metrics.outcomes import Options
 from skope.metrics.read_inputs import GroundTruth
 from skope.metrics.split_scores import measure, to_tallies
 from skope.pictures import draw

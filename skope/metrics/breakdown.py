@@ -11,8 +11,9 @@ from typing import Any, Final
 import numpy as np
 
 from skope import keypoints
-from skope.metrics.counts import Options, Outcomes, outcomes_at, ratio
+from skope.metrics.counts import ratio
 from skope.metrics.match import Matches
+from skope.metrics.outcomes import Options, Outcomes, outcomes_at
 from skope.schema import Annotation, Image
 from skope.types import Mask
 

@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 
 from skope import keypoints
 from skope.metrics import counts
-from skope.metrics.counts import Options, Outcomes, ratio
+from skope.metrics.counts import ratio
 from skope.metrics.match import Matches, match
+from skope.metrics.outcomes import Options, Outcomes
 from skope.schema import AnnotationFile, Result
 
 __all__ = [

@@ -8,8 +8,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from skope.metrics.counts import Options, Outcomes, predicted, ratio
+from skope.metrics.counts import ratio
 from skope.metrics.match import Matches
+from skope.metrics.outcomes import Options, Outcomes, predicted
 from skope.types import Array, Integers, Mask
 
 BINS: Final = 10

@@ -9,9 +9,10 @@ import numpy as np
 from skope.metrics import counts, failures, precision_recall, score_reliability
 from skope.metrics.breakdown import FleetInfo, breakdown
 from skope.metrics.coco_ap import NO_PRECISION, average_precision
-from skope.metrics.counts import Options, Outcomes, Tally
+from skope.metrics.counts import Tally
 from skope.metrics.intervals import Blocks, blocks_of, intervals
 from skope.metrics.match import Matches
+from skope.metrics.outcomes import Options, Outcomes, outcomes_at
 from skope.metrics.road_users import category_figures
 from skope.schema import VEHICLE_ALONE, AnnotationFile, Result, RoadUserResult
 
@@ -56,7 +57,7 @@ def measure(
         known: Categories that it has learnt: the entry has figures of those that the ground truth labels too.
     """
     matches = precision_recall.match_split(file, results, options)
-    outcomes = {t: counts.outcomes_at(matches, t, options) for t in options.iou}
+    outcomes = {t: outcomes_at(matches, t, options) for t in options.iou}
     tallies = {t: counts.tally(matches, t, options) for t in options.iou}
     blocks = blocks_of(file.images)
     entry = {

@@ -12,6 +12,7 @@ import numpy as np
 from skope.metrics import counts
 from skope.metrics.failures import false_detections, wrong_points
 from skope.metrics.match import box_of
+from skope.metrics.outcomes import outcomes_at
 from skope.metrics.precision_recall import match_split
 from skope.pictures import draw
 from skope.schema import Annotation, Image, Result, RoadUser
@@ -121,7 +122,7 @@ class _SplitDocuments:
             # A detection takes the same vehicle whatever scores below it, so one matching is right at every threshold.
             options = replace(self._options, score=0.0)
             self._matches = match_split(split.file, split.results, options)
-            self._outcomes = counts.outcomes_at(self._matches, options.loosest, options)
+            self._outcomes = outcomes_at(self._matches, options.loosest, options)
             self._wrong = wrong_points(self._matches, self._outcomes, options) >= 0
             self._false = false_detections(self._matches, self._outcomes)
 
@@ -193,7 +194,7 @@ class _SplitDocuments:
         assert self._options
         options = replace(self._options, score=step / SCORE_STEPS)
         matches = match_split(self._split.file, self._split.results, options)
-        outcomes = counts.outcomes_at(matches, options.loosest, options)
+        outcomes = outcomes_at(matches, options.loosest, options)
         tally = counts.tally(matches, options.loosest, options)
         if not self._truth:
             return {"detections": tally.detections.tolist()}

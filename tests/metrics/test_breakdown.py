@@ -11,8 +11,9 @@ import scipy.stats
 from skope import keypoints
 from skope.metrics import failures, intervals, score_reliability
 from skope.metrics.breakdown import FleetInfo, breakdown
-from skope.metrics.counts import Options, outcomes_at, quotients, tally
+from skope.metrics.counts import quotients, tally
 from skope.metrics.match import match
+from skope.metrics.outcomes import Options, outcomes_at
 from skope.metrics.precision_recall import localisation, match_split, score_split
 from skope.schema import AnnotationFile, Image, Result
 from tests.metrics import brute

@@ -5,8 +5,8 @@ import pytest
 
 from skope import keypoints
 from skope.errors import UserError
-from skope.metrics.counts import Options
 from skope.metrics.match import THRESHOLDS, match
+from skope.metrics.outcomes import Options
 from skope.metrics.precision_recall import recall_at_precision, recalls, score_split
 from skope.schema import Annotation, AnnotationFile, Image, Result
 from tests.metrics import brute

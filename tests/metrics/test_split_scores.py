@@ -10,7 +10,8 @@ import pytest
 from skope.eval.report import render, table
 from skope.metrics import precision_recall
 from skope.metrics.breakdown import FleetInfo
-from skope.metrics.counts import Options, quotients, ratio
+from skope.metrics.counts import quotients, ratio
+from skope.metrics.outcomes import Options
 from skope.metrics.split_scores import from_tallies, measure, to_tallies
 from skope.schema import AnnotationFile, Result
 from tests.html_page import Page

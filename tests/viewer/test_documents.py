@@ -12,7 +12,7 @@ from skope.errors import UserError
 from skope.files.json_files import json_bytes
 from skope.keypoints import INDEX, K
 from skope.metrics.breakdown import FleetInfo
-from skope.metrics.counts import Options
+from skope.metrics.outcomes import Options
 from skope.metrics.split_scores import SplitScores, measure
 from skope.schema import Result
 from skope.viewer import vehicle_filters

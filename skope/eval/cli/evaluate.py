@@ -103,8 +103,8 @@ def evaluate_or_score(
     """Measure a checkpoint on a dataset's test splits, or score a COCO results file."""
     from skope.eval.evaluate import EvalJob, evaluate
     from skope.metrics import read_inputs
-    from skope.metrics.counts import Options
     from skope.metrics.match import THRESHOLDS
+    from skope.metrics.outcomes import Options
 
     options = Options(
         score=score,

@@ -20,8 +20,8 @@ from skope.eval.inference.score_calibration import ALPHA, CALIBRATION_IOU
 from skope.eval.inference.settings import Settings
 from skope.files.output_folders import check_file, work_of, write_new
 from skope.metrics import read_inputs, score_reliability
-from skope.metrics.counts import Options, outcomes_at
 from skope.metrics.match import match
+from skope.metrics.outcomes import Options, outcomes_at
 from skope.metrics.road_users import box_outcomes
 from skope.schema import CATEGORY_ID, AnnotationFile, Result, RoadUserResult
 from skope.terminal.console import Console

@@ -8,7 +8,7 @@ from typing import Any, Final
 from skope.eval.report import curves
 from skope.eval.report.gallery import gallery
 from skope.eval.report.table import AREA_WORDS, FIGURE_COLUMNS, category_rows, evidence, published_row, row_of
-from skope.metrics.counts import PROTOCOLS, Options
+from skope.metrics.outcomes import PROTOCOLS, Options
 from skope.metrics.precision_recall import AT_PRECISION
 from skope.metrics.road_users import AP50_IOU
 from skope.metrics.split_scores import SplitScores

@@ -4,7 +4,7 @@ import pytest
 
 from skope.errors import UserError
 from skope.eval.report.table import evidence, published, render
-from skope.metrics.counts import Options
+from skope.metrics.outcomes import Options
 from skope.metrics.precision_recall import document
 
 

@@ -1,0 +1,124 @@
+"""What became of each vehicle of a split: by which detection it was found, and which of its keypoints are right."""
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from skope import keypoints
+from skope.errors import UserError, one_of
+from skope.keypoints import Scheme
+from skope.metrics.match import BOX_KINDS, THRESHOLDS, Matches
+from skope.types import Array, Integers, Mask
+
+PROTOCOLS: Final = ("pooled", "paper")
+LABELLED: Final = ("visible", "all")
+"""Choices of the ground-truth keypoints that count: those with v = 2, or all with v > 0."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """Rules on what counts as a detection, a labelled keypoint, a predicted one and a correct one."""
+
+    score: float = 0.9
+    """A detection counts when it scores above this."""
+    alpha: float = 0.1
+    """A keypoint is correct within alpha times the longer edge of the ground-truth box."""
+    labelled: str = "visible"
+    """Keypoints of the ground truth that count, one of `LABELLED`."""
+    boxes: str = "full"
+    """Boxes of the ground truth that detections are matched to, one of `BOX_KINDS`."""
+    iou: tuple[float, ...] = THRESHOLDS
+    """Thresholds at which detections match, in the order in which they are reported."""
+    keypoint_score: float = 0.0
+    """A keypoint counts as predicted when it scores above this; 0 takes all, as the paper does."""
+    points: tuple[int, ...] = tuple(range(keypoints.K))
+    """The keypoints that are scored: all, or those that another scheme shares."""
+    scheme: Scheme = keypoints.SKOPE33
+    """Keypoint scheme of the ground truth."""
+
+    def __post_init__(self) -> None:
+        for flag, value in (("--score", self.score), ("--keypoint-score", self.keypoint_score)):
+            if not 0 <= value <= 1:
+                raise UserError(f"{flag}: expected a number from 0 to 1, got {value}")
+        if not (math.isfinite(self.alpha) and self.alpha > 0):
+            raise UserError(f"--alpha: expected a positive number, got {self.alpha}")
+        for threshold in self.iou:
+            if not 0 < threshold <= 1:
+                raise UserError(f"--iou: expected numbers above 0 and up to 1, got {threshold}")
+        if not self.iou or len(set(self.iou)) != len(self.iou):
+            raise UserError(f"--iou: expected different numbers, got {', '.join(map(str, self.iou)) or 'none'}")
+        one_of("--labelled", self.labelled, LABELLED)
+        one_of("--boxes", self.boxes, BOX_KINDS)
+
+    @property
+    def loosest(self) -> float:
+        """The threshold at which most vehicles match, for what is reported at one only."""
+        return min(self.iou)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Outcomes:
+    """Outcomes of the G vehicles of a split at one IoU threshold: which detection took each, and its errors."""
+
+    detection: Integers
+    """(G,) index of the detection in `Matches`, -1 for none."""
+    labelled: Mask
+    """(G, 33) keypoints that are labelled, as `Options.labelled` says."""
+    predicted: Mask
+    """(G, 33) keypoints that the detection predicts."""
+    offset: Array
+    """(G, 33) pixels from the prediction to the ground truth, infinite where no detection took the vehicle."""
+    length: Array
+    """(G,) longer edge of the ground-truth box, pixels."""
+
+    @property
+    def found(self) -> Mask:
+        """(G,) whether a detection took the vehicle."""
+        return self.detection >= 0
+
+    def correct(self, alpha: float) -> Mask:
+        """(G, 33) labelled, predicted and within `alpha` times the length."""
+        return self.labelled & self.predicted & (self.offset <= alpha * self.length[:, None])
+
+
+def predicted(matches: Matches, options: Options) -> Mask:
+    """(D, 33) which keypoints of each detection count as predicted."""
+    mask = np.zeros((len(matches.det_image), keypoints.K), dtype=bool)
+    mask[:, list(options.points)] = True
+    return mask & (matches.det_keypoints[:, :, 2] > options.keypoint_score) if options.keypoint_score else mask
+
+
+def lengths(vectors: Array) -> Array:
+    """(...,) Euclidean lengths of (..., 2) vectors of pixels: several times faster than hypot, which takes care that
+    no square overflows; here such a length is infinite, and as wrong as it was.
+    """
+    with np.errstate(over="ignore"):
+        return np.asarray(np.sqrt(vectors[..., 0] ** 2 + vectors[..., 1] ** 2))
+
+
+def outcomes_at(matches: Matches, threshold: float, options: Options) -> Outcomes:
+    """Compare each vehicle with the detection that took it.
+
+    Args:
+        matches: Vehicles and detections, matched.
+        threshold: The IoU threshold, one of `matches.taken`.
+        options: What counts, and when a keypoint is correct.
+    """
+    taken = matches.taken[threshold]
+    matched = np.flatnonzero(taken >= 0)
+    detection = np.full(len(matches.gt_image), -1, dtype=np.int64)
+    detection[taken[matched]] = matched
+    found = np.flatnonzero(detection >= 0)
+
+    labelled = np.zeros(matches.gt_keypoints.shape[:2], dtype=bool)
+    points = list(options.points)
+    labelled[:, points] = matches.gt_keypoints[:, points, 2] >= (2 if options.labelled == "visible" else 1)
+    shown = np.zeros_like(labelled)
+    shown[found] = predicted(matches, options)[detection[found]]
+    offset = np.full(labelled.shape, np.inf)
+    offset[found] = lengths(matches.det_keypoints[detection[found], :, :2] - matches.gt_keypoints[found, :, :2])
+    box = matches.gt_boxes_xyxy
+    length = (box[:, 2:] - box[:, :2]).max(axis=1, initial=0.0)
+    return Outcomes(detection=detection, labelled=labelled, predicted=shown, offset=offset, length=length)
