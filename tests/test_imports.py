@@ -97,7 +97,7 @@ EVAL = (
     {"pose", "report"},
     {"inference"},
     {"tracking", "evaluate", "view"},
-    {"site"},
+    {"site_page"},
     {"cli"},
 )
 

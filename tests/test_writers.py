@@ -230,7 +230,7 @@ READERS = {
     "eval compare",
 }
 """Commands that write nothing, or only with a flag that has a row above; what `remove` takes away is tested in
-tests/gen/vehicles/test_user_models.py, what the page of `site` saves in tests/eval/site."""
+tests/gen/vehicles/test_user_models.py, what the page of `site` saves in tests/eval/site_page."""
 
 
 def commands(command: Any, name: str = "") -> Iterator[str]:

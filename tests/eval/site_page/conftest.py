@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from skope.camera.model import Camera
-from skope.eval.site.frames import SiteFrames
-from skope.eval.site.site_server import SiteServer, bound_site
+from skope.eval.site_page.frames import SiteFrames
+from skope.eval.site_page.site_server import SiteServer, bound_site
 from tests.chromium import Browser
 
 SIZE = (640, 360)

@@ -10,10 +10,10 @@ from shapely import Polygon
 
 from skope.camera.ground_plane import ground_places
 from skope.camera.model import Camera
-from skope.eval.site.document_values import NO_NAME, entries_of, is_name, number, positions
-from skope.eval.site.gate_checks import gate_warnings
-from skope.eval.site.marks import Problem
-from skope.eval.site.overlays import Polyline, drawn
+from skope.eval.site_page.document_values import NO_NAME, entries_of, is_name, number, positions
+from skope.eval.site_page.gate_checks import gate_warnings
+from skope.eval.site_page.marks import Problem
+from skope.eval.site_page.overlays import Polyline, drawn
 from skope.types import Array
 
 DRAWN: Final = ("gates", "zones", "lanes", "occluders")

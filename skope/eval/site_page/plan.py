@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from typing import Any, Final
 
 from skope.errors import UserError
-from skope.eval.site.document_values import positions
+from skope.eval.site_page.document_values import positions
 
 _AGREE: Final = 0.02
 """A typed distance and that of typed places may differ by this share."""

@@ -14,18 +14,18 @@ from typing import Any, Final
 from zoneinfo import available_timezones
 
 from skope.errors import UserError
-from skope.eval.site.drawings import read_drawings
-from skope.eval.site.footage_time import read_time
-from skope.eval.site.frames import SiteFrames, decoded
-from skope.eval.site.from_above import seen_from_above
-from skope.eval.site.loaded_files import read_file
-from skope.eval.site.map_places import map_places
-from skope.eval.site.marks import read_marks
-from skope.eval.site.merge import joined
-from skope.eval.site.plan import plan_scale
-from skope.eval.site.plan_pictures import PlanPictures
-from skope.eval.site.site_store import Opened, SavedElsewhereError, SiteStore
-from skope.eval.site.solved_page import SolvedPage, unfinished
+from skope.eval.site_page.drawings import read_drawings
+from skope.eval.site_page.footage_time import read_time
+from skope.eval.site_page.frames import SiteFrames, decoded
+from skope.eval.site_page.from_above import seen_from_above
+from skope.eval.site_page.loaded_files import read_file
+from skope.eval.site_page.map_places import map_places
+from skope.eval.site_page.marks import read_marks
+from skope.eval.site_page.merge import joined
+from skope.eval.site_page.plan import plan_scale
+from skope.eval.site_page.plan_pictures import PlanPictures
+from skope.eval.site_page.site_store import Opened, SavedElsewhereError, SiteStore
+from skope.eval.site_page.solved_page import SolvedPage, unfinished
 from skope.files.json_files import json_bytes, parse_json
 from skope.terminal.console import Console
 from skope.viewer.local_server import (
@@ -41,7 +41,7 @@ from skope.viewer.local_server import (
     serve_until_stopped,
 )
 
-_HERE: Final = "skope.eval.site"
+_HERE: Final = "skope.eval.site_page"
 _PLAN: Final = re.compile(r"/plans/([0-9a-f]{64})")
 _FRAME: Final = re.compile(r"/frames/([0-9]{1,9})")
 _SCRIPTS: Final = (

@@ -12,11 +12,11 @@ from skope.camera.model import Camera
 from skope.camera.uncertain_camera import UncertainCamera
 from skope.dataset.camera_of_file import sized
 from skope.errors import UserError
-from skope.eval.site.document_values import entries_of, unique_names
-from skope.eval.site.drawings import DRAWN
-from skope.eval.site.footage_time import read_time, time_texts
-from skope.eval.site.marks import KINDS, SIGMAS
-from skope.eval.site.solved_page import SolvedCamera
+from skope.eval.site_page.document_values import entries_of, unique_names
+from skope.eval.site_page.drawings import DRAWN
+from skope.eval.site_page.footage_time import read_time, time_texts
+from skope.eval.site_page.marks import KINDS, SIGMAS
+from skope.eval.site_page.solved_page import SolvedCamera
 from skope.files.reading import sha256_of
 from skope.site.calibration_marks import CalibrationMarks
 from skope.site.site_file import SiteFile, read_site

@@ -17,13 +17,13 @@ from skope.camera.model import Camera
 from skope.camera.uncertain_camera import UncertainCamera
 from skope.dataset.camera_of_file import sized
 from skope.errors import UserError
-from skope.eval.site.advice import BEGIN, DEGREES, MIRRORED, below_road, in_degrees, missing
-from skope.eval.site.document_values import positions
-from skope.eval.site.drawings import Drawing, read_drawings, shapes
-from skope.eval.site.error_map import error_map, values
-from skope.eval.site.footage_time import read_time
-from skope.eval.site.marks import KINDS, Marks, Problem, read_marks
-from skope.eval.site.overlays import overlays
+from skope.eval.site_page.advice import BEGIN, DEGREES, MIRRORED, below_road, in_degrees, missing
+from skope.eval.site_page.document_values import positions
+from skope.eval.site_page.drawings import Drawing, read_drawings, shapes
+from skope.eval.site_page.error_map import error_map, values
+from skope.eval.site_page.footage_time import read_time
+from skope.eval.site_page.marks import KINDS, Marks, Problem, read_marks
+from skope.eval.site_page.overlays import overlays
 from skope.types import Array
 
 _WRONG_SIGMAS: Final = 3.0

@@ -14,11 +14,11 @@ import numpy as np
 import pytest
 
 from skope.errors import UserError
-from skope.eval.site.frames import SiteFrames
-from skope.eval.site.map_places import map_places
-from skope.eval.site.solved_page import SolvedPage
+from skope.eval.site_page.frames import SiteFrames
+from skope.eval.site_page.map_places import map_places
+from skope.eval.site_page.solved_page import SolvedPage
 from skope.site.site_file import read_site
-from tests.eval.site.conftest import CAMERA, PLACES, SIZE, Served, empty_document, marked_points, pixels_of
+from tests.eval.site_page.conftest import CAMERA, PLACES, SIZE, Served, empty_document, marked_points, pixels_of
 
 Serve = Callable[..., Served]
 
@@ -406,7 +406,7 @@ def test_an_empty_canvas_has_no_pictures(serve: Serve) -> None:
 def test_the_sharpest_frame_is_shown_first(tmp_path: Path) -> None:
     import cv2
 
-    from tests.eval.site.conftest import road_picture
+    from tests.eval.site_page.conftest import road_picture
 
     sharp = road_picture()
     for number in range(5):

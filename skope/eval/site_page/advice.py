@@ -8,8 +8,8 @@ import numpy as np
 from skope.camera.evidence import Evidence
 from skope.camera.model import Camera
 from skope.camera.pose_from_points import FEWEST
-from skope.eval.site.document_values import entries_of
-from skope.eval.site.marks import Marks
+from skope.eval.site_page.document_values import entries_of
+from skope.eval.site_page.marks import Marks
 from skope.types import Array
 
 BEGIN: Final = (

@@ -8,7 +8,7 @@ import numpy as np
 
 from skope.camera.geographic import local_metres, utm_metres
 from skope.errors import UserError
-from skope.eval.site.document_values import positions
+from skope.eval.site_page.document_values import positions
 from skope.site.world import ZONE
 
 _PAIR: Final = re.compile(

@@ -22,7 +22,7 @@ from skope.camera.evidence import (
     Vertical,
 )
 from skope.errors import UserError
-from skope.eval.site.document_values import NO_NAME, entries_of, is_name, number, positions, unique_names
+from skope.eval.site_page.document_values import NO_NAME, entries_of, is_name, number, positions, unique_names
 from skope.site.calibration_marks import beliefs_of
 from skope.site.mark_limits import (
     FARTHEST,

@@ -11,10 +11,10 @@ import cv2
 import numpy as np
 import pytest
 
-from skope.eval.site.frames import SiteFrames
-from skope.eval.site.overlays import overlays
+from skope.eval.site_page.frames import SiteFrames
+from skope.eval.site_page.overlays import overlays
 from skope.site.site_file import read_site
-from tests.eval.site.conftest import CAMERA, PLACES, SIZE, Served, SitePage, marked_points, pixels_of, road_picture
+from tests.eval.site_page.conftest import CAMERA, PLACES, SIZE, Served, SitePage, marked_points, pixels_of, road_picture
 
 HOSTILE = "<img src=x onerror=alert(1)>\"'&"
 

@@ -3,9 +3,9 @@
 from collections.abc import Mapping
 from typing import Any
 
-from skope.eval.site.document_values import entries_of
-from skope.eval.site.drawings import DRAWN
-from skope.eval.site.marks import KINDS
+from skope.eval.site_page.document_values import entries_of
+from skope.eval.site_page.drawings import DRAWN
+from skope.eval.site_page.marks import KINDS
 
 
 def joined(base: Mapping[str, Any], mine: Mapping[str, Any], theirs: Mapping[str, Any]) -> dict[str, Any]:

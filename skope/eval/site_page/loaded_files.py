@@ -11,7 +11,7 @@ from skope.camera.model import Camera
 from skope.camera.point_files import read_points
 from skope.dataset.camera_of_file import read_camera, sized
 from skope.errors import UserError
-from skope.eval.site.site_store import camera_dict, point_entry
+from skope.eval.site_page.site_store import camera_dict, point_entry
 from skope.files.atomic import write_text
 
 POINT_FILES: Final = (".otrfpts", ".csv")

@@ -11,16 +11,16 @@ from skope.camera.evidence import Evidence, marked_points
 from skope.camera.ground_plane import ground_places
 from skope.camera.model import Camera
 from skope.errors import UserError
-from skope.eval.site.document_values import unique_names
-from skope.eval.site.drawings import read_drawings, shapes
-from skope.eval.site.error_map import error_map
-from skope.eval.site.from_above import seen_from_above
-from skope.eval.site.gate_checks import gate_warnings
-from skope.eval.site.marks import read_marks
-from skope.eval.site.merge import joined
-from skope.eval.site.overlays import box, horizon, overlays
-from skope.eval.site.plan import plan_scale
-from tests.eval.site.conftest import PLACES, SIZE, empty_document, pixels_of
+from skope.eval.site_page.document_values import unique_names
+from skope.eval.site_page.drawings import read_drawings, shapes
+from skope.eval.site_page.error_map import error_map
+from skope.eval.site_page.from_above import seen_from_above
+from skope.eval.site_page.gate_checks import gate_warnings
+from skope.eval.site_page.marks import read_marks
+from skope.eval.site_page.merge import joined
+from skope.eval.site_page.overlays import box, horizon, overlays
+from skope.eval.site_page.plan import plan_scale
+from tests.eval.site_page.conftest import PLACES, SIZE, empty_document, pixels_of
 
 LEVEL = Camera.looking([0, 0, 6], yaw=math.pi / 2, pitch_down=0.3, size=(640, 360), fov=1.2)
 """Looks north from 6 m over the origin."""

@@ -6,7 +6,7 @@ from datetime import datetime
 from typing import Any, Final
 from zoneinfo import ZoneInfo
 
-from skope.eval.site.marks import Problem
+from skope.eval.site_page.marks import Problem
 from skope.traffic.clock import clock_doubt
 
 FIELDS: Final = ("time_zone", "start")
