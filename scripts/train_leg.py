@@ -345,7 +345,7 @@ def note(out: Path, what: str, values: Any) -> None:
 
 def begin(options: argparse.Namespace, leg: Leg) -> Path | None:
     """The weights that a leg begins with; None: it begins from nothing."""
-    note(options.out, "start", str(options.state or options.init or leg.start))
+    note(options.out, "start", "the leg before" if options.state else str(options.init or leg.start))
     if not options.state:
         return find_checkpoint(options.init) if options.init else None
     start: Path = options.out / "start.safetensors"

@@ -8,7 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from skope.metrics.coco_ap import evaluated, found_box, mean_precision, truth_box
+from skope.metrics.coco_ap import Row, evaluated, found_box, mean_precision, truth_box
 from skope.metrics.counts import ratio
 from skope.schema import CATEGORIES, AnnotationFile, RoadUserResult
 from skope.types import Array, Mask
@@ -44,14 +44,23 @@ def category_figures(
         counts "ground_truth", "ignored", "detections" and "matched", and "precision", "recall", "ap" and "ap50", None
         where there is nothing to divide by.
     """
+    names = [name for name in file.categories[1:] if name in known]
+    return {name: _by_size(*_rows(file, results, name, boxes), score, all_scores=all_scores) for name in names}
+
+
+def _rows(
+    file: AnnotationFile, results: Sequence[RoadUserResult], name: str, boxes: str
+) -> tuple[list[Row], list[Row], list[Row]]:
+    """Images, ground truth and results of one category as pycocotools takes them."""
     images = [{"id": image.id, "width": image.width, "height": image.height} for image in file.images]
-    out = {}
-    for name in [name for name in file.categories[1:] if name in known]:
-        truth = [truth_box(user, boxes) for user in file.road_users if user.category == name]
-        own = [result for result in results if result.category == name]
-        found = [found_box(i, result) for i, result in enumerate(own, start=1)]
-        out[name] = _by_size(images, truth, found, score, all_scores=all_scores)
-    return out
+    truth = [truth_box(user, boxes) for user in file.road_users if user.category == name]
+    own = [result for result in results if result.category == name]
+    return images, truth, [found_box(i, result) for i, result in enumerate(own, start=1)]
+
+
+def _at_ap50(evaluation: Any) -> int:
+    """Number of the IoU threshold of AP50 in an evaluation."""
+    return int(np.flatnonzero(np.isclose(evaluation.params.iouThrs, AP50_IOU))[0])
 
 
 def box_outcomes(
@@ -67,12 +76,8 @@ def box_outcomes(
         name: The category.
         boxes: Which boxes of the ground truth are matched to, one of `match.BOX_KINDS`.
     """
-    images = [{"id": image.id, "width": image.width, "height": image.height} for image in file.images]
-    truth = [truth_box(user, boxes) for user in file.road_users if user.category == name]
-    own = [result for result in results if result.category == name]
-    found = [found_box(i, result) for i, result in enumerate(own, start=1)]
-    evaluation = evaluated(images, truth, found, "bbox", {"all": (0.0, 1e10)})
-    at = int(np.flatnonzero(np.isclose(evaluation.params.iouThrs, AP50_IOU))[0])
+    evaluation = evaluated(*_rows(file, results, name, boxes), "bbox", {"all": (0.0, 1e10)})
+    at = _at_ap50(evaluation)
     rows = [row for row in evaluation.evalImgs if row is not None]
     scores = np.concatenate([np.zeros(0), *(row["dtScores"] for row in rows)])
     right = np.concatenate([np.zeros(0, dtype=bool), *(np.asarray(row["dtMatches"][at]) > 0 for row in rows)])
@@ -81,9 +86,9 @@ def box_outcomes(
 
 
 def _by_size(
-    images: list[dict[str, Any]],
-    truth: list[dict[str, Any]],
-    found: list[dict[str, Any]],
+    images: list[Row],
+    truth: list[Row],
+    found: list[Row],
     score: float,
     *,
     all_scores: bool,
@@ -94,7 +99,7 @@ def _by_size(
     params = Params(iouType="bbox")
     areas = dict(zip(params.areaRngLbl, params.areaRng, strict=True))
     evaluation = evaluated(images, truth, found, "bbox", areas)
-    at = int(np.flatnonzero(np.isclose(evaluation.params.iouThrs, AP50_IOU))[0])
+    at = _at_ap50(evaluation)
     precision = evaluation.eval["precision"]  # (IoU thresholds, recalls, categories, areas, maxDets), -1 for none
     out = {}
     for i, (size, area) in enumerate(areas.items()):

@@ -3,6 +3,7 @@
 import json
 import re
 from collections import Counter
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -19,7 +20,7 @@ from skope.detector.checkpoint import read_checkpoint
 from skope.eval.inference import fit_score_calibration
 from skope.eval.inference.anonymize import blurred
 from skope.metrics.road_users import box_outcomes
-from skope.schema import CATEGORIES, AnnotationFile, Image, Result, RoadUser, RoadUserResult
+from skope.schema import CATEGORIES, Annotation, AnnotationFile, Image, Result, RoadUser, RoadUserResult
 from tests import road_users, samples
 
 QUIET = ("--device", "cpu", "-q")
@@ -27,6 +28,17 @@ QUIET = ("--device", "cpu", "-q")
 
 def read(path: Path) -> Any:
     return json.loads(path.read_text())
+
+
+def as_truth(found: Iterable[Result]) -> list[Annotation]:
+    """Annotations that say what was found."""
+    return [
+        replace(
+            samples.make_annotation(i, one.image_id, tuple(one.bbox)),
+            keypoints=one.keypoints.round() * [1, 1, 0] + [0, 0, 2],
+        )
+        for i, one in enumerate(found, start=1)
+    ]
 
 
 def test_figures_of_other_road_users_stand_beside_those_of_vehicles(
@@ -90,13 +102,7 @@ def test_a_calibration_says_whom_it_leaves_out(skope: Any, categories_run: Path,
     assert skope("eval", *common, "--out", "eval")[0] == 0
     # The truth is what it finds, so that it finds something.
     path, found = data / "annotations" / "easy.json", coco.read_results(Path("eval/predictions_easy.json"))
-    vehicles = [
-        replace(
-            samples.make_annotation(i, one.image_id, tuple(one.bbox)),
-            keypoints=one.keypoints.round() * [1, 1, 0] + [0, 0, 2],
-        )
-        for i, one in enumerate(found, start=1)
-    ]
+    vehicles = as_truth(found)
     coco.write(path, replace(coco.read(path), annotations=tuple(vehicles), road_users=()))
     code, said, error = skope("eval", "calibrate-scores", *common, "--score", "0.05", "--out", "a.safetensors")
     assert code == 0, error
@@ -115,13 +121,7 @@ def test_a_calibration_of_each_category(
     assert skope("eval", *common, "--out", "eval")[0] == 0
     path = data / "annotations" / "easy.json"
     vehicles, others = apart(coco.iter_all_results(Path("eval/predictions_easy.json")))
-    marked = [
-        replace(
-            samples.make_annotation(i, one.image_id, tuple(one.bbox)),
-            keypoints=one.keypoints.round() * [1, 1, 0] + [0, 0, 2],
-        )
-        for i, one in enumerate(vehicles, start=1)
-    ]
+    marked = as_truth(vehicles)
     # Of each category every second one that is found is there.
     users = [
         RoadUser(
