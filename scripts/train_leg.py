@@ -10,6 +10,9 @@ measured, and the weights are packed for the way: in 16 bits, norms and counts a
 with their SHA-256 in parts.json. `join` puts them together again where all are there and whole. leg.json has what was
 done and found.
 
+Legs that have the same places can learn side by side, each on a GPU of its own: one makes them, the others run with
+--workers 0 and the same --data.
+
 What is finished is not done again: after an interruption the same command goes on. --miniature tries a leg on a laptop.
 """
 
@@ -66,8 +69,8 @@ class Leg:
     name: str
     start: str
     """`RANDOM`, or empty: it goes on from the weights of --init, or of the leg before, --state."""
-    places: tuple[str, ...]
-    """Options of `skope gen simulate`, a dataset each."""
+    places: Mapping[str, str]
+    """Datasets: name -> options of `skope gen simulate`."""
     recipe: str
     """A recipe's file beside this one."""
     settings: tuple[str, ...] = ()
@@ -76,14 +79,21 @@ class Leg:
     """More of them, for the last round."""
 
 
+def named_places(row: Mapping[str, Any], lists: Mapping[str, Sequence[str]]) -> dict[str, str]:
+    """A leg's datasets by name: a list of its own, or the name of the leg that has it."""
+    owner = row["places"] if isinstance(row["places"], str) else row["name"]
+    return {f"leg_{owner}_{number}": text for number, text in enumerate(lists[owner], start=1)}
+
+
 def read_legs(path: Path = HERE / "legs.toml") -> tuple[dict[str, Leg], dict[str, dict[str, str]]]:
     """The legs by name, and the tests: dataset -> its `places` and `splits`."""
     values = tomllib.loads(path.read_text())
+    own = {row["name"]: row["places"] for row in values["legs"] if isinstance(row["places"], list)}
     legs = [
         Leg(
-            name=str(row["name"]),
+            name=row["name"],
             start=row.get("start", ""),
-            places=tuple(row["places"]),
+            places=named_places(row, own),
             recipe=row.get("recipe", "leg.toml"),
             settings=tuple(row.get("settings", ())),
             last=tuple(row.get("last", ())),
@@ -100,19 +110,23 @@ class Places:
     """Datasets that are simulated and drawn beside whatever else the machine does, in their order."""
 
     def __init__(self, folder: Path, wanted: Mapping[str, str], workers: int) -> None:
-        """Begin with the datasets of `wanted`, name -> options of `skope gen simulate`."""
-        self._folder, self._workers = folder, workers
+        """Begin with the datasets of `wanted`, name -> options of `skope gen simulate`; 0 workers: others make them."""
+        self._folder, self._wanted, self._workers = folder, tuple(wanted), workers
         self._changed = threading.Condition()
         self._running: set[subprocess.Popen[bytes]] = set()
         self._stopped = False
-        self.drawn = [name for name in wanted if (folder / name / CARD).is_file()]
         self.failed: list[str] = []
-        missing = {name: text for name, text in wanted.items() if name not in self.drawn}
-        self._left = len(missing)
+        missing = {name: text for name, text in wanted.items() if name not in self.drawn and workers}
+        self._left = len(missing) if workers else len(wanted)
         self._simulating = ThreadPoolExecutor(AT_ONCE)
         simulated = {name: self._simulating.submit(self._simulate, name, text) for name, text in missing.items()}
         self._drawing = threading.Thread(target=self._draw, args=(simulated,), daemon=True)
         self._drawing.start()
+
+    @property
+    def drawn(self) -> list[str]:
+        """Names of the datasets that are there."""
+        return [name for name in self._wanted if (self._folder / name / CARD).is_file()]
 
     def _simulate(self, name: str, options: str) -> None:
         share = str(max(1, self._workers // AT_ONCE))
@@ -122,14 +136,15 @@ class Places:
     def _draw(self, simulated: Mapping[str, Future[None]]) -> None:
         """Draw one after the other what is simulated."""
         for name, done in simulated.items():
+            failed = False
             try:
                 done.result()
                 self._skope("5", "gen", "render", "-q", "--workers", str(self._workers), str(self._folder / name))
-                to = self.drawn
             except (subprocess.CalledProcessError, CancelledError):
-                to = self.failed
+                failed = True
             with self._changed:
-                to.append(name)
+                if failed:
+                    self.failed.append(name)
                 self._left -= 1
                 self._changed.notify_all()
 
@@ -362,7 +377,7 @@ def run(options: argparse.Namespace) -> None:
     if not (leg.start or options.state or options.init):
         raise UserError(f"leg {leg.name} goes on from weights: --state names those of the leg before, --init others")
     options.out.mkdir(parents=True, exist_ok=True)
-    wanted = {f"leg_{leg.name}_{number}": text for number, text in enumerate(leg.places, start=1)}
+    wanted = dict(leg.places)
     learnt = list(wanted)
     # Most rounds need other places than the one before, more than the tests are needed before the end.
     order = [*learnt[:TESTS_AFTER], *tests, *learnt[TESTS_AFTER:]]
@@ -407,7 +422,7 @@ def main() -> None:
     one.add_argument("--out", type=Path, required=True)
     one.add_argument("--minutes", type=float, default=25.0, help="the whole leg's time")
     one.add_argument("--gpus", default="0", help="numbers, separated by commas")
-    one.add_argument("--workers", type=int, default=2, help="processes that make places")
+    one.add_argument("--workers", type=int, default=2, help="processes that make places; 0: another run does")
     one.add_argument("--loaders", type=int, default=8, help="processes that load images, a GPU")
     one.add_argument("--measure-start", action="store_true", help="measure the weights that the leg begins with too")
     one.add_argument("--miniature", action="store_true", help="the same with a frame of each place, small")

@@ -450,8 +450,8 @@ def test_places_of_the_legs_can_be_made(skope: Any, monkeypatch: pytest.MonkeyPa
     legs, tests = leg.read_legs()
     light = [name for name in legs if name.startswith("lite-")]
     assert [name for name in legs if name not in light] == [str(k) for k in range(1, len(legs) - len(light) + 1)]
-    assert light == [f"lite-{k}" for k in range(1, len(light) + 1)]
-    places = [text for one in legs.values() for text in one.places]
+    assert light[0] == "lite-1"
+    places = list({name: text for one in legs.values() for name, text in one.places.items()}.values())
     seeds = [text.split()[text.split().index("--seed") + 1] for text in places]
     assert len(set(seeds)) == len(seeds), "no leg learns from the places of another"
     kinds = {
@@ -496,10 +496,31 @@ def test_a_leg_learns_from_places_that_were_drawn_before(tmp_path: Path, monkeyp
     leg = importlib.import_module("train_leg")
     (tmp_path / "second").mkdir()
     (tmp_path / "second" / leg.CARD).write_text("{}")
-    monkeypatch.setattr(leg.Places, "_skope", lambda places, *command: time.sleep(0.5))
+
+    def make(places: Any, niceness: str, *command: str) -> None:
+        time.sleep(0.5)
+        if command[1] == "render":
+            folder = Path(command[-1])
+            folder.mkdir()
+            (folder / leg.CARD).write_text("{}")
+
+    monkeypatch.setattr(leg.Places, "_skope", make)
     places = leg.Places(tmp_path, {"first": "--preset demo", "second": "--preset demo"}, workers=1)
     assert places.wait_for(["first", "second"], time.monotonic()) == ["second"]
     assert sorted(places.wait_for(["first", "second"], time.monotonic() + 60)) == ["first", "second"]
+    places.stop()
+
+
+def test_a_leg_learns_from_places_that_another_makes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It makes none itself, and sees them as soon as they are drawn."""
+    monkeypatch.syspath_prepend(str(SCRIPTS))
+    leg = importlib.import_module("train_leg")
+    monkeypatch.setattr(leg.Places, "_skope", lambda places, *command: pytest.fail(f"{command}"))
+    places = leg.Places(tmp_path, {"first": "--preset demo", "second": "--preset demo"}, workers=0)
+    assert places.wait_for(["first"], time.monotonic()) == []
+    (tmp_path / "first").mkdir()
+    (tmp_path / "first" / leg.CARD).write_text("{}")
+    assert places.wait_for(["first"], time.monotonic() + 60) == ["first"]
     places.stop()
 
 
