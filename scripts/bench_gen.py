@@ -22,6 +22,7 @@ from bench_render import Peer, frames_per_second
 
 from skope.gen.scene import recording as recordings
 from skope.gen.scene.recording import Recording
+from skope.processors import usable_processors
 
 SITE = "t01_main_west"
 
@@ -63,7 +64,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--size", default="1920x1080")
     parser.add_argument("--images", type=int, default=100)
-    parser.add_argument("--processes", type=int, default=len(os.sched_getaffinity(0)))
+    parser.add_argument("--processes", type=int, default=usable_processors())
     parser.add_argument("--peer-frames", type=int, default=2, help="of each of the peers' processes")
     parser.add_argument("--flat", help="comma-separated numbers of images, at 320x180")
     options = parser.parse_args()

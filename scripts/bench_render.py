@@ -23,6 +23,7 @@ import numpy as np
 from skope.gen.scene import recording as recordings
 from skope.gen.scene.recording import Recording, RecordingPlan
 from skope.gen.towns.sites import site
+from skope.processors import usable_processors
 
 SITE = "t01_main_west"
 DENSITY = 2
@@ -298,7 +299,7 @@ def main() -> None:
     parser.add_argument("--light", default="clear noon", help="weather and hour, such as 'rain night'")
     parser.add_argument("--vehicles", default="6,12,20")
     parser.add_argument("--frames", type=int, default=24, help="of each of skope's processes")
-    parser.add_argument("--processes", type=int, default=len(os.sched_getaffinity(0)))
+    parser.add_argument("--processes", type=int, default=usable_processors())
     parser.add_argument("--recording", type=Path, help="a recording of that site, instead of simulating one")
     parser.add_argument("--skope-only", action="store_true", help="leave pybullet's renderers out")
     options = parser.parse_args()

@@ -32,6 +32,7 @@ from skope.gen.scene.recording import Recording
 from skope.gen.scene.road_user_bodies import body_of
 from skope.gen.scenery.build import scenery
 from skope.gen.vehicles.model import Body
+from skope.processors import usable_processors
 
 STAGES = ("vehicle meshes", "town", "light", "drawing", "labels", "encoding, writing", "end of the run")
 
@@ -110,7 +111,7 @@ def main() -> None:
     parser.add_argument("--size", default="1280x720")
     parser.add_argument("--frames", type=int, default=96, help="of each site; 96 are a group of four views")
     parser.add_argument("--sites", default="t01_mill_corner", help="of the split `train`, whose recordings share towns")
-    parser.add_argument("--workers", type=int, default=len(os.sched_getaffinity(0)))
+    parser.add_argument("--workers", type=int, default=usable_processors())
     parser.add_argument("--recordings", type=Path, help="folder that `skope gen simulate` made, where SUMO is missing")
     options = parser.parse_args()
     workers = ["--workers", str(options.workers)]

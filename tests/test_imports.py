@@ -77,7 +77,7 @@ GEN = (
 )
 """Folders and modules of skope/gen: each imports from those before it only, the last one from all."""
 SHARED = (
-    {"errors", "types", "version"},
+    {"errors", "processors", "types", "version"},
     {"keypoints"},
     {"boxes", "field_checks", "files"},
     {"camera", "terminal"},

@@ -10,6 +10,7 @@ from typing import Any
 from skope.detector.checkpoint import find_checkpoint
 from skope.errors import UserError
 from skope.files.output_folders import changed
+from skope.processors import usable_processors
 from skope.schema import checked_categories
 from skope.train import init_weights
 from skope.train import recipe as recipes
@@ -147,9 +148,8 @@ def again(out: Path, data: Sequence[Path], flags: Mapping[str, Any]) -> RunConfi
 
 def loading_workers(*, gpu: bool) -> int:
     """Loading in the same process is fast enough for a CPU, which has no time to spare for others."""
-    usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     processes = int(os.environ.get("LOCAL_WORLD_SIZE", "1"))  # torchrun starts so many on this machine
-    return min(_MOST_WORKERS, max(1, usable // processes)) if gpu else 0
+    return min(_MOST_WORKERS, max(1, usable_processors() // processes)) if gpu else 0
 
 
 def how_to_go_on(out: Path) -> str:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skope.eval.image_shift import MOVED_SHARE, ImageMotion, ReferencePicture
+from skope.eval.inference.read_ahead import with_answers
 from skope.eval.inference.view_changes import ViewChange, changes
 from skope.eval.pose.camera_motion import CameraMotion
 from skope.schema import Image
@@ -28,21 +29,32 @@ _FEWEST_FRAMES: Final = 3
 class SwayWatch:
     """Measures how far the image of each frame of a video is from the first one's."""
 
-    def __init__(self, first: Pixels | None = None) -> None:
-        """`first`: the footage's first frame, where a run goes on after it."""
+    def __init__(self, first: Pixels | None = None, threads: int = 1) -> None:
+        """`first`: the footage's first frame, where a run goes on after it; several threads take frames ahead."""
         self.measured: dict[int, ImageMotion | None] = {}
         """By the number of the frame; None: cannot be told."""
         self._reference = None if first is None else ReferencePicture(first)
+        self._threads = threads
 
     def watch(self, frames: Iterable[tuple[Image, Pixels]]) -> Iterator[tuple[Image, Pixels]]:
         """The frames as they come; single images, which have no times, are not measured."""
-        for image, pixels in frames:
+        for (image, pixels), motion in with_answers(self._with_reference(frames), self._motion, self._threads):
             if image.time_s is not None:
-                if self._reference is None:
-                    self._reference = ReferencePicture(pixels)
-                same = pixels.shape[1::-1] == self._reference.size
-                self.measured[image.id] = self._reference.motion(pixels) if same else None
+                self.measured[image.id] = motion
             yield image, pixels
+
+    def _with_reference(self, frames: Iterable[tuple[Image, Pixels]]) -> Iterator[tuple[Image, Pixels]]:
+        """The same frames; the first one that has a time is what the others are held against, if nothing is yet."""
+        for image, pixels in frames:
+            if self._reference is None and image.time_s is not None:
+                self._reference = ReferencePicture(pixels)
+            yield image, pixels
+
+    def _motion(self, frame: tuple[Image, Pixels]) -> ImageMotion | None:
+        image, pixels = frame
+        if image.time_s is None or self._reference is None or pixels.shape[1::-1] != self._reference.size:
+            return None
+        return self._reference.motion(pixels)
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,7 +10,7 @@ from dataclasses import asdict, dataclass, field, replace
 from datetime import datetime
 from functools import partial
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, Final, Protocol
 
 import numpy as np
 
@@ -31,9 +31,13 @@ from skope.eval.inference.predictor import Predictor
 from skope.eval.inference.view_changes import Looks, ViewChange
 from skope.eval.pose.camera_motion import MOTION, CameraMotion
 from skope.files.progress import Progress
+from skope.processors import usable_processors
 from skope.schema import CATEGORIES, AnnotationFile, AnyResult, Image
 from skope.terminal.console import Console, counted
 from skope.types import Pixels
+
+_MOST_THREADS: Final = 4
+"""Threads that measure the camera's sway, which a GPU's detector waits for."""
 
 
 class Watcher(Protocol):
@@ -219,10 +223,12 @@ def _info(
 
 def _sway_watch(job: PredictJob, last: int) -> SwayWatch:
     """Make the measure of the camera's sway, against the first frame also where a run goes on."""
+    # Frames of a stream do not wait, and where the detector sees key frames only, it is what takes the time.
+    threads = 1 if job.footage.live or job.key_every > 1 else max(1, min(_MOST_THREADS, usable_processors() // 4))
     if not last or job.footage.live:
-        return SwayWatch()
+        return SwayWatch(threads=threads)
     first = next(job.footage.frames(), None)
-    return SwayWatch(first[1] if first and job.footage.clip else None)
+    return SwayWatch(first[1] if first and job.footage.clip else None, threads)
 
 
 def _watched(progress: Progress, width: int) -> tuple[SwayRecord, list[tuple[float, str]]]:

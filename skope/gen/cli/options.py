@@ -7,6 +7,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Annotated, Final
 
 from skope.errors import UserError
+from skope.processors import usable_processors
 from skope.terminal.command_options import LIST, SITE, SIZE, panel
 from skope.terminal.console import counted
 
@@ -244,15 +245,15 @@ class WorkerOptions:
 
     def count(self) -> int | None:
         """Number of worker processes on this machine; None for those of a cluster."""
-        from skope.gen.pipeline.workers import check_workers, default_workers
+        from skope.gen.pipeline.workers import check_workers
 
         if self.engine == "ray":
             return None
-        return check_workers(self.workers) if self.workers is not None else default_workers()
+        return check_workers(self.workers) if self.workers is not None else usable_processors()
 
     def pool_factory(self) -> tuple[Callable[[], "AbstractContextManager[WorkerPool]"], str]:
         """A function that starts the worker processes, and what they are in words."""
-        from skope.gen.pipeline.workers import check_workers, default_workers, local_pool
+        from skope.gen.pipeline.workers import check_workers, local_pool
 
         count = check_workers(self.workers) if self.workers is not None else None
         if self.engine == "ray":
@@ -261,5 +262,5 @@ class WorkerOptions:
             return partial(ray_pool, count, self.address), f"{count or 'all'} workers of Ray"
         if self.address is not None:
             raise UserError("--address: is for --engine ray")
-        count = count or default_workers()
+        count = count or usable_processors()
         return partial(local_pool, count), counted(count, "worker")

@@ -14,8 +14,9 @@ import numpy as np
 from skope.gen.output.frames import Encoding
 from skope.gen.pipeline.config import DatasetRequest
 from skope.gen.pipeline.dataset_store import Store
-from skope.gen.pipeline.workers import CHUNK, default_workers
+from skope.gen.pipeline.workers import CHUNK
 from skope.gen.scene.recording import RecordingInfo, RecordingPlan
+from skope.processors import usable_processors
 from skope.terminal.console import counted, disk_size, minutes
 
 START_S: Final = 6.0
@@ -105,7 +106,7 @@ def estimate(request: DatasetRequest, store: Store, workers: int | None) -> Esti
     seconds = cores = None
     if workers is not None:
         groups = [group for group in request.simulations() if not all(store.recorded(plan.info) for plan in group)]
-        cores = min(workers, default_workers())
+        cores = min(workers, usable_processors())
         seconds = START_S + _simulating(request, groups, cores) + _rendering(request, plans, left, cores)
     return Estimate(images, images * _frame_bytes(request), seconds, workers, cores)
 

@@ -333,11 +333,6 @@ def _start_worker(number: int, lit_sites: "SimpleQueue[str]") -> None:
     threading.Thread(target=watch, daemon=True).start()
 
 
-def default_workers() -> int:
-    """The number of cores that this process may use."""
-    return max(1, len(os.sched_getaffinity(0)))
-
-
 def check_workers(workers: int) -> int:
     """The number of `--workers`; a UserError below 1."""
     if workers < 1:

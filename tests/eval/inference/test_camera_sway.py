@@ -29,7 +29,9 @@ def path(count: int, sway_px: float, period_s: float, bump_px: float = 0.0) -> l
     return out
 
 
-def recorded(shifts: list[tuple[float, float]]) -> tuple[SwayRecord, list[ViewChange], CameraMotion | None]:
+def recorded(
+    shifts: list[tuple[float, float]], threads: int = 1
+) -> tuple[SwayRecord, list[ViewChange], CameraMotion | None]:
     rng = np.random.default_rng(0)
 
     def frames() -> list[tuple[Image, Any]]:
@@ -41,7 +43,7 @@ def recorded(shifts: list[tuple[float, float]]) -> tuple[SwayRecord, list[ViewCh
             out.append((image, with_traffic(picture(H), rng, k)))
         return out
 
-    watch, looks = SwayWatch(), Looks()
+    watch, looks = SwayWatch(threads=threads), Looks()
     images = [image for image, _ in looks.watch(watch.watch(iter(frames())))]
     rows = [
         {"image": {"id": image.id, "time_s": image.time_s}, "motion": motion_to_row(watch.measured[image.id])}
@@ -51,6 +53,13 @@ def recorded(shifts: list[tuple[float, float]]) -> tuple[SwayRecord, list[ViewCh
     times = {image.id: image.time_s or 0.0 for image in images}
     changes = record.view_changes([(times[number], look) for number, look in looks.taken.items()])
     return record, changes, record.motion(changes)
+
+
+def test_several_threads_measure_the_same() -> None:
+    shifts = [(0.5 * k, -0.3 * k) for k in range(8)]
+    several, one = (recorded(shifts, threads=count)[0] for count in (3, 1))
+    assert (several.numbers, several.motions) == (one.numbers, one.motions)
+    assert len(set(one.motions)) > 2
 
 
 def test_a_camera_that_stands_still_has_no_motion() -> None:

@@ -5,7 +5,6 @@ Both read ONNX. What they answer differs from torch's in the last digits of floa
 
 import contextlib
 import importlib
-import os
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from types import ModuleType
@@ -16,6 +15,7 @@ import torch
 from skope.detector.device import has_bfloat16
 from skope.errors import UserError
 from skope.eval.inference.backends.network_parts import INPUT, NetworkPart, Run
+from skope.processors import usable_processors
 from skope.types import Floats32
 
 
@@ -100,7 +100,7 @@ class OpenVino(Runtime):
         hints = {
             "INFERENCE_PRECISION_HINT": "bf16" if number != "float32" and has_bfloat16(torch.device("cpu")) else "f32",
             "PERFORMANCE_HINT": "LATENCY",
-            "INFERENCE_NUM_THREADS": _threads(),
+            "INFERENCE_NUM_THREADS": usable_processors(),
         }
         model, steady = core.read_model(part.to_onnx()), part.steady
         compiled: dict[tuple[int, ...] | None, Any] = {}
@@ -129,7 +129,7 @@ class OnnxRuntime(Runtime):
 
     def _compiled(self, part: NetworkPart, number: str) -> Run:
         options = self._library.SessionOptions()
-        options.intra_op_num_threads = _threads()
+        options.intra_op_num_threads = usable_processors()
         model = _without_shapes(part.to_onnx())
         session = self._library.InferenceSession(model, options, providers=["CPUExecutionProvider"])
         return lambda x: list(session.run(None, {INPUT: x}))
@@ -142,11 +142,6 @@ def _without_shapes(model: bytes) -> bytes:
     parsed = onnx.load_from_string(model)
     parsed.graph.ClearField("value_info")
     return bytes(parsed.SerializeToString())
-
-
-def _threads() -> int:
-    """Processors that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _first_line(error: Exception) -> str:

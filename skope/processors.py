@@ -1,0 +1,8 @@
+"""How much of the machine this process may use."""
+
+import os
+
+
+def usable_processors() -> int:
+    """Count the processors that this process may run on: those of the machine, unless it was told fewer."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
