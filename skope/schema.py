@@ -22,14 +22,16 @@ from skope.keypoints import SKOPE33, Scheme
 from skope.types import Array
 
 SCHEMA_VERSION: Final = 1
+VEHICLE: Final = "vehicle"
+"""The category of all on more than two wheels."""
 PEDESTRIAN: Final = "pedestrian"
 """The category of people on foot, the only road users who ride nothing."""
-CATEGORIES: Final = ("vehicle", "bicycle", "motorcycle", PEDESTRIAN)
+CATEGORIES: Final = (VEHICLE, "bicycle", "motorcycle", PEDESTRIAN)
 """Names of the categories, whose ids count from 1. Only a vehicle has keypoints; a rider belongs to what is ridden."""
 VEHICLE_ALONE: Final = CATEGORIES[:1]
 """The categories of a file whose makers labelled vehicles alone."""
 CATEGORY_ID: Final = 1
-"""Id of the category `vehicle`."""
+"""Id of the category `VEHICLE`."""
 ROAD_USER_IDS: Final = (2, 3, 4)
 """Ids of the categories without keypoints."""
 _SUPERCATEGORIES: Final = ("vehicle", "vehicle", "vehicle", "person")

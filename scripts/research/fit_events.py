@@ -27,9 +27,9 @@ from traffic_scores import clip_of, count_rows, side_of
 from traffic_tables import VISIBLE
 
 from skope.files.json_files import read_json
+from skope.schema import VEHICLE
 from skope.traffic.counts import ALL
 from skope.traffic.event_probability import SEEN_IN_METRES, crossing_evidence, usual_step
-from skope.traffic.trajectories import VEHICLE
 from skope.types import Array
 
 _RIDGE: Final = 1e-3

@@ -20,11 +20,12 @@ from scipy.optimize import minimize
 from scipy.stats import norm
 from traffic_truth import TRUTH, read_truth
 
+from skope.schema import VEHICLE
 from skope.traffic.length_bins import bin_probabilities
-from skope.traffic.normal_distribution import Z
+from skope.traffic.normal_distribution import INTERVAL_SIGMAS
 from skope.traffic.observation import read_observation
 from skope.traffic.read_track_folder import TRACKS_CSV, read_trajectories
-from skope.traffic.trajectories import VEHICLE, Trajectory, wandering
+from skope.traffic.trajectories import Trajectory, wandering
 from skope.types import Array
 
 TRACKS: Final = "found/tracks"
@@ -99,7 +100,7 @@ def print_bins(pairs: Sequence[Pair]) -> None:
         own = [one for one in pairs if one.site == site]
         for limit in LIMITS_M:
             longer = np.array([1 - bin_probabilities(one.track, (limit, 30.0), None)[0] for one in own])
-            spread = Z * float(np.sqrt((longer * (1 - longer)).sum()))
+            spread = INTERVAL_SIGMAS * float(np.sqrt((longer * (1 - longer)).sum()))
             true, told = (sum(v > limit for v in vs) for vs in ([p.true_m for p in own], [p.track.length for p in own]))
             print(
                 f"{site:24} over {limit:5.2f} m: {true:3} in truth, {told:3} told, {longer.sum():5.1f} +- {spread:.1f}"

@@ -25,16 +25,17 @@ from skope.dataset import coco
 from skope.dataset.folder import PREDICTIONS
 from skope.errors import UserError
 from skope.files.json_files import read_json
+from skope.schema import VEHICLE
 from skope.site.site_file import read_site
 from skope.traffic.conflicts import conflicts
 from skope.traffic.count_interval import CountInterval
 from skope.traffic.counts import ALL, expected
 from skope.traffic.gates import direction_names
 from skope.traffic.measure import measure
-from skope.traffic.normal_distribution import Z
+from skope.traffic.normal_distribution import INTERVAL_SIGMAS
 from skope.traffic.observation import Observation, read_observation
 from skope.traffic.read_track_folder import read_trajectories
-from skope.traffic.trajectories import KMH, VEHICLE
+from skope.traffic.trajectories import KMH
 from skope.traffic.turning import NOWHERE
 from skope.traffic.write_report import SUMMARY
 
@@ -269,7 +270,10 @@ def crossing_rows(clip: Clip, pairs: Mapping[int, int]) -> list[Row]:
         if i in counted:
             d = counted[i]
             row |= {"counted_class": d.trajectory.class_name, "late_s": round(d.time_s - c.time_s, 3)}
-            row |= {"time_holds": abs(d.time_s - c.time_s) < Z * d.sigma_s, "faster": round(d.speed - c.speed, 3)}
+            row |= {
+                "time_holds": abs(d.time_s - c.time_s) < INTERVAL_SIGMAS * d.sigma_s,
+                "faster": round(d.speed - c.speed, 3),
+            }
         else:
             row["cause"] = clip.evidence.cause_of(c)
         rows.append(row)

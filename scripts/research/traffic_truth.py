@@ -26,9 +26,10 @@ from skope.gen.pipeline.write_footage import plan_of
 from skope.gen.scene.recording import Recording, RecordingPlan
 from skope.gen.scene.road_user_bodies import vehicle_of
 from skope.gen.simulation.simulate import simulate
+from skope.schema import VEHICLE
 from skope.site.marks import Gate
 from skope.traffic.gates import signed_distances
-from skope.traffic.trajectories import VEHICLE, Trajectory
+from skope.traffic.trajectories import Trajectory
 from skope.types import Array
 
 TRUTH: Final = "truth.npz"

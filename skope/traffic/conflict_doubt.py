@@ -12,7 +12,7 @@ from skope.traffic.collision import Doubt, deceleration_to_avoid, times_to_colli
 from skope.traffic.encroachment import Encroachment, by_places
 from skope.traffic.event_probability import event_probability
 from skope.traffic.footprints import FootprintPath
-from skope.traffic.normal_distribution import LEVEL, Z
+from skope.traffic.normal_distribution import INTERVAL_LEVEL, INTERVAL_SIGMAS
 from skope.traffic.trajectories import LENGTH_SIGMA_M, Trajectory
 from skope.types import Array
 
@@ -117,7 +117,7 @@ def surely_encroaches(one: FootprintPath, other: FootprintPath, i: int, j: int, 
         spread = path.trajectory.at(path.trajectory.covariance, float(path.times_s[row]))
         sides = path.facing[row], np.array([-path.facing[row, 1], path.facing[row, 0]])
         size = [
-            max(0.1, extent - 2 * Z * math.sqrt(max(0.0, float(side @ spread @ side))))
+            max(0.1, extent - 2 * INTERVAL_SIGMAS * math.sqrt(max(0.0, float(side @ spread @ side))))
             for extent, side in zip(path.size, sides, strict=True)
         ]
         shrunk.append(FootprintPath(replace(path.trajectory, length=size[0], width=size[1]), STEP_S))
@@ -170,7 +170,7 @@ def _drawn(
 
 
 def _middle(drawn: Array) -> tuple[float, float]:
-    """Between what values lie with `LEVEL`; infinite ones are the largest."""
-    tail = round(len(drawn) * (1 - LEVEL) / 2)
+    """Between what values lie with `INTERVAL_LEVEL`; infinite ones are the largest."""
+    tail = round(len(drawn) * (1 - INTERVAL_LEVEL) / 2)
     ordered = np.sort(drawn)
     return float(ordered[tail]), float(ordered[-1 - tail])

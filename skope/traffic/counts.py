@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Final
 
+from skope.schema import VEHICLE
 from skope.site.marks import Gate
 from skope.site.traffic_settings import OF_VEHICLES, UNKNOWN, TrafficSettings
 from skope.traffic.clock import ClockInterval
@@ -12,7 +13,6 @@ from skope.traffic.count_interval import CountInterval, Group, joint_interval
 from skope.traffic.event_probability import SeenAlike
 from skope.traffic.gates import GateCrossing, direction_names
 from skope.traffic.observation import Observation
-from skope.traffic.trajectories import VEHICLE
 from skope.traffic.vanished import Unseen
 
 ALL: Final = "all"

@@ -12,11 +12,11 @@ from typing import Final
 import numpy as np
 from scipy.special import expit
 
-from skope.schema import PEDESTRIAN
+from skope.schema import PEDESTRIAN, VEHICLE
 from skope.site.traffic_settings import CLASSES, OF_VEHICLES, UNKNOWN
 from skope.traffic.count_interval import Group
 from skope.traffic.gate_shares import Beta, LearntShares
-from skope.traffic.trajectories import VEHICLE, Trajectory, worst_sigma
+from skope.traffic.trajectories import Trajectory, worst_sigma
 
 COUNTED_FROM: Final = 0.5
 """A less probable event is not counted."""

@@ -9,11 +9,10 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from skope.schema import PEDESTRIAN
+from skope.schema import PEDESTRIAN, VEHICLE
 from skope.traffic.clock import ClockInterval
 from skope.traffic.gates import GateCrossing
 from skope.traffic.observation import Observation
-from skope.traffic.trajectories import VEHICLE
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

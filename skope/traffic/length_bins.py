@@ -14,6 +14,7 @@ from typing import Final
 
 import numpy as np
 
+from skope.schema import VEHICLE
 from skope.site.marks import Gate
 from skope.site.traffic_settings import OF_VEHICLES, TrafficSettings
 from skope.traffic.clock import ClockInterval
@@ -22,7 +23,7 @@ from skope.traffic.counts import observed_word
 from skope.traffic.gates import GateCrossing, direction_names
 from skope.traffic.normal_distribution import at_most
 from skope.traffic.observation import Observation
-from skope.traffic.trajectories import VEHICLE, Trajectory
+from skope.traffic.trajectories import Trajectory
 from skope.traffic.vanished import Unseen, Vanished
 from skope.types import Array
 

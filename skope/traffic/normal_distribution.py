@@ -3,10 +3,10 @@
 import math
 from typing import Final
 
-LEVEL: Final = 0.90
+INTERVAL_LEVEL: Final = 0.90
 """All intervals shall hold the truth so often."""
-Z: Final = 1.6448536269514722
-"""Standard deviations on either side of a normal distribution's middle that hold `LEVEL` of it."""
+INTERVAL_SIGMAS: Final = 1.6448536269514722
+"""Standard deviations on either side of a normal distribution's middle that hold `INTERVAL_LEVEL` of it."""
 
 
 def at_most(z: float) -> float:

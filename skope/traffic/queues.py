@@ -20,7 +20,7 @@ from skope.traffic.clock import ClockInterval
 from skope.traffic.count_interval import CountInterval, count_interval
 from skope.traffic.event_probability import SEEN_IN_METRES, event_probability
 from skope.traffic.lanes import LaneMap
-from skope.traffic.normal_distribution import Z
+from skope.traffic.normal_distribution import INTERVAL_SIGMAS
 from skope.traffic.observation import Observation
 from skope.traffic.speeds import MOTOR, SectionPass, SpeedGroup
 from skope.traffic.trajectories import KMH, Trajectory, worst_sigma
@@ -30,7 +30,7 @@ _STEP_S: Final = 1.0
 """Queues are looked at so often."""
 _STOP_S: Final = 1.0
 """A road user that is slow for less time, seconds, has not stopped."""
-_SHIFTS: Final = (-Z, -Z / 2, Z / 2, Z)
+_SHIFTS: Final = (-INTERVAL_SIGMAS, -INTERVAL_SIGMAS / 2, INTERVAL_SIGMAS / 2, INTERVAL_SIGMAS)
 """Speeds are tried so many standard deviations away: what is one stop at one speed may be two or none at another."""
 Queue = tuple[float, float, tuple[float, ...]]
 """Length and its standard deviation, metres, and how probable each of the vehicles is."""
@@ -232,7 +232,7 @@ def delays(sections: Sequence[SectionPass], groups: Sequence[SpeedGroup], settin
         if group.kind == "section" and group.interval is None and group.class_name == MOTOR and v85.value:
             assert v85.low is not None
             assert v85.high is not None
-            free[group.where] = v85.value, (v85.high - v85.low) / 2 / Z
+            free[group.where] = v85.value, (v85.high - v85.low) / 2 / INTERVAL_SIGMAS
     out = []
     for one in sections:
         origin, destination = one.movement.origin, one.movement.destination

@@ -9,11 +9,11 @@ from typing import Any, Final
 import numpy as np
 
 from skope.errors import UserError
-from skope.schema import CATEGORIES
+from skope.schema import CATEGORIES, VEHICLE
 from skope.site.traffic_settings import CLASSES
 from skope.traffic.observation import FOOTAGE, Observation
 from skope.traffic.place_errors import place_covariance, speed_sigma
-from skope.traffic.trajectories import VEHICLE, Trajectory
+from skope.traffic.trajectories import Trajectory
 from skope.types import Array
 
 TRACKS_CSV: Final = "tracks.csv"

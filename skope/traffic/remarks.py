@@ -6,12 +6,13 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from skope.schema import VEHICLE
 from skope.site.marks import Gate
 from skope.traffic.gates import signed_distances
 from skope.traffic.hand_checks import hand_lines
 from skope.traffic.recordings import recording_lines
 from skope.traffic.sight import sight_lines
-from skope.traffic.trajectories import VEHICLE, wandering
+from skope.traffic.trajectories import wandering
 from skope.traffic.turning import NOWHERE, on_foot
 
 if TYPE_CHECKING:

@@ -15,7 +15,7 @@ from typing import Final
 import numpy as np
 from scipy.special import bdtr
 
-from skope.traffic.normal_distribution import LEVEL, Z
+from skope.traffic.normal_distribution import INTERVAL_LEVEL, INTERVAL_SIGMAS
 
 PERCENTILES: Final[Mapping[str, float]] = {"v15": 0.15, "v50": 0.50, "v85": 0.85}
 _LEAST_RATIO: Final = 0.5
@@ -62,7 +62,7 @@ def speed_percentiles(
     for name, share in PERCENTILES.items():
         ranks = order_ranks(n, share)
         if ranks is None:
-            least = math.ceil(math.log((1 - LEVEL) / 2) / math.log(max(share, 1 - share)))
+            least = math.ceil(math.log((1 - INTERVAL_LEVEL) / 2) / math.log(max(share, 1 - share)))
             out[name] = _refused(f"{n} vehicles: an interval needs {least}")
         elif ratio < _LEAST_RATIO and share != 0.5:
             out[name] = _refused("speeds vary hardly more than they are uncertain")
@@ -73,7 +73,7 @@ def speed_percentiles(
             )
             doubt = _ratio_sigma(ratio, n) * abs(float(np.quantile(values, share)) - middle)
             shape = _SHAPE * min(1.0, 1 - ratio) * math.sqrt(spread)
-            widen = Z * math.hypot(doubt, shape, shared * value)
+            widen = INTERVAL_SIGMAS * math.hypot(doubt, shape, shared * value)
             out[name] = Percentile(
                 value=value,
                 low=max(0.0, value - math.hypot(value - low, widen)),
@@ -92,11 +92,11 @@ def _ratio_sigma(ratio: float, n: int) -> float:
 
 
 def order_ranks(n: int, share: float) -> tuple[int, int] | None:
-    """Indices of the two of n sorted values between which a quantile of their distribution lies with `LEVEL`.
+    """Indices of the two of n sorted values between which a quantile of their distribution lies with `INTERVAL_LEVEL`.
 
     Each end errs with half of the rest at most. None where n is too small for that.
     """
-    tail = (1 - LEVEL) / 2
+    tail = (1 - INTERVAL_LEVEL) / 2
     ranks = np.arange(n)
     below = bdtr(ranks, n, share)  # so many values or fewer lie below the quantile
     # The k-th value (from 0) is above the quantile where k or fewer values lie below it.

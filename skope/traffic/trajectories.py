@@ -8,10 +8,10 @@ from typing import Any, Final, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from skope.schema import VEHICLE
 from skope.site.traffic_settings import UNKNOWN, VEHICLE_CLASSES
 from skope.types import Array
 
-VEHICLE: Final = "vehicle"
 OTHER_SIZES: Final[Mapping[str, tuple[float, float]]] = {
     "pedestrian": (0.5, 0.6),
     "bicycle": (1.8, 0.7),

@@ -5,9 +5,10 @@ from typing import Any
 
 import numpy as np
 
+from skope.schema import VEHICLE
 from skope.site.marks import Gate
 from skope.traffic.observation import Observation
-from skope.traffic.trajectories import COLUMNS, VEHICLE, Trajectory
+from skope.traffic.trajectories import COLUMNS, Trajectory
 
 
 def drive(number: int, places: Any, times_s: Any = None, *, sigma: float = 0.05, **others: Any) -> Trajectory:

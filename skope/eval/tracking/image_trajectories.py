@@ -12,10 +12,10 @@ from skope.dataset.folder import BEGINS, CHANGES, FRAMES, PREDICTIONS, SIGHT_FIE
 from skope.errors import UserError
 from skope.eval.tracking.box_doubles import FOOT, INSIDE, inside_and_apart
 from skope.metrics.read_inputs import read_all_results
-from skope.schema import CATEGORIES
+from skope.schema import CATEGORIES, VEHICLE
 from skope.site.traffic_settings import UNKNOWN
 from skope.traffic.observation import Observation, checked_sight, read_begins
-from skope.traffic.trajectories import VEHICLE, Trajectory
+from skope.traffic.trajectories import Trajectory
 from skope.types import Array
 
 _FOOT_SIGMA_SHARE: Final = 0.03

@@ -7,7 +7,8 @@ import numpy as np
 from skope.eval.tracking.ground_track import GroundTrack
 from skope.eval.tracking.road_user_tracks import RoadUserTrack
 from skope.eval.tracking.tracks import Track
-from skope.traffic.trajectories import VEHICLE, Trajectory
+from skope.schema import VEHICLE
+from skope.traffic.trajectories import Trajectory
 
 
 def trajectories_of_tracks(tracks: Sequence[GroundTrack]) -> list[Trajectory]:

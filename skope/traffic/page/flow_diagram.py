@@ -9,10 +9,10 @@ from typing import Final
 import numpy as np
 
 from skope.page.html_pieces import tag
+from skope.schema import VEHICLE
 from skope.traffic.count_interval import in_words
 from skope.traffic.counts import ALL
 from skope.traffic.report import TrafficReport
-from skope.traffic.trajectories import VEHICLE
 from skope.traffic.turning import NOWHERE, Side, TurningCount
 from skope.types import Array
 

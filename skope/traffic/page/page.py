@@ -12,10 +12,11 @@ from skope.camera.model import Camera
 from skope.files.atomic import write_text
 from skope.page import document
 from skope.page.html_pieces import details, table, tag
+from skope.schema import VEHICLE
 from skope.traffic.count_interval import in_words
 from skope.traffic.counts import ALL, Count
 from skope.traffic.length_bins import LONGEST_M, UNTOLD
-from skope.traffic.normal_distribution import Z
+from skope.traffic.normal_distribution import INTERVAL_SIGMAS
 from skope.traffic.page.flow_diagram import flow_diagram
 from skope.traffic.page.hand_count_panel import hand_count_panel
 from skope.traffic.page.plots import counts_over_time, headway_histograms, speed_histograms
@@ -25,7 +26,7 @@ from skope.traffic.report_tables import clock
 from skope.traffic.road_picture import RoadPicture
 from skope.traffic.speed_percentiles import PERCENTILES, Percentile
 from skope.traffic.speeds import MOTOR
-from skope.traffic.trajectories import KMH, VEHICLE
+from skope.traffic.trajectories import KMH
 from skope.traffic.turning import TurningCount
 from skope.version import __version__
 
@@ -219,7 +220,11 @@ def _conflicts(report: TrafficReport) -> str:
     for one in worst:
         moment = clock(report, one.time_s)
         ttc = "–" if math.isnan(one.ttc_s) else f"{one.ttc_s:.1f} ({one.ttc_low_s:.1f} to {_end(one.ttc_high_s)})"
-        pet = "–" if math.isnan(one.pet_places_s) else f"{one.pet_places_s:.1f} ± {_upwards(Z * one.pet_sigma_s):.1f}"
+        pet = (
+            "–"
+            if math.isnan(one.pet_places_s)
+            else f"{one.pet_places_s:.1f} ± {_upwards(INTERVAL_SIGMAS * one.pet_sigma_s):.1f}"
+        )
         who = f"{one.first.class_name} {one.first.number}, {one.second.class_name} {one.second.number}"
         when = f"{one.time_s:.1f} s" if moment is None else f"{moment:%H:%M:%S}"
         rows.append([when, escape(who), escape(one.kind), escape(one.zone), ttc, pet])

@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 
 from skope.page.html_pieces import tag
-from skope.schema import PEDESTRIAN
+from skope.schema import PEDESTRIAN, VEHICLE
 from skope.site.marks import Outline
 from skope.traffic.count_interval import in_words
 from skope.traffic.counts import ALL
@@ -17,7 +17,7 @@ from skope.traffic.gates import may_count
 from skope.traffic.report import TrafficReport
 from skope.traffic.report_tables import thinned
 from skope.traffic.road_picture import RoadPicture
-from skope.traffic.trajectories import VEHICLE, Trajectory
+from skope.traffic.trajectories import Trajectory
 from skope.types import Array
 
 _WIDTH: Final = 1100.0
