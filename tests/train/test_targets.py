@@ -1,5 +1,7 @@
 """Whatever moves pixels moves boxes and keypoints: one lit pixel at a keypoint, and both arrive together."""
 
+import math
+
 import numpy as np
 import pytest
 
@@ -154,6 +156,23 @@ def test_spectrum_keeps_what_is_shown() -> None:
         assert np.abs(changed.mean(axis=(0, 1)) - pixels.mean(axis=(0, 1))).max() < 3
         assert np.corrcoef(changed.ravel(), pixels.ravel())[0, 1] > 0.5
         assert (np.abs(changed.astype(int) - pixels) > 4).mean() > 0.2
+
+
+def test_noise_is_normal_and_alike_in_half_of_the_images() -> None:
+    grey, none = np.full((200, 300, 3), 128, np.uint8), Vehicles(NO_BOXES, np.zeros((0, keypoints.K, 3)), NO_BOXES)
+    alike, spreads = 0, []
+    for seed in range(40):
+        noisy, _ = AUGMENT_STEPS["noise"](grey, none, np.random.default_rng(seed))
+        grain = noisy.astype(float) - 128
+        alike += bool((grain == grain[..., :1]).all())
+        spreads.append(grain.std())
+        assert abs(grain.mean()) < 4 * spreads[-1] / np.sqrt(200 * 300)
+        within = (np.abs(grain) <= spreads[-1]).mean()
+        if spreads[-1] > 8:  # or whole levels are too coarse to tell
+            assert within == pytest.approx(math.erf(math.sqrt(0.5)), abs=0.05)
+    assert 10 < alike < 30
+    assert min(spreads) > 1.9
+    assert max(spreads) < 25.5
 
 
 def test_clean_images_are_moved_and_nothing_more() -> None:
