@@ -1,6 +1,6 @@
 // What the keyboard does: a cross-hair over the picture, marks that arrow keys move, a letter for each tool.
 
-import { handlesOf } from "./drawing.js";
+import { handlesOf } from "./draw_marks.js";
 import { KINDS } from "./kinds.js";
 
 const ARROWS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };

@@ -1,6 +1,6 @@
 // What mouse, pen and fingers do on the picture: mark, drag handles, move and zoom.
 
-import { handlesOf } from "./drawing.js";
+import { handlesOf } from "./draw_marks.js";
 import { DRAWN, MARKED } from "./kinds.js";
 
 const NEAR_PX = { mouse: 9, pen: 14, touch: 24 }; // so near to a handle it is meant

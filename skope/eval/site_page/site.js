@@ -3,7 +3,7 @@
 
 import { CameraPanel } from "./camera_panel.js";
 import { keyList, legend, switches, toolbar } from "./controls.js";
-import { redraw, handlesOf } from "./drawing.js";
+import { redraw, handlesOf } from "./draw_marks.js";
 import { edits, loadFile } from "./edits.js";
 import { History } from "./history.js";
 import { hintFor } from "./hints.js";

@@ -10,8 +10,8 @@ from typing import Final
 import numpy as np
 
 from skope.gen.render.materials import MATERIALS, RGB, materials_between
-from skope.gen.towns.style import style
 from skope.gen.towns.town import Town
+from skope.gen.towns.town_style import style
 
 
 class Motif(IntEnum):

@@ -15,7 +15,7 @@ from skope.gen.scenery.trees import bush, hedge
 from skope.gen.towns.layout import KERB_WIDTH, Layout
 from skope.gen.towns.regions import free, polygons, rectangle
 from skope.gen.towns.road_graph import along, right_of
-from skope.gen.towns.style import drawn_name
+from skope.gen.towns.town_style import drawn_name
 
 SHRUBS: Final = 18
 """Groups of shrubs that are tried on open ground before each camera."""

@@ -17,7 +17,7 @@ from skope.gen.towns.layout import DETAILED_WITHIN_M, ISLAND, PLAIN_FROM_M, Layo
 from skope.gen.towns.parking import Bay, drive_bay, drive_ring
 from skope.gen.towns.regions import polygons, rectangle
 from skope.gen.towns.road_graph import beside, driven
-from skope.gen.towns.style import Kind, Row, drawn_name
+from skope.gen.towns.town_style import Kind, Row, drawn_name
 from skope.types import Array
 
 HOUSE_VIEW_M: Final = 38.0

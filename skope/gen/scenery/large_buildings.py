@@ -7,7 +7,7 @@ import numpy as np
 from skope.gen.mesh import Mesh, lathe, merged
 from skope.gen.scenery import roof
 from skope.gen.scenery.quads import Solid
-from skope.gen.towns.style import Kind
+from skope.gen.towns.town_style import Kind
 
 _WALL_AXES: Final = (
     ((-1.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, 1.0, 0.0)),

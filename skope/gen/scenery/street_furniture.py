@@ -13,7 +13,7 @@ from skope.gen.scenery.quads import Solid
 from skope.gen.scenery.trees import bush
 from skope.gen.towns.layout import PLAIN_FROM_M, Layout
 from skope.gen.towns.road_graph import beside, driven, is_minor, is_signalled, joins
-from skope.gen.towns.style import drawn_name
+from skope.gen.towns.town_style import drawn_name
 from skope.types import Array
 
 FURNITURE_CLEARANCE_M: Final = 0.4

@@ -17,7 +17,7 @@ from skope.gen.towns.layout import PLAIN_FROM_M, Layout
 from skope.gen.towns.regions import free, polygons, rectangle
 from skope.gen.towns.road_graph import along
 from skope.gen.towns.season import Season
-from skope.gen.towns.style import drawn_name
+from skope.gen.towns.town_style import drawn_name
 from skope.types import Array
 
 CROWN_CLEARANCE_M: Final = 0.4

@@ -22,8 +22,8 @@ from skope.gen.scene.sun import sun_direction, time_of_day
 from skope.gen.towns.netconvert import from_map
 from skope.gen.towns.road_graph import OWN_ROADS_WITHIN_M, RoadGraph
 from skope.gen.towns.sites import Site, site_of, sites
-from skope.gen.towns.style import style
 from skope.gen.towns.town import Town
+from skope.gen.towns.town_style import style
 from skope.gen.towns.user_road import Occluder, Outline, OwnRoad
 from skope.gen.traffic import route_files
 from skope.gen.traffic.demand import ways

@@ -15,9 +15,9 @@ from skope.gen.mesh import Mesh
 from skope.gen.towns.regions import Region, polygons
 from skope.gen.towns.road_graph import RoadGraph, driven
 from skope.gen.towns.sites import Site, sites_of
-from skope.gen.towns.style import TownStyle, style
 from skope.gen.towns.terrain import GroundSurface, Lanes
 from skope.gen.towns.town import Town
+from skope.gen.towns.town_style import TownStyle, style
 from skope.types import Array
 
 KERB_WIDTH: Final = 0.15

@@ -17,9 +17,9 @@ from shapely.ops import unary_union
 from skope.camera.model import Camera
 from skope.gen.towns.left_hand_traffic import is_lefthand, mirrored
 from skope.gen.towns.regions import Region, polygons
-from skope.gen.towns.style import Road, style
 from skope.gen.towns.terrain import Lanes
 from skope.gen.towns.town import Town
+from skope.gen.towns.town_style import Road, style
 from skope.types import Array
 
 OWN_ROADS_WITHIN_M: Final = 600.0

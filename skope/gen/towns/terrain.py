@@ -8,7 +8,7 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from skope.gen.towns.style import Terrain
+from skope.gen.towns.town_style import Terrain
 from skope.types import Array
 
 _SOFTENING_M: Final = 0.25

@@ -17,8 +17,8 @@ from skope.gen.scene.recording import Recording, RecordingPlan
 from skope.gen.scenery import build
 from skope.gen.scenery.build import bays_of, scenery
 from skope.gen.simulation.simulate import _variant, lamps_on, simulate, simulate_together
-from skope.gen.towns.style import style
 from skope.gen.towns.town import Mast, Town, Variant
+from skope.gen.towns.town_style import style
 from skope.gen.vehicles.paints import PAINTS
 
 

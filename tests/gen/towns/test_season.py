@@ -9,8 +9,8 @@ from skope.gen.render.materials import MATERIALS
 from skope.gen.render.palette import USUAL, Palette
 from skope.gen.scenery.build import scenery
 from skope.gen.towns.season import drawn_season
-from skope.gen.towns.style import style
 from skope.gen.towns.town import Town, Variant
+from skope.gen.towns.town_style import style
 
 
 def test_few_seasons_are_of_a_saturated_green() -> None:
