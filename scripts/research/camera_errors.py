@@ -7,12 +7,17 @@
 A line for each recording: what is true, what came out, in how many of its own standard deviations that is off, and how
 far off distances are: of vehicles from the camera's foot, and of ways that they drive, of five metres or more. The last
 line sums up. Without --predictions the labels' keypoints are taken, with a pixel of noise.
+
+--broken takes what no camera from vehicles can know, and shows how often it is refused: `bend` and `bend-little` bend
+the image as one more lens would, `crop` moves it by a fifth of its width and a seventh of its height, `stretch`
+squeezes it to three quarters of its width, `noise` moves keypoints by a twentieth of their boxes, `swap` takes the
+front for the rear in three of ten detections.
 """
 
 import argparse
 import math
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -28,12 +33,18 @@ from skope.eval.pose.camera_unknowns import FOCAL, HEIGHT, PITCH, on_road
 from skope.eval.pose.fit_camera import fit_camera
 from skope.eval.pose.vehicle_sample import sample
 from skope.eval.pose.views import Scene
+from skope.keypoints import FLIP, OTHER_END
 from skope.schema import AnnotationFile, Result
 from skope.types import Array
 
 SCORE = 0.5
 LONG_M = 5.0
 FARTHEST_M = 100.0
+NOISE = 0.05
+SWAPPED = 0.3
+TURNED = np.array([FLIP[i] for i in OTHER_END])
+Warp = Callable[[Array], Array]
+"""Moves (P, 2) pixels."""
 
 
 @dataclass(frozen=True)
@@ -88,11 +99,43 @@ def places_on_road(file: AnnotationFile, camera: Camera) -> dict[int, Array]:
     return out
 
 
-def judged(estimate: Camera, camera: Camera, places: dict[int, Array]) -> tuple[Array, Array]:
+def warps(width: int, height: int) -> dict[str, Warp]:
+    """What `--broken` does to an image's pixels."""
+    middle = np.array([width / 2, height / 2])
+
+    def bend(k: float) -> Warp:
+        def bent(pixels: Array) -> Array:
+            away = (pixels - middle) / (width / 2)
+            return middle + away * (1 + k * np.minimum((away**2).sum(1, keepdims=True), 2.0)) * (width / 2)
+
+        return bent
+
+    return {
+        "bend": bend(-0.25),
+        "bend-little": bend(-0.1),
+        "crop": lambda pixels: pixels + [0.2 * width, 0.15 * height],
+        "stretch": lambda pixels: middle + (pixels - middle) * [0.75, 1.0],
+    }
+
+
+def broken(result: Result, how: str, warp: Warp, rng: np.random.Generator) -> Result:
+    """A detection as it would be with that fault."""
+    points = result.keypoints.copy()
+    if how == "noise":
+        points[:, :2] += rng.normal(0, NOISE, (len(points), 2)) * result.bbox[2:]
+    elif how == "swap" and rng.random() < SWAPPED:
+        points = points[TURNED]
+    points[:, :2] = warp(points[:, :2])
+    x, y, width, height = result.bbox
+    corners = warp(np.array([[x, y], [x + width, y], [x, y + height], [x + width, y + height]]))
+    return replace(result, keypoints=points, bbox=np.concatenate([corners.min(0), np.ptp(corners, axis=0)]))
+
+
+def judged(estimate: Camera, camera: Camera, places: dict[int, Array], warp: Warp) -> tuple[Array, Array]:
     """Errors of the logarithms of distances from the camera's foot, and of ways driven."""
     distances, ways = [], []
     for xyz in places.values():
-        found = on_road(estimate, camera.project(xyz)[0])
+        found = on_road(estimate, warp(camera.project(xyz)[0]))
         true = xyz[:, :2] - camera.position[:2]
         distances += np.log(np.linalg.norm(found, axis=1) / np.linalg.norm(true, axis=1)).tolist()
         begin = 0
@@ -103,9 +146,13 @@ def judged(estimate: Camera, camera: Camera, places: dict[int, Array]) -> tuple[
     return np.array(distances), np.array(ways)
 
 
-def measure(name: str, file: AnnotationFile, results: list[Result] | None) -> Row | None:
+def measure(name: str, file: AnnotationFile, results: list[Result] | None, how: str) -> Row | None:
     camera = file.images[0].camera
     assert camera is not None
+    warp = warps(camera.width, camera.height).get(how, lambda pixels: pixels)
+    if results is not None and how:
+        rng = np.random.default_rng(0)
+        results = [broken(result, how, warp, rng) for result in results]
     places = places_on_road(file, camera)
     level = float(np.median(np.concatenate([xyz[:, 2] for xyz in places.values()]))) if places else 0.0
     truth = np.array([math.log(camera.K[0, 0]), camera.angles[1], math.log(camera.position[2] - level)])
@@ -124,7 +171,7 @@ def measure(name: str, file: AnnotationFile, results: list[Result] | None) -> Ro
         return None
     unknowns = estimate.solved.bundle.camera[[FOCAL, PITCH, HEIGHT]]
     sigma = np.sqrt(np.diag(estimate.covariance))[[FOCAL, PITCH, HEIGHT]]
-    row = Row(unknowns - truth, np.abs(unknowns - truth) / sigma, *judged(estimate.camera, camera, places))
+    row = Row(unknowns - truth, np.abs(unknowns - truth) / sigma, *judged(estimate.camera, camera, places, warp))
     print(
         f"{said}: {estimate.vehicles} vehicles, focal x{math.exp(row.off[0]):.2f} tilt {math.degrees(row.off[1]):+.1f} "
         f"height x{math.exp(row.off[2]):.2f} (in sigmas {' '.join(f'{v:.1f}' for v in row.sigmas)}), distances "
@@ -139,7 +186,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("annotations", type=Path, help="labels of generated recordings, with their cameras")
     parser.add_argument("--predictions", type=Path, help="COCO results for them, in place of noisy labels")
+    parser.add_argument(
+        "--broken", choices=(*warps(2, 2), "noise", "swap"), default="", help="a fault of --predictions"
+    )
     options = parser.parse_args()
+    if options.broken and not options.predictions:
+        parser.error("--broken needs --predictions")
     file = coco.read(options.annotations)
     results = coco.read_results(options.predictions) if options.predictions else None
     by_image: dict[int, list[Result]] = defaultdict(list)
@@ -149,7 +201,7 @@ def main() -> None:
     for name, recording in recordings(file):
         count += 1
         own = [one for image in recording.images for one in by_image[image.id]]
-        rows.append(measure(name, recording, None if results is None else named(recording, own)))
+        rows.append(measure(name, recording, None if results is None else named(recording, own), options.broken))
     answered = [row for row in rows if row is not None]
     print(f"{len(answered)} of {count} cameras answered")
     if answered:
