@@ -32,6 +32,9 @@ CHANGES: Final = "view_changes"
 SIGHT_FIELD: Final = "sight"
 """Under this name the `info` of frames says how bright a video is and how much contrast it has: rows of time (s),
 brightness (0 to 1) and contrast."""
+PIXEL_WIDTH: Final = "pixel_width"
+"""Under this name the `info` of frames says how wide a pixel is, in its heights, where a video says that they are not
+square."""
 BEGINS: Final = "begins"
 """Under this name the `info` of frames says when second 0 of a live stream was, as a time with its offset."""
 

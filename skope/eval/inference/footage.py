@@ -29,6 +29,8 @@ IMAGE_SUFFIXES: Final = (".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".web
 _GLOB_CHARS: Final = frozenset("*?[")
 _SAME_S: Final = 5e-4
 """Times that differ by less are the same: containers count in thousandths of a second, or finer."""
+_SQUARE_WITHIN: Final = 0.005
+"""Pixels count as square whose width and height differ by less, as a share."""
 SEEK_FRAMES: Final = 50
 """So many frames are as soon decoded as jumped over."""
 
@@ -65,6 +67,13 @@ class Clip:
     times_s: tuple[float, ...] = ()
     """Times of all frames of a file on this machine, since the first one. Empty for other files and for streams, whose
     frames tell their times when they are read."""
+    pixel_width: float = 1.0
+    """Width of a pixel as it is to be shown, in its heights, as the container says: 1 where it does not."""
+
+    @property
+    def square(self) -> bool:
+        """Whether its pixels are as wide as high."""
+        return abs(self.pixel_width - 1) < _SQUARE_WITHIN
 
     @property
     def live(self) -> bool:
@@ -321,13 +330,18 @@ def _on_this_machine(source: str, cut: Cut) -> Footage:
 
 def _open_clip(video: str) -> Clip:
     with _opened(video) as capture:
-        count, rate = capture.get(cv2.CAP_PROP_FRAME_COUNT), _rate(capture)
+        count, rate, pixel_width = capture.get(cv2.CAP_PROP_FRAME_COUNT), _rate(capture), _pixel_width(capture)
     if "://" in video:
-        return Clip(video, count, rate)
+        return Clip(video, count, rate, pixel_width=pixel_width)
     times_s = _times(video)
-    if len(times_s) < 2:
-        return Clip(video, count, rate, times_s)
-    return Clip(video, count, (len(times_s) - 1) / times_s[-1], times_s)
+    if len(times_s) >= 2:
+        rate = (len(times_s) - 1) / times_s[-1]
+    return Clip(video, count, rate, times_s, pixel_width)
+
+
+def _pixel_width(capture: cv2.VideoCapture) -> float:
+    width, height = capture.get(cv2.CAP_PROP_SAR_NUM), capture.get(cv2.CAP_PROP_SAR_DEN)
+    return width / height if width > 0 and height > 0 else 1.0
 
 
 def _times(video: str) -> tuple[float, ...]:

@@ -16,7 +16,7 @@ import numpy as np
 
 from skope.dataset import coco
 from skope.dataset.camera_of_file import with_camera
-from skope.dataset.folder import BEGINS, CHANGES, FOLLOWED, FRAMES, PREDICTIONS, SIGHT_FIELD
+from skope.dataset.folder import BEGINS, CHANGES, FOLLOWED, FRAMES, PIXEL_WIDTH, PREDICTIONS, SIGHT_FIELD
 from skope.errors import UserError
 from skope.eval.box_links import FARTHEST_S
 from skope.eval.inference.camera_sway import SwayRecord, SwayWatch, motion_to_row, record_of_rows
@@ -68,6 +68,11 @@ def predict(job: PredictJob, console: Console) -> list[Path]:
     predictor = Predictor.load(job.checkpoint, settings, console)
     claim(job, predictor.files)
     prediction = Prediction(job, predictor)
+    if job.footage.clip and not job.footage.clip.square:
+        console.warn(
+            f"{job.footage.name}: the video says that a pixel is {job.footage.clip.pixel_width:.2f} times as wide as "
+            "high; it is taken as stored. Rescaled to square ones it gives more vehicles, and a camera by them"
+        )
     done = prediction.last
     if prediction.killed:
         console.say(f"{job.footage.name}: a run was killed here after {counted(done, 'image')}: writing what it has")
@@ -210,6 +215,8 @@ def _info(
     info: dict[str, Any] = {"source": job.footage.name, "fps": job.footage.fps, **found_at(job), **job.camera_info}
     if job.footage.begins is not None:
         info[BEGINS] = job.footage.begins.isoformat(timespec="milliseconds")
+    if job.footage.clip and not job.footage.clip.square:
+        info[PIXEL_WIDTH] = round(job.footage.clip.pixel_width, 4)
     if job.key_every > 1:
         info[FOLLOWED] = True
     if looked:

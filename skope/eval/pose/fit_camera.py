@@ -9,7 +9,7 @@ Place and direction on the map cannot be known so: the camera hangs over (0, 0) 
 
 import itertools
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -49,6 +49,9 @@ _FOCAL_FLOOR: Final = 0.03
 _FLOOR: Final = np.array([0.0, 0.0, math.radians(0.5), 0.04, 0.01])
 """The same of the other unknowns: all vehicles of a country are larger or smaller than those of the shape space, which
 nothing in the image tells, and lenses are bent by more than one coefficient says."""
+_PIXEL_WIDTHS: Final = (3 / 4, 11 / 12, 12 / 11, 4 / 3)
+"""Widths of pixels, in heights, of pictures that are not stored as the camera saw them: wide ones squeezed to 4:3,
+analogue video, and the reverse."""
 _FIRST_STEPS: Final = 10
 """Steps by which each start is adjusted before the best are known."""
 
@@ -76,6 +79,8 @@ class CameraEstimate:
     """Distance of the views from the road, as `BundleAdjustment.unevenness` says; 0.3 to 0.5 on level ones."""
     rival: Rival | None
     """The likeliest of other cameras."""
+    known: Known
+    """What was known of the camera beforehand."""
 
     @property
     def vehicles(self) -> int:
@@ -118,8 +123,9 @@ def fit_camera(views: VehicleViews, known: Known | None = None) -> CameraEstimat
     Returns:
         The camera under which the vehicles are most likely, over (0, 0) and looking along x, and how certain it is.
     """
+    known = known or Known()
     adjustment = BundleAdjustment(views, known)
-    begun = [adjustment.solve(adjustment.begun(at), _FIRST_STEPS) for at in _starts(views, known or Known())]
+    begun = [adjustment.solve(adjustment.begun(at), _FIRST_STEPS) for at in _starts(views, known)]
     begun.sort(key=lambda solved: solved.cost)
     fits = [adjustment.refined(solved.bundle) for solved in _distinct(begun)[:_REFINED]]
     best, *others = _distinct(sorted(fits, key=lambda solved: solved.cost))
@@ -130,7 +136,37 @@ def fit_camera(views: VehicleViews, known: Known | None = None) -> CameraEstimat
         covariance=_widened(best.covariance()),
         unevenness=adjustment.unevenness(best),
         rival=Rival(others[0].bundle.camera, others[0].cost - best.cost) if others else None,
+        known=known,
     )
+
+
+def likelier_pixel_width(estimate: CameraEstimate) -> tuple[float, float]:
+    """Look whether the vehicles are likelier where pixels are not square.
+
+    Returns:
+        The likeliest width of a pixel, in its heights, of some that are not 1, and twice the log likelihood by which
+        it is likelier than 1; below 0 it is less likely.
+    """
+
+    def gain(width: float) -> float:
+        views, known, at = estimate.views, estimate.known, estimate.solved.bundle.camera.copy()
+        found, center = views.found.copy(), known.center.copy()
+        found[..., 0] *= width
+        at[FOCAL] += 0.5 * math.log(width)
+        center[FOCAL] += math.log(width)  # a field of view that is known is the horizontal one
+        # Uncertain by as many pixels as before in the mean of both axes, so that wide pixels gain nothing by that.
+        drawn = replace(
+            views,
+            found=found,
+            sigma_px=views.sigma_px * math.sqrt(width),
+            size=(round(views.size[0] * width), views.size[1]),
+        )
+        adjustment = BundleAdjustment(drawn, replace(known, center=center))
+        return estimate.solved.cost - adjustment.refined(adjustment.begun(at)).cost
+
+    gains = {width: gain(width) for width in _PIXEL_WIDTHS}
+    best = max(gains, key=lambda width: gains[width])
+    return best, gains[best]
 
 
 def _widened(covariance: Array) -> Array:

@@ -10,6 +10,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from skope.camera.model import Camera
+from skope.dataset.folder import PIXEL_WIDTH
 from skope.errors import UserError
 from skope.eval.pose import fit_camera
 from skope.eval.pose.bundle_adjustment import Known
@@ -58,8 +59,14 @@ def camera_of_vehicles(
         fov_deg: The horizontal field of view, degrees, if that is known.
 
     Raises:
-        UserError: The vehicles do not tell the camera, or the camera that they tell does not hold together.
+        UserError: The images say that their pixels are not square, the vehicles do not tell the camera, or the camera
+            that they tell does not hold together.
     """
+    if width := scene.file.info.get(PIXEL_WIDTH):
+        raise UserError(
+            f"{scene.file.name}: info.{PIXEL_WIDTH}: a pixel of the video is {width:g} times as wide as high; rescale "
+            "it to square pixels, and run skope eval predict again"
+        )
     drawn = sample(scene, count, score=score, noise=noise, sigma_px=sigma_px)
     fit = fit_camera.fit_camera(drawn.views, known_of(height, fov_deg, drawn.views.size[0]))
     who = f"{counted(fit.vehicles, 'vehicle')} in {counted(len(drawn.views.found), 'view')}"

@@ -4,6 +4,7 @@ import csv
 import json
 import math
 import re
+import struct
 import threading
 import time
 import xml.etree.ElementTree as ET
@@ -52,6 +53,21 @@ def numbered_video(path: Path, count: int, codec: str = "mp4v") -> Path:
     return path
 
 
+def with_pixel_width(video: bytes, width: int, height: int) -> bytes:
+    """An mp4 file whose box `pasp` says how wide and high a pixel is to be shown."""
+    out, begin, around = bytearray(video), 0, []
+    for name in (b"moov", b"trak", b"mdia", b"minf", b"stbl", b"stsd", b"mp4v"):
+        while out[begin + 4 : begin + 8] != name:
+            begin += int.from_bytes(out[begin : begin + 4], "big")
+        around.append(begin)
+        begin += 16 if name == b"stsd" else 8
+    end = around[-1] + int.from_bytes(out[around[-1] : around[-1] + 4], "big")
+    out[end:end] = struct.pack(">I4sII", 16, b"pasp", width, height)
+    for at in around:
+        out[at : at + 4] = (int.from_bytes(out[at : at + 4], "big") + 16).to_bytes(4, "big")
+    return bytes(out)
+
+
 # -------------------------------------------------------------------------------------------------------------- footage
 
 
@@ -62,6 +78,23 @@ def test_frames_of_a_folder_come_in_the_order_of_their_numbers(tmp_path: Path) -
     for source in (tmp_path, tmp_path / "*.png"):
         seen = [int(pixels[0, 0, 0]) for _, pixels in open_footage(str(source)).frames()]
         assert seen == [1, 2, 9, 10, 11, 100]
+
+
+def test_pixels_that_are_not_square_are_said_and_make_no_camera(skope: Any, random_run: Path, tmp_path: Path) -> None:
+    square = numbered_video(tmp_path / "square.mp4", 4)
+    wide = tmp_path / "wide.mp4"
+    wide.write_bytes(with_pixel_width(square.read_bytes(), 16, 11))
+    call = ("eval", "predict", "--checkpoint", random_run, "--min-size", 64)
+    code, out, error = skope(*call, square, "--out", tmp_path / "a")
+    assert (code, "as wide as high" in out + error) == (0, False)
+    assert "pixel_width" not in json.loads((tmp_path / "a" / "frames.json").read_text())["info"]
+    code, out, error = skope(*call, wide, "--out", tmp_path / "b")
+    assert code == 0, error
+    assert "wide: the video says that a pixel is 1.45 times as wide as high" in error
+    assert json.loads((tmp_path / "b" / "frames.json").read_text())["info"]["pixel_width"] == 1.4545
+    code, _, error = skope("eval", "camera", tmp_path / "b", "--out", tmp_path / "camera.json")
+    assert code == 2
+    assert "info.pixel_width: a pixel of the video is 1.4545 times as wide as high" in error
 
 
 def test_a_cut_takes_the_frames_it_says(tmp_path: Path) -> None:
