@@ -29,6 +29,7 @@ from skope.detector.checkpoint import find_checkpoint, load_weights
 from skope.detector.device import choose_device
 from skope.eval.inference.predictor import Predictor
 from skope.eval.inference.settings import Settings
+from skope.metrics.iou_thresholds import IOU_THRESHOLDS
 from skope.metrics.outcomes import Options
 from skope.metrics.precision_recall import score_split
 from skope.schema import Annotation, AnnotationFile, Image, Result
@@ -39,7 +40,6 @@ T = TypeVar("T")
 VEHICLES = 6
 PART = 8
 """Images that each way of running gets in turn."""
-THRESHOLDS = (0.9, 0.8, 0.7, 0.6)
 
 
 def synthetic_split(rng: np.random.Generator, count: int) -> tuple[AnnotationFile, list[Result]]:
@@ -79,7 +79,7 @@ def loops(file: AnnotationFile, results: list[Result]) -> dict[str, Any]:
         if result.score > 0.9:
             found[result.image_id].append(result)
     out = {}
-    for t in THRESHOLDS:
+    for t in IOU_THRESHOLDS:
         matched = labelled = labelled_all = correct = left_out = vehicles = detections = 0
         paper: list[tuple[float, float, float, float]] = []
         for image in file.images:

@@ -19,7 +19,7 @@ import numpy as np
 from skope import keypoints
 from skope.files.atomic import write_text
 from skope.gen.labels.annotate import box_around
-from skope.gen.traffic.demand import HEAVY_FROM_KG
+from skope.gen.traffic.sumo_vehicle_types import HEAVY_FROM_KG
 from skope.gen.vehicles.fleet import build, fleet
 from skope.gen.vehicles.model import ON_TRAILER, Vehicle
 from skope.gen.vehicles.shape_jitter import jittered

@@ -6,6 +6,7 @@ from typing import Any
 
 from skope.dataset import coco
 from skope.detections import apart
+from skope.metrics.iou_thresholds import IOU_THRESHOLDS
 from skope.schema import AnnotationFile, AnyResult
 
 
@@ -15,7 +16,7 @@ def score(
     *,
     min_score: float = 0.9,
     alpha: float = 0.1,
-    iou: Sequence[float] = (0.9, 0.8, 0.7, 0.6),
+    iou: Sequence[float] = IOU_THRESHOLDS,
 ) -> Mapping[str, Any]:
     """Measure detections against a ground truth.
 

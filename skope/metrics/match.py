@@ -12,11 +12,9 @@ import numpy as np
 from skope import boxes as box_math
 from skope import keypoints
 from skope.errors import UserError, one_of
+from skope.metrics.iou_thresholds import IOU_THRESHOLDS
 from skope.schema import Annotation, AnnotationFile, Labelled, Result
 from skope.types import Array, Integers, Mask
-
-THRESHOLDS: Final = (0.9, 0.8, 0.7, 0.6)
-"""IoU thresholds of the paper's table, in its order."""
 
 BOX_KINDS: Final = ("full", "visible")
 """Boxes of a vehicle that a detection may have to meet: the whole silhouette's, or that of its visible pixels."""
@@ -74,7 +72,7 @@ def match(
     *,
     score: float = 0.9,
     boxes: str = "full",
-    thresholds: Sequence[float] = THRESHOLDS,
+    thresholds: Sequence[float] = IOU_THRESHOLDS,
 ) -> Matches:
     """Match detections to ground-truth vehicles, image by image and greedily.
 

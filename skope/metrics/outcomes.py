@@ -9,7 +9,8 @@ import numpy as np
 from skope import keypoints
 from skope.errors import UserError, one_of
 from skope.keypoints import Scheme
-from skope.metrics.match import BOX_KINDS, THRESHOLDS, Matches
+from skope.metrics.iou_thresholds import IOU_THRESHOLDS
+from skope.metrics.match import BOX_KINDS, Matches
 from skope.types import Array, Integers, Mask
 
 PROTOCOLS: Final = ("pooled", "paper")
@@ -29,7 +30,7 @@ class Options:
     """Keypoints of the ground truth that count, one of `LABELLED`."""
     boxes: str = "full"
     """Boxes of the ground truth that detections are matched to, one of `BOX_KINDS`."""
-    iou: tuple[float, ...] = THRESHOLDS
+    iou: tuple[float, ...] = IOU_THRESHOLDS
     """Thresholds at which detections match, in the order in which they are reported."""
     keypoint_score: float = 0.0
     """A keypoint counts as predicted when it scores above this; 0 takes all, as the paper does."""

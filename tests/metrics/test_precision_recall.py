@@ -5,7 +5,8 @@ import pytest
 
 from skope import keypoints
 from skope.errors import UserError
-from skope.metrics.match import THRESHOLDS, match
+from skope.metrics.iou_thresholds import IOU_THRESHOLDS
+from skope.metrics.match import match
 from skope.metrics.outcomes import Options
 from skope.metrics.precision_recall import recall_at_precision, recalls, score_split
 from skope.schema import Annotation, AnnotationFile, Image, Result
@@ -219,7 +220,7 @@ def test_metrics_equal_the_loops(block: int) -> None:
             options = Options(labelled=labelled, alpha=alpha, score=score, keypoint_score=least, points=tuple(points))
             ours = score_split(file, results, options)
             assert ours["images"] == len(images)
-            for t in THRESHOLDS:
+            for t in IOU_THRESHOLDS:
                 expected = brute.evaluate(images, vehicles, detections, t, labelled, score, alpha, least, points)
                 compare(ours, t, expected)
                 for name in seen:

@@ -9,6 +9,7 @@ from skope import keypoints
 from skope.detector import weights
 from skope.errors import UserError
 from skope.eval.cli.options import PAPER, PROTOCOL_CHOICES, MachineOptions, counts, data_option, machine, output
+from skope.metrics.iou_thresholds import IOU_THRESHOLDS
 from skope.terminal.command_options import DATA, DIR, FILE, LIST, RUN, separated
 from skope.terminal.console import Console
 
@@ -72,7 +73,7 @@ def evaluate_or_score(
         counts(
             metavar=LIST,
             help="IoU at which a detection matches; several: repeat it or separate by commas.",
-            show_default="0.9,0.8,0.7,0.6",
+            show_default=",".join(map(str, IOU_THRESHOLDS)),
         ),
     ] = None,
     keypoint_score: Annotated[
@@ -103,7 +104,6 @@ def evaluate_or_score(
     """Measure a checkpoint on a dataset's test splits, or score a COCO results file."""
     from skope.eval.evaluate import EvalJob, evaluate
     from skope.metrics import read_inputs
-    from skope.metrics.match import THRESHOLDS
     from skope.metrics.outcomes import Options
 
     options = Options(
@@ -111,7 +111,7 @@ def evaluate_or_score(
         alpha=alpha,
         labelled=labelled,
         boxes="full" if boxes == GIVEN else boxes,
-        iou=_thresholds(iou) or THRESHOLDS,
+        iou=_thresholds(iou) or IOU_THRESHOLDS,
         keypoint_score=keypoint_score,
     )
     splits = separated(split)

@@ -49,9 +49,9 @@ _FOCAL_FLOOR: Final = 0.03
 _FLOOR: Final = np.array([0.0, 0.0, math.radians(0.5), 0.04, 0.01])
 """The same of the other unknowns: all vehicles of a country are larger or smaller than those of the shape space, which
 nothing in the image tells, and lenses are bent by more than one coefficient says."""
-_PIXEL_WIDTHS: Final = (3 / 4, 11 / 12, 12 / 11, 4 / 3)
-"""Widths of pixels, in heights, of pictures that are not stored as the camera saw them: wide ones squeezed to 4:3,
-analogue video, and the reverse."""
+_PIXEL_WIDTHS: Final = (3 / 4, 4 / 3)
+"""Widths of pixels, in heights, where a recorder has squeezed a wide picture to 4:3, or the reverse. Nearer to 1 what
+vehicles have otherwise than the shape space decides, and distances are off by less than is said."""
 _FIRST_STEPS: Final = 10
 """Steps by which each start is adjusted before the best are known."""
 
@@ -144,7 +144,7 @@ def likelier_pixel_width(estimate: CameraEstimate) -> tuple[float, float]:
     """Look whether the vehicles are likelier where pixels are not square.
 
     Returns:
-        The likeliest width of a pixel, in its heights, of some that are not 1, and twice the log likelihood by which
+        The likelier width of a pixel, in its heights, of two that are not 1, and twice the log likelihood by which
         it is likelier than 1; below 0 it is less likely.
     """
 

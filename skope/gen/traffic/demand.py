@@ -1,4 +1,4 @@
-"""Demand for traffic in a town: types of vehicles and drivers, ways through the network, and when each sets out."""
+"""Demand for traffic in a town: which vehicles, riders and drivers, ways through the network, when each sets out."""
 
 import tomllib
 from collections.abc import Iterator, Mapping
@@ -7,28 +7,14 @@ from functools import cache
 from importlib import resources
 from pathlib import Path
 from typing import Any, Final
-from xml.etree import ElementTree
 
 import numpy as np
 
 from skope.gen.vehicles.fleet import FleetEntry
-from skope.gen.vehicles.model import Vehicle, straight_lwh
 from skope.gen.vehicles.paints import draw_paint
 
-HEAVY_FROM_KG: Final = 3500.0
-"""Mass above which a vehicle counts as a goods vehicle or a bus, kilograms."""
-_HEAVY_SPEED: Final = 25.0
-"""Speed that the limiters of heavy vehicles allow, m/s."""
 RIDERS: Final = {"cyclist": "bicycle", "motorcyclist": "motorcycle"}
 """Road users on two wheels, by SUMO's vehicle class."""
-_NARROW: Final[Mapping[str, Mapping[str, str]]] = {
-    "cyclist": {"latAlignment": "right", "minGapLat": "0.25", "maxSpeed": "7", "width": "0.65", "length": "1.8"},
-    "motorcyclist": {
-        "latAlignment": "arbitrary", "minGapLat": "0.15", "minGap": "1.0", "width": "0.75", "length": "2.1",
-        "lcPushy": "0.8", "lcAssertive": "2", "lcSpeedGain": "5", "maxSpeedLat": "1.2", "accel": "3.5", "decel": "5",
-    },
-}  # fmt: skip
-"""SUMO's attributes of riders who pass between lanes and along queues, on top of their drivers' manners."""
 _COMPANY: Final = {"cyclist": 0.30, "motorcyclist": 0.12}
 """Share of the riders with somebody behind them who goes the same way."""
 _BEHIND_S: Final = 1.1
@@ -73,14 +59,15 @@ USUAL_RIDERS: Final = Riding({"cyclist": 0.03, "motorcyclist": 0.02})
 
 
 @cache
-def _tables() -> Mapping[str, Any]:
+def traffic_tables() -> Mapping[str, Any]:
+    """The tables of traffic.toml: shares of vehicle types by town, and kinds of drivers."""
     text = resources.files("skope.gen.traffic").joinpath("traffic.toml").read_text(encoding="utf-8")
     return tomllib.loads(text)
 
 
 def in_town(models: Mapping[str, FleetEntry], town: str) -> dict[str, FleetEntry]:
     """The models with their shares in a town's traffic; as the fleet has them where the town's are not known."""
-    shares: Mapping[str, float] = _tables()["types"].get(town, {})
+    shares: Mapping[str, float] = traffic_tables()["types"].get(town, {})
     if not shares:
         return dict(models)
     of_type: dict[str, float] = {}
@@ -91,37 +78,6 @@ def in_town(models: Mapping[str, FleetEntry], town: str) -> dict[str, FleetEntry
         name: replace(entry, share=shares.get(entry.vehicle.vehicle_type, 0.0) * entry.share / of_type[kind])
         for name, entry in models.items()
         for kind in [entry.vehicle.vehicle_type]
-    }
-
-
-def write_types(path: Path, models: Mapping[str, FleetEntry], riders: Riding = USUAL_RIDERS) -> None:
-    """Write SUMO's vehicle types: each model with each kind of driver, and riders."""
-    root = ElementTree.Element("additional")
-    for driver, row in _tables()["drivers"].items():
-        manner = {key: str(value) for key, value in row.items() if key != "share"}
-        for name, entry in models.items():
-            attributes = manner | _attributes(entry.vehicle)
-            ElementTree.SubElement(root, "vType", {"id": f"{name}.{driver}", **attributes})
-        for rider, vehicle_class in RIDERS.items():
-            own = {**manner, **(_NARROW[rider] if riders.narrow else {})}
-            ElementTree.SubElement(root, "vType", {"id": f"{rider}.{driver}", **own, "vClass": vehicle_class})
-    ElementTree.ElementTree(root).write(path, encoding="utf-8")
-
-
-def _attributes(vehicle: Vehicle) -> dict[str, str]:
-    """Attributes of a vehicle's SUMO type: size, and how it follows others."""
-    length, width, height = straight_lwh(vehicle)
-    heavy = vehicle.mass > HEAVY_FROM_KG
-    limited = {"maxSpeed": str(_HEAVY_SPEED)} if heavy else {}
-    return {
-        "length": f"{length:.3f}",
-        "width": f"{width:.3f}",
-        "height": f"{height:.3f}",
-        "carFollowModel": "IDM",
-        "minGapLat": "0.5",
-        "accel": "1.2" if heavy else "2.0",
-        "decel": "3.0" if heavy else "3.5",
-        **limited,
     }
 
 
@@ -163,7 +119,7 @@ def trips(
 
 def driver_shares() -> dict[str, float]:
     """Shares of the kinds of drivers."""
-    return {name: row["share"] for name, row in _tables()["drivers"].items()}
+    return {name: row["share"] for name, row in traffic_tables()["drivers"].items()}
 
 
 def drawn(shares: Mapping[str, float], rng: np.random.Generator) -> str:
