@@ -9,7 +9,7 @@ import numpy as np
 from skope.camera.derivatives import slopes
 from skope.eval.pose.camera_unknowns import FOCAL, HEIGHT, UNKNOWN_STEP, camera_of, on_road
 from skope.eval.pose.candidates import INLIER
-from skope.eval.pose.fit_camera import CameraEstimate, likelier_pixel_width
+from skope.eval.pose.fit_camera import CameraEstimate, gain_of_pixel_width
 from skope.types import Array
 
 _LEAST_AGREEMENT: Final = 0.92
@@ -24,8 +24,10 @@ _AS_LIKELY: Final = 6.0
 """A camera that is behind by less (twice the log likelihood) may be the right one."""
 _OTHER: Final = 0.1
 """Ways on the road that differ by more, as a share of them, make another camera."""
-_SQUARE: Final = 100.0
-"""Pixels are not square under which the vehicles are likelier by more (twice the log likelihood)."""
+_SQUEEZED: Final = 4 / 3
+"""Width of a pixel, in its heights, where a recorder has squeezed a wide picture to 4:3."""
+_SQUARE: Final = 30.0
+"""Pixels are taken to be so wide if the vehicles are likelier by more then (twice the log likelihood)."""
 _TURNED_RAD: Final = math.radians(6.0)
 """Angle between the way that vehicles go and where they head, in the median, from which the road is no plane or the
 camera another."""
@@ -53,7 +55,7 @@ def why_not(estimate: CameraEstimate, lower_edges: Array) -> str | None:
         lambda: _unknown(estimate),
         lambda: _as_likely(estimate),
         lambda: _sideways(estimate),
-        lambda: _not_square(estimate),
+        lambda: _squeezed(estimate),
     )
     return next((words for test in tests if (words := test()) is not None), None)
 
@@ -130,13 +132,12 @@ def _sideways(estimate: CameraEstimate) -> str | None:
     return f"under the likeliest one vehicles move {math.degrees(np.median(away)):.0f} degrees aside of where they head"
 
 
-def _not_square(estimate: CameraEstimate) -> str | None:
-    width, gain = likelier_pixel_width(estimate)
-    if gain <= _SQUARE:
+def _squeezed(estimate: CameraEstimate) -> str | None:
+    if gain_of_pixel_width(estimate, _SQUEEZED) <= _SQUARE:
         return None
     return (
-        f"the vehicles fit better if a pixel is about {width:.2f} times as wide as high: bring the images to the "
-        "shape that the camera saw, all of it"
+        f"the vehicles fit better if a pixel is {_SQUEEZED:.2f} times as wide as high: bring the images to the shape "
+        "that the camera saw"
     )
 
 

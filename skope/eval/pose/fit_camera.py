@@ -49,9 +49,6 @@ _FOCAL_FLOOR: Final = 0.03
 _FLOOR: Final = np.array([0.0, 0.0, math.radians(0.5), 0.04, 0.01])
 """The same of the other unknowns: all vehicles of a country are larger or smaller than those of the shape space, which
 nothing in the image tells, and lenses are bent by more than one coefficient says."""
-_PIXEL_WIDTHS: Final = (3 / 4, 4 / 3)
-"""Widths of pixels, in heights, where a recorder has squeezed a wide picture to 4:3, or the reverse. Nearer to 1 what
-vehicles have otherwise than the shape space decides, and distances are off by less than is said."""
 _FIRST_STEPS: Final = 10
 """Steps by which each start is adjusted before the best are known."""
 
@@ -140,33 +137,22 @@ def fit_camera(views: VehicleViews, known: Known | None = None) -> CameraEstimat
     )
 
 
-def likelier_pixel_width(estimate: CameraEstimate) -> tuple[float, float]:
-    """Look whether the vehicles are likelier where pixels are not square.
-
-    Returns:
-        The likelier width of a pixel, in its heights, of two that are not 1, and twice the log likelihood by which
-        it is likelier than 1; below 0 it is less likely.
-    """
-
-    def gain(width: float) -> float:
-        views, known, at = estimate.views, estimate.known, estimate.solved.bundle.camera.copy()
-        found, center = views.found.copy(), known.center.copy()
-        found[..., 0] *= width
-        at[FOCAL] += 0.5 * math.log(width)
-        center[FOCAL] += math.log(width)  # a field of view that is known is the horizontal one
-        # Uncertain by as many pixels as before in the mean of both axes, so that wide pixels gain nothing by that.
-        drawn = replace(
-            views,
-            found=found,
-            sigma_px=views.sigma_px * math.sqrt(width),
-            size=(round(views.size[0] * width), views.size[1]),
-        )
-        adjustment = BundleAdjustment(drawn, replace(known, center=center))
-        return estimate.solved.cost - adjustment.refined(adjustment.begun(at)).cost
-
-    gains = {width: gain(width) for width in _PIXEL_WIDTHS}
-    best = max(gains, key=lambda width: gains[width])
-    return best, gains[best]
+def gain_of_pixel_width(estimate: CameraEstimate, width: float) -> float:
+    """Twice the log likelihood by which the vehicles are likelier if a pixel is `width` times as wide as high."""
+    views, known, at = estimate.views, estimate.known, estimate.solved.bundle.camera.copy()
+    found, center = views.found.copy(), known.center.copy()
+    found[..., 0] *= width
+    at[FOCAL] += 0.5 * math.log(width)
+    center[FOCAL] += math.log(width)  # a field of view that is known is the horizontal one
+    # Uncertain by as many pixels as before in the mean of both axes, so that wide pixels gain nothing by that.
+    drawn = replace(
+        views,
+        found=found,
+        sigma_px=views.sigma_px * math.sqrt(width),
+        size=(round(views.size[0] * width), views.size[1]),
+    )
+    adjustment = BundleAdjustment(drawn, replace(known, center=center))
+    return estimate.solved.cost - adjustment.refined(adjustment.begun(at)).cost
 
 
 def _widened(covariance: Array) -> Array:

@@ -133,7 +133,10 @@ def from_vehicles(
         roll=(fit.camera.angles[2], fit.sigma_roll),
         height=(fit.camera.position[2], fit.sigma_height),
     )
-    yield f"distances and speeds: all within {2 * ways:.0%} of the truth, in one direction (95%)"
+    yield (
+        f"distances and speeds: all within {2 * ways:.0%} of the truth, in one direction (95%), if the images are what "
+        "the camera saw, neither squeezed nor cropped"
+    )
     if folder is not None:
         yield f"next: skope eval track {shlex.quote(str(folder))} --camera {shlex.quote(str(out))}"
 
