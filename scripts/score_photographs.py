@@ -40,7 +40,7 @@ from skope.keypoints import FLIP, OTHER_END
 from skope.metrics.coco_ap import average_precision
 from skope.metrics.match import Matches, match
 from skope.metrics.outcomes import Options, lengths, outcomes_at
-from skope.metrics.precision_recall import AT_PRECISION, recall_at_precision
+from skope.metrics.pck_precision_recall import AT_PRECISION, recall_at_precision
 from skope.metrics.read_inputs import for_images, read_results
 from skope.pictures import draw
 from skope.schema import Annotation, AnnotationFile, Result

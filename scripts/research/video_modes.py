@@ -24,7 +24,7 @@ from skope.dataset.folder import PREDICTIONS
 from skope.metrics.counts import ratio
 from skope.metrics.match import match
 from skope.metrics.outcomes import Options, outcomes_at
-from skope.metrics.precision_recall import ranked, recall_at_precision
+from skope.metrics.pck_precision_recall import ranked, recall_at_precision
 from skope.metrics.read_inputs import read_results
 from skope.schema import AnnotationFile, Result
 

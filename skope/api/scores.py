@@ -37,7 +37,7 @@ def score(
         UserError: A file cannot be read, or the predictions are of other images.
     """
     from skope.metrics import read_inputs
-    from skope.metrics.precision_recall import Options, score_split
+    from skope.metrics.pck_precision_recall import Options, score_split
     from skope.metrics.road_users import category_figures
 
     file = annotations if isinstance(annotations, AnnotationFile) else coco.read(Path(annotations))

@@ -19,7 +19,7 @@ from skope.files.atomic import write_text
 from skope.files.json_files import write_json
 from skope.files.output_folders import claim_output
 from skope.files.progress import Progress
-from skope.metrics import precision_recall, read_inputs
+from skope.metrics import pck_precision_recall, read_inputs
 from skope.metrics.outcomes import Options
 from skope.metrics.read_inputs import GroundTruth
 from skope.metrics.split_scores import measure, to_tallies
@@ -98,11 +98,12 @@ def evaluate(job: EvalJob, console: Console, width: int) -> dict[str, Any]:
             )
         )
     entries = {split.file.name: split.entry for split in measured}
-    document = precision_recall.document(job.options, entries, calibrated=calibrated, scheme=job.scheme, work=work)
+    document = pck_precision_recall.document(job.options, entries, calibrated=calibrated, scheme=job.scheme, work=work)
     write_json(job.out / "metrics.json", document)
     tallies = {split.file.name: to_tallies(split) for split in measured}
     write_text(
-        job.out / "tallies.json", json.dumps({"version": precision_recall.METRICS_VERSION, "splits": tallies}) + "\n"
+        job.out / "tallies.json",
+        json.dumps({"version": pck_precision_recall.METRICS_VERSION, "splits": tallies}) + "\n",
     )
     beside = table.published() if job.beside_paper else None
     subject = f"{job.checkpoint or job.predictions} on {job.truth.root}"

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from skope.metrics import counts, failures, precision_recall, score_reliability
+from skope.metrics import counts, failures, pck_precision_recall, score_reliability
 from skope.metrics.breakdown import FleetInfo, breakdown
 from skope.metrics.coco_ap import NO_PRECISION, average_precision
 from skope.metrics.counts import Tally
@@ -56,20 +56,20 @@ def measure(
         road_users: The other road users that it found.
         known: Categories that it has learnt: the entry has figures of those that the ground truth labels too.
     """
-    matches = precision_recall.match_split(file, results, options)
+    matches = pck_precision_recall.match_split(file, results, options)
     outcomes = {t: outcomes_at(matches, t, options) for t in options.iou}
     tallies = {t: counts.tally(matches, t, options) for t in options.iou}
     blocks = blocks_of(file.images)
     entry = {
-        **precision_recall.summary(matches, options),
+        **pck_precision_recall.summary(matches, options),
         "coco": average_precision(file, results, options) if all_scores else dict(NO_PRECISION),
         "recall_at_precision": (
-            precision_recall.recalls(file, results, options)
+            pck_precision_recall.recalls(file, results, options)
             if all_scores
-            else dict.fromkeys(f"{p:g}" for p in precision_recall.AT_PRECISION)
+            else dict.fromkeys(f"{p:g}" for p in pck_precision_recall.AT_PRECISION)
         ),
         "by": breakdown(file.images, matches, options, fleet),
-        "localisation": {f"{t:g}": precision_recall.localisation(outcomes[t]) for t in options.iou},
+        "localisation": {f"{t:g}": pck_precision_recall.localisation(outcomes[t]) for t in options.iou},
         "failures": {f"{t:g}": failures.counts(matches, outcomes[t], options) for t in options.iou},
         "confidence": score_reliability.confidence(matches, outcomes[options.loosest], options),
         "intervals": {

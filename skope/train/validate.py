@@ -12,7 +12,7 @@ from torchvision.models.detection import KeypointRCNN
 from skope import boxes
 from skope.dataset.folder import read_image
 from skope.detector.detect import detect, detect_on_boxes
-from skope.metrics.precision_recall import Options, score_split
+from skope.metrics.pck_precision_recall import Options, score_split
 from skope.metrics.road_users import category_figures
 from skope.schema import VEHICLE_ALONE, AnnotationFile, Result, RoadUserResult
 

@@ -13,7 +13,7 @@ from skope.metrics import counts
 from skope.metrics.failures import false_detections, wrong_points
 from skope.metrics.match import box_of
 from skope.metrics.outcomes import outcomes_at
-from skope.metrics.precision_recall import match_split
+from skope.metrics.pck_precision_recall import match_split
 from skope.pictures import draw
 from skope.schema import Annotation, Image, Result, RoadUser
 from skope.types import Array, Integers

@@ -14,7 +14,7 @@ from skope.metrics.breakdown import FleetInfo, breakdown
 from skope.metrics.counts import quotients, tally
 from skope.metrics.match import match
 from skope.metrics.outcomes import Options, outcomes_at
-from skope.metrics.precision_recall import localisation, match_split, score_split
+from skope.metrics.pck_precision_recall import localisation, match_split, score_split
 from skope.schema import AnnotationFile, Image, Result
 from tests.metrics import brute
 from tests.metrics.cases import as_records, random_case

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from skope.eval.report import render, table
-from skope.metrics import precision_recall
+from skope.metrics import pck_precision_recall
 from skope.metrics.breakdown import FleetInfo
 from skope.metrics.counts import quotients, ratio
 from skope.metrics.outcomes import Options
@@ -36,7 +36,7 @@ def poor_splits() -> list[tuple[AnnotationFile, list[Result]]]:
 def test_every_poor_split_is_measured_printed_and_shown(tmp_path: Path) -> None:
     for file, results in poor_splits():
         measured = measure(file, results, OPTIONS, FleetInfo(held_out=()))
-        document = precision_recall.document(OPTIONS, {"poor": measured.entry})
+        document = pck_precision_recall.document(OPTIONS, {"poor": measured.entry})
         json.dumps(document, allow_nan=False)
         for protocol in ("pooled", "paper"):
             assert table.render(document, protocol, 100, beside=table.published())

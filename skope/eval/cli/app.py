@@ -1,6 +1,6 @@
 """`skope eval`: measuring by itself, and its subcommands."""
 
-from skope.eval.cli.calibrate import calibrate_scores
+from skope.eval.cli.calibrate_scores import calibrate_scores
 from skope.eval.cli.camera import find_camera
 from skope.eval.cli.compare import compare_runs
 from skope.eval.cli.evaluate import evaluate_or_score

@@ -24,11 +24,11 @@ from skope.eval.inference.confirmation import Confirmation
 from skope.eval.inference.footage import Footage
 from skope.eval.inference.key_frames import with_frames_between
 from skope.eval.inference.numbers_by_category import Linked, NumbersByCategory
-from skope.eval.inference.overlays import Kept, write_overlay
 from skope.eval.inference.picture_sight import sight_rows
 from skope.eval.inference.predict_job import PROGRESS_FILE, PredictJob, claim, found_at
 from skope.eval.inference.predictor import Predictor
 from skope.eval.inference.view_changes import Looks, ViewChange
+from skope.eval.inference.write_overlays import Kept, write_overlay
 from skope.eval.pose.camera_motion import MOTION, CameraMotion
 from skope.files.progress import Progress
 from skope.processors import usable_processors

@@ -14,7 +14,7 @@ import numpy as np
 from skope.errors import UserError, one_of
 from skope.eval.report.table import evidence, number
 from skope.files.json_files import read_json
-from skope.metrics import precision_recall
+from skope.metrics import pck_precision_recall
 from skope.metrics.counts import FIGURES, Name, Tally, quotients, ratio
 from skope.metrics.intervals import Blocks, difference
 from skope.metrics.outcomes import PROTOCOLS
@@ -49,11 +49,11 @@ def read(folder: Path) -> Run:
         documents[name] = document = read_json(path)
         if (
             not isinstance(document, dict)
-            or document.get("version") != precision_recall.METRICS_VERSION
+            or document.get("version") != pck_precision_recall.METRICS_VERSION
             or "splits" not in document
         ):
             raise UserError(
-                f"{path}: not a file of `skope eval` of version {precision_recall.METRICS_VERSION}; evaluate again"
+                f"{path}: not a file of `skope eval` of version {pck_precision_recall.METRICS_VERSION}; evaluate again"
             )
     return Run(name=str(folder), metrics=documents[METRICS], tallies=documents[TALLIES]["splits"])
 
@@ -76,7 +76,7 @@ def compare(folders: Sequence[Path]) -> dict[str, Any]:
     if not splits:
         raise UserError(f"{' and '.join(run.name for run in runs)} have no split in common")
     return {
-        "version": precision_recall.METRICS_VERSION,
+        "version": pck_precision_recall.METRICS_VERSION,
         "runs": [run.name for run in runs],
         "alpha": first.metrics["alpha"],
         "score_thresholds": [run.metrics["score_threshold"] for run in runs],

@@ -9,7 +9,7 @@ from skope.eval.report import curves
 from skope.eval.report.gallery import gallery
 from skope.eval.report.table import AREA_WORDS, FIGURE_COLUMNS, category_rows, evidence, published_row, row_of
 from skope.metrics.outcomes import PROTOCOLS, Options
-from skope.metrics.precision_recall import AT_PRECISION
+from skope.metrics.pck_precision_recall import AT_PRECISION
 from skope.metrics.road_users import AP50_IOU
 from skope.metrics.split_scores import SplitScores
 from skope.page import document as page

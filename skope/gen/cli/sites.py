@@ -42,7 +42,7 @@ def sites(
 
 def _table() -> tuple[dict[str, Any], list[str]]:
     """All sites, as a document and as the lines of a table."""
-    from skope.gen.towns.layout import Layout
+    from skope.gen.towns.land_use import Layout
     from skope.gen.towns.town import towns
 
     found = [

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from skope.gen.scenery.build import scenery
-from skope.gen.towns.layout import HALF_VIEW_DEG, Layout
+from skope.gen.towns.land_use import HALF_VIEW_DEG, Layout
 from skope.gen.towns.regions import polygons
 from skope.gen.towns.town import Town
 from skope.pictures.draw import SUBPIXEL_BITS

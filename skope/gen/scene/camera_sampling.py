@@ -10,7 +10,7 @@ import numpy as np
 from skope.camera.model import Camera, Distortion
 from skope.errors import UserError
 from skope.gen.scene.conditions import Range
-from skope.gen.towns.layout import Layout
+from skope.gen.towns.land_use import Layout
 from skope.gen.towns.road_graph import RoadGraph
 from skope.gen.towns.sites import Site
 from skope.types import Array

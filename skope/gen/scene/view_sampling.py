@@ -19,7 +19,7 @@ from skope.camera.model import Camera
 from skope.errors import UserError
 from skope.gen.scene.camera_sampling import CAR, CameraRanges, moved, road_seen
 from skope.gen.scenery.houses import HOUSE_VIEW_M
-from skope.gen.towns.layout import Layout
+from skope.gen.towns.land_use import Layout
 from skope.gen.towns.road_graph import driven, right_of
 from skope.gen.towns.sites import site_at, sites_of
 from skope.gen.towns.town import Mast, Town

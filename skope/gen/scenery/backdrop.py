@@ -8,7 +8,7 @@ import shapely
 from shapely import Polygon
 
 from skope.gen.mesh import Mesh, from_triangles, grid, merged
-from skope.gen.towns.layout import Layout
+from skope.gen.towns.land_use import Layout
 from skope.gen.towns.road_graph import RoadGraph
 from skope.gen.towns.town import Town
 from skope.gen.towns.user_road import Outline, OwnRoad

@@ -15,7 +15,7 @@ from skope.gen.scenery.ground import Part, surfaces
 from skope.gen.scenery.markings import markings
 from skope.gen.scenery.quads import Solid
 from skope.gen.scenery.walls import left_of, parapet, rings, runs
-from skope.gen.towns.layout import KERB_WIDTH, Layout
+from skope.gen.towns.land_use import KERB_WIDTH, Layout
 from skope.gen.towns.regions import polygons
 from skope.gen.towns.road_graph import BARRIER, RoadGraph, beside, driven, half_width, right_of
 from skope.types import Array

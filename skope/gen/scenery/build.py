@@ -25,7 +25,7 @@ from skope.gen.scenery.markings import crossings
 from skope.gen.scenery.quads import Solid
 from skope.gen.scenery.street_furniture import furniture, lamp_positions
 from skope.gen.scenery.trees import plant, tree_meshes
-from skope.gen.towns.layout import Layout
+from skope.gen.towns.land_use import Layout
 from skope.gen.towns.parking import Bay, ground_of, kerb_bays, lot_bays
 from skope.gen.towns.road_graph import driven, right_of
 from skope.gen.towns.town import Town

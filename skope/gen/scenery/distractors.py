@@ -14,7 +14,7 @@ from shapely.ops import unary_union
 from skope.gen.mesh import Mesh
 from skope.gen.scenery.distractor_shapes import STANDING_OBJECTS, wall_panel
 from skope.gen.scenery.houses import House, covered
-from skope.gen.towns.layout import Layout
+from skope.gen.towns.land_use import Layout
 from skope.gen.towns.regions import rectangle
 from skope.gen.towns.road_graph import beside, driven, right_of
 from skope.gen.towns.sites import Site, sites_of

@@ -12,7 +12,7 @@ from skope.gen.mesh import Mesh
 from skope.gen.scenery.houses import House, car_parks, covered, forecourts, paths
 from skope.gen.scenery.quads import Solid
 from skope.gen.scenery.trees import bush, hedge
-from skope.gen.towns.layout import KERB_WIDTH, Layout
+from skope.gen.towns.land_use import KERB_WIDTH, Layout
 from skope.gen.towns.regions import free, polygons, rectangle
 from skope.gen.towns.road_graph import along, right_of
 from skope.gen.towns.town_style import drawn_name

@@ -17,7 +17,7 @@ from skope.gen.mesh import Mesh, from_triangles
 from skope.gen.scenery.markings import crossings, markings
 from skope.gen.scenery.road_wear import covers, repairs, sidewalk_covers, tracks
 from skope.gen.scenery.walls import kerbs
-from skope.gen.towns.layout import KERB_WIDTH, Layout
+from skope.gen.towns.land_use import KERB_WIDTH, Layout
 from skope.gen.towns.parking import bay_lines
 from skope.gen.towns.regions import GRID, polygons, rectangle
 from skope.gen.towns.road_graph import RoadGraph

@@ -8,7 +8,7 @@ import numpy as np
 from skope.gen.mesh import Mesh, grid
 from skope.gen.scenery.ground import MARGIN
 from skope.gen.scenery.quads import Solid
-from skope.gen.towns.layout import Layout
+from skope.gen.towns.land_use import Layout
 from skope.gen.towns.road_graph import RoadGraph
 from skope.types import Array
 

@@ -7,7 +7,7 @@ import numpy as np
 from shapely import LineString, Point, Polygon
 from shapely.ops import unary_union
 
-from skope.gen.towns.layout import PLAIN_FROM_M, Layout
+from skope.gen.towns.land_use import PLAIN_FROM_M, Layout
 from skope.gen.towns.regions import rectangle
 from skope.gen.towns.road_graph import beside, driven, half_width, right_of
 from skope.types import Array

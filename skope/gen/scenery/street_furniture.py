@@ -11,7 +11,7 @@ from shapely.ops import unary_union
 from skope.gen.mesh import Mesh, box, lathe, merged, tube
 from skope.gen.scenery.quads import Solid
 from skope.gen.scenery.trees import bush
-from skope.gen.towns.layout import PLAIN_FROM_M, Layout
+from skope.gen.towns.land_use import PLAIN_FROM_M, Layout
 from skope.gen.towns.road_graph import beside, driven, is_minor, is_signalled, joins
 from skope.gen.towns.town_style import drawn_name
 from skope.types import Array

@@ -13,7 +13,7 @@ from shapely.ops import unary_union
 
 from skope.gen.mesh import Mesh, box, from_triangles, grid, lathe, merged, tube
 from skope.gen.scenery.winter_trees import branches, drooping_branches
-from skope.gen.towns.layout import PLAIN_FROM_M, Layout
+from skope.gen.towns.land_use import PLAIN_FROM_M, Layout
 from skope.gen.towns.regions import free, polygons, rectangle
 from skope.gen.towns.road_graph import along
 from skope.gen.towns.season import Season

@@ -10,7 +10,7 @@ from shapely import LineString
 from shapely.ops import unary_union
 
 from skope.gen.mesh import Mesh, quads
-from skope.gen.towns.layout import Layout
+from skope.gen.towns.land_use import Layout
 from skope.gen.towns.regions import GRID, polygons
 from skope.types import Array
 

@@ -9,7 +9,7 @@ import numpy as np
 from shapely import Polygon
 
 from skope.gen.simulation.smooth_paths import Driven
-from skope.gen.towns.layout import Layout
+from skope.gen.towns.land_use import Layout
 from skope.gen.towns.parking import BAY, Bay
 from skope.gen.towns.regions import rectangle
 from skope.gen.towns.town import Town

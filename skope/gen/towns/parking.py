@@ -8,7 +8,7 @@ import numpy as np
 from shapely import Polygon
 from shapely.ops import unary_union
 
-from skope.gen.towns.layout import KERB_WIDTH, Layout
+from skope.gen.towns.land_use import KERB_WIDTH, Layout
 from skope.gen.towns.regions import polygons, rectangle
 from skope.gen.towns.road_graph import beside, driven
 from skope.types import Array

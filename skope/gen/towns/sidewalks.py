@@ -7,7 +7,7 @@ import shapely
 from shapely import LineString, Point
 from shapely.ops import unary_union
 
-from skope.gen.towns.layout import KERB_WIDTH, Layout
+from skope.gen.towns.land_use import KERB_WIDTH, Layout
 from skope.gen.towns.road_graph import driven
 from skope.gen.towns.town import Town
 from skope.types import Array

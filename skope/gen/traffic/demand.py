@@ -59,15 +59,24 @@ USUAL_RIDERS: Final = Riding({"cyclist": 0.03, "motorcyclist": 0.02})
 
 
 @cache
-def traffic_tables() -> Mapping[str, Any]:
-    """The tables of traffic.toml: shares of vehicle types by town, and kinds of drivers."""
-    text = resources.files("skope.gen.traffic").joinpath("traffic.toml").read_text(encoding="utf-8")
-    return tomllib.loads(text)
+def kinds_of_drivers() -> Mapping[str, Mapping[str, Any]]:
+    """The kinds of drivers by name, as drivers.toml has them: their share, and SUMO's attributes of how they drive."""
+    return _table("drivers.toml")
+
+
+@cache
+def _vehicle_mix() -> Mapping[str, Mapping[str, float]]:
+    """Shares of types of vehicles, by town."""
+    return _table("vehicle_mix.toml")
+
+
+def _table(name: str) -> Mapping[str, Any]:
+    return tomllib.loads(resources.files("skope.gen.traffic").joinpath(name).read_text(encoding="utf-8"))
 
 
 def in_town(models: Mapping[str, FleetEntry], town: str) -> dict[str, FleetEntry]:
     """The models with their shares in a town's traffic; as the fleet has them where the town's are not known."""
-    shares: Mapping[str, float] = traffic_tables()["types"].get(town, {})
+    shares: Mapping[str, float] = _vehicle_mix().get(town, {})
     if not shares:
         return dict(models)
     of_type: dict[str, float] = {}
@@ -119,7 +128,7 @@ def trips(
 
 def driver_shares() -> dict[str, float]:
     """Shares of the kinds of drivers."""
-    return {name: row["share"] for name, row in traffic_tables()["drivers"].items()}
+    return {name: row["share"] for name, row in kinds_of_drivers().items()}
 
 
 def drawn(shares: Mapping[str, float], rng: np.random.Generator) -> str:

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Final
 from xml.etree import ElementTree
 
-from skope.gen.traffic.demand import RIDERS, USUAL_RIDERS, Riding, traffic_tables
+from skope.gen.traffic.demand import RIDERS, USUAL_RIDERS, Riding, kinds_of_drivers
 from skope.gen.vehicles.fleet import FleetEntry
 from skope.gen.vehicles.model import Vehicle, straight_lwh
 
@@ -26,7 +26,7 @@ _NARROW: Final[Mapping[str, Mapping[str, str]]] = {
 def write_types(path: Path, models: Mapping[str, FleetEntry], riders: Riding = USUAL_RIDERS) -> None:
     """Write SUMO's vehicle types: each model with each kind of driver, and riders."""
     root = ElementTree.Element("additional")
-    for driver, row in traffic_tables()["drivers"].items():
+    for driver, row in kinds_of_drivers().items():
         manner = {key: str(value) for key, value in row.items() if key != "share"}
         for name, entry in models.items():
             attributes = manner | _attributes(entry.vehicle)

@@ -151,7 +151,7 @@ def test_quality_is_what_the_page_says() -> None:
 
 def test_names_of_the_user_are_escaped_and_missing_images_left_out(tmp_path: Path) -> None:
     from skope.eval.report import render
-    from skope.metrics.precision_recall import document
+    from skope.metrics.pck_precision_recall import document
 
     measured = measured_split(4)
     text = render(document(Options(), {"a<b": measured.entry}), [measured], tmp_path, Options(), "pooled", None, "a&b")

@@ -5,7 +5,7 @@ import pytest
 from skope.errors import UserError
 from skope.eval.report.table import evidence, published, render
 from skope.metrics.outcomes import Options
-from skope.metrics.precision_recall import document
+from skope.metrics.pck_precision_recall import document
 
 
 def split(pck: float | None) -> dict[str, Any]:

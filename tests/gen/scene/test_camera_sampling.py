@@ -9,7 +9,7 @@ from skope.gen.labels.annotate import Rules
 from skope.gen.pipeline.config import DatasetRequest, from_preset
 from skope.gen.scene import camera_sampling
 from skope.gen.scene.camera_sampling import CameraRanges
-from skope.gen.towns.layout import Layout
+from skope.gen.towns.land_use import Layout
 from skope.gen.towns.sites import site
 
 SIZE = (1920, 1080)

@@ -10,7 +10,7 @@ from skope.errors import UserError
 from skope.gen.scene import view_sampling
 from skope.gen.scene.camera_sampling import CameraRanges, road_seen
 from skope.gen.scene.view_sampling import ViewSampler
-from skope.gen.towns.layout import Layout
+from skope.gen.towns.land_use import Layout
 from skope.gen.towns.road_graph import RoadGraph
 from skope.gen.towns.sites import sites
 from skope.gen.towns.town import Mast, Town, Variant, towns

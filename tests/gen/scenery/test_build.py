@@ -11,7 +11,7 @@ from skope.gen.scenery import facade
 from skope.gen.scenery.build import scenery
 from skope.gen.scenery.quads import Solid
 from skope.gen.scenery.street_furniture import FURNITURE_CLEARANCE_M
-from skope.gen.towns.layout import CAMERA_CLEARANCE, Layout
+from skope.gen.towns.land_use import CAMERA_CLEARANCE, Layout
 from skope.gen.towns.road_graph import RoadGraph
 from skope.gen.towns.town import Town, towns
 from tests.gen.rays import cast

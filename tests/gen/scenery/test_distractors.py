@@ -14,7 +14,7 @@ from skope.gen.scenery import build
 from skope.gen.scenery.build import Scenery, scenery
 from skope.gen.scenery.distractor_shapes import STANDING_OBJECTS, wall_panel
 from skope.gen.scenery.distractors import OBJECT_CLEARANCE_M, PLACED_WITHIN_M
-from skope.gen.towns.layout import Layout
+from skope.gen.towns.land_use import Layout
 from skope.gen.towns.sites import sites_of
 from skope.gen.towns.town import Mast, Town, Variant
 

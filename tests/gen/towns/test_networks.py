@@ -17,7 +17,7 @@ from skope.gen.pipeline.presets import presets
 from skope.gen.render.materials import GROUND
 from skope.gen.scenery.bridges_and_barriers import GANTRY_CLEARANCE
 from skope.gen.scenery.build import scenery
-from skope.gen.towns.layout import Layout
+from skope.gen.towns.land_use import Layout
 from skope.gen.towns.road_graph import RoadGraph, driven
 from skope.gen.towns.sites import sites
 from skope.gen.towns.town import Town, folder, source_digest, towns

@@ -1,4 +1,4 @@
-"""Layout of a town: the areas beside its roads, the height of its ground, and what its cameras must see."""
+"""Land use of a town: the areas beside its roads, the height of its ground, and what its cameras must see."""
 
 import itertools
 from dataclasses import dataclass, replace
