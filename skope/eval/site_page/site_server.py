@@ -52,7 +52,7 @@ _SCRIPTS: Final = (
     "kinds",
     "marking",
     "viewport",
-    "drawing",
+    "draw_marks",
     "panel",
     "pointer",
     "keys",

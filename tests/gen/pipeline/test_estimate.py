@@ -15,7 +15,7 @@ FLAGS = ["gen", "--sites", "t01_main_west", "--frames", 3, "--renderer", "pybull
 
 @pytest.fixture(autouse=True)
 def many_cores(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("skope.gen.pipeline.estimate.default_workers", lambda: 4)
+    monkeypatch.setattr("skope.gen.pipeline.estimate.usable_processors", lambda: 4)
 
 
 def seconds(root: Path, workers: int = 1, **changes: Any) -> float:
