@@ -136,15 +136,12 @@ class Places:
     def _draw(self, simulated: Mapping[str, Future[None]]) -> None:
         """Draw one after the other what is simulated."""
         for name, done in simulated.items():
-            failed = False
             try:
                 done.result()
                 self._skope("5", "gen", "render", "-q", "--workers", str(self._workers), str(self._folder / name))
             except (subprocess.CalledProcessError, CancelledError):
-                failed = True
+                self.failed.append(name)
             with self._changed:
-                if failed:
-                    self.failed.append(name)
                 self._left -= 1
                 self._changed.notify_all()
 

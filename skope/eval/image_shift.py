@@ -98,10 +98,11 @@ def _agreement(one: Array, other: Array) -> float:
         [part[0] for part in np.array_split(np.arange(size), parts)]
         for size, parts in zip(one.shape, _BLOCKS, strict=True)
     ]
+    pixels = _block_sums(np.ones_like(one), firsts)
 
     def means(picture: Array) -> Array:
         """Of each block."""
-        return np.asarray(_block_sums(picture, firsts) / _block_sums(np.ones_like(picture), firsts))
+        return np.asarray(_block_sums(picture, firsts) / pixels)
 
     a, b = means(one), means(other)
     a_variance, b_variance = means(one * one) - a * a, means(other * other) - b * b
