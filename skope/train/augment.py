@@ -70,6 +70,8 @@ class Augment:
     """Blocks of a video encoder that saves bits: some macroblocks much coarser than others."""
     clean: float = 0.0
     """Leave light, optics and compression as they are, whatever the others say."""
+    reduce: float = 0.0
+    """Bring an image that is larger than inside the network to that size first: all that follows takes less time."""
 
     def __post_init__(self) -> None:
         for field in fields(self):
@@ -77,13 +79,30 @@ class Augment:
             if not 0 <= value <= 1:
                 raise UserError(f"{field.name}: expected a probability from 0 to 1, got {value}")
 
-    def apply(self, pixels: Pixels, vehicles: Vehicles, rng: np.random.Generator) -> tuple[Pixels, Vehicles]:
-        """The image and its vehicles after the steps that the generator picks."""
+    def apply(
+        self, pixels: Pixels, vehicles: Vehicles, rng: np.random.Generator, scale: float = 1.0
+    ) -> tuple[Pixels, Vehicles]:
+        """The image and its vehicles after the steps that the generator picks.
+
+        Args:
+            pixels: (H, W, 3) sRGB.
+            vehicles: What is in the image, in its pixels.
+            rng: Draws which steps, and what they do.
+            scale: Size of the image inside the network, in sizes of the image; `reduce` is for those below 1.
+        """
+        # Of a generator of its own: none of the other draws depends on it.
+        reduced = scale < 1 and rng.spawn(1)[0].random() < self.reduce
+        size = _size(pixels, scale if reduced else 1.0)
         clean = rng.random() < self.clean
         for name, step in AUGMENT_STEPS.items():
             # Drawn for every step, so that one step's probability changes no other step.
             chosen, step_rng = rng.random() < getattr(self, name), np.random.default_rng(rng.integers(2**63))
-            if chosen and (name in _GEOMETRY or not clean):
+            if name == "crop":
+                # One interpolation for both, so that a part that is enlarged is as sharp as the image allows.
+                pixels, vehicles = (
+                    _part(pixels, vehicles, step_rng, size) if chosen else _resized(pixels, vehicles, size)
+                )
+            elif chosen and (name in _GEOMETRY or not clean):
                 pixels, vehicles = step(pixels, vehicles, step_rng)
         return pixels, vehicles
 
@@ -95,7 +114,29 @@ def _flip(pixels: Pixels, vehicles: Vehicles, rng: np.random.Generator) -> tuple
     return _pixels(cv2.flip(pixels, 1)), vehicles.flipped(pixels.shape[1])
 
 
+def _size(pixels: Pixels, scale: float) -> tuple[int, int]:
+    """Width and height of an image at a scale."""
+    height, width = pixels.shape[:2]
+    return max(1, round(width * scale)), max(1, round(height * scale))
+
+
+def _resized(pixels: Pixels, vehicles: Vehicles, size: tuple[int, int]) -> tuple[Pixels, Vehicles]:
+    """The whole image at another (width, height), as the network would resize it."""
+    height, width = pixels.shape[:2]
+    if size == (width, height):
+        return pixels, vehicles
+    factors = (size[0] / width, size[1] / height)
+    return _pixels(cv2.resize(pixels, size)), vehicles.cropped((0.0, 0.0), factors, *size)
+
+
 def _crop(pixels: Pixels, vehicles: Vehicles, rng: np.random.Generator) -> tuple[Pixels, Vehicles]:
+    return _part(pixels, vehicles, rng, _size(pixels, 1.0))
+
+
+def _part(
+    pixels: Pixels, vehicles: Vehicles, rng: np.random.Generator, size: tuple[int, int]
+) -> tuple[Pixels, Vehicles]:
+    """Another part of the view, or more than it, at another scale, as an image of `size`, (width, height)."""
     height, width = pixels.shape[:2]
     cutting = rng.random() < _CUTTING
     scale = float(np.exp(rng.uniform(np.log(1.5 if cutting else 0.3), np.log(2.5))))
@@ -104,27 +145,27 @@ def _crop(pixels: Pixels, vehicles: Vehicles, rng: np.random.Generator) -> tuple
     corner = np.minimum(room, 0) + rng.random(2) * np.abs(room)
     if cutting:
         corner = _cutting(corner, part, room, vehicles.boxes_xyxy, rng)
+    factors = size / part
     # OpenCV counts a pixel's centre as i, skope as i + 0.5.
-    shift = -corner * scale + 0.5 * scale - 0.5
-    matrix = np.array([[scale, 0, shift[0]], [0, scale, shift[1]]])
+    shift = -corner * factors + 0.5 * factors - 0.5
+    matrix = np.array([[factors[0], 0, shift[0]], [0, factors[1], shift[1]]])
     if scale < 1:
-        moved = _margin(pixels)
+        moved = _margin(pixels, size)
         # Without it every other pixel would be left out.
         pixels = _pixels(cv2.GaussianBlur(pixels, (0, 0), 0.5 * (scale**-2 - 1) ** 0.5 + 1e-3))
-        cv2.warpAffine(
-            pixels, matrix, (width, height), dst=moved, flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_TRANSPARENT
-        )
+        cv2.warpAffine(pixels, matrix, size, dst=moved, flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_TRANSPARENT)
     else:
-        moved = _pixels(cv2.warpAffine(pixels, matrix, (width, height), borderMode=cv2.BORDER_REPLICATE))
-    return moved, vehicles.cropped((float(corner[0]), float(corner[1])), (scale, scale), width, height)
+        moved = _pixels(cv2.warpAffine(pixels, matrix, size, borderMode=cv2.BORDER_REPLICATE))
+    enlarged = (float(factors[0]), float(factors[1]))
+    return moved, vehicles.cropped((float(corner[0]), float(corner[1])), enlarged, *size)
 
 
-def _margin(pixels: Pixels) -> Pixels:
-    """What lies around a reduced image: its own colours, in which nothing can be made out."""
+def _margin(pixels: Pixels, size: tuple[int, int]) -> Pixels:
+    """What lies around a reduced image, (width, height): its own colours, in which nothing can be made out."""
     height, width = pixels.shape[:2]
-    size = (max(1, round(_MARGIN_ROWS * width / height)), _MARGIN_ROWS)
-    tiny = cv2.resize(pixels, size, interpolation=cv2.INTER_AREA)
-    return _pixels(cv2.resize(tiny, (width, height), interpolation=cv2.INTER_CUBIC))
+    few = (max(1, round(_MARGIN_ROWS * width / height)), _MARGIN_ROWS)
+    tiny = cv2.resize(pixels, few, interpolation=cv2.INTER_AREA)
+    return _pixels(cv2.resize(tiny, size, interpolation=cv2.INTER_CUBIC))
 
 
 def _cutting(corner: Array, part: Array, room: Array, boxes_xyxy: Array, rng: np.random.Generator) -> Array:
@@ -328,4 +369,4 @@ AUGMENT_STEPS: Final = MappingProxyType(
     {**_GEOMETRY, **{name: _photometric(change) for name, change in _PHOTOMETRIC.items()}}
 )
 """The steps by name, in the order of nature: the scene, its light, the lens and sensor, then the encoder."""
-assert (*AUGMENT_STEPS, "clean") == tuple(field.name for field in fields(Augment))
+assert (*AUGMENT_STEPS, "clean", "reduce") == tuple(field.name for field in fields(Augment))

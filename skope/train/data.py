@@ -57,8 +57,25 @@ class _Frame:
 class TrainingSet(TorchDataset[TrainingSample | UserError]):
     """Images of all datasets with their vehicles, one dataset after the other; an index is a `Draw`."""
 
-    def __init__(self, sources: Sequence[TrainingSource], *, seed: int, augment: Augment, supervise: str) -> None:
-        self._seed, self._augment, self._supervise = seed, augment, supervise
+    def __init__(
+        self,
+        sources: Sequence[TrainingSource],
+        *,
+        seed: int,
+        augment: Augment,
+        supervise: str,
+        inside: tuple[int, int] | None = None,
+    ) -> None:
+        """Gather the images.
+
+        Args:
+            sources: The datasets.
+            seed: Seed of the run.
+            augment: How often images are changed.
+            supervise: "visible", or "all" for hidden keypoints too.
+            inside: Short and largest long side of images inside the network, pixels, for `augment.reduce`.
+        """
+        self._seed, self._augment, self._supervise, self._inside = seed, augment, supervise, inside
         self._frames = [
             _Frame(number, source.dataset, image, vehicles)
             for number, source in enumerate(sources)
@@ -98,8 +115,15 @@ class TrainingSet(TorchDataset[TrainingSample | UserError]):
         except UserError as error:
             return error
         rng = np.random.default_rng((self._seed, epoch, frame.source, frame.image.id, repeat))
-        pixels, vehicles = self._augment.apply(pixels, frame.vehicles, rng)
+        pixels, vehicles = self._augment.apply(pixels, frame.vehicles, rng, self._scale(frame.image))
         return to_sample(frame.image.file_name, pixels, vehicles, self._supervise)
+
+    def _scale(self, image: Image) -> float:
+        """Size of an image inside the network, in sizes of the image; 1 where that is not known."""
+        if self._inside is None:
+            return 1.0
+        short, long = sorted((image.width, image.height))
+        return min(self._inside[0] / short, self._inside[1] / long)
 
 
 class DetectionDataset(TorchDataset[tuple[torch.Tensor, dict[str, torch.Tensor]]]):

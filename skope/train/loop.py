@@ -93,7 +93,9 @@ def train(
         parts = [part.of_categories(categories) for part in parts]
         config = config.of([part.dataset for part in parts], splits.common_scheme(parts), categories)
         recipe = config.recipe
-        training_set = TrainingSet(parts, seed=config.seed, augment=recipe.augment, supervise=recipe.supervise)
+        training_set = TrainingSet(
+            parts, seed=config.seed, augment=recipe.augment, supervise=recipe.supervise, inside=recipe.inside
+        )
         with run_folder.exclusive(out) if processes.first else contextlib.nullcontext():
             begin = run_folder.resume if resume else run_folder.start
             training = begin(out, config, [part.fingerprint for part in parts], device)

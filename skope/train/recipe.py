@@ -108,6 +108,8 @@ class Recipe:
         self._in_range("momentum", 0, 1)
         self._in_range("val_fraction", 0, 0.5)
         self._in_range("val_images", 1, math.inf)
+        if self.augment.reduce and self.inside is None:
+            raise UserError("augment.reduce: needs min_size and max_size, which the first weights give here")
 
     def _in_range(self, name: str, low: float, high: float) -> None:
         value = getattr(self, name)
@@ -131,7 +133,7 @@ class Recipe:
 
     def with_min_size(self, min_size: int) -> Self:
         """The recipe with another short side, pixels; the long side's limit changes in proportion."""
-        short, long = (self.min_size, self.max_size) if self.min_size and self.max_size else SMALL_SIZE
+        short, long = self.inside or SMALL_SIZE
         return replace(self, min_size=min_size, max_size=round(min_size * long / short))
 
     def rate(self, step: int, steps: int) -> float:
@@ -141,6 +143,11 @@ class Recipe:
             return self.learning_rate * warm * float(self.gamma ** (step // steps // self._step_size))
         share = (1 + math.cos(math.pi * step / (steps * self.epochs))) / 2
         return self.learning_rate * warm * (self.cosine_to + (1 - self.cosine_to) * share)
+
+    @property
+    def inside(self) -> tuple[int, int] | None:
+        """Short and largest long side of images inside the network, pixels; None: as the first weights have them."""
+        return None if self.min_size is None or self.max_size is None else (self.min_size, self.max_size)
 
     @property
     def _step_size(self) -> int:

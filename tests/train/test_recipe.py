@@ -80,6 +80,8 @@ def test_recipes_survive_a_round_trip() -> None:
     assert Recipe.from_dict(older) == replace(own, **dict.fromkeys(LATER))
     with pytest.raises(UserError, match="recipe: expected the fields"):
         Recipe.from_dict({"name": "x"})
+    with pytest.raises(UserError, match=r"augment.reduce: needs min_size and max_size"):
+        replace(RECIPES["laptop"], augment=Augment(reduce=0.5))
     with pytest.raises(UserError, match="epochs: expected at least 1, got 0"):
         replace(RECIPES["paper"], epochs=0)
     with pytest.raises(UserError, match=r"anchors: expected 5 rising sides from 4 pixels, got \[16, 32\]"):

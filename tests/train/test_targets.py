@@ -2,6 +2,7 @@
 
 import math
 
+import cv2
 import numpy as np
 import pytest
 
@@ -127,6 +128,26 @@ def test_parts_of_an_image_have_all_scales_and_often_cut_vehicles(monkeypatch: p
         assert min(scales) == pytest.approx(0.3, abs=0.02)
         assert max(scales) == pytest.approx(2.5, abs=0.1)
     assert cuts[0.25] > 1.5 * cuts[0.0] > 0
+
+
+@pytest.mark.parametrize("crop", [0.0, 1.0])
+def test_reducing_first_shows_the_same_at_the_size_of_the_network(crop: float) -> None:
+    rng = np.random.default_rng(0)
+    smooth = rng.integers(0, 256, (9, 12, 3), dtype=np.uint8)
+    pixels = np.asarray(cv2.resize(smooth, (320, 240), interpolation=cv2.INTER_CUBIC))
+    points = np.full((1, keypoints.K, 3), [130.0, 110.0, 2.0])
+    vehicles = Vehicles(np.array([[100.0, 90, 160, 130]]), points, NO_BOXES)
+    plain, reduce = (Augment(crop=crop, reduce=share) for share in (0.0, 1.0))
+    for seed in range(10):
+        large, where = plain.apply(pixels, vehicles, np.random.default_rng(seed), 0.5)
+        small, there = reduce.apply(pixels, vehicles, np.random.default_rng(seed), 0.5)
+        assert (large.shape, small.shape) == ((240, 320, 3), (120, 160, 3))
+        assert np.allclose(there.boxes_xyxy, where.boxes_xyxy / 2)
+        assert np.allclose(there.keypoints[..., :2], where.keypoints[..., :2] / 2)
+        expected = np.asarray(cv2.resize(large, (160, 120), interpolation=cv2.INTER_AREA)).astype(int)
+        assert np.abs(small.astype(int) - expected).mean() < 2
+    same, _ = reduce.apply(pixels, vehicles, np.random.default_rng(3), 1.5)
+    assert same.shape == pixels.shape  # a smaller image is not enlarged
 
 
 def test_around_a_reduced_image_nothing_can_be_made_out() -> None:
