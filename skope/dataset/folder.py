@@ -29,6 +29,8 @@ FOLLOWED: Final = "followed"
 """Under this name the `info` of frames says whether vehicles were followed by points on them from image to image."""
 CHANGES: Final = "view_changes"
 """Under this name the `info` of frames says when a video shows another view: objects with `time_s`, `cut`, `shift`."""
+DETECTOR: Final = "detector"
+"""Under this name the `info` of frames says what was run on them: a name of what comes with skope, or a file."""
 SIGHT_FIELD: Final = "sight"
 """Under this name the `info` of frames says how bright a video is and how much contrast it has: rows of time (s),
 brightness (0 to 1) and contrast."""

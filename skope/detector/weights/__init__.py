@@ -6,6 +6,11 @@ from typing import Final
 DEFAULT: Final = "road33"
 """The detector that runs where none is named, and from which training begins where COCO's weights are not at hand."""
 
+LIGHT: Final = "road33-lite"
+"""The light detector, for every frame of a live camera on a CPU."""
+BY_ACCURACY: Final = (DEFAULT, LIGHT)
+"""The detectors that come with the package, the most accurate first: alike in keypoints and categories."""
+
 FOLDER: Final = Path(__file__).parent
 
 

@@ -24,11 +24,14 @@ def predict(
     ],
     *,
     checkpoint: Annotated[
-        Path,
+        Path | None,
         data_option(
-            metavar="PATH", help="Checkpoint file, run folder for its newest one, or weights that come with skope."
+            metavar="PATH",
+            help="Checkpoint file, run folder for its newest one, or weights that come with skope.",
+            show_default=f"{weights.DEFAULT}; of a live stream the first of {', '.join(weights.BY_ACCURACY)} that "
+            "keeps up",
         ),
-    ] = Path(weights.DEFAULT),
+    ] = None,
     camera: CameraOption = None,
     every: Annotated[int, data_option(help="Take every so many-th frame.")] = 1,
     start: Annotated[float, data_option(help="Begin at this second of a video.")] = 0.0,

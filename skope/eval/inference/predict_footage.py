@@ -16,17 +16,20 @@ import numpy as np
 
 from skope.dataset import coco
 from skope.dataset.camera_of_file import with_camera
-from skope.dataset.folder import BEGINS, CHANGES, FOLLOWED, FRAMES, PIXEL_WIDTH, PREDICTIONS, SIGHT_FIELD
+from skope.dataset.folder import BEGINS, CHANGES, DETECTOR, FOLLOWED, FRAMES, PIXEL_WIDTH, PREDICTIONS, SIGHT_FIELD
+from skope.detector import weights
 from skope.errors import UserError
 from skope.eval.box_links import FARTHEST_S
 from skope.eval.inference.camera_sway import SwayRecord, SwayWatch, motion_to_row, record_of_rows
 from skope.eval.inference.confirmation import Confirmation
 from skope.eval.inference.footage import Footage
 from skope.eval.inference.key_frames import with_frames_between
+from skope.eval.inference.live_choice import FrameDetector, LiveChoice
 from skope.eval.inference.numbers_by_category import Linked, NumbersByCategory
 from skope.eval.inference.picture_sight import sight_rows
 from skope.eval.inference.predict_job import PROGRESS_FILE, PredictJob, claim, found_at
 from skope.eval.inference.predictor import Predictor
+from skope.eval.inference.settings import Settings
 from skope.eval.inference.view_changes import Looks, ViewChange
 from skope.eval.inference.write_overlays import Kept, write_overlay
 from skope.eval.pose.camera_motion import MOTION, CameraMotion
@@ -65,9 +68,9 @@ def predict(job: PredictJob, console: Console) -> list[Path]:
     # The frames of a live stream do not wait for a batch to be full.
     batch_size = job.settings.batch_size or (1 if job.footage.live else None)
     settings = replace(job.settings, min_score=job.least_score, batch_size=batch_size)
-    predictor = Predictor.load(job.checkpoint, settings, console)
-    claim(job, predictor.files)
-    prediction = Prediction(job, predictor)
+    detector = _loaded(job, settings, console)
+    claim(job, detector.files)
+    prediction = Prediction(job, detector)
     if job.footage.clip and not job.footage.clip.square:
         console.warn(
             f"{job.footage.name}: the video says that a pixel is {job.footage.clip.pixel_width:.2f} times as wide as "
@@ -91,12 +94,20 @@ def predict(job: PredictJob, console: Console) -> list[Path]:
     return prediction.write(console)
 
 
+def _loaded(job: PredictJob, settings: Settings, console: Console) -> Predictor | LiveChoice:
+    """Load the job's detector; for a live stream those that come with skope, unless another is asked for."""
+    name = weights.DEFAULT if job.checkpoint is None else str(job.checkpoint)
+    if job.footage.live and name in weights.BY_ACCURACY and not Path(name).exists():
+        return LiveChoice.load(name, settings, job.footage.cut.every, console, given=job.checkpoint is not None)
+    return Predictor.load(Path(name), settings, console)
+
+
 class Prediction:
     """Detections in footage: kept frame by frame in a file of progress, then written as results."""
 
-    def __init__(self, job: PredictJob, predictor: Predictor) -> None:
+    def __init__(self, job: PredictJob, detector: FrameDetector) -> None:
         """Go on after what a stopped run has kept in the job's output folder."""
-        self._job, self._predictor = job, predictor
+        self._job, self._detector = job, detector
         self._progress = Progress(job.out / PROGRESS_FILE, ("image", "results", "skipped", "key", "look", "motion"))
         self.images: list[Image] = []
         """The frames so far, with the job's camera."""
@@ -132,7 +143,7 @@ class Prediction:
         looks, sway = Looks(self._last_look_s), _sway_watch(job, last)
         for bare, found, key in found_in(
             job,
-            self._predictor,
+            self._detector,
             last=last,
             last_key=self._last_key,
             names=self._last_numbers,
@@ -160,7 +171,7 @@ class Prediction:
             progress.end()
             why = "; ".join(job.footage.skipped) or "there are none between --start and --end"
             raise UserError(f"{job.footage.name}: none of its images can be read: {why}")
-        scheme = self._predictor.scheme
+        scheme = self._detector.scheme
         kept = _kept(job, progress, images)
         written = [job.out / PREDICTIONS, job.out / FRAMES]
         seen = _Seen()
@@ -175,10 +186,10 @@ class Prediction:
         frames_file = AnnotationFile(
             images=tuple(images),
             annotations=(),
-            info=_info(job, looked, changed, sways),
+            info={**_info(job, looked, changed, sways), DETECTOR: self._detector.name},
             name=job.footage.name,
             scheme=scheme,
-            categories=self._predictor.categories,
+            categories=self._detector.categories,
         )
         coco.write(written[1], frames_file)
         if job.overlay:
@@ -276,7 +287,7 @@ class _Seen:
 
 def found_in(
     job: PredictJob,
-    predictor: Predictor,
+    detector: FrameDetector,
     *,
     last: int = 0,
     last_key: int = 1,
@@ -287,7 +298,7 @@ def found_in(
 
     Args:
         job: The footage, and how often it is looked at.
-        predictor: The detector.
+        detector: Finds vehicles in a frame.
         last: Frames up to this number are left out.
         last_key: Number of the last of them that the detector had seen.
         names: The `track_id` of each road user that it found there.
@@ -304,12 +315,12 @@ def found_in(
 
     every = job.key_every
     if every == 1:
-        each = predictor.each if job.footage.live else predictor.each_ahead
+        each = detector.each if job.footage.live else detector.each_ahead
         yield from ((image, found, True) for image, found in each(watch(job.footage.frames(last))))
         return
 
     def find(frame: tuple[Image, Pixels]) -> list[AnyResult]:
-        ((_, found),) = predictor.each(iter([frame]))
+        ((_, found),) = detector.each(iter([frame]))
         return found
 
     # A run that goes on begins with the key frame before, so that the frames after it become what they would have been.

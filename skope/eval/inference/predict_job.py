@@ -29,7 +29,8 @@ class PredictJob:
     """A run of a checkpoint on footage, and what it writes."""
 
     footage: Footage
-    checkpoint: Path
+    checkpoint: Path | None
+    """The detector: a file, a run folder, or a name of what comes with skope; None: what suits the footage of these."""
     out: Path
     settings: Settings = field(default_factory=Settings)
     score: float = 0.5

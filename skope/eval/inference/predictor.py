@@ -113,8 +113,12 @@ class Predictor:
         """The detector in words; `number` are backend and number format."""
         sides = f"short side {self.config.min_size}, long side at most {self.config.max_size} px"
         scores = "calibrated" if self.calibrated else "uncalibrated"
-        name = self.weights.stem if shipped(self.weights) else self.weights
-        return f"{name} on {self._device} in {number} ({sides}; {scores} keypoint scores)"
+        return f"{self.name} on {self._device} in {number} ({sides}; {scores} keypoint scores)"
+
+    @property
+    def name(self) -> str:
+        """What it is called: its name in the package, or its file's path."""
+        return self.weights.stem if shipped(self.weights) else str(self.weights)
 
     def reporting(self, min_score: float, *, batch_size: int | None = None) -> "Predictor":
         """The same detector, with the same weights in memory, that reports what scores above `min_score`.
