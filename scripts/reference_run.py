@@ -1,15 +1,17 @@
-"""Make `road33`, the detector that comes with skope, from nothing: train, pack the weights, measure.
+"""Make `road33` and `road33-lite`, which come with skope, from nothing: train, pack the weights, measure.
 
     python scripts/reference_run.py paper                 # on a machine with a GPU -> runs/reference/paper
     python scripts/reference_run.py varied --gpus 2,3     # beside it on other GPUs, or after it
     python scripts/reference_run.py world --gpus 0,1      # after `varied`, from whose weights it goes on
     python scripts/reference_run.py road33 --gpus 0,1     # after `world`
+    python scripts/reference_run.py lite --gpus 0,1       # from random weights, with road33 as it ships as teacher
 
 `paper` learns from that preset alone, `varied` from both, half of the images each, with all augmentations on
 (reference.toml): both from random weights. `world` goes on from `varied` with 960 places of that preset, while
 a quarter of the images are still of `paper` with its small vehicles (world.toml). `road33` goes on from `world` in the
-legs of train_leg.py, with new places in each, by day and night, and bicycles, motorcycles and people. Scores are
-calibrated on places that were not learnt from. `make reference` does all but `paper`.
+legs of train_leg.py, with new places in each, by day and night, and bicycles, motorcycles and people; `lite` learns in
+legs of its own. Scores are calibrated on places that were not learnt from. `make reference` does `varied`, `world` and
+`road33`, `make lite` does `lite`.
 
 Datasets that are missing under --data are made. Recordings need SUMO and pybullet; where these are not, bring folders
 of `skope gen simulate` (DATASETS has their options), and they are drawn. What is finished is not done again, and what
@@ -107,6 +109,7 @@ TRAININGS: Final = {
         calibrated=True,
     ),
     "road33": Training(after="world", legs=("1", "2", "3", "4"), calibrated=True),
+    "lite": Training(legs=("lite-1", "lite-2"), calibrated=True),
 }
 
 
@@ -189,7 +192,7 @@ def train(clock: Clock, options: argparse.Namespace, training: Training) -> Path
 
 def learn_in_legs(clock: Clock, options: argparse.Namespace, training: Training) -> Path:
     """Do the legs that are not done; returns the weights of the last one."""
-    begin = ["--init", str(options.out.parent / str(training.after) / PACKED)]
+    begin = ["--init", str(options.out.parent / training.after / PACKED)] if training.after else []
     always = ["--data", str(options.data / "legs"), "--gpus", options.gpus, "--loaders", str(options.workers)]
     always += ["--workers", str(os.cpu_count()), "--minutes", str(LEG_MINUTES)]
     for name in training.legs:

@@ -142,6 +142,12 @@ RUNS: Final[Sequence[Run]] = (
         "{footage}/v.mp4 --fps 5 --minutes 0.03 --min-size 64 --checkpoint {checkpoint}",
         says="| minutes | images/s |",
     ),
+    Run(
+        "research/detector_curve.py",
+        "{out} --rows {checkpoint}@64@every,{checkpoint}@64@key --clips 1 --seconds 0.8 --size 96x54",
+        says=" | day | ",
+        apart=True,
+    ),
     Run("research/marker_offsets.py", "{road}", says="kind                points"),
     Run("research/offline_kit.py", "{out}", says="no wheel of libsumo", code=2),
     Run("train_leg.py", "run 1 --out {out}", says="leg 1 goes on from weights: --state", code=2),
@@ -464,7 +470,7 @@ def test_places_of_the_legs_can_be_made(skope: Any, monkeypatch: pytest.MonkeyPa
 
 
 def test_reference_learns_in_legs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Each from the one before, the first from the training before; what is done is not done again."""
+    """Each from the one before, the first from the training before if any; what is done is not done again."""
     monkeypatch.syspath_prepend(str(SCRIPTS))
     reference = importlib.import_module("reference_run")
     called: list[tuple[str, ...]] = []
@@ -488,6 +494,13 @@ def test_reference_learns_in_legs(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     after = [(name, "--state", str(out / f"leg_{int(name) - 1}" / "state")) for name in "234"]
     assert runs == [first, *after[:2], *after[1:]]
     assert called[-1][1:3] == ("join", str(out / "leg_4" / "state"))
+    called.clear()
+    options.out = tmp_path / "lite"
+    for leg in ("lite-1", "lite-2"):
+        (options.out / f"leg_{leg}").mkdir(parents=True)
+    reference.learn_in_legs(clock, options, reference.TRAININGS["lite"])
+    assert [words[2] for words in called if words[1] == "run"] == ["lite-1", "lite-2"]
+    assert not {"--init", "--state"} & set(called[0]), "the first leg begins from nothing"
 
 
 def test_a_leg_learns_from_places_that_were_drawn_before(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

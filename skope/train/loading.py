@@ -4,21 +4,26 @@ Loading processes hand pictures over in shared memory, of which containers have 
 where some end or fall silent all the same, fewer go on with what is left.
 """
 
+import itertools
 import os
 import signal
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Final
 
 import cv2
-from torch.utils.data import DataLoader
+from torch.utils.data import DataLoader, Sampler
 
 from skope.errors import UserError
 from skope.terminal.console import Console, disk_size
 from skope.train.data import Draw, TrainingSample, TrainingSet
 from skope.train.interrupt import ignore_signals
+
+Group = Sequence[Draw]
+"""Draws that are loaded together."""
 
 SHARED_MEMORY: Final = Path("/dev/shm")
 _PREFETCH: Final = (4, 2)
@@ -55,27 +60,33 @@ class Loader:
         self.workers = workers
         self._training_set, self._console, self._pin, self._stopping = training_set, console, pin, stopping
 
-    def batches(self, groups: Sequence[Sequence[Draw]]) -> Iterator[list[TrainingSample]]:
-        """The samples of each group of draws. Raises UserError for a mistake in a file."""
-        prefetch = self._fit(max(map(len, groups), default=0))
-        done = 0
-        while done < len(groups):
+    def batches(self, groups: Iterable[Group]) -> Iterator[list[TrainingSample]]:
+        """The samples of each group of draws, of which the first is the largest.
+
+        Groups are asked for as they are wanted, so that there may be those of many epochs: processes go on from one to
+        the next. Raises UserError for a mistake in a file.
+        """
+        left = iter(groups)
+        asked = deque(itertools.islice(left, 1))
+        prefetch = self._fit(max(map(len, asked), default=0))
+        while asked:
             try:
-                for batch in self._loaded(groups[done:], prefetch):
+                # Those that were asked for and have not come, where processes were lost, then the others.
+                for batch in self._loaded(_noted([*asked], left, asked), prefetch):
                     for item in batch:
                         if isinstance(item, UserError):
                             raise item
-                    done += 1
+                    asked.popleft()
                     yield [item for item in batch if isinstance(item, TrainingSample)]
             except _LostError as lost:
                 self.workers //= 2
                 rest = f"{self.workers} go on" if self.workers else "this process loads them from here"
                 self._console.warn(f"processes that load images {lost}: {rest} (--workers)")
 
-    def _loaded(self, groups: Sequence[Sequence[Draw]], prefetch: int) -> Iterator[list[TrainingSample | UserError]]:
+    def _loaded(self, groups: Iterator[Group], prefetch: int) -> Iterator[list[TrainingSample | UserError]]:
         loader = DataLoader(
             self._training_set,
-            batch_sampler=[list(group) for group in groups],
+            batch_sampler=_Batches(groups),
             num_workers=self.workers,
             collate_fn=list,
             pin_memory=self._pin,
@@ -128,6 +139,24 @@ class Loader:
             "--shm-size=2g)"
         )
         return prefetch
+
+
+def _noted(again: Sequence[Group], left: Iterator[Group], asked: deque[Group]) -> Iterator[Group]:
+    """Groups that are asked for again, then those that are left, which are noted in `asked`."""
+    yield from again
+    for group in left:
+        asked.append(group)
+        yield group
+
+
+class _Batches(Sampler[list[Draw]]):
+    """Groups of draws as torch asks for them."""
+
+    def __init__(self, groups: Iterator[Group]) -> None:
+        self._groups = groups
+
+    def __iter__(self) -> Iterator[list[Draw]]:
+        return map(list, self._groups)
 
 
 class _LostError(Exception):

@@ -3,7 +3,7 @@
 import contextlib
 import math
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final, Self
@@ -212,9 +212,10 @@ class _Run:
 
     def go(self) -> Path:
         """Train all epochs that are left; returns the last checkpoint."""
-        with self.progress:
+        # Loading goes on from epoch to epoch: to begin anew takes the processes seconds, an epoch of a few images less.
+        with self.progress, contextlib.closing(self._loaded()) as samples:
             while self.training.epochs_done < self.config.recipe.epochs:
-                self._epoch()
+                self._epoch(samples)
                 if self.processes.first:
                     self._validate_and_save()
         if self.board is not None:
@@ -231,16 +232,20 @@ class _Run:
         """Steps done over the whole run."""
         return self.training.epochs_done * self._steps + self.training.steps_done
 
-    def _epoch(self) -> None:
+    def _left(self, epoch: int) -> list[list[Draw]]:
+        """The draws of each step that is left of an epoch, of all processes together."""
+        draws = data.order(self.training_set.sizes, self.config.mix, seed=self.config.seed, epoch=epoch)
+        size = self.config.recipe.batch_size
+        groups = [draws[i : i + size] for i in range(0, len(draws), size)]
+        return groups[self.training.steps_done :] if epoch == self.training.epochs_done else groups
+
+    def _epoch(self, samples: Iterator[list[TrainingSample]]) -> None:
         """Train what is left of one pass over the images, which ends with its mean losses in the history."""
         training, recipe, seed = self.training, self.config.recipe, self.config.seed
         epoch = training.epochs_done
-        draws = data.order(self.training_set.sizes, self.config.mix, seed=seed, epoch=epoch)
-        groups = [draws[i : i + recipe.batch_size] for i in range(0, len(draws), recipe.batch_size)]
-        todo = groups[training.steps_done :]
-        own = [self.processes.share(group) for group in todo]
         training.model.train()
-        for group, batch in zip(todo, self._loaded(own), strict=True):
+        # As many of the samples as there are groups, and none of the next epoch's.
+        for group, batch in zip(self._left(epoch), samples, strict=False):
             if self._step == 0 and batch:
                 _check_first(batch, self.console)
             step.seed(seed, epoch, training.steps_done, self.processes)
@@ -264,10 +269,13 @@ class _Run:
         training.history.append(row)
         self.processes.average_statistics(training.model)
 
-    def _loaded(self, groups: Sequence[Sequence[Draw]]) -> Iterator[list[TrainingSample]]:
-        """The samples of each group; where waiting for them is interrupted, the state of the run is saved first."""
+    def _loaded(self) -> Generator[list[TrainingSample]]:
+        """This process's samples of each step; where waiting is interrupted, the state of the run is saved first."""
+        epochs = range(self.training.epochs_done, self.config.recipe.epochs)
         try:
-            yield from self.loader.batches(groups)
+            yield from self.loader.batches(
+                self.processes.share(group) for epoch in epochs for group in self._left(epoch)
+            )
         except KeyboardInterrupt:
             if self.processes.size == 1:  # several would have to agree
                 self._save_within(stopped=False)

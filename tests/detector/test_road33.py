@@ -1,4 +1,4 @@
-"""The detector that comes with skope: small, whole, the default, and a detector of vehicles."""
+"""The detectors that come with skope: small, whole, one the default, and detectors of vehicles."""
 
 import hashlib
 from dataclasses import replace
@@ -11,7 +11,7 @@ import pytest
 import torch
 from numpy.typing import NDArray
 
-from skope import keypoints
+from skope import boxes, keypoints
 from skope.dataset import coco
 from skope.dataset.folder import PREDICTIONS
 from skope.detections import Detections
@@ -47,19 +47,49 @@ def found_at_once(picture: NDArray[np.uint8]) -> Detections:
     return detect(once.eval(), [picture], "cpu", categories=CATEGORIES)[0]
 
 
-def test_it_is_small_enough_to_travel_and_says_where_it_is_from() -> None:
-    assert ROAD33.stat().st_size <= 38_000_000
-    header, state = read_checkpoint(ROAD33)
+@pytest.mark.parametrize(
+    ("name", "most_bytes", "origin", "fewest"),
+    [
+        ("road33", 38_000_000, "the fourth leg of scripts/legs.toml", 59_000_000),
+        ("road33-lite", 12_000_000, "the leg lite-2 of scripts/legs.toml", 12_500_000),
+    ],
+)
+def test_it_is_small_enough_to_travel_and_says_where_it_is_from(
+    name: str, most_bytes: int, origin: str, fewest: int
+) -> None:
+    file = weights.path(name)
+    assert file.stat().st_size <= most_bytes
+    header, state = read_checkpoint(file)
     assert header["scheme"] == keypoints.SCHEME
-    assert header["metadata"]["origin"] == "the fourth leg of scripts/legs.toml"
+    assert header["metadata"]["origin"] == origin
     assert header["config"]["norm"] == "frozen"  # small batches of who goes on from it have no statistics
     assert header["config"]["categories"] == list(CATEGORIES)
     assert header["config"]["keypoint_edition"] == keypoints.EDITION
     assert header["metadata"]["calibrated"]["categories"] == list(CATEGORIES)
-    assert hashlib.sha256(ROAD33.read_bytes()).hexdigest() in ROAD33.with_suffix(".md").read_text()
+    assert hashlib.sha256(file.read_bytes()).hexdigest() in file.with_suffix(".md").read_text()
     assert activation_ranges.RANGES_KEY in header["metadata"]
-    assert sum(tensor.numel() for tensor in state.values()) > 59_000_000
-    assert ROAD33.with_suffix(".md").read_text().startswith("# road33\n")
+    assert sum(tensor.numel() for tensor in state.values()) > fewest
+    assert file.with_suffix(".md").read_text().startswith(f"# {name}\n")
+
+
+def test_every_shipped_detector_is_one_that_a_live_stream_may_get() -> None:
+    assert weights.names() == weights.BY_ACCURACY
+
+
+def test_the_light_one_finds_the_same_vehicles(picture: NDArray[np.uint8], found: Detections) -> None:
+    model, _, _ = load_weights(weights.path(weights.LIGHT), "cpu")
+    light = detect(model, [picture], "cpu", categories=CATEGORIES)[0]
+    sure, other = found[found.scores > 0.9], light[light.scores > 0.5]
+    best = boxes.iou(sure.boxes_xyxy, other.boxes_xyxy)
+    assert (best.max(axis=1) > 0.6).mean() > 0.8
+    pairs = [(i, int(best[i].argmax())) for i in range(len(sure)) if best[i].max() > 0.6]
+    size = np.sqrt(np.prod(sure.boxes_xyxy[:, 2:] - sure.boxes_xyxy[:, :2], axis=1))
+    both = [(sure.keypoints[i, :, 2] > 0.7) & (other.keypoints[j, :, 2] > 0.7) for i, j in pairs]
+    apart = [
+        np.linalg.norm(sure.keypoints[i, each, :2] - other.keypoints[j, each, :2], axis=1) / size[i]
+        for (i, j), each in zip(pairs, both, strict=True)
+    ]
+    assert np.median(np.concatenate(apart)) < 0.05
 
 
 def test_it_finds_vehicles_and_their_visible_keypoints(found: Detections) -> None:

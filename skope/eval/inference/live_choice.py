@@ -44,7 +44,7 @@ class FrameDetector(Protocol):
 class LiveChoice:
     """Detectors for a live stream, of which the first that keeps up with it looks at its frames."""
 
-    def __init__(self, candidates: Sequence[Predictor], every: int, console: Console, *, given: bool) -> None:
+    def __init__(self, candidates: Sequence[Predictor], every: int, console: Console) -> None:
         """Prepare to choose.
 
         Args:
@@ -52,15 +52,14 @@ class LiveChoice:
                 first.
             every: Every so many-th frame of the stream is wanted.
             console: Where it is said how fast they are, and which one looks.
-            given: Whether the first one looks in any case.
         """
-        self._candidates, self._every, self._console, self._given = list(candidates), every, console, given
+        self._candidates, self._every, self._console = list(candidates), every, console
 
     @classmethod
-    def load(cls, named: str, settings: Settings, every: int, console: Console, *, given: bool) -> "LiveChoice":
-        """Load the detectors that come with skope, `named` first. Raises UserError as `Predictor.load` does."""
-        names = [named, *(name for name in weights.BY_ACCURACY if name != named)]
-        return cls([Predictor.load(Path(name), settings, console) for name in names], every, console, given=given)
+    def load(cls, given: str | None, settings: Settings, every: int, console: Console) -> "LiveChoice":
+        """Load the detectors that come with skope, or the `given` one of them. Raises UserError as `Predictor.load`."""
+        names = weights.BY_ACCURACY if given is None else (given,)
+        return cls([Predictor.load(Path(name), settings, console) for name in names], every, console)
 
     @property
     def files(self) -> tuple[Path, ...]:
@@ -104,16 +103,13 @@ class LiveChoice:
 
     def _choose(self, rates: Sequence[float], sent: float | None) -> None:
         """Keep the detector that is to look."""
-        chosen = 0
-        if not self._given and sent is not None:
-            fastest = max(range(len(rates)), key=lambda i: rates[i])
-            chosen = next((i for i, rate in enumerate(rates) if rate >= sent), fastest)
+        fastest = max(range(len(rates)), key=lambda i: rates[i])
+        chosen = 0 if sent is None else next((i for i, rate in enumerate(rates) if rate >= sent), fastest)
         each = ", ".join(f"{one.name} at {rate:.1f}" for one, rate in zip(self._candidates, rates, strict=True))
-        name, rate = self._candidates[chosen].name, rates[chosen]
-        what = "" if sent is None else f"the camera sends {sent:.1f} frames a second; "
-        why = "as --checkpoint says" if self._given else "--checkpoint names another"
-        missed = "" if sent is None or rate >= sent else f", and passes over {1 - rate / sent:.0%} of them"
-        self._console.say(f"{what}here {each} look: {name} does{missed} ({why})")
+        choice = f": {self._candidates[chosen].name} does (--checkpoint names another)" if len(rates) > 1 else ""
+        came = "" if sent is None else f"the camera sends {sent:.1f} frames a second; "
+        missed = "" if sent is None or rates[chosen] >= sent else f"; {1 - rates[chosen] / sent:.0%} are passed over"
+        self._console.say(f"{came}here {each} a second can be looked at{choice}{missed}")
         self._candidates = [self._candidates[chosen]]
 
 

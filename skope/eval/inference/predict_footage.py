@@ -96,10 +96,10 @@ def predict(job: PredictJob, console: Console) -> list[Path]:
 
 def _loaded(job: PredictJob, settings: Settings, console: Console) -> Predictor | LiveChoice:
     """Load the job's detector; for a live stream those that come with skope, unless another is asked for."""
-    name = weights.DEFAULT if job.checkpoint is None else str(job.checkpoint)
-    if job.footage.live and name in weights.BY_ACCURACY and not Path(name).exists():
-        return LiveChoice.load(name, settings, job.footage.cut.every, console, given=job.checkpoint is not None)
-    return Predictor.load(Path(name), settings, console)
+    given = None if job.checkpoint is None else str(job.checkpoint)
+    if job.footage.live and (given is None or (given in weights.BY_ACCURACY and not Path(given).exists())):
+        return LiveChoice.load(given, settings, job.footage.cut.every, console)
+    return Predictor.load(Path(given or weights.DEFAULT), settings, console)
 
 
 class Prediction:

@@ -11,6 +11,7 @@ import pytest
 
 from skope.detector import weights
 from skope.eval.inference.live_choice import LiveChoice
+from skope.files.json_files import read_json
 from skope.schema import AnyResult, Image
 from skope.terminal.console import Console
 from skope.types import Pixels
@@ -45,26 +46,26 @@ def camera(fps: float) -> Frames:
 
 
 @pytest.mark.parametrize(
-    ("fps", "given", "expected", "said"),
+    ("fps", "names", "expected", "said"),
     [
-        (4.0, False, "exact", "here exact at"),
-        (12.0, False, "quick", "quick does (--checkpoint names another)"),
-        (5000.0, False, "quick", "quick does, and passes over"),
-        (12.0, True, "exact", "exact does, and passes over"),
+        (4.0, ("exact", "quick"), "exact", ": exact does (--checkpoint names another)"),
+        (12.0, ("exact", "quick"), "quick", ": quick does (--checkpoint names another)"),
+        (5000.0, ("exact", "quick"), "quick", " are passed over"),
+        (12.0, ("exact",), "exact", " a second can be looked at; "),
     ],
 )
 def test_the_first_one_that_keeps_up_looks(
-    fps: float, given: bool, expected: str, said: str, capsys: pytest.CaptureFixture[str]
+    fps: float, names: tuple[str, ...], expected: str, said: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    detectors = [Slow("exact", 0.1), Slow("quick", 0.001)]
+    detectors = [Slow(name, {"exact": 0.1, "quick": 0.001}[name]) for name in names]
     loaded: Any = detectors
-    choice = LiveChoice(loaded, 1, Console(), given=given)
-    assert choice.files == (Path("file"), Path("file"))
+    choice = LiveChoice(loaded, 1, Console())
+    assert choice.files == (Path("file"),) * len(names)
     found = [image.id for image, _ in choice.each(camera(fps))]
     assert found == [1, 2, 3, 4, 5]
     assert choice.name == expected
     assert [one.seen[4:] for one in detectors if one.name == expected] == [found]
-    assert [len(one.seen) for one in detectors if one.name != expected] == [4]
+    assert [len(one.seen) for one in detectors if one.name != expected] == [4] * (len(names) - 1)
     (line,) = capsys.readouterr().out.splitlines()
     assert said in line
 
@@ -73,13 +74,14 @@ def test_a_stream_of_one_frame_and_none() -> None:
     for count in (0, 1):
         loaded: Any = [Slow("exact", 0.0), Slow("quick", 0.0)]
         frames = (frame for frame, _ in zip(camera(10), range(count), strict=False))
-        assert len(list(LiveChoice(loaded, 1, Console(quiet=True), given=False).each(frames))) == count
+        assert len(list(LiveChoice(loaded, 1, Console(quiet=True)).each(frames))) == count
 
 
 def test_predict_says_how_fast_each_is_and_which_one_looks(skope: Any) -> None:
     with streams.mjpeg(31, 4) as address:
         code, out, err = skope("eval", "predict", address, "--end", "4", "--min-size", "96", "--out", "seen")
     assert (code, err) == (0, "")
-    (line,) = [line for line in out.splitlines() if " look: " in line]
+    (line,) = [line for line in out.splitlines() if "can be looked at" in line]
     assert all(f"{name} at " in line for name in weights.BY_ACCURACY)
     assert line.startswith("the camera sends ")
+    assert f": {read_json(Path('seen/frames.json'))['info']['detector']} does" in line
