@@ -24,7 +24,7 @@ import torch
 from torchvision.models.detection import KeypointRCNN
 from torchvision.models.detection.image_list import ImageList
 
-from skope.detector import activation_ranges
+from skope.detector import int8_ranges
 from skope.detector.build import PROPOSALS, DetectorConfig, build
 from skope.detector.heatmap_peaks import heatmap_peaks
 from skope.eval.inference.backends.prepare import prepare
@@ -61,9 +61,9 @@ class Variant:
         self.weights = sum(parameter.numel() for parameter in self._model.parameters())
         self._image = ImageList(torch.rand(1, 3, height, width), [(height, width)])
         self._vehicles = vehicles(options.vehicles, height, width)
-        with activation_ranges.noted(self._model) as ranges:
+        with int8_ranges.noted(self._model) as ranges:
             self.look()
-        metadata = activation_ranges.to_metadata(self._model, ranges)
+        metadata = int8_ranges.to_metadata(self._model, ranges)
         self.number = prepare(
             self._model,
             metadata,

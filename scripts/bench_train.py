@@ -38,7 +38,7 @@ from skope.dataset.folder import open_dataset
 from skope.detector.checkpoint import find_checkpoint, read_checkpoint
 from skope.detector.device import has_bfloat16
 from skope.terminal.console import Console
-from skope.train import configure, data, distributed, init_weights, losses, run_folder, splits, step
+from skope.train import configure, data, distributed, init_weights, losses, optimizer, splits, step
 from skope.train.distributed import ProcessGroup
 from skope.train.fold_batchnorm import fold_norms
 from skope.train.loading import Loader
@@ -207,10 +207,10 @@ def skope(
         trainable_layers=recipe.trainable_layers,
         seed=0,
     )
-    model = run_folder.placed(model, recipe, device)
+    model = optimizer.placed(model, recipe, device)
     if recipe.fold_norms:
         fold_norms(model)
-    training = TrainingState(model, config, run_folder.optimizer(model, recipe), origin, [], 0, 0, {}, [], None)
+    training = TrainingState(model, config, optimizer.make_sgd(model, recipe), origin, [], 0, 0, {}, [], None)
     source = splits.read(options.data, exclude_types=(), val_fraction=0.0, max_images=count(options.data))
     source = source.of_categories(config.categories)
     images = data.TrainingSet([source], seed=0, augment=recipe.augment, supervise=recipe.supervise)

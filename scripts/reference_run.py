@@ -7,8 +7,8 @@
     python scripts/reference_run.py lite --gpus 0,1       # from random weights, with road33 as it ships as teacher
 
 `paper` learns from that preset alone, `varied` from both, half of the images each, with all augmentations on
-(reference.toml): both from random weights. `world` goes on from `varied` with 960 places of that preset, while
-a quarter of the images are still of `paper` with its small vehicles (world.toml). `road33` goes on from `world` in the
+(recipes/reference.toml): both from random weights. `world` goes on from `varied` with 960 places of that preset, while
+a quarter of the images are still of `paper` with its small vehicles (recipes/world.toml). `road33` goes on from `world` in the
 legs of train_leg.py, with new places in each, by day and night, and bicycles, motorcycles and people; `lite` learns in
 legs of its own. Scores are calibrated on places that were not learnt from. `make reference` does `varied`, `world` and
 `road33`, `make lite` does `lite`.
@@ -175,7 +175,7 @@ def train(clock: Clock, options: argparse.Namespace, training: Training) -> Path
     """Train, or go on; returns the weights."""
     run: Path = options.out / "run"
     if not (run / ".trained").is_file():
-        new = ["--recipe", str(HERE / training.recipe)]
+        new = ["--recipe", str(HERE / "recipes" / training.recipe)]
         if training.images:
             new += ["--max-images", str((options.images or training.images) // len(training.datasets))]
         if training.mix:

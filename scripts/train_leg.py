@@ -4,7 +4,7 @@
     python scripts/train_leg.py join runs/legs/2 --out road33_2.safetensors
 
 A leg (legs.toml) goes on from the weights of the one before. Its places are simulated and drawn beside the training,
-which runs in rounds: each learns from all that is drawn when it begins, at a constant rate (leg.toml, lite.toml), and
+which runs in rounds: each learns from all that is drawn when it begins, at a constant rate (recipes/), and
 hands the running mean of its weights to the next; the last one may have a lower rate. At the end the tests are
 measured, and the weights are packed for the way: in 16 bits, norms and counts as they are, in parts of at most 15 MiB
 with their SHA-256 in parts.json. `join` puts them together again where all are there and whole. leg.json has what was
@@ -211,7 +211,7 @@ def train_round(
     settings = (*leg.settings, *(leg.last if last else ()))
     if options.miniature:
         settings = (*settings, *TINY_SETTINGS)
-    new = ["--recipe", str(HERE / leg.recipe), "--init", str(start or RANDOM), "--seed", str(number)]
+    new = ["--recipe", str(HERE / "recipes" / leg.recipe), "--init", str(start or RANDOM), "--seed", str(number)]
     new += [word for setting in settings for word in ("--set", setting)]
     if number > 1:
         new += ["--set", "warmup_steps=50"]

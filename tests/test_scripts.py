@@ -297,7 +297,7 @@ def test_every_script_is_listed() -> None:
     recipes = {"leg.toml", "lite.toml", "reference.toml", "world.toml"}
     assert others == {*recipes, "legs.toml", "legs.jsonl"}
     for name in recipes:
-        assert choose(str(SCRIPTS / name), gpu=True, bfloat16=True).name == Path(name).stem
+        assert choose(str(SCRIPTS / "recipes" / name), gpu=True, bfloat16=True).name == Path(name).stem
 
 
 @pytest.mark.parametrize("name", PYTHON)

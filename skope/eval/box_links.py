@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 
 from skope import boxes as box_math
-from skope.eval.assignment import cheapest_pairs
+from skope.eval.least_cost_pairs import cheapest_pairs
 from skope.schema import Found
 from skope.types import Array, Integers32
 

@@ -23,7 +23,7 @@ from torchvision.models.detection import KeypointRCNN
 from skope import schema
 from skope.dataset import image_selection
 from skope.dataset.folder import open_dataset
-from skope.detector import activation_ranges, weights
+from skope.detector import int8_ranges, weights
 from skope.detector.checkpoint import checkpoint_bytes, find_checkpoint, full_state, load_weights
 from skope.detector.detect import MIN_SCORE
 from skope.detector.device import choose_device
@@ -48,7 +48,7 @@ _BEGINS: Final[dict[str, Callable[[bytes], bool]]] = {
 }
 """Whether a file may be of a format, by its first bytes: a zip archive; the field ir_version; the header's length, then
 the header."""
-SAMPLE_IMAGES: Final = 64
+CALIBRATION_IMAGES: Final = 64
 """Of a dataset, that tell what the layers' inputs are."""
 OUTPUTS: Final = ("boxes", "scores", "keypoints", "keypoint_scores")
 CATEGORIES_OUTPUT: Final = "categories"
@@ -144,9 +144,9 @@ def export(checkpoint: Path, to: str, out: Path | None, *, data: Path | None = N
         frozen = replace(config, norm="frozen")
         moments = None
         if data:
-            with activation_ranges.noted(model) as ranges:
+            with int8_ranges.noted(model) as ranges:
                 moments = _moments(model, data, config.categories, console)
-            metadata = {**metadata, **activation_ranges.to_metadata(model, ranges)}
+            metadata = {**metadata, **int8_ranges.to_metadata(model, ranges)}
         write_new(out, checkpoint_bytes(model, frozen, metadata, packed=True, moments=moments))
         return out
     if config.box_passes > 1:
@@ -166,7 +166,7 @@ def export(checkpoint: Path, to: str, out: Path | None, *, data: Path | None = N
 def _moments(model: KeypointRCNN, data: Path, categories: Sequence[str], console: Console) -> dict[str, Tensor]:
     """Second moments of the layers' inputs on some of a dataset's training images, where a GPU is there on it."""
     opened = open_dataset(data)
-    images = image_selection.take(opened.read(SPLIT), SAMPLE_IMAGES).images
+    images = image_selection.take(opened.read(SPLIT), CALIBRATION_IMAGES).images
     pixels = map(opened.image, images)
     seen = console.bar(pixels, total=len(images), unit="image", label="layers' inputs")
     return input_moments.gather(model.to(choose_device("auto")), seen, categories)

@@ -26,7 +26,7 @@ from skope import schema
 from skope.detector.build import box_passes_of
 from skope.detector.detect import offsets_of_label
 from skope.detector.suppression import not_overlapped
-from skope.train.assignment import DISCARD, assign, sample
+from skope.train.anchor_matching import DISCARD, assign, sample
 from skope.train.target_batch import Size, Target, TargetBatch, to_device
 from skope.train.teacher import Lesson, Teacher
 

@@ -22,7 +22,7 @@ from typing import Any, Self
 
 import torch
 from torch import Tensor
-from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
+from torch.optim.swa_utils import AveragedModel
 from torchvision.models.detection import KeypointRCNN
 
 from skope import keypoints
@@ -36,6 +36,7 @@ from skope.keypoints import Scheme
 from skope.schema import VEHICLE_ALONE, checked_categories
 from skope.terminal.console import disk_size
 from skope.train import init_weights, validate
+from skope.train.optimizer import make_sgd, make_weight_ema, placed
 from skope.train.recipe import Recipe
 from skope.train.teacher import Teacher
 
@@ -218,7 +219,7 @@ def start(run: Path, config: RunConfig, fingerprints: Sequence[str], device: tor
         network=recipe.network,
     )
     model = placed(model, recipe, device)
-    sgd, mean = optimizer(model, recipe), running_mean(model, recipe)
+    sgd, mean = make_sgd(model, recipe), make_weight_ema(model, recipe)
     return TrainingState(model, detector_config, sgd, origin, list(fingerprints), 0, 0, {}, [], None, mean)
 
 
@@ -264,8 +265,8 @@ def resume(run: Path, config: RunConfig, fingerprints: Sequence[str], device: to
     if done > config.recipe.epochs:
         raise UserError(f"--epochs {config.recipe.epochs}: the run in {run} has {done} epochs behind it already")
     model = placed(model, config.recipe, device)
-    sgd = optimizer(model, config.recipe)
-    mean = running_mean(model, config.recipe)
+    sgd = make_sgd(model, config.recipe)
+    mean = make_weight_ema(model, config.recipe)
     try:
         sgd.load_state_dict(saved["optimizer"])
         if mean is not None:
@@ -342,36 +343,3 @@ def ensure_best(run: Path, config: RunConfig, training: TrainingState) -> None:
 def _save_weights(path: Path, config: RunConfig, training: TrainingState) -> None:
     metadata = {"run": config.to_dict(), "epoch": training.epochs_done, "origin": training.origin}
     save_weights(path, training.shown, training.config, metadata)
-
-
-def placed(model: KeypointRCNN, recipe: Recipe, device: torch.device) -> KeypointRCNN:
-    """The model on a device, in the recipe's memory layout."""
-    layout = torch.channels_last if recipe.channels_last else torch.contiguous_format
-    return model.to(device=device, memory_format=layout)
-
-
-def running_mean(model: KeypointRCNN, recipe: Recipe) -> AveragedModel | None:
-    """A mean of the model's weights and statistics over the steps to come, which forgets old ones exponentially.
-
-    In the first steps it forgets faster, or the first weights would weigh for long.
-    """
-    decay = recipe.average
-    if decay is None:
-        return None
-
-    def average(mean: Any, now: Any, steps: int | Tensor) -> None:
-        share = min(decay, (1 + int(steps)) / (10 + int(steps)))
-        get_ema_multi_avg_fn(share)(mean, now, steps)  # type: ignore[no-untyped-call]
-
-    return AveragedModel(model, multi_avg_fn=average, use_buffers=True)
-
-
-def optimizer(model: KeypointRCNN, recipe: Recipe) -> torch.optim.SGD:
-    """Stochastic gradient descent on the parameters that learn, in one pass over memory a step."""
-    return torch.optim.SGD(
-        [parameter for parameter in model.parameters() if parameter.requires_grad],
-        lr=recipe.learning_rate,
-        momentum=recipe.momentum,
-        weight_decay=recipe.weight_decay,
-        fused=True,
-    )

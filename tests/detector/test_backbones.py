@@ -15,7 +15,7 @@ from torchvision.models.detection import KeypointRCNN
 from torchvision.models.detection.backbone_utils import resnet_fpn_backbone
 from torchvision.ops import FrozenBatchNorm2d
 
-from skope.detector import activation_ranges
+from skope.detector import int8_ranges
 from skope.detector.backbone_norms import multiply_in
 from skope.detector.backbones import with_pyramid
 from skope.detector.build import DetectorConfig, build
@@ -197,7 +197,7 @@ def test_eight_bits_of_a_mobilenet_find_much_the_same(tmp_path: Path) -> None:
     first, exact = (next(m for m in each.modules() if isinstance(m, nn.Conv2d)) for each in (packed, model))
     assert torch.equal(first.weight, exact.weight.half().float()), "the first convolution keeps 16 bits"
     assert alike(logits(packed), expected) > 0.999
-    found = activation_ranges.read(packed, read)
+    found = int8_ranges.read(packed, read)
     assert found is not None
     eight_bits.convert(packed, found)
     assert 0.95 < alike(logits(packed), expected) < 0.99999
@@ -206,9 +206,9 @@ def test_eight_bits_of_a_mobilenet_find_much_the_same(tmp_path: Path) -> None:
 def ranges(model: KeypointRCNN) -> dict[str, Any]:
     """A checkpoint's metadata with the ranges of a model's layers on the image."""
     model.roi_heads.score_thresh, model.roi_heads.detections_per_img = 0.0, 1
-    with activation_ranges.noted(model) as seen, torch.inference_mode():
+    with int8_ranges.noted(model) as seen, torch.inference_mode():
         model([PIXELS[0]])
-    return activation_ranges.to_metadata(model, seen)
+    return int8_ranges.to_metadata(model, seen)
 
 
 _BY_RUNTIMES = """

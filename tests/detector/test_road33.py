@@ -15,7 +15,7 @@ from skope import boxes, keypoints
 from skope.dataset import coco
 from skope.dataset.folder import PREDICTIONS
 from skope.detections import Detections
-from skope.detector import activation_ranges, weights
+from skope.detector import int8_ranges, weights
 from skope.detector.build import build
 from skope.detector.checkpoint import load_weights, read_checkpoint
 from skope.detector.detect import detect
@@ -67,7 +67,7 @@ def test_it_is_small_enough_to_travel_and_says_where_it_is_from(
     assert header["config"]["keypoint_edition"] == keypoints.EDITION
     assert header["metadata"]["calibrated"]["categories"] == list(CATEGORIES)
     assert hashlib.sha256(file.read_bytes()).hexdigest() in file.with_suffix(".md").read_text()
-    assert activation_ranges.RANGES_KEY in header["metadata"]
+    assert int8_ranges.RANGES_KEY in header["metadata"]
     assert sum(tensor.numel() for tensor in state.values()) > fewest
     assert file.with_suffix(".md").read_text().startswith(f"# {name}\n")
 

@@ -14,7 +14,7 @@ from torchvision.models.detection import KeypointRCNN, keypointrcnn_resnet50_fpn
 from skope import boxes, schema
 from skope.dataset import coco
 from skope.dataset.folder import open_dataset, read_image
-from skope.detector import activation_ranges
+from skope.detector import int8_ranges
 from skope.detector.backbones import BACKBONES
 from skope.detector.build import DetectorConfig, KeypointNetwork, build
 from skope.detector.checkpoint import load_weights, save_weights
@@ -361,7 +361,7 @@ def test_other_forms_have_as_many_classes(
     packed = export(checkpoint, "compact", tmp_path / "a.safetensors", data=data, console=quiet)
     model, config, metadata = load_weights(packed, "cpu")
     assert config.categories == schema.CATEGORIES
-    assert activation_ranges.read(model, metadata) is not None
+    assert int8_ranges.read(model, metadata) is not None
     dataset = open_dataset(data)
     (image,) = dataset.read("train").images
     (found,) = detect(model, [dataset.image(image)], CPU, categories=config.categories)

@@ -19,7 +19,7 @@ import cv2
 import numpy as np
 
 from skope import boxes as box_math
-from skope.eval.assignment import cheapest_pairs
+from skope.eval.least_cost_pairs import cheapest_pairs
 from skope.schema import AnyResult, Image, Result
 from skope.types import Array, Floats32, Pixels
 

@@ -14,7 +14,7 @@ from typing import Final, Self
 
 import numpy as np
 
-from skope.eval.assignment import cheapest_pairs
+from skope.eval.least_cost_pairs import cheapest_pairs
 from skope.eval.tracking import kalman
 from skope.eval.tracking.ground_points import GroundPoint, Sight
 from skope.eval.tracking.ground_track import GroundTrack

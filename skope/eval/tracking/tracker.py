@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from skope import boxes as box_math
-from skope.eval.assignment import cheapest_pairs
+from skope.eval.least_cost_pairs import cheapest_pairs
 from skope.eval.tracking import kalman
 from skope.eval.tracking.detections import Detection, PoseMeasurement
 from skope.eval.tracking.duplicates import encloses, give_up_duplicates, inside

@@ -219,7 +219,7 @@ def video(
     from skope.gen.render.choose_renderer import choose_renderer
     from skope.gen.scene.conditions import ranges
     from skope.gen.scene.package_versions import versions
-    from skope.gen.site_files.site_file import own_site
+    from skope.gen.site_files.generation_site import own_site
 
     chosen, driver, _ = choose_renderer(renderer)
     own = own_site("SITE", site)

@@ -166,7 +166,7 @@ class DatasetOptions:
         from skope.gen.pipeline.config import from_preset
         from skope.gen.render.choose_renderer import choose_renderer
         from skope.gen.scene.conditions import parse_settings
-        from skope.gen.site_files.site_file import own_site
+        from skope.gen.site_files.generation_site import own_site
 
         if self.site is not None and self.sites is not None:
             raise UserError(f"--site: {self.site} is the site already: leave --sites out")

@@ -18,7 +18,7 @@ from skope.gen.scene.conditions import TIMES_OF_DAY, Range, check_settings
 from skope.gen.scene.random_streams import Stream
 from skope.gen.scene.recording import RecordingPlan
 from skope.gen.scene.variation import Variation
-from skope.gen.site_files.site_file import OwnSite
+from skope.gen.site_files.generation_site import OwnSite
 from skope.gen.towns.sites import Site, site, sites
 from skope.gen.traffic.sumo import step_for
 from skope.gen.vehicles.fleet import fleet

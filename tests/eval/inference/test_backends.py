@@ -18,7 +18,7 @@ from torchvision.ops import MultiScaleRoIAlign
 from skope import boxes
 from skope.dataset.folder import read_image
 from skope.detections import Detections
-from skope.detector import activation_ranges, weights
+from skope.detector import int8_ranges, weights
 from skope.detector.checkpoint import find_checkpoint, load_weights
 from skope.detector.detect import detect, detect_on_boxes
 from skope.errors import UserError
@@ -55,9 +55,9 @@ def found(model: KeypointRCNN, pixels: NDArray[np.uint8]) -> Detections:
 def noted(pixels: NDArray[np.uint8]) -> tuple[Detections, dict[str, Any]]:
     """What torch finds, and the ranges of the layers' inputs meanwhile."""
     model = shipped()
-    with activation_ranges.noted(model) as seen:
+    with int8_ranges.noted(model) as seen:
         answer = found(model, pixels)
-    return answer, activation_ranges.to_metadata(model, seen)
+    return answer, int8_ranges.to_metadata(model, seen)
 
 
 @pytest.fixture(scope="module")
@@ -254,13 +254,13 @@ def test_an_old_or_broken_runtime_is_one_line_and_auto_says_so(
         "--backend openvino: openvino 2026.1.0 cannot compute the network (unsupported opset): "
         "pip install 'skope[openvino]'"
     )
-    layers = activation_ranges.rounded_layers(model)
-    ranges = {activation_ranges.RANGES_KEY: {name: [0.0, 1.0] for name in layers}}
+    layers = int8_ranges.rounded_layers(model)
+    ranges = {int8_ranges.RANGES_KEY: {name: [0.0, 1.0] for name in layers}}
     monkeypatch.setattr("skope.eval.inference.backends.prepare.has_bfloat16", lambda _: False)
     said = Said()
     assert prepare(model, ranges, CPU, backend="auto", precision="auto", console=said) == "float32"
     assert said.lines[0].endswith("(unsupported opset): pip install 'skope[openvino]'; torch computes instead")
-    assert activation_ranges.rounded_layers(model) == layers, "no layer rounds any more"
+    assert int8_ranges.rounded_layers(model) == layers, "no layer rounds any more"
     broken.__version__ = "2023.3.0"
     assert "openvino 2023.3.0 is too old, 2025.0 is the oldest that will do" in refusal(model)
     said = Said()
@@ -276,7 +276,7 @@ def test_number_formats_that_are_not_there(model: KeypointRCNN) -> None:
     assert refusal(model, backend="onnx", precision="int8") == "--precision int8: backend onnx has float32"
     assert refusal(model, backend="torch", precision="int8") == "--precision int8: backend torch has bfloat16, float32"
     assert "the checkpoint does not say how large its layers' inputs become" in refusal(model, precision="int8")
-    damaged = {activation_ranges.RANGES_KEY: {"backbone": [0, 1]}}
+    damaged = {int8_ranges.RANGES_KEY: {"backbone": [0, 1]}}
     assert "activation_ranges: expected the least and largest input of each of" in refusal(model, metadata=damaged)
     gpu = torch.device("cuda")
     assert refusal(model, device=gpu) == (

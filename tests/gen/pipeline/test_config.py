@@ -13,7 +13,7 @@ from skope.gen.pipeline.config import DatasetRequest, from_preset
 from skope.gen.pipeline.dataset_store import Store
 from skope.gen.pipeline.presets import presets
 from skope.gen.scene.recording import RecordingPlan
-from skope.gen.site_files.site_file import own_site
+from skope.gen.site_files.generation_site import own_site
 from skope.gen.vehicles.fleet import fleet
 
 EXAMPLE = Path(__file__).parents[3] / "examples" / "own_road"

@@ -9,8 +9,8 @@ from typing import Final
 import torch
 from torch import Tensor, nn
 
-from skope.detector import activation_ranges
-from skope.detector.activation_ranges import Ranges
+from skope.detector import int8_ranges
+from skope.detector.int8_ranges import Ranges
 
 _INPUT_STEPS: Final = 255
 _LARGEST_STEP: Final = 127
@@ -20,7 +20,7 @@ _LEAST_STEP: Final = 1e-12
 
 def convert(model: nn.Module, ranges: Ranges) -> None:
     """Put rounding layers in the place of those that have ranges."""
-    for name, layer in activation_ranges.rounded_layers(model).items():
+    for name, layer in int8_ranges.rounded_layers(model).items():
         parent, _, leaf = name.rpartition(".")
         setattr(model.get_submodule(parent), leaf, _Rounded(layer, *ranges[name]))
 

@@ -6,7 +6,7 @@ from typing import Any
 import torch
 from torchvision.models.detection import KeypointRCNN
 
-from skope.detector import activation_ranges
+from skope.detector import int8_ranges
 from skope.detector.device import has_bfloat16
 from skope.errors import UserError
 from skope.eval.inference import settings
@@ -65,7 +65,7 @@ def prepare(
 
 def _by_runtime(runtime: Runtime, model: KeypointRCNN, metadata: Mapping[str, Any], precision: str) -> str:
     """Hand a model's parts over; it is as before where the runtime fails."""
-    ranges = activation_ranges.read(model, metadata)
+    ranges = int8_ranges.read(model, metadata)
     number = _number_format(precision, runtime, ranged=ranges is not None, device=torch.device("cpu"))
     try:
         if number == "int8" and ranges is not None:

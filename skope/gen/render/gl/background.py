@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skope.gen.cache import Arrays, cached, cached_from_parts, digest_of
-from skope.gen.render.burning_lamps import burning
+from skope.gen.render.lit_street_lights import burning
 from skope.gen.render.daylight import Daylight
 from skope.gen.render.frame import SKY, STATIC
 from skope.gen.render.gl import light as lighting

@@ -5,7 +5,7 @@ from itertools import permutations
 import numpy as np
 import pytest
 
-from skope.eval.assignment import cheapest_pairs
+from skope.eval.least_cost_pairs import cheapest_pairs
 
 
 @pytest.mark.parametrize("seed", range(20))

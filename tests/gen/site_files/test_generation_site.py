@@ -35,7 +35,7 @@ from skope.gen.scene.variation import Variation
 from skope.gen.scenery.build import scenery
 from skope.gen.scenery.markings import crossings, markings
 from skope.gen.simulation.simulate import simulate
-from skope.gen.site_files.site_file import OwnSite, read_site
+from skope.gen.site_files.generation_site import OwnSite, read_site
 from skope.gen.towns import netconvert
 from skope.gen.towns.left_hand_traffic import is_lefthand, mirrored
 from skope.gen.towns.road_graph import RoadGraph, driven

@@ -9,7 +9,7 @@ from torchvision.ops import box_iou
 
 from skope import schema
 from skope.detector.build import DetectorConfig, build
-from skope.train.assignment import assign, iou, sample
+from skope.train.anchor_matching import assign, iou, sample
 from skope.train.losses import LearningRules, detection_losses
 from skope.train.target_batch import IGNORED_KEY, Target, TargetBatch
 
