@@ -8,10 +8,10 @@
 
 `paper` learns from that preset alone, `varied` from both, half of the images each, with all augmentations on
 (recipes/reference.toml): both from random weights. `world` goes on from `varied` with 960 places of that preset, while
-a quarter of the images are still of `paper` with its small vehicles (recipes/world.toml). `road33` goes on from `world` in the
-legs of train_leg.py, with new places in each, by day and night, and bicycles, motorcycles and people; `lite` learns in
-legs of its own. Scores are calibrated on places that were not learnt from. `make reference` does `varied`, `world` and
-`road33`, `make lite` does `lite`.
+a quarter of the images are still of `paper` with its small vehicles (recipes/world.toml). `road33` goes on from `world`
+in the legs of train_leg.py, with new places in each, by day and night, and bicycles, motorcycles and people; `lite`
+learns in legs of its own. Scores are calibrated on places that were not learnt from. `make reference` does `varied`,
+`world` and `road33`, `make lite` does `lite`.
 
 Datasets that are missing under --data are made. Recordings need SUMO and pybullet; where these are not, bring folders
 of `skope gen simulate` (DATASETS has their options), and they are drawn. What is finished is not done again, and what

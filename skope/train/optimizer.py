@@ -1,4 +1,4 @@
-"""What moves a model's weights: stochastic gradient descent, and the moving average of them that is validated and saved."""
+"""What moves a model's weights, stochastic gradient descent, and their moving average, which is validated and saved."""
 
 from typing import Any
 

@@ -115,8 +115,8 @@ def test_a_state_without_room_is_one_line(tmp_path: Path) -> None:
 
 def state() -> object:
     """As much of a training as a saved state has."""
-    from skope.train.recipe import RECIPES
     from skope.train.optimizer import make_sgd
+    from skope.train.recipe import RECIPES
     from skope.train.run_folder import TrainingState
 
     with pytest.MonkeyPatch.context() as patch:

@@ -84,8 +84,8 @@ def _plans(out: Path, console: Console) -> tuple[dict[str, Any], list[str]]:
 
 def _own_road(path: Path, out: Path | None) -> tuple[dict[str, Any], list[str]]:
     """Check a site file and draw its lanes; what it says, as a document and as lines."""
-    from skope.gen.site_files.lane_overlay import overlay
     from skope.gen.site_files.generation_site import read_site
+    from skope.gen.site_files.lane_overlay import overlay
     from skope.gen.towns.road_graph import RoadGraph
     from skope.pictures import draw
 

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skope.camera.model import Camera
-from skope.gen.render.lit_street_lights import burning
 from skope.gen.render.daylight import temperature_color
+from skope.gen.render.lit_street_lights import burning
 from skope.gen.render.traffic_lights import lit_signals
 from skope.gen.render.vehicle_lamps import Lit, lit_lamps
 from skope.gen.scene.conditions import DARK_DEG, Conditions

@@ -80,7 +80,7 @@ def test_a_stream_of_one_frame_and_none() -> None:
 def test_predict_says_how_fast_each_is_and_which_one_looks(skope: Any) -> None:
     with streams.mjpeg(31, 4) as address:
         code, out, err = skope("eval", "predict", address, "--end", "4", "--min-size", "96", "--out", "seen")
-    assert (code, err) == (0, "")
+    assert code == 0, err
     (line,) = [line for line in out.splitlines() if "can be looked at" in line]
     assert all(f"{name} at " in line for name in weights.BY_ACCURACY)
     assert line.startswith("the camera sends ")

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from skope.gen.render.lit_street_lights import burning
 from skope.gen.render.frame import RenderedFrame
+from skope.gen.render.lit_street_lights import burning
 from skope.gen.render.screen_graphics import _GRAPHIC_KINDS
 from skope.gen.render.spray import Spray
 from skope.gen.scene.lamps import LAMPS

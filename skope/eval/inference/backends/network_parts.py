@@ -119,7 +119,9 @@ class _HandedPyramid(PyramidWithProposals):
             out[i : i + _PYRAMID_LEVELS] for i in range(0, 3 * _PYRAMID_LEVELS, _PYRAMID_LEVELS)
         )
         self.proposals = (scores, offsets)
-        return OrderedDict(zip(("0", "1", "2", "3", "pool"), features, strict=True))
+        # As the pooling of regions wants them, which happens up to three times.
+        rows = [one.contiguous(memory_format=torch.channels_last) for one in features]
+        return OrderedDict(zip(("0", "1", "2", "3", "pool"), rows, strict=True))
 
 
 class _HandedBoxHead(nn.Module):

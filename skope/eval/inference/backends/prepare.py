@@ -12,7 +12,8 @@ from skope.errors import UserError
 from skope.eval.inference import settings
 from skope.eval.inference.backends import bfloat16, eight_bits, network_parts
 from skope.eval.inference.backends.runtimes import RUNTIMES, Runtime, UnusableError
-from skope.eval.inference.backends.suppression import suppress_together
+from skope.eval.inference.backends.same_size_images import prepare_images
+from skope.eval.inference.backends.suppression import suppress_best_first, suppress_together
 from skope.terminal.console import Console
 
 _IN_TORCH = ("bfloat16", "float32")
@@ -44,6 +45,9 @@ def prepare(
     Raises:
         UserError: The backend is missing or broken, or has no such number format.
     """
+    prepare_images(model)
+    if device.type == "cpu":
+        suppress_best_first(model)
     name = (settings.FASTEST if device.type == "cpu" else "torch") if backend == "auto" else backend
     if name != "torch":
         if device.type != "cpu":

@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skope.gen.cache import Arrays, cached, cached_from_parts, digest_of
-from skope.gen.render.lit_street_lights import burning
 from skope.gen.render.daylight import Daylight
 from skope.gen.render.frame import SKY, STATIC
 from skope.gen.render.gl import light as lighting
@@ -28,6 +27,7 @@ from skope.gen.render.gl.context import (
 from skope.gen.render.gl.light import SHADOW_MAP_M, Stage, sun_map_size
 from skope.gen.render.gl.street_lights import StreetLights
 from skope.gen.render.gl.water import Plane, plane_of, uniforms_of
+from skope.gen.render.lit_street_lights import burning
 from skope.gen.render.palette import Palette
 from skope.gen.scene.recording import Recording
 from skope.gen.scenery.build import scenery
