@@ -21,7 +21,7 @@ from skope.train.augment import Augment
 from skope.train.sample_loader import Loader
 from skope.train.splits import TrainingSource
 from skope.train.targets import Vehicles
-from skope.train.training_samples import TrainingSet
+from skope.train.training_samples import Draw, TrainingSample, TrainingSet
 from tests import samples
 
 
@@ -42,9 +42,7 @@ def training_set(*roots: Path, seed: int = 0, flip: float = 0.0, supervise: str 
     return TrainingSet([source(root) for root in roots], seed=seed, augment=Augment(flip=flip), supervise=supervise)
 
 
-def loaded(
-    images: TrainingSet, groups: list[list[training_samples.Draw]], workers: int
-) -> list[list[training_samples.TrainingSample]]:
+def loaded(images: TrainingSet, groups: list[list[Draw]], workers: int) -> list[list[TrainingSample]]:
     return list(Loader(images, workers=workers, console=Console(quiet=True)).batches(groups))
 
 
@@ -58,7 +56,7 @@ def test_targets(tmp_path: Path) -> None:
     ]
     root = write(tmp_path, [samples.make_image(1), samples.make_image(2)], vehicles)
     sample = training_set(root)[0, 0, 0]
-    assert isinstance(sample, training_samples.TrainingSample)
+    assert isinstance(sample, TrainingSample)
     assert sample.target["boxes"].tolist() == [[10, 20, 70, 60], [100, 70, 130, 100]]
     assert sample.target["ignored_boxes"].tolist() == [[80, 20, 140, 60]]
     assert sample.target["labels"].tolist() == [1, 1]
@@ -66,10 +64,10 @@ def test_targets(tmp_path: Path) -> None:
     assert sample.pixels.shape == (3, 120, 160)
     assert not sample.target["keypoints"][0, -3:].any(), "hidden points are not learnt"
     everything = training_set(root, supervise="all")[0, 0, 0]
-    assert isinstance(everything, training_samples.TrainingSample)
+    assert isinstance(everything, TrainingSample)
     assert (everything.target["keypoints"][0, -3:, 2] == 1).all()
     empty = training_set(root)[0, 1, 0]
-    assert isinstance(empty, training_samples.TrainingSample)
+    assert isinstance(empty, TrainingSample)
     assert empty.target["boxes"].shape == (0, 4)
     assert empty.target["keypoints"].shape == (0, keypoints.K, 3)
 
@@ -163,7 +161,8 @@ def test_loading_begins_after_this_process_has_used_opencvs_threads(tmp_path: Pa
     """Which a loading process, a fork, does not have: whoever waits for them there waits for ever."""
     samples.make_dataset(tmp_path / "data", images=2, splits=("train",))
     code = (
-        "import cv2, numpy as np; from pathlib import Path; from tests.train.test_training_samples import loaded, training_set\n"
+        "import cv2, numpy as np; from pathlib import Path\n"
+        "from tests.train.test_training_samples import loaded, training_set\n"
         "cv2.setNumThreads(4); cv2.GaussianBlur(np.zeros((3000, 3000, 3), np.uint8), (0, 0), 5)\n"
         "images = training_set(Path('data'))\n"
         "print(sum(map(len, loaded(images, [[(0, 0, 0)], [(0, 1, 0)]], 2))))"
