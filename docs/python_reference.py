@@ -11,7 +11,7 @@ import skope
 from skope.camera.calibrate import SiteCalibration
 from skope.dataset.folder import Dataset, LabelledImage
 from skope.detections import RoadUserDetections
-from skope.eval.pose.fit_camera import CameraEstimate
+from skope.eval.camera_fit.fit_camera import CameraEstimate
 from skope.eval.pose.records import Located
 from skope.eval.pose.solver import Poses
 from skope.eval.tracking.track_list import TrackedVehicle, Tracks

@@ -38,12 +38,12 @@ from skope.dataset.folder import open_dataset
 from skope.detector.checkpoint import find_checkpoint, read_checkpoint
 from skope.detector.device import has_bfloat16
 from skope.terminal.console import Console
-from skope.train import configure, data, distributed, init_weights, losses, optimizer, splits, step
+from skope.train import configure, distributed, init_weights, losses, optimizer, splits, step, training_samples
 from skope.train.distributed import ProcessGroup
 from skope.train.fold_batchnorm import fold_norms
-from skope.train.loading import Loader
 from skope.train.recipe import RECIPES, Recipe, adjusted
 from skope.train.run_folder import TrainingState
+from skope.train.sample_loader import Loader
 
 Batches = Iterable[Any]
 
@@ -213,12 +213,12 @@ def skope(
     training = TrainingState(model, config, optimizer.make_sgd(model, recipe), origin, [], 0, 0, {}, [], None)
     source = splits.read(options.data, exclude_types=(), val_fraction=0.0, max_images=count(options.data))
     source = source.of_categories(config.categories)
-    images = data.TrainingSet([source], seed=0, augment=recipe.augment, supervise=recipe.supervise)
+    images = training_samples.TrainingSet([source], seed=0, augment=recipe.augment, supervise=recipe.supervise)
     groups = [[(0, i, 0) for i in group] for group in order(options, processes)]
     workers = configure.loading_workers(gpu=device.type == "cuda") if options.workers is None else options.workers
     model.train()
 
-    def learn(batch: Sequence[data.TrainingSample]) -> None:
+    def learn(batch: Sequence[training_samples.TrainingSample]) -> None:
         step.train_on_batch(training, batch, recipe, rate=1e-4, images=recipe.batch_size, processes=processes, votes=())
 
     loader = Loader(images, workers=workers, console=Console(), pin=device.type == "cuda")

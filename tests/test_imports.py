@@ -92,9 +92,10 @@ SHARED = (
 )
 """What lies at the top of skope/."""
 EVAL = (
-    {"assignment", "image_shift"},
+    {"least_cost_pairs", "image_shift"},
     {"box_links"},
     {"pose", "report"},
+    {"camera_fit"},
     {"inference"},
     {"tracking", "evaluate", "view"},
     {"site_page"},

@@ -27,11 +27,11 @@ from skope.camera.model import Camera
 from skope.dataset import coco
 from skope.dataset.image_selection import part
 from skope.errors import UserError
+from skope.eval.camera_fit.camera_doubts import sigma_of_ways, why_not
+from skope.eval.camera_fit.camera_unknowns import FOCAL, HEIGHT, PITCH, on_road
+from skope.eval.camera_fit.fit_camera import fit_camera
+from skope.eval.camera_fit.vehicle_sample import sample
 from skope.eval.inference.confirmation import Confirmation
-from skope.eval.pose.camera_doubts import sigma_of_ways, why_not
-from skope.eval.pose.camera_unknowns import FOCAL, HEIGHT, PITCH, on_road
-from skope.eval.pose.fit_camera import fit_camera
-from skope.eval.pose.vehicle_sample import sample
 from skope.eval.pose.views import Scene
 from skope.keypoints import FLIP, OTHER_END
 from skope.schema import AnnotationFile, Result

@@ -32,7 +32,7 @@ from skope.eval.pose.camera_error import with_camera_error
 from skope.eval.pose.camera_motion import MOTION, turned_camera
 from skope.eval.pose.records import locate_view
 from skope.eval.pose.views import Scene, read_scene
-from skope.eval.tracking.detections import detections_of
+from skope.eval.tracking.measurements import detections_of
 from skope.eval.tracking.tracker import follow
 from skope.schema import Annotation, AnnotationFile, Image
 from skope.types import Array

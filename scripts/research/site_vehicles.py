@@ -31,10 +31,10 @@ from skope.camera.evidence import UNEVEN_M, Evidence
 from skope.camera.model import Camera
 from skope.camera.uncertain_camera import UncertainCamera
 from skope.errors import UserError
-from skope.eval.pose.bundle_adjustment import VehicleViews
-from skope.eval.pose.camera_doubts import why_not
-from skope.eval.pose.camera_unknowns import UNKNOWN_NAMES
-from skope.eval.pose.fit_camera import fit_camera
+from skope.eval.camera_fit.bundle_adjustment import VehicleViews
+from skope.eval.camera_fit.camera_doubts import why_not
+from skope.eval.camera_fit.camera_unknowns import UNKNOWN_NAMES
+from skope.eval.camera_fit.fit_camera import fit_camera
 from skope.eval.pose.self_occlusion import facing
 from skope.eval.pose.shape_model import Shapes, fleet_shapes
 from skope.types import Array

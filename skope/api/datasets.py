@@ -13,7 +13,7 @@ from skope.dataset.folder import Dataset
 from skope.errors import UserError, one_of
 
 if TYPE_CHECKING:
-    from skope.train.data import DetectionDataset
+    from skope.train.training_samples import DetectionDataset
 
 
 def open_dataset(path: str | Path) -> Dataset:
@@ -49,7 +49,7 @@ def torch_dataset(path: str | Path, split: str = "train", *, supervise: str = "v
     Raises:
         UserError: There is no such dataset or split.
     """
-    from skope.train.data import DetectionDataset
+    from skope.train.training_samples import DetectionDataset
 
     return DetectionDataset(open_dataset(path), split, supervise)
 

@@ -20,10 +20,10 @@ from skope.schema import AnyResult, Image
 from skope.types import Pixels
 
 if TYPE_CHECKING:
+    from skope.eval.camera_fit.fit_camera import CameraEstimate
     from skope.eval.inference.footage import Footage
     from skope.eval.inference.predict_job import PredictJob
     from skope.eval.inference.predictor import Predictor
-    from skope.eval.pose.fit_camera import CameraEstimate
     from skope.eval.pose.views import Scene
     from skope.eval.tracking.track_list import TrackedVehicle, Tracks
 
@@ -152,7 +152,7 @@ class Video:
 
     @cached_property
     def _tracks(self) -> "Tracks":
-        from skope.eval.pose.fit_ground import with_fitted_ground
+        from skope.eval.camera_fit.fit_ground import with_fitted_ground
         from skope.eval.tracking.track_footage import (
             TrackJob,
             begins_of,
@@ -208,7 +208,7 @@ class Video:
         Raises:
             UserError: The vehicles do not tell the camera, and why; or an argument is out of range.
         """
-        from skope.eval.pose.write_camera import camera_of_vehicles
+        from skope.eval.camera_fit.write_camera import camera_of_vehicles
 
         for name, value, most in (("height_m", height_m, 200.0), ("fov_deg", fov_deg, 170.0)):
             if value is not None:

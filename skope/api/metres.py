@@ -86,7 +86,7 @@ def track(frames: "Iterable[Located]", times_s: Sequence[float]) -> "Tracks":
     Raises:
         ValueError: The times do not rise.
     """
-    from skope.eval.tracking.detections import detections_of
+    from skope.eval.tracking.measurements import detections_of
     from skope.eval.tracking.track_list import Tracks
     from skope.eval.tracking.tracker import follow
     from skope.traffic.observation import Observation

@@ -6,7 +6,7 @@ from typing import Any
 
 from skope.dataset import coco
 from skope.detections import apart
-from skope.metrics.iou_thresholds import IOU_THRESHOLDS
+from skope.metrics.thresholds import COUNTED_SCORE, IOU_THRESHOLDS, PCK_ALPHA
 from skope.schema import AnnotationFile, AnyResult
 
 
@@ -14,8 +14,8 @@ def score(
     predictions: str | Path | Sequence[AnyResult],
     annotations: str | Path | AnnotationFile,
     *,
-    min_score: float = 0.9,
-    alpha: float = 0.1,
+    min_score: float = COUNTED_SCORE,
+    alpha: float = PCK_ALPHA,
     iou: Sequence[float] = IOU_THRESHOLDS,
 ) -> Mapping[str, Any]:
     """Measure detections against a ground truth.

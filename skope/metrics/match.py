@@ -12,7 +12,7 @@ import numpy as np
 from skope import boxes as box_math
 from skope import keypoints
 from skope.errors import UserError, one_of
-from skope.metrics.iou_thresholds import IOU_THRESHOLDS
+from skope.metrics.thresholds import COUNTED_SCORE, IOU_THRESHOLDS
 from skope.schema import Annotation, AnnotationFile, Labelled, Result
 from skope.types import Array, Integers, Mask
 
@@ -70,7 +70,7 @@ def match(
     file: AnnotationFile,
     results: Sequence[Result],
     *,
-    score: float = 0.9,
+    score: float = COUNTED_SCORE,
     boxes: str = "full",
     thresholds: Sequence[float] = IOU_THRESHOLDS,
 ) -> Matches:

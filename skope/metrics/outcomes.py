@@ -9,8 +9,8 @@ import numpy as np
 from skope import keypoints
 from skope.errors import UserError, one_of
 from skope.keypoints import Scheme
-from skope.metrics.iou_thresholds import IOU_THRESHOLDS
 from skope.metrics.match import BOX_KINDS, Matches
+from skope.metrics.thresholds import COUNTED_SCORE, IOU_THRESHOLDS, PCK_ALPHA
 from skope.types import Array, Integers, Mask
 
 PROTOCOLS: Final = ("pooled", "paper")
@@ -22,9 +22,9 @@ LABELLED: Final = ("visible", "all")
 class Options:
     """Rules on what counts as a detection, a labelled keypoint, a predicted one and a correct one."""
 
-    score: float = 0.9
+    score: float = COUNTED_SCORE
     """A detection counts when it scores above this."""
-    alpha: float = 0.1
+    alpha: float = PCK_ALPHA
     """A keypoint is correct within alpha times the longer edge of the ground-truth box."""
     labelled: str = "visible"
     """Keypoints of the ground truth that count, one of `LABELLED`."""

@@ -3,9 +3,9 @@
 from collections.abc import Sequence
 
 from skope.terminal.console import Console, counted
-from skope.train.data import TrainingSet
 from skope.train.run_folder import RunConfig, TrainingState
 from skope.train.splits import TrainingSource
+from skope.train.training_samples import TrainingSet
 
 
 def announce(

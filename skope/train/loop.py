@@ -15,18 +15,18 @@ from skope.errors import UserError
 from skope.files.atomic import write_text
 from skope.schema import CATEGORIES, AnnotationFile
 from skope.terminal.console import Console, counted
-from skope.train import data, distributed, monitor, run_card, run_folder, splits, step, validate
+from skope.train import distributed, monitor, run_card, run_folder, splits, step, training_samples, validate
 from skope.train.announce import announce
-from skope.train.data import Draw, TrainingSample, TrainingSet
 from skope.train.distributed import ProcessGroup
 from skope.train.fold_batchnorm import fold_norms
 from skope.train.interrupt import StopRequest
-from skope.train.loading import Loader
 from skope.train.progress import TrainingProgress, figures_text
 from skope.train.recipe import SMALL_SIZE
 from skope.train.run_folder import RunConfig, TrainingState
+from skope.train.sample_loader import Loader
 from skope.train.splits import TrainingSource
 from skope.train.teacher import Teacher
+from skope.train.training_samples import Draw, TrainingSample, TrainingSet
 
 CHECKPOINT_INTERVAL_S: Final = 60.0
 """Half a gigabyte is written for a checkpoint: not after every epoch when epochs take seconds."""
@@ -234,7 +234,7 @@ class _Run:
 
     def _left(self, epoch: int) -> list[list[Draw]]:
         """The draws of each step that is left of an epoch, of all processes together."""
-        draws = data.order(self.training_set.sizes, self.config.mix, seed=self.config.seed, epoch=epoch)
+        draws = training_samples.order(self.training_set.sizes, self.config.mix, seed=self.config.seed, epoch=epoch)
         size = self.config.recipe.batch_size
         groups = [draws[i : i + size] for i in range(0, len(draws), size)]
         return groups[self.training.steps_done :] if epoch == self.training.epochs_done else groups
@@ -363,7 +363,7 @@ def _explain_out_of_memory(config: RunConfig) -> Iterator[None]:
 
 def _check_first(batch: Sequence[TrainingSample], console: Console) -> None:
     """Keypoint R-CNN can only learn points inside their box: stop when boxes and keypoints do not belong together."""
-    share = data.share_inside(batch)
+    share = training_samples.share_inside(batch)
     if share is None or share >= _LEAST_INSIDE:
         return
     names = ", ".join(sample.name for sample in batch)

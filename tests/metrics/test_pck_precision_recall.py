@@ -5,10 +5,10 @@ import pytest
 
 from skope import keypoints
 from skope.errors import UserError
-from skope.metrics.iou_thresholds import IOU_THRESHOLDS
 from skope.metrics.match import match
 from skope.metrics.outcomes import Options
 from skope.metrics.pck_precision_recall import recall_at_precision, recalls, score_split
+from skope.metrics.thresholds import IOU_THRESHOLDS
 from skope.schema import Annotation, AnnotationFile, Image, Result
 from tests.metrics import brute
 from tests.metrics.cases import as_records, random_case

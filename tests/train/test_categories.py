@@ -23,7 +23,6 @@ from skope.errors import UserError
 from skope.terminal.console import Console
 from skope.train import init_weights, input_moments, loop, splits
 from skope.train.augment import AUGMENT_STEPS, Augment
-from skope.train.data import DetectionDataset, TrainingSet
 from skope.train.export import CATEGORIES_OUTPUT, OUTPUTS, DeployedCategories, export
 from skope.train.loop import Saving
 from skope.train.recipe import Recipe
@@ -31,6 +30,7 @@ from skope.train.run_folder import RunConfig
 from skope.train.target_batch import IGNORED_KEY
 from skope.train.targets import LEAST_INSIDE, Vehicles
 from skope.train.torchvision_code import torchvision_code
+from skope.train.training_samples import DetectionDataset, TrainingSet
 from tests import road_users, samples
 from tests.train.test_init_weights import COCO_FILE
 from tests.train.test_loop import CPU, TINY

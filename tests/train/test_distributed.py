@@ -16,9 +16,9 @@ import torch
 
 from skope.detector.checkpoint import checkpoints
 from skope.train import distributed, step
-from skope.train.data import TrainingSample
 from skope.train.distributed import ProcessGroup
 from skope.train.recipe import RECIPES
+from skope.train.training_samples import TrainingSample
 from tests import samples
 
 SMALL = ("min_size=64", "max_size=96", "regions=8", "keypoint_regions=1", "val_fraction=0.25")

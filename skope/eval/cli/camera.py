@@ -62,8 +62,8 @@ def find_camera(
     out: Annotated[Path, output(metavar=FILE, help="Camera file to write.")] = CAMERA_FILE,
 ) -> None:
     """Calibrate a camera: focal length, height and tilt from vehicles on a level road, or all from marked points."""
-    from skope.eval.pose.camera_from_marks import camera_from_marks
-    from skope.eval.pose.write_camera import from_vehicles, known_length
+    from skope.eval.camera_fit.camera_from_marks import camera_from_marks
+    from skope.eval.camera_fit.write_camera import from_vehicles, known_length
 
     check_probability("--score", score)
     check_pixels("--noise", noise)

@@ -9,7 +9,7 @@ from skope import keypoints
 from skope.detector import weights
 from skope.errors import UserError
 from skope.eval.cli.options import PAPER, PROTOCOL_CHOICES, MachineOptions, counts, data_option, machine, output
-from skope.metrics.iou_thresholds import IOU_THRESHOLDS
+from skope.metrics.thresholds import COUNTED_SCORE, IOU_THRESHOLDS, PCK_ALPHA
 from skope.terminal.command_options import DATA, DIR, FILE, LIST, RUN, separated
 from skope.terminal.console import Console
 
@@ -66,8 +66,10 @@ def evaluate_or_score(
             help="Ground-truth boxes, whole or of visible pixels; given: keypoints on the ground truth's own boxes.",
         ),
     ] = "full",
-    score: Annotated[float, counts(help="A detection counts when it scores above this.")] = 0.9,
-    alpha: Annotated[float, counts(help="A keypoint is correct within this share of the box's longer edge.")] = 0.1,
+    score: Annotated[float, counts(help="A detection counts when it scores above this.")] = COUNTED_SCORE,
+    alpha: Annotated[
+        float, counts(help="A keypoint is correct within this share of the box's longer edge.")
+    ] = PCK_ALPHA,
     iou: Annotated[
         list[str] | None,
         counts(

@@ -105,8 +105,8 @@ class SceneOptions(KeypointOptions):
 
         `noise` are the levels that will be added, of which the first one counts here.
         """
-        from skope.eval.pose.fit_ground import with_fitted_ground
-        from skope.eval.pose.write_camera import doubt
+        from skope.eval.camera_fit.fit_ground import with_fitted_ground
+        from skope.eval.camera_fit.write_camera import doubt
 
         check_probability("--score", self.score)
         check_pixels("--noise", *noise)

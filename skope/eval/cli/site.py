@@ -31,7 +31,7 @@ def site(
 
     Nothing leaves this machine, and nothing is written before you save.
     """
-    from skope.eval.pose.camera_from_marks import image_size
+    from skope.eval.camera_fit.camera_from_marks import image_size
     from skope.eval.site_page.frames import SiteFrames
     from skope.eval.site_page.loaded_files import POINT_FILES, loaded
     from skope.eval.site_page.site_server import serve_site

@@ -48,11 +48,11 @@ def tracked_footage(
         UserError: The site has no camera, the footage cannot be read, or `out` holds other work.
     """
     from skope.dataset.camera_of_file import read_camera
+    from skope.eval.camera_fit.write_camera import write_camera
     from skope.eval.inference.footage import Cut, open_footage
     from skope.eval.inference.predict_footage import predict
     from skope.eval.inference.predict_job import PredictJob, content_of
     from skope.eval.pose.camera_error import camera_info
-    from skope.eval.pose.write_camera import write_camera
     from skope.eval.tracking.track_footage import TrackJob, run
     from skope.traffic.observation import FOOTAGE
 

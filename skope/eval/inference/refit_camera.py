@@ -23,12 +23,12 @@ from skope.camera.model import Camera
 from skope.camera.uncertain_camera import PARAMETERS, UncertainCamera, moved_camera
 from skope.dataset.camera_of_file import read_camera
 from skope.errors import UserError
+from skope.eval.camera_fit.camera_from_marks import evidence_of, place_errors
+from skope.eval.camera_fit.write_camera import write_camera
 from skope.eval.image_shift import FollowedCorners, ImageMotion, ReferencePicture
 from skope.eval.inference.camera_sway import SwayWatch
 from skope.eval.inference.footage import Cut, open_footage
-from skope.eval.pose.camera_from_marks import evidence_of, place_errors
 from skope.eval.pose.camera_motion import covariance_of_turns, turned_camera
-from skope.eval.pose.write_camera import write_camera
 from skope.terminal.console import counted
 from skope.types import Array, Pixels
 

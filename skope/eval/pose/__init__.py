@@ -1,1 +1,1 @@
-"""Position, heading and size of vehicles from their keypoints, and cameras from vehicles."""
+"""Position, heading and size of vehicles from their keypoints."""

@@ -12,7 +12,7 @@ from skope.camera.model import Camera
 from skope.eval.pose.camera_error import camera_errors
 from skope.eval.pose.ground import Ground
 from skope.eval.pose.views import Scene
-from skope.eval.tracking.box_doubles import FOOT, INSIDE, feet, inside_and_apart
+from skope.eval.tracking.duplicate_boxes import FOOT, INSIDE, feet, inside_and_apart
 from skope.schema import Image, RoadUser, RoadUserResult
 from skope.types import Array
 

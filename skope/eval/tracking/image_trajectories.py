@@ -10,7 +10,7 @@ import numpy as np
 from skope.dataset import coco
 from skope.dataset.folder import BEGINS, CHANGES, FRAMES, PREDICTIONS, SIGHT_FIELD
 from skope.errors import UserError
-from skope.eval.tracking.box_doubles import FOOT, INSIDE, inside_and_apart
+from skope.eval.tracking.duplicate_boxes import FOOT, INSIDE, inside_and_apart
 from skope.metrics.read_inputs import read_all_results
 from skope.schema import CATEGORIES, VEHICLE
 from skope.site.traffic_settings import UNKNOWN

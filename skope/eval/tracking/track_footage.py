@@ -17,9 +17,9 @@ from skope.errors import UserError
 from skope.eval.pose.records import locate_view
 from skope.eval.pose.views import Scene
 from skope.eval.tracking import birdseye, birdseye_video, export, overlay
-from skope.eval.tracking.detections import Detection, detection_from_dict, detection_to_dict, detections_of
 from skope.eval.tracking.empty_road import empty_road
 from skope.eval.tracking.ground_points import sights_of
+from skope.eval.tracking.measurements import Detection, detection_from_dict, detection_to_dict, detections_of
 from skope.eval.tracking.road_user_tracks import RoadUserTrack, follow_road_users
 from skope.eval.tracking.track_flags import flagged
 from skope.eval.tracking.tracker import follow

@@ -25,10 +25,10 @@ from scipy.optimize import linear_sum_assignment
 from skope import boxes as box_math
 from skope.eval.least_cost_pairs import cheapest_pairs
 from skope.eval.tracking import kalman
-from skope.eval.tracking.detections import Detection, PoseMeasurement
-from skope.eval.tracking.duplicates import encloses, give_up_duplicates, inside
+from skope.eval.tracking.duplicate_tracks import encloses, give_up_duplicates, inside
 from skope.eval.tracking.image_motion import whereabouts
 from skope.eval.tracking.kalman import GATE
+from skope.eval.tracking.measurements import Detection, PoseMeasurement
 from skope.eval.tracking.tracks import OpenTrack, Sighting, Track, begin, finished
 from skope.types import Array
 

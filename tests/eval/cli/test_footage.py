@@ -24,11 +24,12 @@ from skope.dataset import coco
 from skope.dataset.camera_of_file import read_camera
 from skope.dataset.folder import CHANGES
 from skope.errors import UserError
+from skope.eval.camera_fit import fit_camera
+from skope.eval.camera_fit.bundle_adjustment import VehicleViews
 from skope.eval.inference import stream
 from skope.eval.inference.anonymize import blurred
 from skope.eval.inference.footage import Cut, open_footage
-from skope.eval.pose import fit_camera, pose_errors, pose_footage
-from skope.eval.pose.bundle_adjustment import VehicleViews
+from skope.eval.pose import pose_errors, pose_footage
 from skope.eval.pose.ground import Ground
 from skope.eval.pose.shape_model import fleet_shapes
 from skope.eval.pose.views import Scene, read_scene

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from skope.camera.model import Camera
-from skope.eval.pose.write_camera import write_camera
+from skope.eval.camera_fit.write_camera import write_camera
 from skope.files.json_files import write_json
 from tests.eval.inference import streams
 

@@ -15,8 +15,8 @@ from skope.dataset import coco
 from skope.errors import UserError
 from skope.eval.pose.views import read_scene
 from skope.eval.tracking import kalman, track_footage
-from skope.eval.tracking.detections import Detection, PoseMeasurement, detection_from_dict, detection_to_dict
 from skope.eval.tracking.headings import smoothed_headings
+from skope.eval.tracking.measurements import Detection, PoseMeasurement, detection_from_dict, detection_to_dict
 from skope.eval.tracking.tracker import follow
 from skope.eval.tracking.tracks import Track
 from skope.metrics import read_inputs

@@ -330,7 +330,7 @@ def test_a_step_learns_the_same_from_shards(whole: Path, tmp_path: Path) -> None
     import torch
     from torchvision.models.detection import keypointrcnn_resnet50_fpn
 
-    from skope.train import data, splits
+    from skope.train import splits, training_samples
     from skope.train.augment import Augment
     from skope.train.target_batch import IGNORED_KEY
 
@@ -339,7 +339,7 @@ def test_a_step_learns_the_same_from_shards(whole: Path, tmp_path: Path) -> None
     for root in (whole, tmp_path / "s"):
         source = splits.read(root, exclude_types=(), val_fraction=0.0, max_images=None)
         assert "-1" not in source.fingerprint
-        samples = data.TrainingSet([source], seed=0, augment=Augment(), supervise="all")
+        samples = training_samples.TrainingSet([source], seed=0, augment=Augment(), supervise="all")
         drawn = [samples[(0, position, 0)] for position in range(len(samples))]
         sample = next(one for one in drawn if not isinstance(one, Exception) and len(one.target["boxes"]))
         torch.manual_seed(0)

@@ -16,12 +16,12 @@ from skope.dataset import coco
 from skope.errors import UserError
 from skope.schema import Annotation, AnnotationFile, Image
 from skope.terminal.console import Console
-from skope.train import data, splits
+from skope.train import splits, training_samples
 from skope.train.augment import Augment
-from skope.train.data import TrainingSet
-from skope.train.loading import Loader
+from skope.train.sample_loader import Loader
 from skope.train.splits import TrainingSource
 from skope.train.targets import Vehicles
+from skope.train.training_samples import Draw, TrainingSample, TrainingSet
 from tests import samples
 
 
@@ -42,7 +42,7 @@ def training_set(*roots: Path, seed: int = 0, flip: float = 0.0, supervise: str 
     return TrainingSet([source(root) for root in roots], seed=seed, augment=Augment(flip=flip), supervise=supervise)
 
 
-def loaded(images: TrainingSet, groups: list[list[data.Draw]], workers: int) -> list[list[data.TrainingSample]]:
+def loaded(images: TrainingSet, groups: list[list[Draw]], workers: int) -> list[list[TrainingSample]]:
     return list(Loader(images, workers=workers, console=Console(quiet=True)).batches(groups))
 
 
@@ -56,7 +56,7 @@ def test_targets(tmp_path: Path) -> None:
     ]
     root = write(tmp_path, [samples.make_image(1), samples.make_image(2)], vehicles)
     sample = training_set(root)[0, 0, 0]
-    assert isinstance(sample, data.TrainingSample)
+    assert isinstance(sample, TrainingSample)
     assert sample.target["boxes"].tolist() == [[10, 20, 70, 60], [100, 70, 130, 100]]
     assert sample.target["ignored_boxes"].tolist() == [[80, 20, 140, 60]]
     assert sample.target["labels"].tolist() == [1, 1]
@@ -64,10 +64,10 @@ def test_targets(tmp_path: Path) -> None:
     assert sample.pixels.shape == (3, 120, 160)
     assert not sample.target["keypoints"][0, -3:].any(), "hidden points are not learnt"
     everything = training_set(root, supervise="all")[0, 0, 0]
-    assert isinstance(everything, data.TrainingSample)
+    assert isinstance(everything, TrainingSample)
     assert (everything.target["keypoints"][0, -3:, 2] == 1).all()
     empty = training_set(root)[0, 1, 0]
-    assert isinstance(empty, data.TrainingSample)
+    assert isinstance(empty, TrainingSample)
     assert empty.target["boxes"].shape == (0, 4)
     assert empty.target["keypoints"].shape == (0, keypoints.K, 3)
 
@@ -77,7 +77,7 @@ def test_changes_depend_on_seed_epoch_and_image_alone(tmp_path: Path) -> None:
 
     def seen(seed: int, epoch: int, workers: int = 0) -> list[tuple[str, torch.Tensor]]:
         images = training_set(root, seed=seed, flip=0.5)
-        draws = data.order(images.sizes, None, seed=seed, epoch=epoch)
+        draws = training_samples.order(images.sizes, None, seed=seed, epoch=epoch)
         batches = loaded(images, [draws[:3], draws[3:]], workers)
         return [(sample.name, sample.target["boxes"]) for batch in batches for sample in batch]
 
@@ -92,7 +92,7 @@ def test_changes_depend_on_seed_epoch_and_image_alone(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("sizes", "mix", "counts"), [((4, 12), 0.5, (8, 8)), ((10, 30, 60), 0.4, (40, 20, 40))])
 def test_a_mix_gives_each_dataset_its_share(sizes: tuple[int, ...], mix: float, counts: tuple[int, ...]) -> None:
-    draws = data.order(sizes, mix, seed=0, epoch=3)
+    draws = training_samples.order(sizes, mix, seed=0, epoch=3)
     assert len(set(draws)) == len(draws) == sum(sizes), "no image is drawn twice alike"
     ends = np.cumsum([0, *sizes])
     for low, high, count in zip(ends[:-1], ends[1:], counts, strict=True):
@@ -100,8 +100,8 @@ def test_a_mix_gives_each_dataset_its_share(sizes: tuple[int, ...], mix: float, 
         assert own.sum() == count
         assert own.max() == -(-count // (high - low)), "all come before one comes again"
     assert {epoch for epoch, _, _ in draws} == {3}
-    assert draws != data.order(sizes, mix, seed=0, epoch=4)
-    assert sorted(data.order(sizes, None, seed=0, epoch=0)) == [(0, i, 0) for i in range(sum(sizes))]
+    assert draws != training_samples.order(sizes, mix, seed=0, epoch=4)
+    assert sorted(training_samples.order(sizes, None, seed=0, epoch=0)) == [(0, i, 0) for i in range(sum(sizes))]
 
 
 def test_repeated_images_are_changed_anew(tmp_path: Path) -> None:
@@ -161,7 +161,8 @@ def test_loading_begins_after_this_process_has_used_opencvs_threads(tmp_path: Pa
     """Which a loading process, a fork, does not have: whoever waits for them there waits for ever."""
     samples.make_dataset(tmp_path / "data", images=2, splits=("train",))
     code = (
-        "import cv2, numpy as np; from pathlib import Path; from tests.train.test_data import loaded, training_set\n"
+        "import cv2, numpy as np; from pathlib import Path\n"
+        "from tests.train.test_training_samples import loaded, training_set\n"
         "cv2.setNumThreads(4); cv2.GaussianBlur(np.zeros((3000, 3000, 3), np.uint8), (0, 0), 5)\n"
         "images = training_set(Path('data'))\n"
         "print(sum(map(len, loaded(images, [[(0, 0, 0)], [(0, 1, 0)]], 2))))"
@@ -183,6 +184,6 @@ def test_share_of_keypoints_inside_their_box() -> None:
     points = np.zeros((1, keypoints.K, 3))
     points[0, :4] = [[5, 5, 2], [10, 10, 2], [30, 5, 2], [5, 30, 2]]
     vehicles = Vehicles(np.array([[0, 0, 10.0, 10]]), points, np.zeros((0, 4)))
-    sample = data.to_sample("a", np.zeros((40, 40, 3), np.uint8), vehicles, "visible")
-    assert data.share_inside([sample]) == 0.5
-    assert data.share_inside([]) is None
+    sample = training_samples.to_sample("a", np.zeros((40, 40, 3), np.uint8), vehicles, "visible")
+    assert training_samples.share_inside([sample]) == 0.5
+    assert training_samples.share_inside([]) is None

@@ -19,8 +19,8 @@ from torch.utils.data import DataLoader, Sampler
 
 from skope.errors import UserError
 from skope.terminal.console import Console, disk_size
-from skope.train.data import Draw, TrainingSample, TrainingSet
 from skope.train.interrupt import ignore_signals
+from skope.train.training_samples import Draw, TrainingSample, TrainingSet
 
 Group = Sequence[Draw]
 """Draws that are loaded together."""

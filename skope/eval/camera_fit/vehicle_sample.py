@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from skope import boxes as box_math
 from skope.errors import UserError
 from skope.eval.box_links import LOST_S, BoxLinks
-from skope.eval.pose.bundle_adjustment import VehicleViews
+from skope.eval.camera_fit.bundle_adjustment import VehicleViews
 from skope.eval.pose.observations import LEAST_PROBABILITY
 from skope.eval.pose.views import Scene, View
 from skope.types import Array, Mask

@@ -10,11 +10,11 @@ from typing import Any
 import pytest
 
 from skope.terminal.console import Console
-from skope.train import loading
-from skope.train.data import TrainingSet
-from skope.train.loading import Loader
+from skope.train import sample_loader
+from skope.train.sample_loader import Loader
+from skope.train.training_samples import TrainingSet
 from tests import samples
-from tests.train.test_data import training_set
+from tests.train.test_training_samples import training_set
 
 IMAGE = 160 * 120 * 3
 GROUPS = [[(0, i, 0)] for i in range(6)]
@@ -30,7 +30,7 @@ def room(monkeypatch: pytest.MonkeyPatch) -> Callable[[int], None]:
     """Sets the bytes that are free in shared memory."""
 
     def put(free: int) -> None:
-        monkeypatch.setattr(loading.os, "statvfs", lambda _: SimpleNamespace(f_bavail=free, f_frsize=1))
+        monkeypatch.setattr(sample_loader.os, "statvfs", lambda _: SimpleNamespace(f_bavail=free, f_frsize=1))
 
     return put
 
@@ -76,7 +76,7 @@ def test_several_processes_of_one_machine_share_it(
 
 
 def test_a_system_without_shared_memory_is_not_asked(images: TrainingSet, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(loading, "SHARED_MEMORY", Path("/nowhere/at/all"))
+    monkeypatch.setattr(sample_loader, "SHARED_MEMORY", Path("/nowhere/at/all"))
     loader = Loader(images, workers=1, console=Console(quiet=True))
     assert (loader._fit(1), loader.workers) == (4, 1)
 
@@ -98,8 +98,8 @@ class _Ending(TrainingSet):
 def test_no_sample_is_lost_with_a_process(
     images: TrainingSet, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], how: str
 ) -> None:
-    monkeypatch.setattr(loading, "_LOOK_S", 0.5)
-    monkeypatch.setattr(loading, "_SILENT_S", 2.0)
+    monkeypatch.setattr(sample_loader, "_LOOK_S", 0.5)
+    monkeypatch.setattr(sample_loader, "_SILENT_S", 2.0)
     expected = [batch[0].name for batch in Loader(images, workers=0, console=Console()).batches(GROUPS)]
     images.__class__ = _Ending
     images.how, images.parent = how, os.getpid()  # type: ignore[attr-defined]
@@ -112,7 +112,7 @@ def test_no_sample_is_lost_with_a_process(
 
 
 def test_waiting_for_a_silent_process_can_be_stopped(images: TrainingSet, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(loading, "_LOOK_S", 0.3)
+    monkeypatch.setattr(sample_loader, "_LOOK_S", 0.3)
     images.__class__ = _Ending
     images.how, images.parent = "falls silent", os.getpid()  # type: ignore[attr-defined]
     loader = Loader(images, workers=1, console=Console(quiet=True), stopping=lambda: True)

@@ -15,7 +15,7 @@ from skope.camera.left_out import LeftOutError, left_out_errors
 from skope.camera.point_files import read_points
 from skope.camera.uncertain_camera import UncertainCamera
 from skope.errors import UserError
-from skope.eval.pose.write_camera import camera_figures, write_camera
+from skope.eval.camera_fit.write_camera import camera_figures, write_camera
 from skope.site.site_file import read_site
 from skope.terminal.console import counted
 from skope.types import Array

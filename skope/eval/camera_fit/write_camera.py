@@ -12,13 +12,13 @@ import numpy as np
 from skope.camera.model import Camera
 from skope.dataset.folder import PIXEL_WIDTH
 from skope.errors import UserError
-from skope.eval.pose import fit_camera
-from skope.eval.pose.bundle_adjustment import Known
-from skope.eval.pose.camera_doubts import sigma_of_ways, why_not
-from skope.eval.pose.camera_unknowns import FOCAL, HEIGHT, UNKNOWN_NAMES
-from skope.eval.pose.fit_camera import CameraEstimate
-from skope.eval.pose.known_lengths import KnownLength, corrected
-from skope.eval.pose.vehicle_sample import sample
+from skope.eval.camera_fit import fit_camera
+from skope.eval.camera_fit.bundle_adjustment import Known
+from skope.eval.camera_fit.camera_doubts import sigma_of_ways, why_not
+from skope.eval.camera_fit.camera_unknowns import FOCAL, HEIGHT, UNKNOWN_NAMES
+from skope.eval.camera_fit.fit_camera import CameraEstimate
+from skope.eval.camera_fit.known_lengths import KnownLength, corrected
+from skope.eval.camera_fit.vehicle_sample import sample
 from skope.eval.pose.views import Scene
 from skope.files.output_folders import write_new
 from skope.terminal.console import counted

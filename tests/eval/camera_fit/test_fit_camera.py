@@ -15,13 +15,13 @@ import pytest
 
 from skope.dataset import coco
 from skope.errors import UserError
-from skope.eval.pose.bundle_adjustment import VehicleViews
-from skope.eval.pose.camera_doubts import sigma_of_ways, why_not
-from skope.eval.pose.camera_unknowns import FOCAL, HEIGHT, PITCH, camera_of
-from skope.eval.pose.fit_camera import CameraEstimate, Rival, fit_camera
-from skope.eval.pose.known_lengths import KnownLength, corrected
+from skope.eval.camera_fit.bundle_adjustment import VehicleViews
+from skope.eval.camera_fit.camera_doubts import sigma_of_ways, why_not
+from skope.eval.camera_fit.camera_unknowns import FOCAL, HEIGHT, PITCH, camera_of
+from skope.eval.camera_fit.fit_camera import CameraEstimate, Rival, fit_camera
+from skope.eval.camera_fit.known_lengths import KnownLength, corrected
+from skope.eval.camera_fit.write_camera import known_of
 from skope.eval.pose.shape_model import fleet_shapes
-from skope.eval.pose.write_camera import known_of
 from skope.types import Array
 from tests.eval.cli.test_footage import drive
 

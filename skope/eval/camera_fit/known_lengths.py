@@ -14,8 +14,8 @@ import numpy as np
 
 from skope.camera.derivatives import slopes
 from skope.errors import UserError
-from skope.eval.pose.camera_unknowns import UNKNOWN_STEP, camera_of, on_road
-from skope.eval.pose.fit_camera import CameraEstimate
+from skope.eval.camera_fit.camera_unknowns import UNKNOWN_STEP, camera_of, on_road
+from skope.eval.camera_fit.fit_camera import CameraEstimate
 from skope.types import Array
 
 _MARKED_PX: Final = 1.0

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from skope.eval.pose.normal_equations import Linearised
+from skope.eval.camera_fit.normal_equations import Linearised
 
 
 def test_a_pose_that_is_not_told_gives_finite_steps() -> None:

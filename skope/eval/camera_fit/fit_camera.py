@@ -2,7 +2,7 @@
 
 The right camera is the one under which all vehicles are likely: shapes as vehicles have them, the same in all views of
 a vehicle, wheels on one plane. A grid of cameras is judged by the closed-form starts of `skope.eval.pose.initialize`,
-the best few are adjusted together with their vehicles (`skope.eval.pose.bundle_adjustment`), and how differently
+the best few are adjusted together with their vehicles (`skope.eval.camera_fit.bundle_adjustment`), and how differently
 single vehicles pull tells the uncertainty. What does not hold together is refused.
 Place and direction on the map cannot be known so: the camera hangs over (0, 0) and looks along x.
 """
@@ -15,9 +15,9 @@ from typing import Final
 import numpy as np
 
 from skope.camera.model import Camera
+from skope.eval.camera_fit.bundle_adjustment import START_ROAD, BundleAdjustment, Known, Solved, VehicleViews
+from skope.eval.camera_fit.camera_unknowns import FOCAL, HEIGHT, K1, PITCH, ROLL, camera_of
 from skope.eval.pose import initialize
-from skope.eval.pose.bundle_adjustment import START_ROAD, BundleAdjustment, Known, Solved, VehicleViews
-from skope.eval.pose.camera_unknowns import FOCAL, HEIGHT, K1, PITCH, ROLL, camera_of
 from skope.eval.pose.observations import observe
 from skope.types import Array
 
@@ -58,7 +58,7 @@ class Rival:
     """Another camera that the search has come to."""
 
     unknowns: Array
-    """(5,) as `skope.eval.pose.camera_unknowns.UNKNOWN_NAMES` names them."""
+    """(5,) as `skope.eval.camera_fit.camera_unknowns.UNKNOWN_NAMES` names them."""
     behind: float
     """Twice the log likelihood by which it is less likely."""
 
@@ -71,7 +71,7 @@ class CameraEstimate:
     solved: Solved
     views: VehicleViews
     covariance: Array
-    """(5, 5) of the unknowns that `skope.eval.pose.camera_unknowns.UNKNOWN_NAMES` names."""
+    """(5, 5) of the unknowns that `skope.eval.camera_fit.camera_unknowns.UNKNOWN_NAMES` names."""
     unevenness: float
     """Distance of the views from the road, as `BundleAdjustment.unevenness` says; 0.3 to 0.5 on level ones."""
     rival: Rival | None

@@ -1,7 +1,7 @@
 """Fit the road to the vehicles on it: the plane on which all of them are likely, the camera being known.
 
 Each vehicle by itself, placed by its size alone, gives a rough point of the road; a plane through these starts the
-search, and a bundle adjustment of road and vehicles ends it, as for a camera (`skope.eval.pose.fit_camera`).
+search, and a bundle adjustment of road and vehicles ends it, as for a camera (`skope.eval.camera_fit.fit_camera`).
 """
 
 import math
@@ -13,14 +13,14 @@ import numpy as np
 from skope.camera.model import Camera
 from skope.dataset.image_selection import part
 from skope.errors import UserError
-from skope.eval.pose.bundle_adjustment import BundleAdjustment, Known, Solved, VehicleViews
-from skope.eval.pose.camera_unknowns import FOCAL, HEIGHT, camera_of
+from skope.eval.camera_fit.bundle_adjustment import BundleAdjustment, Known, Solved, VehicleViews
+from skope.eval.camera_fit.camera_unknowns import FOCAL, HEIGHT, camera_of
+from skope.eval.camera_fit.fit_camera import capped
+from skope.eval.camera_fit.vehicle_sample import sample
 from skope.eval.pose.candidates import best_types
-from skope.eval.pose.fit_camera import capped
 from skope.eval.pose.ground import Ground
 from skope.eval.pose.observations import observe
 from skope.eval.pose.solver import levelled, locate
-from skope.eval.pose.vehicle_sample import sample
 from skope.eval.pose.views import Scene
 from skope.files.json_files import json_bytes
 from skope.schema import Image
