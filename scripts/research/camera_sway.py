@@ -116,7 +116,7 @@ def shaken(file: AnnotationFile, pictures: "Pictures", sway_px: float, bump_px: 
     for _ in looks.watch(watch.watch(frames)):
         pass
     rows = [
-        {"image": {"id": one.id, "time_s": time_s}, "motion": motion_to_row(watch.measured[one.id])}
+        {"image": {"id": one.id, "time_s": time_s}, "motion": motion_to_row(watch.taken(one.id))}
         for one, time_s in zip(images, times, strict=True)
     ]
     record = record_of_rows(rows, SIZE[0])

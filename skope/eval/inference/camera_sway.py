@@ -1,6 +1,7 @@
 """Sway of a video's camera, and when it is moved for good: each frame is held against the first one."""
 
 from collections.abc import Iterable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
@@ -8,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skope.eval.image_shift import MOVED_SHARE, ImageMotion, ReferencePicture
-from skope.eval.inference.read_ahead import with_answers
 from skope.eval.inference.view_changes import ViewChange, changes
 from skope.eval.pose.camera_motion import CameraMotion
 from skope.schema import Image
@@ -27,34 +27,35 @@ _FEWEST_FRAMES: Final = 3
 
 
 class SwayWatch:
-    """Measures how far the image of each frame of a video is from the first one's."""
+    """Measures how far the image of each frame of a video is from the first one's, while the caller looks at it."""
 
     def __init__(self, first: Pixels | None = None, threads: int = 1) -> None:
-        """`first`: the footage's first frame, where a run goes on after it; several threads take frames ahead."""
-        self.measured: dict[int, ImageMotion | None] = {}
-        """By the number of the frame; None: cannot be told."""
+        """`first`: the footage's first frame, where a run goes on after it; `threads`: frames measured at a time."""
         self._reference = None if first is None else ReferencePicture(first)
         self._threads = threads
+        self._begun: dict[int, Future[ImageMotion | None]] = {}
+        """By the number of the frame."""
 
     def watch(self, frames: Iterable[tuple[Image, Pixels]]) -> Iterator[tuple[Image, Pixels]]:
-        """The frames as they come; single images, which have no times, are not measured."""
-        for (image, pixels), motion in with_answers(self._with_reference(frames), self._motion, self._threads):
-            if image.time_s is not None:
-                self.measured[image.id] = motion
-            yield image, pixels
+        """The frames as they come; single images, which have no times, are not measured.
 
-    def _with_reference(self, frames: Iterable[tuple[Image, Pixels]]) -> Iterator[tuple[Image, Pixels]]:
-        """The same frames; the first one that has a time is what the others are held against, if nothing is yet."""
-        for image, pixels in frames:
-            if self._reference is None and image.time_s is not None:
-                self._reference = ReferencePicture(pixels)
-            yield image, pixels
+        The first one that has a time is what the others are held against, if nothing is yet.
+        """
+        with ThreadPoolExecutor(self._threads) as pool:
+            for image, pixels in frames:
+                if image.time_s is not None:
+                    self._reference = self._reference or ReferencePicture(pixels)
+                    self._begun[image.id] = pool.submit(self._motion, self._reference, pixels)
+                yield image, pixels
 
-    def _motion(self, frame: tuple[Image, Pixels]) -> ImageMotion | None:
-        image, pixels = frame
-        if image.time_s is None or self._reference is None or pixels.shape[1::-1] != self._reference.size:
-            return None
-        return self._reference.motion(pixels)
+    def taken(self, number: int) -> ImageMotion | None:
+        """The motion of a frame that was watched, by its number, which is then forgotten; None: it cannot be told."""
+        begun = self._begun.pop(number, None)
+        return None if begun is None else begun.result()
+
+    @staticmethod
+    def _motion(reference: ReferencePicture, pixels: Pixels) -> ImageMotion | None:
+        return reference.motion(pixels) if pixels.shape[1::-1] == reference.size else None
 
 
 @dataclass(frozen=True, eq=False)

@@ -154,7 +154,7 @@ class Prediction:
             row = {**coco.image_to_dict(image), **begins}
             entry = {"image": row, "results": list(map(coco.result_to_dict, found))}
             look = looks.taken.pop(image.id, None)
-            motion = motion_to_row(sway.measured.pop(image.id, None))
+            motion = motion_to_row(sway.taken(image.id))
             skipped = list(job.footage.skipped)
             self._progress.add({**entry, "skipped": skipped, "key": key, "look": look, "motion": motion})
             self.images.append(image)

@@ -1,15 +1,12 @@
-"""Make items in a thread, or answers to them in several, while the caller works on those before."""
+"""Make items in a thread while the caller works on those before."""
 
 import contextlib
 import queue
 import threading
-from collections import deque
-from collections.abc import Callable, Generator, Iterable
-from concurrent.futures import Future, ThreadPoolExecutor
+from collections.abc import Generator, Iterable
 from typing import Final, TypeVar
 
 T = TypeVar("T")
-A = TypeVar("A")
 
 _END: Final = object()
 _LOOK_S: Final = 0.1
@@ -50,28 +47,6 @@ def read_ahead(items: Iterable[T], count: int) -> Generator[T]:
     finally:
         unwanted.set()
         thread.join()
-
-
-def with_answers(items: Iterable[T], answer: Callable[[T], A], threads: int) -> Generator[tuple[T, A]]:
-    """Each item with the answer to it, in order.
-
-    Args:
-        items: Taken one after the other, by the caller's thread.
-        answer: Called for each, by several threads at a time.
-        threads: One answers when the caller asks; with more, up to `threads` items are taken before they are asked for.
-    """
-    if threads == 1:
-        yield from ((item, answer(item)) for item in items)
-        return
-    with ThreadPoolExecutor(threads) as pool:
-        begun = deque[tuple[T, Future[A]]]()
-        for item in items:
-            begun.append((item, pool.submit(answer, item)))
-            if len(begun) > threads:
-                first, future = begun.popleft()
-                yield first, future.result()
-        for last, future in begun:
-            yield last, future.result()
 
 
 class _Raised:

@@ -311,7 +311,8 @@ def _frame(source: str, *, at_rest: bool) -> Pixels:
             break
     if not frames:
         raise UserError(f"{source}: {'; '.join(footage.skipped) or 'has no such frame'}")
-    measured = {number: one for number, one in watch.measured.items() if one is not None}
+    motions = {number: watch.taken(number) for number in frames}
+    measured = {number: one for number, one in motions.items() if one is not None}
     if not measured or len(frames) == 1:
         return next(iter(frames.values()))
     places = np.array([(one.x, one.y) for one in measured.values()])

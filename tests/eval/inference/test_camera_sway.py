@@ -2,6 +2,7 @@
 
 import json
 import math
+import threading
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -10,11 +11,12 @@ import cv2
 import numpy as np
 import pytest
 
-from skope.eval.image_shift import ImageMotion
+from skope.eval.image_shift import ImageMotion, ReferencePicture
 from skope.eval.inference.camera_sway import SwayRecord, SwayWatch, motion_to_row, record_of_rows
 from skope.eval.inference.view_changes import Looks, ViewChange
 from skope.eval.pose.camera_motion import CameraMotion
 from skope.schema import Image
+from skope.types import Pixels
 from tests.eval.test_image_shift import SIZE, picture, with_traffic
 
 FPS = 10.0
@@ -46,13 +48,36 @@ def recorded(
     watch, looks = SwayWatch(threads=threads), Looks()
     images = [image for image, _ in looks.watch(watch.watch(iter(frames())))]
     rows = [
-        {"image": {"id": image.id, "time_s": image.time_s}, "motion": motion_to_row(watch.measured[image.id])}
+        {"image": {"id": image.id, "time_s": image.time_s}, "motion": motion_to_row(watch.taken(image.id))}
         for image in images
     ]
     record = record_of_rows(json.loads(json.dumps(rows)), SIZE[0])
     times = {image.id: image.time_s or 0.0 for image in images}
     changes = record.view_changes([(times[number], look) for number, look in looks.taken.items()])
     return record, changes, record.motion(changes)
+
+
+def test_frames_pass_while_they_are_measured(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A frame is not held up, what goes wrong with it is raised where its motion is asked for."""
+    go, pixels = threading.Event(), np.zeros((20, 30, 3), np.uint8)
+
+    def motion(self: ReferencePicture, pixels: Pixels) -> ImageMotion | None:
+        assert go.wait(30)
+        if pixels[0, 0, 0]:
+            raise ValueError("spoilt")
+        return None
+
+    monkeypatch.setattr(ReferencePicture, "motion", motion)
+    watch = SwayWatch()
+    frames = [(Image(id=k, file_name=f"{k}", width=30, height=20, time_s=k / 10), pixels + (k == 2)) for k in (1, 2, 3)]
+    passed = watch.watch(iter(frames))
+    assert [next(passed)[0].id for _ in frames] == [1, 2, 3]
+    go.set()
+    assert watch.taken(1) is None
+    with pytest.raises(ValueError, match="spoilt"):
+        watch.taken(2)
+    assert watch.taken(2) is None, "forgotten"
+    assert list(passed) == []
 
 
 def test_several_threads_measure_the_same() -> None:

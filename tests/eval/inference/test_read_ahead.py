@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from skope.eval.inference.read_ahead import read_ahead, with_answers
+from skope.eval.inference.read_ahead import read_ahead
 
 
 def counting(made: list[int], last: int = 1000) -> Iterator[int]:
@@ -49,36 +49,3 @@ def test_errors_come_where_their_item_would() -> None:
     assert next(items) == 1
     with pytest.raises(OSError, match="gone"):
         next(items)
-
-
-@pytest.mark.parametrize("threads", [1, 3])
-def test_answers_come_in_order_with_their_items(threads: int) -> None:
-    def answer(item: int) -> int:
-        time.sleep(0.01 * (item % 3))
-        return item * item
-
-    assert list(with_answers(counting([], 20), answer, threads)) == [(k, k * k) for k in range(20)]
-
-
-def test_several_threads_answer_at_a_time() -> None:
-    together = threading.Barrier(3, timeout=30)
-
-    def answer(item: int) -> int:
-        together.wait()
-        return item
-
-    assert len(list(with_answers(counting([], 6), answer, 3))) == 6
-
-
-def test_one_thread_takes_nothing_ahead() -> None:
-    made: list[int] = []
-    answers = with_answers(counting(made), str, 1)
-    assert next(answers) == (0, "0")
-    assert made == [0]
-
-
-def test_an_error_of_an_answer_comes_in_its_place() -> None:
-    answers = with_answers(counting([], 9), lambda item: 6 // (3 - item), 2)
-    assert [next(answers) for _ in range(3)] == [(0, 2), (1, 3), (2, 6)]
-    with pytest.raises(ZeroDivisionError):
-        next(answers)
