@@ -222,7 +222,7 @@ def skope(
         step.train_on_batch(training, batch, recipe, rate=1e-4, images=recipe.batch_size, processes=processes, votes=())
 
     loader = Loader(images, workers=workers, console=Console(), pin=device.type == "cuda")
-    return loader.batches(groups), learn, model
+    return loader.batches(groups, max(map(len, groups))), learn, model
 
 
 def count(root: Path) -> int:

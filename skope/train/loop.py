@@ -273,9 +273,9 @@ class _Run:
         """This process's samples of each step; where waiting is interrupted, the state of the run is saved first."""
         epochs = range(self.training.epochs_done, self.config.recipe.epochs)
         try:
-            yield from self.loader.batches(
-                self.processes.share(group) for epoch in epochs for group in self._left(epoch)
-            )
+            shares = (self.processes.share(group) for epoch in epochs for group in self._left(epoch))
+            largest = math.ceil(min(self.config.recipe.batch_size, len(self.training_set)) / self.processes.size)
+            yield from self.loader.batches(shares, largest)
         except KeyboardInterrupt:
             if self.processes.size == 1:  # several would have to agree
                 self._save_within(stopped=False)

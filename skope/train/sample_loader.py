@@ -60,15 +60,15 @@ class Loader:
         self.workers = workers
         self._training_set, self._console, self._pin, self._stopping = training_set, console, pin, stopping
 
-    def batches(self, groups: Iterable[Group]) -> Iterator[list[TrainingSample]]:
-        """The samples of each group of draws, of which the first is the largest.
+    def batches(self, groups: Iterable[Group], largest: int) -> Iterator[list[TrainingSample]]:
+        """The samples of each group of draws, the largest of which has so many.
 
         Groups are asked for as they are wanted, so that there may be those of many epochs: processes go on from one to
         the next. Raises UserError for a mistake in a file.
         """
         left = iter(groups)
         asked = deque(itertools.islice(left, 1))
-        prefetch = self._fit(max(map(len, asked), default=0))
+        prefetch = self._fit(largest)
         while asked:
             try:
                 # Those that were asked for and have not come, where processes were lost, then the others.

@@ -1,8 +1,9 @@
 """Loading processes: as many as shared memory holds, and none lost with a sample."""
 
+import itertools
 import os
 import signal
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -12,7 +13,7 @@ import pytest
 from skope.terminal.console import Console
 from skope.train import sample_loader
 from skope.train.sample_loader import Loader
-from skope.train.training_samples import TrainingSet
+from skope.train.training_samples import Draw, TrainingSet
 from tests import samples
 from tests.train.test_training_samples import training_set
 
@@ -81,6 +82,22 @@ def test_a_system_without_shared_memory_is_not_asked(images: TrainingSet, monkey
     assert (loader._fit(1), loader.workers) == (4, 1)
 
 
+@pytest.mark.parametrize("workers", [0, 1])
+def test_groups_without_end_are_asked_for_as_they_are_wanted(images: TrainingSet, workers: int) -> None:
+    asked: list[int] = []
+
+    def groups() -> Iterator[list[Draw]]:
+        for epoch in itertools.count():
+            asked.append(epoch)
+            yield [(epoch, epoch % 6, 0)]
+
+    batches = Loader(images, workers=workers, console=Console(quiet=True)).batches(groups(), 1)
+    names = [batch[0].name for batch in itertools.islice(batches, 8)]
+    assert names == [*names[:6], *names[:2]]
+    assert len(set(names)) == 6
+    assert 8 <= len(asked) <= 8 + 4 * workers
+
+
 class _Ending(TrainingSet):
     """A training set at one of whose samples the process that loads it ends, or falls silent."""
 
@@ -100,11 +117,11 @@ def test_no_sample_is_lost_with_a_process(
 ) -> None:
     monkeypatch.setattr(sample_loader, "_LOOK_S", 0.5)
     monkeypatch.setattr(sample_loader, "_SILENT_S", 2.0)
-    expected = [batch[0].name for batch in Loader(images, workers=0, console=Console()).batches(GROUPS)]
+    expected = [batch[0].name for batch in Loader(images, workers=0, console=Console()).batches(GROUPS, 1)]
     images.__class__ = _Ending
     images.how, images.parent = how, os.getpid()  # type: ignore[attr-defined]
     loader = Loader(images, workers=2, console=Console(quiet=True))
-    assert [batch[0].name for batch in loader.batches(GROUPS)] == expected
+    assert [batch[0].name for batch in loader.batches(GROUPS, 1)] == expected
     assert loader.workers == 0
     said = capsys.readouterr().err
     assert "warning: processes that load images have " in said
@@ -117,4 +134,4 @@ def test_waiting_for_a_silent_process_can_be_stopped(images: TrainingSet, monkey
     images.how, images.parent = "falls silent", os.getpid()  # type: ignore[attr-defined]
     loader = Loader(images, workers=1, console=Console(quiet=True), stopping=lambda: True)
     with pytest.raises(KeyboardInterrupt):
-        list(loader.batches(GROUPS))
+        list(loader.batches(GROUPS, 1))

@@ -43,7 +43,7 @@ def training_set(*roots: Path, seed: int = 0, flip: float = 0.0, supervise: str 
 
 
 def loaded(images: TrainingSet, groups: list[list[Draw]], workers: int) -> list[list[TrainingSample]]:
-    return list(Loader(images, workers=workers, console=Console(quiet=True)).batches(groups))
+    return list(Loader(images, workers=workers, console=Console(quiet=True)).batches(groups, max(map(len, groups))))
 
 
 def test_targets(tmp_path: Path) -> None:
