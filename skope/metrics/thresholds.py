@@ -1,4 +1,4 @@
-"""From where on a detection, a box and a keypoint count, unless it is said otherwise."""
+"""Limits from which detections, boxes and keypoints count, unless others are asked for."""
 
 from typing import Final
 

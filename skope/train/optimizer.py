@@ -1,4 +1,4 @@
-"""What moves a model's weights, stochastic gradient descent, and their moving average, which is validated and saved."""
+"""Stochastic gradient descent on a model's weights, and their moving average, which is validated and saved."""
 
 from typing import Any
 

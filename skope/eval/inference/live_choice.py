@@ -1,4 +1,4 @@
-"""Which detector looks at a live stream: those that come with skope are timed on its first frame."""
+"""Choice of the detector for a live stream: those that come with skope are timed on its first frame."""
 
 import itertools
 import statistics
@@ -20,7 +20,7 @@ _LOOKS: Final = 3
 
 
 class FrameDetector(Protocol):
-    """What finds vehicles in frames: a `Predictor`, or several of which one is chosen."""
+    """Finder of vehicles in frames: a `Predictor`, or several of which one is chosen."""
 
     @property
     def scheme(self) -> Scheme:
@@ -32,7 +32,7 @@ class FrameDetector(Protocol):
 
     @property
     def name(self) -> str:
-        """What it is called."""
+        """Its name in the package, or its file."""
 
     def each(self, images: Iterator[tuple[Image, Pixels]]) -> Iterator[tuple[Image, list[AnyResult]]]:
         """The results of one image after another, as they come."""
@@ -78,7 +78,7 @@ class LiveChoice:
 
     @property
     def name(self) -> str:
-        """What the detector is called that looks."""
+        """The name of the detector that looks."""
         return self._candidates[0].name
 
     def each(self, images: Iterator[tuple[Image, Pixels]]) -> Iterator[tuple[Image, list[AnyResult]]]:

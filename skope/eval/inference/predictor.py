@@ -117,7 +117,7 @@ class Predictor:
 
     @property
     def name(self) -> str:
-        """What it is called: its name in the package, or its file's path."""
+        """Its name in the package, or its file's path."""
         return self.weights.stem if shipped(self.weights) else str(self.weights)
 
     def reporting(self, min_score: float, *, batch_size: int | None = None) -> "Predictor":

@@ -1,4 +1,4 @@
-"""What images of one size after another need not have worked out again, and images in the order that takes least."""
+"""Images of one size after another: their anchors are worked out once, and they are normalised when they are small."""
 
 from typing import Any
 
