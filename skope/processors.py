@@ -1,4 +1,4 @@
-"""How much of the machine this process may use."""
+"""Share of the machine that this process may use."""
 
 import os
 

@@ -1,4 +1,4 @@
-"""What became of each vehicle of a split: by which detection it was found, and which of its keypoints are right."""
+"""Fate of each vehicle of a split: by which detection it was found, and which of its keypoints are right."""
 
 import math
 from dataclasses import dataclass

@@ -161,7 +161,7 @@ def _part(
 
 
 def _margin(pixels: Pixels, size: tuple[int, int]) -> Pixels:
-    """What lies around a reduced image, (width, height): its own colours, in which nothing can be made out."""
+    """Surroundings of a reduced image, (width, height): its own colours, in which nothing can be made out."""
     height, width = pixels.shape[:2]
     few = (max(1, round(_MARGIN_ROWS * width / height)), _MARGIN_ROWS)
     tiny = cv2.resize(pixels, few, interpolation=cv2.INTER_AREA)
@@ -341,7 +341,7 @@ def _recoded(pixels: Pixels, quality: int) -> Pixels:
 
 
 def _pixels(values: object) -> Pixels:
-    """What OpenCV made of pixels, as uint8: its type stubs promise less."""
+    """OpenCV's answer on pixels, as uint8: its type stubs promise less."""
     return np.asarray(values, dtype=np.uint8)
 
 

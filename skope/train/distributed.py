@@ -14,7 +14,7 @@ from torch import Tensor
 T = TypeVar("T")
 
 _PATIENCE = timedelta(hours=2)
-"""How long processes wait for each other: the first one validates and writes while the others wait."""
+"""Time for which processes wait for each other: the first one validates and writes while the others wait."""
 
 
 @dataclass(frozen=True)

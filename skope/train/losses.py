@@ -44,9 +44,9 @@ class LearningRules:
     """Regions of an image that the second stage learns from, at most a quarter of them vehicles and other road
     users."""
     keypoint_regions: int | None
-    """How many of an image's vehicles enter the keypoint head; None for all."""
+    """Number of an image's vehicles that enter the keypoint head; None for all."""
     ignore_below: float
-    """What has a shorter edge than this inside the network is ignored, pixels."""
+    """Shortest edge inside the network below which a box is ignored, pixels."""
 
 
 def detection_losses(
@@ -264,7 +264,7 @@ def _second_look(
 def _regions(
     heads: RoIHeads, proposals: list[Tensor], batch: TargetBatch, rules: LearningRules
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """What the second stage learns from: boxes (B, S, 4), labels, whose they are, and which are drawn (B, S)."""
+    """Lesson of the second stage: boxes (B, S, 4), labels, whose they are, and which are drawn (B, S)."""
     lengths = to_device([len(each) for each in proposals], batch.boxes.device)[:, None]
     padded = torch.nn.utils.rnn.pad_sequence(proposals, batch_first=True)
     boxes = torch.cat([padded, batch.boxes], dim=1)
@@ -307,7 +307,7 @@ def _keypoint_losses(
 
 
 def _assigned(matcher: Matcher, boxes: Tensor, batch: TargetBatch) -> tuple[Tensor, Tensor]:
-    """What `assign` finds by the thresholds of one of torchvision's matchers."""
+    """The answer of `assign` by the thresholds of one of torchvision's matchers."""
     return assign(
         boxes,
         batch,

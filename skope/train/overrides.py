@@ -14,7 +14,7 @@ from skope.files.reading import read_text
 T = TypeVar("T")
 
 NONE_WORD = "none"
-"""How people write None, for which TOML has no word."""
+"""Ways in which people write None, for which TOML has no word."""
 
 
 def read_toml(path: Path) -> dict[str, Any]:

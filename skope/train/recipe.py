@@ -60,7 +60,7 @@ class Recipe:
     anchors: tuple[int, ...] | None
     """Sides of the network's anchors, one for each of its five levels, pixels; None: those of the first weights."""
     box_passes: int | None
-    """How often the box head looks at what is found, 1 or 2; None: as with the first weights."""
+    """Number of looks of the box head at what is found, 1 or 2; None: as with the first weights."""
     ignore_below: float
     """Vehicles whose box has a shorter edge than this inside the network are neither learnt nor background, pixels."""
     trainable_layers: int
@@ -68,9 +68,9 @@ class Recipe:
     regions: int
     """Regions that the second stage learns from, at most a quarter of them vehicles."""
     keypoint_regions: int | None
-    """How many of these vehicles enter the keypoint head; None for all."""
+    """Number of these vehicles that enter the keypoint head; None for all."""
     supervise: str
-    """Which keypoints are learnt: `visible` (v = 2), or `all` inside the image, hidden ones (v = 1) too."""
+    """Keypoints that are learnt: `visible` (v = 2), or `all` inside the image, hidden ones (v = 1) too."""
     exclude_types: tuple[str, ...]
     """Vehicle types that are neither learnt nor background."""
     val_fraction: float

@@ -120,7 +120,7 @@ class TrainingState:
     config: DetectorConfig
     optimizer: torch.optim.SGD
     origin: str
-    """Where the first weights came from, in words."""
+    """Origin of the first weights, in words."""
     fingerprints: list[str]
     """Digest of each dataset, in their order."""
     epochs_done: int

@@ -12,7 +12,7 @@ from skope.schema import VEHICLE_ALONE, Annotation, Image, Labelled, RoadUser
 from skope.types import Array
 
 LEAST_INSIDE = 0.15
-"""What keeps less than this share of its box in the image becomes ignored, as in the dataset."""
+"""Share of its box in the image below which a vehicle becomes ignored, as in the dataset."""
 
 
 @dataclass(frozen=True)

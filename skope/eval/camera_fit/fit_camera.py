@@ -77,7 +77,7 @@ class CameraEstimate:
     rival: Rival | None
     """The likeliest of other cameras."""
     known: Known
-    """What was known of the camera beforehand."""
+    """Knowledge of the camera from before."""
 
     @property
     def vehicles(self) -> int:

@@ -13,7 +13,7 @@ data_option, counts, output, machine = map(panel, ("Data", "What counts", "Outpu
 
 PAPER = "paper"
 PROTOCOL_CHOICES = ("pooled", PAPER)
-"""How figures of images become one: sums over the split, or the mean of each image's as in the paper."""
+"""Ways in which figures of images become one: sums over the split, or the mean of each image's as in the paper."""
 
 BackendOption = Annotated[
     str,

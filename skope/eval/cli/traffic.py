@@ -109,7 +109,7 @@ def _report(
 
 
 def _options(begins: str | list[str] | None, hand_count: Path | None) -> dict[str, Any]:
-    """What is part of the work besides its files."""
+    """Options that are part of the work besides its files."""
     options: dict[str, Any] = {"begins": begins}
     if hand_count is not None:
         options["hand_count"] = sha256_of(hand_count)
@@ -262,7 +262,7 @@ def _report_in_image(
 def _counted_by_hand(
     path: Path | None, site: "SiteFile", gates: "Sequence[Gate]", start: datetime | None, observation: "Observation"
 ) -> "tuple[HandCount, ...]":
-    """What `--hand-count` names; nothing where it names nothing. Raises UserError naming file, line and column."""
+    """The counts that `--hand-count` names, if any. Raises UserError naming file, line and column."""
     from skope.traffic.clock import local_start
     from skope.traffic.hand_count_file import read_hand_counts
 

@@ -17,7 +17,7 @@ SHIN: Final = 0.245
 SOLE: Final = HIP - THIGH - SHIN
 """From ankle to ground."""
 _HEEL, _TOES = -0.036, 0.105
-"""Where a shoe ends behind and before the ankle, as shares of the body's height."""
+"""Ends of a shoe behind and before the ankle, as shares of the body's height."""
 _SWING: Final = 0.40
 """Largest angle of a walker's thigh from upright, radians."""
 _BEND: Final = 0.95

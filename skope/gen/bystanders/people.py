@@ -43,11 +43,11 @@ class Look:
     helmet: float = 0.0
     """Whether a cyclist wears a helmet: yes above 0.5."""
     load: float = 0.0
-    """What is carried or drawn: number of one of `skope.gen.bystanders.luggage.LUGGAGE_KINDS`."""
+    """The load that is carried or drawn: number of one of `skope.gen.bystanders.luggage.LUGGAGE_KINDS`."""
     passenger: float = 0.0
     """Whether somebody rides along, on a bicycle a child in its seat: yes above 0.5."""
     machine: float = 0.0
-    """What is ridden: number of one of `skope.gen.bystanders.riding.MACHINES`."""
+    """The machine that is ridden: number of one of `skope.gen.bystanders.riding.MACHINES`."""
 
     @classmethod
     def drawn(cls, rng: np.random.Generator) -> "Look":

@@ -24,7 +24,7 @@ from skope.gen.mesh import Mesh, box, lathe, merged, tube
 from skope.types import Array
 
 MACHINES: Final = {"cyclist": ("city bicycle", "racing bicycle"), "motorcyclist": ("roadster", "scooter", "tourer")}
-"""What is ridden, by number (see `Look.machine`)."""
+"""Machines that are ridden, by number (see `Look.machine`)."""
 _CITY, _RACING = range(2)
 _ROADSTER, _SCOOTER, _TOURER = range(3)
 _USUAL: Final = 1.72
@@ -39,12 +39,12 @@ _HIP: Final = np.array([-0.20, 0.0, 0.94])
 _HELMETS: Final = ("#dddddd", "#222233", "#aa2222", "#ddaa33", "#334466")
 _MOTOR_HIP: Final = {_ROADSTER: (-0.20, 0.0, 0.88), _SCOOTER: (-0.24, 0.0, 0.86), _TOURER: (-0.22, 0.0, 0.88)}
 _PEGS: Final = {_ROADSTER: (-0.06, 0.17, 0.36), _SCOOTER: (0.16, 0.12, 0.33), _TOURER: (-0.14, 0.17, 0.38)}
-"""Where the soles are, on the left, by the number of the machine."""
+"""Places of the soles, on the left, by the number of the machine."""
 _SCOOTER_WHEEL, _SCOOTER_AXLES = 0.24, (0.64, -0.62)
 _STANDS: Final = 1.6
 """Speed under which a rider's left foot comes down to the road, m/s."""
 _LEAN: Final = 0.09
-"""How far somebody leans to the left foot who stands, radians."""
+"""Lean to the left foot of somebody who stands, radians."""
 
 
 # ------------------------------------------------------------------------------------------------------------ bicycles
@@ -290,7 +290,7 @@ def standing_lean(speed: float) -> float:
 
 
 def _foot_down(riding_at: Array, ground: Array, speed: float) -> Array:
-    """Where the left ankle is on its way from a pedal or peg to the road: outwards first, then down."""
+    """Places of the left ankle on its way from a pedal or peg to the road: outwards first, then down."""
     share = standing_share(speed)
     # Who leans to the left by an angle has the road higher there.
     lifted = ground + [0.0, 0.0, ground[1] * np.tan(standing_lean(speed))]

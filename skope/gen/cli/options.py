@@ -219,7 +219,7 @@ def _models(text: str | None) -> list[str]:
 
 
 def _digest(model: str) -> str:
-    """What tells a model of the user from another one of its name; nothing for a model of the fleet."""
+    """A mark that tells a model of the user from another one of its name; nothing for a model of the fleet."""
     from skope.gen.vehicles.fleet import fleet
     from skope.gen.vehicles.user_models import load
 

@@ -54,7 +54,7 @@ def list_models(console: Console) -> None:
 
 
 def _notes(entry: "FleetEntry") -> list[str]:
-    """Where a model of the fleet drives, if not everywhere."""
+    """The places where a model of the fleet drives, if not everywhere."""
     notes = {"presets world, conditions": entry.further, "held out for test sites": entry.held_out}
     return [note for note, holds in notes.items() if holds]
 

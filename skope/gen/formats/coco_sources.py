@@ -39,11 +39,11 @@ class AnnotationSource:
     path: str
     """For messages."""
     name: str
-    """What it is called where its images do not say which recording they are of."""
+    """Its name where its images do not say which recording they are of."""
     document: Mapping[str, Any]
     split: str
     image_folders: tuple[str, ...]
-    """Where among the `Files` its images may lie, the likeliest first; each ends in a slash or is empty."""
+    """Places among the `Files` where its images may lie, the likeliest first; each ends in a slash or is empty."""
     licence: str
 
     @property
@@ -125,7 +125,7 @@ def _names(source: Path, files: Files, form: str) -> list[str]:
 
 
 def _image_folders(inside: Sequence[str], stem: str, *, alone: bool) -> tuple[str, ...]:
-    """Where images may lie: of a subset first in its own folder, since others may have images of the same names."""
+    """Places where images may lie: of a subset first its own folder, since others may have images of the same names."""
     own = "/".join(inside)
     bare = foreign_names.bare_stem(stem)
     near = [f"images/{stem}/", f"{stem}/", f"images/{bare}/", f"{bare}/", "", "images/"]
@@ -169,7 +169,7 @@ def _parsed(where: str, content: Path | bytes | None) -> Mapping[str, Any]:
 
 
 def _predictions(folder: Path, split: str | None) -> AnnotationSource:
-    """What `skope eval predict` wrote as a COCO document; keypoints are visible from a probability of 0.5 on."""
+    """Results of `skope eval predict` as a COCO document; keypoints are visible from a probability of 0.5 on."""
     frames = coco.read(folder / FRAMES)
     rows, categories = [], dict.fromkeys(frames.categories)
     for number, result in enumerate(coco.iter_all_results(folder / PREDICTIONS), start=1):

@@ -25,7 +25,7 @@ LICENCE_FILE: Final = "LICENCE.txt"
 """File of every export that holds the dataset's licence."""
 
 SPLIT_NAME: Final = re.compile(r"\w[\w.-]*")
-"""What a split may be called: the name becomes that of its annotation file."""
+"""Names that a split may have: the name becomes that of its annotation file."""
 
 
 def labelled_frame(

@@ -19,7 +19,7 @@ SPLIT_NAMES: Final[Mapping[str, str]] = {
     **dict.fromkeys(("val", "valid", "validation", "valset"), "val"),
     **dict.fromkeys(("test", "testing", "testset"), "test"),
 }
-"""What other programs call splits that have a name here."""
+"""Other programs' names of splits that have a name here."""
 
 _SAYS_NOTHING: Final = frozenset(
     (
@@ -34,9 +34,9 @@ _SAYS_NOTHING: Final = frozenset(
 _BEFORE_SPLIT: Final = re.compile(r"(?:person_keypoints|instances|keypoints|annotations|labels|coco)[_-]")
 _YEAR: Final = re.compile(r"[_-]?(?:19|20)\d\d")
 _COPIED: Final = re.compile(r"_(?:jpe?g|png|bmp|webp)\.rf\.\w+\Z", re.ASCII)
-"""What Roboflow appends to a file's name."""
+"""The ending that Roboflow appends to a file's name."""
 _UPLOADED: Final = re.compile(r"\A[0-9a-f]{8}-(?=.)")
-"""What Label Studio puts before a file's name."""
+"""The prefix that Label Studio puts before a file's name."""
 _NUMBERED: Final = re.compile(r"(.*?)[_ .-]*([0-9]{1,15})")
 _DATED: Final = re.compile(
     r"(.*?)[_ .-]*((?:19|20)\d\d[_.-]?\d\d[_.-]?\d\d[_ T.-]*\d\d[_.h-]?\d\d(?:[_.m-]?\d\d)?)", re.ASCII
@@ -56,7 +56,7 @@ class Place:
     film: tuple[str, str] | None
     """Folder and beginning of the file's name, where several images share it and are numbered: a recording."""
     recording: str | None
-    """What the recording is called; None where the name does not say."""
+    """The recording's name; None where the name does not say."""
     frame: int | None
     """The number at the end of the file's name, of an image of a recording."""
 

@@ -40,7 +40,7 @@ class PictureHeader:
         return (height, width) if self.orientation >= 5 else (width, height)
 
     def shown_points(self, points: Array) -> Array:
-        """Where points (..., 2) of the stored picture, pixels from its corner, lie in the picture as shown."""
+        """Places in the picture as shown of points (..., 2) of the stored one, pixels from its corner."""
         width, height = self.stored
         x, y = points[..., 0], points[..., 1]
         left, up = width - x, height - y

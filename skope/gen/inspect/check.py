@@ -195,7 +195,7 @@ def _image_of_depth(name: str, sums: Mapping[str, str]) -> str | None:
 
 
 def _check_totals(dataset: Dataset, name: str, split: str) -> Iterator[Finding]:
-    """What the reader of annotation files works out itself, and others take from the file."""
+    """Values that the reader of annotation files works out itself, and others take from the file."""
     for image, annotations in rows_of(dataset, split):
         for row in annotations:
             labelled = sum(v > 0 for v in row.get("keypoints", ())[2::3])
@@ -318,7 +318,7 @@ def _check_projection(camera: Camera, annotation: Annotation) -> Iterator[str]:
 
 
 def _gaps(depth: Array, camera: Camera, points: Array) -> Array:
-    """How far points (..., 3) lie behind what the 3 x 3 pixels around them show (9, ...), metres; NaN outside."""
+    """Distances of points (..., 3) behind what the 3 x 3 pixels around them show (9, ...), metres; NaN outside."""
     pixels, _, valid = camera.project(points)
     seen = valid & camera.inside(pixels)
     at = np.floor(np.where(seen[..., None], pixels, 0.0)).astype(int)

@@ -201,7 +201,7 @@ def rows(stats: Mapping[str, SplitStats]) -> list[tuple[str, list[str]]]:
 
 
 def _rows_of(category: str, columns: Sequence[SplitStats]) -> list[tuple[str, list[str]]]:
-    """What is said of a category without keypoints."""
+    """The remark on a category without keypoints."""
     cells: dict[str, Callable[[CategoryStats], str]] = {
         f"{category}s": lambda s: str(s.ground_truth),
         "  ignored": lambda s: str(s.ignored),

@@ -18,7 +18,7 @@ RGB = tuple[int, int, int]
 MAP_LONGER_PX: Final = 1600
 """Pixels of the longer side."""
 VIEW: Final = 60.0
-"""How far view cones are drawn, metres."""
+"""Length to which view cones are drawn, metres."""
 _MAP_FRAME_M: Final = 30.0
 """Width of the ground that is drawn around the network, metres."""
 _GROUND, _WALK, _ROAD_COLORS, _DECK, _ISLAND = (

@@ -27,7 +27,7 @@ _CORNER_BAND: Final = 0.15
 BACK_SHARE: Final = 0.002
 """Share of rays from outside that may meet a triangle's back first."""
 SIZE_M: Final = 0.03
-"""How far a mesh's length and height may be from what the shape says, metres."""
+"""Largest difference of a mesh's length and height from what the shape says, metres."""
 ROD_M: Final = 0.01
 """Half of the width of what counts as a rod on the middle of a roof, metres."""
 GRAZING: Final = 0.1

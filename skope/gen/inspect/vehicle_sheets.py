@@ -31,7 +31,7 @@ VIEWS: Final = {
 _FOV: Final = math.radians(20)
 _SHEET_MARGIN: Final = 1.12
 _BEND: Final = math.radians(25)
-"""How far articulated vehicles are bent in the views of three quarters."""
+"""Bend of articulated vehicles in the views of three quarters."""
 _CAR_COLOR: Final = "red"
 _CONDITIONS: Final = Conditions(
     sun_elevation_deg=50.0,

@@ -23,7 +23,7 @@ _PATCH: Final = 16
 _ORDER_STEPS: Final = 1023
 """Steps that a vehicle's length is cut into where triangles are put in order."""
 _ROUNDING_M: Final = 1e-6
-"""What spheres and boxes are enlarged by, metres: more than rounding errors."""
+"""Enlargement of spheres and boxes, metres: more than rounding errors."""
 
 
 class RayCaster:
@@ -93,7 +93,7 @@ class RayCaster:
 
 
 def _reach(vehicle: Body) -> float:
-    """How far a vehicle's trailer may reach out of a sphere around the vehicle before it, metres."""
+    """Distance by which a vehicle's trailer may reach out of a sphere around the vehicle before it, metres."""
     trailer = vehicle.trailer
     return float(np.abs(trailer.corners).max() + np.linalg.norm(trailer.size_lwh[1:])) if trailer else 0.0
 

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 Kind = tuple[str, str | None, str]
-"""How a label is counted: "ground_truth" or "ignored", a vehicle's type, and the category."""
+"""Kind under which a label is counted: "ground_truth" or "ignored", a vehicle's type, and the category."""
 
 
 def kind_of(iscrowd: int, vehicle_type: str | None, category: str = "vehicle") -> Kind:

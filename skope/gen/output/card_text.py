@@ -95,7 +95,7 @@ def _command(card: Card) -> list[Command]:
 
 
 def _sources(card: Card) -> list[str]:
-    """What a joined dataset was joined from."""
+    """The datasets that a joined one was joined from."""
     return [
         f"{of['name']} ({of['licence']})" + (f": `{of['command']}`" if of.get("command") else "")
         for of in card.get("sources", ())
@@ -132,7 +132,7 @@ def made(card: Card) -> list[str]:
 
 
 def _asked(values: Mapping[str, Any]) -> list[str]:
-    """What was asked for of light and traffic, where it was."""
+    """Light and traffic that were asked for, where they were."""
     said = [
         f"{what} is never another than {' or '.join(names)}, which was asked for."
         for what, names in (("The weather", values.get("weather")), ("The time of day", values.get("time_of_day")))

@@ -56,7 +56,7 @@ class Parameters:
     renderer: str
     """Empty while recordings are made that another machine renders; `driver` likewise."""
     driver: str
-    """What the renderer draws with, as `choose_renderer` names it; pixels are the same on the same driver only."""
+    """Means by which the renderer draws, as `choose_renderer` names it; pixels are the same on the same driver only."""
     rules: Rules
     variation: Variation = field(default_factory=Variation)
     """Things that are drawn for each recording, and their ranges; the card names its fields among these."""
@@ -77,9 +77,9 @@ class Parameters:
     """A user's own site (`--site`), in place of those of the package."""
     encoding: Encoding = field(default_factory=Encoding)
     format: str = "folder"
-    """How the dataset is stored, one of `skope.gen.output.writers.DATASET_FORMATS`."""
+    """Form in which the dataset is stored, one of `skope.gen.output.writers.DATASET_FORMATS`."""
     licence: str = licences.DEFAULT_LICENCE
-    """What the images may be used under, as the card states it."""
+    """Licence of the images, as the card states it."""
     versions: Mapping[str, str] = field(default_factory=versions)
     """Versions of skope and of the libraries that decide bytes."""
 

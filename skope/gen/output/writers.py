@@ -42,7 +42,7 @@ class Labels:
     sha256: Mapping[str, str]
     """Checksums of the frame's files, by their names."""
     tally: Any
-    """What the rules did to the frame's vehicles, for the card's counts."""
+    """Effects of the rules on the frame's vehicles, for the card's counts."""
 
 
 @dataclass(frozen=True)

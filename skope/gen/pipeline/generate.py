@@ -167,7 +167,7 @@ def _render(store: Store, pool: WorkerPool, console: Console) -> None:
 
 
 def spec_of(store: Store) -> RenderJobSpec:
-    """How the frames of a dataset under construction are drawn, labelled and written, from its saved parameters."""
+    """Way in which a dataset under construction has its frames drawn, labelled and written, by its saved parameters."""
     parameters = store.plan.parameters
     return RenderJobSpec(parameters.renderer, parameters.driver, parameters.rules, parameters.encoding)
 

@@ -80,7 +80,7 @@ def varied(planned: Site) -> Site:
 
 
 def _begun(own: Site, seed: int, place: int) -> int:
-    """Which of the lights a site begins with; `place` tells apart those that begin on their own."""
+    """The one of the lights that a site begins with; `place` tells apart those that begin on their own."""
     return int(rng(seed, own.name, place, Stream.ASKED_LIGHT).integers(_TURNS))
 
 

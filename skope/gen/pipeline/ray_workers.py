@@ -19,7 +19,7 @@ from skope.gen.scene.recording import Recording, RecordingInfo, RecordingPlan
 from skope.gen.simulation.simulate import simulate_together
 
 _LOST: Final = 20
-"""How many workers may be lost before the run is given up."""
+"""Number of workers that may be lost before the run is given up."""
 
 
 class Worker:

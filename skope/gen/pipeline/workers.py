@@ -38,7 +38,7 @@ class RenderJobSpec:
     renderer: str
     """"gl" or "pybullet"."""
     driver: str
-    """What the renderer must draw with, or bytes would differ: the name that `choose_renderer` gives."""
+    """The means by which the renderer must draw, or bytes would differ: the name that `choose_renderer` gives."""
     rules: Rules
     encoding: Encoding
 

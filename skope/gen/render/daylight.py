@@ -20,7 +20,7 @@ than true ones too, and after exposure only the ratio of the two shows."""
 _DIM: Final = 0.24
 """Stops by which an automatic exposure leaves a picture darker than by day, for each stop that the scene is darker."""
 _SNOW_DIMS: Final = 1.4
-"""How much brighter than a street an automatic exposure finds one under snow, as a share."""
+"""Share by which an automatic exposure finds a street under snow brighter than another."""
 _FULL_LIGHT: Final = 2.0
 """Irradiance on the ground from which on it does not."""
 

@@ -28,15 +28,15 @@ HAZE_GLARE_M: Final = 2000.0
 _STREET_LIGHT: Final = 0.9
 _SIGNAL: Final = 0.4
 _SMEARED: Final = 6.0
-"""How much of lamps' glare dirty glass spreads far around them, as a factor on its mean there."""
+"""Share of lamps' glare that dirty glass spreads far around them, as a factor on its mean there."""
 _FAR_WIDTHS: Final = 0.06
-"""How far that is, as a share of the image's width."""
+"""That distance, as a share of the image's width."""
 _FULL: Final = 15.0
 """Distance up to which lamps glare at their strongest, metres."""
 _LEAST_GLARE: Final = 0.006
 """Glare that is weaker than this after exposure is not drawn."""
 _SURFACE_SLACK_M: Final = 0.35
-"""How much nearer than a lamp the surface shown there may be without hiding it, metres."""
+"""Distance by which the surface shown there may be nearer than a lamp without hiding it, metres."""
 
 
 class Glare:

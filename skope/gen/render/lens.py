@@ -102,7 +102,7 @@ class Lens:
         )
 
     def _sampled(self, values: NDArray[Any]) -> NDArray[Any]:
-        """What the pinhole's image has at the nearest pixels."""
+        """The pinhole's image at the nearest pixels."""
         return np.asarray(cv2.remap(values, self._nearest, _WHOLE_PIXELS, cv2.INTER_NEAREST))
 
     def _bend_silhouette(self, silhouette: Silhouette) -> Silhouette:

@@ -9,7 +9,7 @@ from skope.types import Array
 _STRETCH_M: Final = 55.0
 """Lamps this near to each other mostly fail together, as those on one cable do."""
 _SHARED_LUCK: Final = 0.65
-"""How much of a lamp's luck it shares with its stretch."""
+"""Share of a lamp's luck that it has in common with its stretch."""
 
 
 def burning(lamps: Array, share: float) -> Array:

@@ -35,7 +35,7 @@ class Pattern:
     size_m: float
     """Size of a check, a stripe or a spot, metres."""
     turn: float
-    """How it is turned, in turns, at least 0 and less than 1."""
+    """Its turn, in turns, at least 0 and less than 1."""
 
 
 @dataclass(frozen=True, eq=False)

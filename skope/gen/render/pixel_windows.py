@@ -24,7 +24,7 @@ TILE: Final = 8
 _STICKS_OUT: Final = 1.0
 """No part of a vehicle, be it a mirror or a sign, is farther outside the box of its dimensions than this, metres."""
 CONTACT: Final = 1.8
-"""How far around itself a vehicle takes sky from the road, metres."""
+"""Distance around itself within which a vehicle takes sky from the road, metres."""
 
 
 def window_of(hull: Array, camera: Camera) -> Window | None:

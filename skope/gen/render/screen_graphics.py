@@ -59,7 +59,7 @@ def _word(rng: np.random.Generator, least: int, most: int) -> str:
 
 
 def _corner(shape: tuple[int, ...], size: tuple[int, int], rng: np.random.Generator) -> tuple[int, int]:
-    """Where something of a size (width, height) begins that stands near a corner or an edge."""
+    """The corner of something of a size (width, height) that stands near a corner or an edge."""
     height, width = shape[:2]
     free_x, free_y = max(width - size[0], 0), max(height - size[1], 0)
     x = rng.choice([rng.uniform(0.01, 0.06), rng.uniform(0.94, 0.99), rng.uniform(0.2, 0.8)]) * free_x

@@ -32,7 +32,7 @@ _PUFF_SPACING: Final = 0.6
 _SPRAY_BRIGHTNESS: Final = 0.82
 """Brightness of spray, as a share of the picture's bright parts."""
 _MOTTLED: Final = 0.55
-"""How far the density varies within a plume, as a share."""
+"""Variation of the density within a plume, as a share."""
 _TILE: Final = 128
 """Size of the pattern that mottles plumes, cells."""
 

@@ -297,7 +297,7 @@ class TinyRenderer:
         clean: NDArray[np.float32],
         ids: NDArray[np.int32],
     ) -> float:
-        """How far the visible pixels of vehicle i are from what would be there without it."""
+        """Distance of the visible pixels of vehicle i from what would be there without it."""
         layer = layers[i]
         place = layer.within(self._image) if layer else None
         if layer is None or place is None:

@@ -14,7 +14,7 @@ from skope.pictures.draw import SUBPIXEL_BITS
 from skope.types import Array
 
 _LAMP: Final = {"r": 0, "u": 0, "y": 1, "g": 2, "s": 2}
-"""Which lamp each of SUMO's states lights; the others light none."""
+"""The lamp that each of SUMO's states lights; the others light none."""
 _LAMP_COLORS: Final = ((235, 40, 30), (250, 190, 40), (40, 220, 110))
 _RADIUS: Final = 0.1
 

@@ -25,7 +25,7 @@ CAMERA_LIMITS: Final[Mapping[str, Range]] = {
     "yaw_by_deg": (-180.0, 180.0),
     "roll_by_deg": (-45.0, 45.0),
 }
-"""What a camera can be drawn by: in place of the site's (height over the road), or added to the site's (`zoom_by` is a
+"""Ranges that a camera can be drawn by: in place of the site's (height over the road), or added to it (`zoom_by` is a
 factor on the focal length)."""
 _TRIES: Final = 500
 """Cameras that are drawn until one sees enough road."""

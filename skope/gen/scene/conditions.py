@@ -72,7 +72,7 @@ class Conditions:
     contrast: float = 1.0
     """Factor on differences from middle grey."""
     black_level: float = 0.0
-    """What the picture shows where no light falls, of 255."""
+    """Value of the picture where no light falls, of 255."""
     saturation: float = 1.0
     """Factor on the strength of colours."""
     sharpening: float = 0.0

@@ -18,7 +18,7 @@ class Stream(Enum):
     CROWDS = auto()
     """Pedestrians who are labelled, in place of `PEDESTRIANS`."""
     RIDERS = auto()
-    """How many of those who drive by ride on two wheels, where riders are labelled."""
+    """Share of those driving by who ride on two wheels, where riders are labelled."""
     TRAFFIC_SHARE = auto()
     """Traffic of a recording, as a share of its site's."""
     HEAVY_SHARE = auto()
@@ -27,7 +27,7 @@ class Stream(Enum):
     CONDITIONS = auto()
     """Weather, light, lens and sensor."""
     ASKED_LIGHT = auto()
-    """Which of the weathers and hours that were asked for a site begins with."""
+    """The one of the weathers and hours that were asked for with which a site begins."""
     CAMERA = auto()
     """Pose of the camera, where it is not the site's own."""
     VARIANT = auto()
@@ -44,7 +44,7 @@ class Stream(Enum):
     ROAD_USER = auto()
     """The shape of a vehicle or the look of a rider; takes the CRC-32 of the name."""
     RAIN = auto()
-    """How the wind slants the rain of a recording."""
+    """Slant of a recording's rain by the wind."""
     RAIN_IN_FRAME = auto()
     """Takes the frame."""
     DROPS_ON_GLASS = auto()

@@ -55,7 +55,7 @@ class RecordingPlan:
 
     site: Site
     index: int
-    """Which of the site's recordings it is, from 0."""
+    """Its number among the site's recordings, from 0."""
     frames: int
     interval: float
     """Seconds between frames, a multiple of 0.005."""
@@ -161,7 +161,7 @@ class Moment:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Recording:
-    """What happened before one camera: F frames, with R rows of a road user in a frame each."""
+    """The events before one camera: F frames, with R rows of a road user in a frame each."""
 
     town: Town
     site: str

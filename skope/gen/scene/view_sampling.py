@@ -80,7 +80,7 @@ class ViewSampler:
         self._tested = tested_road(town, self._lanes)
         self._starts, self._headings = self._roadside()
         self._open = graph.road.buffer(_FRONTS)
-        """Where no house stands."""
+        """Places where no house stands."""
         for region in (graph.road, self._open):
             shapely.prepare(region)
 
@@ -248,7 +248,7 @@ def _apparent_height(eye: Array, places: Array) -> Array:
 
 
 def tested_road(town: Town, lanes: Array) -> NDArray[np.bool_]:
-    """Which of the points (N, 3) on a town's lanes the cameras of its test sites look at."""
+    """Mask of those of the points (N, 3) on a town's lanes that the cameras of its test sites look at."""
     out = np.zeros(len(lanes), dtype=bool)
     for site in sites_of(Town(town.name, town.road)):
         if site.split != "train":

@@ -80,7 +80,7 @@ def distractors(
 
 @dataclass(frozen=True, eq=False)
 class _View:
-    """What a camera sees of the plane, as far as its mast tells."""
+    """The part of the plane that a camera sees, as far as its mast tells."""
 
     place: Array
     """(2,) where it hangs."""
@@ -117,7 +117,7 @@ def _mast_at(site: Site) -> Mast:
 
 
 class _Room:
-    """Where things may stand or hang."""
+    """Places where things may stand or hang."""
 
     def __init__(self, layout: Layout, blocked: Any, standing: Mesh) -> None:
         self._layout = layout
@@ -206,7 +206,7 @@ class _Wall:
     """Direction along it, radians; it looks to the left of that."""
     width: float
     out: float
-    """How far parts of the building stand out from it, metres."""
+    """Distance by which parts of the building stand out from it, metres."""
 
 
 class _Walls:

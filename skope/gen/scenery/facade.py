@@ -10,11 +10,11 @@ from skope.gen.scenery.quads import Solid
 from skope.types import Array
 
 REVEAL: Final = 0.12
-"""How deep windows lie in the wall, metres."""
+"""Depth of windows in the wall, metres."""
 DOOR: Final = (1.0, 2.15)
 FRAME: Final = 0.06
 PROUD: Final = 0.03
-"""How far before the wall lies what is drawn on it, metres."""
+"""Distance from the wall of what is drawn on it, metres."""
 
 
 @dataclass(frozen=True, kw_only=True)

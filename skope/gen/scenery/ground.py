@@ -25,7 +25,7 @@ from skope.gen.towns.terrain import COARSEST
 from skope.types import Array
 
 MARGIN: Final = 320.0
-"""How far the ground goes beyond the network, metres."""
+"""Distance by which the ground goes beyond the network, metres."""
 GUTTER: Final = 0.32
 
 

@@ -182,7 +182,7 @@ def _zebra(graph: RoadGraph, edge: Any) -> list[tuple[Polygon, bool]]:
 
 
 def _chord(road: Any, middle: Array, across: Array) -> tuple[float, float] | None:
-    """How far the road reaches to both sides of a place on it, along a direction, metres; None beside it."""
+    """Reach of the road to both sides of a place on it, along a direction, metres; None beside it."""
     chord = road.intersection(LineString([middle - 32 * across, middle + 32 * across]))
     pieces = [piece for piece in getattr(chord, "geoms", [chord]) if piece.distance(shapely.Point(middle)) < 0.1]
     if not pieces:

@@ -11,7 +11,7 @@ from skope.gen.mesh import Mesh, merged, quads
 from skope.types import Array
 
 BELOW: Final = -0.4
-"""How deep things that stand on the ground reach into it, metres."""
+"""Depth to which things that stand on the ground reach into it, metres."""
 TOWARDS_ROAD: Final = ((-1.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, 1.0, 0.0))
 """Axes of a panel whose front looks to +y."""
 _FACES: Final = {

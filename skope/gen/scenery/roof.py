@@ -7,7 +7,7 @@ import numpy as np
 from skope.gen.scenery.quads import Solid
 
 OVERHANG: Final = 0.35
-"""How far eaves stand out over the walls, metres."""
+"""Distance by which eaves stand out over the walls, metres."""
 THICKNESS: Final = 0.14
 
 

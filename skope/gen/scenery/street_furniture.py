@@ -310,4 +310,4 @@ _SIDEWALK_OBJECTS: Final[Mapping[str, tuple[Callable[[], Mesh], bool]]] = {
     "planter": (planter, True),
     "news_rack": (news_rack, False),
 }
-"""What a town's style may put on its sidewalks, and whether it stands at the kerb."""
+"""Things that a town's style may put on its sidewalks, and whether they stand at the kerb."""

@@ -28,7 +28,7 @@ TREE_VIEW_M: Final = 32.0
 WIDE: Final = 2.6
 """Radius from which a crown is made of more clumps, metres."""
 CROWN: Final = 4.0
-"""How far crowns reach at most, metres."""
+"""Largest reach of crowns, metres."""
 
 
 @dataclass(frozen=True, kw_only=True)

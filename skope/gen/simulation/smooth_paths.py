@@ -49,7 +49,7 @@ class Driven(NamedTuple):
     lamps: int
     """Lamps that are lit, as bits of `skope.gen.scene.lamps.LAMPS`."""
     trailer: DrivenTrailer | None = None
-    """Where the trailer of an articulated vehicle is."""
+    """Place of an articulated vehicle's trailer."""
 
 
 @dataclass

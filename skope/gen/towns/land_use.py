@@ -158,7 +158,7 @@ def _mirrored_site(site: Site) -> Site:
 
 
 def _sightlines(site: Site, road: Region, reach: float) -> Region:
-    """What lies between a camera and the road that it sees within `reach` metres."""
+    """The ground between a camera and the road that it sees within `reach` metres."""
     eye = np.array(site.position[:2])
     angles = np.radians(site.yaw_deg + np.linspace(-HALF_VIEW_DEG, HALF_VIEW_DEG, 17))
     view = Polygon([eye, *(eye + reach * np.stack([np.cos(angles), np.sin(angles)], axis=1))])

@@ -180,7 +180,7 @@ def _reflect(places: ArrayLike, mirrored: bool) -> Array:
 
 
 def _carriageway(edges: Sequence[Any], nodes: Sequence[Any]) -> Region:
-    """What the lanes of edges and the junctions at nodes cover."""
+    """The area that the lanes of edges and the junctions at nodes cover."""
     parts = [Polygon(node.getShape()) for node in nodes if len(node.getShape()) > 2]
     for edge in edges:
         parts += [LineString(lane.getShape()).buffer(lane.getWidth() / 2, cap_style="flat") for lane in driven(edge)]

@@ -76,9 +76,9 @@ _PLANTS: Final[Mapping[str, tuple[str, float]]] = {
     "hedge": ("leaves", 0.72),
     "woods": ("leaves", 0.75),
 }
-"""Which of a kind's ranges a material takes its colour from, and how much lighter it is."""
+"""The one of a kind's ranges that a material takes its colour from, and how much lighter it is."""
 _SPREAD_DEG: Final = 6.0
-"""How far the hues of materials with one range are from each other, degrees."""
+"""Distance of the hues of materials with one range from each other, degrees."""
 
 
 def drawn_season(rng: np.random.Generator) -> Season:

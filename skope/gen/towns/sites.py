@@ -23,9 +23,9 @@ class Site:
     town: Town
     split: str
     mounting: str
-    """What the camera hangs on; the town's `sites.toml` names the source."""
+    """The object that the camera hangs on; the town's `sites.toml` names the source."""
     sees: str
-    """What traffic the camera looks at, in words."""
+    """The traffic that the camera looks at, in words."""
     position: tuple[float, float, float]
     """World x, y and z of the camera, metres."""
     yaw_deg: float

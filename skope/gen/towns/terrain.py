@@ -120,7 +120,7 @@ class GroundSurface:
 
     @cached_property
     def _reach(self) -> float:
-        """How far from a lane its banks end, metres."""
+        """Distance from a lane at which its banks end, metres."""
         points = self._shaping.points
         highest = np.abs(points[:, 2] - self.natural(points[:, :2])).max()
         return self._shaping.beside + (float(highest) + 1.0) / self._style.slope

@@ -29,15 +29,15 @@ class Variant:
     """Scenery grown anew along the roads of a town of the package: another place with the same network."""
 
     seed: int
-    """What houses, trees, furniture and colours are drawn by; 0 for a town's own style."""
+    """Seed by which houses, trees, furniture and colours are drawn; 0 for a town's own style."""
     masts: tuple[Mast, ...] = ()
     """Cameras whose views are kept clear, in place of those of the town's sites."""
     distractors: int = 0
     """Number of things around the masts that resemble vehicles or parts of them and are none."""
     season: int = 0
-    """What the colours of plants and the bare trees are drawn by; 0 for the usual summer."""
+    """Seed by which the colours of plants and the bare trees are drawn; 0 for the usual summer."""
     randomised: int = 0
-    """What the colours and patterns of ground and walls are drawn by; 0 for those of the materials."""
+    """Seed by which the colours and patterns of ground and walls are drawn; 0 for those of the materials."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class Town:
     road: OwnRoad | None = field(default=None, compare=False, repr=False)
     """The user's own road; None for the towns of the package."""
     variant: Variant | None = None
-    """How its scenery differs from that of the package; None where it does not."""
+    """Differences of its scenery from that of the package; None where there are none."""
 
     @classmethod
     def of(cls, road: OwnRoad) -> "Town":

@@ -20,7 +20,7 @@ class Road:
     """Features of all edges of one SUMO edge type."""
 
     form: Literal["ground", "walled", "bridge"] = "ground"
-    """How the road lies: on the ground or a bank; between retaining walls; on a deck over another road."""
+    """Lie of the road: on the ground or a bank; between retaining walls; on a deck over another road."""
     sidewalk: float = 0.0
     """Width of the sidewalk, metres; 0 for none."""
     shoulder: float = 0.0
@@ -111,7 +111,7 @@ class Planting:
     """Distance from the kerb, metres."""
     chance: float
     wander: float = 0.25
-    """How far from their places trees stand, as a share of the offset."""
+    """Distance of trees from their places, as a share of the offset."""
     roads: tuple[str, ...] = ()
     """SUMO edge types of the roads; empty for all roads on the ground."""
 

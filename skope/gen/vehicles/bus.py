@@ -18,7 +18,7 @@ from skope.types import Array
 _FLAT = 0.03
 """Radius of the corners of an end at the bellows, metres."""
 _BELLOWS_OVERLAP = 0.5
-"""How far each half of the bellows reaches beyond the hinge, into the other half: they close up to 45 degrees."""
+"""Reach of each half of the bellows beyond the hinge, into the other half: they close up to 45 degrees."""
 _FOLDS = 7
 
 _BUMPER_LIP = 0.07

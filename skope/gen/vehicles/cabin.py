@@ -27,7 +27,7 @@ _CROWN: Final = 0.052
 """Height of the roof's spine over its edge, metres."""
 _SCREEN_HIGH: Final = 0.985
 _SUNK: Final = 0.012
-"""How far the foot of the pillars stands in the lower body."""
+"""Depth of the pillars' foot in the lower body."""
 
 
 class Greenhouse:

@@ -13,7 +13,7 @@ from skope.types import Array
 _BED_GAP_M: Final = 0.07
 """Gap between cabin and hardtop at the bed's edge, metres."""
 _ABOVE: Final = 0.005
-"""How far the hardtop's foot stands over the bed's edge, metres."""
+"""Height of the hardtop's foot over the bed's edge, metres."""
 
 
 def canopy(s: Shape) -> tuple[Mesh, dict[str, Array]]:

@@ -59,12 +59,12 @@ _PROFILE: Final = np.array(
     ]
 )
 _SOFT: Final = np.array([0, 0, 0, -0.012, -0.018, -0.02, -0.014, 0.006, -0.004, 0, 0, 0])
-"""What the side of a body without a shoulder line stands in more than `_PROFILE` says."""
+"""Distance by which the side of a body without a shoulder line stands in more than `_PROFILE` says."""
 _DECK_RIM_ROWS, _PIT, _OUTER, _INNER = 2.1, 2.2, 2.4, 2.6
 """Rows of the deck around a bed or the cabin, and of the hood's creases."""
 _CROWN: Final = 0.035
 _CAB_END: Final = 0.06
-"""How far a cab without the rest of its body reaches behind its rear window, metres."""
+"""Reach of a cab without the rest of its body behind its rear window, metres."""
 
 
 class CarBody:
@@ -142,7 +142,7 @@ class CarBody:
         return np.asarray(z + self._deck_rise(x, half, np.clip(y / np.maximum(half, 1e-9), 0, 1)))
 
     def _deck_rise(self, x: Array, half: Array, share: Array) -> Array:
-        """How much higher the deck is than at its edges, at a share of its half width: its crown, the hood's dome."""
+        """Height of the deck over its edges, at a share of its half width: its crown, the hood's dome."""
         s = self.shape
         crown = _CROWN * (1 - share**2) * (half / self._deck_edge[:, 1].max()) ** 1.5
         ahead = np.clip((x - s.cowl_x + 0.1) / 0.25, 0, 1) * np.clip((s.length / 2 - s.nose_round - x) / 0.3, 0, 1)
@@ -293,7 +293,7 @@ class CarBody:
         }
 
     def _draw_tones(self) -> None:
-        """What is dark or bright below: the bumpers, the sills' edge."""
+        """Dark and bright parts below: the bumpers, the sills' edge."""
         s, lower, style = self.shape, self._lower, self.style
         reach = ARCH_RADIUS_WHEELS * s.wheel_radius
         ahead, behind = self.w_of(s.front_axle_x + reach), self.w_of(s.rear_axle_x - reach)

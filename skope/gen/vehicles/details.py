@@ -169,7 +169,7 @@ class _Rare(NamedTuple):
 
     options: slice
     factor: float
-    """What their share is multiplied by on other vehicles."""
+    """Factor on their share on other vehicles."""
     usual: Callable[[VehicleStyle, str], bool]
 
 

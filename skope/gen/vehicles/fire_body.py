@@ -13,7 +13,7 @@ from skope.gen.vehicles.parts import arch_lip
 from skope.gen.vehicles.upright_shells import Tower, arch
 
 _LADDER: Final = 0.3
-"""How far the ladder stands over the roof, metres."""
+"""Height of the ladder over the roof, metres."""
 
 
 def fire_body(space: CargoSpace) -> Cargo:

@@ -235,4 +235,4 @@ PLATFORM_LOADS: Final[dict[str, tuple[float, Callable[..., list[Mesh]]]]] = {
     "machine": (0.12, _machine),
     "tarpaulin": (0.12, _tarpaulin),
 }
-"""How often a load lies on a platform, and what makes it: of x from and to, half its width, height from and to."""
+"""Share of platforms with a load, and what makes it: of x from and to, half its width, height from and to."""

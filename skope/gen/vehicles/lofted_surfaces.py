@@ -33,7 +33,7 @@ FLOOR, INNER, BOTTOM, SHOULDER, DECK, CENTER = -2.0, -1.0, 0.0, 1.0, 2.0, 3.0
 _FRONT_INTERVALS, _CORNER_INTERVALS = 4, 4
 """Intervals between columns over half the front or rear, and around a corner."""
 _LIFT: Final = 0.0012
-"""How far each layer of what is drawn hovers over the one below, metres."""
+"""Distance by which each layer of what is drawn hovers over the one below, metres."""
 _CREASE: Final = np.cos(np.radians(38))
 _SAME_ROW: Final = 1e-6
 
@@ -47,12 +47,12 @@ class Plan:
     """x of the front in the middle."""
     rear: float
     front_round: float
-    """How far the corners stand back behind the middle."""
+    """Distance by which the corners stand back behind the middle."""
     rear_round: float
     front_radius: float
     rear_radius: float
     front_taper: float = 0.0
-    """How much narrower each side is at the corner than in the middle of the vehicle."""
+    """Distance by which each side is narrower at the corner than in the middle of the vehicle."""
     rear_taper: float = 0.0
 
     def outline(self, stations: Array) -> Array:

@@ -12,7 +12,7 @@ from skope.gen.vehicles.shape import Shape, VehicleStyle
 from skope.gen.vehicles.upright_shells import Tower, arch
 
 _BEHIND_BUMPER: Final = 0.14
-"""How far the grille stands behind the bumper's face, metres."""
+"""Distance of the grille behind the bumper's face, metres."""
 _FENDER: Final = 0.6
 """Share of the hood's height at which the fenders end and the hood stands in."""
 

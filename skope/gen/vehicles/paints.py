@@ -155,7 +155,7 @@ have no such source: their shares say only that plain white leads.
 _UNPAINTED: Final = {"orange": (206, 94, 24), "gold": (170, 140, 84), "purple": (84, 44, 104)}
 """sRGB of the named colours that no paint has."""
 _FARTHEST: Final = 30.0
-"""What differs by more than this from all named colours, in `_lab`, is of another one."""
+"""Distance in `_lab` from all named colours beyond which a colour is another one."""
 
 
 def color_name(vehicle: Vehicle, paint: str) -> str:

@@ -14,7 +14,7 @@ PLATE = (0.26, 0.11)
 """Half of a plate's width, and its height, metres."""
 
 SIGN_HEIGHT = 0.12
-"""How far a taxi's sign stands over the roof, metres."""
+"""Height of a taxi's sign over the roof, metres."""
 
 
 def block(low: ArrayLike, high: ArrayLike, material: str, bevel: float) -> Mesh:

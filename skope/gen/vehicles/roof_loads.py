@@ -10,7 +10,7 @@ from skope.gen.mesh import Mesh, box, grid, merged
 from skope.types import Array
 
 ROOF_LOAD_HEIGHTS_M: Final = {"box": 0.42, "bars": 0.05, "ladder": 0.12, "beacons": 0.13}
-"""How far each kind of load stands over the roof's highest point, metres."""
+"""Height of each kind of load over the roof's highest point, metres."""
 _BAR: Final = ROOF_LOAD_HEIGHTS_M["bars"]
 _BOX_RING: Final = ((0.0, 0.0), (0.9, 0.0), (1.0, 0.12), (1.0, 0.5), (0.9, 0.88), (0.7, 1.0), (0.0, 1.0))
 """Half of a luggage box's section, from the middle below to the middle above: shares of its width and height."""

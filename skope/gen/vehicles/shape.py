@@ -48,8 +48,8 @@ class Dimensions:
 
 @dataclass(frozen=True, kw_only=True)
 class Details:
-    """Which of the parts in `skope.gen.vehicles.details.DETAILS` a vehicle has in place of its model's: the option's
-    number, 0 for the model's own."""
+    """Parts of `skope.gen.vehicles.details.DETAILS` that a vehicle has in place of its model's: the option's number, 0
+    for the model's own."""
 
     seams: float = 0.0
     grille: float = 0.0
@@ -121,7 +121,7 @@ class Shape(Details, NoseDimensions, TrailerDimensions, Dimensions):
     headlight_inner: float
     """Width from the middle to the lamp's inner end."""
     headlight_wrap: float
-    """How far the lamp reaches around the corner."""
+    """Reach of the lamp around the corner."""
     taillight_low: float
     taillight_high: float
     taillight_inner: float
@@ -143,17 +143,17 @@ class Shape(Details, NoseDimensions, TrailerDimensions, Dimensions):
     deck_length: float
     """Rear end to the rear window's base."""
     roof_inset: float
-    """How far the side windows lean inwards."""
+    """Lean of the side windows inwards."""
     shoulder_inset: float
-    """How far the side windows stand inside the body's side."""
+    """Distance of the side windows inside the body's side."""
     nose_round: float
-    """How far the front corners stand back behind the middle of the nose."""
+    """Distance of the front corners behind the middle of the nose."""
     tail_round: float
     nose_lean: float
-    """How far the hood's edge stands behind the bumper."""
+    """Distance of the hood's edge behind the bumper."""
     tail_lean: float
     roof_droop: float
-    """How much lower the roof is at its ends."""
+    """Distance by which the roof is lower at its ends."""
     pillar: float
     """The B-pillar's place, as a share of the side windows from the front."""
     cab_length: float = 0.0
@@ -211,7 +211,7 @@ class VehicleStyle:
     soft: bool = False
     """No shoulder line along the sides."""
     dome: float = 0.014
-    """How far the hood rises between its creases, metres."""
+    """Rise of the hood between its creases, metres."""
     spoiler: bool = False
     """A lip over the rear window."""
     palette: str = "private"
@@ -238,8 +238,8 @@ class VehicleStyle:
     """Cargo body of a truck: "box", "flatbed", "tipper", "curtain", "tractor" for a fifth wheel in its place, or one of
     `cargo_bodies.CARGO_BODIES`."""
     trailer: str = ""
-    """What hangs on the vehicle's hinge: "box", "reefer", "curtain", "tank", "container", "bus" for the rear half of
-    one, or nothing."""
+    """Part that hangs on the vehicle's hinge: "box", "reefer", "curtain", "tank", "container", "bus" for the rear half
+    of one, or nothing."""
     trailer_axles: tuple[float, ...] = ()
     """Distances of the trailer's further axles before its rearmost one, metres."""
     bend_deg: float = 0.0
@@ -279,14 +279,14 @@ class VehicleStyle:
     mirror: str = ""
     """Material of the mirrors. Default: the body's paint, or dark trim with cladding or on a tall body."""
     load: str = ""
-    """What lies on the roof: "box", "bars", "ladder", "beacons" or nothing."""
+    """The load on the roof: "box", "bars", "ladder", "beacons" or nothing."""
     antenna: str = ""
     """"fin", "rod" or none."""
     front_plate: str = "plate"
     """Material of the front number plate; "" for none."""
     rear_plate: str = "plate"
     plate_steps: int = 0
-    """How many places the front number plate hangs above its usual one; a place is `parts.PLATE_STEP`."""
+    """Number of places by which the front number plate hangs above its usual one; a place is `parts.PLATE_STEP`."""
     low_plate: bool = False
     """The rear number plate hangs in the bumper."""
     badge: str = "chrome"
@@ -294,5 +294,5 @@ class VehicleStyle:
     badge_size: float = 1.0
     """Size of the badges, 1 for the usual one."""
     decal: str = ""
-    """What is stuck on the sides: "stripe", "panel", "letters", "checks", or, on the hood, "racing"; or
+    """The sticker on the sides: "stripe", "panel", "letters", "checks", or, on the hood, "racing"; or
     nothing."""

@@ -65,10 +65,10 @@ _PANES: Final = {
         "reverse_light": (0.58, 0.96, 0.06, 0.46),
     },
 }
-"""What shines in a lamp: shares across from and to, up from and to."""
+"""The part of a lamp that shines: shares across from and to, up from and to."""
 _SLANT: Final = {"wide": 0.035, "band": 0.02, "hook": 0.03, "slim": 0.015}
 _LENS: Final = {"clear": "lamp_clear", "bar": "lamp_dark"}
-"""What lies around the panes. Default: red glass."""
+"""The material around the panes. Default: red glass."""
 
 
 def draw_taillight(

@@ -48,7 +48,7 @@ def _band(x: float, z: float, half: float, high: float, square: float) -> Mesh:
 def _tank_fittings(
     out: Cargo, space: CargoSpace, along: tuple[float, float], z: float, size: tuple[float, float]
 ) -> None:
-    """What a tank has around it."""
+    """Fittings around a tank."""
     (rear, front), (half, high), s = along, size, space.shape
     add, top = out.parts.append, space.shape.height
     for x in np.linspace(rear + 0.4, front - 0.4, 3).tolist():

@@ -27,7 +27,7 @@ class Tower:
     edge: float = 0.06
     """Radius between wall and roof."""
     crown: float = 0.02
-    """How much higher the roof is in the middle."""
+    """Height of the roof's middle over its sides."""
     ridge: float = 0.0
     """Distance from its ends within which the roof rises to its crown; 0: from the outline, which flat ends fold."""
     hollow: float | None = None

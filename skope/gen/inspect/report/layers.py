@@ -111,7 +111,7 @@ def _layers(image: Image, labels: Sequence[Annotation | RoadUser], scheme: Schem
 
 
 def _scale(label: Annotation | RoadUser, image: Image) -> float:
-    """How large points are drawn: small on small vehicles, where they would run together."""
+    """Size at which points are drawn: small on small vehicles, where they would run together."""
     return float(np.clip(label.bbox[2:].max() / 60, 0.3, image_viewer.unit(image.width)))
 
 

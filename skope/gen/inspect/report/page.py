@@ -102,7 +102,7 @@ def _select(key: str, words: str, counts: Mapping[str, int]) -> str:
 
 
 def _kinds(key: str, chosen: Sequence[Labelled]) -> Counter[str]:
-    """How many images there are of each value that a filter has."""
+    """Number of images of each value that a filter has."""
     counts = Counter[str]()
     for image, labels in chosen:
         if key == "type":

@@ -24,7 +24,7 @@ def _time(image: Image) -> tuple[str, int]:
 
 
 def _shares(sizes: Sequence[int], count: int) -> list[int]:
-    """How many of each group, as even as their sizes allow; where there are fewer than groups, some have one."""
+    """Number of each group, as even as their sizes allow; where there are fewer than groups, some have one."""
     if count < len(sizes):
         having = set(_even(len(sizes), count))
         return [int(k in having) for k in range(len(sizes))]

@@ -17,7 +17,7 @@ from skope.types import Array
 IRRADIANCE: Final = 0.06
 """Irradiance of the road right before a headlight, where nothing weakens it, in the units of `Daylight`."""
 BEAM_REACH_M: Final = 40.0
-"""How far headlights light the road, metres."""
+"""Reach of headlights on the road, metres."""
 SHADOW_MAP_PX: Final = 1024
 _COLOR: Final = np.array([1.0, 0.9, 0.74])
 

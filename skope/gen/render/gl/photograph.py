@@ -30,7 +30,7 @@ _STOPS: Final = (-16.0, 4.0)
 """Range of the light that the camera's curve is tabulated for, powers of two."""
 _TABLE_STEPS: Final = 4096
 _TINT: Final = (0.6, 1.6)
-"""How far the colour of the light may be from that of the hour."""
+"""Largest distance of the light's colour from that of the hour."""
 
 
 def fitted(device: Device, daylight: Daylight, road: OwnRoad) -> Daylight:

@@ -14,7 +14,7 @@ from skope.gen.render.gl.water import Plane
 from skope.gen.render.pixel_windows import TILE, mirror_hull_of, runs, tiles
 
 BLUR: Final = 64
-"""How far water blurs a mirror image up and down in an image 1920 pixels wide (see blur.glsl), pixels."""
+"""Blur of a mirror image up and down by water in an image 1920 pixels wide (see blur.glsl), pixels."""
 MIRRORED_WITHIN_M: Final = 90.0
 """Vehicles farther from the camera than this are not mirrored, metres."""
 

@@ -255,7 +255,7 @@ class GLRenderer:
         device.triangles(program, corners, "2f 2f 3f", "in_at", "in_local", "in_size")
 
     def _vehicle_textures(self) -> dict[str, Any]:
-        """What vehicles' programs sample besides the background: their shadows, the light of their lamps."""
+        """Textures that vehicles' programs sample besides the background: their shadows, the light of their lamps."""
         own = {"u_vehicle_sun_map": self._sun_map.depth_attachment}
         return own | ({"u_beams": self._beams.texture} if self._beams else {})
 
@@ -332,7 +332,7 @@ class GLRenderer:
         return np.ascontiguousarray(picture[..., :3])
 
     def _draw_behind(self, crowd: Sequence[PlacedVehicle]) -> None:
-        """What the image would show behind vehicles that stand before others."""
+        """The image behind vehicles that stand before others."""
         size = (self._camera.width, self._camera.height)
         self._draw_vehicles(self._behind, crowd, runs(tiles([v.hull for v in crowd], size), size), peel=True)
 
@@ -376,7 +376,7 @@ class _Drawn:
     """Tiles in which the picture is not that of the empty road."""
     picture: _Layer
     behind: _Layer | None
-    """What is behind vehicles that stand before others."""
+    """The view behind vehicles that stand before others."""
     crowd: list[PlacedVehicle]
     """Vehicles whose windows cross others'."""
 
