@@ -34,9 +34,9 @@ import torch
 from research.video_modes import COLUMNS, Counts, count
 
 from skope.dataset import coco
-from skope.detections import results
+from skope.detections import MIN_SCORE, results
 from skope.detector.checkpoint import load_weights
-from skope.detector.detect import MIN_SCORE, as_tensor
+from skope.detector.detect import as_tensor
 from skope.eval.inference.confirmation import WEAK, Confirmation
 from skope.eval.inference.footage import Cut, Footage, open_footage
 from skope.eval.inference.predict_footage import found_in

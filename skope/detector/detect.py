@@ -19,12 +19,10 @@ from torchvision.models.detection.transform import resize_boxes
 from torchvision.ops import clip_boxes_to_image
 
 from skope import keypoints, schema
-from skope.detections import Detections, RoadUserDetections
+from skope.detections import MIN_SCORE, Detections, RoadUserDetections
 from skope.detector.build import MAX_DETECTIONS, box_passes_of
 from skope.detector.heatmap_peaks import heatmap_peaks
 
-MIN_SCORE: Final = 0.05
-"""Detections that score less are not reported."""
 _LOCKS: Final[WeakKeyDictionary[KeypointRCNN, threading.RLock]] = WeakKeyDictionary()
 """One for each model, and not in it: models are copied and saved."""
 _ALL_LOCKS: Final = threading.Lock()

@@ -1,7 +1,8 @@
 """PCK, box and keypoint precision and recall over IoU thresholds, in the two protocols.
 
 `pooled` divides sums over the whole split. `paper` is the mean, over the images that have ground truth, of each image's
-own figures, which is what the published table follows. Ratios without a denominator are None.
+own figures, which is what the published table follows. Ratios without a denominator are None. What is counted is
+decided in outcomes.py, and counted image by image in counts.py.
 """
 
 from collections.abc import Mapping, Sequence

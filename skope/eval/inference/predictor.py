@@ -17,10 +17,10 @@ from torchvision.models.detection import KeypointRCNN
 
 from skope import boxes
 from skope.dataset.folder import read_image
-from skope.detections import Detections, apart
+from skope.detections import MIN_SCORE, Detections, apart
 from skope.detector.build import DetectorConfig
 from skope.detector.checkpoint import find_checkpoint, load_weights
-from skope.detector.detect import MIN_SCORE, detect, detect_on_boxes
+from skope.detector.detect import detect, detect_on_boxes
 from skope.detector.device import choose_device
 from skope.detector.weights import shipped
 from skope.errors import UserError

@@ -1,5 +1,7 @@
 """Ray casting from the camera to points, against the triangles of a frame's vehicles. Pure numpy.
 
+What counts as hidden is decided in annotate.py.
+
 Each vehicle's triangles are grouped in patches of `_PATCH`. A ray is tested against spheres around the vehicles, then
 spheres and boxes around their patches, and only then against triangles.
 """

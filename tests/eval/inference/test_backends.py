@@ -26,7 +26,7 @@ from skope.eval.inference.backends import eight_bits
 from skope.eval.inference.backends.network_parts import NetworkPart, Run, hand_over, parts_of
 from skope.eval.inference.backends.prepare import prepare
 from skope.eval.inference.backends.region_pooling import RegionPooling
-from skope.eval.inference.backends.suppression import suppress_together
+from skope.eval.inference.backends.region_suppression import suppress_together
 from skope.schema import CATEGORIES
 from skope.terminal.console import Console
 from skope.types import Floats32

@@ -11,9 +11,9 @@ from skope.detector.device import has_bfloat16
 from skope.errors import UserError
 from skope.eval.inference import settings
 from skope.eval.inference.backends import bfloat16, eight_bits, network_parts
+from skope.eval.inference.backends.region_suppression import suppress_best_first, suppress_together
 from skope.eval.inference.backends.runtimes import RUNTIMES, Runtime, UnusableError
 from skope.eval.inference.backends.same_size_images import prepare_images
-from skope.eval.inference.backends.suppression import suppress_best_first, suppress_together
 from skope.terminal.console import Console
 
 _IN_TORCH = ("bfloat16", "float32")

@@ -13,9 +13,9 @@ from torchvision.models.detection.rpn import RegionProposalNetwork
 from torchvision.models.detection.transform import GeneralizedRCNNTransform
 from torchvision.ops import batched_nms
 
-from skope.eval.inference.backends import suppression
+from skope.eval.inference.backends import region_suppression
+from skope.eval.inference.backends.region_suppression import suppress_best_first, suppress_together
 from skope.eval.inference.backends.same_size_images import KeptAnchors, ResizeFirst
-from skope.eval.inference.backends.suppression import suppress_best_first, suppress_together
 
 SIZES = [(300, 500), (260, 420)]
 
@@ -72,8 +72,8 @@ def test_the_best_are_looked_at_first_and_the_others_where_those_are_too_few(
         looked_at.append(len(boxes))
         return batched_nms(boxes, *others)
 
-    monkeypatch.setattr(suppression, "batched_nms", noted)
-    monkeypatch.setattr(suppression, "_BEST_FIRST", multiple)
+    monkeypatch.setattr(region_suppression, "batched_nms", noted)
+    monkeypatch.setattr(region_suppression, "_BEST_FIRST", multiple)
     draw, model = torch.Generator().manual_seed(1), Model()
     levels = [400, 90, 30]
     boxes, logits = drawn(1, sum(levels), draw=draw), torch.randn(1, sum(levels), generator=draw)
