@@ -21,7 +21,7 @@ class Settings:
     given: bool = False
     """Leave detection out and place the keypoints of the ground-truth vehicles inside their own boxes."""
     min_score: float | None = None
-    """Only detections above this go through the keypoint head; None: those above the detector's own, `skope.detections.MIN_SCORE`."""
+    """Only detections above this go through the keypoint head; None: those above `detections.MIN_SCORE`."""
     backend: str = "torch"
     """Library for the network's costly parts; "auto" is OpenVINO on a CPU where it is installed, else torch."""
     precision: str = "float32"
