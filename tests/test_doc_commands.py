@@ -40,7 +40,7 @@ NOT_RUN: Final = {
     r".*(\bnight\.toml|--data synthetic)": "name a reader's own files: tests/train",
     r"skope eval camera seen": "needs more footage than is drawn here: eval/test_guide.py",
     r"skope gen (vehicles (add|remove) |--vehicles )tow_truck": "name a reader's model; the example's is run",
-    r"skope train (export|--init) road33": "loads the whole network: test_road33.py",
+    r"skope train (export|--init) road33(-lite)?": "loads the whole network: test_road33.py",
 }
 """Why commands that begin like this are not run here."""
 DRAWN: Final = (
@@ -59,7 +59,7 @@ SMALLER: Final = {
     r"--seconds [\d.]+": "--seconds 1.2",
     r"--fps \d+": "--fps 10",
     r"--epochs \d+": "--epochs 1",
-    r"--checkpoint road33": "--checkpoint runs/skope",
+    r"--checkpoint road33(-lite)?": "--checkpoint runs/skope",
     r"teacher.checkpoint=road33": "teacher.checkpoint=runs/skope",
     r"--backbone resnet18": " ".join(
         f"--set network.{part}"

@@ -144,9 +144,8 @@ RUNS: Final[Sequence[Run]] = (
     ),
     Run(
         "research/detector_curve.py",
-        "{out} --rows {checkpoint}@64@every,{checkpoint}@64@key --clips 1 --seconds 0.8 --size 96x54",
-        says=" | day | ",
-        apart=True,
+        "{out} --look {checkpoint}@64@every --paths {footage}/v.json",
+        says='{"rate": ',
     ),
     Run("research/marker_offsets.py", "{road}", says="kind                points"),
     Run("research/offline_kit.py", "{out}", says="no wheel of libsumo", code=2),
@@ -371,7 +370,7 @@ COMMANDS: Final[Mapping[str, int]] = {
         "data": 1,
         "model": 2,
     },
-    **{"help": 0, "report": 3, "reference": 3, "docs": 1, "bench": 12, "clean": 0},
+    **{"help": 0, "report": 3, "reference": 3, "lite": 1, "docs": 1, "bench": 12, "clean": 0},
 }
 """Target -> number of the virtual environment's programs that it runs from nothing."""
 

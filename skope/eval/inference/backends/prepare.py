@@ -13,7 +13,7 @@ from skope.eval.inference import settings
 from skope.eval.inference.backends import bfloat16, eight_bits, network_parts
 from skope.eval.inference.backends.region_suppression import suppress_best_first, suppress_together
 from skope.eval.inference.backends.runtimes import RUNTIMES, Runtime, UnusableError
-from skope.eval.inference.backends.same_size_images import prepare_images
+from skope.eval.inference.backends.same_size_images import keep_anchors, resize_first
 from skope.terminal.console import Console
 
 _IN_TORCH = ("bfloat16", "float32")
@@ -45,7 +45,7 @@ def prepare(
     Raises:
         UserError: The backend is missing or broken, or has no such number format.
     """
-    prepare_images(model)
+    keep_anchors(model)
     if device.type == "cpu":
         suppress_best_first(model)
     name = (settings.FASTEST if device.type == "cpu" else "torch") if backend == "auto" else backend
@@ -79,6 +79,7 @@ def _by_runtime(runtime: Runtime, model: KeypointRCNN, metadata: Mapping[str, An
         eight_bits.revert(model)
         raise
     network_parts.hand_over(model, runs)
+    resize_first(model)
     return f"{number} by {runtime.module} {runtime.version}"
 
 

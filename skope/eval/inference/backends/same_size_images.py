@@ -9,9 +9,13 @@ from torchvision.models.detection.image_list import ImageList
 from torchvision.models.detection.transform import GeneralizedRCNNTransform
 
 
-def prepare_images(model: KeypointRCNN) -> None:
-    """Let a model resize images before it normalises them, and keep the anchors of the last size, from now on."""
+def resize_first(model: KeypointRCNN) -> None:
+    """Let a model resize images before it normalises them from now on."""
     model.transform = ResizeFirst(model.transform)
+
+
+def keep_anchors(model: KeypointRCNN) -> None:
+    """Let a model keep the anchors of the last size of images from now on."""
     model.rpn.anchor_generator = KeptAnchors(model.rpn.anchor_generator)
 
 
