@@ -105,11 +105,11 @@ class LiveChoice:
         """Keep the detector that is to look."""
         fastest = max(range(len(rates)), key=lambda i: rates[i])
         chosen = 0 if sent is None else next((i for i, rate in enumerate(rates) if rate >= sent), fastest)
-        each = ", ".join(f"{one.name} at {rate:.1f}" for one, rate in zip(self._candidates, rates, strict=True))
-        choice = f": {self._candidates[chosen].name} does (--checkpoint names another)" if len(rates) > 1 else ""
+        each = ", ".join(f"{one.name} {rate:.1f}" for one, rate in zip(self._candidates, rates, strict=True))
+        choice = f": {self._candidates[chosen].name} runs (--checkpoint names another)" if len(rates) > 1 else ""
         came = "" if sent is None else f"the camera sends {sent:.1f} frames a second; "
         missed = "" if sent is None or rates[chosen] >= sent else f"; {1 - rates[chosen] / sent:.0%} are passed over"
-        self._console.say(f"{came}here {each} a second can be looked at{choice}{missed}")
+        self._console.say(f"{came}looks a second here: {each}{choice}{missed}")
         self._candidates = [self._candidates[chosen]]
 
 
