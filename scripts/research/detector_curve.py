@@ -88,6 +88,11 @@ def make(clip: ClipPlan, folder: Path, options: argparse.Namespace) -> Path:
     return labels
 
 
+def folder_of(row: str, folder: Path) -> Path:
+    """The folder of a row's results."""
+    return folder / "rows" / row.replace("/", "_")
+
+
 def look(row: str, clips: Sequence[Path], out: Path) -> dict[str, float]:
     """Look at all clips with a detector, in this process; returns its rate and memory."""
     checkpoint, short, way = row.rsplit("@", 2)
@@ -136,7 +141,7 @@ def _mean(rows: Sequence[Row], name: str) -> str:
 
 def measured(row: str, clips: Sequence[tuple[ClipPlan, Path]], folder: Path) -> dict[str, Any]:
     """A row's figures, measured where they are not kept."""
-    out = folder / "rows" / row.replace("/", "_")
+    out = folder_of(row, folder)
     kept = out / "figures.json"
     if not kept.is_file():
         own = [sys.executable, __file__, str(folder), "--look", row, "--paths", *(str(path) for _, path in clips)]
@@ -160,7 +165,7 @@ def main() -> None:
     parser.add_argument("--paths", type=Path, nargs="*", help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.look:
-        print(json.dumps(look(options.look, options.paths, options.folder / "rows" / options.look.replace("/", "_"))))
+        print(json.dumps(look(options.look, options.paths, folder_of(options.look, options.folder))))
         return
     clips = [(clip, make(clip, options.folder, options)) for clip in CLIPS[: options.clips]]
     print(shlex.join(sys.argv), flush=True)

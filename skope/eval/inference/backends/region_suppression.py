@@ -35,16 +35,20 @@ def suppress_best_first(model: KeypointRCNN) -> None:
     model.rpn.filter_proposals = _BestFirst(model.rpn)
 
 
-class _BestFirst:
+class _ProposalLimits:
+    """Limits of the regions that are proposed: their numbers, overlap, sides and scores."""
+
+    def __init__(self, rpn: RegionProposalNetwork) -> None:
+        self._before, self._after = rpn.pre_nms_top_n(), rpn.post_nms_top_n()
+        self._overlap, self._least_side, self._least_score = rpn.nms_thresh, rpn.min_size, rpn.score_thresh
+
+
+class _BestFirst(_ProposalLimits):
     """In place of `RegionProposalNetwork.filter_proposals`, with its arguments and its answer.
 
     A region is suppressed by better ones alone. So where those that stay of the best few are as many as are wanted,
     nothing that is worse can be among them, and it need not be looked at.
     """
-
-    def __init__(self, rpn: RegionProposalNetwork) -> None:
-        self._before, self._after = rpn.pre_nms_top_n(), rpn.post_nms_top_n()
-        self._overlap, self._least_side, self._least_score = rpn.nms_thresh, rpn.min_size, rpn.score_thresh
 
     def __call__(
         self,
@@ -79,12 +83,8 @@ class _BestFirst:
         return boxes[kept], scores[kept]
 
 
-class _Proposals:
+class _Proposals(_ProposalLimits):
     """In place of `RegionProposalNetwork.filter_proposals`, with its arguments and, but for rounding, its answer."""
-
-    def __init__(self, rpn: RegionProposalNetwork) -> None:
-        self._before, self._after = rpn.pre_nms_top_n(), rpn.post_nms_top_n()
-        self._overlap, self._least_side, self._least_score = rpn.nms_thresh, rpn.min_size, rpn.score_thresh
 
     def __call__(
         self,
