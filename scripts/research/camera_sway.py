@@ -26,7 +26,7 @@ from skope.camera.model import Camera
 from skope.camera.uncertain_camera import PLACE_SHARE, radius_of
 from skope.dataset import coco
 from skope.dataset.folder import CHANGES, read_image
-from skope.eval.inference.camera_sway import SwayWatch, motion_to_row, record_of_rows
+from skope.eval.inference.camera_sway import SwayWatch, record_of
 from skope.eval.inference.view_changes import Looks
 from skope.eval.pose.camera_error import with_camera_error
 from skope.eval.pose.camera_motion import MOTION, turned_camera
@@ -115,11 +115,7 @@ def shaken(file: AnnotationFile, pictures: "Pictures", sway_px: float, bump_px: 
     frames = ((one, seen_by(turn, wide, pictures(one))) for one, turn in zip(images, turns, strict=True))
     for _ in looks.watch(watch.watch(frames)):
         pass
-    rows = [
-        {"image": {"id": one.id, "time_s": time_s}, "motion": motion_to_row(watch.taken(one.id))}
-        for one, time_s in zip(images, times, strict=True)
-    ]
-    record = record_of_rows(rows, SIZE[0])
+    record = record_of(images, (watch.taken(one.id) for one in images), SIZE[0])
     seconds = {one.id: time_s for one, time_s in zip(images, times, strict=True)}
     changes = record.view_changes([(seconds[number], look) for number, look in looks.taken.items()])
     motion = record.motion(changes)

@@ -39,6 +39,10 @@ _FINE_WIDTH: Final = 640
 _MOST_CORNERS: Final = 300
 _APART_PX: Final = 10.0
 """Corners are so far apart at least, pixels of these pictures."""
+_BLUR_PX: Final = 8.0
+"""Standard deviation of the surroundings in which contrast is evened out, pixels of these pictures."""
+_BLUR_STEP: Final = 4
+"""Surroundings are worked out in pixels so many times as large, which takes a sixth of the time."""
 _WINDOW: Final = 15
 """Side of what is followed around a corner, pixels."""
 _THERE_AND_BACK_PX: Final = 0.3
@@ -60,10 +64,17 @@ _VAGUE_PX: Final = 0.5
 
 def small_grey(pixels: Pixels) -> Pixels:
     """A picture (H, W, 3) RGB as a small grey one, `COARSE_WIDTH` wide."""
-    height, width = pixels.shape[:2]
-    size = (COARSE_WIDTH, max(1, round(COARSE_WIDTH * height / width)))
-    grey = cv2.resize(cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY), size, interpolation=cv2.INTER_AREA)
-    return np.asarray(grey, dtype=np.uint8)
+    return _shrunk(_grey(pixels), COARSE_WIDTH)
+
+
+def _grey(pixels: Pixels) -> Pixels:
+    return np.asarray(cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY), dtype=np.uint8)
+
+
+def _shrunk(grey: Pixels, width: int) -> Pixels:
+    """A grey picture (H, W) as one that is `width` pixels wide, each the mean of what it covers."""
+    size = (width, max(1, round(width * grey.shape[0] / grey.shape[1])))
+    return np.asarray(cv2.resize(grey, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
 
 
 def edges(grey: Pixels) -> Array | None:
@@ -153,25 +164,45 @@ class FollowedCorners:
     """(M, 2) all corners of the first picture, also those that were not found or move otherwise, pixels."""
 
 
+@dataclass(frozen=True, eq=False)
+class SmallPicture:
+    """What is needed of a picture to hold it against others of the same camera."""
+
+    size: tuple[int, int]
+    """Width and height of the picture itself, pixels."""
+    coarse: Pixels
+    """(h, w) grey, `COARSE_WIDTH` wide: compared as a whole."""
+    fine: Pixels
+    """(h, w) grey: corners are followed in it."""
+    scale: float
+    """Width of `fine`, as a share of the picture's."""
+
+    @classmethod
+    def of(cls, pixels: Pixels, width: int = _FINE_WIDTH) -> "SmallPicture":
+        """Make it of (H, W, 3) RGB; corners are followed in a picture `width` pixels wide at most."""
+        size, grey = (pixels.shape[1], pixels.shape[0]), _grey(pixels)
+        scale = min(1.0, width / size[0])
+        fine = grey if scale == 1 else _shrunk(grey, round(size[0] * scale))
+        return cls(size, _shrunk(grey, COARSE_WIDTH), fine, scale)
+
+
 class ReferencePicture:
     """A picture that others of the same camera are held against."""
 
-    def __init__(self, pixels: Pixels, width: int = _FINE_WIDTH) -> None:
-        """`pixels` (H, W, 3) RGB; corners are followed in pictures that are `width` pixels wide at most."""
-        self.size = (pixels.shape[1], pixels.shape[0])
-        self._scale = min(1.0, width / self.size[0])
-        self._edges = edges(small_grey(pixels))
-        self._even = self._evened(pixels)
+    def __init__(self, picture: SmallPicture) -> None:
+        self.size = picture.size
+        self._scale = picture.scale
+        self._edges = edges(picture.coarse)
+        self._even = _evened(picture.fine)
         found: Any = cv2.goodFeaturesToTrack(self._even, _MOST_CORNERS, 0.01, _APART_PX, blockSize=7)
         self._corners = np.asarray(np.zeros((0, 2)) if found is None else found.reshape(-1, 2), dtype=np.float32)
 
-    def motion(self, pixels: Pixels) -> ImageMotion | None:
-        """Measure how the image has moved up to another picture (H, W, 3) RGB; None: it cannot be told, or shows
-        another view.
+    def motion(self, picture: SmallPicture) -> ImageMotion | None:
+        """Measure how the image has moved up to another picture; None: it cannot be told, or shows another view.
 
         Raises ValueError where the sizes differ.
         """
-        fit = self._fit(pixels)
+        fit = self._fit(picture)
         if fit is None or fit.sigma_px > _VAGUE_PX:
             return None
         shrunk = self._scale
@@ -179,23 +210,23 @@ class ReferencePicture:
             fit.x / shrunk, fit.y / shrunk, fit.turn, fit.sigma_px / shrunk, fit.sigma_turn, growth=fit.growth
         )
 
-    def followed(self, pixels: Pixels) -> FollowedCorners | None:
+    def followed(self, picture: SmallPicture) -> FollowedCorners | None:
         """The corners that move together up to another picture; None as in `motion`."""
-        fit = self._fit(pixels)
+        fit = self._fit(picture)
         if fit is None or fit.sigma_px > _VAGUE_PX:
             return None
         # Corners are at pixels that count their centres as whole numbers.
         before, after, every = ((xy + 0.5) / self._scale for xy in (fit.before, fit.after, self._corners.astype(float)))
         return FollowedCorners(before, after, fit.spread / self._scale, every)
 
-    def _fit(self, pixels: Pixels) -> "_Fit | None":
-        if pixels.shape[1::-1] != self.size:
-            raise ValueError(f"expected a picture of {self.size}, got {pixels.shape[1::-1]}")
-        there = edges(small_grey(pixels))
+    def _fit(self, picture: SmallPicture) -> "_Fit | None":
+        if picture.size != self.size:
+            raise ValueError(f"expected a picture of {self.size}, got {picture.size}")
+        there = edges(picture.coarse)
         shift = coarse_shift(self._edges, there) if self._edges is not None and there is not None else None
         if shift is None or len(self._corners) < _FEWEST_CORNERS:
             return None
-        even = self._evened(pixels)
+        even = _evened(picture.fine)
         begin = (self._corners + np.array(shift) * self.size[0] * self._scale).astype(np.float32)
         after, good = _follow(self._even, even, self._corners, begin)
         back, home = _follow(even, self._even, after, self._corners)
@@ -205,17 +236,6 @@ class ReferencePicture:
             return None
         least = max(_FEWEST_CORNERS, math.ceil(_LEAST_SHARE * len(self._corners)))
         return _fitted(self._corners[kept].astype(float), after[kept].astype(float), self._even.shape, least)
-
-    def _evened(self, pixels: Pixels) -> Pixels:
-        """A grey picture whose contrast is the same everywhere, so that light and shade do not count."""
-        size = tuple(max(1, round(side * self._scale)) for side in self.size)
-        grey: Any = cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY)
-        if size != self.size:
-            grey = cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
-        away = grey.astype(np.float32)
-        away -= cv2.GaussianBlur(away, (0, 0), 8.0)
-        contrast = np.sqrt(cv2.GaussianBlur(away * away, (0, 0), 8.0)) + 4.0
-        return np.asarray(np.clip(128 + 40 * away / contrast, 0, 255).round(), dtype=np.uint8)
 
 
 @dataclass(frozen=True, eq=False)
@@ -232,6 +252,23 @@ class _Fit:
     """Standard deviation of a corner's way around it, an axis."""
     before: Array
     after: Array
+
+
+def _evened(grey: Pixels) -> Pixels:
+    """A grey picture whose contrast is the same everywhere, so that light and shade do not count."""
+    height, width = grey.shape
+    coarse = (max(1, width // _BLUR_STEP), max(1, height // _BLUR_STEP))
+
+    def around(picture: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Means around each pixel, in pixels `_BLUR_STEP` times as large: they vary so slowly."""
+        larger: Any = cv2.resize(picture, coarse, interpolation=cv2.INTER_AREA)
+        return np.asarray(cv2.GaussianBlur(larger, (0, 0), _BLUR_PX / _BLUR_STEP), dtype=np.float32)
+
+    away = grey.astype(np.float32)
+    away -= cv2.resize(around(away), (width, height), interpolation=cv2.INTER_LINEAR)
+    gain = 40 / (np.sqrt(around(away * away)) + 4)
+    away *= cv2.resize(gain, (width, height), interpolation=cv2.INTER_LINEAR)
+    return np.asarray(cv2.addWeighted(away, 1, away, 0, 128, dtype=cv2.CV_8U), dtype=np.uint8)
 
 
 def _follow(

@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from skope.dataset.folder import read_image
-from skope.eval.image_shift import ReferencePicture
+from skope.eval.image_shift import ReferencePicture, SmallPicture
 
 DOCS = Path(__file__).parents[2] / "docs"
 SIZE = (640, 360)
@@ -45,10 +45,10 @@ def with_traffic(pixels: NDArray[np.uint8], rng: np.random.Generator, k: int) ->
 @pytest.mark.parametrize("shift", [(0.0, 0.0), (0.2, -0.1), (1.0, 0.4), (-3.3, 2.6), (10.0, -4.0), (40.0, 5.0)])
 def test_a_shift_is_measured_to_a_fraction_of_a_pixel(shift: tuple[float, float]) -> None:
     rng = np.random.default_rng(0)
-    reference = ReferencePicture(with_traffic(picture(np.eye(3)), rng, 0))
+    reference = ReferencePicture(SmallPicture.of(with_traffic(picture(np.eye(3)), rng, 0)))
     moved = np.eye(3)
     moved[:2, 2] = shift
-    motion = reference.motion(with_traffic(picture(moved), rng, 1))
+    motion = reference.motion(SmallPicture.of(with_traffic(picture(moved), rng, 1)))
     assert motion is not None
     assert (motion.x, motion.y) == pytest.approx(shift, abs=0.12)
     assert abs(motion.x - shift[0]) < 4 * motion.sigma_px
@@ -60,9 +60,9 @@ def test_a_shift_is_measured_to_a_fraction_of_a_pixel(shift: tuple[float, float]
 def test_another_hour_and_weather_are_no_shift() -> None:
     views = [read_image(DOCS / f"{name}.jpg") for name in ("noon", "low_sun", "fog", "rain_night")]  # of one camera
     for one in views:
-        reference = ReferencePicture(one)
+        reference = ReferencePicture(SmallPicture.of(one))
         for other in views:
-            motion = reference.motion(other)
+            motion = reference.motion(SmallPicture.of(other))
             assert motion is not None
             assert math.hypot(motion.x, motion.y) < 0.3
             assert abs(motion.turn) < 5e-4
@@ -73,8 +73,8 @@ def test_a_turned_camera_shifts_and_turns_its_image_as_its_rays_do(angles_deg: t
     K = np.array([[FOCAL, 0, SIZE[0] / 2], [0, FOCAL, SIZE[1] / 2], [0, 0, 1]])
     R = turned(*np.radians(angles_deg))
     rng = np.random.default_rng(0)
-    reference = ReferencePicture(with_traffic(picture(np.eye(3)), rng, 0))
-    motion = reference.motion(with_traffic(picture(K @ R @ np.linalg.inv(K)), rng, 1))
+    reference = ReferencePicture(SmallPicture.of(with_traffic(picture(np.eye(3)), rng, 0)))
+    motion = reference.motion(SmallPicture.of(with_traffic(picture(K @ R @ np.linalg.inv(K)), rng, 1)))
     ahead = K @ R @ [0, 0, 1]
     expected = ahead[:2] / ahead[2] - K[:2, 2]
     assert motion is not None
@@ -83,16 +83,16 @@ def test_a_turned_camera_shifts_and_turns_its_image_as_its_rays_do(angles_deg: t
 
 
 def test_another_view_has_no_shift() -> None:
-    reference = ReferencePicture(picture(np.eye(3)))
-    assert reference.motion(picture(np.eye(3), "own_road.jpg")) is None
-    assert reference.motion(np.full((*SIZE[::-1], 3), 90, dtype=np.uint8)) is None
+    reference = ReferencePicture(SmallPicture.of(picture(np.eye(3))))
+    assert reference.motion(SmallPicture.of(picture(np.eye(3), "own_road.jpg"))) is None
+    assert reference.motion(SmallPicture.of(np.full((*SIZE[::-1], 3), 90, dtype=np.uint8))) is None
     with pytest.raises(ValueError, match="expected a picture of"):
-        reference.motion(np.zeros((10, 10, 3), dtype=np.uint8))
+        reference.motion(SmallPicture.of(np.zeros((10, 10, 3), dtype=np.uint8)))
 
 
 def test_a_picture_with_nothing_in_it_tells_nothing() -> None:
     even = np.full((*SIZE[::-1], 3), 90, dtype=np.uint8)
-    assert ReferencePicture(even).motion(picture(np.eye(3))) is None
+    assert ReferencePicture(SmallPicture.of(even)).motion(SmallPicture.of(picture(np.eye(3)))) is None
 
 
 def test_corners_are_followed_in_pixels_whose_centres_are_halves() -> None:
@@ -101,7 +101,7 @@ def test_corners_are_followed_in_pixels_whose_centres_are_halves() -> None:
     moved = np.eye(3)
     moved[:2, 2] = (6.0, -4.0)
     other = np.asarray(cv2.warpAffine(large, moved[:2], (1280, 720), flags=cv2.INTER_CUBIC), dtype=np.uint8)
-    followed = ReferencePicture(large).followed(other)
+    followed = ReferencePicture(SmallPicture.of(large)).followed(SmallPicture.of(other))
     assert followed is not None
     assert np.median(followed.after - followed.before, axis=0) == pytest.approx([6, -4], abs=0.15)
     assert followed.sigma_px < 0.5

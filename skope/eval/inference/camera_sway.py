@@ -2,13 +2,16 @@
 
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import ExitStack, closing
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from queue import SimpleQueue
+from typing import Final, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from skope.eval.image_shift import MOVED_SHARE, ImageMotion, ReferencePicture
+from skope.eval.image_shift import MOVED_SHARE, ImageMotion, ReferencePicture, SmallPicture
+from skope.eval.inference.motion_process import MotionProcess
 from skope.eval.inference.view_changes import ViewChange, changes
 from skope.eval.pose.camera_motion import CameraMotion
 from skope.schema import Image
@@ -29,10 +32,15 @@ _FEWEST_FRAMES: Final = 3
 class SwayWatch:
     """Measures how far the image of each frame of a video is from the first one's, while the caller looks at it."""
 
-    def __init__(self, first: Pixels | None = None, threads: int = 1) -> None:
-        """`first`: the footage's first frame, where a run goes on after it; `threads`: frames measured at a time."""
-        self._reference = None if first is None else ReferencePicture(first)
-        self._threads = threads
+    def __init__(self, first: Pixels | None = None, processes: int = 0) -> None:
+        """Begin to watch a video.
+
+        Args:
+            first: The footage's first frame, where a run goes on after it.
+            processes: Measure in so many processes of their own; 0: in a thread of this one.
+        """
+        self._first = None if first is None else SmallPicture.of(first)
+        self._processes = processes
         self._begun: dict[int, Future[ImageMotion | None]] = {}
         """By the number of the frame."""
 
@@ -41,11 +49,12 @@ class SwayWatch:
 
         The first one that has a time is what the others are held against, if nothing is yet.
         """
-        with ThreadPoolExecutor(self._threads) as pool:
+        idle: SimpleQueue[_Measure] | None = None
+        with ExitStack() as ends, ThreadPoolExecutor(max(1, self._processes)) as pool:
             for image, pixels in frames:
                 if image.time_s is not None:
-                    self._reference = self._reference or ReferencePicture(pixels)
-                    self._begun[image.id] = pool.submit(self._motion, self._reference, pixels)
+                    idle = idle or self._measures(pixels, ends)
+                    self._begun[image.id] = pool.submit(_motion, idle, pixels)
                 yield image, pixels
 
     def taken(self, number: int) -> ImageMotion | None:
@@ -53,9 +62,26 @@ class SwayWatch:
         begun = self._begun.pop(number, None)
         return None if begun is None else begun.result()
 
-    @staticmethod
-    def _motion(reference: ReferencePicture, pixels: Pixels) -> ImageMotion | None:
-        return reference.motion(pixels) if pixels.shape[1::-1] == reference.size else None
+    def _measures(self, pixels: Pixels, ends: ExitStack) -> "SimpleQueue[_Measure]":
+        """What measures frames from now on, one at a time each; `pixels` is the first of them."""
+        first = self._first or SmallPicture.of(pixels)
+        idle: SimpleQueue[_Measure] = SimpleQueue()
+        for _ in range(self._processes):
+            idle.put(ends.enter_context(closing(MotionProcess(first))))
+        if not self._processes:
+            idle.put(ReferencePicture(first))
+        return idle
+
+
+_Measure: TypeAlias = ReferencePicture | MotionProcess
+
+
+def _motion(idle: "SimpleQueue[_Measure]", pixels: Pixels) -> ImageMotion | None:
+    measure = idle.get()
+    try:
+        return measure.motion(SmallPicture.of(pixels)) if pixels.shape[1::-1] == measure.size else None
+    finally:
+        idle.put(measure)
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,14 +183,17 @@ def motion_to_row(motion: ImageMotion | None) -> list[float] | None:
     return [motion.x, motion.y, motion.turn, motion.sigma_px, motion.sigma_turn, motion.growth]
 
 
-def record_of_rows(rows: Iterable[dict[str, Any]], width: int) -> SwayRecord:
-    """The record of measurements, from rows with `image` and `motion` (by `motion_to_row`); images without times are
-    left out."""
-    numbers, times, motions = [], [], list[ImageMotion | None]()
-    for row in rows:
-        if row["image"].get("time_s") is not None:
-            numbers.append(int(row["image"]["id"]))
-            times.append(float(row["image"]["time_s"]))
-            motions.append(None if row["motion"] is None else ImageMotion(*row["motion"]))
-    seconds: NDArray[np.float64] = np.array(times, dtype=np.float64)
-    return SwayRecord(tuple(numbers), seconds, tuple(motions), width)
+def motion_of_row(row: Sequence[float] | None) -> ImageMotion | None:
+    """The motion of which `motion_to_row` has made this."""
+    return None if row is None else ImageMotion(*row)
+
+
+def record_of(images: Iterable[Image], motions: Iterable[ImageMotion | None], width: int) -> SwayRecord:
+    """The record of the motions of images, which are `width` pixels wide; images without times are left out."""
+    timed = [
+        (image.id, image.time_s, motion)
+        for image, motion in zip(images, motions, strict=True)
+        if image.time_s is not None
+    ]
+    seconds: NDArray[np.float64] = np.array([time_s for _, time_s, _ in timed], dtype=np.float64)
+    return SwayRecord(tuple(number for number, _, _ in timed), seconds, tuple(one for _, _, one in timed), width)

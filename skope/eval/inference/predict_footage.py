@@ -20,7 +20,8 @@ from skope.dataset.folder import BEGINS, CHANGES, DETECTOR, FOLLOWED, FRAMES, PI
 from skope.detector import weights
 from skope.errors import UserError
 from skope.eval.box_links import FARTHEST_S
-from skope.eval.inference.camera_sway import SwayRecord, SwayWatch, motion_to_row, record_of_rows
+from skope.eval.image_shift import ImageMotion
+from skope.eval.inference.camera_sway import SwayWatch, motion_of_row, motion_to_row, record_of
 from skope.eval.inference.confirmation import Confirmation
 from skope.eval.inference.footage import Footage
 from skope.eval.inference.key_frames import with_frames_between
@@ -39,8 +40,8 @@ from skope.schema import CATEGORIES, AnnotationFile, AnyResult, Image
 from skope.terminal.console import Console, counted
 from skope.types import Pixels
 
-_MOST_THREADS: Final = 4
-"""Threads that measure the camera's sway, which a GPU's detector waits for."""
+_SWAY_PROCESSES: Final = 2
+"""Processes that measure the camera's sway beside a detector that sees every frame: on a GPU it would wait for one."""
 
 
 class Watcher(Protocol):
@@ -111,18 +112,20 @@ class Prediction:
         self._progress = Progress(job.out / PROGRESS_FILE, ("image", "results", "skipped", "key", "look", "motion"))
         self.images: list[Image] = []
         """The frames so far, with the job's camera."""
-        self._last_key, self._last_look_s = 1, None
+        self._motions: list[ImageMotion | None] = []
+        """Of each frame."""
+        self._looks: list[tuple[float, str]] = []
+        """Small pictures, with their times in seconds."""
+        self._last_key = 1
         self._last_numbers: list[int] = []
         """The `track_id` of each road user of the last key frame."""
         for row in self._progress.rows():
-            self.images.append(coco.image_from_dict(row["image"]))
+            self._keep(coco.image_from_dict(row["image"]), motion_of_row(row["motion"]), row["look"])
             if BEGINS in row["image"]:
                 job.footage.begins = datetime.fromisoformat(row["image"][BEGINS])
             if row["key"]:
                 self._last_key = self.images[-1].id
                 self._last_numbers = [result.get("track_id", 0) for result in row["results"]]
-            if row["look"] is not None:
-                self._last_look_s = self.images[-1].time_s
             job.footage.skipped += [reason for reason in row["skipped"] if reason not in job.footage.skipped]
         self.killed = job.footage.live and bool(self.images)
         """Whether a run of a live stream was killed here: it comes once, and nothing is added to what that run has."""
@@ -140,7 +143,7 @@ class Prediction:
         job, last = self._job, self.last
         if self.killed:
             return
-        looks, sway = Looks(self._last_look_s), _sway_watch(job, last)
+        looks, sway = Looks(self._looks[-1][0] if self._looks else None), _sway_watch(job, last)
         for bare, found, key in found_in(
             job,
             self._detector,
@@ -154,11 +157,18 @@ class Prediction:
             row = {**coco.image_to_dict(image), **begins}
             entry = {"image": row, "results": list(map(coco.result_to_dict, found))}
             look = looks.taken.pop(image.id, None)
-            motion = motion_to_row(sway.taken(image.id))
+            motion = sway.taken(image.id)
             skipped = list(job.footage.skipped)
-            self._progress.add({**entry, "skipped": skipped, "key": key, "look": look, "motion": motion})
-            self.images.append(image)
+            measured = {"look": look, "motion": motion_to_row(motion)}
+            self._progress.add({**entry, "skipped": skipped, "key": key, **measured})
+            self._keep(image, motion, look)
             yield image, found
+
+    def _keep(self, image: Image, motion: ImageMotion | None, look: str | None) -> None:
+        self.images.append(image)
+        self._motions.append(motion)
+        if look is not None and image.time_s is not None:
+            self._looks.append((image.time_s, look))
 
     def write(self, console: Console) -> list[Path]:
         """Write predictions, frames and, where the job asks for them, overlays; returns their paths.
@@ -176,7 +186,7 @@ class Prediction:
         written = [job.out / PREDICTIONS, job.out / FRAMES]
         seen = _Seen()
         coco.write_result_rows(written[0], (seen.noted(result) for row in progress.rows() for result in kept(row)))
-        record, looked = _watched(progress, images[0].width)
+        record, looked = record_of(images, self._motions, images[0].width), self._looks
         changed = record.view_changes(looked) if job.footage.clip else []
         sways = record.motion(changed) if job.footage.clip else None
         for change in changed:
@@ -242,18 +252,12 @@ def _info(
 def _sway_watch(job: PredictJob, last: int) -> SwayWatch:
     """Make the measure of the camera's sway, against the first frame also where a run goes on."""
     # Frames of a stream do not wait, and where the detector sees key frames only, it is what takes the time.
-    threads = 1 if job.footage.live or job.key_every > 1 else max(1, min(_MOST_THREADS, usable_processors() // 4))
+    apart = not job.footage.live and job.key_every == 1 and usable_processors() >= 2 * _SWAY_PROCESSES
+    processes = _SWAY_PROCESSES if apart else 0
     if not last or job.footage.live:
-        return SwayWatch(threads=threads)
+        return SwayWatch(processes=processes)
     first = next(job.footage.frames(), None)
-    return SwayWatch(first[1] if first and job.footage.clip else None, threads)
-
-
-def _watched(progress: Progress, width: int) -> tuple[SwayRecord, list[tuple[float, str]]]:
-    """The camera's motion in each frame, and the small pictures with their times."""
-    looks = [(row["image"].get("time_s"), row["look"]) for row in progress.rows() if row["look"] is not None]
-    timed = [(float(time_s), look) for time_s, look in looks if time_s is not None]
-    return record_of_rows(progress.rows(), width), timed
+    return SwayWatch(first[1] if first and job.footage.clip else None, processes)
 
 
 @dataclass

@@ -25,7 +25,7 @@ from skope.dataset.camera_of_file import read_camera
 from skope.errors import UserError
 from skope.eval.camera_fit.camera_from_marks import evidence_of, place_errors
 from skope.eval.camera_fit.write_camera import write_camera
-from skope.eval.image_shift import FollowedCorners, ImageMotion, ReferencePicture
+from skope.eval.image_shift import FollowedCorners, ImageMotion, ReferencePicture, SmallPicture
 from skope.eval.inference.camera_sway import SwayWatch
 from skope.eval.inference.footage import Cut, open_footage
 from skope.eval.pose.camera_motion import covariance_of_turns, turned_camera
@@ -135,8 +135,8 @@ def registration(before: Pixels, after: Pixels, known: UncertainCamera, name: st
     Raises:
         UserError: A turn does not explain what is seen.
     """
-    reference = ReferencePicture(before, _MATCHED_WIDTH_PX)
-    motion, followed = reference.motion(after), reference.followed(after)
+    reference, moved = (SmallPicture.of(pixels, _MATCHED_WIDTH_PX) for pixels in (before, after))
+    motion, followed = ReferencePicture(reference).motion(moved), ReferencePicture(reference).followed(moved)
     if motion is None or followed is None:
         raise UserError(f"{name}: too little of one picture is found in the other to tell how the camera was turned")
     rays, valid = known.camera.rays(followed.before)

@@ -3,6 +3,7 @@
 import json
 import math
 import threading
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,12 +12,14 @@ import cv2
 import numpy as np
 import pytest
 
-from skope.eval.image_shift import ImageMotion, ReferencePicture
-from skope.eval.inference.camera_sway import SwayRecord, SwayWatch, motion_to_row, record_of_rows
+from skope.errors import UserError
+from skope.eval.image_shift import ImageMotion, ReferencePicture, SmallPicture
+from skope.eval.inference import camera_sway
+from skope.eval.inference.camera_sway import SwayRecord, SwayWatch, motion_of_row, motion_to_row, record_of
+from skope.eval.inference.motion_process import MotionProcess
 from skope.eval.inference.view_changes import Looks, ViewChange
 from skope.eval.pose.camera_motion import CameraMotion
 from skope.schema import Image
-from skope.types import Pixels
 from tests.eval.test_image_shift import SIZE, picture, with_traffic
 
 FPS = 10.0
@@ -32,7 +35,7 @@ def path(count: int, sway_px: float, period_s: float, bump_px: float = 0.0) -> l
 
 
 def recorded(
-    shifts: list[tuple[float, float]], threads: int = 1
+    shifts: list[tuple[float, float]], processes: int = 0
 ) -> tuple[SwayRecord, list[ViewChange], CameraMotion | None]:
     rng = np.random.default_rng(0)
 
@@ -45,13 +48,10 @@ def recorded(
             out.append((image, with_traffic(picture(H), rng, k)))
         return out
 
-    watch, looks = SwayWatch(threads=threads), Looks()
+    watch, looks = SwayWatch(processes=processes), Looks()
     images = [image for image, _ in looks.watch(watch.watch(iter(frames())))]
-    rows = [
-        {"image": {"id": image.id, "time_s": image.time_s}, "motion": motion_to_row(watch.taken(image.id))}
-        for image in images
-    ]
-    record = record_of_rows(json.loads(json.dumps(rows)), SIZE[0])
+    rows = json.loads(json.dumps([motion_to_row(watch.taken(image.id)) for image in images]))
+    record = record_of(images, map(motion_of_row, rows), SIZE[0])
     times = {image.id: image.time_s or 0.0 for image in images}
     changes = record.view_changes([(times[number], look) for number, look in looks.taken.items()])
     return record, changes, record.motion(changes)
@@ -61,9 +61,9 @@ def test_frames_pass_while_they_are_measured(monkeypatch: pytest.MonkeyPatch) ->
     """A frame is not held up, what goes wrong with it is raised where its motion is asked for."""
     go, pixels = threading.Event(), np.zeros((20, 30, 3), np.uint8)
 
-    def motion(self: ReferencePicture, pixels: Pixels) -> ImageMotion | None:
+    def motion(self: ReferencePicture, picture: SmallPicture) -> ImageMotion | None:
         assert go.wait(30)
-        if pixels[0, 0, 0]:
+        if picture.fine[0, 0]:
             raise ValueError("spoilt")
         return None
 
@@ -80,11 +80,41 @@ def test_frames_pass_while_they_are_measured(monkeypatch: pytest.MonkeyPatch) ->
     assert list(passed) == []
 
 
-def test_several_threads_measure_the_same() -> None:
+def test_processes_measure_the_same() -> None:
     shifts = [(0.5 * k, -0.3 * k) for k in range(8)]
-    several, one = (recorded(shifts, threads=count)[0] for count in (3, 1))
-    assert (several.numbers, several.motions) == (one.numbers, one.motions)
-    assert len(set(one.motions)) > 2
+    several, none = (recorded(shifts, processes=count)[0] for count in (2, 0))
+    assert (several.numbers, several.motions) == (none.numbers, none.motions)
+    assert len(set(none.motions)) > 2
+
+
+def test_a_measuring_process_tells_what_went_wrong_and_that_it_was_killed() -> None:
+    first, other = (SmallPicture.of(picture(np.eye(3))), SmallPicture.of(np.zeros((10, 10, 3), dtype=np.uint8)))
+    with closing(MotionProcess(first)) as process:
+        with pytest.raises(ValueError, match="expected a picture of"):
+            process.motion(other)
+        still = process.motion(first)
+        assert still is not None
+        assert math.hypot(still.x, still.y) < 0.01
+        process._process.kill()
+        with pytest.raises(UserError, match="was killed"):
+            process.motion(first)
+    assert process._process.returncode is not None
+
+
+def test_measuring_processes_end_with_the_watch() -> None:
+    pixels = picture(np.eye(3))
+    frames = (
+        (Image(id=k, file_name=f"{k}", width=SIZE[0], height=SIZE[1], time_s=k / FPS), pixels) for k in range(1, 9)
+    )
+    made: list[MotionProcess] = []
+    watch = SwayWatch(processes=2)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(camera_sway, "MotionProcess", lambda first: made.append(MotionProcess(first)) or made[-1])
+        passed = watch.watch(frames)
+        next(passed)
+        passed.close()  # type: ignore[attr-defined]
+    assert [process._process.returncode for process in made] == [0, 0]
+    assert watch.taken(1) is not None
 
 
 def test_a_camera_that_stands_still_has_no_motion() -> None:
