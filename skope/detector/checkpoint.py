@@ -109,8 +109,18 @@ def load_weights(
 class _NotDrawn(TorchFunctionMode):
     """Leave weights that a file will give as their memory is: drawing 59 million of them takes longer than reading."""
 
+    _DRAWS: Final = (
+        torch.Tensor.normal_,
+        torch.Tensor.uniform_,
+        torch.nn.init.kaiming_uniform_,
+        torch.nn.init.normal_,
+        torch.nn.init.uniform_,
+    )
+
     def __torch_function__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
-        return args[0] if func in (torch.Tensor.normal_, torch.Tensor.uniform_) else func(*args, **(kwargs or {}))
+        if func not in self._DRAWS:
+            return func(*args, **(kwargs or {}))
+        return args[0] if args else (kwargs or {})["tensor"]
 
 
 def read_checkpoint(path: Path) -> tuple[dict[str, Any], dict[str, torch.Tensor]]:

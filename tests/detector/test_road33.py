@@ -38,6 +38,12 @@ def found(picture: NDArray[np.uint8]) -> Detections:
     return detect(model, [picture], "cpu", categories=CATEGORIES)[0]
 
 
+def test_loading_draws_no_weights_that_the_file_gives() -> None:
+    before = torch.get_rng_state()
+    load_weights(weights.path("road33-lite"), "cpu")
+    assert torch.equal(torch.get_rng_state(), before)
+
+
 @pytest.fixture(scope="module")
 def found_at_once(picture: NDArray[np.uint8]) -> Detections:
     """Where the box head looks once, as torchvision's own does."""
