@@ -1,34 +1,106 @@
 """Pictures written as a video file."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from fractions import Fraction
 from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
 
 import cv2
 import numpy as np
 
 from skope.errors import UserError
-from skope.files.safe_names import for_opencv
 from skope.types import Pixels
 
+if TYPE_CHECKING:
+    from av.container import OutputContainer
+    from av.video.stream import VideoStream
 
-def write_video(path: Path, frames: Iterable[Pixels], fps: float, codec: str = "mp4v") -> None:
-    """Write frames as a video file.
+_FORMATS: Final[dict[str, tuple[str, str, str, dict[str, str]]]] = {
+    ".mp4": ("mp4", "libx264", "yuv420p", {"preset": "veryfast", "crf": "20"}),
+    ".avi": ("avi", "mjpeg", "yuvj420p", {"qmin": "2", "qmax": "2"}),
+}
+"""By a file's suffix: container, codec, how its pixels are kept, and the codec's options.
+
+H.264 is what browsers, office programs and players have in common. In MJPEG each frame stands alone.
+"""
+_MOST_DENOMINATOR: Final = 1001
+"""Frame rates are whole numbers, or over 1001 as those of television are."""
+_BT601: Final = 6
+"""How colours become light and chroma (ITU-T H.273, matrix coefficients): OpenCV reads all files so."""
+_LIMITED_RANGE: Final = 1
+
+
+class VideoFile:
+    """A video that is being written, frame by frame."""
+
+    def __init__(self, file: "OutputContainer", stream: "VideoStream") -> None:
+        self._file, self._stream = file, stream
+
+    def add(self, pixels: Pixels) -> None:
+        """Append a frame (H, W, 3) RGB of the video's size; where that is odd, its edge is repeated."""
+        from av import VideoFrame
+
+        right, below = self._stream.width - pixels.shape[1], self._stream.height - pixels.shape[0]
+        if right or below:
+            pixels = np.asarray(cv2.copyMakeBorder(pixels, 0, below, 0, right, cv2.BORDER_REPLICATE), dtype=np.uint8)
+        self._file.mux(self._stream.encode(VideoFrame.from_ndarray(np.ascontiguousarray(pixels), format="rgb24")))
+
+    def end(self) -> None:
+        """Write the frames that are still being compared with others."""
+        self._file.mux(self._stream.encode())
+
+
+@contextmanager
+def open_video(path: Path, size: tuple[int, int], fps: float) -> Iterator[VideoFile]:
+    """Open a video file to write into: H.264 in an .mp4, MJPEG in an .avi.
 
     Args:
         path: The file.
+        size: Width and height of the frames, pixels; an .mp4 is a pixel larger where they are odd.
+        fps: Frames a second.
+
+    Raises:
+        UserError: The video cannot be written.
+    """
+    import av
+    from av.error import FFmpegError
+
+    container, codec, kept, options = _FORMATS[path.suffix]
+    # Python opens the file: FFmpeg takes some names for addresses and patterns.
+    with path.open("wb") as out:
+        try:
+            with av.open(out, "w", format=container) as file:
+                rate = Fraction(fps).limit_denominator(_MOST_DENOMINATOR)
+                stream: Any = file.add_stream(codec, rate=rate, options=options)
+                even = container == "mp4"
+                stream.width, stream.height = (side + (side % 2 if even else 0) for side in size)
+                stream.pix_fmt = kept
+                if even:
+                    stream.codec_context.colorspace, stream.codec_context.color_range = _BT601, _LIMITED_RANGE
+                video = VideoFile(file, stream)
+                yield video
+                video.end()
+        except FFmpegError as error:
+            raise UserError(f"{path}: cannot be written as a video ({error.strerror})") from None
+
+
+def write_video(path: Path, frames: Iterable[Pixels], fps: float) -> None:
+    """Write frames as a video file, as `open_video` does; where there is no frame, nothing is written.
+
+    Args:
+        path: The file, .mp4 or .avi.
         frames: (H, W, 3) RGB, all of one size.
         fps: Frames a second.
-        codec: FourCC that goes with the path's suffix.
+
+    Raises:
+        UserError: The video cannot be written.
     """
-    writer: cv2.VideoWriter | None = None
-    try:
-        for pixels in frames:
-            if writer is None:
-                size = (pixels.shape[1], pixels.shape[0])
-                writer = cv2.VideoWriter(for_opencv(path), cv2.VideoWriter.fourcc(*codec), fps, size)
-                if not writer.isOpened():
-                    raise UserError(f"{path}: cannot be written as a video")
-            writer.write(np.ascontiguousarray(cv2.cvtColor(pixels, cv2.COLOR_RGB2BGR)))
-    finally:
-        if writer is not None:
-            writer.release()
+    left = iter(frames)
+    first = next(left, None)
+    if first is None:
+        return
+    with open_video(path, (first.shape[1], first.shape[0]), fps) as video:
+        video.add(first)
+        for pixels in left:
+            video.add(pixels)

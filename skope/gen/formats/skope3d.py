@@ -257,7 +257,7 @@ def _write_scene(
     if len({(image.width, image.height) for image in images}) != 1:
         raise UserError(f"{dataset.root}: recording {images[0].recording} of {images[0].site} has images of two sizes")
     folder.mkdir(parents=True)
-    write_video(folder / VIDEO, (dataset.image(image) for image in images), frame_rate(images), "MJPG")
+    write_video(folder / VIDEO, (dataset.image(image) for image in images), frame_rate(images))
     for frame, image in enumerate(images):
         (folder / str(frame)).mkdir()
         own = [vehicle for vehicle in vehicles[image.id] if not vehicle.ignored]

@@ -1,13 +1,12 @@
 """Footage of a site with its labels: a video file, and the annotation file of its frames."""
 
 from collections.abc import Iterator, Mapping
-from contextlib import ExitStack, closing, contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,7 +15,6 @@ from skope.errors import UserError
 from skope.files.atomic import replacing
 from skope.files.json_files import read_json
 from skope.files.output_folders import changed
-from skope.files.safe_names import for_opencv
 from skope.gen.labels.annotate import Rules, annotate
 from skope.gen.labels.road_users import annotate_road_users
 from skope.gen.output.frames import image_of
@@ -26,6 +24,7 @@ from skope.gen.render.frame import Renderer
 from skope.gen.scene.recording import Recording, RecordingPlan
 from skope.gen.simulation.simulate import simulate
 from skope.pictures import draw
+from skope.pictures.video import VideoFile, open_video
 from skope.schema import CATEGORIES, VEHICLE_ALONE, Annotation, AnnotationFile, Image, RoadUser
 from skope.terminal.console import Console
 
@@ -114,7 +113,6 @@ def write_footage(
         out / f"{name}.mp4", out / f"{name}.json", out / f"{name}_labels.mp4" if with_overlay else None
     )
     check_free(footage, options)
-    for_opencv(footage.video)  # what cannot be written is told before anything is simulated
     console.say(f"{name}: simulating {plan.frames * plan.interval:g} s")
     recording = simulate(plan)
     size, fps = (recording.camera.width, recording.camera.height), 1 / plan.interval
@@ -122,8 +120,8 @@ def write_footage(
     annotations: list[Annotation] = []
     road_users: list[RoadUser] = []
     with ExitStack() as stack:
-        plain = stack.enter_context(_open_video(footage.video, size, fps))
-        drawn = stack.enter_context(_open_video(footage.overlay, size, fps)) if footage.overlay else None
+        plain = stack.enter_context(_whole_video(footage.video, size, fps))
+        drawn = stack.enter_context(_whole_video(footage.overlay, size, fps)) if footage.overlay else None
         drawn_by = make_renderer(renderer, recording, partial(lighting_messages(console), name))
         frames = _render_frames(recording, drawn_by, footage.video.name)
         for pixels, image, vehicles, others in console.bar(
@@ -164,21 +162,8 @@ def _render_frames(
         yield view.rgb, image, vehicles, others
 
 
-class _Video:
-    def __init__(self, path: Path, size: tuple[int, int], fps: float) -> None:
-        self._writer = cv2.VideoWriter(for_opencv(path), cv2.VideoWriter.fourcc(*"mp4v"), fps, size)
-        if not self._writer.isOpened():
-            raise UserError(f"{path}: cannot be written as a video")
-
-    def add(self, rgb: NDArray[np.uint8]) -> None:
-        self._writer.write(cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR))
-
-    def close(self) -> None:
-        self._writer.release()
-
-
 @contextmanager
-def _open_video(path: Path, size: tuple[int, int], fps: float) -> Iterator[_Video]:
-    """An MP4 file that takes its place when it is whole."""
-    with replacing(path) as temporary, closing(_Video(temporary, size, fps)) as video:
+def _whole_video(path: Path, size: tuple[int, int], fps: float) -> Iterator[VideoFile]:
+    """A video file that takes its place when it is whole."""
+    with replacing(path) as temporary, open_video(temporary, size, fps) as video:
         yield video

@@ -32,7 +32,7 @@ Members = dict[str, bytes | str]
 def video(tmp_path: Path, frames: int = FRAMES) -> bytes:
     path = tmp_path / "original.avi"
     shades = [np.full((120, 160, 3), 40 + 60 * i, np.uint8) for i in range(frames)]
-    write_video(path, shades, 10.0, "MJPG")
+    write_video(path, shades, 10.0)
     return path.read_bytes()
 
 
