@@ -12,7 +12,7 @@ from skope.traffic.collision import Doubt, deceleration_to_avoid, times_to_colli
 from skope.traffic.encroachment import Encroachment, by_places
 from skope.traffic.event_probability import event_probability
 from skope.traffic.footprints import FootprintPath
-from skope.traffic.normal_distribution import INTERVAL_LEVEL, INTERVAL_SIGMAS
+from skope.traffic.normal_distribution import COUNT_INTERVAL_LEVEL, INTERVAL_SIGMAS
 from skope.traffic.trajectories import LENGTH_SIGMA_M, Trajectory
 from skope.types import Array
 
@@ -171,6 +171,6 @@ def _drawn(
 
 def _middle(drawn: Array) -> tuple[float, float]:
     """Between what values lie with `INTERVAL_LEVEL`; infinite ones are the largest."""
-    tail = round(len(drawn) * (1 - INTERVAL_LEVEL) / 2)
+    tail = round(len(drawn) * (1 - COUNT_INTERVAL_LEVEL) / 2)
     ordered = np.sort(drawn)
     return float(ordered[tail]), float(ordered[-1 - tail])

@@ -15,7 +15,7 @@ from scipy.special import betainc
 from scipy.stats import betabinom
 
 from skope.traffic.gate_shares import Beta, LearntShares, chances_at, share_at
-from skope.traffic.normal_distribution import INTERVAL_LEVEL
+from skope.traffic.normal_distribution import COUNT_INTERVAL_LEVEL
 from skope.types import Array
 
 _NODES: Final = 24
@@ -118,7 +118,7 @@ def joint_interval(groups: Sequence[Group]) -> CountInterval:
     """The interval of how many there were of all groups together; of several, from draws that are always the same."""
     told = [one for one in groups if len(one.probabilities) or one.possible]
     told = told or [max(groups, key=lambda one: one.missed[0] / sum(one.missed))]
-    tail = (1 - INTERVAL_LEVEL) / 2
+    tail = (1 - COUNT_INTERVAL_LEVEL) / 2
     if len(told) > 1 or told[0].learnt is not None:
         low, high = np.quantile(joint_draws(told), (tail, 1 - tail), method="inverted_cdf")
         return CountInterval(int(low), int(high))

@@ -3,7 +3,7 @@
 import math
 from typing import Final
 
-INTERVAL_LEVEL: Final = 0.90
+COUNT_INTERVAL_LEVEL: Final = 0.90
 """All intervals shall hold the truth so often."""
 INTERVAL_SIGMAS: Final = 1.6448536269514722
 """Standard deviations on either side of a normal distribution's middle that hold `INTERVAL_LEVEL` of it."""

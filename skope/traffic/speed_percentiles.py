@@ -15,7 +15,7 @@ from typing import Final
 import numpy as np
 from scipy.special import bdtr
 
-from skope.traffic.normal_distribution import INTERVAL_LEVEL, INTERVAL_SIGMAS
+from skope.traffic.normal_distribution import COUNT_INTERVAL_LEVEL, INTERVAL_SIGMAS
 
 PERCENTILES: Final[Mapping[str, float]] = {"v15": 0.15, "v50": 0.50, "v85": 0.85}
 _LEAST_RATIO: Final = 0.5
@@ -62,7 +62,7 @@ def speed_percentiles(
     for name, share in PERCENTILES.items():
         ranks = order_ranks(n, share)
         if ranks is None:
-            least = math.ceil(math.log((1 - INTERVAL_LEVEL) / 2) / math.log(max(share, 1 - share)))
+            least = math.ceil(math.log((1 - COUNT_INTERVAL_LEVEL) / 2) / math.log(max(share, 1 - share)))
             out[name] = _refused(f"{n} vehicles: an interval needs {least}")
         elif ratio < _LEAST_RATIO and share != 0.5:
             out[name] = _refused("speeds vary hardly more than they are uncertain")
@@ -96,7 +96,7 @@ def order_ranks(n: int, share: float) -> tuple[int, int] | None:
 
     Each end errs with half of the rest at most. None where n is too small for that.
     """
-    tail = (1 - INTERVAL_LEVEL) / 2
+    tail = (1 - COUNT_INTERVAL_LEVEL) / 2
     ranks = np.arange(n)
     below = bdtr(ranks, n, share)  # so many values or fewer lie below the quantile
     # The k-th value (from 0) is above the quantile where k or fewer values lie below it.

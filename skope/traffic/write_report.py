@@ -14,7 +14,7 @@ import numpy as np
 from skope.files.atomic import replacing
 from skope.files.json_files import write_json
 from skope.traffic.count_interval import count_interval, in_json
-from skope.traffic.normal_distribution import INTERVAL_LEVEL
+from skope.traffic.normal_distribution import COUNT_INTERVAL_LEVEL
 from skope.traffic.report import TrafficReport
 from skope.traffic.report_tables import ReportTable, report_tables
 from skope.version import __version__
@@ -113,7 +113,7 @@ def summary(report: TrafficReport, *, tracks: str | list[str], revision: str | N
         "observed_s": round(observation.observed_s, 3),
         "observed_spans_s": np.round(spans, 3).tolist(),
         "camera_common_sigma": observation.common_sigma,
-        "interval_level": INTERVAL_LEVEL,
+        "interval_level": COUNT_INTERVAL_LEVEL,
         "trajectories": len(report.trajectories),
         "joined": [[one.number, *one.joined] for one in report.trajectories if one.joined],
         "counts": totals,
