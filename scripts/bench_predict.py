@@ -34,7 +34,7 @@ import torch
 from research.video_modes import COLUMNS, Counts, count
 
 from skope.dataset import coco
-from skope.detections import MIN_SCORE, apart, results
+from skope.detections import MIN_SCORE, apart, results_of
 from skope.detector.checkpoint import load_weights
 from skope.detector.detect import as_tensor
 from skope.eval.inference.confirmation import WEAK, Confirmation
@@ -148,7 +148,7 @@ def by_torchvision(
         with torch.inference_mode():
             (found,) = model([as_tensor(pixels, options.device)])
         points = torch.cat([found["keypoints"][..., :2], found["keypoints_scores"].sigmoid()[..., None]], dim=-1)
-        yield image, results(image.id, *(t.cpu() for t in (found["boxes"], found["scores"], points)))
+        yield image, results_of(image.id, *(t.cpu() for t in (found["boxes"], found["scores"], points)))
 
 
 def kept(way: str, rows: list[tuple[Image, list[Result]]], job: PredictJob) -> list[Result]:

@@ -55,14 +55,14 @@ def with_vehicles(recording: Recording, count: int) -> Recording:
     No other road users are left.
     """
     from skope.gen.render.pixel_windows import hull_of, window_of
-    from skope.gen.vehicles.fleet import build
+    from skope.gen.vehicles.fleet import build_vehicle
 
     keep: list[int] = []
     for frame in range(len(recording)):
         moment = recording.moment(frame).labelled()
         first = int(np.searchsorted(recording.frame, frame))
         away = np.linalg.norm(moment.T_world_chassis[:, :3, 3] - recording.camera.position, axis=1)
-        models = [build(vehicle.model, vehicle.shape) for vehicle in moment.vehicles]
+        models = [build_vehicle(vehicle.model, vehicle.shape) for vehicle in moment.vehicles]
         hulls = [hull_of(model, moment.part_poses(i), recording.camera) for i, model in enumerate(models)]
         windows = [window_of(hull, recording.camera) for hull in hulls]
         shown = [i for i in away.argsort(kind="stable") if windows[i]]
@@ -171,12 +171,12 @@ class Peer:
         )
 
     def __call__(self, frame: int) -> None:
-        from skope.gen.vehicles.fleet import build
+        from skope.gen.vehicles.fleet import build_vehicle
 
         moment, present = self.recording.moment(frame).labelled(), {}
         for i, vehicle in enumerate(moment.vehicles):
             if vehicle.track_id not in self.vehicles:
-                model = build(vehicle.model, vehicle.shape)
+                model = build_vehicle(vehicle.model, vehicle.shape)
                 self.vehicles[vehicle.track_id] = [self.add(model.mesh), *(self.add(model.wheel) for _ in range(4))]
             present[vehicle.track_id] = [moment.T_world_chassis[i], *moment.T_world_wheels[i]]
         self.move(present)

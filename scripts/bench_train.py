@@ -41,7 +41,7 @@ from skope.terminal.console import Console
 from skope.train import configure, distributed, init_weights, losses, optimizer, splits, step, training_samples
 from skope.train.distributed import ProcessGroup
 from skope.train.fold_batchnorm import fold_norms
-from skope.train.recipe import RECIPES, Recipe, adjusted
+from skope.train.recipe import RECIPES, Recipe, adjusted_recipe
 from skope.train.run_folder import TrainingState
 from skope.train.sample_loader import Loader
 
@@ -89,7 +89,7 @@ def recipe_of(options: argparse.Namespace) -> Recipe:
     """What skope does by default with bounded keypoint regions, at the reference's input size."""
     bfloat16 = options.device != "cpu" or has_bfloat16(torch.device("cpu"))
     laptop = dataclasses.replace(RECIPES["laptop"], bfloat16=bfloat16, val_fraction=0.0)
-    return adjusted(laptop.with_min_size(options.min_size), options.set)
+    return adjusted_recipe(laptop.with_min_size(options.min_size), options.set)
 
 
 # ---------------------------------------------------------------------------------------------------------- contenders

@@ -12,14 +12,14 @@ from pathlib import Path
 
 from skope.errors import UserError, one_of
 from skope.gen.towns.netconvert import COMMON, netconvert
-from skope.gen.towns.town import folder, source_digest, towns
+from skope.gen.towns.town import source_digest, town_folder, towns
 
 SOURCES = {"nod": "node-files", "edg": "edge-files", "con": "connection-files", "typ": "type-files"}
 
 
 def compile_town(town: str, out: Path) -> None:
     """Write a town's network. Raises UserError."""
-    source = folder(town) / "source"
+    source = town_folder(town) / "source"
     found = {option: source / f"town.{kind}.xml" for kind, option in SOURCES.items()}
     options = {**{option: str(path) for option, path in found.items() if path.is_file()}, **COMMON}
     header = f"compiled by scripts/compile_towns.py from sources {source_digest(town)}"
@@ -33,7 +33,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, help="folder for TOWN.net.xml; default: town.net.xml beside the sources")
     options = parser.parse_args()
     for town in options.towns or names:
-        out = options.out / f"{town}.net.xml" if options.out else folder(town) / "town.net.xml"
+        out = options.out / f"{town}.net.xml" if options.out else town_folder(town) / "town.net.xml"
         try:
             compile_town(one_of("TOWN", town, names), out)
         except UserError as error:

@@ -24,8 +24,8 @@ from skope.errors import UserError
 from skope.eval.inference.footage import open_footage
 from skope.files.atomic import write_text
 from skope.files.json_files import read_json
-from skope.page import document
-from skope.page.html_pieces import share, table, tag
+from skope.page import html_document
+from skope.page.html_pieces import percent_text, table, tag
 from skope.pictures import draw
 
 IOU = "0.6"
@@ -69,7 +69,7 @@ def verdict(before: Mapping[str, Any], after: Mapping[str, Any]) -> str:
             continue
         middle = (old + new) / 2
         if abs(new - old) > 2 * math.sqrt(2 * middle * (1 - middle) / count):
-            said.append(f"{name} {'rose' if new > old else 'fell'} from {share(old)} to {share(new)}")
+            said.append(f"{name} {'rose' if new > old else 'fell'} from {percent_text(old)} to {percent_text(new)}")
     if not said:
         return "Fine-tuning changed nothing that so few images could show."
     return f"Fine-tuning: {', '.join(said)}. The images are few and of one recording: do not build on it."
@@ -116,13 +116,16 @@ def page(run: Path, data: Path) -> tuple[str, str]:
         scores(before, after),
         tag("p", f"{escape(said)} Reports with pictures: {links}."),
     )
-    return document("skope: the demonstration", *parts), said
+    return html_document("skope: the demonstration", *parts), said
 
 
 def scores(before: Mapping[str, Any], after: Mapping[str, Any]) -> str:
     """The figures of both detectors beside each other."""
     later = rates(after)
-    rows = [[name, share(old), share(later[name][0]), str(count)] for name, (old, count) in rates(before).items()]
+    rows = [
+        [name, percent_text(old), percent_text(later[name][0]), str(count)]
+        for name, (old, count) in rates(before).items()
+    ]
     caption = f"{before['splits'][SPLIT]['images']} images of a road that neither was trained on, at IoU {IOU}"
     return table(("", "road33", "fine-tuned", "of (road33)"), rows, caption=caption)
 

@@ -18,7 +18,7 @@ from matplotlib.patches import Polygon
 from skope import keypoints
 from skope.camera.model import Camera
 from skope.files.atomic import replacing
-from skope.gen.inspect.vehicle_sheets import parked
+from skope.gen.inspect.vehicle_sheets import parked_recording
 from skope.gen.labels.annotate import (
     POINT_TOLERANCE,
     VEHICLE_TOLERANCE,
@@ -26,7 +26,7 @@ from skope.gen.labels.annotate import (
     WorldKeypoints,
     annotate,
     behind,
-    locate,
+    world_keypoints,
 )
 from skope.gen.pipeline.config import from_preset
 from skope.gen.render.choose_renderer import choose_renderer, make_renderer
@@ -54,7 +54,7 @@ def trilateration(renderer: str) -> Figure:
     left, right = figure.subplots(1, 2)
     for axis, fov in ((left, 15.5), (right, 20.0)):
         camera = _camera(math.radians(fov))
-        recording = parked(vehicle, camera)
+        recording = parked_recording(vehicle, camera)
         view = make_renderer(renderer, recording).render(0)
         if axis is left:
             annotations, _ = annotate(recording.moment(0), view, camera, Rules(), image_id=1)
@@ -130,7 +130,7 @@ def hidden_vehicle(renderer: str) -> Scene:
     found = []
     for frame in range(len(recording)):
         view, moment = drawn.render(frame), recording.moment(frame)
-        world = locate(moment, "rigid")
+        world = world_keypoints(moment, "rigid")
         tracks = [vehicle.track_id for vehicle in moment.vehicles]
         for annotation in annotate(moment, view, recording.camera, Rules(), image_id=1)[0]:
             if not annotation.ignored and 0.2 < (annotation.occlusion or 0) < 0.5 and not annotation.truncation:

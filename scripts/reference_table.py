@@ -22,7 +22,7 @@ from skope.metrics.counts import ratio
 from skope.metrics.match import Matches, match
 from skope.metrics.outcomes import Options, outcomes_at
 from skope.metrics.pck_precision_recall import AT_PRECISION, ranked, recall_at_precision
-from skope.metrics.read_inputs import read_results
+from skope.metrics.read_inputs import read_vehicle_results
 from skope.schema import AnnotationFile, Result
 
 PUBLISHED = Path(__file__).parents[1] / "skope" / "eval" / "report" / "published_results.json"
@@ -104,7 +104,7 @@ def beside(folders: Sequence[Path], data: Path) -> str:
     for dataset, split, _ in evaluated(folders[0]):
         file = coco.read(data / dataset / "annotations" / f"{split}.json")
         for folder in folders:
-            results = read_results(folder / dataset / f"predictions_{split}.json", file)
+            results = read_vehicle_results(folder / dataset / f"predictions_{split}.json", file)
             lines.append(f"| {label(dataset, split)} | {folder} | " + " | ".join(detector_cells(file, results)) + " |")
     return "\n".join(lines)
 

@@ -41,7 +41,7 @@ from skope.metrics.coco_ap import average_precision
 from skope.metrics.match import Matches, match
 from skope.metrics.outcomes import Options, lengths, outcomes_at
 from skope.metrics.pck_precision_recall import AT_PRECISION, recall_at_precision
-from skope.metrics.read_inputs import for_images, read_results
+from skope.metrics.read_inputs import for_images, read_vehicle_results
 from skope.pictures import draw
 from skope.schema import Annotation, AnnotationFile, Result
 from skope.terminal.console import Console
@@ -394,7 +394,7 @@ def run(options: argparse.Namespace) -> None:
         in_boxes = Predictor.load(weights, replace(settings, given=True), Console(quiet=True))
         given = predict(in_boxes, photographs)
     else:
-        results = read_results(options.predictions, photographs.file)
+        results = read_vehicle_results(options.predictions, photographs.file)
         check_places(f"{options.predictions}: results", results)
         claim_folder(options, photographs, [options.predictions])
     metrics = {

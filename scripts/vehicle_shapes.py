@@ -20,7 +20,7 @@ from skope import keypoints
 from skope.files.atomic import write_text
 from skope.gen.labels.annotate import box_around
 from skope.gen.traffic.sumo_vehicle_types import HEAVY_FROM_KG
-from skope.gen.vehicles.fleet import build, fleet
+from skope.gen.vehicles.fleet import build_vehicle, fleet
 from skope.gen.vehicles.model import ON_TRAILER, Vehicle
 from skope.gen.vehicles.shape_jitter import jittered
 
@@ -68,7 +68,7 @@ def main() -> None:
         kind = entry.vehicle.vehicle_type
         samples = [row(entry.vehicle)]
         for _ in range(options.samples):
-            vehicle = build(model, jittered(model, rng))
+            vehicle = build_vehicle(model, jittered(model, rng))
             # As much to the left as to the right, so that the mean vehicle is symmetric.
             bends = rng.normal(0, math.radians(BEND_DEG), BENDS) if vehicle.trailer else np.zeros(1)
             samples += [row(vehicle, bend) for bend in np.unique([bends, -bends])]

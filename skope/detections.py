@@ -140,7 +140,7 @@ class Detections:
 
     def to_results(self, image_id: int) -> list[Result]:
         """The vehicles as COCO results of image `image_id`, for `skope.dataset.coco` and `skope.score`."""
-        made = results(image_id, self.boxes_xyxy, self.scores, self.keypoints)
+        made = results_of(image_id, self.boxes_xyxy, self.scores, self.keypoints)
         if self.numbers is not None:
             numbers = self.numbers.tolist()
             made = [replace(one, track_id=n if n >= 0 else None) for one, n in zip(made, numbers, strict=True)]
@@ -191,7 +191,7 @@ def apart(found: Iterable[AnyResult]) -> tuple[list[Result], list[RoadUserResult
     return vehicles, road_users
 
 
-def results(image_id: int, boxes_xyxy: ArrayLike, scores: ArrayLike, points: ArrayLike) -> list[Result]:
+def results_of(image_id: int, boxes_xyxy: ArrayLike, scores: ArrayLike, points: ArrayLike) -> list[Result]:
     """Make COCO results of the vehicles found in an image.
 
     Args:

@@ -54,7 +54,7 @@ def integer(name: str, value: Any, least: int) -> int:
     return value
 
 
-def share(name: str, value: float | None) -> None:
+def check_share(name: str, value: float | None) -> None:
     """Raise a UserError unless `value` is None or from 0 to 1."""
     if value is not None and not (isinstance(value, int | float) and 0 <= value <= 1):
         raise UserError(f"{name}: expected a share from 0 to 1, got {value!r}")
@@ -75,7 +75,7 @@ def choice(name: str, value: str | None, choices: tuple[str, ...]) -> None:
         one_of(name, value, choices)
 
 
-def number(name: str, value: Any) -> None:
+def check_number(name: str, value: Any) -> None:
     """Raise a UserError unless `value` is a finite number from 0."""
     if not isinstance(value, int | float) or not math.isfinite(value) or value < 0:
         raise UserError(f"{name}: expected a number from 0, got {value!r}")

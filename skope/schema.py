@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from skope import keypoints
 from skope.camera.model import Camera
 from skope.errors import UserError
-from skope.field_checks import array, choice, integer, number, probability, share
+from skope.field_checks import array, check_number, check_share, choice, integer, probability
 from skope.files import safe_names
 from skope.keypoints import SKOPE33, Scheme
 from skope.types import Array
@@ -182,13 +182,13 @@ class Labelled:
                 self._set_array(name, length)
         if (self.bbox[2:] < 0).any():
             raise UserError(f"bbox: width and height must not be negative, got {self.bbox.tolist()}")
-        number("area", self.area)
+        check_number("area", self.area)
         for name in ("area_full", "distance", "contrast"):
             value = getattr(self, name)
             if value is not None:
-                number(name, value)
-        share("occlusion", self.occlusion)
-        share("truncation", self.truncation)
+                check_number(name, value)
+        check_share("occlusion", self.occlusion)
+        check_share("truncation", self.truncation)
         choice("ignore_reason", self.ignore_reason, IGNORE_REASONS)
 
     def _set_array(self, name: str, *shape: int) -> None:

@@ -15,7 +15,7 @@ from skope.dataset import coco
 from skope.dataset.depth_files import depth_png
 from skope.files.json_files import json_bytes, write_json
 from skope.gen.labels.annotate import RuleCounts, Rules
-from skope.gen.output.card_counts import kind_of
+from skope.gen.output.card_counts import count_kind
 from skope.gen.output.frames import image_of
 from skope.gen.output.writers import FrameFiles, Labels, checksum
 from skope.gen.pipeline.config import from_preset
@@ -110,7 +110,7 @@ def labelled(store: Store) -> None:
             name=name,
             image=coco.image_to_dict(replace(image_of(recording(split), 0, image), depth_file_name=depth)),
             rows=[json_bytes(coco.annotation_to_dict(vehicle))],
-            kinds=[kind_of(vehicle.iscrowd, vehicle.vehicle_type)],
+            kinds=[count_kind(vehicle.iscrowd, vehicle.vehicle_type)],
             sha256={path: checksum(data) for path, data in files.items()},
             tally=vars(RuleCounts()),
         )

@@ -25,7 +25,7 @@ from skope.eval.inference.settings import BACKENDS, PRECISIONS, TILES
 from skope.gen.formats.convert import READERS, WRITERS
 from skope.gen.labels.annotate import OCCLUSION_RULES
 from skope.gen.labels.localize import LOCALIZERS
-from skope.gen.output.frames import IMAGE_SUFFIXES
+from skope.gen.output.frames import SUFFIX_OF_FORMAT
 from skope.gen.output.writers import DATASET_FORMATS
 from skope.gen.pipeline.presets import presets
 from skope.gen.render.choose_renderer import RENDERERS
@@ -154,7 +154,7 @@ CHOSEN = {
     "--renderer": RENDERERS,
     "--localizer": LOCALIZERS,
     "--occlusion-rule": OCCLUSION_RULES,
-    "--image-format": tuple(IMAGE_SUFFIXES),
+    "--image-format": tuple(SUFFIX_OF_FORMAT),
     "skope gen --format": DATASET_FORMATS,
     "skope gen simulate --format": DATASET_FORMATS,
     "skope gen convert --to": WRITERS,
@@ -334,7 +334,7 @@ def test_flags_before_a_subcommand_are_refused_not_forgotten(skope: Any, words: 
     [
         (["gen", "--out", "d"], "skope.gen.cli.app.Path.exists"),
         (["gen", "sites"], "skope.gen.towns.town.towns"),
-        (["gen", "convert", "--to", "yolo", "a", "b"], "skope.gen.formats.convert.convert"),
+        (["gen", "convert", "--to", "yolo", "a", "b"], "skope.gen.formats.convert.convert_dataset"),
         (["eval", "--annotations", "a.json", "--predictions", "b.json"], "skope.metrics.read_inputs.read_annotations"),
         (["eval", "compare", "a", "b"], "skope.eval.report.compare.compare"),
     ],

@@ -26,7 +26,7 @@ from skope.dataset import coco
 from skope.detector.checkpoint import find_checkpoint, read_checkpoint
 from skope.errors import UserError
 from skope.schema import AnnotationFile, Result
-from skope.train.recipe import choose
+from skope.train.recipe import choose_recipe
 from tests.eval.cli.test_footage import numbered_video
 from tests.eval.sightings import drive
 from tests.samples import make_dataset, make_image
@@ -296,7 +296,7 @@ def test_every_script_is_listed() -> None:
     recipes = {"leg.toml", "lite.toml", "reference.toml", "world.toml"}
     assert others == {*recipes, "legs.toml", "legs.jsonl"}
     for name in recipes:
-        assert choose(str(SCRIPTS / "recipes" / name), gpu=True, bfloat16=True).name == Path(name).stem
+        assert choose_recipe(str(SCRIPTS / "recipes" / name), gpu=True, bfloat16=True).name == Path(name).stem
 
 
 @pytest.mark.parametrize("name", PYTHON)

@@ -13,7 +13,7 @@ from skope.camera import Camera
 from skope.gen.render.choose_renderer import make_renderer
 from skope.gen.scene.recording import Recording, RecordingPlan
 from skope.gen.simulation.simulate import simulate
-from skope.gen.site_files.generation_site import read_site
+from skope.gen.site_files.generation_site import read_generation_site
 
 HERE = Path(__file__).parent
 SURVEYED = [(-7.4, 0.1), (17.3, 0.7), (0.1, 7.8), (-2.5, 8.2), (3.2, 5.6), (2.2, 32.8), (14.9, -5.3), (-8.3, -5.7)]
@@ -45,7 +45,7 @@ def emptied(recording: Recording) -> Recording:
 
 
 if __name__ == "__main__":
-    site = read_site(HERE / "drawn.toml").site
+    site = read_generation_site(HERE / "drawn.toml").site
     assert site.road
     camera = site.road.camera
     write_camera(camera, HERE / "camera.yml")

@@ -29,8 +29,8 @@ from skope.dataset.image_selection import part
 from skope.errors import UserError
 from skope.eval.camera_fit.camera_doubts import sigma_of_ways, why_not
 from skope.eval.camera_fit.camera_unknowns import FOCAL, HEIGHT, PITCH, on_road
-from skope.eval.camera_fit.fit_camera import fit_camera
-from skope.eval.camera_fit.vehicle_sample import sample
+from skope.eval.camera_fit.fit_camera import fit_camera_to_vehicles
+from skope.eval.camera_fit.vehicle_sample import sample_vehicles
 from skope.eval.inference.confirmation import Confirmation
 from skope.eval.pose.views import Scene
 from skope.keypoints import FLIP, OTHER_END
@@ -161,8 +161,8 @@ def measure(name: str, file: AnnotationFile, results: list[Result] | None, how: 
     bare = replace(file, annotations=() if results is not None else file.annotations)
     scene = Scene(bare, None if results is None else tuple(results), None, None)
     try:
-        drawn = sample(scene, 40, score=0.9, noise=1.0 if results is None else 0.0, sigma_px=None)
-        estimate = fit_camera(drawn.views)
+        drawn = sample_vehicles(scene, 40, score=0.9, noise=1.0 if results is None else 0.0, sigma_px=None)
+        estimate = fit_camera_to_vehicles(drawn.views)
         reason = why_not(estimate, drawn.lower_edges)
     except UserError as error:
         reason = str(error)

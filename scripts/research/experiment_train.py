@@ -46,7 +46,7 @@ from skope.files.json_files import read_json, write_json
 from skope.schema import VEHICLE_TYPES
 from skope.terminal.console import Console
 from skope.train import loop, run_folder, splits, validate
-from skope.train.recipe import RECIPES, Recipe, adjusted
+from skope.train.recipe import RECIPES, Recipe, adjusted_recipe
 from skope.train.run_folder import RunConfig
 
 EXACT = ("bfloat16=false", "keypoint_regions=none", "fold_norms=false", "channels_last=false")
@@ -151,7 +151,7 @@ def recipe_of(options: argparse.Namespace, name: str) -> Recipe:
     variant = VARIANTS[name]
     # What a variant is, no flag changes; where it is its images, --set may change everything else.
     settings = [*variant.settings, *common] if variant.images else [*common, *variant.settings]
-    recipe = adjusted(RECIPES[options.recipe], settings)
+    recipe = adjusted_recipe(RECIPES[options.recipe], settings)
     return recipe.with_min_size(options.min_size) if options.min_size else recipe
 
 

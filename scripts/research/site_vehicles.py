@@ -34,7 +34,7 @@ from skope.errors import UserError
 from skope.eval.camera_fit.bundle_adjustment import VehicleViews
 from skope.eval.camera_fit.camera_doubts import why_not
 from skope.eval.camera_fit.camera_unknowns import UNKNOWN_NAMES
-from skope.eval.camera_fit.fit_camera import fit_camera
+from skope.eval.camera_fit.fit_camera import fit_camera_to_vehicles
 from skope.eval.pose.self_occlusion import facing
 from skope.eval.pose.shape_model import Shapes, fleet_shapes
 from skope.types import Array
@@ -108,7 +108,7 @@ def _sighting(
 def from_vehicles(camera: Camera, rng: np.random.Generator, traffic: Traffic) -> UncertainCamera:
     """The camera that vehicles tell, as `skope eval camera` finds it. Raises UserError where it would refuse."""
     views = vehicle_views(camera, rng, traffic)
-    fit = fit_camera(views)
+    fit = fit_camera_to_vehicles(views)
     boxes = [(np.ptp(view[:, 0]) / 2 + view[:, 0].min(), view[:, 1].max()) for view in views.found]
     if reason := why_not(fit, np.array(boxes)):
         raise UserError(reason)

@@ -24,7 +24,7 @@ from skope.gen.labels.annotate import Rules, box_around
 from skope.gen.pipeline.config import from_preset
 from skope.gen.pipeline.write_footage import plan_of
 from skope.gen.scene.recording import Recording, RecordingPlan
-from skope.gen.scene.road_user_bodies import vehicle_of
+from skope.gen.scene.road_user_bodies import vehicle_body
 from skope.gen.simulation.simulate import simulate
 from skope.schema import VEHICLE
 from skope.site.marks import Gate
@@ -70,14 +70,14 @@ def write_truth(path: Path, recording: Recording) -> None:
         for i, recorded in enumerate(moment.vehicles):
             T = moment.T_world_chassis[i]
             if recorded.labelled:
-                vehicle = vehicle_of(recorded)
+                vehicle = vehicle_body(recorded)
                 category, kind = VEHICLE, OF_BODY_TYPE.get(vehicle.vehicle_type, "car")
                 center, size = T[:3, 3] + T[:3, 2] * vehicle.size_lwh[2] / 2, vehicle.size_lwh
                 if vehicle.trailer is not None:
                     center, size = box_around(vehicle, vehicle.trailer, T, moment.T_world_trailer[i, 0])
             else:
                 category = kind = CATEGORY_OF[recorded.model]
-                low, high = bystander.build(recorded.model, recorded.shape).box
+                low, high = bystander.build_bystander(recorded.model, recorded.shape).box
                 center, size = T[:3, :3] @ ((low + high) / 2) + T[:3, 3], high - low
             who.setdefault(recorded.track_id, (category, kind, float(size[0]), float(size[1]), recorded.parked))
             yaw = math.atan2(T[1, 0], T[0, 0])

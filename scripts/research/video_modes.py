@@ -25,7 +25,7 @@ from skope.metrics.counts import ratio
 from skope.metrics.match import match
 from skope.metrics.outcomes import Options, outcomes_at
 from skope.metrics.pck_precision_recall import ranked, recall_at_precision
-from skope.metrics.read_inputs import read_results
+from skope.metrics.read_inputs import read_vehicle_results
 from skope.schema import AnnotationFile, Result
 
 IOU: Final = 0.6
@@ -106,7 +106,7 @@ def rows(labels: Sequence[Path], modes: Sequence[Path]) -> Iterator[list[str]]:
     for path in labels:
         truth = coco.read(path)
         for mode in modes:
-            one = count(truth, read_results(mode / path.stem / PREDICTIONS, truth))
+            one = count(truth, read_vehicle_results(mode / path.stem / PREDICTIONS, truth))
             sums[mode] += one
             yield [path.stem, str(mode), *one.cells()]
     for mode, total in sums.items():

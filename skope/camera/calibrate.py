@@ -18,8 +18,8 @@ from skope.camera.evidence_terms import EvidenceTerm, terms_of
 from skope.camera.model import Camera
 from skope.camera.other_cameras import likely_cameras, spread_around
 from skope.camera.pose_from_points import FEWEST
-from skope.camera.uncertain_camera import PARAMETERS, UncertainCamera, camera_of
-from skope.camera.weighted_fit import CHECKED_POINTS, SCALES, WeightedFit, best_fit, starts_of
+from skope.camera.uncertain_camera import PARAMETERS, UncertainCamera, camera_of_parameters
+from skope.camera.weighted_fit import CHECKED_POINTS, SCALES, WeightedFit, best_fit, camera_starts
 from skope.camera.wrong_points import with_wrong_points
 from skope.errors import UserError
 
@@ -77,7 +77,7 @@ def calibrate(evidence: Evidence, *, start: Camera | None = None, check: bool = 
         raise UserError(f"calibration: expected {FEWEST} points or more, got {len(evidence.points)}")
     unknown = tuple(name for name in PARAMETERS if len(evidence.points) >= 2 or name not in _FREE)
     terms = terms_of(evidence)
-    fit = best_fit(terms, starts_of(evidence, start, terms), unknown, evidence.size)
+    fit = best_fit(terms, camera_starts(evidence, start, terms), unknown, evidence.size)
     if not math.isfinite(fit.cost):
         raise UserError("calibration: no camera agrees with what is marked; are two points swapped?")
     outliers, doubts, spread = tuple[str, ...](), tuple[str, ...](), np.zeros((len(unknown), len(unknown)))
@@ -90,7 +90,7 @@ def calibrate(evidence: Evidence, *, start: Camera | None = None, check: bool = 
         fit, spread = likely[0], spread_around(likely[0], likely[1:], chances[1:].tolist(), unknown)
         if chances[0] < 1 - _OTHER:
             doubts = ("the points suit another camera too: places are as uncertain as both leave them; mark more",)
-    camera = camera_of(fit.at, evidence.size)
+    camera = camera_of_parameters(fit.at, evidence.size)
     excess = _excess(fit, len(evidence.parallels))
     covariance = excess**2 * fit.covariance(SCALES[[PARAMETERS.index(name) for name in unknown]]) + spread
     calibration = SiteCalibration(camera, unknown, covariance, _residuals(terms, camera), outliers, ())

@@ -21,7 +21,7 @@ from skope.files.reading import read_bytes, read_text
 from skope.files.safe_names import for_opencv
 from skope.types import Array
 
-FORMATS: Final = ("opencv", "tumtraf", "rope3d")
+CAMERA_FORMATS: Final = ("opencv", "tumtraf", "rope3d")
 _K_NAMES: Final = ("camera_matrix", "cameraMatrix", "K", "intrinsic_matrix", "M1")
 _DISTORTION_NAMES: Final = ("distortion_coefficients", "distCoeffs", "dist_coeffs", "D", "D1")
 _ROTATION_NAMES: Final = ("rvec", "R", "rotation_matrix", "rotation")

@@ -33,17 +33,17 @@ def left_out_errors(evidence: Evidence, calibration: SiteCalibration) -> dict[st
         if len(others) < FEWEST:
             continue
         if len(others) == len(good):
-            out[point.name] = error_of(point, calibration)
+            out[point.name] = left_out_error(point, calibration)
             continue
         try:
             without = calibrate(replace(evidence, points=others), start=calibration.camera, check=False)
         except UserError:
             continue
-        out[point.name] = error_of(point, without)
+        out[point.name] = left_out_error(point, without)
     return out
 
 
-def error_of(point: MarkedPoint, camera: UncertainCamera) -> LeftOutError:
+def left_out_error(point: MarkedPoint, camera: UncertainCamera) -> LeftOutError:
     """Error of the place that a camera which does not know the point gives its mark, on the plane of its height."""
     height = float(point.place[2])
     place = camera.places(point.pixel, height)

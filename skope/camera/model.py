@@ -14,12 +14,10 @@ from functools import cached_property
 from typing import Any, Final, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from skope.errors import UserError, one_of
-from skope.types import Array
-
-Mask = NDArray[np.bool_]
+from skope.types import Array, Mask
 
 DISTORTION_MODELS: Final = ("none", "brown", "fisheye")
 _COUNTS: Final = {"none": (0,), "brown": (4, 5, 8, 12), "fisheye": (4,)}

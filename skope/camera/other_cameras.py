@@ -13,7 +13,7 @@ import numpy as np
 from skope.camera.evidence import Evidence
 from skope.camera.evidence_terms import EvidenceTerm
 from skope.camera.model import Distortion
-from skope.camera.pose_from_points import centred, fit_camera
+from skope.camera.pose_from_points import centred, fit_camera_to_points
 from skope.camera.uncertain_camera import PARAMETERS, values_of
 from skope.camera.weighted_fit import SCALES, WeightedFit, fit_terms
 from skope.errors import UserError
@@ -91,7 +91,7 @@ def _starts(evidence: Evidence) -> list[Array]:
         for length in _LENGTHS:
             K = centred(evidence.size, length * evidence.size[0])
             try:
-                out.append(values_of(fit_camera(uv, places, evidence.size, K=K, distortion=lens).camera))
+                out.append(values_of(fit_camera_to_points(uv, places, evidence.size, K=K, distortion=lens).camera))
             except UserError:
                 continue
     return out

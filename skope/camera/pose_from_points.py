@@ -73,7 +73,7 @@ class CameraFit:
         return CameraSigma(focal, pitch, roll, height)
 
 
-def fit_camera(
+def fit_camera_to_points(
     pixels: ArrayLike,
     points_world: ArrayLike,
     size: tuple[int, int],

@@ -187,7 +187,7 @@ class UncertainCamera:
         return np.asarray(slopes(moved, np.zeros(len(steps)), 1.0) / steps)
 
 
-def camera_of(values: Array, size: tuple[int, int]) -> Camera:
+def camera_of_parameters(values: Array, size: tuple[int, int]) -> Camera:
     """The camera of values (8,) of `PARAMETERS`, with the principal point in the image's middle."""
     focal, k1, x, y, z, pitch, roll, yaw = values.tolist()
     lens = Distortion("brown", (k1, 0.0, 0.0, 0.0)) if k1 else Distortion()

@@ -11,8 +11,8 @@ from scipy.optimize import least_squares
 from skope.camera.evidence import Evidence
 from skope.camera.evidence_terms import EvidenceTerm, covariances_of, residuals_of
 from skope.camera.model import Camera
-from skope.camera.pose_from_points import FEWEST, fit_camera
-from skope.camera.uncertain_camera import PARAMETERS, camera_of, values_of
+from skope.camera.pose_from_points import FEWEST, fit_camera_to_points
+from skope.camera.uncertain_camera import PARAMETERS, camera_of_parameters, values_of
 from skope.errors import UserError
 from skope.types import Array
 
@@ -111,7 +111,7 @@ def fit_terms(
     columns = [PARAMETERS.index(name) for name in unknown]
     at, fit = begun.copy(), None
     for _ in range(rounds):
-        camera = camera_of(at, size)
+        camera = camera_of_parameters(at, size)
         try:
             weights = [np.linalg.inv(np.linalg.cholesky(C + 1e-12)) for C in covariances_of(terms, camera)]
         except np.linalg.LinAlgError:  # a camera that sees a mark where its lens ends
@@ -120,7 +120,7 @@ def fit_terms(
         def residuals(values: Array, at: Array = at, weights: list[Array] = weights) -> Array:
             moved = at.copy()
             moved[columns] = values
-            camera = camera_of(moved, size)
+            camera = camera_of_parameters(moved, size)
             return np.concatenate([W @ off for W, off in zip(weights, residuals_of(terms, camera), strict=True)])
 
         try:
@@ -137,7 +137,7 @@ def fit_terms(
     return WeightedFit(at, float(2 * fit.cost), np.asarray(fit.jac), tuple(np.split(fit.fun, ends)), log_weights)
 
 
-def starts_of(evidence: Evidence, start: Camera | None, terms: Sequence[EvidenceTerm]) -> list[Array]:
+def camera_starts(evidence: Evidence, start: Camera | None, terms: Sequence[EvidenceTerm]) -> list[Array]:
     """Cameras that the search for the likeliest one begins with.
 
     Args:
@@ -164,18 +164,18 @@ def starts_of(evidence: Evidence, start: Camera | None, terms: Sequence[Evidence
         out = []
         for rows in keep:
             try:
-                out.append(values_of(fit_camera(uv[rows], places[rows], evidence.size).camera))
+                out.append(values_of(fit_camera_to_points(uv[rows], places[rows], evidence.size).camera))
             except UserError:
                 continue
         if not out:
             raise UserError("calibration: no camera sees the points so; do they lie on one line, or are two swapped?")
-        return sorted(out, key=lambda at: _capped_cost(terms, camera_of(at, evidence.size)))[:2]
+        return sorted(out, key=lambda at: _capped_cost(terms, camera_of_parameters(at, evidence.size)))[:2]
     grid = [
         np.array([math.log(share * evidence.size[0]), 0, 0, 0, _HEIGHT_M, math.radians(tilt), 0, 0])
         for share in _LENGTHS
         for tilt in _TILTS_DEG
     ]
-    return sorted(grid, key=lambda at: _smooth_cost(terms, camera_of(at, evidence.size)))[:6]
+    return sorted(grid, key=lambda at: _smooth_cost(terms, camera_of_parameters(at, evidence.size)))[:6]
 
 
 def _capped_cost(terms: Sequence[EvidenceTerm], camera: Camera) -> float:

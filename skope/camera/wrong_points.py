@@ -16,7 +16,7 @@ import numpy as np
 from skope.camera.evidence import Evidence
 from skope.camera.evidence_terms import EvidenceTerm, point_term
 from skope.camera.other_cameras import spread_around
-from skope.camera.pose_from_points import FEWEST, fit_camera
+from skope.camera.pose_from_points import FEWEST, fit_camera_to_points
 from skope.camera.uncertain_camera import PARAMETERS, values_of
 from skope.camera.weighted_fit import SCALES, WeightedFit, best_fit, fit_terms
 from skope.errors import UserError
@@ -28,7 +28,7 @@ _ASIDE_M: Final = (3.5, 30.0)
 """Standard deviations of wrong points, metres along x and y: aside by a lane's width, or anywhere."""
 _DOUBTED: Final = 8
 """So many points at most may be wrong, those that the others contradict most."""
-_TOGETHER: Final = 4
+_POINTS_PER_WRONG: Final = 4
 """One point in so many may be wrong at most."""
 _TOLD: Final = 0.05
 """Probability from which it is told that a point may be wrong."""
@@ -87,7 +87,7 @@ def with_wrong_points(
     none = _Hypothesis(frozenset(), fit, fit.log_evidence(scales))
     found, doubted = [none], _doubted(fit, len(evidence.points))
     best = none
-    while len(best.wrong) < len(evidence.points) // _TOGETHER:
+    while len(best.wrong) < len(evidence.points) // _POINTS_PER_WRONG:
         further = [
             hypothesis(best.wrong | {i}, [best.fit.at, *_pose_without(evidence, best.wrong | {i})])
             for i in doubted
@@ -159,7 +159,7 @@ def _pose_without(evidence: Evidence, wrong: frozenset[int]) -> list[Array]:
     if len(kept) < FEWEST:
         return []
     try:
-        pose = fit_camera([point.pixel for point in kept], [point.place for point in kept], evidence.size)
+        pose = fit_camera_to_points([point.pixel for point in kept], [point.place for point in kept], evidence.size)
     except UserError:
         return []
     return [values_of(pose.camera)]

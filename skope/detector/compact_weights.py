@@ -46,8 +46,8 @@ _STEPS_SUFFIX: Final = ".steps"
 _MOST_WEIGHTS: Final = 1 << 28
 """More weights than a detector has: a file that claims them is refused before memory is asked for."""
 
-State = Mapping[str, Tensor]
-Kept = Mapping[str, Any]
+StateDict = Mapping[str, Tensor]
+PackedHeader = Mapping[str, Any]
 
 
 class DamagedError(ValueError):
@@ -58,7 +58,7 @@ class DamagedError(ValueError):
 
 
 def pack(
-    state: State, most_bytes: int = BYTES, *, moments: State | None = None
+    state: StateDict, most_bytes: int = BYTES, *, moments: StateDict | None = None
 ) -> tuple[dict[str, Tensor], dict[str, Any]]:
     """The tensors to store for a state dict, and how each weight is kept.
 
@@ -125,7 +125,7 @@ def _integers(tensor: Tensor, steps: Tensor) -> Tensor:
     return (tensor * inverse).round().clamp(-_LARGEST_STEP, _LARGEST_STEP).to(torch.int8)
 
 
-def _deflated(weights: State, most_bytes: int, moments: State) -> dict[str, tuple[bytes, Tensor]]:
+def _deflated(weights: StateDict, most_bytes: int, moments: StateDict) -> dict[str, tuple[bytes, Tensor]]:
     """Deflated integers and steps of each weight, with the finest factor that `most_bytes` allow."""
     count = sum(tensor.numel() for tensor in weights.values())
     largest = max(tensor.numel() for tensor in weights.values())
@@ -162,7 +162,7 @@ def _deflate(integers: Tensor) -> bytes:
 # ------------------------------------------------------------------------------------------------------------ unpacking
 
 
-def unpack(stored: State, kept: Kept) -> dict[str, Tensor]:
+def unpack(stored: StateDict, kept: PackedHeader) -> dict[str, Tensor]:
     """The float32 state dict that `pack` was given, rounded; a DamagedError where the two do not belong together."""
     if not isinstance(kept, dict) or not all(_is_way(way) for way in kept.values()):
         raise DamagedError("the header says in a damaged way how the weights are kept")
@@ -199,7 +199,7 @@ def _inflated(name: str, data: Tensor, steps: Tensor, shape: list[int]) -> Tenso
     return (rounded * steps[:, None]).view(shape)
 
 
-def digest(stored: State, header: Mapping[str, Any]) -> str:
+def digest(stored: StateDict, header: Mapping[str, Any]) -> str:
     """SHA-256, in hexadecimal, of a file's header (JSON values) and tensors."""
     hashed = hashlib.sha256(json.dumps(header, sort_keys=True, allow_nan=False).encode())
     for name in sorted(stored):

@@ -22,7 +22,7 @@ from skope.files.progress import Progress
 from skope.metrics import pck_precision_recall, read_inputs
 from skope.metrics.outcomes import Options
 from skope.metrics.read_inputs import GroundTruth
-from skope.metrics.split_scores import measure, to_tallies
+from skope.metrics.split_scores import split_metrics, to_tallies
 from skope.pictures import draw
 from skope.schema import CATEGORIES, VEHICLE_ALONE, AnnotationFile, AnyResult, Result, RoadUserResult, far_outside
 from skope.terminal.console import Console, counted
@@ -87,7 +87,7 @@ def evaluate(job: EvalJob, console: Console, width: int) -> dict[str, Any]:
     for file in splits:
         vehicles, road_users = apart(found[file.name])
         measured.append(
-            measure(
+            split_metrics(
                 file,
                 vehicles,
                 job.options,
@@ -98,7 +98,9 @@ def evaluate(job: EvalJob, console: Console, width: int) -> dict[str, Any]:
             )
         )
     entries = {split.file.name: split.entry for split in measured}
-    document = pck_precision_recall.document(job.options, entries, calibrated=calibrated, scheme=job.scheme, work=work)
+    document = pck_precision_recall.scores_document(
+        job.options, entries, calibrated=calibrated, scheme=job.scheme, work=work
+    )
     write_json(job.out / "metrics.json", document)
     tallies = {split.file.name: to_tallies(split) for split in measured}
     write_text(
@@ -107,11 +109,11 @@ def evaluate(job: EvalJob, console: Console, width: int) -> dict[str, Any]:
     )
     beside = table.published() if job.beside_paper else None
     subject = f"{job.checkpoint or job.predictions} on {job.truth.root}"
-    page = report.render(document, measured, job.truth.root, job.options, job.protocol, beside, subject)
+    page = report.render_page(document, measured, job.truth.root, job.options, job.protocol, beside, subject)
     write_text(job.out / REPORT, page)
     pictures = [path for file in splits for path in _overlays(job, file, found[file.name], console)]
 
-    console.result(table.render(document, job.protocol, width, beside=beside))
+    console.result(table.render_table(document, job.protocol, width, beside=beside))
     for line in _advice(job, entries, {split.file.name: split.results for split in measured}):
         console.result(line)
     console.result(_last_line(job, splits, pictures))

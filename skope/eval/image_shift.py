@@ -166,7 +166,7 @@ class FollowedCorners:
 
 @dataclass(frozen=True, eq=False)
 class SmallPicture:
-    """What is needed of a picture to hold it against others of the same camera."""
+    """The grey pictures that a picture is held against others of the same camera by."""
 
     size: tuple[int, int]
     """Width and height of the picture itself, pixels."""

@@ -41,7 +41,7 @@ def claim_output(folder: Path, command: str, inputs: Iterable[Path], options: Ma
     """
     work = work_of(command, inputs, options)
     found = _recorded_work(folder, "--out")
-    if found is not None and (different := differences(found, work)):
+    if found is not None and (different := work_differences(found, work)):
         raise UserError(f"--out: {folder} holds other work ({different}); {_CHOICE}")
     remove_leftovers(folder)
     return _write_record(folder, work)
@@ -85,7 +85,7 @@ def replaceable_output(
         raise UserError(f"{flag}: {folder} holds other work ({_described(found)}); {_CHOICE}")
     earlier = {name for name in _files(found or {}) if (folder / name).is_file()}
     same = options is not None and found is not None and found.get("skope") == __version__
-    stale = set() if same and not differences(found, work) else earlier
+    stale = set() if same and not work_differences(found, work) else earlier
     with replacing_folder(folder, keep=False) as drawn:
         yield drawn
         new = {path.name for path in drawn.iterdir()}
@@ -114,7 +114,7 @@ def work_of(command: str, inputs: Iterable[Path], options: Mapping[str, Any]) ->
     return work
 
 
-def differences(held: Any, wanted: Mapping[str, Any]) -> str:
+def work_differences(held: Any, wanted: Mapping[str, Any]) -> str:
     """Differences of the work `held` from `wanted` (as `work_of` gives it), in words; empty for the same work."""
     if not isinstance(held, dict) or held.get("command") != wanted["command"]:
         return _described(held)
@@ -123,10 +123,10 @@ def differences(held: Any, wanted: Mapping[str, Any]) -> str:
     words = [f"not of {path}" for path, digest in wanted["inputs"].items() if digest not in inputs.values()]
     if not words and len(inputs) != len(wanted["inputs"]):
         words.append("of more files")
-    return "; ".join([*words, *changed(options, wanted["options"])])
+    return "; ".join([*words, *changed_options(options, wanted["options"])])
 
 
-def changed(held: Mapping[str, Any], wanted: Mapping[str, Any]) -> list[str]:
+def changed_options(held: Mapping[str, Any], wanted: Mapping[str, Any]) -> list[str]:
     """The options that differ, in words, by name; one that is missing on a side is None there."""
     pairs = [(name, held.get(name), wanted.get(name)) for name in sorted({*held, *wanted})]
     return [f"{name} = {was}, now {now}" for name, was, now in pairs if was != now]

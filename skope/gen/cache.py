@@ -31,7 +31,7 @@ _LIBRARIES: Final = ("numpy", "shapely", "sumolib", "fast-simplification")
 """Libraries that meshes are built with; another version of one makes the cache invalid."""
 
 
-def folder() -> Path:
+def cache_folder() -> Path:
     """$SKOPE_CACHE, or skope's folder in the user's cache."""
     own, users = os.environ.get("SKOPE_CACHE"), os.environ.get("XDG_CACHE_HOME")
     return Path(own) if own else (Path(users) if users else Path.home() / ".cache") / "skope"
@@ -81,7 +81,7 @@ def _remove_all(places: Sequence[Path]) -> None:
 
 
 def _place(kind: str, digest: str) -> Path:
-    return folder() / f"{kind}_{digest}.npz"
+    return cache_folder() / f"{kind}_{digest}.npz"
 
 
 def _loaded_or_made(path: Path, make: Callable[[], Arrays]) -> Arrays:

@@ -19,7 +19,7 @@ NO_PRECISION: Final = dict.fromkeys(("box_ap", "box_ap50", "keypoint_ap", "keypo
 """Figures where results leave out what scores low: AP of those would mean nothing."""
 _WHATEVER_SIZE: Final = {"all": (0.0, 1e10)}
 
-Row: TypeAlias = dict[str, Any]
+CocoRow: TypeAlias = dict[str, Any]
 
 
 def average_precision(file: AnnotationFile, results: Sequence[Result], options: Options) -> dict[str, float | None]:
@@ -64,7 +64,7 @@ def _result_row(number: int, result: Result) -> dict[str, Any]:
     return {**found_box(number, result), "keypoints": result.keypoints.ravel().tolist()}
 
 
-def truth_box(label: Labelled, kind: str) -> Row:
+def truth_box(label: Labelled, kind: str) -> CocoRow:
     """A label's box of `kind` (see `match.BOX_KINDS`) as pycocotools takes it, all as of one category."""
     box = box_of(label, kind)
     area = label.area_full if label.area_full is not None else label.area
@@ -79,7 +79,7 @@ def truth_box(label: Labelled, kind: str) -> Row:
     }
 
 
-def found_box(number: int, result: Found) -> Row:
+def found_box(number: int, result: Found) -> CocoRow:
     """The box of a result of some `number` from 1 as pycocotools takes it, all as of one category."""
     x, y, width, height = result.bbox.tolist()
     width, height = max(width, 0.0), max(height, 0.0)
@@ -95,9 +95,9 @@ def found_box(number: int, result: Found) -> Row:
 
 
 def evaluated(
-    images: list[Row],
-    truth: list[Row],
-    found: list[Row],
+    images: list[CocoRow],
+    truth: list[CocoRow],
+    found: list[CocoRow],
     kind: str,
     areas: Mapping[str, Sequence[float]],
     sigmas: Sequence[float] = (),
@@ -131,7 +131,7 @@ def _ap(evaluation: Any) -> tuple[float | None, float | None]:
     return mean_precision(precision), mean_precision(precision[:1])
 
 
-def _index(images: list[Row], annotations: list[Row]) -> Any:
+def _index(images: list[CocoRow], annotations: list[CocoRow]) -> Any:
     """A pycocotools COCO object made directly: its `loadRes` crashes on an empty list."""
     from pycocotools.coco import COCO
 

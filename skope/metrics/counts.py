@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skope.metrics.match import Matches
-from skope.metrics.outcomes import Options, outcomes_at, predicted
+from skope.metrics.outcomes import Options, outcomes_at, predicted_keypoints
 from skope.types import Array, Integers
 
 Name = tuple[str, str | None]
@@ -72,7 +72,7 @@ def tally(matches: Matches, threshold: float, options: Options) -> Tally:
     outcomes = outcomes_at(matches, threshold, options)
     matched = matches.taken[threshold] >= 0
     left_out = ~matched & matches.det_on_ignored
-    points = predicted(matches, options).sum(axis=1)
+    points = predicted_keypoints(matches, options).sum(axis=1)
     labelled = outcomes.labelled.sum(axis=1)
 
     def by_image(image: Integers, weights: NDArray[Any]) -> Integers:

@@ -60,7 +60,7 @@ def _apart(matches: Matches, outcomes: Outcomes, counterpart: Any) -> Array:
     return np.where(labelled, out, np.inf)
 
 
-def counts(matches: Matches, outcomes: Outcomes, options: Options) -> dict[str, int]:
+def failure_counts(matches: Matches, outcomes: Outcomes, options: Options) -> dict[str, int]:
     """Count what went wrong at one IoU threshold.
 
     Args:

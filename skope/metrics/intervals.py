@@ -80,7 +80,7 @@ def left_out(values: Quotients, blocks: Blocks) -> dict[Name, Array]:
     return out
 
 
-def error_of(without: Array) -> tuple[float, int]:
+def jackknife_error(without: Array) -> tuple[float, int]:
     """A figure's standard error by the jackknife, and the degrees of freedom.
 
     `without` (B,) are the figure's values without one block each, NaN where a block says nothing of it. The formula is
@@ -98,7 +98,7 @@ def share_interval(value: float | None, without: Array) -> Interval:
     None where fewer than two blocks say something, and for exactly 0 or 1: where nothing was ever wrong, the data do
     not say how seldom it is.
     """
-    error, freedom = error_of(without)
+    error, freedom = jackknife_error(without)
     if value is None or freedom < 1 or not 0 < value < 1:
         return None
     reach = student(freedom) * error / (value * (1 - value))
@@ -157,7 +157,7 @@ def difference(a: Quotients, b: Quotients, blocks: Blocks, name: Name) -> Interv
     """
     ours, theirs = _whole(a[name]), _whole(b[name])
     gaps = left_out({name: b[name]}, blocks)[name] - left_out({name: a[name]}, blocks)[name]
-    error, freedom = error_of(gaps)
+    error, freedom = jackknife_error(gaps)
     if ours is None or theirs is None or freedom < 1:
         return None
     gap, reach = theirs - ours, student(freedom) * error

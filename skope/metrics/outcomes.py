@@ -84,7 +84,7 @@ class Outcomes:
         return self.labelled & self.predicted & (self.offset <= alpha * self.length[:, None])
 
 
-def predicted(matches: Matches, options: Options) -> Mask:
+def predicted_keypoints(matches: Matches, options: Options) -> Mask:
     """(D, 33) which keypoints of each detection count as predicted."""
     mask = np.zeros((len(matches.det_image), keypoints.K), dtype=bool)
     mask[:, list(options.points)] = True
@@ -117,7 +117,7 @@ def outcomes_at(matches: Matches, threshold: float, options: Options) -> Outcome
     points = list(options.points)
     labelled[:, points] = matches.gt_keypoints[:, points, 2] >= (2 if options.labelled == "visible" else 1)
     shown = np.zeros_like(labelled)
-    shown[found] = predicted(matches, options)[detection[found]]
+    shown[found] = predicted_keypoints(matches, options)[detection[found]]
     offset = np.full(labelled.shape, np.inf)
     offset[found] = lengths(matches.det_keypoints[detection[found], :, :2] - matches.gt_keypoints[found, :, :2])
     box = matches.gt_boxes_xyxy

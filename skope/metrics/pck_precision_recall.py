@@ -21,13 +21,13 @@ from skope.schema import AnnotationFile, Result
 
 __all__ = [
     "Options",
-    "document",
-    "figures",
     "localisation",
     "match_split",
+    "named_scores",
     "recall_at_precision",
     "score_split",
-    "summary",
+    "score_summary",
+    "scores_document",
 ]
 
 METRICS_VERSION: Final = 1
@@ -41,7 +41,7 @@ AREA_ALPHA: Final = 0.2
 """The area under PCK(alpha) runs from 0 to this, divided by it: 1 is perfect."""
 
 
-def document(
+def scores_document(
     options: Options,
     splits: Mapping[str, Any],
     *,
@@ -88,7 +88,7 @@ def score_split(file: AnnotationFile, results: Sequence[Result], options: Option
     Raises:
         UserError: `options` ask for boxes that are not annotated.
     """
-    return summary(match_split(file, results, options), options)
+    return score_summary(match_split(file, results, options), options)
 
 
 def match_split(file: AnnotationFile, results: Sequence[Result], options: Options) -> Matches:
@@ -102,18 +102,18 @@ def match_split(file: AnnotationFile, results: Sequence[Result], options: Option
     return match(file, results, score=options.score, boxes=options.boxes, thresholds=options.iou)
 
 
-def summary(matches: Matches, options: Options) -> dict[str, Any]:
+def score_summary(matches: Matches, options: Options) -> dict[str, Any]:
     """Counts of a split and, per IoU threshold, ratios."""
     return {
         "images": matches.images,
         "ground_truth": len(matches.gt_image),
         "ignored": matches.ignored,
         "detections": len(matches.det_image),
-        "iou": {f"{t:g}": figures(counts.tally(matches, t, options)) for t in options.iou},
+        "iou": {f"{t:g}": named_scores(counts.tally(matches, t, options)) for t in options.iou},
     }
 
 
-def figures(pooled: counts.Tally) -> dict[str, Any]:
+def named_scores(pooled: counts.Tally) -> dict[str, Any]:
     """Counts and ratios at one IoU threshold, laid out as in `metrics.json`."""
     names = ("matched", "labelled", "labelled_all", "correct", "predicted", "detections_ignored")
     sums = {name: int(getattr(pooled, name).sum()) for name in names}

@@ -81,7 +81,7 @@ def scheme_points(scheme: str, truth: Scheme = keypoints.SKOPE33) -> tuple[int, 
     return tuple(sorted(keypoints.FOREIGN_SCHEMES[scheme].values()))
 
 
-def read_results(path: Path, file: AnnotationFile, scheme: str | None = None) -> tuple[Result, ...]:
+def read_vehicle_results(path: Path, file: AnnotationFile, scheme: str | None = None) -> tuple[Result, ...]:
     """Read the vehicles of a results file.
 
     Args:
@@ -137,7 +137,7 @@ def stream_results(path: Path, file: AnnotationFile) -> ResultsFile | tuple[Resu
     places = (place[result.image_id] for result in _for_file(path, file, None))
     if all(a <= b for a, b in itertools.pairwise(places)):
         return ResultsFile(path, file)
-    return read_results(path, file)
+    return read_vehicle_results(path, file)
 
 
 def _for_file(path: Path, file: AnnotationFile, scheme: str | None) -> Iterator[Result]:

@@ -8,7 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from skope.metrics.coco_ap import Row, evaluated, found_box, mean_precision, truth_box
+from skope.metrics.coco_ap import CocoRow, evaluated, found_box, mean_precision, truth_box
 from skope.metrics.counts import ratio
 from skope.schema import CATEGORIES, AnnotationFile, RoadUserResult
 from skope.types import Array, Mask
@@ -50,7 +50,7 @@ def category_figures(
 
 def _rows(
     file: AnnotationFile, results: Sequence[RoadUserResult], name: str, boxes: str
-) -> tuple[list[Row], list[Row], list[Row]]:
+) -> tuple[list[CocoRow], list[CocoRow], list[CocoRow]]:
     """Images, ground truth and results of one category as pycocotools takes them."""
     images = [{"id": image.id, "width": image.width, "height": image.height} for image in file.images]
     truth = [truth_box(user, boxes) for user in file.road_users if user.category == name]
@@ -86,9 +86,9 @@ def box_outcomes(
 
 
 def _by_size(
-    images: list[Row],
-    truth: list[Row],
-    found: list[Row],
+    images: list[CocoRow],
+    truth: list[CocoRow],
+    found: list[CocoRow],
     score: float,
     *,
     all_scores: bool,

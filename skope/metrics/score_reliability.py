@@ -10,10 +10,10 @@ import numpy as np
 
 from skope.metrics.counts import ratio
 from skope.metrics.match import Matches
-from skope.metrics.outcomes import Options, Outcomes, predicted
+from skope.metrics.outcomes import Options, Outcomes, predicted_keypoints
 from skope.types import Array, Integers, Mask
 
-BINS: Final = 10
+SCORE_BINS: Final = 10
 """Bins of the reliability diagram."""
 CURVE_POINTS: Final = 101
 """Recalls at which precision is told."""
@@ -59,14 +59,14 @@ def reliability(score: Array, right: Mask) -> list[dict[str, Any]]:
     Returns:
         A row for each tenth: "from" and "to", "count", mean "score", and the share that is "right".
     """
-    place = np.minimum((score * BINS).astype(np.int64), BINS - 1)
+    place = np.minimum((score * SCORE_BINS).astype(np.int64), SCORE_BINS - 1)
     rows = []
     for i in np.unique(place):
         inside = place == i
         rows.append(
             {
-                "from": i / BINS,
-                "to": (i + 1) / BINS,
+                "from": i / SCORE_BINS,
+                "to": (i + 1) / SCORE_BINS,
                 "count": int(inside.sum()),
                 "score": float(score[inside].mean()),
                 "right": float(right[inside].mean()),
@@ -103,7 +103,7 @@ def _average_precision(matches: Matches, outcomes: Outcomes, options: Options) -
     right[outcomes.detection[outcomes.found]] = outcomes.correct(options.alpha)[outcomes.found]
     taken = np.zeros(len(right), dtype=bool)
     taken[outcomes.detection[outcomes.found]] = True
-    counted = predicted(matches, options) & (taken | ~matches.det_on_ignored)[:, None]
+    counted = predicted_keypoints(matches, options) & (taken | ~matches.det_on_ignored)[:, None]
     recall, precision = curve(matches.det_keypoints[..., 2][counted], right[counted], int(outcomes.labelled.sum()))
     return {
         "average_precision": float(precision.mean()) if recall.size else None,

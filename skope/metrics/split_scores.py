@@ -35,7 +35,7 @@ class SplitScores:
     """The split's entry in `metrics.json`."""
 
 
-def measure(
+def split_metrics(
     file: AnnotationFile,
     results: Sequence[Result],
     options: Options,
@@ -61,7 +61,7 @@ def measure(
     tallies = {t: counts.tally(matches, t, options) for t in options.iou}
     blocks = blocks_of(file.images)
     entry = {
-        **pck_precision_recall.summary(matches, options),
+        **pck_precision_recall.score_summary(matches, options),
         "coco": average_precision(file, results, options) if all_scores else dict(NO_PRECISION),
         "recall_at_precision": (
             pck_precision_recall.recalls(file, results, options)
@@ -70,7 +70,7 @@ def measure(
         ),
         "by": breakdown(file.images, matches, options, fleet),
         "localisation": {f"{t:g}": pck_precision_recall.localisation(outcomes[t]) for t in options.iou},
-        "failures": {f"{t:g}": failures.counts(matches, outcomes[t], options) for t in options.iou},
+        "failures": {f"{t:g}": failures.failure_counts(matches, outcomes[t], options) for t in options.iou},
         "confidence": score_reliability.confidence(matches, outcomes[options.loosest], options),
         "intervals": {
             **blocks.to_dict(),

@@ -10,7 +10,7 @@ from importlib import resources
 from skope.page.html_pieces import tag
 
 
-def document(title: str, *body: str, plays_files: bool = False) -> str:
+def html_document(title: str, *body: str, plays_files: bool = False) -> str:
     """Put a whole page together from its parts.
 
     Args:

@@ -27,7 +27,7 @@ def tag(name: str, *children: str, **attributes: object) -> str:
     return f"<{name}{written}>" if name in _VOID else f"<{name}{written}>{''.join(children)}</{name}>"
 
 
-def share(value: float | None) -> str:
+def percent_text(value: float | None) -> str:
     """A share in percent, "–" where there was nothing to divide by."""
     return "–" if value is None else f"{100 * value:.1f} %"
 

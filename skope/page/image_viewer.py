@@ -80,13 +80,13 @@ def unit(width: int) -> float:
     return max(1.0, width / 640)
 
 
-def box(box_xywh: ArrayLike, name: str | None = None) -> str:
+def box_svg(box_xywh: ArrayLike, name: str | None = None) -> str:
     """A rectangle; `name` is said when it is pointed at."""
     x, y, w, h = (round(float(v), 1) for v in np.asarray(box_xywh))
     return tag("rect", x=x, y=y, width=max(w, 0), height=max(h, 0), data_tip=name)
 
 
-def path(d: str, class_: str) -> str:
+def path_svg(d: str, class_: str) -> str:
     """A path, or nothing where there is nothing to draw."""
     return f'<path class="{class_}" d="{d}"/>' if d else ""
 
@@ -118,7 +118,7 @@ def points(
     ring = f"m{-r:g} 0a{r:g} {r:g} 0 1 0 {2 * r:g} 0a{r:g} {r:g} 0 1 0 {-2 * r:g} 0"
     dots = "".join(f"M{place(at[k])}h0" for k in shown if placed[k] and sure[k])
     rings = "".join(f"M{place(at[k])}{ring}" for k in shown if placed[k] and not sure[k])
-    return path(edges, "edges") + path(rings, "rings") + path(dots, "dots")
+    return path_svg(edges, "edges") + path_svg(rings, "rings") + path_svg(dots, "dots")
 
 
 def place(point: Array) -> str:
@@ -126,7 +126,7 @@ def place(point: Array) -> str:
     return f"{point[0]:.1f} {point[1]:.1f}"
 
 
-def labels(of: Sequence[tuple[ArrayLike, str]], size: tuple[int, int]) -> str:
+def labels_svg(of: Sequence[tuple[ArrayLike, str]], size: tuple[int, int]) -> str:
     """A text for each of some boxes in an image of `size` (width, height), near its box and clear of the other texts.
 
     A text stands above its box, or else below it, or else as little higher or lower as there is room, with a line that
@@ -149,9 +149,9 @@ def labels(of: Sequence[tuple[ArrayLike, str]], size: tuple[int, int]) -> str:
         taken.append(place_of)
         _, top, _, bottom = place_of
         if bottom < above:
-            out.append(path(f"M{left:.1f} {bottom:.1f}L{x0:.1f} {y0:.1f}", "leader"))
+            out.append(path_svg(f"M{left:.1f} {bottom:.1f}L{x0:.1f} {y0:.1f}", "leader"))
         elif top > below + high:
-            out.append(path(f"M{left:.1f} {top:.1f}L{x0:.1f} {y1:.1f}", "leader"))
+            out.append(path_svg(f"M{left:.1f} {top:.1f}L{x0:.1f} {y1:.1f}", "leader"))
         attributes = f'x="{left:.1f}" y="{bottom - 0.3 * letters:.1f}" font-size="{letters:g}"'
         out.append(f"<text {attributes}>{escape(text)}</text>")
     return "".join(out)

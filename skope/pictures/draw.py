@@ -206,7 +206,7 @@ def edges_3d(box: Box3D, camera: Camera) -> Iterator[tuple[list[NDArray[np.float
             yield [pixels[i : i + 2] for i in np.flatnonzero(valid[1:] & valid[:-1])], a >= 4 and b >= 4
 
 
-def mask_of(vehicle: Labelled) -> NDArray[np.bool_] | None:
+def visible_mask(vehicle: Labelled) -> NDArray[np.bool_] | None:
     """(H, W) a road user's visible pixels; None where they are not given as RLE."""
     if not isinstance(vehicle.segmentation, Mapping):
         return None
@@ -224,7 +224,7 @@ def masks(image: Pixels, vehicles: Iterable[Labelled], *, strength: float = 0.45
     """
     out = image.astype(np.float32)
     for vehicle in vehicles:
-        inside = mask_of(vehicle)
+        inside = visible_mask(vehicle)
         if inside is not None:
             out[inside] = (1 - strength) * out[inside] + strength * np.array(color_of(vehicle), dtype=np.float32)
     return np.rint(out).astype(np.uint8)

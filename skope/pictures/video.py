@@ -27,7 +27,7 @@ H.264 is what browsers, office programs and players have in common. In MJPEG eac
 _MOST_DENOMINATOR: Final = 1001
 """Frame rates are whole numbers, or over 1001 as those of television are."""
 _BT601: Final = 6
-"""How colours become light and chroma (ITU-T H.273, matrix coefficients): OpenCV reads all files so."""
+"""Matrix by which colours become light and chroma (ITU-T H.273): OpenCV reads all files so."""
 _LIMITED_RANGE: Final = 1
 
 
@@ -52,7 +52,7 @@ class VideoFile:
 
 
 @contextmanager
-def open_video(path: Path, size: tuple[int, int], fps: float) -> Iterator[VideoFile]:
+def create_video(path: Path, size: tuple[int, int], fps: float) -> Iterator[VideoFile]:
     """Open a video file to write into: H.264 in an .mp4, MJPEG in an .avi.
 
     Args:
@@ -100,7 +100,7 @@ def write_video(path: Path, frames: Iterable[Pixels], fps: float) -> None:
     first = next(left, None)
     if first is None:
         return
-    with open_video(path, (first.shape[1], first.shape[0]), fps) as video:
+    with create_video(path, (first.shape[1], first.shape[0]), fps) as video:
         video.add(first)
         for pixels in left:
             video.add(pixels)

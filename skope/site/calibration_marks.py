@@ -22,10 +22,10 @@ from skope.camera.evidence import (
 from skope.errors import UserError
 from skope.site.mark_limits import (
     FARTHEST,
-    KNOWN,
+    KNOWN_RANGES,
     LENGTH_M,
-    LENGTH_SIGMA_M,
     LENS,
+    MARKED_LENGTH_SIGMA_M,
     SIGMA,
     VERTICAL_M,
     WIDEST_PX,
@@ -114,9 +114,9 @@ def read_marks(table: TomlTable, unknown: list[str]) -> CalibrationMarks:
         lengths=_rows(table, "lengths", _length, unknown),
         parallels=_rows(table, "parallels", _parallel, unknown),
         verticals=_rows(table, "verticals", _vertical, unknown),
-        fov_deg=_measured(table, "fov_deg", KNOWN["fov_deg"]),
+        fov_deg=_measured(table, "fov_deg", KNOWN_RANGES["fov_deg"]),
         lens=_lens(table.table("lens"), unknown) if "lens" in table else None,
-        height_m=_measured(table, "height_m", KNOWN["height_m"]),
+        height_m=_measured(table, "height_m", KNOWN_RANGES["height_m"]),
         vehicles=_vehicles(table),
     )
     unknown += table.unread
@@ -158,7 +158,7 @@ def _length(row: TomlTable, name: str) -> MarkedLength:
     return MarkedLength(
         _pixels(row, "pixels", 2),
         row.number("metres", low=LENGTH_M[0], high=LENGTH_M[1]),
-        sigma_m=_sigma(row, "sigma_m", LENGTH_SIGMA_M),
+        sigma_m=_sigma(row, "sigma_m", MARKED_LENGTH_SIGMA_M),
         sigma_px=_sigma(row, "sigma_px", MARKED_PX),
         name=name,
     )

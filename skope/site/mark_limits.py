@@ -10,14 +10,14 @@ LENGTH_M: Final = (0.01, 1e4)
 VERTICAL_M: Final = (0.01, 1000.0)
 SIGMA: Final = (1e-4, 1e3)
 """Of a mark's standard deviations, metres or pixels."""
-KNOWN: Final = {"fov_deg": (2.0, 170.0), "height_m": (0.5, 1000.0)}
+KNOWN_RANGES: Final = {"fov_deg": (2.0, 170.0), "height_m": (0.5, 1000.0)}
 """Horizontal field of view, degrees, and the camera's height over the road, metres."""
 LEAST_KNOWN_SIGMA: Final = 1e-4
-"""Of values of `KNOWN` and of a lens, in their units; they are as uncertain as their upper limit at most."""
+"""Of values of `KNOWN_RANGES` and of a lens, in their units; they are as uncertain as their upper limit at most."""
 LENS: Final = {"focal_px": (10.0, 1e5), "k1": (-2.0, 2.0)}
 LONGEST_NAME: Final = 200
 """Letters of a name."""
-LENGTH_SIGMA_M: Final = 0.05
+MARKED_LENGTH_SIGMA_M: Final = 0.05
 """Standard deviation of a length where nothing is said of it, metres."""
 
 

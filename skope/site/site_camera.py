@@ -18,14 +18,14 @@ import numpy as np
 from skope.camera.calibration_files import CameraCalibration, over_plane, read_calibration, read_plane
 from skope.camera.camera_json import camera_of_json, is_camera_json, read_uncertain_camera
 from skope.camera.model import Camera, Distortion
-from skope.camera.pose_from_points import fit_camera
+from skope.camera.pose_from_points import fit_camera_to_points
 from skope.camera.uncertain_camera import UncertainCamera
 from skope.errors import UserError
 from skope.files.json_files import read_json
 from skope.site.toml_table import TomlTable
 from skope.types import Array
 
-Size = tuple[int, int]
+ImageSize = tuple[int, int]
 
 DEFAULT_SIZE_PX: Final = (1920, 1080)
 _WORST: Final = 0.05
@@ -41,7 +41,7 @@ class OwnCamera:
     """The camera with its covariance; None: nothing says how well it is known."""
 
 
-def read_camera(table: TomlTable, picture: Size | None) -> OwnCamera:
+def read_site_camera(table: TomlTable, picture: ImageSize | None) -> OwnCamera:
     """The camera of a table; `picture` is the photograph's size, which is the camera's where nothing else says it."""
     try:
         made = _camera(table, picture)
@@ -75,7 +75,7 @@ def _calibrated(table: TomlTable) -> None:
     table.text("from")
 
 
-def _camera(table: TomlTable, picture: Size | None) -> OwnCamera:
+def _camera(table: TomlTable, picture: ImageSize | None) -> OwnCamera:
     file, raw = table.file("file"), table.flag("raw")
     read = _calibration(file, raw=raw) if file else None
     size = _size(table, read, picture)
@@ -103,7 +103,7 @@ def _calibration(path: Path, *, raw: bool) -> CameraCalibration:
     return CameraCalibration(camera.K, camera.distortion, (camera.width, camera.height), camera.T_camera_world)
 
 
-def _size(table: TomlTable, read: CameraCalibration | None, picture: Size | None) -> Size:
+def _size(table: TomlTable, read: CameraCalibration | None, picture: ImageSize | None) -> ImageSize:
     if "size" in table:
         width, height = table.numbers("size", 2)
         if min(width, height) < 16 or max(width, height) > 8192 or width % 1 or height % 1:
@@ -114,7 +114,7 @@ def _size(table: TomlTable, read: CameraCalibration | None, picture: Size | None
     return picture or DEFAULT_SIZE_PX
 
 
-def _intrinsics(table: TomlTable, read: CameraCalibration | None, size: Size) -> Array | None:
+def _intrinsics(table: TomlTable, read: CameraCalibration | None, size: ImageSize) -> Array | None:
     if "K" in table:
         return np.array(table.matrix("K", 3, 3))
     if "fov_deg" in table:
@@ -125,7 +125,7 @@ def _intrinsics(table: TomlTable, read: CameraCalibration | None, size: Size) ->
     return _scaled(table, read.K, read.size, size)
 
 
-def _scaled(table: TomlTable, K: Array, calibrated: Size, size: Size) -> Array:
+def _scaled(table: TomlTable, K: Array, calibrated: ImageSize, size: ImageSize) -> Array:
     """The intrinsics of a calibration's image size at the camera's. Distortion has no unit and stays."""
     x, y = size[0] / calibrated[0], size[1] / calibrated[1]
     if abs(calibrated[1] * x - size[1]) > 1:
@@ -182,12 +182,12 @@ def _hung(table: TomlTable) -> Array:
     return Camera.looking(position, yaw=yaw, pitch_down=pitch, roll=roll).T_camera_world
 
 
-def _from_points(table: TomlTable, size: Size, K: Array | None, lens: Distortion) -> OwnCamera:
+def _from_points(table: TomlTable, size: ImageSize, K: Array | None, lens: Distortion) -> OwnCamera:
     rows = table.value("points")
     if not isinstance(rows, list):
         raise table.wrong("points", "expected rows of [column, row, x, y, z]")
     values = np.array(table.matrix("points", len(rows), 5)).reshape(-1, 5)
-    fit = fit_camera(values[:, :2], values[:, 2:], size, K=K, distortion=lens)
+    fit = fit_camera_to_points(values[:, :2], values[:, 2:], size, K=K, distortion=lens)
     worst = int(fit.errors_px.argmax())
     if fit.errors_px[worst] > _WORST * size[0]:
         raise table.wrong(

@@ -27,7 +27,7 @@ from skope.site.marks import (
     read_zone,
 )
 from skope.site.plan_picture import PlanPicture, read_plan
-from skope.site.site_camera import OwnCamera, read_camera
+from skope.site.site_camera import OwnCamera, read_site_camera
 from skope.site.toml_table import TomlTable
 from skope.site.traffic_settings import TrafficSettings, read_traffic
 from skope.site.world import read_world
@@ -95,7 +95,7 @@ def parse_site(path: Path, data: bytes) -> SiteFile:
         table = TomlTable.parse(path, decoded(data))
     except UnicodeDecodeError:
         raise UserError(f"{path}: not UTF-8 text") from None
-    camera = read_camera(table.table("camera"), None) if "camera" in table else None
+    camera = read_site_camera(table.table("camera"), None) if "camera" in table else None
     parts = read_parts(table)
     occluders, unknown = [], list(parts.unknown)
     for row in table.rows("occluders"):

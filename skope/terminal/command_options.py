@@ -26,13 +26,13 @@ VEHICLE_SHEETS: Final = Path("runs/vehicles")
 VIDEOS: Final = Path("runs/video")
 PREDICTED: Final = Path("runs/predict")
 POSES: Final = Path("runs/pose")
-TRACKS: Final = Path("runs/tracks")
+DEFAULT_TRACKS: Final = Path("runs/tracks")
 TRAFFIC: Final = Path("runs/traffic")
 CAMERA_FILE: Final = Path("runs/camera.json")
 SITE_FILE: Final = Path("site.toml")
 
 DIR: Final = "DIR"
-FILE: Final = "FILE"
+FILE_METAVAR: Final = "FILE"
 LIST: Final = "A,B,.."
 SITE: Final = "NAME|FILE"
 SIZE: Final = "WIDTHxHEIGHT"

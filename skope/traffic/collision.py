@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from skope.traffic.footprints import FootprintPath, corners, meeting
+from skope.traffic.footprints import FootprintPath, footprint_corners, meeting
 from skope.types import Array
 
 REAR_END_DEG: Final = 30.0
@@ -79,7 +79,7 @@ def _ways(
         index = np.broadcast_to(rows[k][:, None], (len(rows[k]), len(legs)))
         place, facing = path.ahead(index, speed[:, None] * legs)
         place = place if doubt is None else place + doubt.shifts[k][:, None]
-        boxes = corners(place[:, :-1], facing[:, :-1], path.size)
+        boxes = footprint_corners(place[:, :-1], facing[:, :-1], path.size)
         ways.append((boxes, np.diff(place, axis=1) / _LEG_S))
     return legs[:-1], ways
 

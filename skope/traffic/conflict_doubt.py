@@ -13,7 +13,7 @@ from skope.traffic.encroachment import Encroachment, by_places
 from skope.traffic.event_probability import event_probability
 from skope.traffic.footprints import FootprintPath
 from skope.traffic.normal_distribution import COUNT_INTERVAL_LEVEL, INTERVAL_SIGMAS
-from skope.traffic.trajectories import LENGTH_SIGMA_M, Trajectory
+from skope.traffic.trajectories import VEHICLE_LENGTH_SIGMA_M, Trajectory
 from skope.types import Array
 
 STEP_S: Final = 0.1
@@ -141,7 +141,7 @@ def pet_sigma(one: FootprintPath, other: FootprintPath, reached: Encroachment | 
     for path, time_s in zip((one, other), in_order((reached.first_s, reached.second_s), reached), strict=True):
         trajectory = path.trajectory
         speed = max(0.1, float(trajectory.at(trajectory.speed, time_s)))
-        total += (trajectory.place_sigma(time_s) ** 2 + (LENGTH_SIGMA_M / 2) ** 2) / speed**2
+        total += (trajectory.place_sigma(time_s) ** 2 + (VEHICLE_LENGTH_SIGMA_M / 2) ** 2) / speed**2
     return math.sqrt(total)
 
 

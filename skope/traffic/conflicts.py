@@ -13,10 +13,10 @@ from skope.site.traffic_settings import TrafficSettings
 from skope.traffic.collision import REAR_END_DEG, angle_deg
 from skope.traffic.conflict_doubt import STEP_S, hardest_needed, is_followed, pet_sigma, ttc_doubt
 from skope.traffic.encroachment import by_area, near
-from skope.traffic.footprints import FootprintPath, overlap, paths
-from skope.traffic.meetings import Meeting, meeting_of, together
+from skope.traffic.footprints import FootprintPath, footprint_paths, overlap
+from skope.traffic.meetings import Meeting, meeting_of, rows_together
 from skope.traffic.trajectories import Trajectory, wandering
-from skope.traffic.zones import inside
+from skope.traffic.zones import inside_polygon
 from skope.types import Array
 
 _CROSSING_DEG: Final = 80.0
@@ -90,7 +90,7 @@ def conflicts(
     Returns:
         The conflicts by time, and how many pairs were left out.
     """
-    made = paths([one for one in trajectories if wandering(one)], STEP_S)
+    made = footprint_paths([one for one in trajectories if wandering(one)], STEP_S)
     found, overlapping, unsteady = [], 0, 0
     for one, other in _pairs(made, settings.pet_s):
         if not near(one, other, max(settings.pet_s, settings.ttc_s)):
@@ -123,7 +123,7 @@ def _pairs(made: Sequence[FootprintPath], late_s: float) -> Iterator[tuple[Footp
 
 def _overlapping(one: FootprintPath, other: FootprintPath) -> bool:
     """Whether the footprints ever overlap, each of them a little smaller than it is stated."""
-    a, b = together(one, other)
+    a, b = rows_together(one, other)
     close = np.linalg.norm(one.place[a] - other.place[b], axis=1) < one.radius + other.radius
     shrunk = [
         path.place[rows, None] + 0.8 * (path.corners[rows] - path.place[rows, None])
@@ -147,7 +147,7 @@ def _conflict(meeting: Meeting, settings: TrafficSettings, rng: np.random.Genera
         time_s=second_s,
         first_s=first_s,
         place=middle,
-        zone=next((zone.name for zone in zones if inside(np.array(zone.polygon), middle[None])[0]), ""),
+        zone=next((zone.name for zone in zones if inside_polygon(np.array(zone.polygon), middle[None])[0]), ""),
         kind=_kind(angle),
         angle_deg=angle,
         ttc_s=meeting.ttc_s,

@@ -52,7 +52,7 @@ def observed_word(interval: ClockInterval, observed_s: float) -> str:
     return "all" if observed_s >= _WHOLE * (interval.end_s - interval.begin_s) else "part"
 
 
-def counts(
+def interval_counts(
     crossings: Sequence[GateCrossing],
     gates: Sequence[Gate],
     lanes: Sequence[str],

@@ -10,7 +10,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from skope.traffic.footprints import FootprintPath, corners, overlap
+from skope.traffic.footprints import FootprintPath, footprint_corners, overlap
 from skope.types import Array
 
 _FINE: Final = 10
@@ -98,7 +98,7 @@ def _finer(
     shifts = np.arange(-_FINE, _FINE + 1) * step_s / _FINE
     here = np.clip(first_s + shifts, *first.times_s[[0, -1]])
     there = np.clip(second_s + shifts, *second.times_s[[0, -1]])
-    a, b = corners(*first.at(here), first.size), corners(*second.at(there), second.size)
+    a, b = footprint_corners(*first.at(here), first.size), footprint_corners(*second.at(there), second.size)
     shape = (len(here), len(there), 4, 2)
     meets = overlap(np.broadcast_to(a[:, None], shape), np.broadcast_to(b[None], shape))
     late = there[None] - here[:, None]
@@ -143,7 +143,7 @@ def _stay(path: FootprintPath, rows: Array, shapes: Any, area: Any) -> tuple[flo
 
     def within(time_s: float) -> bool:
         place, facing = path.at(np.array([time_s]))
-        return bool(intersects(polygons(corners(place, facing, path.size))[0], area))
+        return bool(intersects(polygons(footprint_corners(place, facing, path.size))[0], area))
 
     there = np.flatnonzero(intersects(shapes, area))
     times = path.times_s[rows]

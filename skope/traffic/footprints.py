@@ -14,7 +14,7 @@ _NODE_M: Final = 0.3
 """A path has a node wherever its road user has got so much farther: places that jitter make it no longer."""
 
 
-def corners(place: Array, facing: Array, size: tuple[float, float]) -> Array:
+def footprint_corners(place: Array, facing: Array, size: tuple[float, float]) -> Array:
     """(..., 4, 2) corners of rectangles.
 
     Args:
@@ -79,7 +79,7 @@ class FootprintPath:
         self.times_s = np.asarray(self.ticks * step_s, dtype=np.float64)
         self.place, self.facing = self.at(self.times_s)
         self.speed = trajectory.at(trajectory.speed, self.times_s)
-        self.corners = corners(self.place, self.facing, self.size)
+        self.corners = footprint_corners(self.place, self.facing, self.size)
         self._radius = float(np.hypot(*self.size)) / 2
         self._nodes = self._by_length()
         self.along = np.interp(self.ticks, self._nodes[0], self._nodes[1][:-1])
@@ -120,7 +120,7 @@ class FootprintPath:
         return at + self.place[rows] - here, facing / norm
 
 
-def paths(trajectories: Sequence[Trajectory], step_s: float) -> list[FootprintPath]:
+def footprint_paths(trajectories: Sequence[Trajectory], step_s: float) -> list[FootprintPath]:
     """The paths of those who are seen at two moments and more."""
     made = [FootprintPath(one, step_s) for one in trajectories if one.times_s[-1] - one.times_s[0] >= 2 * step_s]
     return [one for one in made if len(one.ticks) > 1]

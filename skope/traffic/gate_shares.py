@@ -73,7 +73,7 @@ class LearntShares:
         """
         order = rng.permutation(len(self.missed))
         happened = rng.binomial(possible, self.came[order])
-        for part in np.array_split(probabilities, len(probabilities) // _TOGETHER + 1):
+        for part in np.array_split(probabilities, len(probabilities) // _DRAWN_AT_ONCE + 1):
             chances = chances_at(real, part, self.levels[order])
             happened = happened + (rng.random(chances.shape) < chances).sum(axis=1)
         seen = np.clip(1 - self.missed[order], _SURE, 1.0)
@@ -81,5 +81,5 @@ class LearntShares:
         return np.asarray(every + rng.negative_binomial(every + 1, chance), dtype=np.float64)
 
 
-_TOGETHER: Final = 250
+_DRAWN_AT_ONCE: Final = 250
 """Of so many events draws are made at once, which bounds memory."""

@@ -14,7 +14,7 @@ from skope.traffic.event_probability import COUNTED_FROM, crossing_probability, 
 from skope.traffic.lanes import LaneMap
 from skope.traffic.normal_distribution import at_most
 from skope.traffic.passages import Passage, passages
-from skope.traffic.trajectories import LENGTH_SIGMA_M, Trajectory, wandering
+from skope.traffic.trajectories import VEHICLE_LENGTH_SIGMA_M, Trajectory, wandering
 from skope.types import Array
 
 _SLOWEST: Final = 0.05
@@ -70,7 +70,7 @@ class GateCrossing:
     @cached_property
     def end_sigma_s(self) -> float:
         """Standard deviation of the times of front and rear, seconds."""
-        return math.hypot(self.sigma_s, LENGTH_SIGMA_M / 2 / max(self.speed, _SLOWEST))
+        return math.hypot(self.sigma_s, VEHICLE_LENGTH_SIGMA_M / 2 / max(self.speed, _SLOWEST))
 
 
 def direction_names(gate: Gate) -> tuple[str, str]:
@@ -89,7 +89,7 @@ def may_count(trajectory: Trajectory, settings: TrafficSettings) -> bool:
     return wandering(trajectory) and trajectory.class_name in settings.classes
 
 
-def crossings(
+def gate_crossings(
     trajectories: Sequence[Trajectory],
     gates: Sequence[Gate],
     lanes: LaneMap,

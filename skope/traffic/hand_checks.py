@@ -93,7 +93,7 @@ def hand_lines(checks: Sequence[HandCheck]) -> Iterator[str]:
             )
 
 
-def adjusted(
+def counts_adjusted_by_hand(
     checks: Sequence[HandCheck],
     crossings: Sequence[GateCrossing],
     unseen: Unseen,

@@ -46,7 +46,7 @@ class Occupancy:
     """Vehicles whose front or rear was not seen to cross."""
 
 
-def streams(crossings: Sequence[GateCrossing]) -> Iterator[list[GateCrossing]]:
+def lane_streams(crossings: Sequence[GateCrossing]) -> Iterator[list[GateCrossing]]:
     """The vehicles of each gate, direction and lane, by when their fronts cross; pedestrians are in none."""
 
     def key(one: GateCrossing) -> tuple[str, int, str]:
@@ -67,7 +67,7 @@ def headways(crossings: Sequence[GateCrossing], observation: Observation) -> lis
             gap_s=follower.front_s - leader.rear_s,
             sigma_s=math.hypot(leader.end_sigma_s, follower.end_sigma_s),
         )
-        for own in streams(crossings)
+        for own in lane_streams(crossings)
         for leader, follower in itertools.pairwise(own)
         if observation.together(leader.time_s, follower.time_s)
     ]
@@ -87,7 +87,7 @@ def occupancies(
         observation: When was observed.
     """
     out = []
-    for own in streams([one for one in crossings if one.trajectory.category == VEHICLE]):
+    for own in lane_streams([one for one in crossings if one.trajectory.category == VEHICLE]):
         for interval in intervals:
             observed_s = observation.seconds_in(interval.begin_s, interval.end_s)
             if observed_s <= 0:

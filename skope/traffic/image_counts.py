@@ -10,10 +10,10 @@ import numpy as np
 from skope.site.traffic_settings import TrafficSettings
 from skope.traffic.clock import clock_intervals, local_start
 from skope.traffic.conflicts import ConflictSearch
-from skope.traffic.counts import counts
+from skope.traffic.counts import interval_counts
 from skope.traffic.event_probability import SEEN_IN_PIXELS
-from skope.traffic.gates import crossings, upwards
-from skope.traffic.hand_checks import adjusted, hand_checks
+from skope.traffic.gates import gate_crossings, upwards
+from skope.traffic.hand_checks import counts_adjusted_by_hand, hand_checks
 from skope.traffic.hand_count_file import HandCount
 from skope.traffic.lanes import LaneMap
 from skope.traffic.measure import total_counts, whole_footage
@@ -62,14 +62,14 @@ def count_in_image(
         (
             crossing
             for track in tracks
-            for crossing in crossings([track], gates, LaneMap(()), _in_pixels(track, settings), metres=False)
+            for crossing in gate_crossings([track], gates, LaneMap(()), _in_pixels(track, settings), metres=False)
         ),
         key=lambda one: one.time_s,
     )
     missed = unseen(tracks, gates, every, observation, settings, _NEAR_PX, SEEN_IN_PIXELS)
     crossed = [one for one in every if one.counts]
     checks = hand_checks(hand_counts, crossed, missed, settings)
-    missed = adjusted(checks, crossed, missed, gates, settings)
+    missed = counts_adjusted_by_hand(checks, crossed, missed, gates, settings)
     moved = movements(crossed, settings)
     report = TrafficReport(
         site=site,
@@ -80,7 +80,7 @@ def count_in_image(
         crossings=tuple(crossed),
         visits=(),
         lane_changes=(),
-        counts=tuple(counts(crossed, gates, [], intervals, observation, settings, missed)),
+        counts=tuple(interval_counts(crossed, gates, [], intervals, observation, settings, missed)),
         counts_total=total_counts(crossed, gates, observation, settings, missed),
         lengths=(),
         lengths_total=(),

@@ -33,7 +33,7 @@ _LIKELY: Final = 0.8
 """Probability from which two tracks are joined."""
 
 
-def joined(tracks: Sequence[Trajectory]) -> list[Trajectory]:
+def join_trajectories(tracks: Sequence[Trajectory]) -> list[Trajectory]:
     """The trajectories with broken ones joined, by their first moments."""
     ordered = sorted(tracks, key=lambda one: (float(one.times_s[0]), one.number))
     follows: dict[int, tuple[int, float]] = {}

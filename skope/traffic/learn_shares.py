@@ -24,7 +24,7 @@ from skope.traffic.event_probability import SeenAlike
 from skope.traffic.gate_shares import LearntShares, chances_at, share_at
 from skope.types import Array
 
-Side = tuple[str, int]
+SignedGate = tuple[str, int]
 """A gate's name and a direction."""
 _SITE: Final = 0.1
 """Correlation of a share's places at two gates of a site. In the clips there was none; this is left for what a camera
@@ -52,7 +52,7 @@ _FAR: Final = 6.0
 class CountEvidence:
     """A number that was counted by hand at a gate, and what was seen there meanwhile."""
 
-    side: Side
+    side: SignedGate
     groups: Mapping[int, Group]
     """Crossings of those who were counted that were seen, by which of the kinds that are seen alike they are."""
     number: int
@@ -64,8 +64,8 @@ def hand_sigma(number: float) -> float:
 
 
 def learnt_shares(
-    evidence: Sequence[CountEvidence], kinds: Mapping[Side, Sequence[SeenAlike]], doubted: frozenset[int]
-) -> dict[Side, tuple[SeenAlike, ...]]:
+    evidence: Sequence[CountEvidence], kinds: Mapping[SignedGate, Sequence[SeenAlike]], doubted: frozenset[int]
+) -> dict[SignedGate, tuple[SeenAlike, ...]]:
     """The kinds as they are seen at each gate and direction, with what hand counts tell of them.
 
     Args:
@@ -113,7 +113,7 @@ def _with_learnt(kind: SeenAlike, beliefs: Sequence[Array], *, looked: bool) -> 
 
 # --------------------------------------------------------------------------------------------------- along the tree
 
-Message = tuple[Side, Array]
+Message = tuple[SignedGate, Array]
 """Message of one hand count: how probable it is by where the shares are at its gate and direction, whenever."""
 
 
@@ -160,7 +160,7 @@ def _at_gate(messages: Iterable[Message]) -> Array:
     return _product(_up(_TO_SIDE, _at_side(own)) for _, own in sides)
 
 
-def _belief(messages: Sequence[Message], side: Side) -> Array:
+def _belief(messages: Sequence[Message], side: SignedGate) -> Array:
     """Probabilities of shares at a gate and direction, at another time than the hand counts'."""
     plain = np.exp(-(_PLACES**2) / 2)
     belief = np.multiply.outer(np.multiply.outer(plain, plain), plain)

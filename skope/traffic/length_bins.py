@@ -27,7 +27,7 @@ from skope.traffic.trajectories import Trajectory
 from skope.traffic.vanished import Unseen, Vanished
 from skope.types import Array
 
-BINS: Final = ("short", "medium", "long")
+LENGTH_BINS: Final = ("short", "medium", "long")
 UNTOLD: Final = "unknown"
 """Name for vehicles that are in no bin with `TOLD`."""
 TOLD: Final = 0.8
@@ -56,7 +56,7 @@ class LengthCount:
     gate: str
     direction: str
     bin_name: str
-    """Of `BINS`, or `UNTOLD`."""
+    """Of `LENGTH_BINS`, or `UNTOLD`."""
     between_m: tuple[float, float] | None
     """From which length to which, metres; None for `UNTOLD`."""
     count: int | None
@@ -67,7 +67,7 @@ class LengthCount:
 
 
 def bounds_m(limits_m: Sequence[float]) -> tuple[tuple[float, float], ...]:
-    """From which length to which each of `BINS` is, metres."""
+    """From which length to which each of `LENGTH_BINS` is, metres."""
     first, second = limits_m
     return (0.0, first), (first, second), (second, math.inf)
 
@@ -116,7 +116,7 @@ def length_bin(trajectory: Trajectory, limits_m: Sequence[float], common_sigma: 
 def _bin_of(chances: Array) -> str:
     """The bin of somebody for whom each is so probable (3,), or `UNTOLD`."""
     most = int(np.argmax(chances))
-    return BINS[most] if chances[most] >= TOLD else UNTOLD
+    return LENGTH_BINS[most] if chances[most] >= TOLD else UNTOLD
 
 
 def has_length(trajectory: Trajectory) -> bool:
@@ -161,7 +161,9 @@ def length_counts(
                 own = [one for one in there if (one.gate, one.direction) == (gate.name, k)]
                 known = observed_s > 0 and gate.name not in unseen.gates
                 between = _between(own, chances, (gate.name, k), interval, limits, unseen) if known else _NONE
-                for name, bounds, expected in zip((*BINS, UNTOLD), (*bounds_m(limits), None), between, strict=True):
+                for name, bounds, expected in zip(
+                    (*LENGTH_BINS, UNTOLD), (*bounds_m(limits), None), between, strict=True
+                ):
                     number = sum(one.counts and names[one] == name for one in own)
                     out.append(
                         LengthCount(

@@ -12,13 +12,13 @@ from skope.site.traffic_settings import TrafficSettings
 from skope.traffic.braking import hard_brakings
 from skope.traffic.clock import ClockInterval, clock_intervals, local_start
 from skope.traffic.conflicts import conflicts
-from skope.traffic.counts import Count, counts
+from skope.traffic.counts import Count, interval_counts
 from skope.traffic.event_probability import usual_step
-from skope.traffic.gates import GateCrossing, crossings
-from skope.traffic.hand_checks import adjusted, hand_checks
+from skope.traffic.gates import GateCrossing, gate_crossings
+from skope.traffic.hand_checks import counts_adjusted_by_hand, hand_checks
 from skope.traffic.hand_count_file import HandCount
 from skope.traffic.headways import headways, occupancies
-from skope.traffic.joining import joined
+from skope.traffic.joining import join_trajectories
 from skope.traffic.lanes import LaneMap, lane_changes
 from skope.traffic.length_bins import length_counts
 from skope.traffic.observation import Observation
@@ -64,15 +64,15 @@ def measure(
     settings = site.traffic
     begin = local_start(site) if start is None else start
     confirmed = [one for one in tracks if one.confirmed]
-    trajectories = joined(confirmed) if broken else confirmed
+    trajectories = join_trajectories(confirmed) if broken else confirmed
     lanes = LaneMap(site.lanes)
     whole = whole_footage(observation)
     intervals = clock_intervals(begin, max(0.0, whole.begin_s), whole.end_s, settings.interval_minutes)
-    every = crossings(trajectories, site.gates, lanes, settings)
+    every = gate_crossings(trajectories, site.gates, lanes, settings)
     missed = unseen(trajectories, site.gates, every, observation, settings)
     crossed = [one for one in every if one.counts]
     checks = hand_checks(hand_counts, crossed, missed, settings)
-    missed = adjusted(checks, crossed, missed, site.gates, settings)
+    missed = counts_adjusted_by_hand(checks, crossed, missed, site.gates, settings)
     moved = movements(crossed, settings, usual_step(trajectories) if broken else None)
     sections = section_passes(moved)
     speeds = speed_groups(crossed, sections, intervals, observation)
@@ -88,7 +88,7 @@ def measure(
         crossings=tuple(crossed),
         visits=tuple(visits(trajectories, site.zones, settings)),
         lane_changes=tuple(lane_changes(trajectories, lanes, settings.hysteresis_m)),
-        counts=tuple(counts(crossed, site.gates, names, intervals, observation, settings, missed)),
+        counts=tuple(interval_counts(crossed, site.gates, names, intervals, observation, settings, missed)),
         counts_total=total_counts(crossed, site.gates, observation, settings, missed),
         lengths=tuple(length_counts(crossed, site.gates, intervals, observation, settings, missed)),
         lengths_total=tuple(length_counts(crossed, site.gates, [whole], observation, settings, missed)),
@@ -127,7 +127,7 @@ def total_counts(
         missed: Who may have crossed and is not counted.
     """
     whole = [whole_footage(observation)]
-    return tuple(counts(crossed, gates, (), whole, observation, settings, missed, by_class=False))
+    return tuple(interval_counts(crossed, gates, (), whole, observation, settings, missed, by_class=False))
 
 
 def whole_footage(observation: Observation) -> ClockInterval:

@@ -97,7 +97,7 @@ def meeting_of(one: FootprintPath, other: FootprintPath, settings: TrafficSettin
     )
 
 
-def together(one: FootprintPath, other: FootprintPath) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def rows_together(one: FootprintPath, other: FootprintPath) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """The rows of the moments at which both are there, of each."""
     begin, end = max(one.ticks[0], other.ticks[0]), min(one.ticks[-1], other.ticks[-1]) + 1
     ticks = np.arange(begin, max(begin, end))
@@ -108,7 +108,7 @@ def _approaches(
     one: FootprintPath, other: FootprintPath, settings: TrafficSettings
 ) -> tuple[tuple[NDArray[np.intp], NDArray[np.intp]], Array]:
     """The rows of moments at which the two are near, and the times to their collision."""
-    a, b = together(one, other)
+    a, b = rows_together(one, other)
     horizon = max(settings.ttc_s, HORIZON_S)
     speeds = one.speed[a] + other.speed[b]
     reach = one.radius + other.radius + speeds * horizon

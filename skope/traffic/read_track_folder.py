@@ -33,7 +33,7 @@ _SHARED: Final = (
 )
 _OF_VEHICLES: Final = (*_SHARED, "length", "width", "class", "class_confidence", "flags")
 _OF_OTHERS: Final = (*_SHARED, "category")
-Rows = list[dict[str, str]]
+CsvRows = list[dict[str, str]]
 
 
 def track_files(folder: Path) -> list[Path]:
@@ -62,7 +62,7 @@ def read_trajectories(folder: Path, observation: Observation) -> list[Trajectory
     return found
 
 
-def _tracks(path: Path, columns: Sequence[str]) -> Iterator[Rows]:
+def _tracks(path: Path, columns: Sequence[str]) -> Iterator[CsvRows]:
     """The rows of each track of a file, which lie together, each with its line under "line"."""
     try:
         with path.open(encoding="utf-8", newline="") as file:
@@ -70,7 +70,7 @@ def _tracks(path: Path, columns: Sequence[str]) -> Iterator[Rows]:
             missing = [name for name in columns if name not in (reader.fieldnames or ())]
             if missing:
                 raise UserError(f"{path}: expected a column {missing[0]}")
-            rows: Rows = []
+            rows: CsvRows = []
             for row in reader:
                 row["line"] = str(reader.line_num)
                 if rows and row["track"] != rows[0]["track"]:
@@ -83,7 +83,7 @@ def _tracks(path: Path, columns: Sequence[str]) -> Iterator[Rows]:
         raise UserError(f"{path}: cannot be read: {error}") from None
 
 
-def _numbers(path: Path, rows: Rows, name: str, *, empty: bool = False) -> Array:
+def _numbers(path: Path, rows: CsvRows, name: str, *, empty: bool = False) -> Array:
     """(M,) a column's numbers; with `empty`, an empty cell is NaN."""
     out = np.empty(len(rows))
     for i, row in enumerate(rows):
@@ -97,7 +97,7 @@ def _numbers(path: Path, rows: Rows, name: str, *, empty: bool = False) -> Array
     return out
 
 
-def _columns(path: Path, rows: Rows, observation: Observation) -> dict[str, Any]:
+def _columns(path: Path, rows: CsvRows, observation: Observation) -> dict[str, Any]:
     """Columns that vehicles and other road users have alike, by the names of `Trajectory`."""
     column = {name: _numbers(path, rows, name, empty=name == "heading_deg") for name in _SHARED}
     if (np.diff(column["time_s"]) <= 0).any():
@@ -114,7 +114,7 @@ def _columns(path: Path, rows: Rows, observation: Observation) -> dict[str, Any]
     }
 
 
-def _vehicle(path: Path, rows: Rows, observation: Observation) -> Trajectory:
+def _vehicle(path: Path, rows: CsvRows, observation: Observation) -> Trajectory:
     first = rows[0]
     if first["class"] not in CLASSES:
         raise UserError(f"{path}: line {first['line']}: class: expected one of {', '.join(CLASSES)}")
@@ -136,7 +136,7 @@ def _vehicle(path: Path, rows: Rows, observation: Observation) -> Trajectory:
     )
 
 
-def _other(path: Path, rows: Rows, observation: Observation) -> Trajectory:
+def _other(path: Path, rows: CsvRows, observation: Observation) -> Trajectory:
     first = rows[0]
     if first["category"] not in CATEGORIES[1:]:
         raise UserError(f"{path}: line {first['line']}: category: expected one of {', '.join(CATEGORIES[1:])}")

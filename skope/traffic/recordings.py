@@ -30,9 +30,9 @@ if TYPE_CHECKING:
 _INEXACT_S: Final = 1.0
 """Recorders name files by whole seconds: what seems to begin so long before the one before it has ended follows it."""
 _WORTH_SAYING_S: Final = 0.05
-_LONGEST: Final = timedelta(days=31)
+_LONGEST_SPAN: Final = timedelta(days=31)
 """From the begin of the first recording to that of the last one: more is rather a mistake in a date."""
-_DIGITS: Final = 6
+_TIME_DIGITS: Final = 6
 """Times are rounded to microseconds, so that a moment is the same number whichever recording it is in."""
 
 
@@ -214,10 +214,10 @@ def _check(placed: Sequence[_Placed]) -> None:
             same = contents.setdefault(sha256_of(path), path)
             if same != path:
                 raise UserError(f"{path}: holds the same tracks as {same}")
-        if one.begin.astimezone(UTC) - placed[0].begin.astimezone(UTC) > _LONGEST:
+        if one.begin.astimezone(UTC) - placed[0].begin.astimezone(UTC) > _LONGEST_SPAN:
             raise UserError(
-                f"{one.folder}: begins at {one.begin.isoformat(timespec='seconds')}, more than {_LONGEST.days} days "
-                f"after {placed[0].folder}: make a report of each"
+                f"{one.folder}: begins at {one.begin.isoformat(timespec='seconds')}, more than {_LONGEST_SPAN.days} "
+                f"days after {placed[0].folder}: make a report of each"
             )
 
 
@@ -275,7 +275,7 @@ def _in_report(observation: Observation, begin_s: float) -> Observation:
 
 
 def _at(times_s: Array, begin_s: float) -> Array:
-    return np.asarray(np.round(times_s + begin_s, _DIGITS))
+    return np.asarray(np.round(times_s + begin_s, _TIME_DIGITS))
 
 
 def _later(time: datetime, seconds: float) -> datetime:

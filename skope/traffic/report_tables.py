@@ -21,7 +21,7 @@ from skope.traffic.sight import sight_in
 from skope.traffic.speed_percentiles import PERCENTILES
 from skope.traffic.trajectories import KMH, Trajectory, worst_sigma
 
-Row = Sequence[Any]
+TableRow = Sequence[Any]
 _RECORDING: Final = " recording"
 """A column more where there are several recordings."""
 
@@ -31,7 +31,7 @@ class ReportTable:
     """Rows of cells under the names of their columns."""
 
     columns: tuple[str, ...]
-    rows: Iterable[Row]
+    rows: Iterable[TableRow]
 
 
 def report_tables(report: TrafficReport) -> dict[str, ReportTable]:
@@ -55,7 +55,7 @@ def report_tables(report: TrafficReport) -> dict[str, ReportTable]:
     }
 
 
-def _table(columns: str, rows: Iterable[Row]) -> ReportTable:
+def _table(columns: str, rows: Iterable[TableRow]) -> ReportTable:
     return ReportTable(tuple(columns.split()), rows)
 
 
@@ -69,23 +69,23 @@ def clock(report: TrafficReport, time_s: float) -> datetime | None:
     return moment.replace(microsecond=moment.microsecond // 1000 * 1000).astimezone(zone)
 
 
-def _of_interval(interval: ClockInterval | None) -> Row:
+def _of_interval(interval: ClockInterval | None) -> TableRow:
     if interval is None:
         return (None,) * 4
     return interval.begin, interval.end, interval.begin_s, interval.end_s
 
 
-def _recording(report: TrafficReport, time_s: float) -> Row:
+def _recording(report: TrafficReport, time_s: float) -> TableRow:
     """The number of the recording that a time lies in; nothing where there is one."""
     return (report.observation.recording_at(time_s),) if report.recordings else ()
 
 
-def _who(one: Trajectory) -> Row:
+def _who(one: Trajectory) -> TableRow:
     return one.number, one.class_name, one.class_confidence
 
 
 def _events(report: TrafficReport) -> ReportTable:
-    def rows() -> Iterator[tuple[float, Row]]:
+    def rows() -> Iterator[tuple[float, TableRow]]:
         for one in report.crossings:
             place = one.place.tolist() if report.metres else [one.place[0], -one.place[1]]
             ends = (one.speed * KMH, one.speed_sigma * KMH, one.front_s, one.rear_s)
@@ -122,7 +122,7 @@ def _events(report: TrafficReport) -> ReportTable:
 _NO_LENGTH: Final = (None,) * 5
 
 
-def _length(report: TrafficReport, one: Trajectory) -> Row:
+def _length(report: TrafficReport, one: Trajectory) -> TableRow:
     """Cells of a road user: OpenTrafficCam's class, length, its standard deviation, the bin and its probability."""
     otc = OTC_CLASSES[one.class_name]
     if not report.metres or not has_length(one):
@@ -134,7 +134,7 @@ def _length(report: TrafficReport, one: Trajectory) -> Row:
 def _trajectories(report: TrafficReport) -> ReportTable:
     step = report.site.traffic.trajectory_interval_s
 
-    def rows() -> Iterator[Row]:
+    def rows() -> Iterator[TableRow]:
         for one in report.trajectories:
             for i in thinned(one, step):
                 heading = math.degrees(one.heading[i])
@@ -165,7 +165,7 @@ def thinned(one: Trajectory, step_s: float) -> list[int]:
 
 
 def _sight(report: TrafficReport) -> ReportTable:
-    def row(interval: ClockInterval) -> Row:
+    def row(interval: ClockInterval) -> TableRow:
         found = sight_in(report.observation, interval.begin_s, interval.end_s)
         observed_s = report.observation.seconds_in(interval.begin_s, interval.end_s)
         seconds = (observed_word(interval, observed_s), observed_s, found.dark_s, found.flat_s, found.moved_s)
@@ -218,7 +218,7 @@ def _lengths(report: TrafficReport) -> ReportTable:
     )
 
 
-def _bounds(one: LengthCount) -> Row:
+def _bounds(one: LengthCount) -> TableRow:
     """From which length to which, metres; the last one has no end."""
     if one.between_m is None:
         return None, None
@@ -256,7 +256,7 @@ def _turning(report: TrafficReport) -> ReportTable:
 def _speeds(report: TrafficReport) -> ReportTable:
     names = " ".join(f"{name}_kmh {name}_low_kmh {name}_high_kmh" for name in PERCENTILES)
 
-    def rows() -> Iterator[Row]:
+    def rows() -> Iterator[TableRow]:
         for group in report.speeds:
             cells: list[Any] = []
             for name in PERCENTILES:
@@ -273,7 +273,7 @@ def _speeds(report: TrafficReport) -> ReportTable:
 
 
 def _headways(report: TrafficReport) -> ReportTable:
-    def pair(one: GateCrossing) -> Row:
+    def pair(one: GateCrossing) -> TableRow:
         return one.trajectory.number, one.trajectory.class_name
 
     return _table(
@@ -319,7 +319,7 @@ def _queues(report: TrafficReport) -> ReportTable:
 
 
 def _delays(report: TrafficReport) -> ReportTable:
-    def rows() -> Iterator[Row]:
+    def rows() -> Iterator[TableRow]:
         for one in report.delays:
             section = one.section
             first = section.movement.origin

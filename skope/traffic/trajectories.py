@@ -18,7 +18,7 @@ OTHER_SIZES: Final[Mapping[str, tuple[float, float]]] = {
     "motorcycle": (2.1, 0.8),
 }
 """Lengths and widths, metres, that are taken for road users whose own are not measured."""
-LENGTH_SIGMA_M: Final = 0.3
+VEHICLE_LENGTH_SIGMA_M: Final = 0.3
 """Standard deviation of a vehicle's length, metres."""
 KMH: Final = 3.6
 """Kilometres an hour in a metre a second."""

@@ -22,13 +22,13 @@ from skope.traffic.observation import Observation
 from skope.traffic.trajectories import Trajectory
 from skope.traffic.vanished import Unseen
 
-Side = tuple[str, str]
+GateDirection = tuple[str, str]
 """A gate and the name of a direction."""
 _LOST: Final = (0.2, 0.2)
 """The share of the lost who went a way, as a Beta distribution: nothing says which."""
 _NOBODY: Final = (0.0, 1.0)
 """The share that is missed, where nobody is."""
-NOWHERE: Final[Side] = ("", "")
+NOWHERE: Final[GateDirection] = ("", "")
 """Not seen at a gate before, or after."""
 
 
@@ -47,7 +47,7 @@ class Movement:
         return self._first.time_s
 
     @property
-    def sides(self) -> tuple[Side, Side]:
+    def sides(self) -> tuple[GateDirection, GateDirection]:
         """Origin and destination, a gate and direction each."""
         return _side(self.origin), _side(self.destination)
 
@@ -73,8 +73,8 @@ class TurningCount:
     """Number that went from one gate to another in an interval."""
 
     interval: ClockInterval
-    origin: Side
-    destination: Side
+    origin: GateDirection
+    destination: GateDirection
     class_name: str
     """`VEHICLE` for those on more than two wheels, or `ALL`."""
     count: int | None
@@ -90,7 +90,7 @@ def on_foot(movement: Movement) -> bool:
     return movement.trajectory.category == PEDESTRIAN
 
 
-def _side(crossing: GateCrossing | None) -> Side:
+def _side(crossing: GateCrossing | None) -> GateDirection:
     return NOWHERE if crossing is None else (crossing.gate, crossing.direction_name)
 
 
@@ -190,7 +190,10 @@ def _missed_more(origin: Sequence[SeenAlike], destination: Sequence[SeenAlike]) 
 
 
 def _expected(
-    members: Sequence[Movement], pair: tuple[Side, Side], kinds: Sequence[SeenAlike], classes: Collection[str]
+    members: Sequence[Movement],
+    pair: tuple[GateDirection, GateDirection],
+    kinds: Sequence[SeenAlike],
+    classes: Collection[str],
 ) -> CountInterval | None:
     """Interval of a count. Road users that were lost after the first gate may have gone this way: nearly none of them,
     or nearly all, as where they went has no gate, or has one that loses them.

@@ -19,12 +19,14 @@ from skope.traffic.report import TrafficReport
 from skope.traffic.report_tables import ReportTable, report_tables
 from skope.version import __version__
 
-_DIGITS: Final = 3
+_TABLE_DIGITS: Final = 3
 SUMMARY: Final = "summary.json"
 """Written last: where it is, the report is whole."""
 
 
-def write_report(out: Path, report: TrafficReport, *, tracks: str | list[str], revision: str | None) -> list[Path]:
+def write_traffic_report(
+    out: Path, report: TrafficReport, *, tracks: str | list[str], revision: str | None
+) -> list[Path]:
     """Write the files of a report.
 
     Args:
@@ -40,7 +42,7 @@ def write_report(out: Path, report: TrafficReport, *, tracks: str | list[str], r
     for name, table in report_tables(report).items():
         written.append(out / f"{name}.csv")
         _write(written[-1], table)
-    write_json(out / SUMMARY, summary(report, tracks=tracks, revision=revision))
+    write_json(out / SUMMARY, report_summary(report, tracks=tracks, revision=revision))
     return [*written, out / SUMMARY]
 
 
@@ -56,7 +58,7 @@ def _cell(value: Any) -> str:
     if value is None or (isinstance(value, float) and not math.isfinite(value)):
         return ""
     if isinstance(value, float):
-        return f"{value:.{_DIGITS}f}"
+        return f"{value:.{_TABLE_DIGITS}f}"
     if isinstance(value, datetime):
         return value.isoformat(timespec="milliseconds" if value.microsecond else "seconds")
     return str(value)
@@ -78,7 +80,7 @@ def _recordings(report: TrafficReport) -> list[dict[str, Any]]:
     ]
 
 
-def summary(report: TrafficReport, *, tracks: str | list[str], revision: str | None) -> dict[str, Any]:
+def report_summary(report: TrafficReport, *, tracks: str | list[str], revision: str | None) -> dict[str, Any]:
     """The totals of a result, and what it was made of and by, so that it can be made again.
 
     Args:

@@ -40,7 +40,7 @@ class ZoneVisit:
         return math.hypot(*self.sigmas_s)
 
 
-def inside(polygon: Array, places: Array) -> NDArray[np.bool_]:
+def inside_polygon(polygon: Array, places: Array) -> NDArray[np.bool_]:
     """(M,) whether places (M, 2) are inside a polygon (N, 2), by the number of its sides that a ray to the right meets.
 
     Sides are half-open, so that of two polygons with a side in common one has each place on it.
@@ -53,14 +53,14 @@ def inside(polygon: Array, places: Array) -> NDArray[np.bool_]:
     return np.asarray((spans & met).sum(axis=1) % 2 == 1)
 
 
-def depth(polygon: Array, places: Array) -> Array:
+def depth_in_polygon(polygon: Array, places: Array) -> Array:
     """(M,) distances of places (M, 2) from the border of a polygon (N, 2), negative outside, metres."""
     a, step = polygon, np.roll(polygon, -1, axis=0) - polygon
     away = places[:, None] - a
     length = np.maximum((step**2).sum(axis=1), 1e-12)
     share = np.clip((away * step).sum(axis=2) / length, 0, 1)
     nearest = np.linalg.norm(away - share[..., None] * step, axis=2).min(axis=1)
-    return np.asarray(np.where(inside(polygon, places), nearest, -nearest))
+    return np.asarray(np.where(inside_polygon(polygon, places), nearest, -nearest))
 
 
 def visits(trajectories: Sequence[Trajectory], zones: Sequence[Zone], settings: TrafficSettings) -> list[ZoneVisit]:
@@ -82,7 +82,7 @@ def visits(trajectories: Sequence[Trajectory], zones: Sequence[Zone], settings: 
 
 
 def _of_one(trajectory: Trajectory, zone: Zone, hysteresis_m: float) -> list[ZoneVisit]:
-    signed = depth(np.array(zone.polygon), trajectory.place)
+    signed = depth_in_polygon(np.array(zone.polygon), trajectory.place)
     times = trajectory.times_s
     if (signed < 0).all():
         return []

@@ -46,7 +46,7 @@ def assign(boxes: Tensor, batch: TargetBatch, *, low: float, high: float, low_qu
     for first in range(0, count, at_once):
         part = slice(first, first + at_once)
         own = boxes if boxes.dim() == 2 else boxes[part]
-        present, quality = batch.present[part], iou(batch.boxes[part], own)
+        present, quality = batch.present[part], anchor_iou(batch.boxes[part], own)
         best, match = _match(quality, present, low, high, low_quality=low_quality)
         label = batch.labels[part].gather(1, match.clamp(min=0))
         label = torch.where(match >= 0, label, torch.where(match == _BELOW, 0, DISCARD))
@@ -56,7 +56,7 @@ def assign(boxes: Tensor, batch: TargetBatch, *, low: float, high: float, low_qu
     return torch.cat(labels), torch.cat(matched)
 
 
-def iou(truth: Tensor, boxes: Tensor) -> Tensor:
+def anchor_iou(truth: Tensor, boxes: Tensor) -> Tensor:
     """(B, G, N) intersection over union of (B, G, 4) boxes with (N, 4) or (B, N, 4) others."""
     shared = _shared(truth, boxes)
     union = _area(truth)[:, :, None] + _area(boxes).unsqueeze(-2) - shared
@@ -95,7 +95,7 @@ def _inside(boxes: Tensor, ignored: Tensor) -> Tensor:
     return (_shared(ignored, boxes).amax(dim=1) >= _IGNORED_SHARE * own) & (own > 0)
 
 
-def sample(labels: Tensor, count: int, share: float) -> tuple[Tensor, Tensor]:
+def sample_anchors(labels: Tensor, count: int, share: float) -> tuple[Tensor, Tensor]:
     """Draw what a step learns from, without preference.
 
     Args:

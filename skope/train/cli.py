@@ -6,7 +6,7 @@ from typing import Annotated, Any
 import typer
 
 from skope.errors import UserError
-from skope.terminal.command_options import DATA, DIR, FILE, LIST, RUN, Commands, option, panel
+from skope.terminal.command_options import DATA, DIR, FILE_METAVAR, LIST, RUN, Commands, option, panel
 from skope.terminal.console import Console
 
 _RECIPES = "the recipe's"
@@ -166,7 +166,7 @@ def export(
         option(choices=("torchscript", "onnx", "compact", "state_dict"), help="Form; onnx needs the extra `onnx`."),
     ] = "torchscript",
     out: Annotated[
-        Path | None, option(metavar=FILE, help="File to write.", show_default="beside the checkpoint")
+        Path | None, option(metavar=FILE_METAVAR, help="File to write.", show_default="beside the checkpoint")
     ] = None,
     data: Annotated[
         Path | None,

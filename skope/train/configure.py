@@ -9,7 +9,7 @@ from typing import Any
 
 from skope.detector.checkpoint import find_checkpoint
 from skope.errors import UserError
-from skope.files.output_folders import changed
+from skope.files.output_folders import changed_options
 from skope.processors import usable_processors
 from skope.schema import checked_categories
 from skope.train import init_weights
@@ -33,7 +33,7 @@ def new(data: Sequence[Path], flags: Mapping[str, Any], *, gpu: bool, bfloat16: 
     Raises:
         UserError: A flag is wrong.
     """
-    recipe = recipes.choose(flags["recipe"] or "auto", gpu=gpu, bfloat16=bfloat16)
+    recipe = recipes.choose_recipe(flags["recipe"] or "auto", gpu=gpu, bfloat16=bfloat16)
     given = {name: flags[name] for name in _RECIPE_FLAGS if flags[name] not in (None, ())}
     try:
         recipe = replace(recipe, **given)
@@ -43,8 +43,8 @@ def new(data: Sequence[Path], flags: Mapping[str, Any], *, gpu: bool, bfloat16: 
         raise UserError(f"--{str(error).replace('_', '-', 1)}") from None
     if flags["min_size"] is not None:
         recipe = recipe.with_min_size(flags["min_size"])
-    recipe = recipes.adjusted(recipe, flags["set"] or ())
-    init_weights.check(recipe.init)
+    recipe = recipes.adjusted_recipe(recipe, flags["set"] or ())
+    init_weights.check_init(recipe.init)
     if recipe.teacher.checkpoint is not None:
         find_checkpoint(Path(recipe.teacher.checkpoint))
     mix = flags["mix"]
@@ -88,7 +88,7 @@ def new_or_same(
         held = RunConfig.read(out)
     except UserError as error:
         raise UserError(f"{error}; choose another folder by --out, or move this one away") from None
-    if other := changed(_flat(held), _flat(_completed(wanted, held))):
+    if other := changed_options(_flat(held), _flat(_completed(wanted, held))):
         raise UserError(
             f"{out}: holds another run: {'; '.join(other)}. --resume goes on with it as it was begun, for longer with "
             "--epochs; or choose another folder by --out"
@@ -137,7 +137,7 @@ def again(out: Path, data: Sequence[Path], flags: Mapping[str, Any]) -> RunConfi
         if value != known[name]:
             raise UserError(f"--{name.replace('_', '-')} {value}: the run in {out} has {known[name]}; leave it out")
     recipe = recorded.recipe
-    if recipes.adjusted(recipe, flags["set"] or ()) != recipe:
+    if recipes.adjusted_recipe(recipe, flags["set"] or ()) != recipe:
         raise UserError(f"--set {' '.join(flags['set'])}: the run in {out} has other values; leave it out")
     if flags["epochs"] is not None:
         recipe = replace(recipe, epochs=flags["epochs"])

@@ -20,7 +20,7 @@ from skope.errors import UserError
 from skope.keypoints import Scheme
 from skope.schema import VEHICLE_ALONE
 from skope.train.network_shape import AS_GIVEN, NetworkShape
-from skope.train.published_weights import State, cached, fetch, unpickled
+from skope.train.published_weights import PublishedState, cached_weights, fetch, unpickled
 from skope.train.recipe import SMALL_SIZE
 
 INITS: Final = ("auto", "coco", "imagenet", "random")
@@ -94,17 +94,19 @@ def initialise(
             categories=categories,
         )
 
-    def loaded(path: Path, state: State, given: DetectorConfig, words: str) -> tuple[KeypointRCNN, DetectorConfig, str]:
+    def loaded(
+        path: Path, state: PublishedState, given: DetectorConfig, words: str
+    ) -> tuple[KeypointRCNN, DetectorConfig, str]:
         chosen = completed(given)
         anew = [name for name in categories if name not in given.categories]
         words += f"; {', '.join(anew)} anew" if anew else ""
         return _loaded(path, state, given.categories, chosen, trainable_layers), chosen, words
 
-    check(init)
+    check_init(init)
     given = _plain("batch", network)
     if init == "auto" and not given.stock:
-        init = "imagenet" if cached(BACKBONES[given.backbone].imagenet).is_file() else "random"
-    coco_file = cached(KeypointRCNN_ResNet50_FPN_Weights.COCO_V1)
+        init = "imagenet" if cached_weights(BACKBONES[given.backbone].imagenet).is_file() else "random"
+    coco_file = cached_weights(KeypointRCNN_ResNet50_FPN_Weights.COCO_V1)
     with torch.random.fork_rng(devices=[]):
         torch.default_generator.manual_seed(seed)
         if init == "coco" or (init == "auto" and coco_file.is_file()):
@@ -125,7 +127,7 @@ def initialise(
         return loaded(file, state, own, words)
 
 
-def check(init: str) -> None:
+def check_init(init: str) -> None:
     """Raise a UserError unless a value of `--init` is one of `INITS` or names weights that are there."""
     if init in INITS:
         return
@@ -136,7 +138,7 @@ def check(init: str) -> None:
 
 def _from_file(
     path: Path, scheme: Scheme, categories: tuple[str, ...], network: NetworkShape
-) -> tuple[State, DetectorConfig]:
+) -> tuple[PublishedState, DetectorConfig]:
     """Weights and config of a checkpoint of ours or a file of torchvision's names (.pth or safetensors).
 
     Ours records its config. Elsewhere counted batches tell BatchNorm2d from FrozenBatchNorm2d, and eps is 0
@@ -190,7 +192,7 @@ def _is_ours(path: Path) -> bool:
 
 
 def _loaded(
-    path: Path, state: State, categories: tuple[str, ...], config: DetectorConfig, trainable_layers: int
+    path: Path, state: PublishedState, categories: tuple[str, ...], config: DetectorConfig, trainable_layers: int
 ) -> KeypointRCNN:
     """A model with the weights in `state`, which were trained for `categories`.
 
@@ -211,8 +213,8 @@ def _loaded(
 
 
 def _with_categories(
-    path: Path, state: State, categories: tuple[str, ...], drawn: State, wanted: tuple[str, ...]
-) -> State:
+    path: Path, state: PublishedState, categories: tuple[str, ...], drawn: PublishedState, wanted: tuple[str, ...]
+) -> PublishedState:
     """`state`, trained for `categories`, with a box predictor for those that are wanted: new rows are those of `drawn`.
 
     The rows of the predictor's weights are those of the background and of each category, one for classes and four for
@@ -239,7 +241,7 @@ def _with_categories(
     return out
 
 
-def _num_keypoints(path: Path, state: State) -> int:
+def _num_keypoints(path: Path, state: PublishedState) -> int:
     if _PREDICTOR not in state:
         raise UserError(f"{path}: not the weights of a Keypoint R-CNN of torchvision (no tensor {_PREDICTOR})")
     return int(state[_PREDICTOR].shape[1])
@@ -255,7 +257,7 @@ def _from_imagenet(config: DetectorConfig, trainable_layers: int) -> KeypointRCN
     return model
 
 
-def _load(path: Path, model: nn.Module, state: State) -> None:
+def _load(path: Path, model: nn.Module, state: PublishedState) -> None:
     try:
         model.load_state_dict(state)
     except RuntimeError as error:

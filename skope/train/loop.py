@@ -363,7 +363,7 @@ def _explain_out_of_memory(config: RunConfig) -> Iterator[None]:
 
 def _check_first(batch: Sequence[TrainingSample], console: Console) -> None:
     """Keypoint R-CNN can only learn points inside their box: stop when boxes and keypoints do not belong together."""
-    share = training_samples.share_inside(batch)
+    share = training_samples.mean_share_inside(batch)
     if share is None or share >= _LEAST_INSIDE:
         return
     names = ", ".join(sample.name for sample in batch)

@@ -26,8 +26,8 @@ from skope import schema
 from skope.detector.build import box_passes_of
 from skope.detector.detect import offsets_of_label
 from skope.detector.suppression import not_overlapped
-from skope.train.anchor_matching import DISCARD, assign, sample
-from skope.train.target_batch import Size, Target, TargetBatch, to_device
+from skope.train.anchor_matching import DISCARD, assign, sample_anchors
+from skope.train.target_batch import HeightWidth, Target, TargetBatch, to_device
 from skope.train.teacher import Lesson, Teacher
 
 _BETA = 1 / 9
@@ -85,13 +85,15 @@ def detection_losses(
 # -------------------------------------------------------------------------------------------------------------- images
 
 
-def network_images(transform: GeneralizedRCNNTransform, pixels: Sequence[Tensor]) -> tuple[ImageList, list[Size]]:
+def network_images(
+    transform: GeneralizedRCNNTransform, pixels: Sequence[Tensor]
+) -> tuple[ImageList, list[HeightWidth]]:
     """Images as they enter the backbone, as `transform` makes them, and their sizes before."""
     device = pixels[0].device
     mean, deviation = (to_device(each, device)[:, None, None] for each in (transform.image_mean, transform.image_std))
-    before: list[Size] = [(image.shape[1], image.shape[2]) for image in pixels]
-    inside: list[Size] = [(0, 0)] * len(pixels)
-    resized: dict[Size, Tensor] = {}
+    before: list[HeightWidth] = [(image.shape[1], image.shape[2]) for image in pixels]
+    inside: list[HeightWidth] = [(0, 0)] * len(pixels)
+    resized: dict[HeightWidth, Tensor] = {}
     members = {size: [i for i, own in enumerate(before) if own == size] for size in dict.fromkeys(before)}
     for size, group in members.items():
         stack = (torch.stack([pixels[i] for i in group]).float() / 255 - mean) / deviation
@@ -133,7 +135,7 @@ def _proposals(
 
     sampler = rpn.fg_bg_sampler
     labels, matched = _assigned(rpn.proposal_matcher, anchors, batch)
-    at, drawn = sample(labels, sampler.batch_size_per_image, sampler.positive_fraction)
+    at, drawn = sample_anchors(labels, sampler.batch_size_per_image, sampler.positive_fraction)
     label = labels.gather(1, at).clamp(min=0)
     truth = _pick(batch.boxes, matched.gather(1, at))
     error = _box_error(_pick(deltas, at), truth, anchors[at], rpn.box_coder.weights, drawn & (label > 0))
@@ -150,7 +152,7 @@ def _best_boxes(
     anchors: Tensor,
     deltas: Tensor,
     objectness: Tensor,
-    sizes: Sequence[Size],
+    sizes: Sequence[HeightWidth],
     per_level: list[int],
 ) -> list[Tensor]:
     """The boxes (P, 4) of each image that most likely hold something, none of them much the same as another."""
@@ -203,7 +205,7 @@ def _head_losses(
     heads: RoIHeads,
     features: dict[str, Tensor],
     proposals: list[Tensor],
-    sizes: list[Size],
+    sizes: list[HeightWidth],
     batch: TargetBatch,
     rules: LearningRules,
     looks_again: bool,
@@ -237,7 +239,7 @@ def _second_look(
     truth: Tensor,
     labels: Tensor,
     somebody: Tensor,
-    sizes: list[Size],
+    sizes: list[HeightWidth],
 ) -> Tensor:
     """Sum of the errors of the offsets that the box head finds from the boxes that it has found.
 
@@ -270,7 +272,7 @@ def _regions(
     boxes = torch.cat([padded, batch.boxes], dim=1)
     there = torch.cat([torch.arange(padded.shape[1], device=lengths.device) < lengths, batch.present], dim=1)
     labels, matched = _assigned(heads.proposal_matcher, boxes, batch)
-    at, drawn = sample(labels.where(there, DISCARD), rules.regions, heads.fg_bg_sampler.positive_fraction)
+    at, drawn = sample_anchors(labels.where(there, DISCARD), rules.regions, heads.fg_bg_sampler.positive_fraction)
     return _pick(boxes, at), labels.gather(1, at), matched.gather(1, at), drawn
 
 
@@ -280,7 +282,7 @@ def _keypoint_losses(
     boxes: Tensor,
     labels: Tensor,
     matched: Tensor,
-    sizes: list[Size],
+    sizes: list[HeightWidth],
     batch: TargetBatch,
     rules: LearningRules,
     lesson: Lesson | None,
@@ -335,7 +337,7 @@ def _moved(boxes: Tensor, offsets: Tensor, coder: BoxCoder) -> Tensor:
     return torch.cat([centres - halves, centres + halves], dim=-1)
 
 
-def _clipped(boxes: Tensor, sizes: Sequence[Size]) -> Tensor:
+def _clipped(boxes: Tensor, sizes: Sequence[HeightWidth]) -> Tensor:
     """(B, S, 4) boxes clipped to the B images of these sizes."""
     limits = to_device([[width, height, width, height] for height, width in sizes], boxes.device)[:, None]
     return torch.minimum(boxes.clamp(min=0), limits)

@@ -43,7 +43,7 @@ def from_flags(flags: Sequence[str], where: str) -> dict[str, Any]:
     return values
 
 
-def changed(base: T, values: Mapping[str, Any], where: str) -> T:
+def with_values(base: T, values: Mapping[str, Any], where: str) -> T:
     """A copy of a dataclass with other values, nested tables for nested dataclasses.
 
     Raises UserError, beginning with `where` and the field, for unknown names and wrong types.
@@ -59,7 +59,7 @@ def changed(base: T, values: Mapping[str, Any], where: str) -> T:
         if is_dataclass(new[name]):
             if not isinstance(value, Mapping):
                 raise UserError(f"{where}{name}: expected a table, got {value!r}")
-            new[name] = changed(new[name], value, f"{where}{name}.")
+            new[name] = with_values(new[name], value, f"{where}{name}.")
         else:
             new[name] = _typed(value, hints[name], f"{where}{name}")
     try:

@@ -12,18 +12,18 @@ from torchvision.models import WeightsEnum
 
 from skope.errors import UserError
 
-State = dict[str, torch.Tensor]
+PublishedState = dict[str, torch.Tensor]
 _NO_WEIGHTS: Final = "not a file of weights of torch's, or one that did not arrive whole"
 
 
-def cached(weights: WeightsEnum) -> Path:
+def cached_weights(weights: WeightsEnum) -> Path:
     """Path at which torchvision keeps the file of published weights, whether or not it is there."""
     return Path(torch.hub.get_dir()) / "checkpoints" / Path(urlparse(weights.url).path).name
 
 
 def fetch(init: str, weights: WeightsEnum) -> Path:
     """The file of published weights, downloaded where it is missing; a UserError names `--init init` if that fails."""
-    path = cached(weights)
+    path = cached_weights(weights)
     if path.is_file():
         return path
     digest = re.search(r"-([0-9a-f]{8,})\.pth$", path.name)
@@ -37,7 +37,7 @@ def fetch(init: str, weights: WeightsEnum) -> Path:
     return path
 
 
-def unpickled(path: Path) -> State:
+def unpickled(path: Path) -> PublishedState:
     """The state dict in a file of torch's, or under the key `model` as torchvision's training scripts save it.
 
     These scripts put their arguments beside it, in a class that holds nothing but values.

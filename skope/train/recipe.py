@@ -129,7 +129,7 @@ class Recipe:
         if not isinstance(values, Mapping) or {*values, *_ADDED} != names:
             raise UserError(f"recipe: expected the fields {', '.join(sorted(names))}")
         like: Any = RECIPES["paper"]
-        return overrides.changed(like, values, "recipe: ")  # type: ignore[no-any-return]
+        return overrides.with_values(like, values, "recipe: ")  # type: ignore[no-any-return]
 
     def with_min_size(self, min_size: int) -> Self:
         """The recipe with another short side, pixels; the long side's limit changes in proportion."""
@@ -235,7 +235,7 @@ _BASE: Final = "base"
 """Key of a TOML recipe under which it names the recipe that it changes."""
 
 
-def choose(name: str, *, gpu: bool, bfloat16: bool) -> Recipe:
+def choose_recipe(name: str, *, gpu: bool, bfloat16: bool) -> Recipe:
     """The recipe that the flag `--recipe` names.
 
     Args:
@@ -254,13 +254,13 @@ def choose(name: str, *, gpu: bool, bfloat16: bool) -> Recipe:
         base = values.pop(_BASE, "auto")
         if base not in CHOICES:
             raise UserError(f"{path}: {_BASE}: {base!r} is not one of {', '.join(CHOICES)}")
-        recipe = choose(base, gpu=gpu, bfloat16=bfloat16)
-        return overrides.changed(recipe, {"name": path.stem, **values}, f"{path}: ")
+        recipe = choose_recipe(base, gpu=gpu, bfloat16=bfloat16)
+        return overrides.with_values(recipe, {"name": path.stem, **values}, f"{path}: ")
     one_of("--recipe", name, CHOICES)
     recipe = RECIPES[("paper" if gpu else "laptop") if name == "auto" else name]
     return recipe if recipe.name == "paper" else replace(recipe, bfloat16=bfloat16)
 
 
-def adjusted(recipe: Recipe, flags: Sequence[str]) -> Recipe:
+def adjusted_recipe(recipe: Recipe, flags: Sequence[str]) -> Recipe:
     """The recipe with the values of `--set name=value` flags."""
-    return overrides.changed(recipe, overrides.from_flags(flags, "--set"), "--set ")
+    return overrides.with_values(recipe, overrides.from_flags(flags, "--set"), "--set ")

@@ -22,7 +22,7 @@ from skope.terminal.console import Console, disk_size
 from skope.train.interrupt import ignore_signals
 from skope.train.training_samples import Draw, TrainingSample, TrainingSet
 
-Group = Sequence[Draw]
+DrawGroup = Sequence[Draw]
 """Draws that are loaded together."""
 
 SHARED_MEMORY: Final = Path("/dev/shm")
@@ -60,7 +60,7 @@ class Loader:
         self.workers = workers
         self._training_set, self._console, self._pin, self._stopping = training_set, console, pin, stopping
 
-    def batches(self, groups: Iterable[Group], largest: int) -> Iterator[list[TrainingSample]]:
+    def batches(self, groups: Iterable[DrawGroup], largest: int) -> Iterator[list[TrainingSample]]:
         """The samples of each group of draws, the largest of which has so many.
 
         Groups are asked for as they are wanted, so that there may be those of many epochs: processes go on from one to
@@ -83,7 +83,7 @@ class Loader:
                 rest = f"{self.workers} go on" if self.workers else "this process loads them from here"
                 self._console.warn(f"processes that load images {lost}: {rest} (--workers)")
 
-    def _loaded(self, groups: Iterator[Group], prefetch: int) -> Iterator[list[TrainingSample | UserError]]:
+    def _loaded(self, groups: Iterator[DrawGroup], prefetch: int) -> Iterator[list[TrainingSample | UserError]]:
         loader = DataLoader(
             self._training_set,
             batch_sampler=_Batches(groups),
@@ -141,7 +141,7 @@ class Loader:
         return prefetch
 
 
-def _noted(again: Sequence[Group], left: Iterator[Group], asked: deque[Group]) -> Iterator[Group]:
+def _noted(again: Sequence[DrawGroup], left: Iterator[DrawGroup], asked: deque[DrawGroup]) -> Iterator[DrawGroup]:
     """Groups that are asked for again, then those that are left, which are noted in `asked`."""
     yield from again
     for group in left:
@@ -152,7 +152,7 @@ def _noted(again: Sequence[Group], left: Iterator[Group], asked: deque[Group]) -
 class _Batches(Sampler[list[Draw]]):
     """Groups of draws as torch asks for them."""
 
-    def __init__(self, groups: Iterator[Group]) -> None:
+    def __init__(self, groups: Iterator[DrawGroup]) -> None:
         self._groups = groups
 
     def __iter__(self) -> Iterator[list[Draw]]:

@@ -12,7 +12,7 @@ IGNORED_KEY = "ignored_boxes"
 """Targets carry the ignored boxes, (M, 4) xyxy, under this key."""
 
 Target = dict[str, Tensor]
-Size = tuple[int, int]
+HeightWidth = tuple[int, int]
 """Height and width, pixels."""
 
 
@@ -35,8 +35,8 @@ class TargetBatch:
     def of(
         cls,
         targets: Sequence[Target],
-        before: Sequence[Size],
-        inside: Sequence[Size],
+        before: Sequence[HeightWidth],
+        inside: Sequence[HeightWidth],
         *,
         ignore_below: float,
         device: torch.device,
@@ -70,7 +70,7 @@ class TargetBatch:
         return cls(*(to_device(part, device) for part in parts))
 
 
-def _resized(target: Target, before: Size, inside: Size, ignore_below: float) -> Target:
+def _resized(target: Target, before: HeightWidth, inside: HeightWidth, ignore_below: float) -> Target:
     """A target in pixels inside the network, what is too small there among the ignored."""
     height, width = (
         torch.tensor(new, dtype=torch.float32) / torch.tensor(old, dtype=torch.float32)

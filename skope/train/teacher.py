@@ -20,7 +20,7 @@ from skope.detector.checkpoint import find_checkpoint, load_weights
 from skope.detector.detect import offsets_of_label
 from skope.errors import UserError
 from skope.train.fold_batchnorm import fold_norms
-from skope.train.target_batch import Size
+from skope.train.target_batch import HeightWidth
 from skope.train.teacher_rules import TeacherRules
 
 TEACHER_LOSSES: Final = ("loss_teacher_classes", "loss_teacher_boxes", "loss_teacher_keypoints")
@@ -77,7 +77,7 @@ class Lesson:
     rules: TeacherRules
 
     def of_boxes(
-        self, boxes: Tensor, sizes: list[Size], logits: Tensor, deltas: Tensor, labels: Tensor, drawn: Tensor
+        self, boxes: Tensor, sizes: list[HeightWidth], logits: Tensor, deltas: Tensor, labels: Tensor, drawn: Tensor
     ) -> dict[str, Tensor]:
         """The losses of classes and boxes.
 
@@ -110,7 +110,7 @@ class Lesson:
         }
 
     def of_keypoints(
-        self, regions: Sequence[Tensor], sizes: list[Size], maps: Tensor, labelled: Tensor
+        self, regions: Sequence[Tensor], sizes: list[HeightWidth], maps: Tensor, labelled: Tensor
     ) -> dict[str, Tensor]:
         """The loss of heat maps.
 

@@ -194,7 +194,7 @@ def order(sizes: Sequence[int], mix: float | None, *, seed: int, epoch: int) -> 
     return [draws[i] for i in rng.permutation(len(draws))]
 
 
-def share_inside(samples: Sequence[TrainingSample]) -> float | None:
+def mean_share_inside(samples: Sequence[TrainingSample]) -> float | None:
     """Share of the labelled keypoints that lie inside their vehicle's box; None without a labelled keypoint."""
     inside = labelled = 0
     for sample in samples:

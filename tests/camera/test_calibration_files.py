@@ -18,7 +18,7 @@ from skope.camera.calibration_files import (
     read_tumtraf,
 )
 from skope.camera.model import Camera, Distortion
-from skope.camera.pose_from_points import fit_camera
+from skope.camera.pose_from_points import fit_camera_to_points
 from skope.errors import UserError
 from skope.pictures.video import write_video
 
@@ -121,7 +121,7 @@ def test_control_points(count: int, focal: str, distortion: Distortion) -> None:
     pixels, _, valid = camera.project(GROUND[:count])
     assert valid.all()
     K = camera.K if focal == "known" else None
-    fit = fit_camera(pixels, GROUND[:count], (1920, 1080), K=K, distortion=distortion)
+    fit = fit_camera_to_points(pixels, GROUND[:count], (1920, 1080), K=K, distortion=distortion)
     assert fit.rms_px < 1e-3
     others = RNG.uniform([12, -9, 0], [70, 9, 3], (100, 3))
     np.testing.assert_allclose(fit.camera.project(others)[0], camera.project(others)[0], atol=0.01)
@@ -133,7 +133,7 @@ def test_control_points_in_space_and_with_errors() -> None:
     points = camera.unproject(camera.project(camera.position + rays @ camera.T_camera_world[:3, :3])[0], 20.0)[0]
     points += RNG.normal(0, 4, points.shape)
     pixels = camera.project(points)[0] + RNG.normal(0, 0.5, (12, 2))
-    fit = fit_camera(pixels, points, (1920, 1080))
+    fit = fit_camera_to_points(pixels, points, (1920, 1080))
     assert fit.camera.K[0, 0] == pytest.approx(camera.K[0, 0], rel=0.02)
     assert 0.2 < fit.rms_px < 1.0
     np.testing.assert_allclose(fit.camera.position, camera.position, atol=0.5)
@@ -145,7 +145,7 @@ def test_control_points_in_space_and_with_errors() -> None:
 def test_useless_control_points(points: np.ndarray, word: str) -> None:
     pixels = known().project(points)[0]
     with pytest.raises(UserError, match=word):
-        fit_camera(pixels, points, (1920, 1080))
+        fit_camera_to_points(pixels, points, (1920, 1080))
 
 
 @pytest.mark.parametrize(

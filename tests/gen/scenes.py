@@ -41,7 +41,7 @@ def standing(
         wheels[i, :, :3, :3] = chassis[i, :3, :3]
         wheels[i, :, :3, 3] = vehicle.shape.wheel_centers() @ chassis[i, :3, :3].T + chassis[i, :3, 3]
     trailers = [
-        trailer_motion.pose(vehicle, DrivenTrailer(yaw + bend, 0.0, 0.0), T)
+        trailer_motion.trailer_poses(vehicle, DrivenTrailer(yaw + bend, 0.0, 0.0), T)
         for vehicle, (*_, yaw), T in zip(models, vehicles, chassis, strict=True)
     ]
     count = len(vehicles)
@@ -73,7 +73,7 @@ def standing(
 
 def with_people(recording: Recording, places: list[tuple[float, float, float]]) -> Recording:
     """The frame with large people who stand at places (x, y, yaw)."""
-    body, count = bystander.build("pedestrian", Look(height=1.95, girth=1.3).to_dict()), len(places)
+    body, count = bystander.build_bystander("pedestrian", Look(height=1.95, girth=1.3).to_dict()), len(places)
     chassis = np.array([pose(*place) for place in places])
     people = (
         RecordedVehicle(100 + i, "pedestrian", body.look.to_dict(), "black", labelled=False) for i in range(count)

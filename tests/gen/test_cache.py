@@ -14,7 +14,7 @@ from skope.gen import cache
 from skope.gen.mesh import Mesh
 from skope.gen.scenery import build as towns
 from skope.gen.towns.town import Town
-from skope.gen.vehicles.fleet import build, fleet
+from skope.gen.vehicles.fleet import build_vehicle, fleet
 from skope.gen.vehicles.model import simplified_parts
 
 
@@ -61,7 +61,7 @@ def test_shapes_that_are_seen_once_are_not_kept(empty: Path) -> None:
 
 def test_random_shapes_that_recur_are_kept(empty: Path) -> None:
     shape = {**fleet()["sedan"].vehicle.shape.to_dict(), "length": 4.61}
-    assert build("sedan", shape, recurs=True).coarse
+    assert build_vehicle("sedan", shape, recurs=True).coarse
     assert {path.name.split("_")[0] for path in empty.glob("*.npz")} == {"vehicle", "coarse"}
 
 

@@ -96,7 +96,7 @@ def test_failures_by_kind_equal_the_loops() -> None:
                 for k in wrong(vehicle, detection):
                     expected[kind_of(vehicle, detection, k)] += 1
         matches, outcomes = outcomes_of_case(*case)
-        assert failures.counts(matches, outcomes, OPTIONS) == expected
+        assert failures.failure_counts(matches, outcomes, OPTIONS) == expected
         seen = {name: seen[name] + expected[name] for name in seen}
     assert min(seen.values()) > 10
 

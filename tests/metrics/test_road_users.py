@@ -16,7 +16,7 @@ from skope.dataset import coco
 from skope.metrics.breakdown import FleetInfo
 from skope.metrics.outcomes import Options
 from skope.metrics.road_users import category_figures
-from skope.metrics.split_scores import measure
+from skope.metrics.split_scores import split_metrics
 from skope.schema import CATEGORIES, AnnotationFile, Result, RoadUser, RoadUserResult
 from tests.metrics import brute
 from tests.samples import make_annotation, make_image, make_road_user
@@ -166,7 +166,7 @@ def test_vehicles_are_measured_as_if_there_were_nobody_else() -> None:
     alone = replace(file, road_users=(), categories=("vehicle",))
 
     def entry(of: AnnotationFile, **more: Any) -> dict[str, Any]:
-        return measure(of, cars, Options(), FleetInfo(), **more).entry
+        return split_metrics(of, cars, Options(), FleetInfo(), **more).entry
 
     with_others = entry(file, road_users=results, known=CATEGORIES)
     assert set(with_others.pop("categories")) == set(CATEGORIES[1:])

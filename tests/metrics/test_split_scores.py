@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from skope.eval.report import render, table
+from skope.eval.report import render_page, table
 from skope.metrics import pck_precision_recall
 from skope.metrics.breakdown import FleetInfo
 from skope.metrics.counts import quotients, ratio
 from skope.metrics.outcomes import Options
-from skope.metrics.split_scores import from_tallies, measure, to_tallies
+from skope.metrics.split_scores import from_tallies, split_metrics, to_tallies
 from skope.schema import AnnotationFile, Result
 from tests.html_page import Page
 from tests.metrics.cases import as_records, random_case
@@ -35,17 +35,17 @@ def poor_splits() -> list[tuple[AnnotationFile, list[Result]]]:
 @pytest.mark.filterwarnings("error")
 def test_every_poor_split_is_measured_printed_and_shown(tmp_path: Path) -> None:
     for file, results in poor_splits():
-        measured = measure(file, results, OPTIONS, FleetInfo(held_out=()))
-        document = pck_precision_recall.document(OPTIONS, {"poor": measured.entry})
+        measured = split_metrics(file, results, OPTIONS, FleetInfo(held_out=()))
+        document = pck_precision_recall.scores_document(OPTIONS, {"poor": measured.entry})
         json.dumps(document, allow_nan=False)
         for protocol in ("pooled", "paper"):
-            assert table.render(document, protocol, 100, beside=table.published())
-        Page(render(document, [measured], tmp_path, OPTIONS, "pooled", table.published(), "a detector"))
+            assert table.render_table(document, protocol, 100, beside=table.published())
+        Page(render_page(document, [measured], tmp_path, OPTIONS, "pooled", table.published(), "a detector"))
 
 
 def test_tallies_give_the_figures_again() -> None:
     for file, results in poor_splits():
-        measured = measure(file, results, OPTIONS, FleetInfo())
+        measured = split_metrics(file, results, OPTIONS, FleetInfo())
         blocks, tallies = from_tallies(json.loads(json.dumps(to_tallies(measured))))
         assert blocks.to_dict() == measured.blocks.to_dict()
         for t, counts in tallies.items():

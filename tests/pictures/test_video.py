@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from skope.errors import UserError
-from skope.pictures.video import open_video, write_video
+from skope.pictures.video import create_video, write_video
 from tests.chromium import Browser
 
 COLORS = ((200, 30, 40), (30, 160, 60), (40, 60, 210), (128, 128, 128), (250, 250, 250))
@@ -66,7 +66,7 @@ def test_a_moving_picture_keeps_its_detail(tmp_path: Path) -> None:
 def test_what_cannot_be_written_is_said(tmp_path: Path) -> None:
     with (
         pytest.raises(UserError, match=r"v\.mp4: cannot be written as a video"),
-        open_video(tmp_path / "v.mp4", (20_000, 20_000), 10) as video,
+        create_video(tmp_path / "v.mp4", (20_000, 20_000), 10) as video,
     ):
         video.add(np.zeros((20_000, 20_000, 3), dtype=np.uint8))
     write_video(tmp_path / "none.mp4", [], 10)

@@ -13,8 +13,8 @@ from skope.traffic.collision import deceleration_to_avoid, times_to_collision
 from skope.traffic.conflicts import Conflict, conflicts
 from skope.traffic.encroachment import by_area, by_places
 from skope.traffic.event_probability import event_probability
-from skope.traffic.footprints import FootprintPath, corners, meeting, overlap
-from skope.traffic.joining import joined
+from skope.traffic.footprints import FootprintPath, footprint_corners, meeting, overlap
+from skope.traffic.joining import join_trajectories
 from skope.traffic.trajectories import Trajectory
 from tests.traffic.drives import drive, straight, then
 
@@ -27,7 +27,7 @@ def test_rectangles_meet_when_shapely_says_so() -> None:
     rng = np.random.default_rng(0)
     angles = rng.uniform(0, 7, (2, 400))
     boxes = [
-        corners(rng.uniform(-5, 5, (400, 2)), np.stack([np.cos(turn), np.sin(turn)], axis=1), (4.0, 2.0))
+        footprint_corners(rng.uniform(-5, 5, (400, 2)), np.stack([np.cos(turn), np.sin(turn)], axis=1), (4.0, 2.0))
         for turn in angles
     ]
     shapes = [[Polygon(box) for box in side] for side in boxes]
@@ -161,7 +161,7 @@ def hidden(
 def test_broken_tracks_are_joined_and_say_so() -> None:
     """Hidden for 1.5 s; a third part, hidden for half a second; and one that goes on while the next one has begun."""
     parts = [hidden(1, 0, 4), hidden(2, 5.5, 8), hidden(3, 8.5, 11), hidden(4, 10.7, 14)]
-    (whole,) = joined(parts[::-1])
+    (whole,) = join_trajectories(parts[::-1])
     assert (whole.number, whole.joined) == (1, (2, 3, 4))
     assert 0.9 < whole.joined_probability < 1
     assert (np.diff(whole.times_s) > 0).all()
@@ -178,14 +178,14 @@ def test_others_are_not_joined() -> None:
         hidden(2, 5.5, 8, category="bicycle"),  # type: ignore[arg-type]
         hidden(2, 20, 24),  # after too long
     ):
-        assert len(joined([first, other])) == 2
+        assert len(join_trajectories([first, other])) == 2
     # Two who may both be meant: neither is.
-    assert len(joined([first, hidden(2, 5.5, 8, y=0.4), hidden(3, 5.5, 8, y=-0.4)])) == 3
+    assert len(join_trajectories([first, hidden(2, 5.5, 8, y=0.4), hidden(3, 5.5, 8, y=-0.4)])) == 3
 
 
 def test_a_parked_car_stays_parked_when_its_tracks_are_joined() -> None:
     """And one that waits and then drives has moved."""
     parked = [straight(k, (5, 5), (0, 0), 6, begin_s=7.0 * k, flags=("never_moved",)) for k in range(2)]
-    assert [one.flags for one in joined(parked)] == [("never_moved",)]
+    assert [one.flags for one in join_trajectories(parked)] == [("never_moved",)]
     leaves = drive(3, [(5 + 0.02 * max(0, k - 5) ** 2, 5) for k in range(60)], 13.2 + 0.1 * np.arange(60))
-    assert [one.flags for one in joined([parked[1], leaves])] == [()]
+    assert [one.flags for one in join_trajectories([parked[1], leaves])] == [()]

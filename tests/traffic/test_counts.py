@@ -13,9 +13,9 @@ from skope.site.marks import Gate
 from skope.site.traffic_settings import TrafficSettings
 from skope.traffic.clock import clock_intervals
 from skope.traffic.count_interval import Group, count_interval, joint_interval, poisson_binomial
-from skope.traffic.counts import ALL, counts
+from skope.traffic.counts import ALL, interval_counts
 from skope.traffic.event_probability import SEEN_IN_METRES, usual_step
-from skope.traffic.gates import crossings
+from skope.traffic.gates import gate_crossings
 from skope.traffic.lanes import LaneMap
 from skope.traffic.observation import Observation
 from skope.traffic.trajectories import Trajectory
@@ -130,8 +130,8 @@ def test_nothing_counted_and_nothing_observed_are_told_apart() -> None:
     times = np.concatenate([np.arange(0, 900), np.arange(4500, 4800)]).astype(float)
     seen = Observation(times_s=times)
     start = datetime(2026, 11, 26, 10, 0, tzinfo=BERLIN)
-    found = crossings([straight(1, (-30, 0), (10, 0), 6, begin_s=4600)], [GATE], NO_LANES, TrafficSettings())
-    rows = counts(found, [GATE], [], clock_intervals(start, 0, 4800, 15), seen, TrafficSettings(), Unseen())
+    found = gate_crossings([straight(1, (-30, 0), (10, 0), 6, begin_s=4600)], [GATE], NO_LANES, TrafficSettings())
+    rows = interval_counts(found, [GATE], [], clock_intervals(start, 0, 4800, 15), seen, TrafficSettings(), Unseen())
     west = [(one.observed, one.count) for one in rows if (one.direction, one.class_name) == ("west", ALL)]
     assert west == [("all", 0), *[("nothing", None)] * 4, ("part", 1)]
     assert all((one.expected is None) == (one.count is None) for one in rows if one.class_name != "unknown")
@@ -147,8 +147,8 @@ def test_one_class_for_each_track_and_classes_add_up() -> None:
         for k, name in enumerate(names)
     ]
     settings = TrafficSettings()
-    found = crossings(tracks, [GATE], NO_LANES, settings)
-    rows = counts(found, [GATE], [], clock_intervals(None, 0, 200, 15), watched(200), settings, Unseen())
+    found = gate_crossings(tracks, [GATE], NO_LANES, settings)
+    rows = interval_counts(found, [GATE], [], clock_intervals(None, 0, 200, 15), watched(200), settings, Unseen())
     by_class = {one.class_name: one for one in rows if one.direction == "west"}
     assert by_class.pop(ALL).count == 40
     assert by_class.pop("vehicle").count == int((names != "pedestrian").sum())
@@ -195,13 +195,13 @@ def test_movements_with_u_turns_add_up_to_the_gates_counts() -> None:
     ]
     tracks += [turn(200 + k, name, name, 470.0 + 10 * k) for k, name in enumerate(names)]
     settings = TrafficSettings()
-    found = crossings(tracks, ARMS, NO_LANES, settings)
+    found = gate_crossings(tracks, ARMS, NO_LANES, settings)
     moved = movements(found, settings)
     intervals = clock_intervals(None, 0, 520, 1)
     every = turning_counts(moved, ARMS, intervals, watched(520), settings, Unseen())
     rows, vehicles = ([one for one in every if one.class_name == name] for name in (ALL, "vehicle"))
     assert [one.count for one in vehicles] == [one.count for one in rows]  # there is nobody else
-    per_gate = counts(found, ARMS, [], intervals, watched(520), settings, Unseen())
+    per_gate = interval_counts(found, ARMS, [], intervals, watched(520), settings, Unseen())
     for arm, direction in itertools.product(names, ("in", "out")):
         side = arm, direction
         total = sum(one.gate == arm and one.direction_name == direction for one in found)
@@ -231,7 +231,7 @@ def test_a_track_that_nothing_was_seen_of_for_long_is_no_movement_and_stays_in_t
     seen = turn(1, "west", "east", 0)
     sides = [seen, *(replace(seen, number=k, measured=hidden(seen, around_s)) for k, around_s in ((2, 0.5), (3, 1.5)))]
     step_s = usual_step(sides)
-    found = movements(crossings(sides, ARMS, NO_LANES, settings), settings, step_s)
+    found = movements(gate_crossings(sides, ARMS, NO_LANES, settings), settings, step_s)
     way = (("west", "in"), ("east", "out"))
     assert [one.trajectory.number for one in found if one.sides == way] == [1, 2]
     third = [one.sides for one in found if one.trajectory.number == 3]
@@ -240,7 +240,7 @@ def test_a_track_that_nothing_was_seen_of_for_long_is_no_movement_and_stays_in_t
     same = {one.trajectory.number: one.same for one in found if one.sides == way}
     assert same[1] > 0.99
     assert 0.7 < same[2] < 0.97
-    unbroken = movements(crossings(sides, ARMS, NO_LANES, settings), settings)
+    unbroken = movements(gate_crossings(sides, ARMS, NO_LANES, settings), settings)
     assert [one.sides for one in unbroken].count(way) == 3, "a simulation's tracks are whole"
 
 
@@ -257,7 +257,7 @@ def test_who_walks_beside_others_makes_no_movement() -> None:
         for k, sigma in ((1, 0.2), (2, 0.8))
         for covariance in [np.tile(sigma**2 * np.eye(2), (80, 1, 1))]
     ]
-    found = movements(crossings(walkers, ARMS, NO_LANES, settings), settings, 0.1)
+    found = movements(gate_crossings(walkers, ARMS, NO_LANES, settings), settings, 0.1)
     between = [one.trajectory.number for one in found if NOWHERE not in one.sides]
     assert between == [1]
 
@@ -266,7 +266,7 @@ def test_where_people_walk_movements_are_known_of_vehicles_alone() -> None:
     settings = TrafficSettings()
     walker = replace(turn(9, "south", "east", 40), category="pedestrian", class_name="pedestrian")
     tracks = [*(turn(k, "west", "east", 5.0 * k) for k in range(3)), turn(3, "west", "north", 30.0), walker]
-    found = movements(crossings(tracks, ARMS, NO_LANES, settings), settings, 0.1)
+    found = movements(gate_crossings(tracks, ARMS, NO_LANES, settings), settings, 0.1)
     told = {
         (one.destination[0], one.class_name): one.expected
         for one in turning_counts(found, ARMS, clock_intervals(None, 0, 60, 1), watched(60), settings, Unseen())
@@ -280,5 +280,5 @@ def test_where_people_walk_movements_are_known_of_vehicles_alone() -> None:
 def test_movements_count_between_the_gates_that_are_named() -> None:
     settings = TrafficSettings(turning=("north", "south"))
     tracks = [turn(1, "north", "east", 0), turn(2, "north", "south", 5), turn(3, "west", "south", 9)]
-    found = movements(crossings(tracks, ARMS, NO_LANES, settings), settings)
+    found = movements(gate_crossings(tracks, ARMS, NO_LANES, settings), settings)
     assert [one.sides for one in found if NOWHERE not in one.sides] == [(("north", "in"), ("south", "out"))]

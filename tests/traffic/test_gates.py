@@ -11,8 +11,8 @@ import pytest
 
 from skope.site.marks import Gate, Lane
 from skope.site.traffic_settings import TrafficSettings
-from skope.traffic.gates import GateCrossing, crossings
-from skope.traffic.joining import joined
+from skope.traffic.gates import GateCrossing, gate_crossings
+from skope.traffic.joining import join_trajectories
 from skope.traffic.lanes import LaneMap, lane_changes
 from skope.traffic.trajectories import Trajectory
 from tests.traffic.drives import GATE, along_x, drive, straight
@@ -21,7 +21,7 @@ NO_LANES = LaneMap(())
 
 
 def crossed(*trajectories: Trajectory, gates: tuple[Gate, ...] = (GATE,), **settings: Any) -> list[GateCrossing]:
-    return [one for one in crossings(trajectories, gates, NO_LANES, TrafficSettings(**settings)) if one.counts]
+    return [one for one in gate_crossings(trajectories, gates, NO_LANES, TrafficSettings(**settings)) if one.counts]
 
 
 def directions(x: Any, **settings: Any) -> list[str]:
@@ -64,7 +64,7 @@ def test_a_track_that_breaks_on_the_gate_is_counted_once() -> None:
         x = np.linspace(-6, 6, 61) + shift
         for k in range(3, 58):
             parts = [along_x(1, x[:k]), along_x(2, x[k:], np.arange(k, 61) * 0.1)]
-            assert len(crossed(*joined(parts))) == 1, (shift, k)
+            assert len(crossed(*join_trajectories(parts))) == 1, (shift, k)
 
 
 def test_what_is_in_doubt_says_so() -> None:
@@ -139,7 +139,7 @@ def test_who_goes_past_the_end_of_a_gate_is_in_doubt() -> None:
 
     def at(y: float) -> GateCrossing | None:
         track = straight(1, (-6.0, y), (1.5, 0.0), 8.0, sigma=0.4, category="pedestrian", class_name="pedestrian")
-        return next(iter(crossings([track], [GATE], NO_LANES, TrafficSettings())), None)
+        return next(iter(gate_crossings([track], [GATE], NO_LANES, TrafficSettings())), None)
 
     inside, outside, far, middle = at(4.8), at(5.2), at(6.0), at(0.0)
     assert inside
@@ -162,7 +162,7 @@ def test_times_of_bodies_whose_middle_is_off_are_less_certain(name: str, off_m: 
 def test_nobody_walks_that_fast() -> None:
     walker = {"category": "pedestrian", "class_name": "pedestrian"}
     walks, runs, flies = (
-        crossings([straight(1, (-4 * v, 0), (v, 0), 8, **walker)], [GATE], NO_LANES, TrafficSettings())
+        gate_crossings([straight(1, (-4 * v, 0), (v, 0), 8, **walker)], [GATE], NO_LANES, TrafficSettings())
         for v in (1.5, 5.0, 9.0)
     )
     assert [one.counts for one in (*walks, *runs, *flies)] == [True, True, False]
@@ -179,7 +179,7 @@ def test_lanes_and_their_changes() -> None:
     t = np.arange(0, 10, 0.1)
     y = -2 + 3.5 / (1 + np.exp(-2 * (t - 6)))
     over = drive(1, np.stack([10 * t - 30, y], axis=1))
-    (found,) = crossings([over], [GATE], lanes, TrafficSettings())
+    (found,) = gate_crossings([over], [GATE], lanes, TrafficSettings())
     assert found.lane == "0"
     assert found.lane_probability > 0.99
     (change,) = lane_changes([over], lanes, 0.3)

@@ -24,7 +24,7 @@ from skope.site.traffic_settings import CLASSES
 from skope.traffic.image_counts import count_in_image
 from skope.traffic.measure import measure
 from skope.traffic.observation import FOOTAGE, Observation
-from skope.traffic.page.hand_count_data import LETTERS, hand_count_data, packed
+from skope.traffic.page.hand_count_data import LETTERS, hand_count_data, packed_times
 from skope.traffic.page.hand_count_panel import hand_count_panel
 from skope.traffic.page.page import traffic_page
 from skope.traffic.read_track_folder import TRACKS_CSV
@@ -324,7 +324,7 @@ def unpacked(text: str) -> Iterator[tuple[int, str]]:
 
 def test_crossings_are_held_to_the_millisecond_and_no_later() -> None:
     events = [(59.9999, "car"), (1.2345, "pedestrian"), (3600.0, "bus")]
-    assert list(unpacked(packed(events))) == [(1234, "h"), (59_999, "a"), (3_600_000, "d")]
+    assert list(unpacked(packed_times(events))) == [(1234, "h"), (59_999, "a"), (3_600_000, "d")]
     assert len(set(LETTERS.values())) == len(CLASSES)
 
 

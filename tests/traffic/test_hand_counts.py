@@ -17,7 +17,7 @@ from skope.site.traffic_settings import TrafficSettings
 from skope.traffic.clock import ClockInterval
 from skope.traffic.count_interval import CountInterval, joint_interval
 from skope.traffic.event_probability import SEEN_IN_PIXELS, SeenAlike
-from skope.traffic.hand_checks import adjusted, hand_checks, hand_lines
+from skope.traffic.hand_checks import counts_adjusted_by_hand, hand_checks, hand_lines
 from skope.traffic.hand_count_file import HandCount, read_hand_counts
 from skope.traffic.learn_shares import CountEvidence, learnt_shares
 from skope.traffic.measure import measure
@@ -235,7 +235,7 @@ def test_nothing_is_learnt_where_nobody_was_ever_seen() -> None:
     settings = TrafficSettings()
     checks = hand_checks([by_hand(3, gate="far")], [], unseen, settings)
     assert (checks[0].expected, checks[0].contradicts) == (None, False)
-    assert adjusted(checks, [], unseen, [GATE], settings).learnt == {}
+    assert counts_adjusted_by_hand(checks, [], unseen, [GATE], settings).learnt == {}
     assert list(hand_lines(checks)) == [
         "gate 'far' (west), all from 0 s to 60 s: 3 counted by hand where nobody was ever seen: its counts stay unknown"
     ]

@@ -17,7 +17,7 @@ from skope.traffic.measure import measure
 from skope.traffic.otc_classes import OTC_CLASSES
 from skope.traffic.report import TrafficReport
 from skope.traffic.trajectories import Trajectory
-from skope.traffic.write_report import write_report
+from skope.traffic.write_report import write_traffic_report
 from tests.traffic.drives import straight, watched
 from tests.traffic.test_vanished import SITE
 
@@ -109,7 +109,7 @@ def test_intervals_hold_the_truth_of_draws() -> None:
 
 def test_the_files_say_it(tmp_path: Path) -> None:
     report = report_of([(4.4, "car"), (9.0, "bus"), (16.0, "lorry")])
-    write_report(tmp_path, report, tracks="t", revision=None)
+    write_traffic_report(tmp_path, report, tracks="t", revision=None)
     with (tmp_path / "lengths.csv").open(newline="") as file:
         rows = [row for row in csv.DictReader(file) if row["direction"] == "west"]
     assert [(row["length_bin"], row["from_m"], row["to_m"], row["count"]) for row in rows] == [

@@ -12,7 +12,7 @@ from skope.errors import UserError
 from skope.traffic.measure import measure
 from skope.traffic.observation import Observation, checked_sight, held_s, read_observation
 from skope.traffic.sight import sight_in, sight_lines
-from skope.traffic.write_report import write_report
+from skope.traffic.write_report import write_traffic_report
 from tests.traffic.drives import straight, watched
 from tests.traffic.test_vanished import SITE
 
@@ -59,7 +59,7 @@ def test_the_report_marks_its_intervals(tmp_path: Path) -> None:
     site = replace(SITE, traffic=replace(SITE.traffic, interval_minutes=1))
     seen = replace(watched(119.9), sight=np.concatenate([LOOKS + [60, 0, 0], LOOKS + [120, 0, 0]]))
     report = measure([straight(1, (-30, 0), (10, 0), 6.0, begin_s=10.0)], seen, site)
-    write_report(tmp_path, report, tracks="t", revision=None)
+    write_traffic_report(tmp_path, report, tracks="t", revision=None)
     tables = {}
     for name in ("sight", "counts"):
         with (tmp_path / f"{name}.csv").open(newline="") as file:

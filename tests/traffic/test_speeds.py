@@ -14,7 +14,7 @@ from skope.traffic.braking import hard_brakings
 from skope.traffic.clock import ClockInterval
 from skope.traffic.count_interval import count_interval
 from skope.traffic.event_probability import SEEN_IN_METRES, event_probability
-from skope.traffic.gates import crossings
+from skope.traffic.gates import gate_crossings
 from skope.traffic.headways import headways, occupancies
 from skope.traffic.lanes import LaneMap
 from skope.traffic.observation import Observation
@@ -78,7 +78,7 @@ def test_section_speed_is_the_way_over_the_time() -> None:
     assert way(bend, 1.0, 9.0) == pytest.approx(40 * 8 / 6, rel=1e-3)
     x = np.interp(np.arange(0, 30, 0.1), [0, 5, 20, 30], [-10, 30, 30, 80])
     stopped = along_x(2, x + 0.02 * np.random.default_rng(0).normal(size=len(x)))
-    (one,) = section_passes(movements(crossings([stopped], [GATE, FAR_GATE], NO_LANES, SETTINGS), SETTINGS))
+    (one,) = section_passes(movements(gate_crossings([stopped], [GATE, FAR_GATE], NO_LANES, SETTINGS), SETTINGS))
     assert one.length_m == pytest.approx(60, abs=0.3)
     assert one.seconds == pytest.approx(1.25 * 3 + 15 + 6 - 0.0, abs=0.1)
     assert one.speed == pytest.approx(one.length_m / one.seconds)
@@ -95,7 +95,7 @@ def test_a_stop_that_speeds_leave_open_is_one_perhaps() -> None:
     told = []
     for sigma in (0.01, 0.3):
         track = replace(slow, speed_sigma=np.full(300, sigma))
-        (one,) = section_passes(movements(crossings([track], [GATE, FAR_GATE], NO_LANES, SETTINGS), SETTINGS))
+        (one,) = section_passes(movements(gate_crossings([track], [GATE, FAR_GATE], NO_LANES, SETTINGS), SETTINGS))
         (late,) = delays([one], [], SETTINGS)
         told.append((late.stops, late.stops_between.low, late.stops_between.high))
     assert told == [(1, 1, 1), (1, 0, 1)]
@@ -104,7 +104,7 @@ def test_a_stop_that_speeds_leave_open_is_one_perhaps() -> None:
 def test_free_flow_is_the_sections_own_85th_percentile() -> None:
     speeds = np.random.default_rng(5).normal(15, 2, 60)
     tracks = [straight(k, (-20, 0), (v, 0), 100 / v, begin_s=10.0 * k) for k, v in enumerate(speeds)]
-    found = crossings(tracks, [GATE, FAR_GATE], NO_LANES, SETTINGS)
+    found = gate_crossings(tracks, [GATE, FAR_GATE], NO_LANES, SETTINGS)
     sections = section_passes(movements(found, SETTINGS))
     groups = speed_groups(found, sections, [], watched(700))
     v85 = next(one for one in groups if one.kind == "section" and one.class_name == "motor").percentiles["v85"].value
@@ -116,7 +116,7 @@ def test_free_flow_is_the_sections_own_85th_percentile() -> None:
 def test_headways_and_gaps_are_those_that_were_driven() -> None:
     """Five cars of 4 m at 12 m/s, 24 m apart; the fourth one passes while nothing is observed before it."""
     cars = [straight(k, (-30 - 24 * k, 0), (12, 0), 20) for k in range(5)]
-    found = crossings(cars, [GATE], NO_LANES, SETTINGS)
+    found = gate_crossings(cars, [GATE], NO_LANES, SETTINGS)
     every = headways(found, watched(20))
     assert [(one.leader.trajectory.number, one.follower.trajectory.number) for one in every] == [
         (k, k + 1) for k in range(4)
@@ -134,7 +134,7 @@ def test_headways_and_gaps_are_those_that_were_driven() -> None:
 def test_lanes_have_their_own_headways() -> None:
     lanes = LaneMap([Lane(name=str(k), line=((-90.0, y), (90.0, y)), width=4.0) for k, y in enumerate((-2.0, 2.0))])
     cars = [straight(k, (-30 - 12 * k, 2 if k % 2 else -2), (12, 0), 20) for k in range(6)]
-    found = headways(crossings(cars, [GATE], lanes, SETTINGS), watched(20))
+    found = headways(gate_crossings(cars, [GATE], lanes, SETTINGS), watched(20))
     assert [one.headway_s for one in found] == pytest.approx([2.0] * 4)
     assert {(one.leader.lane, one.follower.lane) for one in found} == {("0", "0"), ("1", "1")}
 

@@ -9,7 +9,7 @@ from torchvision.ops import box_iou
 
 from skope import schema
 from skope.detector.build import DetectorConfig, build
-from skope.train.anchor_matching import assign, iou, sample
+from skope.train.anchor_matching import anchor_iou, assign, sample_anchors
 from skope.train.losses import LearningRules, detection_losses
 from skope.train.target_batch import IGNORED_KEY, Target, TargetBatch
 
@@ -74,7 +74,7 @@ def test_matching_equals_torchvisions() -> None:
         labels, matched = assign(boxes, together, low=0.3, high=0.7, low_quality=low_quality)
         assert labels[0].tolist() == [0] * 60
         for i in range(1, 4):
-            torch.testing.assert_close(iou(truths[i][None], boxes[i])[0], box_iou(truths[i], boxes[i]))
+            torch.testing.assert_close(anchor_iou(truths[i][None], boxes[i])[0], box_iou(truths[i], boxes[i]))
             expected = matcher(box_iou(truths[i], boxes[i]))
             assert torch.equal(labels[i], torch.where(expected >= 0, 1, torch.where(expected == -1, 0, -1)))
             assert torch.equal(matched[i], expected.clamp(min=0))
@@ -126,7 +126,7 @@ def test_what_a_step_learns_from_is_drawn_without_preference() -> None:
     counts = torch.zeros(labels.shape)
     torch.manual_seed(0)
     for _ in range(600):
-        at, drawn = sample(labels, 6, 0.5)
+        at, drawn = sample_anchors(labels, 6, 0.5)
         assert at.shape == (2, 6)
         for image, own in enumerate(at):
             counts[image, own[drawn[image]]] += 1

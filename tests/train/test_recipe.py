@@ -9,7 +9,7 @@ import torch
 from skope.errors import UserError
 from skope.train.augment import Augment
 from skope.train.network_shape import NetworkShape
-from skope.train.recipe import RECIPES, Recipe, choose
+from skope.train.recipe import RECIPES, Recipe, choose_recipe
 from skope.train.teacher_rules import TeacherRules
 
 LATER = ("anchors", "average", "box_passes", "cosine_to")
@@ -60,11 +60,11 @@ def test_a_rate_that_falls_along_a_cosine() -> None:
 
 
 def test_choice() -> None:
-    assert choose("auto", gpu=True, bfloat16=True) == RECIPES["paper"]
-    assert choose("auto", gpu=False, bfloat16=False) == RECIPES["laptop"]
-    assert choose("scratch", gpu=True, bfloat16=True) == replace(RECIPES["scratch"], bfloat16=True)
+    assert choose_recipe("auto", gpu=True, bfloat16=True) == RECIPES["paper"]
+    assert choose_recipe("auto", gpu=False, bfloat16=False) == RECIPES["laptop"]
+    assert choose_recipe("scratch", gpu=True, bfloat16=True) == replace(RECIPES["scratch"], bfloat16=True)
     with pytest.raises(UserError, match="auto, paper, laptop, scratch"):
-        choose("best", gpu=False, bfloat16=False)
+        choose_recipe("best", gpu=False, bfloat16=False)
 
 
 def test_recipes_survive_a_round_trip() -> None:

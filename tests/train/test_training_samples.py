@@ -185,5 +185,5 @@ def test_share_of_keypoints_inside_their_box() -> None:
     points[0, :4] = [[5, 5, 2], [10, 10, 2], [30, 5, 2], [5, 30, 2]]
     vehicles = Vehicles(np.array([[0, 0, 10.0, 10]]), points, np.zeros((0, 4)))
     sample = training_samples.to_sample("a", np.zeros((40, 40, 3), np.uint8), vehicles, "visible")
-    assert training_samples.share_inside([sample]) == 0.5
-    assert training_samples.share_inside([]) is None
+    assert training_samples.mean_share_inside([sample]) == 0.5
+    assert training_samples.mean_share_inside([]) is None

@@ -13,7 +13,7 @@ from skope.files.json_files import json_bytes
 from skope.keypoints import INDEX, K
 from skope.metrics.breakdown import FleetInfo
 from skope.metrics.outcomes import Options
-from skope.metrics.split_scores import SplitScores, measure
+from skope.metrics.split_scores import SplitScores, split_metrics
 from skope.schema import Result
 from skope.viewer import vehicle_filters
 from skope.viewer.collection import Collection, ShownSplit
@@ -146,7 +146,7 @@ def test_visible_boxes_are_shown_where_they_were_measured(predicted: Collection)
 def measured(collection: Collection, score: float) -> SplitScores:
     (split,) = collection.splits
     assert collection.options
-    return measure(split.file, split.results, replace(collection.options, score=score), FleetInfo())
+    return split_metrics(split.file, split.results, replace(collection.options, score=score), FleetInfo())
 
 
 @pytest.mark.parametrize("step", [0, 500, 919, 920, 940, 985, 1000])

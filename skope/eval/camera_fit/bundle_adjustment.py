@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skope import keypoints
-from skope.eval.camera_fit.camera_unknowns import FOCAL, HEIGHT, UNKNOWN_NAMES, Pictured, by_camera, camera_of
+from skope.eval.camera_fit.camera_unknowns import FOCAL, HEIGHT, UNKNOWN_NAMES, Pictured, by_camera, camera_of_unknowns
 from skope.eval.camera_fit.normal_equations import Linearised, Parts, summed
 from skope.eval.pose import cauchy, initialize
 from skope.eval.pose.ground import Ground
@@ -304,7 +304,7 @@ class BundleAdjustment:
         return float((self._prior * (bundle.shared - self._center) ** 2).sum())
 
     def _starts(self, camera: Array) -> Starts:
-        seen = observe(camera_of(camera, self._views.size), self._views.found, self._views.sigma_px)
+        seen = observe(camera_of_unknowns(camera, self._views.size), self._views.found, self._views.sigma_px)
         return initialize.on_ground(seen, self._shapes, START_ROAD)
 
     def _placed(self, shared: Array, starts: Starts, kind: NDArray[np.intp]) -> Bundle:

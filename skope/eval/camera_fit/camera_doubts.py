@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from skope.camera.derivatives import slopes
-from skope.eval.camera_fit.camera_unknowns import FOCAL, HEIGHT, UNKNOWN_STEP, camera_of, on_road
+from skope.eval.camera_fit.camera_unknowns import FOCAL, HEIGHT, UNKNOWN_STEP, camera_of_unknowns, on_road
 from skope.eval.camera_fit.fit_camera import CameraEstimate, gain_of_pixel_width
 from skope.eval.pose.candidates import INLIER
 from skope.types import Array
@@ -147,6 +147,6 @@ def _log_ways(estimate: CameraEstimate, unknowns: Array) -> Array:
     begin = np.column_stack([bundle.pose[:, :2] * math.exp(bundle.camera[HEIGHT]), np.zeros(len(bundle.pose))])
     heading = bundle.pose[:, 2]
     end = begin + _AHEAD_M * np.column_stack([np.cos(heading), np.sin(heading), np.zeros_like(heading)])
-    camera = camera_of(unknowns, size)
+    camera = camera_of_unknowns(unknowns, size)
     a, b = (on_road(camera, estimate.camera.project(points)[0]) for points in (begin, end))
     return np.asarray(np.log(np.linalg.norm(b - a, axis=1) + 1e-9))

@@ -23,7 +23,7 @@ _FARTHEST_RADIUS: Final = 2.0
 """Distortion grows no more beyond this distance from the axis, at a depth of 1."""
 
 
-def camera_of(unknowns: Array, size: tuple[int, int]) -> Camera:
+def camera_of_unknowns(unknowns: Array, size: tuple[int, int]) -> Camera:
     """The camera with the unknowns (5,), over (0, 0) and looking along x."""
     bent = Distortion("brown", (float(unknowns[K1]), 0.0, 0.0, 0.0)) if unknowns[K1] else None
     return Camera.looking(

@@ -16,7 +16,7 @@ import numpy as np
 
 from skope.camera.model import Camera
 from skope.eval.camera_fit.bundle_adjustment import START_ROAD, BundleAdjustment, Known, Solved, VehicleViews
-from skope.eval.camera_fit.camera_unknowns import FOCAL, HEIGHT, K1, PITCH, ROLL, camera_of
+from skope.eval.camera_fit.camera_unknowns import FOCAL, HEIGHT, K1, PITCH, ROLL, camera_of_unknowns
 from skope.eval.pose import initialize
 from skope.eval.pose.observations import observe
 from skope.types import Array
@@ -108,7 +108,7 @@ class CameraEstimate:
         return math.sqrt(self.covariance[unknown, unknown])
 
 
-def fit_camera(views: VehicleViews, known: Known | None = None) -> CameraEstimate:
+def fit_camera_to_vehicles(views: VehicleViews, known: Known | None = None) -> CameraEstimate:
     """Estimate focal length, height, tilt, roll and distortion of the camera that took the vehicles.
 
     The principal point is taken to be the image's middle.
@@ -127,7 +127,7 @@ def fit_camera(views: VehicleViews, known: Known | None = None) -> CameraEstimat
     fits = [adjustment.refined(solved.bundle) for solved in _distinct(begun)[:_REFINED]]
     best, *others = _distinct(sorted(fits, key=lambda solved: solved.cost))
     return CameraEstimate(
-        camera=camera_of(best.bundle.camera, views.size),
+        camera=camera_of_unknowns(best.bundle.camera, views.size),
         solved=best,
         views=views,
         covariance=_widened(best.covariance()),
@@ -171,7 +171,7 @@ def _starts(views: VehicleViews, known: Known) -> list[Array]:
         few = views.take(order[:judged])
 
         def cost(at: Array) -> float:
-            seen = observe(camera_of(at, views.size), few.found, few.sigma_px)
+            seen = observe(camera_of_unknowns(at, views.size), few.found, few.sigma_px)
             least = initialize.on_ground(seen, shapes, START_ROAD).cost.min(axis=1)
             return float(capped(least).sum())
 

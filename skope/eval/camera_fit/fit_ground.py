@@ -14,9 +14,9 @@ from skope.camera.model import Camera
 from skope.dataset.image_selection import part
 from skope.errors import UserError
 from skope.eval.camera_fit.bundle_adjustment import BundleAdjustment, Known, Solved, VehicleViews
-from skope.eval.camera_fit.camera_unknowns import FOCAL, HEIGHT, camera_of
+from skope.eval.camera_fit.camera_unknowns import FOCAL, HEIGHT, camera_of_unknowns
 from skope.eval.camera_fit.fit_camera import capped
-from skope.eval.camera_fit.vehicle_sample import sample
+from skope.eval.camera_fit.vehicle_sample import sample_vehicles
 from skope.eval.pose.candidates import best_types
 from skope.eval.pose.ground import Ground
 from skope.eval.pose.observations import observe
@@ -136,7 +136,7 @@ def _fit(scene: Scene, asked: str, *, score: float, noise: float, sigma_px: floa
     """
     assert scene.ground is not None
     camera = scene.camera_of(scene.file.images[0])
-    views = sample(scene, _VEHICLES, score=score, noise=noise, sigma_px=sigma_px, fewest=_FEWEST_ON_ROAD).views
+    views = sample_vehicles(scene, _VEHICLES, score=score, noise=noise, sigma_px=sigma_px, fewest=_FEWEST_ON_ROAD).views
     begun = _through_free_fits(views, camera)
     if asked == "auto":
         level, other = (_adjusted(views, camera, ground, free=False).cost for ground in (scene.ground, begun))
@@ -186,7 +186,7 @@ def _adjusted(views: VehicleViews, camera: Camera, ground: Ground, *, free: bool
 
 def _plane(camera: Camera, unknowns: Array, like: Ground) -> Ground:
     """The road on which a bundle adjustment has put the vehicles before a camera, in that camera's world."""
-    upright = camera_of(unknowns, (camera.width, camera.height)).T_camera_world[:3, 2]
+    upright = camera_of_unknowns(unknowns, (camera.width, camera.height)).T_camera_world[:3, 2]
     x, y, z = camera.T_camera_world[:3, :3].T @ upright
     slope = (-x / z, -y / z)
     away = np.array(like.about) - camera.position[:2]

@@ -14,7 +14,7 @@ import numpy as np
 
 from skope.camera.derivatives import slopes
 from skope.errors import UserError
-from skope.eval.camera_fit.camera_unknowns import UNKNOWN_STEP, camera_of, on_road
+from skope.eval.camera_fit.camera_unknowns import UNKNOWN_STEP, camera_of_unknowns, on_road
 from skope.eval.camera_fit.fit_camera import CameraEstimate
 from skope.types import Array
 
@@ -37,7 +37,7 @@ class KnownLength:
 
     def log_under(self, unknowns: Array, size: tuple[int, int]) -> Array:
         """The logarithm of its length under the camera with the unknowns (5,)."""
-        begin, end = on_road(camera_of(unknowns, size), self.ends)
+        begin, end = on_road(camera_of_unknowns(unknowns, size), self.ends)
         return np.asarray(np.log(np.linalg.norm(end - begin) + 1e-9))
 
 
@@ -67,7 +67,7 @@ def corrected(estimate: CameraEstimate, lengths: Sequence[KnownLength]) -> Camer
     shared = np.concatenate([unknowns, solved.bundle.shared[len(unknowns) :]])
     return replace(
         estimate,
-        camera=camera_of(unknowns, size),
+        camera=camera_of_unknowns(unknowns, size),
         solved=replace(solved, bundle=replace(solved.bundle, shared=shared)),
         covariance=covariance,
     )

@@ -54,7 +54,7 @@ class _Candidate:
     """Longer edge of its box, pixels."""
 
 
-def sample(
+def sample_vehicles(
     scene: Scene, count: int, *, score: float, noise: float, sigma_px: float | None, fewest: int = FEWEST_VEHICLES
 ) -> Sample:
     """Draw vehicles that show enough, moving ones first, and views of each that are apart from one another.

@@ -18,7 +18,7 @@ from skope.eval.camera_fit.camera_doubts import sigma_of_ways, why_not
 from skope.eval.camera_fit.camera_unknowns import FOCAL, HEIGHT, UNKNOWN_NAMES
 from skope.eval.camera_fit.fit_camera import CameraEstimate
 from skope.eval.camera_fit.known_lengths import KnownLength, corrected
-from skope.eval.camera_fit.vehicle_sample import sample
+from skope.eval.camera_fit.vehicle_sample import sample_vehicles
 from skope.eval.pose.views import Scene
 from skope.files.output_folders import write_new
 from skope.terminal.console import counted
@@ -67,8 +67,8 @@ def camera_of_vehicles(
             f"{scene.file.name}: info.{PIXEL_WIDTH}: a pixel of the video is {width:g} times as wide as high; rescale "
             "it to square pixels, and run skope eval predict again"
         )
-    drawn = sample(scene, count, score=score, noise=noise, sigma_px=sigma_px)
-    fit = fit_camera.fit_camera(drawn.views, known_of(height, fov_deg, drawn.views.size[0]))
+    drawn = sample_vehicles(scene, count, score=score, noise=noise, sigma_px=sigma_px)
+    fit = fit_camera.fit_camera_to_vehicles(drawn.views, known_of(height, fov_deg, drawn.views.size[0]))
     who = f"{counted(fit.vehicles, 'vehicle')} in {counted(len(drawn.views.found), 'view')}"
     if reason := why_not(fit, drawn.lower_edges):
         raise UserError(

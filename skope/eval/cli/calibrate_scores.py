@@ -5,7 +5,7 @@ from typing import Annotated
 
 from skope.eval.cli.checks import check_probability
 from skope.eval.cli.options import MachineOptions
-from skope.terminal.command_options import DATA, DIR, FILE, RUN, option
+from skope.terminal.command_options import DATA, DIR, FILE_METAVAR, RUN, option
 from skope.terminal.console import Console
 
 
@@ -27,7 +27,7 @@ def calibrate_scores(
     out: Annotated[
         Path | None,
         option(
-            metavar=FILE,
+            metavar=FILE_METAVAR,
             help="Checkpoint to write whose own scores are probabilities, boxes' too.",
             show_default="keypoint scores alone, in a file beside the weights",
         ),
@@ -41,7 +41,7 @@ def calibrate_scores(
 
     (`skope eval camera` finds a camera's focal length and tilt.)
     """
-    from skope.eval.inference.fit_score_calibration import CalibrationJob, calibrate
+    from skope.eval.inference.fit_score_calibration import CalibrationJob, fit_calibration
 
     check_probability("--score", score)
     job = CalibrationJob(
@@ -54,5 +54,5 @@ def calibrate_scores(
         out=out,
         settings=hardware.settings(),
     )
-    path = calibrate(job, console)
+    path = fit_calibration(job, console)
     console.result(f"Wrote {path}" if out else f"Wrote {path}; `skope eval` uses it from now on")

@@ -8,7 +8,7 @@ from skope.errors import UserError
 from skope.eval.cli.checks import check_pixels, check_probability
 from skope.eval.cli.options import counts, data_option, output
 from skope.eval.cli.scene_options import KeypointOptions, NoiseOption, ScoreOption, SigmaOption
-from skope.terminal.command_options import CAMERA_FILE, FILE, SIZE, panel
+from skope.terminal.command_options import CAMERA_FILE, FILE_METAVAR, SIZE, panel
 from skope.terminal.console import Console
 
 turned = panel("A camera that was turned")
@@ -20,7 +20,7 @@ def find_camera(
     points: Annotated[
         Path | None,
         data_option(
-            metavar=FILE,
+            metavar=FILE_METAVAR,
             help="Marked points instead of vehicles: CSV with column, row, x, y, z in pixels and metres (or longitude, "
             "latitude), OTVision's .otrfpts, or a site.toml with all that [calibration] can hold.",
         ),
@@ -57,9 +57,9 @@ def find_camera(
         turned(metavar="SOURCE", help="Picture or video (FILE@SECONDS) in which --points were marked, for --refit."),
     ] = None,
     camera: Annotated[
-        Path | None, turned(metavar=FILE, help="The old camera, for --refit, where its points are not at hand.")
+        Path | None, turned(metavar=FILE_METAVAR, help="The old camera, for --refit, where its points are not at hand.")
     ] = None,
-    out: Annotated[Path, output(metavar=FILE, help="Camera file to write.")] = CAMERA_FILE,
+    out: Annotated[Path, output(metavar=FILE_METAVAR, help="Camera file to write.")] = CAMERA_FILE,
 ) -> None:
     """Calibrate a camera: focal length, height and tilt from vehicles on a level road, or all from marked points."""
     from skope.eval.camera_fit.camera_from_marks import camera_from_marks
@@ -127,12 +127,12 @@ def _picture(folder: Path, edition: int | None, camera: Path, console: Console) 
     import cv2
 
     from skope.eval.pose.views import read_scene
-    from skope.eval.tracking.camera_picture import draw
+    from skope.eval.tracking.camera_picture import draw_camera_picture
     from skope.files.output_folders import write_new
 
     path = camera.with_suffix(".jpg")
     try:
-        pixels = draw(read_scene(folder, None, None, camera, 0.0, edition), folder)
+        pixels = draw_camera_picture(read_scene(folder, None, None, camera, 0.0, edition), folder)
         if pixels is not None:
             _, encoded = cv2.imencode(".jpg", cv2.cvtColor(pixels, cv2.COLOR_RGB2BGR))
             write_new(path, encoded.tobytes())

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from skope.eval.cli.options import PROTOCOL_CHOICES
-from skope.terminal.command_options import FILE, option
+from skope.terminal.command_options import FILE_METAVAR, option
 from skope.terminal.console import Console
 
 
@@ -16,7 +16,7 @@ def compare_runs(
     ],
     console: Console,
     protocol: Annotated[str, option(choices=PROTOCOL_CHOICES, help="What the table shows.")] = "pooled",
-    out: Annotated[Path | None, option(metavar=FILE, help="Also write everything to this JSON file.")] = None,
+    out: Annotated[Path | None, option(metavar=FILE_METAVAR, help="Also write everything to this JSON file.")] = None,
 ) -> None:
     """Put evaluations side by side, with paired intervals of their differences from the first."""
     from skope.eval.report import compare
@@ -24,7 +24,7 @@ def compare_runs(
     from skope.files.output_folders import write_new
 
     document = compare.compare(folders)
-    text = compare.render(document, protocol)
+    text = compare.render_comparison(document, protocol)
     if out:
         write_new(out, json_bytes(document))
     console.result(text)

@@ -10,7 +10,7 @@ from skope.detector import weights
 from skope.errors import UserError
 from skope.eval.cli.options import PAPER, PROTOCOL_CHOICES, MachineOptions, counts, data_option, machine, output
 from skope.metrics.thresholds import COUNTED_SCORE, IOU_THRESHOLDS, PCK_ALPHA
-from skope.terminal.command_options import DATA, DIR, FILE, LIST, RUN, separated
+from skope.terminal.command_options import DATA, DIR, FILE_METAVAR, LIST, RUN, separated
 from skope.terminal.console import Console
 
 GIVEN = "given"
@@ -37,11 +37,13 @@ def evaluate_or_score(
     ] = None,
     annotations: Annotated[
         Path | None,
-        data_option(metavar=FILE, help="Score --predictions against this COCO file, without a dataset folder."),
+        data_option(metavar=FILE_METAVAR, help="Score --predictions against this COCO file, without a dataset folder."),
     ] = None,
     predictions: Annotated[
         Path | None,
-        data_option(metavar=FILE, help="Score this COCO results file, of any detector, instead of a checkpoint."),
+        data_option(
+            metavar=FILE_METAVAR, help="Score this COCO results file, of any detector, instead of a checkpoint."
+        ),
     ] = None,
     scheme: Annotated[
         str | None,

@@ -19,11 +19,11 @@ def pose(
     out: OutOption = POSES,
 ) -> None:
     """Position, heading and size of each vehicle in metres; with a ground truth, also how far off they are."""
-    from skope.eval.pose.pose_footage import PoseJob, run
+    from skope.eval.pose.pose_footage import PoseJob, locate_footage
 
     levels = numbers_of("--noise", noise)
     scene = options.scene(*levels, console=console)
     options.claim_output(out, "skope eval pose", noise=levels)
     job = PoseJob(scene=scene, out=out, score=options.score, sigma_px=options.sigma, noise=levels)
-    for line in run(job, console):
+    for line in locate_footage(job, console):
         console.result(line)

@@ -12,7 +12,7 @@ from skope.eval.cli.checks import check_pixels, check_probability, numbers_of
 from skope.eval.cli.options import counts, data_option, output
 from skope.files.output_folders import claim_output
 from skope.keypoints import EDITION
-from skope.terminal.command_options import DIR, FILE
+from skope.terminal.command_options import DIR, FILE_METAVAR
 from skope.terminal.console import Console
 
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ OutOption = Annotated[Path, output(metavar=DIR, help="Where to write.")]
 CameraOption = Annotated[
     Path | None,
     data_option(
-        metavar=FILE,
+        metavar=FILE_METAVAR,
         help="Camera file: of `skope eval camera`, OpenCV (.yml, .xml), TUMTraf (.json), Rope3D (.txt), or an "
         "annotation file.",
         show_default="that of each image",
@@ -49,12 +49,12 @@ class KeypointOptions:
     annotations: Annotated[
         Path | None,
         data_option(
-            metavar=FILE, help="COCO file with images and cameras instead of a folder; its own keypoints count."
+            metavar=FILE_METAVAR, help="COCO file with images and cameras instead of a folder; its own keypoints count."
         ),
     ] = None
     predictions: Annotated[
         Path | None,
-        data_option(metavar=FILE, help="COCO results for the images, in place of the annotations' keypoints."),
+        data_option(metavar=FILE_METAVAR, help="COCO results for the images, in place of the annotations' keypoints."),
     ] = None
     keypoint_edition: Annotated[
         int | None,

@@ -6,7 +6,7 @@ from typing import Annotated, Any
 import typer
 
 from skope.errors import UserError
-from skope.terminal.command_options import FILE, SITE_FILE, SIZE, PortOption, option
+from skope.terminal.command_options import FILE_METAVAR, SITE_FILE, SIZE, PortOption, option
 from skope.terminal.console import Console
 
 
@@ -16,10 +16,15 @@ def site(
         str | None,
         typer.Argument(metavar="FOOTAGE", help="Image, folder of images or video of the camera. Default: none."),
     ] = None,
-    site: Annotated[Path, option(metavar=FILE, help="Site file to open and save; it need not be there.")] = SITE_FILE,
+    site: Annotated[
+        Path, option(metavar=FILE_METAVAR, help="Site file to open and save; it need not be there.")
+    ] = SITE_FILE,
     points: Annotated[
         Path | None,
-        option(metavar=FILE, help="Begin with these points: OTVision's .otrfpts, or a CSV file with column,row,x,y,z."),
+        option(
+            metavar=FILE_METAVAR,
+            help="Begin with these points: OTVision's .otrfpts, or a CSV file with column,row,x,y,z.",
+        ),
     ] = None,
     size: Annotated[
         str | None,

@@ -5,7 +5,7 @@ from typing import Annotated
 from skope.errors import UserError
 from skope.eval.cli.options import data_option, output
 from skope.eval.cli.scene_options import NoiseOption, OutOption, SceneOptions
-from skope.terminal.command_options import TRACKS
+from skope.terminal.command_options import DEFAULT_TRACKS
 from skope.terminal.console import Console
 
 
@@ -28,10 +28,10 @@ def track(
     overlay: Annotated[
         bool, output("--overlay", help="Also the footage, with number, class and speed of each vehicle.")
     ] = False,
-    out: OutOption = TRACKS,
+    out: OutOption = DEFAULT_TRACKS,
 ) -> None:
     """Follow vehicles through footage: tracks in metres with speeds, as CSV, MOTChallenge and SUMO's FCD."""
-    from skope.eval.tracking.track_footage import TrackJob, run
+    from skope.eval.tracking.track_footage import TrackJob, follow_footage
     from skope.traffic.observation import read_begins
 
     if fps is not None and not 0.001 <= fps <= 1000:
@@ -52,5 +52,5 @@ def track(
         overlay=overlay,
         out=out,
     )
-    for line in run(job, console):
+    for line in follow_footage(job, console):
         console.result(line)

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 _CAMERA_NAME: Final = "camera.json"
 _SEEN: Final = "seen"
-TRACKS: Final = "tracks"
+TRACKS_NAME: Final = "tracks"
 """The folder of tracks below the output."""
 
 
@@ -53,7 +53,7 @@ def tracked_footage(
     from skope.eval.inference.predict_footage import predict
     from skope.eval.inference.predict_job import PredictJob, content_of
     from skope.eval.pose.camera_error import camera_info
-    from skope.eval.tracking.track_footage import TrackJob, run
+    from skope.eval.tracking.track_footage import TrackJob, follow_footage
     from skope.traffic.observation import FOOTAGE
 
     if site.camera is None:
@@ -74,7 +74,7 @@ def tracked_footage(
     camera = {**site.camera.camera.to_dict(), **besides}
     named = {"source": content_of(footage), "checkpoint": str(checkpoint), "camera": camera}
     claim_output(out, command, [site.path], {**options, **named})
-    tracks = out / TRACKS
+    tracks = out / TRACKS_NAME
     if (tracks / FOOTAGE).is_file() and not list(tracks.glob(".*")):
         console.say(f"{tracks}: has the tracks of {footage.name}")
         return tracks
@@ -105,6 +105,6 @@ def tracked_footage(
         video=False,
         overlay=False,
     )
-    for line in run(track_job, console):
+    for line in follow_footage(track_job, console):
         console.say(line)
     return tracks

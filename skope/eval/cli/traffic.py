@@ -13,7 +13,7 @@ from skope.errors import UserError
 from skope.eval.cli.options import FastMachineOptions, data_option, output
 from skope.files.output_folders import claim_output
 from skope.files.reading import sha256_of
-from skope.terminal.command_options import DIR, FILE, LIST, SITE_FILE, TRAFFIC
+from skope.terminal.command_options import DIR, FILE_METAVAR, LIST, SITE_FILE, TRAFFIC
 from skope.terminal.console import Console
 
 if TYPE_CHECKING:
@@ -38,7 +38,8 @@ def traffic(
     ],
     *,
     site: Annotated[
-        Path, data_option(metavar=FILE, help="Site file with gates, zones, lanes and settings (docs/own-road.md).")
+        Path,
+        data_option(metavar=FILE_METAVAR, help="Site file with gates, zones, lanes and settings (docs/own-road.md)."),
     ] = SITE_FILE,
     begins: Annotated[
         list[str] | None,
@@ -52,7 +53,7 @@ def traffic(
     hand_count: Annotated[
         Path | None,
         data_option(
-            metavar=FILE,
+            metavar=FILE_METAVAR,
             help="CSV of what was counted by hand (gate,direction,class,begin,end,count); intervals learn from it.",
             show_default="nothing",
         ),
@@ -156,7 +157,7 @@ def _report_of_footage(
     console: Console,
 ) -> Iterator[str]:
     """Detect and track what a video shows, and measure that."""
-    from skope.eval.cli.tracked_footage import TRACKS, tracked_footage
+    from skope.eval.cli.tracked_footage import TRACKS_NAME, tracked_footage
     from skope.traffic.measure import measure
     from skope.traffic.observation import read_observation
     from skope.traffic.read_track_folder import read_trajectories, track_files
@@ -164,12 +165,12 @@ def _report_of_footage(
     if hand_count is not None:
         raise UserError(
             f"--hand-count: needs tracks, not footage: `{_COMMAND} {source} --site {site.path} --out {out}` first, "
-            f"then `{_COMMAND} {out / TRACKS}` with --hand-count and another --out"
+            f"then `{_COMMAND} {out / TRACKS_NAME}` with --hand-count and another --out"
         )
     if not site.gates:
         console.warn(
             f"{site.path}: has no gates: nothing will be counted; `skope eval site {source} --site {site.path}` draws "
-            f"them, and `{_COMMAND} {out / TRACKS}` then counts without detecting again"
+            f"them, and `{_COMMAND} {out / TRACKS_NAME}` then counts without detecting again"
         )
     options = _options(_isoformat(start), None)
     folder = tracked_footage(source, site, checkpoint, hardware, out, _COMMAND, options, console)
@@ -208,7 +209,7 @@ def _written(
     from skope.traffic.page.page import write_page
     from skope.traffic.report_text import report_lines
     from skope.traffic.road_picture import read_road_picture
-    from skope.traffic.write_report import write_report
+    from skope.traffic.write_report import write_traffic_report
 
     for name, folder in further.items():
         for path in write_format(name, folder, report, site.camera.camera if site.camera else None):
@@ -217,7 +218,7 @@ def _written(
     said = ", ".join([source] if isinstance(source, str) else source)
     for path in (
         write_page(out, report, tracks=said, road=road, camera=site.camera.camera if site.camera else None),
-        *write_report(out, report, tracks=source, revision=site.revision),
+        *write_traffic_report(out, report, tracks=source, revision=site.revision),
     ):
         yield f"wrote {path}"
     yield from report_lines(report)

@@ -63,7 +63,7 @@ class SwayWatch:
         return None if begun is None else begun.result()
 
     def _measures(self, pixels: Pixels, ends: ExitStack) -> "SimpleQueue[_Measure]":
-        """What measures frames from now on, one at a time each; `pixels` is the first of them."""
+        """Start the measures of all frames from now on, one at a time each; `pixels` is the first of them."""
         first = self._first or SmallPicture.of(pixels)
         idle: SimpleQueue[_Measure] = SimpleQueue()
         for _ in range(self._processes):

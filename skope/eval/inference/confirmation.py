@@ -13,7 +13,7 @@ import numpy as np
 
 from skope import boxes as box_math
 from skope.eval.box_links import LOST_S, BoxLinks, size_of
-from skope.eval.inference.expected_sizes import ExpectedSizes, Sample
+from skope.eval.inference.expected_sizes import ExpectedSizes, SizeSample
 from skope.schema import Found
 from skope.types import Array, Integers32
 
@@ -49,7 +49,7 @@ class _Vehicle:
     highest: Array = field(default_factory=lambda: np.full(2, -np.inf))
     sizes: float = 0.0
     """Sum of its sizes."""
-    samples: list[Sample] = field(default_factory=list)
+    samples: list[SizeSample] = field(default_factory=list)
     """Places of its box on the road, x and y, and its size there: one for each size that it has moved."""
 
     @property

@@ -7,7 +7,7 @@ import numpy as np
 
 from skope.types import Array
 
-Sample = tuple[float, float, float]
+SizeSample = tuple[float, float, float]
 """Place of a box on the road, x and y, and its size there, the square root of its area; pixels."""
 
 _FEWEST_DRIVERS: Final = 4
@@ -26,14 +26,14 @@ class ExpectedSizes:
     On a plane inverse depth is affine in the image's coordinates, and so are sizes, but for the kinds of vehicles.
     """
 
-    def __init__(self, vehicles: Sequence[Sequence[Sample]]) -> None:
+    def __init__(self, vehicles: Sequence[Sequence[SizeSample]]) -> None:
         """`vehicles` are the samples of each vehicle that drove."""
         self._enough = len(vehicles) >= _FEWEST_DRIVERS
         if self._enough:
             samples = np.array([sample for samples in vehicles for sample in samples])
             self._parameters, self._covariance = _fitted(samples)
 
-    def allow(self, sample: Sample) -> bool:
+    def allow(self, sample: SizeSample) -> bool:
         """Whether a vehicle may be so large where it is; also where that cannot be told."""
         if not self._enough:
             return True

@@ -50,7 +50,7 @@ class CalibrationJob:
     weights."""
 
 
-def calibrate(job: CalibrationJob, console: Console) -> Path:
+def fit_calibration(job: CalibrationJob, console: Console) -> Path:
     """Fit the calibration and write it beside the weights, or as part of other weights; returns the path.
 
     Raises UserError where another calibration lies there, of other weights, data or options, or another file.
@@ -67,7 +67,7 @@ def calibrate(job: CalibrationJob, console: Console) -> Path:
     share = _share(job, predictor.metadata)
     work = _work(job, [weights, *truth.sources], share)
     if job.out is None:
-        score_calibration.check_free(weights, work)
+        score_calibration.check_calibration_free(weights, work)
     file = read_inputs.limit(_taken(job, truth.splits[0], share), job.max_images)
     if not file.images:
         raise UserError(f"{job.data}: split {job.split}: the last {share:g} of its recordings is less than one image")

@@ -264,7 +264,7 @@ class LiveStream(VideoFootage):
 
     def frames(self, first: int = 0) -> Iterator[tuple[Image, Pixels]]:
         clip = self.clip
-        frames = stream.frames(
+        frames = stream.stream_frames(
             lambda: _opened(clip.address), self.cut.every, camera_clock=clip.address.startswith("rtsp")
         )
         with contextlib.closing(frames):

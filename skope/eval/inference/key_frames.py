@@ -23,7 +23,7 @@ from skope.eval.least_cost_pairs import cheapest_pairs
 from skope.schema import AnyResult, Image, Result
 from skope.types import Array, Floats32, Pixels
 
-Frame = tuple[Image, Pixels]
+ImageWithPixels = tuple[Image, Pixels]
 
 INTERVAL_S: Final = 0.5
 """Key frames are so far apart, seconds."""
@@ -50,7 +50,10 @@ _NO_POINTS: Final = np.zeros((0, 2), dtype=np.float32)
 
 
 def with_frames_between(
-    frames: Iterator[Frame], find: Callable[[Frame], list[AnyResult]], every: int, known: Sequence[int] = ()
+    frames: Iterator[ImageWithPixels],
+    find: Callable[[ImageWithPixels], list[AnyResult]],
+    every: int,
+    known: Sequence[int] = (),
 ) -> Iterator[tuple[Image, list[AnyResult], bool]]:
     """The road users of all frames of a video, of which the detector sees each `every`-th and the last.
 
@@ -63,7 +66,7 @@ def with_frames_between(
     Yields:
         Each image with its road users, and whether it is a key frame. Those of other frames are `interpolated`.
     """
-    since: list[Frame] = []
+    since: list[ImageWithPixels] = []
     vehicles: list[AnyResult] = []
     names = itertools.count(1)
     for frame in frames:
@@ -87,7 +90,7 @@ def with_frames_between(
 
 
 def _between(
-    frames: Sequence[Frame], first: Sequence[AnyResult], last: Sequence[AnyResult], names: Iterator[int]
+    frames: Sequence[ImageWithPixels], first: Sequence[AnyResult], last: Sequence[AnyResult], names: Iterator[int]
 ) -> tuple[list[tuple[Image, list[AnyResult], bool]], list[AnyResult]]:
     """The frames between two key frames, which are the ends of `frames`, with their vehicles; and those of the last."""
     grey = [np.asarray(cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY), dtype=np.uint8) for _, pixels in frames]

@@ -6,7 +6,7 @@ from typing import Final
 import cv2
 import numpy as np
 
-from skope.eval.inference.view_changes import unpacked
+from skope.eval.inference.view_changes import unpacked_look
 from skope.types import Pixels
 
 _SQUARE_PX: Final = 9
@@ -19,7 +19,7 @@ _CONTRAST_PERCENT: Final = 75
 
 def sight_rows(looks: Sequence[tuple[float, str]]) -> list[list[float]]:
     """A row of time (s), brightness and contrast of each small picture, as `Looks` takes them."""
-    return [[round(time_s, 4), *brightness_and_contrast(unpacked(packed))] for time_s, packed in looks]
+    return [[round(time_s, 4), *brightness_and_contrast(unpacked_look(packed))] for time_s, packed in looks]
 
 
 def brightness_and_contrast(grey: Pixels) -> tuple[float, float]:

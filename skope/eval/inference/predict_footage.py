@@ -32,7 +32,7 @@ from skope.eval.inference.predict_job import PROGRESS_FILE, PredictJob, claim, f
 from skope.eval.inference.predictor import Predictor
 from skope.eval.inference.settings import Settings
 from skope.eval.inference.view_changes import Looks, ViewChange
-from skope.eval.inference.write_overlays import Kept, write_overlay
+from skope.eval.inference.write_overlays import KeepRule, write_overlay
 from skope.eval.pose.camera_motion import MOTION, CameraMotion
 from skope.files.progress import Progress
 from skope.processors import usable_processors
@@ -333,7 +333,7 @@ def found_in(
             yield image, found, key
 
 
-def _kept(job: PredictJob, progress: Progress, images: Sequence[Image]) -> Kept:
+def _kept(job: PredictJob, progress: Progress, images: Sequence[Image]) -> KeepRule:
     """The rule by which results of a frame stay: those above the score, in a video those that others confirm.
 
     In a video they have the number of their vehicle or other road user, from 1.

@@ -28,7 +28,7 @@ from skope.eval.inference import score_calibration
 from skope.eval.inference.backends.prepare import prepare
 from skope.eval.inference.read_ahead import read_ahead
 from skope.eval.inference.settings import Settings
-from skope.eval.inference.tiles import Tile, joined, tiles_of
+from skope.eval.inference.tiles import Tile, join_tiles, tiles_of
 from skope.keypoints import Scheme
 from skope.schema import Annotation, AnnotationFile, AnyResult, Image, Result
 from skope.terminal.console import Console, minutes
@@ -241,7 +241,7 @@ class Predictor:
         """Join detections of the whole image and of its tiles."""
         batches = _batches(((part, part.of(image)) for part in parts), self.batch_size)
         found = [one for batch in batches for one in self._run([pixels for _, pixels in batch])]
-        return joined(whole, list(zip(parts, found, strict=True)))
+        return join_tiles(whole, list(zip(parts, found, strict=True)))
 
     def _run(self, images: Sequence[Pixels]) -> list[Detections]:
         """Images of one size through the network, with keypoint scores as they are."""

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from skope import field_checks, keypoints
 from skope.errors import UserError
 from skope.files.json_files import read_json, write_json
-from skope.files.output_folders import differences
+from skope.files.output_folders import work_differences
 from skope.files.reading import sha256_of
 from skope.types import Array
 
@@ -143,7 +143,7 @@ def path_beside(weights: Path) -> Path:
     return weights.with_suffix(".calibration.json")
 
 
-def check_free(weights: Path, work: Mapping[str, Any]) -> None:
+def check_calibration_free(weights: Path, work: Mapping[str, Any]) -> None:
     """Raise a UserError where the calibration beside a checkpoint is of other work than `work`."""
     path = path_beside(weights)
     if not path.exists():
@@ -151,7 +151,7 @@ def check_free(weights: Path, work: Mapping[str, Any]) -> None:
     try:
         document = read_json(path)
         held = document.get("work") if isinstance(document, dict) else None
-        different = differences(held, work) if held else "it does not say of what"
+        different = work_differences(held, work) if held else "it does not say of what"
     except UserError as error:
         different = str(error)
     if different:

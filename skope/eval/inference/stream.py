@@ -64,7 +64,7 @@ class _Newest:
             return frame
 
 
-def frames(
+def stream_frames(
     opened: Callable[[], AbstractContextManager[cv2.VideoCapture]], every: int, *, camera_clock: bool
 ) -> Generator[Frame]:
     """Every so many-th frame of a stream as far as the caller keeps up: what comes meanwhile is passed over.

@@ -67,7 +67,7 @@ def _begins(whole: int, part: int) -> list[int]:
     return [round(i * (whole - part) / max(1, count - 1)) for i in range(count)]
 
 
-def joined(whole: Detections, parts: Sequence[tuple[Tile, Detections]]) -> Detections:
+def join_tiles(whole: Detections, parts: Sequence[tuple[Tile, Detections]]) -> Detections:
     """Detections in the whole image and in its tiles, (in pixels of the tiles), as those of one image.
 
     Vehicles that a tile cuts are left to the others; of several boxes on a vehicle the best one stays. So it is with

@@ -68,7 +68,7 @@ def changes(looks: Sequence[tuple[float, str]], stays: Callable[[float], bool] =
     reference: Array | None = None
     pending: list[tuple[float, Array, float | None]] = []
     for time_s, packed in looks:
-        shown = edges(unpacked(packed))
+        shown = edges(unpacked_look(packed))
         if shown is None:
             continue
         if reference is None:
@@ -102,7 +102,7 @@ def _packed(pixels: Pixels) -> str:
     return base64.b64encode(encoded.tobytes()).decode()
 
 
-def unpacked(packed: str) -> Pixels:
+def unpacked_look(packed: str) -> Pixels:
     """The small grey picture (H, W) that `Looks` has taken."""
     small: Any = cv2.imdecode(np.frombuffer(base64.b64decode(packed), dtype=np.uint8), cv2.IMREAD_GRAYSCALE)
     return np.asarray(small, dtype=np.uint8)

@@ -20,12 +20,12 @@ from skope.types import Pixels
 
 OVERLAY_VIDEO: Final = "overlay.mp4"
 OVERLAY_FOLDER: Final = "overlays"
-Kept = Callable[[dict[str, Any]], list[dict[str, Any]]]
+KeepRule = Callable[[dict[str, Any]], list[dict[str, Any]]]
 """The results of a frame, of its row in the file of progress, that stay."""
 
 
 def write_overlay(
-    job: PredictJob, progress: Progress, kept: Kept, count: int, scheme: Scheme, console: Console
+    job: PredictJob, progress: Progress, kept: KeepRule, count: int, scheme: Scheme, console: Console
 ) -> Path:
     """Draw what was found: a video of a video, images of images.
 
@@ -54,7 +54,7 @@ def write_overlay(
     return path
 
 
-def _drawn(job: PredictJob, progress: Progress, kept: Kept, scheme: Scheme) -> Iterator[tuple[Image, Pixels]]:
+def _drawn(job: PredictJob, progress: Progress, kept: KeepRule, scheme: Scheme) -> Iterator[tuple[Image, Pixels]]:
     rows = progress.rows()
     row = next(rows, None)
     for image, pixels in job.footage.frames():

@@ -23,7 +23,7 @@ _KEPT_TYPES: Final = 2
 """Body types that go on from the start."""
 
 
-def starts_of(seen: Observed, shapes: Shapes, ground: Ground | None, chosen: Mask | None = None) -> Starts:
+def vehicle_starts(seen: Observed, shapes: Shapes, ground: Ground | None, chosen: Mask | None = None) -> Starts:
     """Start a fit of each body type to each vehicle.
 
     Args:
@@ -32,7 +32,11 @@ def starts_of(seen: Observed, shapes: Shapes, ground: Ground | None, chosen: Mas
         ground: The road; None: the size of vehicles tells distance.
         chosen: (N, 33) keypoints to begin from; None: all that count.
     """
-    return initialize.on_ground(seen, shapes, ground, chosen) if ground else initialize.free(seen, shapes, chosen)
+    return (
+        initialize.on_ground(seen, shapes, ground, chosen)
+        if ground
+        else initialize.placed_anywhere(seen, shapes, chosen)
+    )
 
 
 def refined(seen: Observed, shapes: Shapes, ground: Ground | None, starts: Starts, kinds: Kinds) -> Fits:
@@ -60,10 +64,10 @@ def best_types(seen: Observed, shapes: Shapes, ground: Ground | None) -> Fits:
         shapes: The body types to choose from.
         ground: The road; None: unknown.
     """
-    return refined(seen, shapes, ground, starts_of(seen, shapes, ground), np.arange(len(shapes.types)))
+    return refined(seen, shapes, ground, vehicle_starts(seen, shapes, ground), np.arange(len(shapes.types)))
 
 
-def share(seen: Observed, fits: Fits) -> Array:
+def agreeing_share(seen: Observed, fits: Fits) -> Array:
     """(N,) share of the keypoints that count which agree with the best fit."""
     agree = (fits.squared[:, 0] <= INLIER) & seen.counted
     return np.asarray(agree.sum(axis=1) / np.maximum(seen.count, 1))

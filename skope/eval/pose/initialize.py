@@ -91,7 +91,7 @@ def on_ground(seen: Observed, shapes: Shapes, ground: Ground, chosen: Mask | Non
     return Starts(p, R_wv, cost)
 
 
-def free(seen: Observed, shapes: Shapes, chosen: Mask | None = None) -> Starts:
+def placed_anywhere(seen: Observed, shapes: Shapes, chosen: Mask | None = None) -> Starts:
     """Place each body type's mean on the keypoints of each vehicle, anywhere before the camera, by SQPnP.
 
     Args:

@@ -48,7 +48,7 @@ class PoseErrors:
         return PoseErrors(*(getattr(self, f.name)[mask] for f in fields(self)))
 
 
-def measure(scene: Scene, *, noise: float = 0.0, score: float = 0.5, sigma_px: float | None = None) -> PoseErrors:
+def measure_poses(scene: Scene, *, noise: float = 0.0, score: float = 0.5, sigma_px: float | None = None) -> PoseErrors:
     """Measure the poses of a scene that has ground truth.
 
     Measured are its predictions, as far as they match a ground-truth vehicle with an IoU of 0.6, or, where it has none,
@@ -105,7 +105,7 @@ def _outline(box: Box3D) -> Any:
     return shapely.Polygon(corners @ [[c, s], [-s, c]] + box.center[:2])
 
 
-def summary(errors: PoseErrors) -> dict[str, Any]:
+def pose_summary(errors: PoseErrors) -> dict[str, Any]:
     """Counts and quantiles over all, by distance and by occlusion; null where there is nothing.
 
     Articulated vehicles, of which the pose is that of the part before the hinge, are listed by how far they bend too.
@@ -133,7 +133,7 @@ def _cell(errors: PoseErrors) -> dict[str, Any]:
     return cell
 
 
-def table(title: str, summary: dict[str, Any]) -> list[str]:
+def pose_table(title: str, summary: dict[str, Any]) -> list[str]:
     """Lines for people: medians, and 90 and 99% in brackets."""
     cells = {"all": summary["all"]}
     cells |= {f"{band} m": cell for band, cell in summary["distance"].items()}

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from skope.eval.pose.camera_error import with_camera_error
-from skope.eval.pose.pose_errors import measure, summary, table
+from skope.eval.pose.pose_errors import measure_poses, pose_summary, pose_table
 from skope.eval.pose.records import INTERPOLATED, Located, locate_view, records, write_poses
 from skope.eval.pose.views import Scene
 from skope.files.json_files import write_json
@@ -33,7 +33,7 @@ class PoseJob:
     errors are measured with each."""
 
 
-def run(job: PoseJob, console: Console) -> Iterator[str]:
+def locate_footage(job: PoseJob, console: Console) -> Iterator[str]:
     """Work out the poses and write them under `job.out`; yields lines that say what was written and found."""
     scene = job.scene
     progress = Progress(job.out / _PROGRESS_FILE, ("rows",))
@@ -72,7 +72,7 @@ def _errors(job: PoseJob) -> Iterator[str]:
     summaries = {}
     for level in job.noise if job.scene.results is None else (0.0,):
         name = f"labels with {level:g} px of noise" if job.scene.results is None else "predictions"
-        summaries[name] = summary(measure(job.scene, noise=level, score=job.score, sigma_px=job.sigma_px))
-        yield from table(f"{name}: median (90%, 99%)", summaries[name])
+        summaries[name] = pose_summary(measure_poses(job.scene, noise=level, score=job.score, sigma_px=job.sigma_px))
+        yield from pose_table(f"{name}: median (90%, 99%)", summaries[name])
     write_json(job.out / "pose_errors.json", summaries)
     yield f"wrote {job.out / 'pose_errors.json'}"

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skope.camera.model import Camera
-from skope.eval.pose.candidates import FEWEST_KEYPOINTS, best_types, refined, starts_of
+from skope.eval.pose.candidates import FEWEST_KEYPOINTS, best_types, refined, vehicle_starts
 from skope.eval.pose.ground import Ground
 from skope.eval.pose.observations import Observed
 from skope.eval.pose.optimize import Fits
@@ -20,7 +20,7 @@ from skope.eval.pose.shape_model import Shapes
 from skope.keypoints import FLIP, OTHER_END
 from skope.types import Array, Mask
 
-Rows = NDArray[np.intp]
+RowNumbers = NDArray[np.intp]
 
 EXCHANGES: Final = ("sides_exchanged", "ends_exchanged", "turned_around")
 """Flags of keypoints that fit only with left and right, or front and rear, or both taken for each other."""
@@ -42,7 +42,7 @@ _ORDERS: Final = (list(FLIP), list(OTHER_END), [FLIP[i] for i in OTHER_END])
 
 
 def retry_from_subsets(
-    seen: Observed, fits: Fits, poor: Rows, shapes: Shapes, ground: Ground | None, rng: np.random.Generator
+    seen: Observed, fits: Fits, poor: RowNumbers, shapes: Shapes, ground: Ground | None, rng: np.random.Generator
 ) -> None:
     """Fit vehicles from starts by random few keypoints; `fits` takes what fits all keypoints better.
 
@@ -56,13 +56,13 @@ def retry_from_subsets(
     """
     times = _SUBSETS[ground is not None]
     some, again = seen.take(poor), seen.take(np.tile(poor, times))
-    starts = starts_of(again, shapes, ground, again.subsets(_SUBSET, rng)).gathered(times)
+    starts = vehicle_starts(again, shapes, ground, again.subsets(_SUBSET, rng)).gathered(times)
     better = refined(some, shapes, ground, starts, np.tile(np.arange(len(shapes.types)), times))
     fits.replace_where(poor, better, better.cost[:, 0] < fits.cost[poor, 0])
 
 
 def without_hidden(
-    camera: Camera, seen: Observed, fits: Fits, poor: Rows, cut: Mask, shapes: Shapes, ground: Ground | None
+    camera: Camera, seen: Observed, fits: Fits, poor: RowNumbers, cut: Mask, shapes: Shapes, ground: Ground | None
 ) -> tuple[Observed, Array]:
     """Fit the vehicles `poor` without the keypoints that their own bodies hide, as they stand and turned around.
 
@@ -130,7 +130,7 @@ def retry_exchanged(
     seen: Observed,
     whole: Observed,
     fits: Fits,
-    poor: Rows,
+    poor: RowNumbers,
     shapes: Shapes,
     ground: Ground | None,
     exchanged: dict[int, str],

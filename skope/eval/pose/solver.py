@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from skope import keypoints
 from skope.camera.model import Camera
-from skope.eval.pose.candidates import FEWEST_KEYPOINTS, INLIER, best_types, share
+from skope.eval.pose.candidates import FEWEST_KEYPOINTS, INLIER, agreeing_share, best_types
 from skope.eval.pose.ground import Ground
 from skope.eval.pose.observations import Observed, observe
 from skope.eval.pose.optimize import Fits
@@ -198,7 +198,7 @@ def _locate_chunk(
     fits = best_types(seen, shapes, ground)
     exchanged: dict[int, str] = {}
     doubted: set[int] = set()
-    doubtful = (share(seen, fits) < _DOUBT) | (fits.cost[:, 0] > _HOPELESS)
+    doubtful = (agreeing_share(seen, fits) < _DOUBT) | (fits.cost[:, 0] > _HOPELESS)
     poor = np.flatnonzero((doubtful | cut) & (seen.count >= FEWEST_KEYPOINTS[ground is not None]))
     if poor.size:
         retry_from_subsets(seen, fits, poor, shapes, ground, rng)

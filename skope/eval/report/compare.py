@@ -12,7 +12,7 @@ from typing import Any, Final, TypeVar
 import numpy as np
 
 from skope.errors import UserError, one_of
-from skope.eval.report.table import evidence, number
+from skope.eval.report.table import evidence, ratio_text
 from skope.files.json_files import read_json
 from skope.metrics import pck_precision_recall
 from skope.metrics.counts import FIGURES, Name, Tally, quotients, ratio
@@ -41,7 +41,7 @@ class Run:
     """Split -> its entry in `tallies.json`."""
 
 
-def read(folder: Path) -> Run:
+def read_run(folder: Path) -> Run:
     """Read what `skope eval` wrote to a folder; a UserError names what is missing or of another version."""
     documents = {}
     for name in (METRICS, TALLIES):
@@ -65,7 +65,7 @@ def compare(folders: Sequence[Path]) -> dict[str, Any]:
     """
     if len(folders) < 2:
         raise UserError("compare: expected the folders of two or more evaluations")
-    runs = [read(folder) for folder in folders]
+    runs = [read_run(folder) for folder in folders]
     first = runs[0]
     for run in runs[1:]:
         for name in _ALIKE:
@@ -158,7 +158,7 @@ def _minus(b: float | None, a: float | None) -> float | None:
 # ------------------------------------------------------------------------------------------------------------ printing
 
 
-def render(document: Mapping[str, Any], protocol: str) -> str:
+def render_comparison(document: Mapping[str, Any], protocol: str) -> str:
     """A table per split: a row per threshold and figure, a column per run, and the differences from the first."""
     one_of("--protocol", protocol, PROTOCOLS)
     letters = [chr(ord("A") + i) if i < 26 else str(i) for i in range(len(document["runs"]))]
@@ -169,16 +169,16 @@ def render(document: Mapping[str, Any], protocol: str) -> str:
     for name, split in document["splits"].items():
         lines += ["", f"{name}: {split['images']} images, {evidence(split)}"]
         rows = [
-            [t, row["figure"].replace("_", " "), *map(number, row["values"]), *map(_change, row["differences"])]
+            [t, row["figure"].replace("_", " "), *map(ratio_text, row["values"]), *map(_change, row["differences"])]
             for t, figures in split["iou"].items()
             for row in figures
             if row["protocol"] in (None, protocol)
         ]
         for ap in split["coco"][0]:
-            values = [number(of[ap]) for of in split["coco"]]
+            values = [ratio_text(of[ap]) for of in split["coco"]]
             rows.append(["", ap.replace("_", " "), *values, *[""] * len(gaps)])
         for precision in split["recall_at_precision"][0]:
-            values = [number(of.get(precision)) for of in split["recall_at_precision"]]
+            values = [ratio_text(of.get(precision)) for of in split["recall_at_precision"]]
             rows.append(["", f"box recall at precision {precision}", *values, *[""] * len(gaps)])
         rows += [[*row, *[""] * len(gaps)] for row in _category_rows(split.get("categories", []))]
         table = text_table(["IoU", "figure", *letters, *gaps], rows, "ll" + "r" * len(letters) + "l" * len(gaps))
@@ -190,7 +190,7 @@ def _category_rows(categories: Sequence[Mapping[str, Any]]) -> list[list[str]]:
     """A row for each figure of other road users than vehicles, of all sizes; "-" for a run that does not have it."""
     names = dict.fromkeys(name for of in categories for name in of)
     return [
-        ["", f"{name} {words}", *(number(of[name]["all"][key] if name in of else None) for of in categories)]
+        ["", f"{name} {words}", *(ratio_text(of[name]["all"][key] if name in of else None) for of in categories)]
         for name in names
         for key, words in _CATEGORY_FIGURES.items()
     ]

@@ -40,7 +40,7 @@ def pck_over_alpha(measured: SplitScores, options: Options) -> list[Line]:
     return lines
 
 
-def reliability(measured: SplitScores) -> list[Line]:
+def reliability_curve(measured: SplitScores) -> list[Line]:
     """The share of keypoints that are right over the score that they claim, per tenth of scores."""
     rows = measured.entry["confidence"]["reliability"]
     notes = [f"{row['count']} keypoints" for row in rows]

@@ -33,7 +33,7 @@ class Choice:
     quality: float
 
 
-def choose(values: Array, blocks: Integers) -> list[Choice]:
+def chosen_images(values: Array, blocks: Integers) -> list[Choice]:
     """The best, those around the median, and the worst; few images are shown once each, as the first that they are.
 
     The images of a kind come from different `blocks`, where there are enough: neighbouring frames look alike.
@@ -70,7 +70,7 @@ def gallery(measured: SplitScores, root: Path, options: Options) -> str:
     outcomes = measured.outcomes[threshold]
     kinds = wrong_points(measured.matches, outcomes, options)
     figures = []
-    for choice in choose(quality(measured.tallies[threshold]), measured.blocks.number):
+    for choice in chosen_images(quality(measured.tallies[threshold]), measured.blocks.number):
         image = measured.file.images[choice.index]
         try:
             picture = image_viewer.embedded(root / image.file_name, (image.width, image.height))
@@ -112,7 +112,7 @@ def _layers(
     truth, found, wrong, words = [], [], [], []
     labels: list[tuple[Array, str]] = []
     ignored = [
-        image_viewer.box(box_of(a, options.boxes))
+        image_viewer.box_svg(box_of(a, options.boxes))
         for a in measured.file.annotations
         if a.ignored and a.image_id == image.id
     ]
@@ -121,7 +121,7 @@ def _layers(
         box, points = box_of(vehicle, options.boxes), matches.gt_keypoints[g]
         name = f"vehicle {vehicle.id if vehicle.track_id is None else vehicle.track_id}"
         placed = points[:, 2] > 0
-        truth.append(image_viewer.box(box, name) + drawn(points, placed, points[:, 2] > 1, placed))
+        truth.append(image_viewer.box_svg(box, name) + drawn(points, placed, points[:, 2] > 1, placed))
         if not outcomes.found[g]:
             labels.append((box, "missed"))
             words.append(f"{name} missed")
@@ -138,7 +138,7 @@ def _layers(
         points = matches.det_keypoints[d]
         name = f"detection, score {matches.det_score[d]:.2f}"
         placed, sure = np.ones(len(points), dtype=bool), points[:, 2] >= 0.5
-        found.append(image_viewer.box(box, name) + drawn(points, placed, sure, sure))
+        found.append(image_viewer.box_svg(box, name) + drawn(points, placed, sure, sure))
         if false[d]:
             labels.append((box, "false"))
             words.append(f"false {name}")
@@ -146,17 +146,17 @@ def _layers(
         users = [user for user in measured.file.road_users if user.image_id == image.id]
         for user in users:
             name = f"{user.category} {user.id if user.track_id is None else user.track_id}"
-            (ignored if user.ignored else truth).append(image_viewer.box(box_of(user, options.boxes), name))
+            (ignored if user.ignored else truth).append(image_viewer.box_svg(box_of(user, options.boxes), name))
         sure = [one for one in measured.road_users if one.image_id == image.id and one.score > options.score]
-        found += [image_viewer.box(one.bbox, f"{one.category}, score {one.score:.2f}") for one in sure]
-    wrong.append(image_viewer.labels(labels, (image.width, image.height)))
+        found += [image_viewer.box_svg(one.bbox, f"{one.category}, score {one.score:.2f}") for one in sure]
+    wrong.append(image_viewer.labels_svg(labels, (image.width, image.height)))
     layers = {"ignored": ignored, "truth": truth, "found": found, "wrong": wrong}
     return [tag("g", *parts, class_=name) for name, parts in layers.items()], words
 
 
 def _strays(truth: Array, found: Array, wrong: Mask) -> str:
     """Lines that lead from where each wrong point was put to where it belongs."""
-    return image_viewer.path(
+    return image_viewer.path_svg(
         "".join(f"M{image_viewer.place(found[k])}L{image_viewer.place(truth[k])}" for k in np.flatnonzero(wrong)),
         "stray",
     )

@@ -7,14 +7,14 @@ from typing import Any, Final
 
 from skope.eval.report import curves
 from skope.eval.report.gallery import gallery
-from skope.eval.report.table import AREA_WORDS, FIGURE_COLUMNS, category_rows, evidence, published_row, row_of
+from skope.eval.report.table import AREA_WORDS, FIGURE_COLUMNS, evidence, published_row, road_user_rows, row_of
 from skope.metrics.outcomes import PROTOCOLS, Options
 from skope.metrics.pck_precision_recall import AT_PRECISION
 from skope.metrics.road_users import AP50_IOU
 from skope.metrics.split_scores import SplitScores
-from skope.page import document as page
+from skope.page import html_document as page
 from skope.page.charts import Axes, chart
-from skope.page.html_pieces import plain, share, share_bar, table, tag
+from skope.page.html_pieces import percent_text, plain, share_bar, table, tag
 from skope.page.image_viewer import switches
 from skope.page.vehicle_outline import Point, outline
 from skope.version import __version__
@@ -59,7 +59,7 @@ _HOW_TO_READ: Final = tag(
 )
 
 
-def render(
+def render_page(
     document: Mapping[str, Any],
     measured: Sequence[SplitScores],
     root: Path,
@@ -186,7 +186,7 @@ def _categories(splits: Mapping[str, Any]) -> str:
         ]
         + [plain(figures[key]) for key in ("precision", "recall", "ap", "ap50")]
         for split, entry in splits.items()
-        for name, size, figures in category_rows(entry)
+        for name, size, figures in road_user_rows(entry)
     ]
     head = (
         "split",
@@ -243,7 +243,7 @@ def _split(measured: SplitScores, options: Options) -> str:
     charts = [
         chart("Boxes: precision over recall", boxes, curves.precision_recall(measured, options), every=5),
         chart("PCK over alpha", within, curves.pck_over_alpha(measured, options), every=4),
-        chart("Are keypoint scores what they claim?", claimed, curves.reliability(measured), diagonal=True),
+        chart("Are keypoint scores what they claim?", claimed, curves.reliability_curve(measured), diagonal=True),
         chart("Keypoints: precision over recall", boxes, curves.keypoint_precision_recall(measured), every=5),
     ]
     # A table of one row would say what the split's own figures say.
@@ -277,8 +277,8 @@ def _keypoints(entry: Mapping[str, Any], threshold: str) -> str:
         pck, correct, labelled = figures["pck"], figures["correct"], figures["labelled"]
         points[name] = Point(
             share=pck,
-            tip=f"PCK {share(pck)}, {correct} of {labelled}",
-            cells=(share(pck), str(correct), str(labelled), share(figures["keypoint_recall"])),
+            tip=f"PCK {percent_text(pck)}, {correct} of {labelled}",
+            cells=(percent_text(pck), str(correct), str(labelled), percent_text(figures["keypoint_recall"])),
         )
     return outline(f"PCK of each keypoint, IoU {threshold}", points, ("PCK", "correct", "labelled", "recall"))
 

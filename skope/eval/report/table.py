@@ -43,7 +43,9 @@ def published() -> dict[str, Any]:
     return table
 
 
-def render(metrics: Mapping[str, Any], protocol: str, width: int, *, beside: Mapping[str, Any] | None = None) -> str:
+def render_table(
+    metrics: Mapping[str, Any], protocol: str, width: int, *, beside: Mapping[str, Any] | None = None
+) -> str:
     """Write the splits of a `metrics.json` as text.
 
     Args:
@@ -113,15 +115,15 @@ def published_row(table: Mapping[str, Any], split: str, threshold: str) -> list[
 
 def _cells(values: Sequence[float | None]) -> str:
     pck, *others = values
-    box_pr, box_re, point_pr, point_re = (f"{number(value):>5}" for value in others)
-    return f"{number(pck, percent=True):>7}  {box_pr} {box_re}  {point_pr} {point_re}"
+    box_pr, box_re, point_pr, point_re = (f"{ratio_text(value):>5}" for value in others)
+    return f"{ratio_text(pck, percent=True):>7}  {box_pr} {box_re}  {point_pr} {point_re}"
 
 
 def _counts(splits: Mapping[str, Any], score: float) -> list[str]:
     head = ["split", "images", "vehicles", "ignored", f"detections > {score:g}"]
     rows = [
         [name, *(split[key] for key in ("images", "ground_truth", "ignored", "detections"))]
-        + [number(value) for value in (*split["coco"].values(), *split["recall_at_precision"].values())]
+        + [ratio_text(value) for value in (*split["coco"].values(), *split["recall_at_precision"].values())]
         for name, split in splits.items()
     ]
     recalls = [f"recall at precision {p:g}" for p in AT_PRECISION]
@@ -132,7 +134,7 @@ AREA_WORDS: Final = {"all": "all", "small": "under 32x32 px", "medium": "to 96x9
 """COCO's ranges of areas in words."""
 
 
-def category_rows(entry: Mapping[str, Any]) -> Iterator[tuple[str, str, Mapping[str, Any]]]:
+def road_user_rows(entry: Mapping[str, Any]) -> Iterator[tuple[str, str, Mapping[str, Any]]]:
     """Category, size and figures of a split's other road users; sizes of which there is nobody are left out."""
     for name, by_size in entry.get("categories", {}).items():
         for size, figures in by_size.items():
@@ -144,9 +146,9 @@ def _categories(splits: Mapping[str, Any], score: float) -> list[str]:
     """The other road users by category and size; nothing where the ground truth labels none."""
     rows = [
         [split, name, AREA_WORDS[size], figures["ground_truth"], figures["ignored"], figures["detections"]]
-        + [number(figures[key]) for key in ("precision", "recall", "ap", "ap50")]
+        + [ratio_text(figures[key]) for key in ("precision", "recall", "ap", "ap50")]
         for split, entry in splits.items()
-        for name, size, figures in category_rows(entry)
+        for name, size, figures in road_user_rows(entry)
     ]
     if not rows:
         return []
@@ -160,8 +162,8 @@ def _localisation(splits: Mapping[str, Any]) -> list[str]:
     found = {name: split["localisation"] for name, split in splits.items() if split.get("localisation")}
     rows = [
         [
-            *(name, t, figures["labelled"], number(figures["pck_0.05"], percent=True)),
-            *(number(figures["pck_area"]), number(figures["median_error"])),
+            *(name, t, figures["labelled"], ratio_text(figures["pck_0.05"], percent=True)),
+            *(ratio_text(figures["pck_area"]), ratio_text(figures["median_error"])),
         ]
         for name, by in found.items()
         for t, figures in list(by.items())[-1:]
@@ -179,8 +181,8 @@ def _apart(splits: Mapping[str, Any]) -> list[str]:
             parts = split["by"].get(quantity, {})
             if part in parts and len(parts) > 1:
                 t, figures = list(parts[part].items())[-1]
-                recall = number(figures["box_recall"]) if "box_recall" in figures else ""
-                pck = number(figures["pck"], percent=True)
+                recall = ratio_text(figures["box_recall"]) if "box_recall" in figures else ""
+                pck = ratio_text(figures["pck"], percent=True)
                 rows.append([name, words, t, figures.get("ground_truth", ""), recall, figures["labelled"], pck])
     if not rows:
         return []
@@ -224,11 +226,11 @@ def span(interval: Sequence[float] | None, *, percent: bool = False) -> str:
     """An interval as low-high, "-" where there is none."""
     if interval is None:
         return "-"
-    low, high = (number(value, percent=percent) for value in interval)
+    low, high = (ratio_text(value, percent=percent) for value in interval)
     return f"{low}-{high}"
 
 
-def number(value: float | None, *, percent: bool = False) -> str:
+def ratio_text(value: float | None, *, percent: bool = False) -> str:
     """A ratio in digits, "-" where there was nothing to divide by."""
     if value is None:
         return "-"

@@ -25,7 +25,7 @@ DEGREES: Final = (
     "metres around a point between them."
 )
 _NUMBERS: Final = ("no", "one", "two", "three", "four")
-_TOGETHER: Final = 0.2
+_NO_METRES: Final = 0.2
 """Places that differ by less than this are no metres of a road."""
 
 
@@ -57,7 +57,7 @@ def in_degrees(evidence: Evidence) -> bool:
     if len(evidence.points) < 2:
         return False
     places: Array = np.array([point.place[:2] for point in evidence.points])
-    return bool(np.ptp(places, axis=0).max() < _TOGETHER and 0 < np.abs(places).max() <= 180 and np.any(places % 1))
+    return bool(np.ptp(places, axis=0).max() < _NO_METRES and 0 < np.abs(places).max() <= 180 and np.any(places % 1))
 
 
 def below_road(evidence: Evidence, camera: Camera) -> bool:

@@ -38,7 +38,7 @@ def is_name(value: Any) -> bool:
     return isinstance(value, str) and bool(value.strip()) and len(value) <= LONGEST_NAME and value.isprintable()
 
 
-def number(value: Any) -> float | None:
+def number_or_none(value: Any) -> float | None:
     """A finite number, or None for anything else."""
     if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
         return None
@@ -53,7 +53,7 @@ def positions(value: Any, width: int) -> list[list[float]] | None:
     for row in value:
         if not isinstance(row, list) or len(row) != width:
             return None
-        numbers = [number(one) for one in row]
+        numbers = [number_or_none(one) for one in row]
         if None in numbers:
             return None
         rows.append([one for one in numbers if one is not None])

@@ -10,10 +10,10 @@ from shapely import Polygon
 
 from skope.camera.ground_plane import ground_places
 from skope.camera.model import Camera
-from skope.eval.site_page.document_values import NO_NAME, entries_of, is_name, number, positions
+from skope.eval.site_page.document_values import NO_NAME, entries_of, is_name, number_or_none, positions
 from skope.eval.site_page.gate_checks import gate_warnings
 from skope.eval.site_page.marks import Problem
-from skope.eval.site_page.overlays import Polyline, drawn
+from skope.eval.site_page.overlays import Polyline, polylines_of
 from skope.types import Array
 
 DRAWN: Final = ("gates", "zones", "lanes", "occluders")
@@ -54,7 +54,7 @@ def read_drawings(document: Mapping[str, Any]) -> tuple[list[Drawing], list[Prob
             rows = positions(entry.get(_FIELDS[kind]), 2)
             assert rows is not None
             foot = positions([entry.get("foot")], 2) if kind == "occluders" else None
-            width = number(entry.get("width")) or LANE_M
+            width = number_or_none(entry.get("width")) or LANE_M
             at = np.asarray(rows)
             good.append(
                 Drawing(kind=kind, index=index, positions=at, width=width, foot=np.array(foot[0]) if foot else None)
@@ -89,10 +89,10 @@ def _problems(kind: str, index: int, entry: Mapping[str, Any], names: set[str]) 
     elif field == "line" and not any(a != b for a, b in itertools.pairwise(rows)):
         wrong(field, "its ends are the same")
     if kind == "lanes" and entry.get("width") not in (None, ""):
-        width = number(entry.get("width"))
+        width = number_or_none(entry.get("width"))
         if width is None or not 0.5 <= width <= 30:
             wrong("width", "expected a width from 0.5 to 30 metres")
-    far = number(entry.get("distance")) is not None
+    far = number_or_none(entry.get("distance")) is not None
     if kind == "occluders" and positions([entry.get("foot")], 2) is None and not far:
         wrong("foot", "click where it stands on the ground", missing=True)
     if kind == "gates":
@@ -164,7 +164,7 @@ def road_line(camera: Camera, corners: Array) -> list[Polyline]:
         steps = int(np.clip(np.linalg.norm(b - a) / _STEP_M, 1, 400))
         parts.append(a + np.linspace(0, 1, steps + 1)[:, None] * (b - a))
     points = np.concatenate(parts)
-    return drawn(camera, np.concatenate([points, np.zeros((len(points), 1))], axis=-1))
+    return polylines_of(camera, np.concatenate([points, np.zeros((len(points), 1))], axis=-1))
 
 
 def _pixels(camera: Camera, corners: Array) -> list[list[float] | None]:

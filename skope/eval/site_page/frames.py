@@ -6,16 +6,14 @@ from typing import Final
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from skope.dataset.folder import read_image
 from skope.errors import UserError
 from skope.eval.inference.footage import open_footage
 from skope.eval.view.video_frames import VideoFrames
 from skope.schema import Image
+from skope.types import Pixels
 from skope.viewer.pictures import Picture, read_picture
-
-Pixels = NDArray[np.uint8]
 
 _LOOKED_AT: Final = 7
 """So many frames are compared for the clearest one."""
@@ -55,7 +53,7 @@ class SiteFrames:
         def picture(number: int) -> Picture:
             return frames.picture(Image(id=1, file_name=footage.name, width=1, height=1, frame_index=number))
 
-        return cls(Path(source).name, count, _size(decoded(picture(0))), picture, source)
+        return cls(Path(source).name, count, _size(decoded_frame(picture(0))), picture, source)
 
     @classmethod
     def canvas(cls, size: tuple[int, int], title: str) -> "SiteFrames":
@@ -72,7 +70,7 @@ class SiteFrames:
         best, most = 0, -1.0
         for number in numbers:
             try:
-                pixels = decoded(self.picture(number))
+                pixels = decoded_frame(self.picture(number))
             except UserError:
                 continue
             grey = cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY)
@@ -82,7 +80,7 @@ class SiteFrames:
         return best
 
 
-def decoded(picture: Picture) -> Pixels:
+def decoded_frame(picture: Picture) -> Pixels:
     """(H, W, 3) RGB of a picture."""
     pixels = cv2.imdecode(np.frombuffer(picture.data, np.uint8), cv2.IMREAD_COLOR_RGB)
     if pixels is None:

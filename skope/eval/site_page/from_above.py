@@ -15,7 +15,7 @@ from skope.viewer.pictures import encoded
 _REACH: Final = 9.0
 """The view ends at so many times the camera's height."""
 _REACH_M: Final = (25.0, 80.0)
-_LONGEST: Final = 1000
+_LONGER_SIDE: Final = 1000
 """Cells along the longer side."""
 _EMPTY: Final = (226, 226, 226)
 
@@ -27,7 +27,7 @@ def seen_from_above(camera: Camera, pixels: NDArray[np.uint8] | None) -> dict[st
     and `image`, a data address.
     """
     low, high = _extent(camera)
-    cell = float(np.max(high - low)) / _LONGEST
+    cell = float(np.max(high - low)) / _LONGER_SIDE
     width, height = (int(v) for v in np.maximum(1, np.ceil((high - low) / cell)))
     x = low[0] + (np.arange(width) + 0.5) * cell
     y = high[1] - (np.arange(height) + 0.5) * cell

@@ -22,14 +22,14 @@ from skope.camera.evidence import (
     Vertical,
 )
 from skope.errors import UserError
-from skope.eval.site_page.document_values import NO_NAME, entries_of, is_name, number, positions, unique_names
+from skope.eval.site_page.document_values import NO_NAME, entries_of, is_name, number_or_none, positions, unique_names
 from skope.site.calibration_marks import beliefs_of
 from skope.site.mark_limits import (
     FARTHEST,
-    KNOWN,
+    KNOWN_RANGES,
     LENGTH_M,
-    LENGTH_SIGMA_M,
     LENS,
+    MARKED_LENGTH_SIGMA_M,
     SIGMA,
     VERTICAL_M,
     WIDEST_PX,
@@ -38,7 +38,7 @@ from skope.site.mark_limits import (
 
 KINDS: Final = ("points", "lengths", "parallels", "verticals")
 """Lists of evidence in the document, in the order in which the solver has their residuals."""
-SIGMAS: Final = ("sigma_m", "sigma_px", "sigma_z_m")
+SIGMA_FIELDS: Final = ("sigma_m", "sigma_px", "sigma_z_m")
 """Standard deviations that a point may have of its own."""
 
 
@@ -65,7 +65,7 @@ class Marks:
     problems: list[Problem] = field(default_factory=list)
 
 
-def read_marks(document: Mapping[str, Any], size: tuple[int, int]) -> Marks:
+def marks_of_document(document: Mapping[str, Any], size: tuple[int, int]) -> Marks:
     """The evidence in a document; entries with problems are left out of it."""
     makers: dict[str, Callable[[_Entry], Any]] = {
         "points": _point,
@@ -102,7 +102,7 @@ def _known(value: Any, width: int) -> tuple[tuple[Belief, ...], list[Problem]]:
     """Prior knowledge of the camera: `fov_deg` and `height_m`, each [value, standard deviation]."""
     found: dict[str, tuple[float, float]] = {}
     problems = []
-    for name, limits in KNOWN.items():
+    for name, limits in KNOWN_RANGES.items():
         pair = value.get(name) if isinstance(value, dict) else None
         if pair is None or pair == [None, None]:
             continue
@@ -161,7 +161,7 @@ class _Entry:
             if default is None:
                 self.wrong(field, f"type how many {unit}", missing=True)
             return default
-        found = number(value)
+        found = number_or_none(value)
         if found is None or not low <= found <= high:
             self.wrong(field, f"expected a number from {low:g} to {high:g} {unit}".rstrip() + f", got {_short(value)}")
             return None
@@ -193,7 +193,7 @@ def _point(entry: _Entry) -> MarkedPoint | None:
     values = place if isinstance(place, list) and len(place) == 3 else [None, None, None]
     given: list[float] = []
     for axis, value in zip(wanted, values, strict=True):
-        found = number(value)
+        found = number_or_none(value)
         if found is None or abs(found) > FARTHEST:
             empty = value is None or value == ""
             entry.wrong(f"place.{axis}", "type it in metres" if empty else f"expected metres, got {_short(value)}",
@@ -210,7 +210,7 @@ def _point(entry: _Entry) -> MarkedPoint | None:
 
 def _length(entry: _Entry) -> MarkedLength | None:
     pixels, metres = entry.pixels("pixels", 2), entry.number("metres", *LENGTH_M, "metres")
-    sigma = entry.number("sigma_m", *SIGMA, "metres", LENGTH_SIGMA_M)
+    sigma = entry.number("sigma_m", *SIGMA, "metres", MARKED_LENGTH_SIGMA_M)
     if pixels is None or metres is None or sigma is None:
         return None
     if math.dist(*pixels) < 1:

@@ -8,7 +8,7 @@ from skope.eval.site_page.drawings import DRAWN
 from skope.eval.site_page.marks import KINDS
 
 
-def joined(base: Mapping[str, Any], mine: Mapping[str, Any], theirs: Mapping[str, Any]) -> dict[str, Any]:
+def merged_document(base: Mapping[str, Any], mine: Mapping[str, Any], theirs: Mapping[str, Any]) -> dict[str, Any]:
     """One document with the changes of both.
 
     Where both have changed the same entry, mine counts. Entries are told by their names, or by their content.

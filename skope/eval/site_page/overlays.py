@@ -47,10 +47,10 @@ def overlays(camera: Camera, toward: Array | None = None) -> dict[str, Any]:
     along, side = np.arange(0, reach + 0.1, 0.5), np.arange(-reach / 2, reach / 2 + 0.1, 0.5)
     grid = []
     for k in np.arange(-(reach // 2 // step) * step, reach / 2 + 0.1, step).tolist():
-        grid += drawn(camera, foot + left * k + ahead * along[:, None])
+        grid += polylines_of(camera, foot + left * k + ahead * along[:, None])
     labels = []
     for k in range(1, int(reach // step) + 1):
-        grid += drawn(camera, foot + ahead * (k * step) + left * side[:, None])
+        grid += polylines_of(camera, foot + ahead * (k * step) + left * side[:, None])
         pixel, _, valid = camera.project(foot + ahead * (k * step))
         if valid and camera.inside(pixel):
             labels.append({"at": _rounded(pixel), "text": f"{k * step} m"})
@@ -60,10 +60,10 @@ def overlays(camera: Camera, toward: Array | None = None) -> dict[str, Any]:
         "grid": grid,
         "step_m": step,
         "labels": labels,
-        "horizon": horizon(camera),
-        "posts": [line for place in beside for line in drawn(camera, place + [[0, 0, 0], [0, 0, _POST_M]])],
+        "horizon": horizon_line(camera),
+        "posts": [line for place in beside for line in polylines_of(camera, place + [[0, 0, 0], [0, 0, _POST_M]])],
         "post_m": _POST_M,
-        "boxes": [line for place in places for line in box(camera, place, way)],
+        "boxes": [line for place in places for line in car_edges(camera, place, way)],
         "box_lwh": list(CAR_LWH),
     }
 
@@ -75,15 +75,15 @@ def axes(camera: Camera) -> tuple[Array, Array, Array]:
     return ahead, np.array([-ahead[1], ahead[0], 0.0]), np.array([*camera.position[:2], 0.0])
 
 
-def horizon(camera: Camera) -> list[Polyline]:
+def horizon_line(camera: Camera) -> list[Polyline]:
     """The line to which level roads lead."""
     ahead, left, foot = axes(camera)
     turn = np.linspace(-1.3, 1.3, 105)[:, None]
     level = [0.0, 0.0, float(camera.position[2])]
-    return drawn(camera, foot + level + 1e6 * (np.cos(turn) * ahead + np.sin(turn) * left))
+    return polylines_of(camera, foot + level + 1e6 * (np.cos(turn) * ahead + np.sin(turn) * left))
 
 
-def box(camera: Camera, place: Array, way: Array) -> list[Polyline]:
+def car_edges(camera: Camera, place: Array, way: Array) -> list[Polyline]:
     """Draw the edges of a car of `CAR_LWH` that stands on the road.
 
     Args:
@@ -96,10 +96,10 @@ def box(camera: Camera, place: Array, way: Array) -> list[Polyline]:
     """
     turn = np.array([[way[0], -way[1], 0], [way[1], way[0], 0], [0, 0, 1]])
     corners = place + (_CORNERS * CAR_LWH) @ turn.T
-    return [line for a, b in _EDGES for line in drawn(camera, corners[[a, b]])]
+    return [line for a, b in _EDGES for line in polylines_of(camera, corners[[a, b]])]
 
 
-def drawn(camera: Camera, points: Array) -> list[Polyline]:
+def polylines_of(camera: Camera, points: Array) -> list[Polyline]:
     """Points (N, 3) in a row as polylines in pixels: cut where they lie behind the camera or far outside the image."""
     pixels, _, valid = camera.project(points)
     size = np.array([camera.width, camera.height])

@@ -16,12 +16,12 @@ from zoneinfo import available_timezones
 from skope.errors import UserError
 from skope.eval.site_page.drawings import read_drawings
 from skope.eval.site_page.footage_time import read_time
-from skope.eval.site_page.frames import SiteFrames, decoded
+from skope.eval.site_page.frames import SiteFrames, decoded_frame
 from skope.eval.site_page.from_above import seen_from_above
 from skope.eval.site_page.loaded_files import read_file
 from skope.eval.site_page.map_places import map_places
-from skope.eval.site_page.marks import read_marks
-from skope.eval.site_page.merge import joined
+from skope.eval.site_page.marks import marks_of_document
+from skope.eval.site_page.merge import merged_document
 from skope.eval.site_page.plan import plan_scale
 from skope.eval.site_page.plan_pictures import PlanPictures
 from skope.eval.site_page.site_store import Opened, SavedElsewhereError, SiteStore
@@ -164,7 +164,7 @@ class SiteServer(LocalServer):
     def save(self, sent: Mapping[str, Any]) -> tuple[int, dict[str, Any]]:
         """Status and answer to a document that is to be saved."""
         document = _document(sent)
-        problems = [*read_marks(document, self.frames.size).problems, *read_drawings(document)[1]]
+        problems = [*marks_of_document(document, self.frames.size).problems, *read_drawings(document)[1]]
         problems += read_time(document).problems
         if problems:
             words = unfinished(problems)
@@ -186,7 +186,7 @@ class SiteServer(LocalServer):
     def merge(self, sent: Mapping[str, Any]) -> dict[str, Any]:
         """The page's document joined with the saved one, and the saved one with its revision."""
         opened = self._opened()
-        document = joined(_document(sent, "base"), _document(sent, "mine"), opened.document)
+        document = merged_document(_document(sent, "base"), _document(sent, "mine"), opened.document)
         return {"document": document, "saved": opened.document, "revision": opened.revision}
 
     def above(self, sent: Mapping[str, Any]) -> dict[str, Any]:
@@ -199,7 +199,7 @@ class SiteServer(LocalServer):
             return seen_from_above(solved.camera, None)
         if not isinstance(number, int) or not 0 <= number < self.frames.count:
             raise UserError("frame: there is no such")
-        pixels = decoded(self.frames.picture(number))
+        pixels = decoded_frame(self.frames.picture(number))
         if (pixels.shape[1], pixels.shape[0]) != self.frames.size:
             raise UserError(f"frame {number + 1}: is of another size than the first one")
         return seen_from_above(solved.camera, pixels)

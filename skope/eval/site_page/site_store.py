@@ -15,14 +15,14 @@ from skope.errors import UserError
 from skope.eval.site_page.document_values import entries_of, unique_names
 from skope.eval.site_page.drawings import DRAWN
 from skope.eval.site_page.footage_time import read_time, time_texts
-from skope.eval.site_page.marks import KINDS, SIGMAS
+from skope.eval.site_page.marks import KINDS, SIGMA_FIELDS
 from skope.eval.site_page.solved_page import SolvedCamera
 from skope.files.reading import sha256_of
 from skope.site.calibration_marks import CalibrationMarks
 from skope.site.site_file import SiteFile, read_site
 from skope.site.write_site import save_site
 
-KNOWN: Final = ("fov_deg", "height_m", "lens")
+KNOWN_FIELDS: Final = ("fov_deg", "height_m", "lens")
 """Keys of prior knowledge of a camera, with standard deviations."""
 PLAN: Final = ("metres_per_pixel", "origin", "rotation_deg")
 """Keys of a plan that say where its pixels lie in the world."""
@@ -216,12 +216,12 @@ def changes_of(
     """
     out: dict[str, Any] = {}
     marked = {kind: _saved_marks(document, kind) for kind in KINDS}
-    known = {name: document.get("known", {}).get(name) for name in KNOWN}
+    known = {name: document.get("known", {}).get(name) for name in KNOWN_FIELDS}
     if any(marked.values()) or any(known.values()):
         rows = {kind: values or None for kind, values in marked.items()}
         out["calibration"] = {"size": list(size), "when": when, **rows, **known}
     else:
-        out["calibration"] = dict.fromkeys((*KINDS, *KNOWN))
+        out["calibration"] = dict.fromkeys((*KINDS, *KNOWN_FIELDS))
     for kind in DRAWN:
         rows_of_kind = [_saved_drawing(kind, entry) for entry in entries_of(document, kind)]
         out[kind] = rows_of_kind or None
@@ -238,7 +238,7 @@ def changes_of(
 def _saved_marks(document: Mapping[str, Any], kind: str) -> list[dict[str, Any]]:
     entries = entries_of(document, kind)
     keys: dict[str, tuple[str, ...]] = {
-        "points": ("pixel", "place", *SIGMAS),
+        "points": ("pixel", "place", *SIGMA_FIELDS),
         "lengths": ("pixels", "metres", "sigma_m"),
     }
     keys |= {"parallels": ("lines",), "verticals": ("pixels", "metres")}

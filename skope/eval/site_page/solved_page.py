@@ -22,7 +22,7 @@ from skope.eval.site_page.document_values import positions
 from skope.eval.site_page.drawings import Drawing, read_drawings, shapes
 from skope.eval.site_page.error_map import error_map, values
 from skope.eval.site_page.footage_time import read_time
-from skope.eval.site_page.marks import KINDS, Marks, Problem, read_marks
+from skope.eval.site_page.marks import KINDS, Marks, Problem, marks_of_document
 from skope.eval.site_page.overlays import overlays
 from skope.types import Array
 
@@ -63,7 +63,7 @@ class SolvedPage:
 
     def solve(self, document: Mapping[str, Any]) -> tuple[SolvedCamera, Marks]:
         """The camera of a document, and its marks."""
-        marks = read_marks(document, self.size)
+        marks = marks_of_document(document, self.size)
         key = json.dumps([document.get(kind) for kind in (*KINDS, "camera", "known")], sort_keys=True)
         with self._lock:
             if self._last is None or self._last[0] != key:

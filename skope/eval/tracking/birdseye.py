@@ -237,7 +237,7 @@ def _draw_vehicle(axes: "Axes", track: Track, i: int, color: Any) -> None:
     """A vehicle's outline as it stands in its i-th frame, with a wedge towards its front."""
     from matplotlib.patches import Polygon
 
-    outline, wedge = map_signs.corners(track, i, map_signs.OUTLINE), map_signs.corners(track, i, _WEDGE)
+    outline, wedge = map_signs.vehicle_points(track, i, map_signs.OUTLINE), map_signs.vehicle_points(track, i, _WEDGE)
     axes.add_patch(
         Polygon(outline, facecolor=color, edgecolor=map_signs.INK_COLOR, linewidth=1.2, joinstyle="round", zorder=6)
     )

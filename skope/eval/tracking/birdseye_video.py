@@ -46,7 +46,7 @@ class _Map:
             self.background = np.asarray(cv2.resize(pale, (self._width, self._height)), dtype=np.uint8)
         spot = self.at(camera.position[:2]).tolist()
         cv2.circle(self.background, spot, 7, _CAMERA_COLOR, -1, cv2.LINE_AA)
-        write(self.background, "camera", (spot[0] + 12, spot[1] + 5), _CAMERA_COLOR)
+        put_text(self.background, "camera", (spot[0] + 12, spot[1] + 5), _CAMERA_COLOR)
         self._draw_scale()
 
     def at(self, places: Array) -> NDArray[np.int32]:
@@ -72,10 +72,10 @@ class _Map:
         right, low = self._width - 20, self._height - 20
         left = right - round(metres * self._scale)
         cv2.line(self.background, (left, low), (right, low), _INK, 4)
-        write(self.background, f"{metres} m", (left, low - 10))
+        put_text(self.background, f"{metres} m", (left, low - 10))
 
 
-def frames(
+def birdseye_frames(
     tracks: Sequence[Track],
     times_s: Sequence[float],
     camera: Camera,
@@ -100,7 +100,7 @@ def frames(
             _draw(picture, shown, track, i)
         for user, i in shown.present(road_users, frame):
             _draw_dot(picture, shown, user, i)
-        write(picture, f"{time_s:.1f} s", (20, 34), size=0.8)
+        put_text(picture, f"{time_s:.1f} s", (20, 34), size=0.8)
         yield picture
 
 
@@ -109,13 +109,13 @@ def _draw(picture: Pixels, shown: _Map, track: Track, i: int) -> None:
     color = PALETTE[track.number % len(PALETTE)]
     since = int(np.searchsorted(track.times_s, track.times_s[i] - _TRAIL_S))
     cv2.polylines(picture, [shown.at(track.position[since : i + 1, :2])], False, color, 2, cv2.LINE_AA)
-    outline = shown.at(np.array(map_signs.corners(track, i, map_signs.OUTLINE)))
+    outline = shown.at(np.array(map_signs.vehicle_points(track, i, map_signs.OUTLINE)))
     cv2.fillPoly(picture, [outline], color, cv2.LINE_AA)
     cv2.polylines(picture, [outline], True, _INK, 1, cv2.LINE_AA)
-    middle, front = shown.at(np.array(map_signs.corners(track, i, ((0.0, 0.0), (1.0, 0.0)))))
+    middle, front = shown.at(np.array(map_signs.vehicle_points(track, i, ((0.0, 0.0), (1.0, 0.0)))))
     cv2.line(picture, middle.tolist(), front.tolist(), (255, 255, 255), 2, cv2.LINE_AA)
     x, y = outline.max(axis=0)[0], outline.min(axis=0)[1]
-    write(picture, map_signs.label(track, i), (int(x) + 3, int(y) - 3))
+    put_text(picture, map_signs.label(track, i), (int(x) + 3, int(y) - 3))
 
 
 def _draw_dot(picture: Pixels, shown: _Map, track: RoadUserTrack, i: int) -> None:
@@ -126,10 +126,10 @@ def _draw_dot(picture: Pixels, shown: _Map, track: RoadUserTrack, i: int) -> Non
     x, y = shown.at(track.position[i, :2]).tolist()
     cv2.circle(picture, (x, y), 5, color, -1, cv2.LINE_AA)
     cv2.circle(picture, (x, y), 5, _INK, 1, cv2.LINE_AA)
-    write(picture, f"{track.category[0]} {map_signs.label(track, i)}", (x + 7, y - 3))
+    put_text(picture, f"{track.category[0]} {map_signs.label(track, i)}", (x + 7, y - 3))
 
 
-def write(
+def put_text(
     picture: Pixels, text: str, place: tuple[int, int], color: tuple[int, int, int] = _INK, size: float = 0.45
 ) -> None:
     """Write a text with a white edge, moved where it would leave the picture.

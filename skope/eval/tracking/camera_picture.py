@@ -16,7 +16,7 @@ from skope.errors import UserError
 from skope.eval.inference.footage import Cut, open_footage
 from skope.eval.pose.records import corners_of, locate_view
 from skope.eval.pose.views import Scene, View
-from skope.eval.tracking.birdseye_video import write
+from skope.eval.tracking.birdseye_video import put_text
 from skope.eval.tracking.empty_road import footage_of
 from skope.types import Array, Pixels
 
@@ -37,7 +37,7 @@ _EDGES: Final = tuple((a, b) for a, b in itertools.combinations(range(8), 2) if 
 """Corners of a box that an edge joins; their numbers count in ends, sides and heights."""
 
 
-def draw(scene: Scene, folder: Path) -> Pixels | None:
+def draw_camera_picture(scene: Scene, folder: Path) -> Pixels | None:
     """The frame with most vehicles, with what the camera says of it; None where its footage is not said.
 
     Args:
@@ -90,7 +90,7 @@ def _draw_grid(picture: Pixels, camera: Camera) -> None:
         pixel, _, valid = camera.project((foot + ahead * k * step)[None])
         if valid[0] and camera.inside(pixel)[0] and pixel[0, 1] < below - _LETTERS_PX:
             below = float(pixel[0, 1])
-            write(picture, f"{k * step} m", (round(float(pixel[0, 0])) + 4, round(float(pixel[0, 1])) - 3))
+            put_text(picture, f"{k * step} m", (round(float(pixel[0, 0])) + 4, round(float(pixel[0, 1])) - 3))
     turn = np.linspace(-math.pi / 2, math.pi / 2, 181)[:, None]
     far = foot + 1e6 * (np.cos(turn) * ahead + np.sin(turn) * left) + [0.0, 0.0, float(camera.position[2])]
     _draw_line(picture, camera, far, _HORIZON, 2)

@@ -26,10 +26,10 @@ def encloses(track: OpenTrack, place: Array, covariance: Array) -> bool:
         covariance: (2, 2) of the place, square metres; that of the track's own place is added.
     """
     mean, spread = track.state
-    return inside(track.last_pose, place - mean[:2], covariance + spread[:2, :2])
+    return inside_vehicle(track.last_pose, place - mean[:2], covariance + spread[:2, :2])
 
 
-def inside(vehicle: PoseMeasurement, away: Array, covariance: Array) -> bool:
+def inside_vehicle(vehicle: PoseMeasurement, away: Array, covariance: Array) -> bool:
     """Whether a place is inside a vehicle, give or take a standard deviation.
 
     Far away a standard deviation is more than the way to the next vehicle in a queue or a car park: at most half a

@@ -25,7 +25,7 @@ _SHORTEST_S: Final = 0.4
 """A road user that is seen in fewer boxes, or for less time (seconds), does not count."""
 _TOGETHER_SHARE: Final = 0.5
 """Two tracks are one road user's where their boxes are in the median, over so much of the shorter track."""
-Rows = list[tuple[float, ...]]
+MotRows = list[tuple[float, ...]]
 
 
 def read_image_trajectories(folder: Path) -> tuple[list[Trajectory], Observation]:
@@ -39,7 +39,7 @@ def read_image_trajectories(folder: Path) -> tuple[list[Trajectory], Observation
     file = coco.read(folder / FRAMES)
     until_s = min((float(change["time_s"]) for change in file.info.get(CHANGES, ())), default=np.inf)
     times = {image.id: image.time_s for image in file.images}
-    rows: dict[tuple[int, int], Rows] = defaultdict(list)
+    rows: dict[tuple[int, int], MotRows] = defaultdict(list)
     results = read_all_results(folder / PREDICTIONS, file)
     for result in results:
         time_s = times[result.image_id]

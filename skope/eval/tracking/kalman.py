@@ -78,7 +78,7 @@ def motion(dt: float) -> tuple[Array, Array]:
     return np.asarray(np.kron(F1, both)), np.asarray(np.kron(Q1, both), dtype=np.float64)
 
 
-def predicted(state: State, F: Array, Q: Array) -> State:
+def predicted_state(state: State, F: Array, Q: Array) -> State:
     """A state after one step of `motion`, before anything is measured.
 
     Args:
@@ -93,7 +93,7 @@ def predicted(state: State, F: Array, Q: Array) -> State:
 def before(state: State, dt: float) -> State:
     """The state `dt` seconds earlier: the model is the same for who drives backwards in time."""
     back = np.diag([1.0, 1.0, -1.0, -1.0, 1.0, 1.0])
-    mean, spread = predicted((back @ state[0], back @ state[1] @ back), *motion(dt))
+    mean, spread = predicted_state((back @ state[0], back @ state[1] @ back), *motion(dt))
     return back @ mean, back @ spread @ back
 
 

@@ -35,7 +35,7 @@ def unit_m(axes: "Axes") -> float:
     return float(np.diff(axes.get_xlim())[0]) / 100
 
 
-def corners(track: Track, i: int, shape: Sequence[tuple[float, float]]) -> list[Array]:
+def vehicle_points(track: Track, i: int, shape: Sequence[tuple[float, float]]) -> list[Array]:
     """Places of points on a vehicle.
 
     Args:
@@ -106,7 +106,7 @@ def draw_labels(
         taken: Boxes that are not free, pixels of the figure.
     """
     # Window coordinates of matplotlib: pixels from the bottom left.
-    drawn = [corners(track, present[track.number], OUTLINE) for track in tracks if track.number in present]
+    drawn = [vehicle_points(track, present[track.number], OUTLINE) for track in tracks if track.number in present]
     taken = [*taken, *(_box_around(axes.transData.transform(outline)) for outline in drawn)]
     ways = axes.transData.transform(np.concatenate([track.position[:, :2] for track in tracks] or [np.zeros((0, 2))]))
     inside = axes.get_window_extent()

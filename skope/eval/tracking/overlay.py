@@ -10,7 +10,7 @@ import numpy as np
 from skope.errors import UserError
 from skope.eval.inference.footage import open_footage
 from skope.eval.tracking import map_signs
-from skope.eval.tracking.birdseye_video import write
+from skope.eval.tracking.birdseye_video import put_text
 from skope.eval.tracking.empty_road import footage_of
 from skope.eval.tracking.road_user_tracks import RoadUserTrack
 from skope.eval.tracking.tracks import Track
@@ -24,7 +24,7 @@ _THICK: Final = 2
 """Lines of boxes, pixels."""
 
 
-def frames(
+def overlay_frames(
     tracks: Sequence[Track], folder: Path, file: AnnotationFile, road_users: Sequence[RoadUserTrack] = ()
 ) -> Iterator[Pixels]:
     """The frames (H, W, 3) that were tracked, with the vehicles and other road users that are seen in them.
@@ -50,10 +50,10 @@ def frames(
     for image, pixels in open_footage(str(source)).frames():
         frame = place.get(-1 if image.frame_index is None else image.frame_index)
         if frame is not None:
-            yield drawn(pixels, present.get(frame, []))
+            yield with_tracks_drawn(pixels, present.get(frame, []))
 
 
-def drawn(pixels: Pixels, present: Sequence[tuple[Track | RoadUserTrack, int]]) -> Pixels:
+def with_tracks_drawn(pixels: Pixels, present: Sequence[tuple[Track | RoadUserTrack, int]]) -> Pixels:
     """A copy of a frame (H, W, 3) with the tracks that are seen in it, each with its row there."""
     picture = pixels.copy()
     for track, i in present:
@@ -65,5 +65,5 @@ def drawn(pixels: Pixels, present: Sequence[tuple[Track | RoadUserTrack, int]]) 
             continue
         number, _, speed = map_signs.label(track, i).partition("  ")
         kind = track.category if isinstance(track, RoadUserTrack) else track.vehicle_class
-        write(picture, "  ".join(filter(None, (f"{number} {kind}", speed))), (round(x), round(y) - 5))
+        put_text(picture, "  ".join(filter(None, (f"{number} {kind}", speed))), (round(x), round(y) - 5))
     return picture

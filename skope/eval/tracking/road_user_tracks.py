@@ -191,7 +191,7 @@ def follow_road_users(
         ended += [track for track in live if time_s - track.last_s > _LOST_S]
         live = [track for track in live if time_s - track.last_s <= _LOST_S]
         for track in live:
-            ahead = kalman.predicted(track.state, F, Q)
+            ahead = kalman.predicted_state(track.state, F, Q)
             track.steps.append(_Step(frame, time_s, F, ahead, ahead))
         for known, sight in _pairs(live, sights, owners):
             if known is not None:

@@ -60,7 +60,7 @@ class TrackJob:
     """Whether the footage is written too, with the tracks in it."""
 
 
-def run(job: TrackJob, console: Console) -> Iterator[str]:
+def follow_footage(job: TrackJob, console: Console) -> Iterator[str]:
     """Follow the vehicles and write their tracks under `job.out`; yields lines that say what was written and found."""
     scene = job.scene
     begins = begins_of(scene, job.begins)
@@ -89,13 +89,13 @@ def run(job: TrackJob, console: Console) -> Iterator[str]:
     written += _write_road_users(job, road_users, index)
     if job.video:
         with replacing(job.out / "birdseye.mp4") as temporary:
-            above = birdseye_video.frames(tracks, times, camera, scene.ground, road, road_users)
+            above = birdseye_video.birdseye_frames(tracks, times, camera, scene.ground, road, road_users)
             write_video(temporary, above, 1 / float(np.median(np.diff(times))))
         written.append("birdseye.mp4")
     if job.overlay:
         with replacing(job.out / "overlay.mp4") as temporary:
             drawn = console.bar(
-                overlay.frames(tracks, job.place, scene.file, road_users),
+                overlay.overlay_frames(tracks, job.place, scene.file, road_users),
                 total=len(times),
                 unit="image",
                 label="overlay",

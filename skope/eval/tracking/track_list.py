@@ -73,7 +73,7 @@ class Tracks(list[Track]):
         """A copy of a frame, (H, W, 3) RGB, with box, number, class and speed of everybody who is seen in it."""
         everybody: list[Track | RoadUserTrack] = [*self, *self.road_users]
         rows = ((track, _row(track, frame)) for track in everybody)
-        return overlay.drawn(image, [(track, i) for track, i in rows if i is not None and track.seen[i]])
+        return overlay.with_tracks_drawn(image, [(track, i) for track, i in rows if i is not None and track.seen[i]])
 
     def to_csv(self, path: str | Path) -> None:
         """Write the vehicles' tracks as `skope eval track` does: a row for each frame of each track.

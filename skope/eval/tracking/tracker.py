@@ -25,7 +25,7 @@ from scipy.optimize import linear_sum_assignment
 from skope import boxes as box_math
 from skope.eval.least_cost_pairs import cheapest_pairs
 from skope.eval.tracking import kalman
-from skope.eval.tracking.duplicate_tracks import encloses, give_up_duplicates, inside
+from skope.eval.tracking.duplicate_tracks import encloses, give_up_duplicates, inside_vehicle
 from skope.eval.tracking.image_motion import whereabouts
 from skope.eval.tracking.kalman import GATE
 from skope.eval.tracking.measurements import Detection, PoseMeasurement
@@ -205,7 +205,9 @@ def _without_duplicates(live: Sequence[OpenTrack], new: list[Posed]) -> list[Pos
         unseen = [track for track in around if track.unseen and _can_be(track, detection)]
         if unseen:
             _take_by_box(unseen[0], detection)
-        elif not around and not any(inside(other, pose.place - other.place, pose.covariance) for _, other in out):
+        elif not around and not any(
+            inside_vehicle(other, pose.place - other.place, pose.covariance) for _, other in out
+        ):
             out.append((detection, pose))
     return out
 

@@ -184,7 +184,7 @@ class OpenTrack:
             F: (6, 6) transition, of `kalman.motion`.
             Q: (6, 6) covariance of what is added in the step.
         """
-        ahead = kalman.predicted(self.state, F, Q)
+        ahead = kalman.predicted_state(self.state, F, Q)
         self.steps.append(TrackStep(frame, time_s, F, ahead, ahead))
 
     def update(self, detection: Detection, pose: PoseMeasurement) -> None:

@@ -35,7 +35,7 @@ def read_results_folder(folder: Path, console: Console) -> Collection:
 
 
 def _evaluation(folder: Path, console: Console) -> Collection:
-    run = compare.read(folder)
+    run = compare.read_run(folder)
     path = folder / compare.METRICS
     inputs = _inputs(path, run.metrics)
     if not isinstance(run.metrics["splits"], dict) or not isinstance(run.tallies, dict):
@@ -133,4 +133,4 @@ def _evaluated(path: Path, tallies: Mapping[str, Mapping[str, Any]], file: Annot
 
 
 def _results(path: Path, file: AnnotationFile, scheme: str) -> Sequence[Result]:
-    return read_inputs.read_results(path, file, scheme)
+    return read_inputs.read_vehicle_results(path, file, scheme)

@@ -108,6 +108,6 @@ def _build(kind: str, shape: tuple[tuple[str, float], ...]) -> Bystander:
     return Bystander(kind, look, tuple(figures[kind][0](look)))
 
 
-def build(kind: str, shape: Mapping[str, float]) -> Bystander:
+def build_bystander(kind: str, shape: Mapping[str, float]) -> Bystander:
     """The bystander of a kind with a look's numbers (see `Look`); equal ones are built once."""
     return _build(kind, tuple(sorted(shape.items())))

@@ -5,7 +5,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from skope.gen.bystanders.people import HIP, STRIDE, Look, turned
+from skope.gen.bystanders.people import HIP, STRIDE, Look, turn_about
 from skope.gen.bystanders.shapes import ball, limb
 from skope.gen.mesh import Mesh, box, merged
 from skope.types import Array
@@ -67,9 +67,9 @@ def stepping(look: Look, travelled: float, speed: float) -> Array:
     h, g = look.height, look.girth
     thighs, shins = [], []
     for side, (angle, knee) in zip((-1, 1), leg_angles(look, travelled, speed), strict=True):
-        T = turned(angle, (0.0, side * 0.05 * h * g, HIP * h))
+        T = turn_about(angle, (0.0, side * 0.05 * h * g, HIP * h))
         thighs.append(T)
-        shins.append(T @ turned(-knee, (0.0, 0.0, -THIGH * h)))
+        shins.append(T @ turn_about(-knee, (0.0, 0.0, -THIGH * h)))
     return np.stack([*thighs, *shins])
 
 

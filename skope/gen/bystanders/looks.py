@@ -25,7 +25,7 @@ _LEAST_RIDER_M: Final = {"cyclist": 1.25, "motorcyclist": 1.55}
 """Height of the smallest rider, metres."""
 
 
-def drawn(kind: str, rng: np.random.Generator, *, raining: bool = False) -> Look:
+def draw_look(kind: str, rng: np.random.Generator, *, raining: bool = False) -> Look:
     """Draw a jointed body of a kind of `skope.gen.bystanders.bystander.BYSTANDER_KINDS`."""
     look = replace(Look.drawn(rng), bag=0.0, palette=float(rng.integers(2**40)), jointed=1.0)
     shares = dict(_LOAD_SHARES[kind])

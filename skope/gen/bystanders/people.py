@@ -136,7 +136,7 @@ def leg(look: Look) -> Mesh:
     return merged([limb([(0, 0, 0.02 * h), knee, ankle], (0.05 * h * g, 0.036 * h * g, 0.026 * h * g), bottom), foot])
 
 
-def turned(angle: float, at: tuple[float, float, float]) -> Array:
+def turn_about(angle: float, at: tuple[float, float, float]) -> Array:
     """(4, 4) a turn about y, forward for what hangs, at a point."""
     c, s = np.cos(angle), np.sin(angle)
     return np.array([[c, 0, -s, at[0]], [0, 1, 0, at[1]], [s, 0, c, at[2]], [0, 0, 0, 1.0]])
@@ -149,10 +149,10 @@ def strides(look: Look, travelled: float) -> Array:
     shoulder, hip = 0.102 * h * g, 0.05 * h * g
     return np.stack(
         [
-            turned(-0.4 * swing, (0.0, -shoulder - 0.012 * h, SHOULDER_HEIGHT * h)),
-            turned(0.4 * swing, (0.0, shoulder + 0.012 * h, SHOULDER_HEIGHT * h)),
-            turned(0.38 * swing, (0.0, -hip, HIP * h)),
-            turned(-0.38 * swing, (0.0, hip, HIP * h)),
+            turn_about(-0.4 * swing, (0.0, -shoulder - 0.012 * h, SHOULDER_HEIGHT * h)),
+            turn_about(0.4 * swing, (0.0, shoulder + 0.012 * h, SHOULDER_HEIGHT * h)),
+            turn_about(0.38 * swing, (0.0, -hip, HIP * h)),
+            turn_about(-0.38 * swing, (0.0, hip, HIP * h)),
         ]
     )
 

@@ -5,7 +5,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from skope.gen.bystanders.people import Look, head, turned
+from skope.gen.bystanders.people import Look, head, turn_about
 from skope.gen.bystanders.shapes import NOTHING, ball, limb, trunk
 from skope.gen.mesh import Mesh, box, grid, lathe, merged, tube
 from skope.types import Array
@@ -113,10 +113,10 @@ def pedalled(look: Look, travelled: float) -> Array:
     swing = 0.24 * float(np.sin(turn / _GEAR))
     return np.stack(
         [
-            turned(-turn, (front, 0.0, _BIKE_WHEEL)),
-            turned(-turn, (rear, 0.0, _BIKE_WHEEL)),
-            turned(swing, (-0.20, -0.09, 0.98)),
-            turned(-swing, (-0.20, 0.09, 0.98)),
+            turn_about(-turn, (front, 0.0, _BIKE_WHEEL)),
+            turn_about(-turn, (rear, 0.0, _BIKE_WHEEL)),
+            turn_about(swing, (-0.20, -0.09, 0.98)),
+            turn_about(-swing, (-0.20, 0.09, 0.98)),
         ]
     )
 
@@ -182,5 +182,5 @@ def rolled(look: Look, travelled: float) -> Array:
     """Poses of a motorcycle's wheels."""
     front, rear = MOTOR_AXLES
     turn = travelled / MOTOR_WHEEL
-    at = [turned(-turn, (x, 0.0, MOTOR_WHEEL)) for x in (front, rear)]
+    at = [turn_about(-turn, (x, 0.0, MOTOR_WHEEL)) for x in (front, rear)]
     return np.stack([*at, np.eye(4), np.eye(4)])

@@ -8,7 +8,7 @@ import numpy as np
 from skope.gen.bystanders import luggage
 from skope.gen.bystanders.joints import SOLE, leg_to, shin, thigh
 from skope.gen.bystanders.luggage import load_of
-from skope.gen.bystanders.people import Look, turned
+from skope.gen.bystanders.people import Look, turn_about
 from skope.gen.bystanders.riders import (
     MOTOR_AXLES,
     MOTOR_WHEEL,
@@ -147,14 +147,14 @@ def pedalling(look: Look, travelled: float, speed: float) -> Array:
     scale, usual = look.height / _USUAL, replace(look, height=_USUAL)
     turn = travelled / (_WHEEL * scale)
     angle = -turn / _GEAR
-    wheels = [turned(-turn, (x, 0.0, _WHEEL)) for x in (_FRONT_WHEEL, _REAR)]
+    wheels = [turn_about(-turn, (x, 0.0, _WHEEL)) for x in (_FRONT_WHEEL, _REAR)]
     ankles = []
     for side, phase in ((-1, angle), (1, angle + np.pi)):
         pedal = _CRANK + _CRANK_LENGTH * np.array([np.sin(phase), 0.0, -np.cos(phase)])
         ankles.append(pedal + [-0.03, side * 0.115, SOLE * _USUAL + 0.01])
     ankles[1] = _foot_down(ankles[1], np.array([-0.02, 0.30, SOLE * _USUAL]), speed)
     thighs, shins = _legs(usual, _HIP, 0.08, ankles)
-    T = np.stack([*wheels, *thighs, *shins, turned(angle, (_CRANK[0], _CRANK[1], _CRANK[2]))])
+    T = np.stack([*wheels, *thighs, *shins, turn_about(angle, (_CRANK[0], _CRANK[1], _CRANK[2]))])
     T[:, :3, 3] *= scale
     return T
 
@@ -267,7 +267,7 @@ def riding(look: Look, travelled: float, speed: float) -> Array:
     """(6, 4, 4) poses of a motorcycle's wheels and its rider's legs."""
     machine = int(look.machine)
     radius, axles = (_SCOOTER_WHEEL, _SCOOTER_AXLES) if machine == _SCOOTER else (MOTOR_WHEEL, MOTOR_AXLES)
-    wheels = [turned(-travelled / radius, (x, 0.0, radius)) for x in axles]
+    wheels = [turn_about(-travelled / radius, (x, 0.0, radius)) for x in axles]
     sole, (x, y, z) = SOLE * look.height, _PEGS[machine]
     ankles = [np.array([x, side * y, z + sole]) for side in (-1, 1)]
     ankles[1] = _foot_down(ankles[1], np.array([-0.04, 0.36, sole]), speed)

@@ -7,11 +7,11 @@ from numpy.typing import ArrayLike
 
 from skope.gen.mesh import Mesh, flat, grid
 
-Section = tuple[tuple[float, float, float], float, float]
+CrossSection = tuple[tuple[float, float, float], float, float]
 """Centre, and half the depth (x) and width (y) of an ellipse, metres."""
 
 
-def trunk(sections: Sequence[Section], material: str, sides: int = 10) -> Mesh:
+def trunk(sections: Sequence[CrossSection], material: str, sides: int = 10) -> Mesh:
     """A closed upright body through level elliptic sections, from the lowest to the highest."""
     (low, *_), (high, *_) = sections[0], sections[-1]
     angle = np.linspace(0, 2 * np.pi, sides + 1)

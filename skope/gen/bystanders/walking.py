@@ -7,7 +7,7 @@ import numpy as np
 from skope.gen.bystanders import luggage
 from skope.gen.bystanders.joints import leg_angles, shin, stepping, thigh
 from skope.gen.bystanders.luggage import load_of
-from skope.gen.bystanders.people import SHOULDER_HEIGHT, Look, arm, head, torso, turned
+from skope.gen.bystanders.people import SHOULDER_HEIGHT, Look, arm, head, torso, turn_about
 from skope.gen.bystanders.shapes import ball, trunk
 from skope.gen.mesh import Mesh, merged
 from skope.types import Array
@@ -66,5 +66,5 @@ def walked(look: Look, travelled: float, speed: float) -> Array:
     legs = [angle for angle, _ in leg_angles(look, travelled, speed)]
     shoulder, arms = 0.102 * h * g + 0.012 * h, []
     for side, angle, leg in zip((-1, 1), held, reversed(legs), strict=True):
-        arms.append(turned(0.85 * leg if angle is None else angle, (0.0, side * shoulder, SHOULDER_HEIGHT * h)))
+        arms.append(turn_about(0.85 * leg if angle is None else angle, (0.0, side * shoulder, SHOULDER_HEIGHT * h)))
     return np.concatenate([np.stack(arms), stepping(look, travelled, speed)])

@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from skope.errors import UserError
-from skope.terminal.command_options import DIR, FILE, LIST, option
+from skope.terminal.command_options import DIR, FILE_METAVAR, LIST, option
 from skope.terminal.console import Console
 
 _WRITTEN = ("folder", "shards", "coco", "cvat", "kitti", "mot", "skope3d", "yolo")
@@ -23,7 +23,7 @@ def convert(
     ] = None,
     map_file: Annotated[
         Path | None,
-        option("--map", metavar=FILE, help="JSON: what the keypoints of --from skope3d are in scheme skope33."),
+        option("--map", metavar=FILE_METAVAR, help="JSON: what the keypoints of --from skope3d are in scheme skope33."),
     ] = None,
     images: Annotated[
         Path | None,
@@ -39,7 +39,7 @@ def convert(
 ) -> None:
     """Write a dataset in another format, or make one of files of another format (see docs/formats.md)."""
     from skope.gen.formats.convert import ConversionOptions
-    from skope.gen.formats.convert import convert as write
+    from skope.gen.formats.convert import convert_dataset as write
 
     *sources, out = paths
     if not sources:

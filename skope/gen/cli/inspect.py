@@ -88,12 +88,12 @@ def stats(
 ) -> None:
     """Say what a dataset holds: vehicles, distances, sizes, occlusion, visible keypoints and types, split by split."""
     from skope.dataset.folder import open_dataset
-    from skope.gen.inspect.stats import plot, split_stats, table
+    from skope.gen.inspect.stats import plot, split_stats, stats_table
 
     folder, drawn = open_dataset(dataset), None
     splits = {split: split_stats(folder, folder.read(split)) for split in folder.splits}
     if not json:
-        for line in table(splits):
+        for line in stats_table(splits):
             console.result(line)
     if plots:
         with _look(folder, "stats", plots, flag="--plots") as temporary:
@@ -155,12 +155,12 @@ def report(
 ) -> None:
     """One page to look at a dataset: its card, numbers and plots, and images with layers to switch and to filter by."""
     from skope.dataset.folder import open_dataset
-    from skope.gen.inspect.report import write_report
+    from skope.gen.inspect.report import write_dataset_report
 
     folder = open_dataset(dataset)
     out = out or _named(GALLERIES, dataset)
     with _look(folder, "report", out) as drawn:
-        page = write_report(folder, max_images, drawn / "index.html", console)
+        page = write_dataset_report(folder, max_images, drawn / "index.html", console)
     console.result(f"wrote {out / page.name}")
 
 

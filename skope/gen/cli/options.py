@@ -221,9 +221,9 @@ def _models(text: str | None) -> list[str]:
 def _digest(model: str) -> str:
     """A mark that tells a model of the user from another one of its name; nothing for a model of the fleet."""
     from skope.gen.vehicles.fleet import fleet
-    from skope.gen.vehicles.user_models import load
+    from skope.gen.vehicles.user_models import load_model
 
-    return "" if model in fleet() else load(model).digest
+    return "" if model in fleet() else load_model(model).digest
 
 
 @dataclass(frozen=True, kw_only=True)

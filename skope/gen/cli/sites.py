@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from skope.files.output_folders import replaceable_output
-from skope.terminal.command_options import DIR, FILE, SITE_PLANS, JsonOption, option
+from skope.terminal.command_options import DIR, FILE_METAVAR, SITE_PLANS, JsonOption, option
 from skope.terminal.console import Console
 from skope.terminal.text_table import text_table
 
@@ -14,7 +14,7 @@ def sites(
     maps: Annotated[bool, option("--maps", help="Draw every town's plan to a PNG file.")] = False,
     site: Annotated[
         Path | None,
-        option(metavar=FILE, help="Check a site file, and draw its lanes over its photograph to a PNG file."),
+        option(metavar=FILE_METAVAR, help="Check a site file, and draw its lanes over its photograph to a PNG file."),
     ] = None,
     out: Annotated[
         Path | None,
@@ -84,19 +84,19 @@ def _plans(out: Path, console: Console) -> tuple[dict[str, Any], list[str]]:
 
 def _own_road(path: Path, out: Path | None) -> tuple[dict[str, Any], list[str]]:
     """Check a site file and draw its lanes; what it says, as a document and as lines."""
-    from skope.gen.site_files.generation_site import read_site
-    from skope.gen.site_files.lane_overlay import overlay
+    from skope.gen.site_files.generation_site import read_generation_site
+    from skope.gen.site_files.lane_overlay import draw_lanes
     from skope.gen.towns.road_graph import RoadGraph
     from skope.pictures import draw
 
-    own = read_site(path)
+    own = read_generation_site(path)
     road, graph = own.road, RoadGraph.of(own.site.town)
     camera = road.camera
     height = float(camera.position[2] - graph.road_level(camera.position[:2]))
     out = out or SITE_PLANS / road.title
     picture = out / f"{road.title}.png"
     with replaceable_output(out, "skope gen sites --site", path) as drawn:
-        draw.write(drawn / picture.name, overlay(road))
+        draw.write(drawn / picture.name, draw_lanes(road))
     traffic = "left" if graph.mirrored else "right"
     told = {
         "site": road.title,

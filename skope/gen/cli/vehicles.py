@@ -94,7 +94,7 @@ def show(
     engine, driver, why = choose_renderer(renderer)
     console.say(why)
     models = {model: _loaded(model) for model in _names(name)}
-    files = [user_models.folder() / model / "vehicle.json" for model in user_models.names()]
+    files = [user_models.models_folder() / model / "vehicle.json" for model in user_models.model_names()]
     with replaceable_output(
         out, "skope gen vehicles show", "the fleet", inputs=files, options={"renderer": driver}
     ) as drawn:
@@ -132,7 +132,7 @@ def add(
     from skope.gen.inspect.vehicle_checks import findings
     from skope.gen.vehicles.fleet import fleet
     from skope.gen.vehicles.marked_models import read_marked
-    from skope.gen.vehicles.user_models import check_mass, save, vehicle_of
+    from skope.gen.vehicles.user_models import check_mass, save_model, vehicle_of_model
     from skope.schema import VEHICLE_TYPES
 
     called = model.stem if name is None else name
@@ -145,14 +145,14 @@ def add(
         check_mass("--mass", mass)
     one_of("--type", vehicle_type, VEHICLE_TYPES)
     marked = read_marked(model, wheels=_corners(wheels), up=up, forward=forward, scale=scale)
-    vehicle = vehicle_of(marked, called, vehicle_type, mass)
+    vehicle = vehicle_of_model(marked, called, vehicle_type, mass)
     found = list(findings(vehicle))
     for finding in found:
         console.result(f"{'note' if finding.harmless else 'error'}: {finding}")
     if any(not finding.harmless for finding in found):
         raise UserError(f"{model}: not added; mend the errors above")
     length, width, height = vehicle.size_lwh
-    path = save(vehicle)
+    path = save_model(vehicle)
     console.result(
         f"wrote {path}: {length:.2f} x {width:.2f} x {height:.2f} m; next: skope gen vehicles show {called}, "
         f"skope gen --vehicles {called}"
@@ -170,7 +170,7 @@ def remove(
 
     if model in fleet():
         raise UserError(f"{model}: is a model of the fleet, which stays; only models that were added can be removed")
-    console.result(f"removed {user_models.remove(model)}")
+    console.result(f"removed {user_models.remove_model(model)}")
 
 
 def _corners(text: str | None) -> dict[str, str] | None:
@@ -187,17 +187,17 @@ def _names(name: str | None = None) -> tuple[str, ...]:
     """All models of the fleet and those that were added, or the one of that name."""
     from skope.errors import one_of
     from skope.gen.vehicles.fleet import fleet
-    from skope.gen.vehicles.user_models import names
+    from skope.gen.vehicles.user_models import model_names
 
-    everything = tuple(dict.fromkeys((*fleet(), *names())))
+    everything = tuple(dict.fromkeys((*fleet(), *model_names())))
     return everything if name is None else (one_of("model", name, everything),)
 
 
 def _loaded(model: str) -> "Vehicle":
     from skope.gen.vehicles.fleet import fleet
-    from skope.gen.vehicles.user_models import load
+    from skope.gen.vehicles.user_models import load_model
 
-    return fleet()[model].vehicle if model in fleet() else load(model)
+    return fleet()[model].vehicle if model in fleet() else load_model(model)
 
 
 def _readable(models: tuple[str, ...]) -> tuple[dict[str, "Vehicle"], list[str]]:

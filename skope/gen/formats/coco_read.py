@@ -13,7 +13,7 @@ from skope.errors import UserError
 from skope.gen.formats.coco_images import ImageImporter
 from skope.gen.formats.coco_road_users import others_of, road_user_of
 from skope.gen.formats.coco_sources import AnnotationSource, annotation_sources, open_source
-from skope.gen.formats.coco_vehicles import Label, labels_of, vehicle_of
+from skope.gen.formats.coco_vehicles import Label, labels_of, vehicle_of_row
 from skope.gen.formats.dataset_builder import finish_dataset, labelled_frame
 from skope.gen.formats.remarks import Remarks
 from skope.gen.formats.source_files import Files, InFolder
@@ -112,7 +112,7 @@ def _add(
                 name = called.get(row["category_id"], "no category")
                 importer.remarks.add("annotation", f"of {name} left out, without a keypoint of ours", where)
                 continue
-            vehicle = vehicle_of(where, row, label, image, importer.remarks, ours=file.ours)
+            vehicle = vehicle_of_row(where, row, label, image, importer.remarks, ours=file.ours)
             if vehicle is not None:
                 vehicles.append(vehicle)
         frame = labelled_frame(file.split, image.record, vehicles, image.contents, road_users=road_users)

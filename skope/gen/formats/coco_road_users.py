@@ -9,7 +9,7 @@ from skope import schema
 from skope.dataset import coco
 from skope.gen.formats.coco_images import ImportedImage, telling
 from skope.gen.formats.coco_sources import AnnotationSource
-from skope.gen.formats.coco_vehicles import PLAIN, attributes_of, bare, box_of, cut_to
+from skope.gen.formats.coco_vehicles import PLAIN, attributes_of, bare, box_of_row, cut_to
 from skope.gen.formats.remarks import Remarks
 from skope.keypoints import K
 from skope.schema import RoadUser
@@ -52,7 +52,7 @@ def road_user_of(
         told = {name: value for name, value in attributes_of(row).items() if name in ("track_id", "ignore_reason")}
         if told.get("ignore_reason"):
             told["iscrowd"] = 1
-        fields = {**(row if ours else fields), **told, "bbox": box_of(row.get("bbox"), np.zeros((K, 3)), image)}
+        fields = {**(row if ours else fields), **told, "bbox": box_of_row(row.get("bbox"), np.zeros((K, 3)), image)}
         fields |= {"category_id": schema.CATEGORIES.index(category) + 1, "id": 0}  # ids are given anew
         user = cut_to(image, coco.road_user_from_dict(fields))
     if user is None:

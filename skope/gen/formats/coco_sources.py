@@ -140,7 +140,7 @@ def _licence(files: Files, document: Mapping[str, Any], *, alone: bool) -> str:
     found = first(files, names)
     data = found.read_bytes() if isinstance(found, Path) else found
     beside = licences.in_text(data.decode(errors="replace")) if data else licences.NOT_STATED
-    return licences.together([beside, *licences.in_coco(document)])
+    return licences.joint_licence([beside, *licences.in_coco(document)])
 
 
 def _parsed(where: str, content: Path | bytes | None) -> Mapping[str, Any]:

@@ -100,7 +100,7 @@ def bare(name: object) -> str:
     return re.sub(r"[\s-]+", "_", str(name).strip().lower())
 
 
-def vehicle_of(
+def vehicle_of_row(
     where: str, row: Mapping[str, Any], label: Label, image: ImportedImage, remarks: Remarks, *, ours: bool
 ) -> Annotation | None:
     """A vehicle of an image, its box cut to it.
@@ -125,7 +125,7 @@ def vehicle_of(
             points[:, :2] = image.turned.shown_points(points[:, :2])
         inside = ((points[:, :2] >= 0) & (points[:, :2] < size)).all(axis=1)
         points[~inside | (points[:, 2] <= 0)] = 0
-        box = box_of(row.get("bbox"), points, image)
+        box = box_of_row(row.get("bbox"), points, image)
         fields = {name: row[name] for name in PLAIN if row.get(name) is not None}
         told = attributes_of(row)
         if told.get("ignore_reason"):
@@ -152,7 +152,7 @@ def cut_to(image: ImportedImage, label: L) -> L | None:
     return label
 
 
-def box_of(stated: Any, points: Array, image: ImportedImage) -> Any:
+def box_of_row(stated: Any, points: Array, image: ImportedImage) -> Any:
     """The box that a record states, in the picture as shown; without one the extent of its labelled keypoints."""
     if not stated or not any(stated):
         known = points[points[:, 2] > 0, :2]

@@ -56,7 +56,7 @@ WRITERS: Final = (*DATASET_FORMATS, *_WRITE, _YOLO)
 READERS: Final = ("coco", "cvat", "skope3d")
 
 
-def convert(
+def convert_dataset(
     sources: Sequence[Path],
     out: Path,
     *,

@@ -36,4 +36,4 @@ def convert(dataset: Dataset, form: str, out: Path, console: Console) -> None:
     writer.finish()
     parameters = replace(plan.parameters, format=form)
     content = {**dataset.card, "format": form, "parameters": parameters.to_dict()}
-    dataset_card.write(out, {**content, "command": dataset_card.command(parameters)})
+    dataset_card.write_card(out, {**content, "command": dataset_card.command(parameters)})

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from skope import keypoints
 from skope.camera.model import Camera
@@ -28,11 +27,10 @@ from skope.gen.inspect.check_boxes import (
     wrapped,
 )
 from skope.gen.labels.annotate import POINT_TOLERANCE, SLOPE_CAP
-from skope.gen.output.frames import IMAGE_SUFFIXES
+from skope.gen.output.frames import SUFFIX_OF_FORMAT
 from skope.gen.output.writers import rows_of
 from skope.schema import Annotation, AnnotationFile, Image, RoadUser, far_outside
-
-Array = NDArray[np.floating[Any]]
+from skope.types import AnyFloats
 
 REPROJECTION_PX = 0.1
 OUTSIDE_M = 0.35
@@ -191,7 +189,7 @@ def _check_takes(dataset: Dataset, made: Container[tuple[str | None, str | None,
 
 def _image_of_depth(name: str, sums: Mapping[str, str]) -> str | None:
     stem = name.removeprefix("depth/").removesuffix(".png")
-    return next((image for suffix in IMAGE_SUFFIXES.values() if (image := f"images/{stem}{suffix}") in sums), None)
+    return next((image for suffix in SUFFIX_OF_FORMAT.values() if (image := f"images/{stem}{suffix}") in sums), None)
 
 
 def _check_totals(dataset: Dataset, name: str, split: str) -> Iterator[Finding]:
@@ -234,7 +232,7 @@ def _check_motion(name: str, file: AnnotationFile) -> Iterator[Finding]:
                 )
 
 
-def _measured_place(annotation: Annotation | RoadUser) -> tuple[Array, float]:
+def _measured_place(annotation: Annotation | RoadUser) -> tuple[AnyFloats, float]:
     """A place (3,) on a road user that moves with its velocity, and how far at most it is from where that is measured.
 
     The box around both parts of an articulated vehicle grows and shrinks while it bends: its front axle is taken.
@@ -317,7 +315,7 @@ def _check_projection(camera: Camera, annotation: Annotation) -> Iterator[str]:
         yield f"keypoints: {keypoints.NAMES[k]} projects into the image but has v = 0"
 
 
-def _gaps(depth: Array, camera: Camera, points: Array) -> Array:
+def _gaps(depth: AnyFloats, camera: Camera, points: AnyFloats) -> AnyFloats:
     """Distances of points (..., 3) behind what the 3 x 3 pixels around them show (9, ...), metres; NaN outside."""
     pixels, _, valid = camera.project(points)
     seen = valid & camera.inside(pixels)
@@ -333,7 +331,7 @@ def _gaps(depth: Array, camera: Camera, points: Array) -> Array:
     return np.stack(out)
 
 
-def _tested_places(annotation: Annotation) -> Array:
+def _tested_places(annotation: Annotation) -> AnyFloats:
     """(C, 33, 3) places where each point's visibility may have been tested.
 
     A wheel is tested at the middle of its outer face, which the annotation does not hold: half a wheel's width out
@@ -356,7 +354,7 @@ def _tested_places(annotation: Annotation) -> Array:
     return np.stack(places)
 
 
-def _check_visibility(depth: Array, camera: Camera, annotation: Annotation) -> Iterator[str]:
+def _check_visibility(depth: AnyFloats, camera: Camera, annotation: Annotation) -> Iterator[str]:
     """Flags that no pixel near the point bears out.
 
     The file is rounded and has no slope, for which a point that is called visible was allowed: here the spread of the

@@ -4,14 +4,12 @@ from collections.abc import Iterator
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 from pycocotools import mask as coco_mask
 
 from skope.camera.model import Camera
-from skope.pictures.draw import mask_of
+from skope.pictures.draw import visible_mask
 from skope.schema import Image, Labelled, RoadUser
-
-Array = NDArray[np.floating[Any]]
+from skope.types import AnyFloats
 
 BOX_PX: Final = 1.0
 """Boxes are of silhouettes at pixel centres, masks too."""
@@ -79,9 +77,9 @@ def box_3d_findings(camera: Camera | None, label: Labelled) -> Iterator[str]:
             yield f"distance: is {label.distance:.2f} m, the box's centre is {away:.2f} m away"
 
 
-def depth_findings(depth: Array, camera: Camera, user: RoadUser) -> Iterator[str]:
+def depth_findings(depth: AnyFloats, camera: Camera, user: RoadUser) -> Iterator[str]:
     """The depth of the visible pixels against the 3D box: another mask than that of this body shows another depth."""
-    visible = mask_of(user)
+    visible = visible_mask(user)
     if visible is None or user.box_3d is None or visible.shape != depth.shape:
         return
     middle = float(np.median(depth[visible])) if visible.any() else np.inf

@@ -162,7 +162,7 @@ def _quartiles(values: list[float]) -> tuple[float, float, float]:
     return float(low), float(middle), float(high)
 
 
-def table(stats: Mapping[str, SplitStats]) -> list[str]:
+def stats_table(stats: Mapping[str, SplitStats]) -> list[str]:
     """Lines of a table with a column for each split."""
     return text_table(["", *stats], [[name, *cells] for name, cells in rows(stats)])
 

@@ -13,7 +13,7 @@ from skope.gen.towns.town import Town
 from skope.pictures.draw import SUBPIXEL_BITS
 from skope.types import Pixels
 
-RGB = tuple[int, int, int]
+PlotColor = tuple[int, int, int]
 
 MAP_LONGER_PX: Final = 1600
 """Pixels of the longer side."""
@@ -29,7 +29,7 @@ _GROUND, _WALK, _ROAD_COLORS, _DECK, _ISLAND = (
     (188, 202, 168),
 )
 _HOUSE, _TREE, _TEXT = (196, 168, 148), (150, 180, 130), (30, 30, 34)
-SPLIT_RGB: Final[dict[str, RGB]] = {
+SPLIT_RGB: Final[dict[str, PlotColor]] = {
     "train": (40, 110, 200),
     "easy": (50, 150, 70),
     "medium": (220, 140, 30),
@@ -49,7 +49,7 @@ def town_map(town: Town) -> Pixels:
         at = (np.asarray(points)[..., :2] - [x0, y1]) * [scale, -scale] + [0, 60]
         return np.asarray(np.rint(at * 2**SUBPIXEL_BITS), dtype=np.int32)
 
-    def fill(region: Any, color: RGB) -> None:
+    def fill(region: Any, color: PlotColor) -> None:
         for polygon in polygons(region):
             outline = [pixels(ring.coords) for ring in (polygon.exterior, *polygon.interiors)]
             cv2.fillPoly(image, outline, color, cv2.LINE_AA, SUBPIXEL_BITS)

@@ -61,7 +61,9 @@ def _pictures(
 ) -> Iterator[tuple[NDArray[np.uint8], NDArray[np.uint8]]]:
     for name, (azimuth, elevation) in VIEWS.items():
         bend = _BEND if name.startswith("three quarters") else 0.0
-        recording = parked(vehicle, _camera(vehicle, math.radians(azimuth), math.radians(elevation), size, bend), bend)
+        recording = parked_recording(
+            vehicle, _camera(vehicle, math.radians(azimuth), math.radians(elevation), size, bend), bend
+        )
         view = make_renderer(renderer, recording).render(0)
         annotations, _ = annotate(recording.moment(0), view, recording.camera, Rules(), image_id=1)
         yield view.rgb, draw.numbered(view.rgb, annotations)
@@ -80,7 +82,7 @@ def _camera(vehicle: Vehicle, azimuth: float, elevation: float, size: tuple[int,
         return Camera.looking(place, yaw=azimuth + math.pi, pitch_down=elevation, size=size, fov=_FOV)
 
     distance = 60.0
-    placed = zip(vehicle.parts, parked(vehicle, at(distance), bend).moment(0).part_poses(0), strict=False)
+    placed = zip(vehicle.parts, parked_recording(vehicle, at(distance), bend).moment(0).part_poses(0), strict=False)
     corners = np.concatenate([part.vertices @ T[:3, :3].T + T[:3, 3] for part, T in placed])
     for _ in range(4):
         camera = at(distance)
@@ -90,13 +92,13 @@ def _camera(vehicle: Vehicle, azimuth: float, elevation: float, size: tuple[int,
     return at(distance)
 
 
-def color_of(vehicle: Vehicle) -> str:
+def sheet_color(vehicle: Vehicle) -> str:
     """A paint that shows a model's shape, or its livery."""
     own = palette(vehicle)
     return _CAR_COLOR if _CAR_COLOR in own else own[min(1, len(own) - 1)]
 
 
-def parked(vehicle: Vehicle, camera: Camera, bend: float = 0.0) -> Recording:
+def parked_recording(vehicle: Vehicle, camera: Camera, bend: float = 0.0) -> Recording:
     """One frame of a vehicle that stands at the origin of an empty place, heading east, bent by an angle."""
     wheels = np.tile(np.eye(4), (1, 4, 1, 1))
     wheels[0, :, :3, 3] = vehicle.shape.wheel_centers()
@@ -111,14 +113,14 @@ def parked(vehicle: Vehicle, camera: Camera, bend: float = 0.0) -> Recording:
         conditions=_CONDITIONS,
         seed=0,
         versions={},
-        vehicles=(RecordedVehicle(1, vehicle.model, vehicle.shape.to_dict(), color_of(vehicle)),),
+        vehicles=(RecordedVehicle(1, vehicle.model, vehicle.shape.to_dict(), sheet_color(vehicle)),),
         times_s=np.zeros(1),
         signals=({},),
         frame=np.zeros(1, dtype=np.int32),
         vehicle=np.zeros(1, dtype=np.int32),
         T_world_chassis=np.eye(4)[None],
         T_world_wheels=wheels,
-        T_world_trailer=trailer_motion.pose(vehicle, DrivenTrailer(bend, 0.0, 0.0), np.eye(4))[None],
+        T_world_trailer=trailer_motion.trailer_poses(vehicle, DrivenTrailer(bend, 0.0, 0.0), np.eye(4))[None],
         velocity=np.zeros((1, 3)),
         lamps=np.zeros(1, dtype=np.uint8),
     )

@@ -19,7 +19,7 @@ from skope.gen.labels.localize import LOCALIZERS, transform, trilaterate, with_t
 from skope.gen.labels.raycast import RayCaster
 from skope.gen.render.frame import STATIC, RenderedFrame
 from skope.gen.scene.recording import Moment
-from skope.gen.scene.road_user_bodies import body_of, vehicle_of
+from skope.gen.scene.road_user_bodies import body_of, vehicle_body
 from skope.gen.vehicles.model import Trailer, Vehicle
 from skope.gen.vehicles.paints import color_name
 from skope.schema import Annotation, Box3D
@@ -72,7 +72,7 @@ class WorldKeypoints:
     """(N, 33) distance between trilateration's and the rigid transform's answer, metres."""
 
 
-def locate(moment: Moment, localizer: str) -> WorldKeypoints:
+def world_keypoints(moment: Moment, localizer: str) -> WorldKeypoints:
     """World positions of the keypoints of all N labelled vehicles of a moment.
 
     Args:
@@ -80,7 +80,7 @@ def locate(moment: Moment, localizer: str) -> WorldKeypoints:
         localizer: "rigid" (keypoints move with the chassis) or "trilateration" (from distances to the wheels).
     """
     moment = moment.labelled()
-    vehicles = tuple(map(vehicle_of, moment.vehicles))
+    vehicles = tuple(map(vehicle_body, moment.vehicles))
     if not vehicles:
         return WorldKeypoints((), *(np.zeros((0, keypoints.K, 3)),) * 2, np.zeros((0, keypoints.K)))
     wheels = moment.T_world_wheels
@@ -211,7 +211,7 @@ def annotate(
     # Vehicles that no pixel shows have no label, and are not built for one.
     extents = {i: extent for i in labelled if (extent := measure_extent(view, i, camera))}
     seen = sorted(extents, key=lambda i: moment.vehicles[i].track_id)
-    world = locate(moment.only(seen), rules.localizer)
+    world = world_keypoints(moment.only(seen), rules.localizer)
     pixels, _, valid = camera.project(world.points)
     inside = valid & camera.inside(pixels)
     gap, shown = behind(view, camera, world.tested)

@@ -60,7 +60,7 @@ def hidden(extent: Extent) -> bool:
 
 def _body_fields(moment: Moment, i: int, camera: Camera) -> dict[str, Any]:
     recorded, T = moment.vehicles[i], moment.T_world_chassis[i]
-    low, high = bystander.build(recorded.model, recorded.shape).box
+    low, high = bystander.build_bystander(recorded.model, recorded.shape).box
     center = T[:3, :3] @ ((low + high) / 2) + T[:3, 3]
     return {
         "category_id": CATEGORIES.index(CATEGORY_OF[recorded.model]) + 1,

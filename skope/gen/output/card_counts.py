@@ -5,16 +5,16 @@ from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-Kind = tuple[str, str | None, str]
+CountKind = tuple[str, str | None, str]
 """Kind under which a label is counted: "ground_truth" or "ignored", a vehicle's type, and the category."""
 
 
-def kind_of(iscrowd: int, vehicle_type: str | None, category: str = "vehicle") -> Kind:
+def count_kind(iscrowd: int, vehicle_type: str | None, category: str = "vehicle") -> CountKind:
     """The kind of a vehicle, by two fields of its annotation, or of another road user, by its category."""
     return "ignored" if iscrowd else "ground_truth", vehicle_type, category
 
 
-def saved_kind(values: Sequence[Any]) -> Kind:
+def saved_kind(values: Sequence[Any]) -> CountKind:
     """A kind as JSON has it; what was begun before there were categories has vehicles alone."""
     status, vehicle_type = values[:2]
     return status, vehicle_type, values[2] if len(values) > 2 else "vehicle"
@@ -36,7 +36,7 @@ class Counts:
         self.apart_m: list[float] = []
         self.most_apart_m = 0.0
 
-    def add(self, places: Mapping[str, str | None], kinds: Iterable[Kind], tally: Mapping[str, Any]) -> None:
+    def add(self, places: Mapping[str, str | None], kinds: Iterable[CountKind], tally: Mapping[str, Any]) -> None:
         """Count an image with its labels; `places` name its split, site and weather.
 
         What is not known of an image or a vehicle is not counted.

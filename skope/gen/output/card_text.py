@@ -53,7 +53,7 @@ def sections(card: Card) -> list[Section]:
     return [Section(part.title, blocks) for part in parts if (blocks := [block for block in part.blocks if block])]
 
 
-def summary(card: Card) -> str:
+def card_summary(card: Card) -> str:
     """A dataset in one sentence."""
     counts = card.get("counts", {})
     if "images" not in counts:
@@ -253,7 +253,7 @@ def licence(card: Card) -> str:
 
 def markdown(card: Card) -> str:
     """A card as README.md."""
-    lines = [f"# {TITLE}", "", summary(card), ""]
+    lines = [f"# {TITLE}", "", card_summary(card), ""]
     for section in sections(card):
         lines += [f"## {section.title}", ""]
         for block in section.blocks:

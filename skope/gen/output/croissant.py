@@ -107,7 +107,7 @@ def croissant(card: Mapping[str, Any], sums: Mapping[str, str]) -> Json:
         "@type": "sc:Dataset",
         "conformsTo": ["http://mlcommons.org/croissant/1.0", "http://mlcommons.org/croissant/RAI/1.0"],
         "name": "skope-vehicle-keypoints",
-        "description": f"{card_text.TITLE}. {card_text.summary(card)}",
+        "description": f"{card_text.TITLE}. {card_text.card_summary(card)}",
         "license": ADDRESSES.get(licence, licence),
         "version": f"{schema.SCHEMA_VERSION}.0.0",
         "citeAs": _CITATION,

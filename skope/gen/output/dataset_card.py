@@ -141,7 +141,7 @@ def road_user_rules() -> list[str]:
     ]
 
 
-def write(root: Path, content: Mapping[str, Any]) -> None:
+def write_card(root: Path, content: Mapping[str, Any]) -> None:
     """Write the card of the dataset at `root`, whose manifest is there; dataset.json makes it one and comes last."""
     sums = read_manifest(root)["sha256"]
     write_text(root / "README.md", readme(content))

@@ -18,7 +18,7 @@ from skope.gen.render.frame import RenderedFrame, Renderer
 from skope.gen.scene.recording import Recording
 from skope.schema import Annotation, Image, RoadUser
 
-IMAGE_SUFFIXES: Final = {"jpeg": ".jpg", "png": ".png", "webp": ".webp"}
+SUFFIX_OF_FORMAT: Final = {"jpeg": ".jpg", "png": ".png", "webp": ".webp"}
 """Suffixes of images by `--image-format`."""
 
 
@@ -33,7 +33,7 @@ class Encoding:
     """Whether depth files are written."""
 
     def __post_init__(self) -> None:
-        one_of("--image-format", self.image, tuple(IMAGE_SUFFIXES))
+        one_of("--image-format", self.image, tuple(SUFFIX_OF_FORMAT))
         if not 1 <= self.quality <= 100:
             raise UserError(f"--quality: expected a whole number from 1 to 100, got {self.quality}")
 
@@ -44,7 +44,7 @@ class Encoding:
             "png": [cv2.IMWRITE_PNG_COMPRESSION, 3],
             "webp": [cv2.IMWRITE_WEBP_QUALITY, self.quality],
         }[self.image]
-        ok, data = cv2.imencode(IMAGE_SUFFIXES[self.image], cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR), options)
+        ok, data = cv2.imencode(SUFFIX_OF_FORMAT[self.image], cv2.cvtColor(rgb, cv2.COLOR_RGB2BGR), options)
         assert ok
         return data.tobytes()
 
@@ -93,7 +93,7 @@ def files_of(
         road_users: Labels of people on foot and on two wheels.
     """
     name = recording.info.frame_name(frame)
-    files = {f"images/{name}{IMAGE_SUFFIXES[encoding.image]}": encoding.encoded(view.rgb)}
+    files = {f"images/{name}{SUFFIX_OF_FORMAT[encoding.image]}": encoding.encoded(view.rgb)}
     depth_name = f"depth/{name}.png" if encoding.depth else None
     if depth_name:
         files[depth_name] = depth_png(view.depth)

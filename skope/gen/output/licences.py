@@ -96,12 +96,12 @@ def _in_record(record: Mapping[str, Any]) -> str:
         version = re.search(r"\d\.\d", name)
         code = "-".join(["CC BY", *(term for word, term in _WORDS.items() if word in squeezed)])
         code += f" {version[0]}" if version else ""
-    if code and terms_of(name) is not None and terms_of(name) != terms_of(code):
+    if code and licence_terms(name) is not None and licence_terms(name) != licence_terms(code):
         return f"{name}{BETWEEN}{code}"
     return code or (named(name) if name else url)
 
 
-def together(licences: Iterable[str]) -> str:
+def joint_licence(licences: Iterable[str]) -> str:
     """The licences of a dataset's parts side by side, each once."""
     parts = dict.fromkeys(part for licence in licences for part in licence.split(BETWEEN))
     if len(parts) > 1:
@@ -109,7 +109,7 @@ def together(licences: Iterable[str]) -> str:
     return BETWEEN.join(parts) or NOT_STATED
 
 
-def terms_of(licence: str) -> Terms | None:
+def licence_terms(licence: str) -> Terms | None:
     """The conditions (BY, NC, SA, ND) of a Creative Commons licence; None for any other text.
 
     The licence must stand at the beginning: "what is drawn is CC0, the photograph ..." is not CC0.
@@ -124,7 +124,7 @@ def united(licences: Sequence[str]) -> str:
     """The licence of a dataset made of parts under `licences`; a UserError says which two exclude each other."""
     different = list(dict.fromkeys(licences))
     parts = {licence: licence.split(BETWEEN) for licence in different}
-    known = {part: terms_of(part) for own in parts.values() for part in own}
+    known = {part: licence_terms(part) for own in parts.values() for part in own}
     pairs = (pair for one, two in itertools.permutations(parts.values(), 2) for pair in itertools.product(one, two))
     for licence, other in pairs:
         terms, others = known[licence], known[other]

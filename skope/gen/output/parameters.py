@@ -12,11 +12,11 @@ from skope.errors import UserError
 from skope.gen.labels.annotate import Rules
 from skope.gen.output import licences
 from skope.gen.output.frames import Encoding
-from skope.gen.scene.conditions import Range
 from skope.gen.scene.package_versions import versions
 from skope.gen.scene.recording import RecordingInfo
 from skope.gen.scene.variation import Variation
 from skope.schema import CATEGORIES, VEHICLE_ALONE
+from skope.types import Range
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -18,7 +18,7 @@ from skope.files import safe_names
 from skope.files.atomic import link, write_bytes
 from skope.files.json_files import json_bytes, read_json
 from skope.files.reading import sha256_of
-from skope.gen.output.card_counts import Counts, Kind, kind_of
+from skope.gen.output.card_counts import CountKind, Counts, count_kind
 from skope.keypoints import SKOPE33, Scheme
 from skope.schema import CATEGORIES, CATEGORY_ID, ROAD_USER_IDS, VEHICLE_ALONE, Annotation, RoadUser
 
@@ -37,7 +37,7 @@ class Labels:
     """Its files are named as a dataset folder names them: images/<name>.jpg, depth/<name>.png."""
     rows: list[bytes]
     """Annotations of the frame, a JSON object each; `id` and `image_id` come first."""
-    kinds: list[Kind]
+    kinds: list[CountKind]
     """Kind of each annotation."""
     sha256: Mapping[str, str]
     """Checksums of the frame's files, by their names."""
@@ -197,8 +197,8 @@ def label_fields(vehicles: Iterable[Annotation], road_users: Iterable[RoadUser])
     """The fields of `Labels` that hold a frame's vehicles and, after them, its other road users."""
     own, others = list(vehicles), list(road_users)
     rows = [*map(coco.annotation_to_dict, own), *map(coco.road_user_to_dict, others)]
-    kinds = [kind_of(vehicle.iscrowd, vehicle.vehicle_type) for vehicle in own]
-    kinds += [kind_of(user.iscrowd, None, user.category) for user in others]
+    kinds = [count_kind(vehicle.iscrowd, vehicle.vehicle_type) for vehicle in own]
+    kinds += [count_kind(user.iscrowd, None, user.category) for user in others]
     return {"rows": list(map(json_bytes, rows)), "kinds": kinds}
 
 
@@ -268,10 +268,10 @@ def frames_of_split(dataset: Dataset, split: str) -> Iterator[FrameFiles]:
         yield FrameFiles(files, Labels(name, image, rows, kinds, sums, tally))
 
 
-def _kind_of_row(row: Mapping[str, Any], categories: tuple[str, ...]) -> Kind:
+def _kind_of_row(row: Mapping[str, Any], categories: tuple[str, ...]) -> CountKind:
     number = row.get("category_id", CATEGORY_ID)
     other = len(categories) > 1 and number in ROAD_USER_IDS
-    return kind_of(row["iscrowd"], row.get("vehicle_type"), CATEGORIES[number - 1] if other else CATEGORIES[0])
+    return count_kind(row["iscrowd"], row.get("vehicle_type"), CATEGORIES[number - 1] if other else CATEGORIES[0])
 
 
 def rows_of(dataset: Dataset, split: str) -> Iterator[tuple[dict[str, Any], list[Any]]]:

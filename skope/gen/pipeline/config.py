@@ -14,7 +14,7 @@ from skope.gen.pipeline.planned_light import in_asked_light, in_its_light, in_it
 from skope.gen.pipeline.presets import presets, range_pairs, tables
 from skope.gen.render.lens import pinhole_of
 from skope.gen.scene import camera_sampling
-from skope.gen.scene.conditions import TIMES_OF_DAY, Range, check_settings
+from skope.gen.scene.conditions import TIMES_OF_DAY, check_settings
 from skope.gen.scene.random_streams import Stream
 from skope.gen.scene.recording import RecordingPlan
 from skope.gen.scene.variation import Variation
@@ -23,6 +23,7 @@ from skope.gen.towns.sites import Site, site, sites
 from skope.gen.traffic.sumo import step_for
 from skope.gen.vehicles.fleet import fleet
 from skope.schema import WEATHERS
+from skope.types import Range
 
 HEAVY_TYPES: Final = frozenset(("bus", "truck", "box_truck", "articulated_truck", "articulated_bus"))
 """Types of vehicles that a split may have a share of (`heavy` in `presets.toml`)."""

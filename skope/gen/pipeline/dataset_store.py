@@ -20,7 +20,7 @@ from skope.files.atomic import file_in_place_of, locked, no_links_out, write_byt
 from skope.files.json_files import json_bytes, parse_json, read_json, write_json
 from skope.files.reading import read_bytes
 from skope.gen.output.card_counts import Counts, saved_kind
-from skope.gen.output.dataset_card import write as write_card
+from skope.gen.output.dataset_card import write_card as write_card
 from skope.gen.output.parameters import DatasetPlan, Parameters
 from skope.gen.output.writers import FrameFiles, Labels, frames_of_split, unpack_shards, writer_of
 from skope.gen.scene import recording as recordings
@@ -205,7 +205,7 @@ class Store:
         Frames that were rendered from the shorter one are kept if both start alike, else they are rendered again.
         """
         path = self.recording_path(info)
-        if path.is_file() and not _starts_like(recordings.unpacked(data, path), path):
+        if path.is_file() and not _starts_like(recordings.unpacked_recording(data, path), path):
             self.discard_frames(info.frame_name(frame) for frame in range(info.frames))
         write_bytes(path, data)
 

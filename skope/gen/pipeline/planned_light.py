@@ -5,9 +5,9 @@ from dataclasses import replace
 from typing import Any, Final
 
 from skope.gen.pipeline.presets import range_pairs, tables
-from skope.gen.scene.conditions import Range
 from skope.gen.scene.random_streams import Stream, rng
 from skope.gen.towns.sites import Site
+from skope.types import Range
 
 _OF_HOUR: Final = ("sun_elevation_deg", "sun_azimuth_deg")
 _OF_WEATHER: Final = ("clouds", "visibility_m")

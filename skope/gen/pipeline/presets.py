@@ -6,7 +6,7 @@ from functools import cache
 from importlib import resources
 from typing import Any
 
-from skope.gen.scene.conditions import Range
+from skope.types import Range
 
 
 @cache

@@ -40,14 +40,14 @@ class Worker:
                 raise UserError(f"has {name} {here.get(name, 'not at all')}, this run is made with {version}")
 
     def simulate(self, plans: Sequence[RecordingPlan]) -> list[bytes]:
-        return [recordings.packed(recording) for recording in simulate_together(plans)]
+        return [recordings.packed_recording(recording) for recording in simulate_together(plans)]
 
     def render(self, data: bytes, spec: RenderJobSpec, job: RenderJob) -> list[FrameFiles]:
         if self._recording != job.recording or self._opened is None:
             _, driver, _ = choose_renderer(spec.renderer)
             if driver != spec.driver:
                 raise UserError(f"draws with {driver}, this run is drawn with {spec.driver}")
-            source = recordings.unpacked(data, Path(f"{job.recording.site}_{job.recording.name}.npz"))
+            source = recordings.unpacked_recording(data, Path(f"{job.recording.site}_{job.recording.name}.npz"))
             self._opened, self._recording = (source, make_renderer(spec.renderer, source)), job.recording
         source, renderer = self._opened
         return list(frames_of(source, renderer, spec.rules, spec.encoding, job.frames))

@@ -151,7 +151,7 @@ def simulate_job(root: Path, plans: Sequence[RecordingPlan]) -> int:
     store = Store(root)
     for plan, recording in zip(plans, simulate_together(plans), strict=True):
         if not store.recorded(plan.info):
-            store.write_recording(plan.info, recordings.packed(recording))
+            store.write_recording(plan.info, recordings.packed_recording(recording))
     return len(plans)
 
 

@@ -14,7 +14,7 @@ from skope.dataset.coco import write
 from skope.errors import UserError
 from skope.files.atomic import replacing
 from skope.files.json_files import read_json
-from skope.files.output_folders import changed
+from skope.files.output_folders import changed_options
 from skope.gen.labels.annotate import Rules, annotate
 from skope.gen.labels.road_users import annotate_road_users
 from skope.gen.output.frames import image_of
@@ -24,7 +24,7 @@ from skope.gen.render.frame import Renderer
 from skope.gen.scene.recording import Recording, RecordingPlan
 from skope.gen.simulation.simulate import simulate
 from skope.pictures import draw
-from skope.pictures.video import VideoFile, open_video
+from skope.pictures.video import VideoFile, create_video
 from skope.schema import CATEGORIES, VEHICLE_ALONE, Annotation, AnnotationFile, Image, RoadUser
 from skope.terminal.console import Console
 
@@ -71,7 +71,9 @@ def check_free(footage: WrittenFootage, options: Mapping[str, Any]) -> None:
     held = _options_of(footage.labels)
     if held == options:
         return
-    what = f"of other footage ({', '.join(changed(held, options))})" if held else "and nothing says what it is of"
+    what = (
+        f"of other footage ({', '.join(changed_options(held, options))})" if held else "and nothing says what it is of"
+    )
     raise UserError(f"{there[0]}: is there already, {what}; choose another folder with --out, or move it away")
 
 
@@ -165,5 +167,5 @@ def _render_frames(
 @contextmanager
 def _whole_video(path: Path, size: tuple[int, int], fps: float) -> Iterator[VideoFile]:
     """A video file that takes its place when it is whole."""
-    with replacing(path) as temporary, open_video(temporary, size, fps) as video:
+    with replacing(path) as temporary, create_video(temporary, size, fps) as video:
         yield video

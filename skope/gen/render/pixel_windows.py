@@ -111,7 +111,7 @@ def tiles(hulls: Iterable[Array], size: tuple[int, int]) -> NDArray[np.bool_]:
     return np.asarray(cv2.dilate(touched, np.ones((3, 3), dtype=np.uint8)) > 0)
 
 
-def runs(touched: NDArray[np.bool_], size: tuple[int, int]) -> list[Window]:
+def tile_runs(touched: NDArray[np.bool_], size: tuple[int, int]) -> list[Window]:
     """Tiles of an image of `size` (width, height), neighbours in a row put together."""
     edges = np.diff(np.pad(touched, ((0, 0), (1, 1))).astype(np.int8), axis=1)
     rows, first = np.nonzero(edges == 1)
@@ -120,7 +120,7 @@ def runs(touched: NDArray[np.bool_], size: tuple[int, int]) -> list[Window]:
     return [(x0, y0, x1, y1) for (x0, y0), (x1, y1) in zip(low.tolist(), np.minimum(high, size).tolist(), strict=True)]
 
 
-def mask_of(touched: NDArray[np.bool_], window: Window) -> NDArray[np.uint8]:
+def tile_mask(touched: NDArray[np.bool_], window: Window) -> NDArray[np.uint8]:
     """(h, w) 1 where the pixels of a window, which begins with a tile, are in one of the tiles, else 0."""
     x0, y0, x1, y1 = window
     there = touched[y0 // TILE : -(-y1 // TILE), x0 // TILE : -(-x1 // TILE)].view(np.uint8)
@@ -132,7 +132,7 @@ def crossing(a: Window, b: Window) -> bool:
     return a[0] < b[2] and b[0] < a[2] and a[1] < b[3] and b[1] < a[3]
 
 
-def inside(window: Window, camera: Camera) -> Window:
+def inside_image(window: Window, camera: Camera) -> Window:
     """The part of a window that lies in the image."""
     x0, y0, x1, y1 = window
     return max(x0, 0), max(y0, 0), min(x1, camera.width), min(y1, camera.height)

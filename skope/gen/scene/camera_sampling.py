@@ -9,11 +9,10 @@ import numpy as np
 
 from skope.camera.model import Camera, Distortion
 from skope.errors import UserError
-from skope.gen.scene.conditions import Range
 from skope.gen.towns.land_use import Layout
 from skope.gen.towns.road_graph import RoadGraph
 from skope.gen.towns.sites import Site
-from skope.types import Array
+from skope.types import Array, Range
 
 CAMERA_LIMITS: Final[Mapping[str, Range]] = {
     "fov_deg": (5.0, 150.0),
@@ -61,7 +60,7 @@ def check_ranges(spans: Mapping[str, Range]) -> None:
             raise UserError(f"camera.{name}: expected a range within {least:g}..{most:g}, got {low:g}..{high:g}")
 
 
-def drawn(site: Site, ranges: CameraRanges, rng: np.random.Generator) -> Camera:
+def sample_camera(site: Site, ranges: CameraRanges, rng: np.random.Generator) -> Camera:
     """Draw a camera on the site's mast that sees enough road.
 
     Args:

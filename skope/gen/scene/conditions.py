@@ -11,8 +11,7 @@ import numpy as np
 from skope.camera.model import Distortion
 from skope.errors import UserError, one_of
 from skope.gen.scene.sun import sun_position
-
-Range = tuple[float, float]
+from skope.types import Range
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -266,10 +266,10 @@ _HEADER: Final = ("site", "name", "split", "weather", "time_of_day", "seed", "ve
 
 def save(path: Path, recording: Recording) -> None:
     """Write a recording to a .npz file, whole or not at all."""
-    write_bytes(path, packed(recording))
+    write_bytes(path, packed_recording(recording))
 
 
-def packed(recording: Recording) -> bytes:
+def packed_recording(recording: Recording) -> bytes:
     """The bytes of a recording's .npz file; equal recordings have equal bytes."""
     header = {
         "version": RECORDING_VERSION,
@@ -320,10 +320,10 @@ def sound(path: Path) -> bool:
 
 def load(path: Path) -> Recording:
     """Read a recording; a UserError for a broken file or one of another version."""
-    return unpacked(read_bytes(path), path)
+    return unpacked_recording(read_bytes(path), path)
 
 
-def unpacked(data: bytes, path: Path) -> Recording:
+def unpacked_recording(data: bytes, path: Path) -> Recording:
     """Read a recording from the bytes of its file.
 
     Args:

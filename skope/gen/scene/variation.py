@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from skope.gen.scene.conditions import Range
+from skope.types import Range
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -11,7 +11,7 @@ from skope.gen.mesh import Mesh, from_triangles, grid, merged
 from skope.gen.towns.land_use import Layout
 from skope.gen.towns.road_graph import RoadGraph
 from skope.gen.towns.town import Town
-from skope.gen.towns.user_road import Outline, OwnRoad
+from skope.gen.towns.user_road import OwnRoad, PixelOutline
 from skope.types import Array
 
 _GROUND_RADIUS_M: Final = 2000.0
@@ -62,7 +62,7 @@ def plates(road: OwnRoad, toward_sun: Array) -> Mesh | None:
     return merged(out) if out else None
 
 
-def _filling_triangles(road: OwnRoad, outline: Outline) -> Array:
+def _filling_triangles(road: OwnRoad, outline: PixelOutline) -> Array:
     """(3T, 2) corners of triangles that fill an outline in the image, small enough for the lens."""
     fine = shapely.segmentize(Polygon(outline), max(road.camera.width, road.camera.height) / 50)
     triangles = shapely.get_parts(shapely.constrained_delaunay_triangles(fine))

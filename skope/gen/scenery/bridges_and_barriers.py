@@ -14,7 +14,7 @@ from skope.gen.mesh import Mesh, box, lathe, merged, quads, tube
 from skope.gen.scenery.ground import Part, surfaces
 from skope.gen.scenery.markings import markings
 from skope.gen.scenery.quads import Solid
-from skope.gen.scenery.walls import left_of, parapet, rings, runs
+from skope.gen.scenery.walls import left_of, parapet, rings, runs_of_true
 from skope.gen.towns.land_use import KERB_WIDTH, Layout
 from skope.gen.towns.regions import polygons
 from skope.gen.towns.road_graph import BARRIER, RoadGraph, beside, driven, half_width, right_of
@@ -107,7 +107,7 @@ def _vertical_faces(line: Array, low: Array, high: Array, chosen: NDArray[np.boo
 
 
 def _edge_parapets(line: Array, z: Array, chosen: NDArray[np.bool_]) -> Iterator[Mesh]:
-    for first, last in runs(chosen):
+    for first, last in runs_of_true(chosen):
         piece = slice(first, last + 1)
         if LineString(line[piece]).length > 2.0:
             # The ring has its inside on its right, a parapet stands to the left of its line.
@@ -130,7 +130,7 @@ def _piers(layout: Layout, deck: Polygon, whole: Polygon, height: Any) -> Iterat
     places = np.array([axis.interpolate(s).coords[0] for s in spots])
     drop = height(places) - layout.ground.beside(places)
     fits = (drop > 4.5) & ~shapely.intersects(kept_clear, shapely.points(places))
-    for first, last in runs(fits):
+    for first, last in runs_of_true(fits):
         k = (first + last - 1) // 2
         if spots[last - 1] - spots[first] > 6.0:
             continue  # a bank, where the deck ends soon

@@ -20,8 +20,17 @@ from skope.gen.scenery.distractors import distractors
 from skope.gen.scenery.gardens import gardens
 from skope.gen.scenery.ground import Beside, ground_meshes, ground_parts
 from skope.gen.scenery.horizon import horizon
-from skope.gen.scenery.houses import House, car_parks, covered, drive_bays, forecourts, house_meshes, paths, plots
-from skope.gen.scenery.markings import crossings
+from skope.gen.scenery.houses import (
+    House,
+    car_parks,
+    covered,
+    drive_bays,
+    forecourts,
+    garden_paths,
+    house_meshes,
+    house_plots,
+)
+from skope.gen.scenery.markings import zebra_stripes
 from skope.gen.scenery.quads import Solid
 from skope.gen.scenery.street_furniture import furniture, lamp_positions
 from skope.gen.scenery.trees import plant, tree_meshes
@@ -120,7 +129,7 @@ def bays_of(town: Town) -> tuple[Bay, ...]:
     if not town.variant:
         return scenery(town).bays
     layout = Layout.of(town)
-    houses = plots(layout, _generators(town)["plots"])
+    houses = house_plots(layout, _generators(town)["plots"])
     bays = (*lot_bays(car_parks(houses)[0]), *drive_bays(houses), *_bays_along_kerbs(town, layout, houses))
     return tuple(map(_bay_out_of_mirror, bays)) if layout.graph.mirrored else bays
 
@@ -128,9 +137,9 @@ def bays_of(town: Town) -> tuple[Bay, ...]:
 def _grow_scenery(town: Town) -> Scenery:
     layout = Layout.of(town)
     rng = _generators(town)
-    houses = plots(layout, rng["plots"])
+    houses = house_plots(layout, rng["plots"])
     built = covered(houses)
-    walks, drives = paths(houses)
+    walks, drives = garden_paths(houses)
     lots, ways = car_parks(houses)
     along_kerbs = _bays_along_kerbs(town, layout, houses)
     lay_bys = ground_of(along_kerbs)
@@ -166,8 +175,8 @@ def _bays_along_kerbs(town: Town, layout: Layout, houses: list[House]) -> list[B
     """Bays along kerbs, which variants of the towns have: clear of drives and of crossings."""
     if not (town.variant and town.variant.seed):
         return []
-    stripes = unary_union(list(crossings(layout.graph)))
-    keep_clear = unary_union([paths(houses)[1], car_parks(houses)[1], stripes.buffer(_BEFORE_CROSSINGS)])
+    stripes = unary_union(list(zebra_stripes(layout.graph)))
+    keep_clear = unary_union([garden_paths(houses)[1], car_parks(houses)[1], stripes.buffer(_BEFORE_CROSSINGS)])
     return kerb_bays(layout, keep_clear, _generators(town)["kerbside"])
 
 

@@ -15,7 +15,7 @@ from skope.gen.mesh import Mesh
 from skope.gen.scenery.distractor_shapes import STANDING_OBJECTS, wall_panel
 from skope.gen.scenery.houses import House, covered
 from skope.gen.towns.land_use import Layout
-from skope.gen.towns.regions import rectangle
+from skope.gen.towns.regions import rectangle_polygon
 from skope.gen.towns.road_graph import beside, driven, right_of
 from skope.gen.towns.sites import Site, sites_of
 from skope.gen.towns.town import Mast, Town
@@ -72,7 +72,9 @@ def distractors(
             placed = along_roads.draw(view, made, rng)
             if placed and room.take(*placed, made):
                 place, heading = placed
-                corners = np.array(rectangle(place, heading, *np.ptp(made.vertices[:, :2], axis=0)).exterior.coords)
+                corners = np.array(
+                    rectangle_polygon(place, heading, *np.ptp(made.vertices[:, :2], axis=0)).exterior.coords
+                )
                 low = layout.ground.beside(corners).min() + layout.style.kerb
                 yield made.moved([*place, low], heading)
                 break
@@ -140,7 +142,7 @@ class _Room:
             return False
         c, s = np.cos(heading), np.sin(heading)
         middle = (low + high)[:2] / 2 @ np.array([[c, s], [-s, c]]) + place
-        footprint = rectangle(middle, heading, *size[:2])
+        footprint = rectangle_polygon(middle, heading, *size[:2])
         heights = self._layout.ground.beside(np.array(footprint.exterior.coords))
         if np.ptp(heights) > LARGEST_FALL_M or self._blocked.intersects(footprint):
             return False
@@ -253,7 +255,7 @@ class _Walls:
         along = np.array([np.cos(wall.heading), np.sin(wall.heading)])
         place = wall.middle + along * rng.uniform(-0.5, 0.5) * (0.95 * wall.width - long)
         place = place - wall.out * right_of(wall.heading)
-        footprint = rectangle(place - 0.2 * right_of(wall.heading), wall.heading, long + 0.1, 0.3)
+        footprint = rectangle_polygon(place - 0.2 * right_of(wall.heading), wall.heading, long + 0.1, 0.3)
         if len(self._footprints.query(footprint, predicate="intersects")) or not room.take_on_wall(footprint):
             return None
         foot = wall.house.floor + low + rng.uniform(0.0, top - low - high)

@@ -9,12 +9,12 @@ from shapely import LineString
 from shapely.ops import unary_union
 
 from skope.gen.mesh import Mesh
-from skope.gen.scenery.houses import House, car_parks, covered, forecourts, paths
+from skope.gen.scenery.houses import House, car_parks, covered, forecourts, garden_paths
 from skope.gen.scenery.quads import Solid
 from skope.gen.scenery.trees import bush, hedge
 from skope.gen.towns.land_use import KERB_WIDTH, Layout
-from skope.gen.towns.regions import free, polygons, rectangle
-from skope.gen.towns.road_graph import along, right_of
+from skope.gen.towns.regions import is_free, polygons, rectangle_polygon
+from skope.gen.towns.road_graph import places_along, right_of
 from skope.gen.towns.town_style import drawn_name
 
 SHRUBS: Final = 18
@@ -25,7 +25,9 @@ OPEN_GROUND: Final = 46.0
 
 def gardens(layout: Layout, houses: list[House], pits: Any, rng: np.random.Generator) -> Iterator[Mesh]:
     """Boundaries and bushes of all plots that have a garden."""
-    built = unary_union([covered(houses), *paths(houses), *car_parks(houses), forecourts(houses), layout.islands])
+    built = unary_union(
+        [covered(houses), *garden_paths(houses), *car_parks(houses), forecourts(houses), layout.islands]
+    )
     paved = [layout.sidewalk.buffer(layout.style.plaza + 0.05), layout.beside_lanes("shoulder").buffer(0.3)]
     street = unary_union([layout.graph.road.buffer(KERB_WIDTH + 0.05), *paved])
     taken = unary_union([covered(houses).buffer(0.25), street])
@@ -67,16 +69,16 @@ def _open_ground(layout: Layout, taken: Any, rng: np.random.Generator) -> Iterat
     edges = [edge for edge in layout.graph.edges_of("ground") if not layout.graph.kind(edge).guard_rails]
     kinds = {edge.getID(): drawn_name(layout.style.fences, rng) for edge in edges}
     length = 5.6
-    for edge, place, heading in along(edges, length + 0.15, 0.0):
+    for edge, place, heading in places_along(edges, length + 0.15, 0.0):
         place = place + right_of(heading) * _enclosure_offset(layout, edge, 0.6)
-        run = rectangle(place, heading, length, 0.5)
+        run = rectangle_polygon(place, heading, length, 0.5)
         if layout.camera_distance(place) < OPEN_GROUND and not run.buffer(0.15).intersects(taken):
             near = layout.camera_distance(place) < 25.0
             yield _boundary(kinds[edge.getID()], length, near, rng).moved([*place, 0.0], heading)
-    for edge, place, heading in along(edges, 2.6, 0.0):
+    for edge, place, heading in places_along(edges, 2.6, 0.0):
         at = place + right_of(heading) * _enclosure_offset(layout, edge, 2.6) + rng.uniform(-1.2, 1.2, 2)
         likely = rng.random()
-        if likely < 0.4 and layout.camera_distance(at) < OPEN_GROUND and free(taken, at, 1.0):
+        if likely < 0.4 and layout.camera_distance(at) < OPEN_GROUND and is_free(taken, at, 1.0):
             yield bush(rng.uniform(0.35, 0.6), rng).moved([*at, 0.0])
 
 
@@ -90,7 +92,7 @@ def _scattered_shrubs(layout: Layout, taken: Any, rng: np.random.Generator) -> I
             group = int(rng.integers(1, 7))
             places = at + rng.normal(0.0, 0.5 + 0.16 * group, (group, 2)) * [1.4, 1.0]
             for place, size in zip(places, rng.uniform(0.3, 0.62, group), strict=True):
-                if free(taken, place, 0.4):
+                if is_free(taken, place, 0.4):
                     yield bush(float(size), rng).moved([*place, 0.0])
     for island in polygons(layout.islands.buffer(-1.3)):
         if layout.camera_distance(np.array(island.centroid.coords[0])) < 2 * OPEN_GROUND:

@@ -14,12 +14,12 @@ from shapely import Polygon
 from shapely.ops import unary_union
 
 from skope.gen.mesh import Mesh, from_triangles
-from skope.gen.scenery.markings import crossings, markings
+from skope.gen.scenery.markings import markings, zebra_stripes
 from skope.gen.scenery.road_wear import covers, repairs, sidewalk_covers, tracks
 from skope.gen.scenery.walls import kerbs
 from skope.gen.towns.land_use import KERB_WIDTH, Layout
 from skope.gen.towns.parking import bay_lines
-from skope.gen.towns.regions import GRID, polygons, rectangle
+from skope.gen.towns.regions import GRID, polygons, rectangle_polygon
 from skope.gen.towns.road_graph import RoadGraph
 from skope.gen.towns.terrain import COARSEST
 from skope.types import Array
@@ -66,7 +66,7 @@ def ground_parts(layout: Layout, beside_road: Beside, rng: np.random.Generator) 
         road,
         [
             ("cover", unary_union(list(covers(layout, rng)))),
-            ("marking", unary_union([*markings(graph), *crossings(graph)])),
+            ("marking", unary_union([*markings(graph), *zebra_stripes(graph)])),
             ("bitumen", seals),
             ("asphalt_patch", patches),
             ("asphalt_old", old),
@@ -148,7 +148,7 @@ def _fields(layout: Layout, everywhere: Any, rng: np.random.Generator) -> Iterat
         for y in np.arange(y0 - 200.0, y1 + 200.0, 86.0):
             size = (rng.uniform(90.0, 112.0), rng.uniform(62.0, 80.0))
             kind = kinds[rng.integers(len(kinds))]
-            shares[kind].append(rectangle(np.array([x, y]), 0.0, *size))
+            shares[kind].append(rectangle_polygon(np.array([x, y]), 0.0, *size))
     for kind, shapes in shares.items():
         if shapes:
             yield kind, shapely.affinity.rotate(unary_union(shapes), turn, (0, 0), True).intersection(away)
@@ -211,7 +211,7 @@ def _cut_by(shapes: Sequence[Polygon], cells: NDArray[np.object_], precision: fl
 
 def _tactile_paving(graph: RoadGraph, road: Any) -> Any:
     """Ribbed paving on the sidewalk at both ends of crossings."""
-    stripes = unary_union(list(crossings(graph)))
+    stripes = unary_union(list(zebra_stripes(graph)))
     spans = polygons(stripes.buffer(0.6, join_style="mitre"))
     ends = unary_union([span.minimum_rotated_rectangle.buffer(0.8, join_style="mitre") for span in spans])
     return ends.intersection(road.buffer(KERB_WIDTH + 0.8))

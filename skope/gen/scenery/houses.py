@@ -15,9 +15,9 @@ from skope.gen.scenery.facade import FacadeStyle, Shop, facade
 from skope.gen.scenery.quads import Solid
 from skope.gen.towns.land_use import DETAILED_WITHIN_M, ISLAND, PLAIN_FROM_M, Layout
 from skope.gen.towns.parking import Bay, drive_bay, drive_ring
-from skope.gen.towns.regions import polygons, rectangle
+from skope.gen.towns.regions import polygons, rectangle_polygon
 from skope.gen.towns.road_graph import beside, driven
-from skope.gen.towns.town_style import Kind, Row, drawn_name
+from skope.gen.towns.town_style import BuildingKind, ObjectRow, drawn_name
 from skope.types import Array
 
 HOUSE_VIEW_M: Final = 38.0
@@ -39,7 +39,7 @@ _FACADE_AXES: Final = {
 class House:
     """A building and its plot."""
 
-    kind: Kind
+    kind: BuildingKind
     center: Array
     """(2,) middle of the footprint, metres."""
     heading: float
@@ -65,7 +65,7 @@ class House:
 
     @property
     def footprint(self) -> Polygon:
-        return rectangle(self.center, self.heading, *self.size)
+        return rectangle_polygon(self.center, self.heading, *self.size)
 
     def to_world(self, local: Array) -> Array:
         """Points (..., 2) of the house's frame in the world."""
@@ -74,16 +74,16 @@ class House:
 
 
 def _house(
-    layout: Layout, kind: Kind, center: Array, heading: float, size: tuple[float, float], setback: float
+    layout: Layout, kind: BuildingKind, center: Array, heading: float, size: tuple[float, float], setback: float
 ) -> House:
-    corners = np.array(rectangle(center, heading, *size).exterior.coords)
+    corners = np.array(rectangle_polygon(center, heading, *size).exterior.coords)
     heights = layout.ground.beside(corners) + layout.style.kerb
     distance = layout.camera_distance(center)
     detail = 2 if distance < DETAILED_WITHIN_M else 1 if distance < PLAIN_FROM_M else 0
     return House(kind, center, heading, size, setback, detail, float(heights.max()), float(heights.min()))
 
 
-def plots(layout: Layout, rng: np.random.Generator) -> list[House]:
+def house_plots(layout: Layout, rng: np.random.Generator) -> list[House]:
     """The houses of a town, in rows along the right-hand sides of its edges, and some behind them."""
     out: list[House] = []
     taken = Taken(layout)
@@ -150,7 +150,7 @@ class Taken:
         return True
 
 
-def _row_at(layout: Layout, edge: Any, s: float) -> Row | None:
+def _row_at(layout: Layout, edge: Any, s: float) -> ObjectRow | None:
     distance = layout.graph.signal_distance(beside(edge, s, 0.0)[0])
     rows = (
         row for row in layout.style.rows if (not row.roads or edge.getType() in row.roads) and distance < row.within
@@ -158,7 +158,7 @@ def _row_at(layout: Layout, edge: Any, s: float) -> Row | None:
     return next(rows, None)
 
 
-def _next_house(layout: Layout, row: Row, edge: Any, s: float, rng: np.random.Generator) -> House:
+def _next_house(layout: Layout, row: ObjectRow, edge: Any, s: float, rng: np.random.Generator) -> House:
     kind = layout.style.kinds[drawn_name(row.kinds, rng)]
     length, depth = rng.uniform(*kind.length), rng.uniform(*kind.depth)
     setback = rng.uniform(*row.setback) + kind.parking
@@ -173,7 +173,8 @@ def house_meshes(houses: list[House], rng: np.random.Generator) -> Iterator[Mesh
     index = shapely.STRtree(footprints)
     for house in houses:
         sides = [
-            rectangle(house.to_world(np.array([s * house.size[0] / 2, 0.0])), house.heading, 1.0, 4.0) for s in (1, -1)
+            rectangle_polygon(house.to_world(np.array([s * house.size[0] / 2, 0.0])), house.heading, 1.0, 4.0)
+            for s in (1, -1)
         ]
         joined = [len(index.query(side, predicate="intersects")) > 1 for side in sides]
         yield _house_mesh(house, (joined[0], joined[1]), rng).moved([*house.center, house.floor], house.heading)
@@ -196,7 +197,7 @@ def _house_mesh(house: House, joined: tuple[bool, bool], rng: np.random.Generato
     return _building(house, _draw_style(kind, rng), joined, rng).mesh()
 
 
-def _draw_style(kind: Kind, rng: np.random.Generator) -> FacadeStyle:
+def _draw_style(kind: BuildingKind, rng: np.random.Generator) -> FacadeStyle:
     def one(names: tuple[str, ...]) -> str:
         return str(rng.choice(names))
 
@@ -264,7 +265,7 @@ def _put_roof(out: Solid, house: House, style: FacadeStyle, rng: np.random.Gener
     pitch, covering = rng.uniform(0.55, 0.85), str(rng.choice(house.kind.roofs))
     chance = rng.random()
     if house.kind.roof == "flat" or (house.kind.roof == "mixed" and house.terraced and chance < 0.3):
-        out.add(roof.flat((x, y), eaves, 0.7 if house.kind.balconies else 0.9, style.walls, style.dressing))
+        out.add(roof.flat_roof((x, y), eaves, 0.7 if house.kind.balconies else 0.9, style.walls, style.dressing))
         return
     stack = "brick" if style.walls not in _BRICKS else style.walls
     ridge = eaves + pitch * y
@@ -327,7 +328,7 @@ def car_parks(houses: list[House]) -> tuple[Any, Any]:
     return unary_union(lots), unary_union(ways)
 
 
-def paths(houses: list[House]) -> tuple[Any, Any]:
+def garden_paths(houses: list[House]) -> tuple[Any, Any]:
     """Paved paths and gravel drives from the sidewalk to houses with gardens."""
     walks, drives = [], []
     for i, house in enumerate(houses):

@@ -7,7 +7,7 @@ import numpy as np
 from skope.gen.mesh import Mesh, lathe, merged
 from skope.gen.scenery import roof
 from skope.gen.scenery.quads import Solid
-from skope.gen.towns.town_style import Kind
+from skope.gen.towns.town_style import BuildingKind
 
 _WALL_AXES: Final = (
     ((-1.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, 1.0, 0.0)),
@@ -25,7 +25,7 @@ def _wall_origins(half: tuple[float, float]) -> tuple[tuple[tuple[float, float, 
     return ((x, y, 0.0), 2 * x), ((-x, -y, 0.0), 2 * x), ((x, -y, 0.0), 2 * y), ((-x, y, 0.0), 2 * y)
 
 
-def tower(kind: Kind, half: tuple[float, float], detail: int, rng: np.random.Generator) -> Solid:
+def tower(kind: BuildingKind, half: tuple[float, float], detail: int, rng: np.random.Generator) -> Solid:
     """Storeys of glass between floors and piers, over a glazed ground floor; plant on the roof."""
     storeys, wall = int(rng.integers(kind.storeys[0], kind.storeys[1] + 1)), str(rng.choice(kind.walls))
     style = rng.choice(["bands", "piers", "grid"])
@@ -50,7 +50,7 @@ def tower(kind: Kind, half: tuple[float, float], detail: int, rng: np.random.Gen
     return out
 
 
-def _office_front(kind: Kind, wall: str, style: str, width: float, storeys: int, detail: int) -> Solid:
+def _office_front(kind: BuildingKind, wall: str, style: str, width: float, storeys: int, detail: int) -> Solid:
     out = Solid()
     if detail == 0:
         out.pane(wall, (0.0, width), (0.0, kind.ground + kind.storey * storeys), 0.0)
@@ -90,7 +90,7 @@ def _office_front(kind: Kind, wall: str, style: str, width: float, storeys: int,
     return out
 
 
-def hall(kind: Kind, half: tuple[float, float], near: bool, rng: np.random.Generator) -> Solid:
+def hall(kind: BuildingKind, half: tuple[float, float], near: bool, rng: np.random.Generator) -> Solid:
     """Sheet metal on a plinth; a shop's glazed entrance with its sign, or a warehouse's gates and high windows."""
     wall, (x, y), top = str(rng.choice(kind.walls)), half, kind.ground
     out = Solid()
@@ -143,7 +143,7 @@ def _entrance(width: float, top: float, rng: np.random.Generator) -> Solid:
     return out
 
 
-def barn(kind: Kind, half: tuple[float, float], rng: np.random.Generator) -> Solid:
+def barn(kind: BuildingKind, half: tuple[float, float], rng: np.random.Generator) -> Solid:
     """Boards under a steep roof, with a gate in the gable and in the long side."""
     wall, covering = str(rng.choice(kind.walls)), str(rng.choice(kind.roofs))
     eaves = kind.ground * rng.uniform(0.85, 1.1)
@@ -168,7 +168,7 @@ def barn(kind: Kind, half: tuple[float, float], rng: np.random.Generator) -> Sol
     return out
 
 
-def silo(kind: Kind, radius: float, near: bool, rng: np.random.Generator) -> Mesh:
+def silo(kind: BuildingKind, radius: float, near: bool, rng: np.random.Generator) -> Mesh:
     """A round tower with a dome and hoops."""
     wall, high = str(rng.choice(kind.walls)), kind.ground * rng.uniform(0.8, 1.15)
     profile = [(-0.4, radius), (high, radius), (high + 0.5 * radius, 0.75 * radius), (high + 0.75 * radius, 0.0)]

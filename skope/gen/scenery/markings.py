@@ -8,7 +8,7 @@ import shapely
 from shapely import LineString, Polygon
 from shapely.ops import substring, unary_union
 
-from skope.gen.towns.regions import rectangle
+from skope.gen.towns.regions import rectangle_polygon
 from skope.gen.towns.road_graph import RoadGraph, driven, is_minor, is_signalled, joins, legs
 from skope.types import Array
 
@@ -107,7 +107,7 @@ def _give_way(shape: LineString, half: float) -> Iterator[Polygon]:
     along = (end - before) / np.hypot(*(end - before))
     across = np.array([along[1], -along[0]])
     for offset in np.arange(-half + 0.35, half - 0.1, 0.75):
-        yield rectangle(end - 0.4 * along + offset * across, float(np.arctan2(along[1], along[0])), 0.35, 0.45)
+        yield rectangle_polygon(end - 0.4 * along + offset * across, float(np.arctan2(along[1], along[0])), 0.35, 0.45)
 
 
 def _arrows(lane: Any, shape: LineString) -> Iterator[Polygon]:
@@ -143,7 +143,7 @@ def _arrow(ways: set[str]) -> Any:
     return unary_union(parts)
 
 
-def crossings(graph: RoadGraph) -> Iterator[Polygon]:
+def zebra_stripes(graph: RoadGraph) -> Iterator[Polygon]:
     """Zebra stripes across the carriageway where edges with sidewalks lead to a signalled junction.
 
     In the corner of a narrow junction, where two crossings would meet, there are none.
@@ -176,7 +176,7 @@ def _zebra(graph: RoadGraph, edge: Any) -> list[tuple[Polygon, bool]]:
     for i in range(count):
         offset = start + 2 * STRIPE * i + STRIPE / 2
         turned = float(np.arctan2(along[1], along[0]))
-        stripe = rectangle(middle + across * offset, turned, CROSSING[1] - CROSSING[0], STRIPE)
+        stripe = rectangle_polygon(middle + across * offset, turned, CROSSING[1] - CROSSING[0], STRIPE)
         out.append((stripe, arm[0] < offset < arm[1]))
     return out
 

@@ -125,8 +125,8 @@ def vehicle_from_side(rng: np.random.Generator) -> Solid:
     put("#ffeecc", _rectangle(0.005, lamp, 0.045, 0.03), LAYER)
     put("#aa1111", _rectangle(0.955, lamp, 0.04, 0.04), LAYER)
     for x in wheels:
-        put("#111111", disc(x, 0.085, 0.082), 2 * LAYER)
-        put("#999999", disc(x, 0.085, 0.048), 3 * LAYER)
+        put("#111111", filled_disc(x, 0.085, 0.082), 2 * LAYER)
+        put("#999999", filled_disc(x, 0.085, 0.048), 3 * LAYER)
     return out
 
 
@@ -154,7 +154,7 @@ def logo(rng: np.random.Generator) -> Solid:
         size, color, z = 0.5 * 0.62**k, drawn_color(rng), k * LAYER
         form = int(rng.integers(4))
         if form == 0:
-            filled(out, color, disc(0.5, 0.5, size), z)
+            filled(out, color, filled_disc(0.5, 0.5, size), z)
         elif form == 1:
             filled(out, color, _rectangle(0.5 - size, 0.5 - 0.6 * size, 2 * size, 1.2 * size), z)
         elif form == 2:
@@ -188,7 +188,7 @@ def _rectangle(x: float, y: float, width: float, height: float) -> _Outline:
     return ((x, y), (x + width, y), (x + width, y + height), (x, y + height))
 
 
-def disc(x: float, y: float, radius: float) -> Array:
+def filled_disc(x: float, y: float, radius: float) -> Array:
     """(12, 2) outline of a disc."""
     angle = np.arange(12) * np.pi / 6
     return np.array([x, y]) + radius * np.column_stack([np.cos(angle), np.sin(angle)])

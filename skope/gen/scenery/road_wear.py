@@ -8,7 +8,7 @@ from shapely import LineString, Point, Polygon
 from shapely.ops import unary_union
 
 from skope.gen.towns.land_use import PLAIN_FROM_M, Layout
-from skope.gen.towns.regions import rectangle
+from skope.gen.towns.regions import rectangle_polygon
 from skope.gen.towns.road_graph import beside, driven, half_width, right_of
 from skope.types import Array
 
@@ -35,15 +35,15 @@ def repairs(layout: Layout, rng: np.random.Generator) -> tuple[Any, Any, Any]:
             if layout.camera_distance(middle) > PLAIN_FROM_M:
                 continue
             at = middle + right_of(heading) * across
-            shape = rectangle(at, heading, rng.uniform(1.2, 3.5), rng.uniform(0.8, 1.8))
+            shape = rectangle_polygon(at, heading, rng.uniform(1.2, 3.5), rng.uniform(0.8, 1.8))
             if kind < 0.22:
                 new.append(shape)
             elif kind < 0.40:
                 old.append(shape)
             elif kind < 0.52:  # a trench across the lanes
-                new.append(rectangle(middle, heading, rng.uniform(0.6, 0.9), 2 * half))
+                new.append(rectangle_polygon(middle, heading, rng.uniform(0.6, 0.9), 2 * half))
             elif kind < 0.60:  # a trench along them
-                old.append(rectangle(at, heading, rng.uniform(8.0, 16.0), 0.7))
+                old.append(rectangle_polygon(at, heading, rng.uniform(8.0, 16.0), 0.7))
             else:
                 cracks.append(_crack(at, heading + rng.choice([0.0, 0.0, np.pi / 2]), rng))
     for node in layout.graph.net.getNodes():
@@ -52,7 +52,7 @@ def repairs(layout: Layout, rng: np.random.Generator) -> tuple[Any, Any, Any]:
         if (area := Polygon(node.getShape()).buffer(-3.0)).area > 40:
             for kept in (new, old):
                 at, heading = _random_place(area, rng), rng.uniform(0, np.pi)
-                kept.append(rectangle(at, heading, rng.uniform(1.2, 2.6), 1.1))
+                kept.append(rectangle_polygon(at, heading, rng.uniform(1.2, 2.6), 1.1))
             cracks += [_crack(_random_place(area, rng), rng.uniform(0, np.pi), rng) for _ in range(3)]
     seams = [shape.boundary.buffer(0.035, cap_style="flat") for shape in (*new, *old)]
     return unary_union(new), unary_union(old), unary_union([*seams, *cracks])
@@ -89,7 +89,7 @@ def covers(layout: Layout, rng: np.random.Generator) -> Iterator[Polygon]:
         for s in np.arange(9.0, length - 4.0, 24.0):
             at, heading = beside(edge, s, -0.19)
             if layout.camera_distance(at) < PLAIN_FROM_M:
-                yield rectangle(at, heading, 0.5, 0.3)
+                yield rectangle_polygon(at, heading, 0.5, 0.3)
 
 
 def sidewalk_covers(layout: Layout, rng: np.random.Generator) -> Iterator[Polygon]:
@@ -98,4 +98,4 @@ def sidewalk_covers(layout: Layout, rng: np.random.Generator) -> Iterator[Polygo
             at, heading = beside(edge, s + rng.uniform(-3.0, 3.0), rng.uniform(1.0, 1.9))
             if layout.camera_distance(at) > PLAIN_FROM_M:
                 continue
-            yield rectangle(at, heading, rng.choice([0.45, 0.6, 0.9]), 0.45)
+            yield rectangle_polygon(at, heading, rng.choice([0.45, 0.6, 0.9]), 0.45)

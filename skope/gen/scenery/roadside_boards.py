@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 
 from skope.gen.mesh import Mesh, lathe, merged
-from skope.gen.scenery.printed_pictures import LAYER, disc, drawn_color, filled, letters
+from skope.gen.scenery.printed_pictures import LAYER, drawn_color, filled, filled_disc, letters
 from skope.gen.scenery.quads import BELOW, TOWARDS_ROAD, Solid
 
 _ARROW: Final = (
@@ -64,7 +64,7 @@ def arrow_trailer(rng: np.random.Generator) -> Mesh:
         _stripes(front, (-x + 0.03, x - 0.03), (1.0, top - 0.03))
         _blue_arrow(front, (0.0, (top + 1.0) / 2), 0.46 * min(2 * x, top - 1.0), rng.choice([-1, 1]))
         for side in (-1, 1):
-            filled(front, "#ff9911", disc(side * (x - 0.16), top - 0.18, 0.1), 4 * LAYER)
+            filled(front, "#ff9911", filled_disc(side * (x - 0.16), top - 0.18, 0.1), 4 * LAYER)
     out.add(front.placed((0.0, 0.7, 0.0), TOWARDS_ROAD))
     wheel = lathe([(-0.1, 0.0), (-0.1, 0.28), (0.1, 0.28), (0.1, 0.0)], ["rim", "tyre", "rim"], 14, "y")
     turned = wheel.moved((0.0, 0.0, 0.0), np.pi / 2)
@@ -85,14 +85,14 @@ def _lamp_arrow(out: Solid, lamp: str, middle: tuple[float, float], side: float,
     places = [(a, 0.0) for a in along] + [(0.5 - b, sign * b) for b in (0.17, 0.34) for sign in (-1, 1)]
     for u, v in places:
         at = (middle[0] + 0.85 * side * way * u, middle[1] + 0.85 * side * v)
-        filled(out, "#222222", disc(*at, 0.065 * side), LAYER)
-        filled(out, lamp, disc(*at, 0.05 * side), 2 * LAYER)
+        filled(out, "#222222", filled_disc(*at, 0.065 * side), LAYER)
+        filled(out, lamp, filled_disc(*at, 0.05 * side), 2 * LAYER)
 
 
 def _blue_arrow(out: Solid, middle: tuple[float, float], radius: float, way: int) -> None:
     """A blue disc with a white rim and a white arrow that points down to one side."""
-    filled(out, "sign_white", disc(*middle, radius), 2 * LAYER)
-    filled(out, "sign_blue", disc(*middle, 0.93 * radius), 3 * LAYER)
+    filled(out, "sign_white", filled_disc(*middle, radius), 2 * LAYER)
+    filled(out, "sign_blue", filled_disc(*middle, 0.93 * radius), 3 * LAYER)
     _arrow(out, "sign_white", middle, 1.5 * radius, -np.pi / 4 if way > 0 else -3 * np.pi / 4, 4 * LAYER)
 
 

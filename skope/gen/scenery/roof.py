@@ -48,7 +48,7 @@ def hipped(half: tuple[float, float], eaves: float, rise: float, material: str) 
     return out
 
 
-def flat(half: tuple[float, float], eaves: float, parapet: float, walls: str, dressing: str) -> Solid:
+def flat_roof(half: tuple[float, float], eaves: float, parapet: float, walls: str, dressing: str) -> Solid:
     """A flat roof behind a parapet, with a plant room."""
     x, y = half
     t = 0.25

@@ -14,8 +14,8 @@ from shapely.ops import unary_union
 from skope.gen.mesh import Mesh, box, from_triangles, grid, lathe, merged, tube
 from skope.gen.scenery.winter_trees import branches, drooping_branches
 from skope.gen.towns.land_use import PLAIN_FROM_M, Layout
-from skope.gen.towns.regions import free, polygons, rectangle
-from skope.gen.towns.road_graph import along
+from skope.gen.towns.regions import is_free, polygons, rectangle_polygon
+from skope.gen.towns.road_graph import places_along
 from skope.gen.towns.season import Season
 from skope.gen.towns.town_style import drawn_name
 from skope.types import Array
@@ -81,7 +81,7 @@ class Tree:
 
     @property
     def pit(self) -> Polygon:
-        return rectangle(self.place, 0.0, 1.2, 1.2)
+        return rectangle_polygon(self.place, 0.0, 1.2, 1.2)
 
 
 def plant(layout: Layout, built: Any, rng: np.random.Generator) -> list[Tree]:
@@ -103,11 +103,11 @@ def plant(layout: Layout, built: Any, rng: np.random.Generator) -> list[Tree]:
         edges = graph.edges_of("ground")
         if line.roads:
             edges = [edge for edge in graph.edges if edge.getType() in line.roads]
-        for edge, place, _ in along(edges, line.spacing, line.offset):
+        for edge, place, _ in places_along(edges, line.spacing, line.offset):
             street = line.offset < graph.kind(edge).sidewalk
             wander = rng.uniform(-1.0, 1.0, 2) * (0.15 if street else line.wander * line.offset)
             at, species, likely = place + wander, drawn_name(style.species, rng), rng.random()
-            if likely < line.chance and free(keep_clear, at, 0.4):
+            if likely < line.chance and is_free(keep_clear, at, 0.4):
                 grow(at, street, SPECIES[species])
     # Nothing is high enough in a median to hide what a camera looks at, but its crowns' stems stand there.
     near_cameras = layout.around_cameras.buffer(CROWN)

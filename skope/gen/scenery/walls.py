@@ -54,7 +54,7 @@ def _strip(line: Array, low: Array, high: Array, chosen: NDArray[np.bool_], mate
 
 def _parapets_along(line: Array, base: Array, chosen: NDArray[np.bool_]) -> Iterator[Mesh]:
     """A low wall behind a line's left-hand side, with a rail on it."""
-    for first, last in runs(chosen):
+    for first, last in runs_of_true(chosen):
         path, z = LineString(line[first : last + 1]), base[first : last + 1]
         if path.length < 1.0:
             continue
@@ -98,7 +98,7 @@ def left_of(line: Array) -> Array:
     return np.stack([-forward[:, 1], forward[:, 0]], axis=1)
 
 
-def runs(chosen: NDArray[np.bool_]) -> Iterator[tuple[int, int]]:
+def runs_of_true(chosen: NDArray[np.bool_]) -> Iterator[tuple[int, int]]:
     """First and one past the last index of each run of True."""
     edges = np.diff(np.concatenate([[0], chosen.astype(np.int8), [0]]))
     yield from zip(np.flatnonzero(edges == 1).tolist(), np.flatnonzero(edges == -1).tolist(), strict=True)

@@ -11,7 +11,7 @@ from shapely import Polygon
 from skope.gen.simulation.smooth_paths import Driven
 from skope.gen.towns.land_use import Layout
 from skope.gen.towns.parking import BAY, Bay
-from skope.gen.towns.regions import rectangle
+from skope.gen.towns.regions import rectangle_polygon
 from skope.gen.towns.town import Town
 from skope.gen.vehicles.fleet import FleetEntry
 from skope.gen.vehicles.model import Vehicle, straight_lwh
@@ -35,10 +35,10 @@ class Parked:
     def footprint(self, vehicle: Vehicle) -> Polygon:
         """Rectangle of ground that the vehicle stands on, world, metres."""
         length, width, _ = vehicle.size_lwh
-        return rectangle(np.array(self.state.position[:2]), self.state.yaw, length, width)
+        return rectangle_polygon(np.array(self.state.position[:2]), self.state.yaw, length, width)
 
 
-def parked(
+def parked_vehicles(
     town: Town,
     bays: Sequence[Bay],
     models: Mapping[str, FleetEntry],

@@ -11,7 +11,7 @@ from shapely import LineString, Polygon
 from shapely.ops import unary_union
 
 from skope.gen.bystanders import looks
-from skope.gen.bystanders.bystander import Bystander, build
+from skope.gen.bystanders.bystander import Bystander, build_bystander
 from skope.gen.bystanders.joints import sunk
 from skope.gen.bystanders.people import Look, lowered
 from skope.gen.bystanders.riding import standing_lean
@@ -86,8 +86,8 @@ class Riders:
     def _place(self, name: str, state: SumoRider, dt: float) -> PlacedBystander:
         if name not in self._bodies:
             kind, rng = self._kinds[name], self._rng_of(name)
-            look = looks.drawn(kind, rng) if self._jointed else Look.drawn(rng)
-            self._bodies[name] = build(kind, look.to_dict())
+            look = looks.draw_look(kind, rng) if self._jointed else Look.drawn(rng)
+            self._bodies[name] = build_bystander(kind, look.to_dict())
             self._travelled[name], self._yaw[name], self._lean[name] = 0.0, state.yaw, 0.0
         turn = math.remainder(state.yaw - self._yaw[name], 2 * math.pi) / dt
         self._yaw[name] = state.yaw
@@ -137,7 +137,7 @@ class Walkers:
                 speed = float(rng.normal(1.35, 0.2)) * (1 if look.height > 1.5 else 0.85) * rng.choice([-1, 1])
                 stands = rng.random() < _STANDING
                 walk = _Walk(
-                    build("pedestrian", look.to_dict()),
+                    build_bystander("pedestrian", look.to_dict()),
                     path,
                     float(rng.uniform(0, length)),
                     0.0 if stands else speed,
@@ -187,7 +187,7 @@ def _group(path: Array, length: float, rng: np.random.Generator, raining: bool) 
     facing = float(rng.uniform(-math.pi, math.pi))
     out = []
     for k in range(count):
-        body = build("pedestrian", looks.drawn("pedestrian", rng, raining=raining).to_dict())
+        body = build_bystander("pedestrian", looks.draw_look("pedestrian", rng, raining=raining).to_dict())
         if stands and count > 1:
             around = 2 * math.pi * k / count
             ahead, beside = _CIRCLE * math.cos(around), _CIRCLE * math.sin(around)

@@ -62,7 +62,7 @@ def at_rest(vehicle: Vehicle, driven: Driven) -> Pose:
     T[:3, 3] = driven.position
     wheels = np.tile(T, (4, 1, 1))
     wheels[:, :3, 3] += vehicle.shape.wheel_centers() @ T[:3, :3].T
-    return Pose(T, wheels, driven.speed * x, trailer_motion.pose(vehicle, driven.trailer, T))
+    return Pose(T, wheels, driven.speed * x, trailer_motion.trailer_poses(vehicle, driven.trailer, T))
 
 
 @dataclass
@@ -239,7 +239,7 @@ class _Body:
             frame[:3, 3] = link[4]
         chassis = frames[0].copy()
         chassis[:3, 3] -= chassis[:3, :3] @ [0, 0, _ROLL_CENTER]
-        trailer = trailer_motion.pose(self.vehicle, self.state.trailer, chassis)
+        trailer = trailer_motion.trailer_poses(self.vehicle, self.state.trailer, chassis)
         return Pose(chassis, frames[1:], self.velocity.copy(), trailer)
 
 

@@ -20,7 +20,7 @@ from skope.gen.simulation.smooth_paths import Driven
 from skope.gen.towns.parking import Bay
 from skope.gen.traffic.sumo import Snapshot, Traffic
 from skope.gen.vehicles import trailer_motion
-from skope.gen.vehicles.fleet import FleetEntry, build, fleet
+from skope.gen.vehicles.fleet import FleetEntry, build_vehicle, fleet
 from skope.gen.vehicles.model import Vehicle
 from skope.gen.vehicles.paints import draw_paint
 from skope.gen.vehicles.shape_jitter import jittered
@@ -152,7 +152,9 @@ class Recorder:
             vehicle = self._models[model].vehicle
             variation = self._plan.variation
             if variation.shape_jitter and model in fleet():
-                vehicle = build(model, jittered(model, self._plan.shape_rng(name, model)), recurs=variation.views > 0)
+                vehicle = build_vehicle(
+                    model, jittered(model, self._plan.shape_rng(name, model)), recurs=variation.views > 0
+                )
             self._vehicles[name] = vehicle
         return self._vehicles[name]
 

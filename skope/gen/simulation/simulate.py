@@ -9,13 +9,13 @@ import numpy as np
 from shapely import Polygon
 
 from skope.camera.model import Camera
-from skope.gen.scene.camera_sampling import CameraRanges, drawn
+from skope.gen.scene.camera_sampling import CameraRanges, sample_camera
 from skope.gen.scene.conditions import Conditions, ranges
 from skope.gen.scene.random_streams import Stream
 from skope.gen.scene.recording import Recording, RecordingPlan
 from skope.gen.scene.view_sampling import ViewSampler
 from skope.gen.scenery.build import bays_of
-from skope.gen.simulation.parked import MOST_PARKED, parked
+from skope.gen.simulation.parked import MOST_PARKED, parked_vehicles
 from skope.gen.simulation.pedestrians import Riders, Walkers
 from skope.gen.simulation.physics import World, at_rest
 from skope.gen.simulation.recorder import SIMULATED_WITHIN_M, Recorder
@@ -137,7 +137,7 @@ class _Cameras:
             self._add_recorders()
 
     def _own_camera(self, plan: RecordingPlan, conditions: Conditions) -> Camera:
-        return drawn(plan.site, _camera_ranges(plan, conditions), plan.rng(Stream.CAMERA))
+        return sample_camera(plan.site, _camera_ranges(plan, conditions), plan.rng(Stream.CAMERA))
 
     def watch(self, x: float, y: float) -> bool:
         """Whether a vehicle at a place (world, metres) may be recorded; anywhere while cameras are not chosen."""
@@ -173,7 +173,7 @@ class _Cameras:
         town, first = self._plans[0].site.town, self._plans[0]
         in_view = {bay: None for recorder in self.recorders for bay in recorder.in_view(bays_of(town))}
         rng, most = first.shared_rng(Stream.PARKED_VEHICLES), MOST_PARKED * len(self._plans)
-        standing = parked(town, list(in_view), self._models, rng, most=most)
+        standing = parked_vehicles(town, list(in_view), self._models, rng, most=most)
         footprints = [one.footprint(self._models[one.model].vehicle) for one in standing]
         masts = town.variant.masts if town.variant else ()
         places = [mast.position for mast in masts] or [first.site.position]
@@ -255,7 +255,7 @@ def _models(plan: RecordingPlan) -> dict[str, FleetEntry]:
 
 def _asked(name: str) -> Vehicle:
     """A model that was asked for, of the fleet or of the user."""
-    return fleet()[name].vehicle if name in fleet() else user_models.load(name)
+    return fleet()[name].vehicle if name in fleet() else user_models.load_model(name)
 
 
 def lamps_on(conditions: Conditions) -> bool:

@@ -17,20 +17,21 @@ from skope.camera.model import Camera
 from skope.errors import UserError
 from skope.files.reading import read_bytes, read_text
 from skope.gen.render.lens import pinhole_of
-from skope.gen.scene.conditions import CONDITION_LIMITS, Range, check_settings, ranges
+from skope.gen.scene.conditions import CONDITION_LIMITS, check_settings, ranges
 from skope.gen.scene.sun import sun_direction, time_of_day
 from skope.gen.towns.netconvert import from_map
 from skope.gen.towns.road_graph import OWN_ROADS_WITHIN_M, RoadGraph
 from skope.gen.towns.sites import Site, site_of, sites
 from skope.gen.towns.town import Town
 from skope.gen.towns.town_style import style
-from skope.gen.towns.user_road import Occluder, Outline, OwnRoad
+from skope.gen.towns.user_road import Occluder, OwnRoad, PixelOutline
 from skope.gen.traffic import route_files
 from skope.gen.traffic.demand import ways
 from skope.site.marks import read_occluder, read_outline
-from skope.site.site_camera import read_camera
+from skope.site.site_camera import read_site_camera
 from skope.site.site_file import read_parts
 from skope.site.toml_table import TomlTable
+from skope.types import Range
 
 _NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_]{0,39}")
 _SEEN: Final = 150.0
@@ -73,13 +74,13 @@ def own_site(field: str, text: str) -> OwnSite | None:
     if text not in sites():
         if path.suffix != ".toml" and not path.is_file():
             raise UserError(f"{field}: {text!r} is no site file, and none of {', '.join(sites())}")
-        return read_site(path)
+        return read_generation_site(path)
     if path.is_file():
         raise UserError(f"{field}: {text} is a site of the package and a file here; write ./{text} for the file")
     return None
 
 
-def read_site(path: Path) -> OwnSite:
+def read_generation_site(path: Path) -> OwnSite:
     """Read and check a site file.
 
     Args:
@@ -94,7 +95,7 @@ def read_site(path: Path) -> OwnSite:
         raise table.wrong("name", f"expected up to 40 letters, digits and _, got {name!r}")
     background = table.file("background")
     picture = _picture_size(table, background)
-    own = read_camera(table.table("camera"), picture)
+    own = read_site_camera(table.table("camera"), picture)
     camera = own.camera
     if picture and abs(picture[0] * camera.height / (picture[1] * camera.width) - 1) > 0.01:
         raise table.wrong(
@@ -207,7 +208,7 @@ def _occluder(row: TomlTable, camera: Camera, level: float) -> Occluder:
     return Occluder(mark.polygon, round(distance, 3))
 
 
-def _shade(table: TomlTable, camera: Camera) -> Outline:
+def _shade(table: TomlTable, camera: Camera) -> PixelOutline:
     """The outline of a shadow, all of it on the ground."""
     outline = read_outline(table)
     table.done()

@@ -20,7 +20,7 @@ _LANE_COLORS, _ARROW, _OCCLUDER, _SHADE = (255, 200, 40), (60, 220, 255), (255, 
 _GREY: Final = 90
 
 
-def overlay(road: OwnRoad) -> Pixels:
+def draw_lanes(road: OwnRoad) -> Pixels:
     """(H, W, 3) RGB: the photograph, or grey, with both edges of each lane, arrows along it, occluders and shades."""
     camera, graph = road.camera, RoadGraph.of(Town.of(road))
     size = (camera.width, camera.height)

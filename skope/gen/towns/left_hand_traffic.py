@@ -18,7 +18,7 @@ def is_lefthand(network: bytes) -> bool:
     return root is not None and re.search(rb'\blefthand="(true|1)"', root[0]) is not None
 
 
-def mirrored(network: bytes) -> bytes:
+def mirrored_town(network: bytes) -> bytes:
     """The network seen in the mirror: shapes reflected, right turns made left ones and the other way round."""
     root = ElementTree.fromstring(network)
     root.attrib.pop("lefthand", None)

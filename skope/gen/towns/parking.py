@@ -9,7 +9,7 @@ from shapely import Polygon
 from shapely.ops import unary_union
 
 from skope.gen.towns.land_use import KERB_WIDTH, Layout
-from skope.gen.towns.regions import polygons, rectangle
+from skope.gen.towns.regions import polygons, rectangle_polygon
 from skope.gen.towns.road_graph import beside, driven
 from skope.types import Array
 
@@ -44,7 +44,7 @@ class Bay:
 
 def ground_of(bays: Iterable[Bay]) -> Any:
     """The ground that bays along kerbs take up."""
-    return unary_union([rectangle(np.array(bay.place), bay.heading, *KERBSIDE).buffer(0.01) for bay in bays])
+    return unary_union([rectangle_polygon(np.array(bay.place), bay.heading, *KERBSIDE).buffer(0.01) for bay in bays])
 
 
 def lot_bays(lots: Any) -> list[Bay]:
@@ -65,7 +65,7 @@ def _rows(lot: Polygon) -> Iterator[Bay]:
         for x in np.arange(2.0 + BAY[1] / 2, length - 2.0 - BAY[1] / 2, BAY[1]):
             place = a + along * x + across * row
             bay = Bay((float(place[0]), float(place[1])), float(np.arctan2(*across[::-1])))
-            if inside.contains(rectangle(place, bay.heading, *BAY)):
+            if inside.contains(rectangle_polygon(place, bay.heading, *BAY)):
                 yield bay
 
 
@@ -84,7 +84,7 @@ def kerb_bays(layout: Layout, keep_clear: Any, rng: np.random.Generator) -> list
         first, last = _FROM_JUNCTIONS
         for s in np.arange(first, driven(edge)[0].getLength() - last, KERBSIDE[0]):
             place, heading = beside(edge, float(s), KERB_WIDTH + KERBSIDE[1] / 2)
-            ground = rectangle(place, heading, *KERBSIDE)
+            ground = rectangle_polygon(place, heading, *KERBSIDE)
             if rng.random() > _FREE_SHARE and not any(map(ground.intersects, (keep_clear, layout.graph.road))):
                 out.append(Bay((float(place[0]), float(place[1])), heading))
     return out
@@ -95,7 +95,7 @@ def bay_lines(lots: Any) -> Any:
     lines = []
     for bay in lot_bays(lots):
         side = np.array([-np.sin(bay.heading), np.cos(bay.heading)]) * BAY[1] / 2
-        lines += [rectangle(np.array(bay.place) + sign * side, bay.heading, BAY[0], 0.1) for sign in (-1, 1)]
+        lines += [rectangle_polygon(np.array(bay.place) + sign * side, bay.heading, BAY[0], 0.1) for sign in (-1, 1)]
     return unary_union(lines).intersection(lots.buffer(-0.3)) if lines else Polygon()
 
 

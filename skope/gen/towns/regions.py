@@ -20,14 +20,14 @@ def polygons(shape: Any) -> list[Polygon]:
     return [part for part in parts if isinstance(part, Polygon) and part.area > 1e-4]
 
 
-def rectangle(center: Array, heading: float, length: float, depth: float) -> Polygon:
+def rectangle_polygon(center: Array, heading: float, length: float, depth: float) -> Polygon:
     """A rectangle around a place (2,), `length` metres along a heading (radians) and `depth` metres across it."""
     c, s = np.cos(heading), np.sin(heading)
     corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * [length / 2, depth / 2]
     return Polygon(corners @ np.array([[c, s], [-s, c]]) + center)
 
 
-def free(region: Any, place: Array, distance: float = 0.0) -> bool:
+def is_free(region: Any, place: Array, distance: float = 0.0) -> bool:
     """Whether a place (2,) is outside a prepared region and at least `distance` metres from it."""
     point = Point(place)
     return not shapely.intersects(region, point) and (distance <= 0 or shapely.distance(region, point) >= distance)

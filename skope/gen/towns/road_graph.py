@@ -15,7 +15,7 @@ from shapely import LineString, Point, Polygon
 from shapely.ops import unary_union
 
 from skope.camera.model import Camera
-from skope.gen.towns.left_hand_traffic import is_lefthand, mirrored
+from skope.gen.towns.left_hand_traffic import is_lefthand, mirrored_town
 from skope.gen.towns.regions import Region, polygons
 from skope.gen.towns.terrain import Lanes
 from skope.gen.towns.town import Town
@@ -53,7 +53,7 @@ class RoadGraph:
         if is_mirrored := is_lefthand(network.read_bytes()):
             with tempfile.TemporaryDirectory() as folder:
                 image = Path(folder) / network.name
-                image.write_bytes(mirrored(network.read_bytes()))
+                image.write_bytes(mirrored_town(network.read_bytes()))
                 net = _read_net(image)
         else:
             net = _read_net(network)
@@ -239,7 +239,7 @@ def _line_of(lane: Any) -> LineString:
     return LineString(lane.getShape())
 
 
-def along(edges: Sequence[Any], spacing: float, offset: float) -> Iterator[tuple[Any, Array, float]]:
+def places_along(edges: Sequence[Any], spacing: float, offset: float) -> Iterator[tuple[Any, Array, float]]:
     """Places beside edges, every `spacing` metres along each and `offset` metres to the right of its kerb.
 
     Yields:

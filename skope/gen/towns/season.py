@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-Range = tuple[float, float]
+from skope.types import Range
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,7 +11,7 @@ import numpy as np
 
 from skope.camera.model import Camera, Distortion
 from skope.errors import UserError
-from skope.gen.towns.town import Mast, Town, folder
+from skope.gen.towns.town import Mast, Town, town_folder
 from skope.gen.towns.user_road import OwnRoad
 
 
@@ -77,7 +77,7 @@ class Site:
 def sites() -> Mapping[str, Site]:
     """All camera sites by name, town by town."""
     out = {}
-    for path in sorted(folder("").glob("*/sites.toml")):
+    for path in sorted(town_folder("").glob("*/sites.toml")):
         for name, row in tomllib.loads(path.read_text(encoding="utf-8")).items():
             out[name] = Site(name=name, town=Town(path.parent.name), **{**row, "position": tuple(row["position"])})
     return out

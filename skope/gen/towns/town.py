@@ -58,10 +58,10 @@ class Town:
     @property
     def network(self) -> Path:
         """Path of the compiled SUMO network, a .net.xml file."""
-        return _network_file(self) if self.road else folder(self.name) / "town.net.xml"
+        return _network_file(self) if self.road else town_folder(self.name) / "town.net.xml"
 
 
-def folder(name: str) -> Path:
+def town_folder(name: str) -> Path:
     """Folder with the files of a town of the package."""
     return Path(str(resources.files("skope.gen.towns"))) / name
 
@@ -69,13 +69,13 @@ def folder(name: str) -> Path:
 @cache
 def towns() -> tuple[Town, ...]:
     """All towns of the package."""
-    return tuple(Town(name) for name in sorted(path.parent.name for path in folder("").glob("*/town.toml")))
+    return tuple(Town(name) for name in sorted(path.parent.name for path in town_folder("").glob("*/town.toml")))
 
 
 def source_digest(name: str) -> str:
     """Digest of the plain XML files that the network of a town of the package is compiled from."""
     digest = hashlib.sha256()
-    for path in sorted((folder(name) / "source").glob("*.xml")):
+    for path in sorted((town_folder(name) / "source").glob("*.xml")):
         digest.update(path.name.encode() + b"\n" + path.read_bytes())
     return digest.hexdigest()[:24]
 

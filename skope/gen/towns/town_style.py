@@ -10,9 +10,8 @@ from typing import Any, Literal
 import numpy as np
 
 from skope.gen.towns.season import Season, drawn_season
-from skope.gen.towns.town import Town, folder, towns
-
-Range = tuple[float, float]
+from skope.gen.towns.town import Town, town_folder, towns
+from skope.types import Range
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,7 +51,7 @@ class Terrain:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Kind:
+class BuildingKind:
     """A kind of building; ranges are drawn from evenly, lists by chance. Metres."""
 
     form: Literal["house", "tower", "hall", "barn", "silo"] = "house"
@@ -85,7 +84,7 @@ class Kind:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Row:
+class ObjectRow:
     """Row of objects along some of the roads; of a town's rows the first that fits a place counts."""
 
     roads: tuple[str, ...] = ()
@@ -139,10 +138,10 @@ class TownStyle:
     """Features of roads by SUMO edge type."""
     road: Road = Road()
     """Features of all other roads."""
-    rows: tuple[Row, ...]
+    rows: tuple[ObjectRow, ...]
     behind: Mapping[str, float] = field(default_factory=dict)
     """Shares of building kinds behind the rows."""
-    kinds: Mapping[str, Kind]
+    kinds: Mapping[str, BuildingKind]
     species: Mapping[str, float]
     """Shares of tree species."""
     planting: tuple[Planting, ...]
@@ -186,14 +185,14 @@ def style(town: Town) -> TownStyle:
         return varied_style(style(Town(town.name)), [style(other) for other in towns()], rng)
     row = _read(town)
     own = row.pop("kinds", {})
-    shared = tomllib.loads(folder("buildings.toml").read_text(encoding="utf-8"))
+    shared = tomllib.loads(town_folder("buildings.toml").read_text(encoding="utf-8"))
     used = {name for part in (*row.get("rows", []), {"kinds": row.get("behind", {})}) for name in part["kinds"]}
     return TownStyle(
         terrain=Terrain(**_fixed(row.pop("terrain", {}))),
         roads={name: Road(**values) for name, values in row.pop("roads", {}).items()},
         road=Road(**row.pop("road", {})),
-        kinds={name: Kind(**_fixed({**shared.get(name, {}), **own.get(name, {})})) for name in sorted(used)},
-        rows=tuple(Row(**_fixed(values)) for values in row.pop("rows", [])),
+        kinds={name: BuildingKind(**_fixed({**shared.get(name, {}), **own.get(name, {})})) for name in sorted(used)},
+        rows=tuple(ObjectRow(**_fixed(values)) for values in row.pop("rows", [])),
         planting=tuple(Planting(**_fixed(values)) for values in row.pop("planting", [])),
         gantries=tuple(Gantry(**_fixed(values)) for values in row.pop("gantries", [])),
         **_fixed(row),
@@ -271,7 +270,11 @@ def varied_style(own: TownStyle, others: Sequence[TownStyle], rng: np.random.Gen
 
 def _read(town: Town) -> dict[str, Any]:
     own = town.road
-    path = folder(town.name) / "town.toml" if own is None else folder("bare.toml" if own.photograph else "generic.toml")
+    path = (
+        town_folder(town.name) / "town.toml"
+        if own is None
+        else town_folder("bare.toml" if own.photograph else "generic.toml")
+    )
     return tomllib.loads((own and own.style) or path.read_text(encoding="utf-8"))
 
 

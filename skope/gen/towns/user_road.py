@@ -14,14 +14,14 @@ from skope.camera.model import Camera
 from skope.files import safe_names
 from skope.types import Pixels
 
-Outline = tuple[tuple[float, float], ...]
+PixelOutline = tuple[tuple[float, float], ...]
 
 
 @dataclass(frozen=True)
 class Occluder:
     """Something in the photograph that stands before the traffic."""
 
-    polygon: Outline
+    polygon: PixelOutline
     """Outline of the object, pixels of the camera's image."""
     distance: float
     """Planar depth, metres."""
@@ -41,7 +41,7 @@ class OwnRoad:
     """Photograph of the empty road: the bytes of an image file of the camera's size or a multiple. Empty to grow
     scenery instead."""
     occluders: tuple[Occluder, ...] = ()
-    shades: tuple[Outline, ...] = ()
+    shades: tuple[PixelOutline, ...] = ()
     """Ground that lies in shadow in the photograph, pixels of the camera's image."""
 
     def __post_init__(self) -> None:

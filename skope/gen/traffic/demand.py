@@ -116,7 +116,7 @@ def trips(
         if time > duration:
             return
         edges = routes[rng.choice(len(routes), p=weights / weights.sum())][0]
-        model, driver = drawn(users, rng), drawn(drivers, rng)
+        model, driver = draw_name(users, rng), draw_name(drivers, rng)
         color = draw_paint(models[model].vehicle, rng) if model in models else "black"
         yield Trip(f"v{i:05d}", model, driver, color, time, edges)
         if riders.narrow and model in RIDERS:
@@ -131,7 +131,7 @@ def driver_shares() -> dict[str, float]:
     return {name: row["share"] for name, row in kinds_of_drivers().items()}
 
 
-def drawn(shares: Mapping[str, float], rng: np.random.Generator) -> str:
+def draw_name(shares: Mapping[str, float], rng: np.random.Generator) -> str:
     """Draw one of the names, by their shares."""
     p = np.array(list(shares.values()))
     return list(shares)[rng.choice(len(p), p=p / p.sum())]

@@ -17,7 +17,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from skope.errors import UserError
-from skope.gen.traffic.demand import RIDERS, Trip, drawn, driver_shares
+from skope.gen.traffic.demand import RIDERS, Trip, draw_name, driver_shares
 from skope.gen.vehicles.fleet import FleetEntry
 from skope.gen.vehicles.paints import draw_paint
 
@@ -80,7 +80,7 @@ def scheduled(
     for i, (time, k) in enumerate(planned):
         model = _model(flows[k].vehicle_class, models, rng)
         color = draw_paint(models[model].vehicle, rng) if model in models else "black"
-        yield Trip(f"v{i:05d}", model, drawn(driver_shares(), rng), color, time - start, flows[k].edges)
+        yield Trip(f"v{i:05d}", model, draw_name(driver_shares(), rng), color, time - start, flows[k].edges)
 
 
 def _model(vehicle_class: str, models: Mapping[str, FleetEntry], rng: np.random.Generator) -> str:
@@ -88,7 +88,7 @@ def _model(vehicle_class: str, models: Mapping[str, FleetEntry], rng: np.random.
         return _RIDERS[vehicle_class]
     types = _OF_CLASS.get(vehicle_class, ())
     fitting = {name: entry.share for name, entry in models.items() if entry.vehicle.vehicle_type in types}
-    return drawn(fitting or {name: entry.share for name, entry in models.items()}, rng)
+    return draw_name(fitting or {name: entry.share for name, entry in models.items()}, rng)
 
 
 @cache

@@ -10,7 +10,7 @@ from skope.gen.vehicles.body_axes import LEFT_AXIS
 from skope.gen.vehicles.cargo import Cargo, CargoSpace
 from skope.gen.vehicles.liveries import MARKER, TONES, draw_graphics
 from skope.gen.vehicles.lofted_surfaces import BOTTOM, ROWS, SIDE, WRAP, Plan, Surface
-from skope.gen.vehicles.panels import rectangle
+from skope.gen.vehicles.panels import rectangle_outline
 from skope.gen.vehicles.solids import prism
 from skope.gen.vehicles.upright_shells import Tower
 
@@ -28,9 +28,9 @@ def box_body(space: CargoSpace) -> Cargo:
     sill, top = space.floor + 0.12, high - 0.16
     draw_graphics(shell, (space.end + 0.2, space.ahead - 0.2), (sill + 0.05, top), rng)
     for x in np.linspace(space.ahead - 0.04, space.end + 0.04, 2):
-        shell.draw(rectangle(x - 0.035, x + 0.035, sill, top + 0.04), SIDE, "rail", layer=3, facing=LEFT_AXIS)
+        shell.draw(rectangle_outline(x - 0.035, x + 0.035, sill, top + 0.04), SIDE, "rail", layer=3, facing=LEFT_AXIS)
     for x in np.arange(space.end + 0.5, space.ahead - 0.4, 1.1).tolist():
-        shell.draw(rectangle(x - 0.03, x + 0.03, sill - 0.085, sill - 0.055), SIDE, MARKER, layer=4)
+        shell.draw(rectangle_outline(x - 0.03, x + 0.03, sill - 0.085, sill - 0.055), SIDE, MARKER, layer=4)
     _rear(shell, space, end, shutter=rng.uniform() < _SHUTTER)
     out.parts.append(shell.half)
     if space.style.cooled:
@@ -53,13 +53,15 @@ def curtain_body(space: CargoSpace) -> Cargo:
     for x in folds:
         # A fold: a lighter and a darker line side by side, as light falls along it.
         wide = float(rng.uniform(0.03, 0.07))
-        shell.draw(rectangle(x, x + wide, sill, top), SIDE, "tarpaulin" if wide > 0.06 else "rail", layer=1)
+        shell.draw(rectangle_outline(x, x + wide, sill, top), SIDE, "tarpaulin" if wide > 0.06 else "rail", layer=1)
     draw_graphics(shell, (space.end + 0.2, space.ahead - 0.2), (sill + 0.22, top - 0.05), rng)
     for x in folds:
-        shell.draw(rectangle(x - 0.02, x + 0.02, sill, sill + 0.34), SIDE, "trim", layer=8, facing=LEFT_AXIS)
-        shell.draw(rectangle(x - 0.035, x + 0.035, sill + 0.1, sill + 0.17), SIDE, "chrome", layer=10, facing=LEFT_AXIS)
+        shell.draw(rectangle_outline(x - 0.02, x + 0.02, sill, sill + 0.34), SIDE, "trim", layer=8, facing=LEFT_AXIS)
+        shell.draw(
+            rectangle_outline(x - 0.035, x + 0.035, sill + 0.1, sill + 0.17), SIDE, "chrome", layer=10, facing=LEFT_AXIS
+        )
     for x in (space.ahead - 0.05, space.end + 0.05):
-        shell.draw(rectangle(x - 0.05, x + 0.05, sill, top + 0.04), SIDE, "rail", layer=3, facing=LEFT_AXIS)
+        shell.draw(rectangle_outline(x - 0.05, x + 0.05, sill, top + 0.04), SIDE, "rail", layer=3, facing=LEFT_AXIS)
     _rear(shell, space, end, shutter=False)
     out.parts.append(shell.half)
     _mark(out, shell, space, end)
@@ -80,8 +82,8 @@ def _shell(space: CargoSpace, material: str) -> tuple[Surface, float]:
         levels=2,
     )
     shell, w, _ = tower.surface(material)
-    shell.draw(rectangle(-1, 99, 0, space.floor + 0.09), WRAP, "rail")
-    shell.draw(rectangle(-1, 99, space.shape.height - 0.12, space.shape.height - 0.06), WRAP, "rail")
+    shell.draw(rectangle_outline(-1, 99, 0, space.floor + 0.09), WRAP, "rail")
+    shell.draw(rectangle_outline(-1, 99, space.shape.height - 0.12, space.shape.height - 0.06), WRAP, "rail")
     return shell, float(w[-1])
 
 
@@ -92,20 +94,22 @@ def _rear(shell: Surface, space: CargoSpace, end: float, *, shutter: bool) -> No
     if shutter:
         for z in np.arange(sill + 0.12, top - 0.05, 0.16).tolist():
             shell.line([(edge, z), (end + 0.1, z)], WRAP, width=0.012)
-        shell.draw(rectangle(end - 0.3, end + 0.1, sill + 0.06, sill + 0.1), WRAP, "trim", layer=2)
+        shell.draw(rectangle_outline(end - 0.3, end + 0.1, sill + 0.06, sill + 0.1), WRAP, "trim", layer=2)
     else:
         shell.line([(end, sill), (end, top)], WRAP, width=0.016)
         for share in (0.28, 0.6):
-            bolt = rectangle(end - share - 0.012, end - share + 0.012, sill + 0.05, top - 0.05)
+            bolt = rectangle_outline(end - share - 0.012, end - share + 0.012, sill + 0.05, top - 0.05)
             shell.draw(bolt, WRAP, "chrome", layer=5)
-            shell.draw(rectangle(end - share - 0.03, end - share + 0.2, sill + 0.55, sill + 0.6), WRAP, "rail", layer=7)
+            shell.draw(
+                rectangle_outline(end - share - 0.03, end - share + 0.2, sill + 0.55, sill + 0.6), WRAP, "rail", layer=7
+            )
         for z in np.linspace(sill + 0.3, top - 0.3, 4):
-            shell.draw(rectangle(edge, edge + 0.1, z, z + 0.05), WRAP, "rail", layer=2)
+            shell.draw(rectangle_outline(edge, edge + 0.1, z, z + 0.05), WRAP, "rail", layer=2)
     # Marker lamps, and the red and yellow plates of long and heavy lorries.
     corner = end - space.half
-    shell.draw(rectangle(corner + 0.03, corner + 0.1, top + 0.06, top + 0.1), WRAP, "taillight", layer=2)
-    shell.draw(rectangle(edge + 0.05, edge + 0.6, sill + 0.1, sill + 0.22), WRAP, TONES[6], layer=4)
-    shell.draw(rectangle(edge + 0.07, edge + 0.58, sill + 0.12, sill + 0.2), WRAP, TONES[0], layer=6)
+    shell.draw(rectangle_outline(corner + 0.03, corner + 0.1, top + 0.06, top + 0.1), WRAP, "taillight", layer=2)
+    shell.draw(rectangle_outline(edge + 0.05, edge + 0.6, sill + 0.1, sill + 0.22), WRAP, TONES[6], layer=4)
+    shell.draw(rectangle_outline(edge + 0.07, edge + 0.58, sill + 0.12, sill + 0.2), WRAP, TONES[0], layer=6)
 
 
 def _mark(out: Cargo, shell: Surface, space: CargoSpace, end: float) -> None:
@@ -124,7 +128,7 @@ def luton_body(space: CargoSpace) -> Cargo:
     sill, top = space.floor + 0.12, space.shape.height - 0.16
     draw_graphics(shell, (space.end + 0.2, space.ahead - 0.15), (sill + 0.05, top), rng)
     for x in (space.ahead - 0.04, space.end + 0.04):
-        shell.draw(rectangle(x - 0.035, x + 0.035, sill, top + 0.04), SIDE, "rail", layer=3, facing=LEFT_AXIS)
+        shell.draw(rectangle_outline(x - 0.035, x + 0.035, sill, top + 0.04), SIDE, "rail", layer=3, facing=LEFT_AXIS)
     _rear(shell, space, end, shutter=rng.uniform() < 0.6)
     out.parts += [shell.half, peak(space, "livery")]
     _mark(out, shell, space, end)

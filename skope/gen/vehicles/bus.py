@@ -10,7 +10,7 @@ from skope.gen.vehicles import front, parts, rear
 from skope.gen.vehicles.body_axes import LEFT_AXIS
 from skope.gen.vehicles.interior import interior, seats
 from skope.gen.vehicles.lofted_surfaces import SIDE, WRAP, Plan, Surface
-from skope.gen.vehicles.panels import grown, rectangle
+from skope.gen.vehicles.panels import grown, rectangle_outline
 from skope.gen.vehicles.shape import Shape, VehicleStyle
 from skope.gen.vehicles.upright_shells import Tower, arch, corner_w
 from skope.types import Array
@@ -118,7 +118,7 @@ class BusBody:
         """Livery, windows, doors, signs and lamps; returns what stands out."""
         s, end = self.shape, float(w[-1])
         self._draw_livery(shell, end)
-        shell.draw(rectangle(-1, end + 1, 0, s.clearance + 0.14), WRAP, "trim")
+        shell.draw(rectangle_outline(-1, end + 1, 0, s.clearance + 0.14), WRAP, "trim")
         if self.has_front:
             self._draw_windscreen(shell, corner_w(w))
         self._draw_side_windows(shell)
@@ -157,7 +157,7 @@ class BusBody:
         """Two tones: below the windows, or from the middle to the rear."""
         s = self.shape
         if self.style.soft:
-            shell.paint(rectangle(-1, end + 1, 0, s.belt_height - 0.16), WRAP, "livery")
+            shell.paint(rectangle_outline(-1, end + 1, 0, s.belt_height - 0.16), WRAP, "livery")
             return
         start = s.rear_axle_x + 1.2 if self.has_front else 99.0
         sweep = [(start, 0.0), (start - 2.2, s.height + 0.2), (-99, s.height + 0.2), (-99, 0.0)]
@@ -167,11 +167,11 @@ class BusBody:
         s = self.shape
         low, high, band = s.belt_height, s.height - 0.5, s.height - 0.3
         screen -= 0.02
-        shell.paint(rectangle(-0.1, screen + 0.06, low - 0.13, band), WRAP, "trim")
-        shell.paint(rectangle(-0.1, screen, low - 0.08, high - 0.02), WRAP, "glass")
-        shell.draw(rectangle(-0.1, 0.75, high + 0.04, band - 0.04), WRAP, "grille")
+        shell.paint(rectangle_outline(-0.1, screen + 0.06, low - 0.13, band), WRAP, "trim")
+        shell.paint(rectangle_outline(-0.1, screen, low - 0.08, high - 0.02), WRAP, "glass")
+        shell.draw(rectangle_outline(-0.1, 0.75, high + 0.04, band - 0.04), WRAP, "grille")
         for at in (0.05, 0.2, 0.29, 0.42, 0.55):
-            shell.draw(rectangle(at, at + 0.075, high + 0.075, band - 0.075), WRAP, "display", layer=2)
+            shell.draw(rectangle_outline(at, at + 0.075, high + 0.075, band - 0.075), WRAP, "display", layer=2)
         for start, stop in ((0.06, 0.75), (0.35, screen - 0.05)):
             shell.line([(start, low - 0.09), (stop, low + 0.06)], WRAP, width=0.022, layer=4)
         self.points |= {
@@ -184,11 +184,11 @@ class BusBody:
         low, high = s.belt_height, s.height - 0.5
         start = self.nose - (0.62 if self.has_front else 0.3)
         stop = self.end + (0.5 if self.has_rear else 0.3)
-        band = rectangle(stop - 0.06, start + 0.06, low - 0.05, high + 0.05)
+        band = rectangle_outline(stop - 0.06, start + 0.06, low - 0.05, high + 0.05)
         shell.paint(band, SIDE, "trim", facing=LEFT_AXIS)
         posts = np.linspace(stop, start, round((start - stop) / 1.45) + 1)
         for a, b in pairwise(posts):
-            shell.paint(rectangle(a + 0.03, b - 0.03, low, high), SIDE, "glass", facing=LEFT_AXIS)
+            shell.paint(rectangle_outline(a + 0.03, b - 0.03, low, high), SIDE, "glass", facing=LEFT_AXIS)
         post = posts[np.abs(posts - (start + stop) / 2).argmin()]
         if self.has_front:
             self.points["beltline"] = shell.place((post, low - 0.05), SIDE)[0]
@@ -197,10 +197,10 @@ class BusBody:
         s = self.shape
         low, high = s.belt_height + 0.5, s.height - 0.5
         glass = end - corner - 0.12
-        shell.paint(rectangle(end - glass - 0.05, end + 0.1, low - 0.05, high + 0.06), WRAP, "trim")
-        shell.paint(rectangle(end - glass, end + 0.1, low, high), WRAP, "glass")
-        shell.draw(rectangle(end - 0.16, end + 0.1, high + 0.1, high + 0.14), WRAP, "brake_light")
-        vent = rectangle(end - 0.8, end + 0.1, s.clearance + 0.62, s.belt_height + 0.2)
+        shell.paint(rectangle_outline(end - glass - 0.05, end + 0.1, low - 0.05, high + 0.06), WRAP, "trim")
+        shell.paint(rectangle_outline(end - glass, end + 0.1, low, high), WRAP, "glass")
+        shell.draw(rectangle_outline(end - 0.16, end + 0.1, high + 0.1, high + 0.14), WRAP, "brake_light")
+        vent = rectangle_outline(end - 0.8, end + 0.1, s.clearance + 0.62, s.belt_height + 0.2)
         shell.sink(vent, WRAP, 0.02, "grille_slats")
         for level in (s.clearance + 0.3, s.belt_height + 0.34):
             shell.line([(end - 0.95, level), (end + 0.1, level)], WRAP, width=0.014)
@@ -213,10 +213,12 @@ class BusBody:
         """A double-leaf glass door."""
         low, high = self.shape.clearance + 0.1, self.shape.height - 0.45
         half = width / 2
-        whole = rectangle(x - half, x + half, low, high)
+        whole = rectangle_outline(x - half, x + half, low, high)
         shell.paint(whole, SIDE, "trim", facing=LEFT_AXIS)
         for a, b in ((x - half, x), (x, x + half)):
-            shell.paint(grown(rectangle(a, b, low + 0.06, high - 0.04), -0.045), SIDE, "glass", facing=LEFT_AXIS)
+            shell.paint(
+                grown(rectangle_outline(a, b, low + 0.06, high - 0.04), -0.045), SIDE, "glass", facing=LEFT_AXIS
+            )
 
 
 def _bellows(s: Shape, end: float, sign: float) -> Mesh:

@@ -8,8 +8,19 @@ import numpy as np
 
 from skope.gen.mesh import Mesh
 from skope.gen.vehicles import parts
-from skope.gen.vehicles.lofted_surfaces import CENTER, FRONT_END, ROWS, SIDE_START, TOP, Plan, Surface, T, X, along
-from skope.gen.vehicles.panels import rectangle
+from skope.gen.vehicles.lofted_surfaces import (
+    CENTER,
+    FRONT_END,
+    ROWS,
+    SIDE_START,
+    TOP,
+    Plan,
+    Surface,
+    T,
+    X,
+    metres_along,
+)
+from skope.gen.vehicles.panels import rectangle_outline
 from skope.gen.vehicles.roof_loads import antenna, roof_load
 from skope.gen.vehicles.shape import Shape, VehicleStyle
 from skope.types import Array
@@ -100,7 +111,7 @@ class Greenhouse:
             x, z = (b + share * (a - b) for a, b in ((edge[:, 0], spine), (edge[:, 2], ridge)))
             rows.append(np.column_stack([x, share * edge[:, 1], z + _CROWN * (1 - share**2.3)]))
         levels = [*_GLASS_ROWS, *(row[0] for row in _EDGE_ROWS), *(row[0] for row in _ROOF_ROWS)]
-        self._w = along(self._plan(0.5).outline(stations))
+        self._w = metres_along(self._plan(0.5).outline(stations))
         return Surface(rows, levels, self._w, "paint")
 
     def _draw_panes(self) -> None:
@@ -111,9 +122,9 @@ class Greenhouse:
         # Under a high roof the panes end where they would end under a low one.
         room = s.height - s.belt_height
         if style.pillar_tone and style.glazed == 1:
-            glass.paint(rectangle(-1, total + 1, -1, 9), ROWS, style.pillar_tone, levels=(0.0, 1.0))
+            glass.paint(rectangle_outline(-1, total + 1, -1, 9), ROWS, style.pillar_tone, levels=(0.0, 1.0))
         if style.roof_tone:
-            glass.paint(rectangle(-1, total + 1, -1, 9), ROWS, style.roof_tone, levels=(1.0, CENTER))
+            glass.paint(rectangle_outline(-1, total + 1, -1, 9), ROWS, style.roof_tone, levels=(1.0, CENTER))
         side_high, screen_high = min(_GLASS_HIGH, 0.82 / room), min(_SCREEN_HIGH, 1.14 / room)
         self._draw_screen(-0.2, screen, _GLASS_LOW, screen_high, "glass")
         self._draw_side_panes(side_high)
@@ -168,8 +179,10 @@ class Greenhouse:
     def _draw_screen(self, start: float, end: float, low: float, high: float, material: str) -> None:
         """A screen with its dark surround."""
         a, b = (start, end + _SURROUND_SHARE) if start < 0 else (start - _SURROUND_SHARE, end)
-        self.surface.paint(rectangle(a, b, low - _SURROUND_SHARE, min(high + _SURROUND_SHARE, 1.0)), ROWS, "trim")
-        self.surface.paint(rectangle(start, end, low, high), ROWS, material)
+        self.surface.paint(
+            rectangle_outline(a, b, low - _SURROUND_SHARE, min(high + _SURROUND_SHARE, 1.0)), ROWS, "trim"
+        )
+        self.surface.paint(rectangle_outline(start, end, low, high), ROWS, material)
 
     def _draw_wipers(self, screen: float, rear: float, low: float, high: float) -> None:
         """Wipers, and the brake light behind the rear window."""
@@ -179,7 +192,7 @@ class Greenhouse:
         glass.line([(0.14, base), (screen - 0.1, base + 0.16)], ROWS, width=0.017, layer=3)
         if self.hatch and self.style.glazed == 1:
             glass.line([(total - 0.02, low - 0.02), (rear + 0.22, low + 0.12)], ROWS, width=0.022, layer=3)
-        glass.draw(rectangle(total - 0.14, total, high - 0.075, high - 0.035), ROWS, "brake_light", layer=2)
+        glass.draw(rectangle_outline(total - 0.14, total, high - 0.075, high - 0.035), ROWS, "brake_light", layer=2)
 
     def _add_parts(self) -> None:
         s, style = self.shape, self.style

@@ -5,7 +5,7 @@ from typing import Final
 from skope.gen.mesh import Mesh
 from skope.gen.vehicles.body_axes import LEFT_AXIS
 from skope.gen.vehicles.lofted_surfaces import SIDE, WRAP, Plan
-from skope.gen.vehicles.panels import rectangle
+from skope.gen.vehicles.panels import rectangle_outline
 from skope.gen.vehicles.shape import Shape
 from skope.gen.vehicles.upright_shells import Tower
 from skope.types import Array
@@ -24,17 +24,17 @@ def canopy(s: Shape) -> tuple[Mesh, dict[str, Array]]:
     lean = [(0.0, 0.0, 0.0, 0.0), (0.12, 0.012, 0.0, 0.01), (1.0, 0.11, 0.05, 0.2)]
     shell, w, _ = Tower(plan, low, high, lean, edge=0.07, crown=0.03, stations=5, levels=4).surface("paint")
     tall, length = high - low, front - rear
-    shell.draw(rectangle(-1, 99, 0, low + 0.045), WRAP, "trim", layer=2)
+    shell.draw(rectangle_outline(-1, 99, 0, low + 0.045), WRAP, "trim", layer=2)
     base, top = low + 0.16 * tall, low + 0.74 * tall
     start, stop = rear + 0.17 * length + 0.05, front - 0.1 * length
     for a, b in ((start, start + 0.42 * length), (start + 0.45 * length, stop)):
-        shell.paint(rectangle(a - 0.025, b + 0.025, base - 0.025, top + 0.025), SIDE, "trim", facing=LEFT_AXIS)
-        shell.paint(rectangle(a, b, base, top), SIDE, "glass_tinted", facing=LEFT_AXIS)
+        shell.paint(rectangle_outline(a - 0.025, b + 0.025, base - 0.025, top + 0.025), SIDE, "trim", facing=LEFT_AXIS)
+        shell.paint(rectangle_outline(a, b, base, top), SIDE, "glass_tinted", facing=LEFT_AXIS)
     end = float(w[-1])
     corner = end - s.width / 2 + 0.23
-    shell.paint(rectangle(corner - 0.03, end + 0.1, base - 0.03, top + 0.06), WRAP, "trim")
-    shell.paint(rectangle(corner, end + 0.1, base, top + 0.03), WRAP, "glass_tinted")
-    shell.draw(rectangle(end - 0.15, end + 0.1, top + 0.08, top + 0.11), WRAP, "brake_light", layer=2)
+    shell.paint(rectangle_outline(corner - 0.03, end + 0.1, base - 0.03, top + 0.06), WRAP, "trim")
+    shell.paint(rectangle_outline(corner, end + 0.1, base, top + 0.03), WRAP, "glass_tinted")
+    shell.draw(rectangle_outline(end - 0.15, end + 0.1, top + 0.08, top + 0.11), WRAP, "brake_light", layer=2)
     points = {
         "roof_rear": shell.place((corner, top + 0.03), WRAP)[0],
         "rear_window_base": shell.place((corner, base), WRAP)[0],

@@ -26,10 +26,10 @@ from skope.gen.vehicles.lofted_surfaces import (
     WRAP,
     Plan,
     Surface,
-    along,
+    metres_along,
 )
 from skope.gen.vehicles.mirrors import arm_mirror
-from skope.gen.vehicles.panels import rectangle
+from skope.gen.vehicles.panels import rectangle_outline
 from skope.gen.vehicles.shape import Shape, VehicleStyle
 from skope.gen.vehicles.upright_shells import ARCH_RADIUS_WHEELS
 from skope.types import Array
@@ -218,7 +218,7 @@ class CarBody:
         rows += self._deck_rows()
         levels = [FLOOR, INNER, *_PROFILE[:, 0], _DECK_RIM_ROWS, _PIT, _OUTER, _INNER, CENTER]
         self.outline = outlines[6]
-        self.w = along(self.outline)
+        self.w = metres_along(self.outline)
         creases = {_SILL, _LEDGE, _OUTER, _INNER} | (set() if self.style.soft else {0.79})
         return Surface(rows, levels, self.w, "paint", creases=creases)
 
@@ -300,7 +300,7 @@ class CarBody:
         if style.bumper:
             top = _LEDGE if style.bumper == "black" else _TRIM_TOP
             for start, stop in ((-1.0, ahead), (behind, 99.0)):
-                lower.paint(rectangle(start, stop, -0.1, top), ROWS, "trim")
+                lower.paint(rectangle_outline(start, stop, -0.1, top), ROWS, "trim")
         if style.sill == "chrome":
             ends = self.w_of(s.front_axle_x - reach - 0.05), self.w_of(s.rear_axle_x + reach + 0.05)
             lower.line([(ends[0], _SILL), (ends[1], _SILL)], ROWS, "chrome", width=0.03)
@@ -342,7 +342,7 @@ class CarBody:
             self._lower.draw([(behind, s.clearance + 0.2), *sweep], SIDE, "livery", layer=0.5)
             behind += 0.55
         if low > 0:
-            stripe = rectangle(behind, ahead, s.belt_height - low, s.belt_height - high)
+            stripe = rectangle_outline(behind, ahead, s.belt_height - low, s.belt_height - high)
             self._lower.draw(stripe, SIDE, "livery", layer=0.5)
 
     def _seam(

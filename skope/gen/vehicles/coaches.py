@@ -11,7 +11,7 @@ from skope.gen.vehicles.car import CarBody
 from skope.gen.vehicles.laid_out_bus import BusLayout, LaidOutBus
 from skope.gen.vehicles.liveries import draw_graphics
 from skope.gen.vehicles.lofted_surfaces import SIDE, WRAP, Surface
-from skope.gen.vehicles.panels import disc, rectangle
+from skope.gen.vehicles.panels import disc, rectangle_outline
 from skope.gen.vehicles.shape import Shape, VehicleStyle
 from skope.types import Array
 
@@ -61,14 +61,17 @@ class StepVanBody(LaidOutBus):
         high = s.height - self.layout.windows
         front, back = self.nose - 0.5, self.nose - 1.3
         shell.paint(
-            rectangle(back - 0.03, front + 0.03, s.belt_height - 0.03, high + 0.03), SIDE, "trim", facing=LEFT_AXIS
+            rectangle_outline(back - 0.03, front + 0.03, s.belt_height - 0.03, high + 0.03),
+            SIDE,
+            "trim",
+            facing=LEFT_AXIS,
         )
-        shell.paint(rectangle(back, front, s.belt_height, high), SIDE, "glass", facing=LEFT_AXIS)
+        shell.paint(rectangle_outline(back, front, s.belt_height, high), SIDE, "glass", facing=LEFT_AXIS)
         for x in (front + 0.12, back - 0.12):
             shell.line([(x, s.clearance + 0.16), (x, high + 0.12)], SIDE, width=0.016, layer=3, facing=LEFT_AXIS)
         for x in np.linspace(self.end + 0.35, back - 0.45, 5).tolist():
             shell.draw(
-                rectangle(x - 0.02, x + 0.02, s.belt_height - 0.3, s.height - 0.25),
+                rectangle_outline(x - 0.02, x + 0.02, s.belt_height - 0.3, s.height - 0.25),
                 SIDE,
                 "rail",
                 layer=1,
@@ -77,7 +80,7 @@ class StepVanBody(LaidOutBus):
         rng = np.random.default_rng(int(s.length * 1e4))
         draw_graphics(shell, (self.end + 0.4, back - 0.3), (s.belt_height - 0.25, s.height - 0.3), rng)
         shell.draw(
-            rectangle(self.end + 0.1, self.nose - 0.2, s.belt_height - 0.42, s.belt_height - 0.34),
+            rectangle_outline(self.end + 0.1, self.nose - 0.2, s.belt_height - 0.42, s.belt_height - 0.34),
             SIDE,
             "trim",
             layer=8,
@@ -92,7 +95,7 @@ class StepVanBody(LaidOutBus):
         shell.line([(end + 0.1, low), (edge, low), (edge, high), (end + 0.1, high)], WRAP, "rail", width=0.04, layer=2)
         for z in np.arange(low + 0.2, high - 0.05, 0.22).tolist():
             shell.line([(edge, z), (end + 0.1, z)], WRAP, width=0.014, layer=3)
-        shell.draw(rectangle(edge + 0.2, end + 0.1, high + 0.08, high + 0.13), WRAP, "brake_light", layer=2)
+        shell.draw(rectangle_outline(edge + 0.2, end + 0.1, high + 0.08, high + 0.13), WRAP, "brake_light", layer=2)
         self.points |= {
             "roof_rear": shell.place((edge, high), WRAP)[0],
             "rear_window_base": shell.place((edge, low + 0.02), WRAP)[0],
@@ -125,7 +128,7 @@ class SchoolBusBody(LaidOutBus):
         """Dark rub rails."""
         s = self.shape
         for z in (s.clearance + 0.45, s.belt_height - 0.35, s.belt_height - 0.12):
-            shell.draw(rectangle(-1, end + 1, z, z + 0.06), WRAP, "gap", layer=3)
+            shell.draw(rectangle_outline(-1, end + 1, z, z + 0.06), WRAP, "gap", layer=3)
         for middle, sign in ((0.0, 1.0), (end, -1.0)):
             for away, tone in ((0.66, "#d21f1f"), (0.9, "#e8861a")):
                 at = (middle + sign * away, s.height - 0.3)
@@ -135,8 +138,8 @@ class SchoolBusBody(LaidOutBus):
     def _draw_door(self, shell: Surface, x: float, width: float) -> None:
         """A door that interrupts the rub rails."""
         low, high = self.shape.clearance + 0.16, self.shape.height - self.layout.windows + 0.02
-        door = rectangle(x - width / 2, x + width / 2, low, high)
+        door = rectangle_outline(x - width / 2, x + width / 2, low, high)
         shell.draw(door, SIDE, "trim", layer=5, facing=LEFT_AXIS)
         for bottom, top in ((low + 0.08, low + 0.42 * (high - low)), (low + 0.47 * (high - low), high - 0.05)):
-            pane = rectangle(x - width / 2 + 0.07, x + width / 2 - 0.07, bottom, top)
+            pane = rectangle_outline(x - width / 2 + 0.07, x + width / 2 - 0.07, bottom, top)
             shell.draw(pane, SIDE, "glass_tinted", layer=7, facing=LEFT_AXIS)

@@ -8,7 +8,7 @@ from skope.gen.mesh import Mesh, box
 from skope.gen.vehicles.body_axes import LEFT_AXIS
 from skope.gen.vehicles.cargo import Cargo, CargoSpace
 from skope.gen.vehicles.lofted_surfaces import BOTTOM, SIDE, WRAP, Plan, Surface
-from skope.gen.vehicles.panels import rectangle
+from skope.gen.vehicles.panels import rectangle_outline
 from skope.gen.vehicles.parts import arch_lip
 from skope.gen.vehicles.upright_shells import Tower, arch
 
@@ -51,17 +51,17 @@ def _draw_shutters(shell: Surface, space: CargoSpace, up: tuple[float, float], e
     count = 3
     for k in range(count):
         a, b = (start + (stop - start) * (k + share) / count for share in (0.03, 0.97))
-        shell.paint(rectangle(a, b, sill, top), SIDE, "cladding_grey", facing=LEFT_AXIS)
+        shell.paint(rectangle_outline(a, b, sill, top), SIDE, "cladding_grey", facing=LEFT_AXIS)
         for z in np.arange(sill + 0.07, top, 0.09).tolist():
             shell.line([(a, z), (b, z)], SIDE, "rail", width=0.012, facing=LEFT_AXIS)
-        shell.draw(rectangle(a, b, sill, sill + 0.05), SIDE, "trim", layer=3, facing=LEFT_AXIS)
-    band = rectangle(space.end + 0.1, space.ahead - 0.05, sill - 0.2, sill - 0.06)
+        shell.draw(rectangle_outline(a, b, sill, sill + 0.05), SIDE, "trim", layer=3, facing=LEFT_AXIS)
+    band = rectangle_outline(space.end + 0.1, space.ahead - 0.05, sill - 0.2, sill - 0.06)
     shell.draw(band, SIDE, "#d8c41c", layer=3, facing=LEFT_AXIS)
-    shell.paint(rectangle(edge, end + 0.1, sill, top), WRAP, "cladding_grey")
+    shell.paint(rectangle_outline(edge, end + 0.1, sill, top), WRAP, "cladding_grey")
     for z in np.arange(sill + 0.07, top, 0.09).tolist():
         shell.line([(edge, z), (end + 0.1, z)], WRAP, "rail", width=0.012)
     for z, lamp in ((top + 0.1, "brake_light"), (top - 0.06, "indicator_left")):
-        shell.draw(rectangle(edge - 0.22, edge - 0.06, z, z + 0.11), WRAP, lamp, layer=3)
+        shell.draw(rectangle_outline(edge - 0.22, edge - 0.06, z, z + 0.11), WRAP, lamp, layer=3)
 
 
 def _roof(space: CargoSpace, high: float) -> list[Mesh]:

@@ -10,7 +10,7 @@ from skope.gen.vehicles.body_axes import LEFT_AXIS
 from skope.gen.vehicles.cargo import Cargo, CargoSpace
 from skope.gen.vehicles.liveries import MARKER
 from skope.gen.vehicles.lofted_surfaces import SIDE, TOP, WRAP, Plan
-from skope.gen.vehicles.panels import rectangle
+from skope.gen.vehicles.panels import rectangle_outline
 from skope.gen.vehicles.parts import block
 from skope.gen.vehicles.solids import barrel, beam, pipe, prism
 from skope.gen.vehicles.upright_shells import Tower
@@ -66,17 +66,17 @@ def _platform(space: CargoSpace, rng: np.random.Generator, load: str, *, sides: 
     )  # fmt: skip
     shell, w, _ = tower.surface("livery" if sides else "rail")
     end = float(w[-1])
-    shell.draw(rectangle(-1, 99, 0, low + 0.09), WRAP, "trim")
+    shell.draw(rectangle_outline(-1, 99, 0, low + 0.09), WRAP, "trim")
     if sides:
         for x in np.linspace(front - 0.05, space.end + 0.05, 4 if heavy else 3):
-            shell.draw(rectangle(x - 0.04, x + 0.04, low + 0.05, high), SIDE, "rail", layer=2, facing=LEFT_AXIS)
+            shell.draw(rectangle_outline(x - 0.04, x + 0.04, low + 0.05, high), SIDE, "rail", layer=2, facing=LEFT_AXIS)
         for z in np.arange(low + 0.16, high - 0.03, 0.08).tolist():
             shell.line([(space.end + 0.1, z), (front - 0.1, z)], SIDE, width=0.012, facing=LEFT_AXIS)
         shell.paint([(-99, -9), (99, -9), (99, 9), (-99, 9)], TOP, "bed", levels=(2.1, 3.0))
     else:
         shell.paint([(-99, -9), (99, -9), (99, 9), (-99, 9)], TOP, _DECK, levels=(2.0, 3.0))
         for x in np.arange(space.end + 0.6, front - 0.3, 1.2).tolist():
-            shell.draw(rectangle(x - 0.03, x + 0.03, low + 0.1, low + 0.13), SIDE, MARKER, layer=2)
+            shell.draw(rectangle_outline(x - 0.03, x + 0.03, low + 0.1, low + 0.13), SIDE, MARKER, layer=2)
     out.parts.append(shell.half)
     wall = min(deck + (1.45 if heavy else 0.85), space.shape.height - 0.25)
     out.parts += _headboard(front, space.half, deck - 0.03, wall)

@@ -25,7 +25,7 @@ from skope.gen.vehicles.roof_loads import ROOF_LOAD_HEIGHTS_M
 from skope.gen.vehicles.shape import Shape, VehicleStyle
 from skope.gen.vehicles.trailer_body import TrailerBody
 from skope.gen.vehicles.truck import TruckBody
-from skope.gen.vehicles.user_models import load
+from skope.gen.vehicles.user_models import load_model
 from skope.gen.vehicles.wheels import steel_wheel, wheel_mesh
 from skope.types import Array
 
@@ -239,7 +239,7 @@ def _build_parametric(model: str, shape: tuple[tuple[str, float], ...], recurs: 
     return replace(base, shape=own, style=styled(base.style, own), recurs=recurs)
 
 
-def build(model: str, shape: Mapping[str, float], *, recurs: bool = False) -> Vehicle:
+def build_vehicle(model: str, shape: Mapping[str, float], *, recurs: bool = False) -> Vehicle:
     """Build a vehicle; equal vehicles are built once.
 
     Args:
@@ -251,7 +251,7 @@ def build(model: str, shape: Mapping[str, float], *, recurs: bool = False) -> Ve
         UserError: There is no such model or parameter.
     """
     if model not in fleet():
-        return load(model)
+        return load_model(model)
     return _build_parametric(model, tuple(sorted(shape.items())), recurs)
 
 

@@ -8,7 +8,17 @@ from skope.gen.mesh import Mesh
 from skope.gen.vehicles import parts
 from skope.gen.vehicles.headlights import draw_headlight
 from skope.gen.vehicles.lofted_surfaces import FRONT_END, SIDE_START, WRAP, Surface
-from skope.gen.vehicles.panels import Points, disc, grown, mirrored, plate_height, quad, rectangle, rounded, within
+from skope.gen.vehicles.panels import (
+    Points,
+    disc,
+    grown,
+    mirrored,
+    plate_height,
+    quad,
+    rectangle_outline,
+    rounded,
+    within,
+)
 from skope.gen.vehicles.shape import Shape, VehicleStyle
 from skope.types import Array
 
@@ -112,11 +122,11 @@ def _draw_grille(shell: Surface, s: Shape, style: VehicleStyle, intake: float) -
             shell.sink(outline, WRAP, 0.03, pattern, wall="gap")
         if style.grille == "bar":
             middle = (bottom + top) / 2
-            shell.draw(rectangle(-edge, edge, middle - 0.028, middle + 0.028), WRAP, "chrome", layer=9)
+            shell.draw(rectangle_outline(-edge, edge, middle - 0.028, middle + 0.028), WRAP, "chrome", layer=9)
         if style.grille == "slim":
-            shell.draw(rectangle(-edge, edge, top - 0.072, top - 0.06), WRAP, "chrome", layer=9)
+            shell.draw(rectangle_outline(-edge, edge, top - 0.072, top - 0.06), WRAP, "chrome", layer=9)
         if style.grille == "double":
-            shell.draw(rectangle(-edge, edge, top - 0.06, top - 0.02), WRAP, "gap", layer=1)
+            shell.draw(rectangle_outline(-edge, edge, top - 0.06, top - 0.02), WRAP, "gap", layer=1)
     elif style.grille in _SLOTS:
         for start, end in _SLOTS[style.grille]:
             a, b = (start[0] + start[1] * edge, end[0] + end[1] * edge)
@@ -125,11 +135,11 @@ def _draw_grille(shell: Surface, s: Shape, style: VehicleStyle, intake: float) -
             shell.paint(grown(outline, 0.012), WRAP, style.grille_frame or "chrome")
             shell.sink(outline, WRAP, 0.03, pattern, wall="chrome" if style.chrome else "gap")
     elif style.grille == "strip":
-        shell.draw(rectangle(-edge, edge, top - 0.055, top - 0.01), WRAP, "lamp_dark", layer=1)
-        shell.draw(rectangle(-edge, edge, top - 0.042, top - 0.022), WRAP, "daylight", layer=2)
+        shell.draw(rectangle_outline(-edge, edge, top - 0.055, top - 0.01), WRAP, "lamp_dark", layer=1)
+        shell.draw(rectangle_outline(-edge, edge, top - 0.042, top - 0.022), WRAP, "daylight", layer=2)
     elif style.grille == "closed":
         # A closed nose: a glossy band between the lamps.
-        shell.draw(rectangle(-edge, edge, top - 0.05, top - 0.015), WRAP, "gap", layer=1)
+        shell.draw(rectangle_outline(-edge, edge, top - 0.05, top - 0.015), WRAP, "gap", layer=1)
 
 
 def _draw_intake(shell: Surface, s: Shape, style: VehicleStyle, z: tuple[float, float], wide: float) -> None:
@@ -146,7 +156,7 @@ def _draw_intake(shell: Surface, s: Shape, style: VehicleStyle, z: tuple[float, 
         shell.draw(within(pocket, 0.06, 0.94, 0.86, 0.97), WRAP, "lamp_clear", layer=12)
     elif style.intake == "deep":
         shell.sink(mirrored([(wide - 0.05, low - 0.01), (wide - 0.12, high)]), WRAP, 0.05, "grille_mesh", wall="trim")
-        shell.draw(rectangle(-wide, wide, low - 0.045, low - 0.02), WRAP, "rail")
+        shell.draw(rectangle_outline(-wide, wide, low - 0.045, low - 0.02), WRAP, "rail")
     elif style.intake == "slot":
         shell.sink(mirrored([(wide - 0.05, low + 0.01), (wide - 0.1, low + 0.09)]), WRAP, 0.03, "grille_slats")
         blade = quad(wide + 0.02, wide + 0.05, (low + 0.03, low + 0.05), (high + 0.03, high + 0.04))
@@ -166,9 +176,9 @@ def _draw_intake(shell: Surface, s: Shape, style: VehicleStyle, z: tuple[float, 
         shell.sink(mirrored([(wide - 0.14, low), (wide - 0.22, high + 0.02)]), WRAP, 0.04, "grille_mesh", wall="gap")
         _draw_fog_lamp(shell, disc((wide - 0.02, (low + high) / 2), 0.055, 8), (wide - 0.02, (low + high) / 2))
     else:
-        shell.draw(rectangle(-0.1, wide - 0.1, low, high - 0.04), WRAP, "gap")
+        shell.draw(rectangle_outline(-0.1, wide - 0.1, low, high - 0.04), WRAP, "gap")
         _draw_fog_lamp(
-            shell, rectangle(wide - 0.02, wide + 0.12, low, high - 0.04), (wide + 0.05, (low + high) / 2 - 0.02)
+            shell, rectangle_outline(wide - 0.02, wide + 0.12, low, high - 0.04), (wide + 0.05, (low + high) / 2 - 0.02)
         )
 
 

@@ -5,7 +5,7 @@ from typing import Final
 import numpy as np
 
 from skope.gen.vehicles.lofted_surfaces import WRAP, Surface
-from skope.gen.vehicles.panels import Points, disc, grown, quad, rectangle, rounded, within
+from skope.gen.vehicles.panels import Points, disc, grown, quad, rectangle_outline, rounded, within
 from skope.types import Array
 
 _RIM_WIDTH_M: Final = 0.009
@@ -138,5 +138,5 @@ def _draw_round(
         shell.draw(disc(center, radius - 0.034, 12), WRAP, "lamp_dark", layer=1.5)
     shell.draw(disc(center, radius * 0.66, 12), WRAP, "headlight", layer=2)
     shell.draw(disc(center, radius * 0.3, 8), WRAP, "lamp_clear", layer=3)
-    side = rounded(rectangle(center[0] + radius * 0.1, center[0] + radius * 1.1, low - 0.13, low - 0.07), 0.02)
+    side = rounded(rectangle_outline(center[0] + radius * 0.1, center[0] + radius * 1.1, low - 0.13, low - 0.07), 0.02)
     shell.draw(side, WRAP, "indicator_left")

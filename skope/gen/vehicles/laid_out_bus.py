@@ -13,7 +13,7 @@ from skope.gen.vehicles.bus import BusBody
 from skope.gen.vehicles.liveries import MARKER, draw_graphics
 from skope.gen.vehicles.lofted_surfaces import SIDE, WRAP, Plan, Surface
 from skope.gen.vehicles.mirrors import arm_mirror
-from skope.gen.vehicles.panels import grown, rectangle
+from skope.gen.vehicles.panels import grown, rectangle_outline
 from skope.gen.vehicles.shape import Shape, VehicleStyle
 from skope.gen.vehicles.solids import pipe
 from skope.gen.vehicles.upright_shells import Tower, corner_w
@@ -99,7 +99,7 @@ class LaidOutBus(BusBody):
     def _draw_details(self, shell: Surface, w: Array, doors: bool) -> list[Mesh]:
         s, end = self.shape, float(w[-1])
         self._draw_livery(shell, end)
-        shell.paint(rectangle(-1, end + 1, 0, s.clearance + 0.14), WRAP, "trim")
+        shell.paint(rectangle_outline(-1, end + 1, 0, s.clearance + 0.14), WRAP, "trim")
         self._draw_windscreen(shell, corner_w(w))
         self._draw_side_windows(shell)
         if self.layout.flaps:
@@ -110,7 +110,9 @@ class LaidOutBus(BusBody):
         out = self._draw_front(shell, w)
         out += rear.draw_rear(shell, w, s, replace(self.style, family="bus"), self.points)
         for at in np.arange(self.end + 1.2, self.nose - 1.2, 1.9).tolist():
-            shell.draw(rectangle(at - 0.05, at + 0.05, s.clearance + 0.32, s.clearance + 0.37), SIDE, MARKER, layer=3)
+            shell.draw(
+                rectangle_outline(at - 0.05, at + 0.05, s.clearance + 0.32, s.clearance + 0.37), SIDE, MARKER, layer=3
+            )
         back = corner_w(w, rear=True)
         self.points |= {
             "trunk_rear": shell.place((back, self._waist - 0.05), WRAP)[0],
@@ -136,7 +138,7 @@ class LaidOutBus(BusBody):
         rng = np.random.default_rng(int(s.length * 1e4))
         kind = int(rng.integers(4))
         if kind == 0:
-            shell.paint(rectangle(-1, end + 1, 0, s.belt_height - 0.16), WRAP, "livery")
+            shell.paint(rectangle_outline(-1, end + 1, 0, s.belt_height - 0.16), WRAP, "livery")
         elif kind == 1:
             start = s.rear_axle_x + float(rng.uniform(0.8, 3.0))
             sweep = [(start, 0.0), (start - 2.2, s.height + 0.2), (-99, s.height + 0.2), (-99, 0.0)]
@@ -153,8 +155,8 @@ class LaidOutBus(BusBody):
         # A dark frame around the glass, which holds the sign.
         band = high + (0.34 if layout.sign else 0.1)
         screen -= 0.02
-        shell.paint(rectangle(-0.1, screen + 0.06, low - 0.05, band), WRAP, "trim")
-        shell.paint(rectangle(-0.1, screen, low, high), WRAP, "glass")
+        shell.paint(rectangle_outline(-0.1, screen + 0.06, low - 0.05, band), WRAP, "trim")
+        shell.paint(rectangle_outline(-0.1, screen, low, high), WRAP, "glass")
         if layout.sign:
             self._draw_sign(shell, 0.0, high + 0.05, band - 0.06)
         for start, stop in ((0.06, 0.8), (0.35, screen - 0.05)):
@@ -162,19 +164,22 @@ class LaidOutBus(BusBody):
         top = band
         if layout.upper:
             sill, top = s.height - layout.upper[0], s.height - layout.upper[1] + 0.14
-            shell.paint(rectangle(-0.1, screen + 0.06, sill - 0.05, top), WRAP, "trim")
-            shell.paint(rectangle(-0.1, screen, sill, top - 0.06), WRAP, "glass_tinted")
+            shell.paint(rectangle_outline(-0.1, screen + 0.06, sill - 0.05, top), WRAP, "trim")
+            shell.paint(rectangle_outline(-0.1, screen, sill, top - 0.06), WRAP, "glass_tinted")
         self.points |= {
             "roof_front": shell.place((screen + 0.06, top), WRAP)[0],
             "windscreen_base": shell.place((screen, low), WRAP)[0],
         }
 
     def _draw_sign(self, shell: Surface, middle: float, low: float, high: float) -> None:
-        shell.draw(rectangle(middle - 0.85, middle + 0.85, low, high), WRAP, "grille")
+        shell.draw(rectangle_outline(middle - 0.85, middle + 0.85, low, high), WRAP, "grille")
         for at in np.arange(-0.7, 0.7, 0.12).tolist():
             if abs(at) > 0.09:
                 shell.draw(
-                    rectangle(middle + at, middle + at + 0.085, low + 0.04, high - 0.04), WRAP, "display", layer=2
+                    rectangle_outline(middle + at, middle + at + 0.085, low + 0.04, high - 0.04),
+                    WRAP,
+                    "display",
+                    layer=2,
                 )
 
     def _draw_side_windows(self, shell: Surface) -> None:
@@ -186,10 +191,12 @@ class LaidOutBus(BusBody):
         count = round((start - stop) / layout.pane) + 1
         posts = np.linspace(stop, start, count)
         for k, (low, high) in enumerate(bands):
-            shell.paint(rectangle(stop - 0.06, start + 0.06, low - 0.05, high + 0.05), SIDE, "trim", facing=LEFT_AXIS)
+            shell.paint(
+                rectangle_outline(stop - 0.06, start + 0.06, low - 0.05, high + 0.05), SIDE, "trim", facing=LEFT_AXIS
+            )
             glass = "glass_tinted" if k else layout.material
             for a, b in pairwise(posts):
-                shell.paint(rectangle(a + 0.03, b - 0.03, low, high), SIDE, glass, facing=LEFT_AXIS)
+                shell.paint(rectangle_outline(a + 0.03, b - 0.03, low, high), SIDE, glass, facing=LEFT_AXIS)
         post = posts[-2]
         self.points["beltline"] = shell.place((post, s.belt_height - 0.05), SIDE)[0]
 
@@ -208,16 +215,16 @@ class LaidOutBus(BusBody):
         s, layout = self.shape, self.layout
         low, high = (s.height - edge for edge in layout.rear_window)
         glass = end - corner - 0.12
-        shell.paint(rectangle(end - glass - 0.05, end + 0.1, low - 0.05, high + 0.06), WRAP, "trim")
-        shell.paint(rectangle(end - glass, end + 0.1, low, high), WRAP, "glass_tinted")
-        shell.draw(rectangle(end - 0.16, end + 0.1, high + 0.1, high + 0.14), WRAP, "brake_light", layer=2)
+        shell.paint(rectangle_outline(end - glass - 0.05, end + 0.1, low - 0.05, high + 0.06), WRAP, "trim")
+        shell.paint(rectangle_outline(end - glass, end + 0.1, low, high), WRAP, "glass_tinted")
+        shell.draw(rectangle_outline(end - 0.16, end + 0.1, high + 0.1, high + 0.14), WRAP, "brake_light", layer=2)
         base = s.clearance + 0.62
         if self._waist - 0.1 > base + 0.1:
-            shell.sink(rectangle(end - 0.8, end + 0.1, base, self._waist - 0.1), WRAP, 0.02, "grille_slats")
+            shell.sink(rectangle_outline(end - 0.8, end + 0.1, base, self._waist - 0.1), WRAP, 0.02, "grille_slats")
         for level in (s.clearance + 0.3, self._waist + 0.05):
             shell.line([(end - 0.95, level), (end + 0.1, level)], WRAP, width=0.014, layer=3)
         if layout.sign:
-            shell.draw(rectangle(end - 0.3, end + 0.1, low + 0.08, low + 0.3), WRAP, "display", layer=4)
+            shell.draw(rectangle_outline(end - 0.3, end + 0.1, low + 0.08, low + 0.3), WRAP, "display", layer=4)
         self.points |= {
             "roof_rear": shell.place((end - glass, high), WRAP)[0],
             "rear_window_base": shell.place((end - glass, low), WRAP)[0],
@@ -227,7 +234,9 @@ class LaidOutBus(BusBody):
         """A door of two leaves of glass, as high as the lower windows."""
         low, high = self.shape.clearance + 0.1, self.shape.height - self.layout.windows + 0.02
         half = width / 2
-        shell.paint(rectangle(x - half, x + half, low, high), SIDE, "trim", facing=LEFT_AXIS)
+        shell.paint(rectangle_outline(x - half, x + half, low, high), SIDE, "trim", facing=LEFT_AXIS)
         leaves = ((x - half, x), (x, x + half)) if width > 1 else ((x - half, x + half),)
         for a, b in leaves:
-            shell.paint(grown(rectangle(a, b, low + 0.06, high - 0.04), -0.045), SIDE, "glass", facing=LEFT_AXIS)
+            shell.paint(
+                grown(rectangle_outline(a, b, low + 0.06, high - 0.04), -0.045), SIDE, "glass", facing=LEFT_AXIS
+            )

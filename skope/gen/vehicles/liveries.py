@@ -7,7 +7,7 @@ import numpy as np
 from skope.gen.vehicles.body_axes import LEFT_AXIS
 from skope.gen.vehicles.decals import draw_letters
 from skope.gen.vehicles.lofted_surfaces import SIDE, Surface
-from skope.gen.vehicles.panels import disc, rectangle
+from skope.gen.vehicles.panels import disc, rectangle_outline
 
 TONES: Final = (
     "#b8202a", "#1f4e96", "#1d7a46", "#e07b18", "#e8e8e6", "#23262b", "#e3bd1c", "#5b2c83", "#1b8ca0", "#7a1f2e",
@@ -34,8 +34,8 @@ def draw_graphics(
     if kind == "band":
         at = low + rng.uniform(0.15, 0.55) * tall
         wide = rng.uniform(0.12, 0.3) * tall
-        _fill(shell, rectangle(rear, front, at, at + wide), first, 2)
-        _fill(shell, rectangle(rear, front, at - 0.3 * wide, at - 0.08 * wide), second, 2)
+        _fill(shell, rectangle_outline(rear, front, at, at + wide), first, 2)
+        _fill(shell, rectangle_outline(rear, front, at - 0.3 * wide, at - 0.08 * wide), second, 2)
     elif kind == "slant":
         x, lean = rear + rng.uniform(0.25, 0.6) * length, rng.uniform(-0.8, 0.8) * tall
         for k, tone in enumerate((first, second)):
@@ -44,15 +44,15 @@ def draw_graphics(
             _fill(shell, np.clip(corners, [rear, low], [front, high]), tone, 2 + 2 * k)
     elif kind == "panel":
         start = rear + rng.uniform(0.08, 0.3) * length
-        _fill(shell, rectangle(start, start + 0.6 * length, low + 0.12 * tall, high - 0.12 * tall), first, 2)
-        _fill(shell, rectangle(start, start + 0.6 * length, low + 0.12 * tall, low + 0.2 * tall), second, 4)
+        _fill(shell, rectangle_outline(start, start + 0.6 * length, low + 0.12 * tall, high - 0.12 * tall), first, 2)
+        _fill(shell, rectangle_outline(start, start + 0.6 * length, low + 0.12 * tall, low + 0.2 * tall), second, 4)
     elif kind == "disc":
         center = rear + rng.uniform(0.3, 0.7) * length, (low + high) / 2
         _fill(shell, disc(center, 0.36 * tall, 20), first, 2)
         _fill(shell, disc((center[0] + 0.1 * tall, center[1]), 0.24 * tall, 20), second, 4)
     elif kind == "half":
         share = rng.uniform(0.3, 0.6)
-        _fill(shell, rectangle(rear, front, low, low + share * tall), first, 2)
+        _fill(shell, rectangle_outline(rear, front, low, low + share * tall), first, 2)
     if kind != "disc" and rng.uniform() < 0.75:
         ink = "#23262b" if first == "#e8e8e6" else "#f0f0ee"
         ink = ink if kind in ("panel", "half") else second

@@ -12,7 +12,7 @@ from skope.gen.vehicles.box_bodies import peak
 from skope.gen.vehicles.cargo import Cargo, CargoSpace
 from skope.gen.vehicles.liveries import TONES
 from skope.gen.vehicles.lofted_surfaces import BOTTOM, SIDE, WRAP, Plan, Surface
-from skope.gen.vehicles.panels import rectangle
+from skope.gen.vehicles.panels import rectangle_outline
 from skope.gen.vehicles.upright_shells import Tower, arch
 
 _BELT: Final = 0.95
@@ -32,15 +32,15 @@ def living_body(space: CargoSpace) -> Cargo:
     lining, rim = shell.carve_well(arch(s.rear_axle_x, s), well)
     out.parts += [lining, parts.arch_lip(rim, (s.rear_axle_x, s.wheel_radius), "trim", shell.side)]
     end, top = float(w[-1]), s.height - 0.1
-    shell.draw(rectangle(-1, 99, 0, space.floor + 0.1), WRAP, "rail")
+    shell.draw(rectangle_outline(-1, 99, 0, space.floor + 0.1), WRAP, "rail")
     _draw_stripes(shell, space, rng)
     _draw_side(shell, space)
     belt = space.floor + _BELT
     window = end - 0.62
-    shell.paint(rectangle(window - 0.05, end + 0.1, belt - 0.05, belt + 0.5), WRAP, "trim")
-    shell.paint(rectangle(window, end + 0.1, belt, belt + 0.45), WRAP, "glass_tinted")
+    shell.paint(rectangle_outline(window - 0.05, end + 0.1, belt - 0.05, belt + 0.5), WRAP, "trim")
+    shell.paint(rectangle_outline(window, end + 0.1, belt, belt + 0.45), WRAP, "glass_tinted")
     corner = end - space.half
-    shell.draw(rectangle(corner + 0.1, corner + 0.2, top - 0.35, top - 0.22), WRAP, "brake_light", layer=2)
+    shell.draw(rectangle_outline(corner + 0.1, corner + 0.2, top - 0.35, top - 0.22), WRAP, "brake_light", layer=2)
     out.parts += [shell.half, *_outside(space, top), peak(replace(space, shape=replace(s, height=top)), "paint")]
     out.mark(
         shell.place((corner, top - 0.115), WRAP)[0],
@@ -69,12 +69,14 @@ def _draw_side(shell: Surface, space: CargoSpace) -> None:
     for share, wide, high in ((0.16, 0.7, 0.5), (0.46, 0.9, 0.55), (0.84, 0.5, 0.45)):
         x = space.end + share * length
         shell.paint(
-            rectangle(x - wide / 2 - 0.04, x + wide / 2 + 0.04, belt - 0.04, belt + high + 0.04),
+            rectangle_outline(x - wide / 2 - 0.04, x + wide / 2 + 0.04, belt - 0.04, belt + high + 0.04),
             SIDE,
             "trim",
             facing=LEFT_AXIS,
         )
-        shell.paint(rectangle(x - wide / 2, x + wide / 2, belt, belt + high), SIDE, "glass_tinted", facing=LEFT_AXIS)
+        shell.paint(
+            rectangle_outline(x - wide / 2, x + wide / 2, belt, belt + high), SIDE, "glass_tinted", facing=LEFT_AXIS
+        )
     hatch = space.end + 0.66 * length
     shell.line(
         [

@@ -419,6 +419,6 @@ def _cross(a: Array, b: Array) -> Array:
     return np.asarray(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])
 
 
-def along(outline: Array) -> Array:
+def metres_along(outline: Array) -> Array:
     """Metres along an outline (columns, 2) from its first point."""
     return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(outline, axis=0), axis=1))])

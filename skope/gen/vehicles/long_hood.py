@@ -7,7 +7,7 @@ import numpy as np
 from skope.gen.mesh import Mesh, box, tube
 from skope.gen.vehicles import front, parts
 from skope.gen.vehicles.lofted_surfaces import BOTTOM, WRAP, Plan
-from skope.gen.vehicles.panels import Points, grown, rectangle
+from skope.gen.vehicles.panels import Points, grown, rectangle_outline
 from skope.gen.vehicles.shape import Shape, VehicleStyle
 from skope.gen.vehicles.upright_shells import Tower, arch
 
@@ -35,7 +35,7 @@ def long_hood(s: Shape, style: VehicleStyle, points: Points) -> list[Mesh]:
     lining, rim = hood.carve_well(arch(s.front_axle_x, s), well)
     out = [lining, parts.arch_lip(rim, (s.front_axle_x, s.wheel_radius), "paint", hood.side)]
     out += front.draw_front(hood, w, s, style, points)
-    grille = rectangle(-0.44, 0.44, s.headlight_high + 0.04, top - 0.24)
+    grille = rectangle_outline(-0.44, 0.44, s.headlight_high + 0.04, top - 0.24)
     hood.paint(grown(grille, 0.04), WRAP, "chrome")
     hood.sink(grille, WRAP, 0.03, "grille_bars", wall="gap")
     points["hood_front"] = hood.place((0.56, top - 0.16), WRAP)[0]

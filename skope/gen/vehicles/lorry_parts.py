@@ -6,7 +6,7 @@ from skope.gen.mesh import Mesh, box
 from skope.gen.vehicles import rear
 from skope.gen.vehicles.body_axes import LEFT_AXIS
 from skope.gen.vehicles.lofted_surfaces import BOTTOM, ROWS, SIDE, TOP, WRAP, Plan, Surface
-from skope.gen.vehicles.panels import Points, rectangle
+from skope.gen.vehicles.panels import Points, rectangle_outline
 from skope.gen.vehicles.shape import Shape, VehicleStyle
 from skope.gen.vehicles.upright_shells import Tower
 from skope.gen.vehicles.wheels import steel_wheel
@@ -51,16 +51,16 @@ def cargo_body(s: Shape, kind: str, ahead: float, *, ribs: int = 0) -> tuple[Mes
     corner = last - s.width / 2
     sill, inset = s.box_height + 0.12, 0.11
     frame_material = "rail" if closed else "trim"
-    shell.draw(rectangle(-1, 99, 0, sill - 0.03), WRAP, frame_material)
+    shell.draw(rectangle_outline(-1, 99, 0, sill - 0.03), WRAP, frame_material)
     top = high - (0.16 if closed else 0.12)
     edge = corner + inset
     shell.line([(last + 0.1, sill), (edge, sill), (edge, top), (last + 0.1, top)], WRAP, width=0.02)
     if closed:
         _draw_doors(shell, last, edge, sill, top)
-        shell.draw(rectangle(-1, 99, high - 0.12, high - 0.06), WRAP, frame_material)
+        shell.draw(rectangle_outline(-1, 99, high - 0.12, high - 0.06), WRAP, frame_material)
     count, wide = _RIBS[kind]
     for x in np.linspace(ahead - 0.25, end + 0.25, ribs or count):
-        rib = rectangle(x - wide / 2, x + wide / 2, sill, top + 0.04)
+        rib = rectangle_outline(x - wide / 2, x + wide / 2, sill, top + 0.04)
         shell.draw(rib, SIDE, "rail" if kind != "tipper" else "trim", facing=LEFT_AXIS)
     if not closed:
         shell.paint([(-99, -9), (99, -9), (99, 9), (-99, 9)], TOP, "bed", levels=(2.1, 3.0))
@@ -75,9 +75,11 @@ def _draw_doors(shell: Surface, end: float, edge: float, low: float, top: float)
     """The gap between two doors, their bolts and hinges."""
     shell.line([(end, low), (end, top)], WRAP, width=0.016)
     for share in (0.28, 0.6):
-        shell.draw(rectangle(end - share - 0.012, end - share + 0.012, low + 0.05, top - 0.05), WRAP, "rail", layer=8)
+        shell.draw(
+            rectangle_outline(end - share - 0.012, end - share + 0.012, low + 0.05, top - 0.05), WRAP, "rail", layer=8
+        )
     for z in np.linspace(low + 0.3, top - 0.3, 4):
-        shell.draw(rectangle(edge, edge + 0.1, z, z + 0.05), WRAP, "rail", layer=2)
+        shell.draw(rectangle_outline(edge, edge + 0.1, z, z + 0.05), WRAP, "rail", layer=2)
 
 
 def axle(s: Shape, x: float, *, wheel: bool, dual: bool) -> list[Mesh]:

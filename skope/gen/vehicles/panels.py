@@ -16,7 +16,7 @@ def quad(a: float, b: float, low: tuple[float, float], high: tuple[float, float]
     return np.array([(a, low[0]), (b, low[1]), (b, high[1]), (a, high[0])])
 
 
-def rectangle(a: float, b: float, low: float, high: float) -> Array:
+def rectangle_outline(a: float, b: float, low: float, high: float) -> Array:
     return quad(a, b, (low, low), (high, high))
 
 

@@ -3,7 +3,7 @@
 from skope.gen.mesh import Mesh
 from skope.gen.vehicles import parts
 from skope.gen.vehicles.lofted_surfaces import FRONT_END, SIDE_START, WRAP, Surface
-from skope.gen.vehicles.panels import Points, plate_height, quad, rectangle
+from skope.gen.vehicles.panels import Points, plate_height, quad, rectangle_outline
 from skope.gen.vehicles.shape import Shape, VehicleStyle
 from skope.gen.vehicles.taillights import draw_taillight
 from skope.types import Array
@@ -34,7 +34,7 @@ def draw_rear(shell: Surface, w: Array, s: Shape, style: VehicleStyle, points: P
         return out
     out += _draw_bumper(shell, s, style, float(w[last - FRONT_END]), end)
     for a, b in ((0.34, 0.44), (0.45, 0.5)) if s.taillight_inner > 0.55 else ():
-        shell.draw(rectangle(end - b, end - a, badge + 0.2, badge + 0.225), WRAP, "chrome")
+        shell.draw(rectangle_outline(end - b, end - a, badge + 0.2, badge + 0.225), WRAP, "chrome")
     return out
 
 
@@ -42,23 +42,25 @@ def _draw_plate(shell: Surface, end: float, plate: float, material: str) -> None
     half, high = parts.PLATE
     recess = quad(end - half - 0.07, end + 0.1, (plate - 0.03,) * 2, (plate + high + 0.04,) * 2)
     shell.sink(recess, WRAP, 0.022, "trim", wall="paint")
-    shell.draw(rectangle(end - half, end + 0.1, plate, plate + high), WRAP, material, layer=2)
+    shell.draw(rectangle_outline(end - half, end + 0.1, plate, plate + high), WRAP, material, layer=2)
     for a in (0.1, 0.16):
-        shell.draw(rectangle(end - a - 0.04, end - a, plate + high + 0.012, plate + high + 0.03), WRAP, "lamp_clear")
+        shell.draw(
+            rectangle_outline(end - a - 0.04, end - a, plate + high + 0.012, plate + high + 0.03), WRAP, "lamp_clear"
+        )
 
 
 def _draw_bumper(shell: Surface, s: Shape, style: VehicleStyle, corner: float, end: float) -> list[Mesh]:
     """Reflectors, the trim between the pipes, and the pipes."""
     low = s.clearance
-    shell.draw(rectangle(corner - 0.06, corner + 0.12, low + 0.2, low + 0.235), WRAP, "gap")
-    shell.draw(rectangle(corner - 0.055, corner + 0.115, low + 0.205, low + 0.23), WRAP, "taillight", layer=2)
+    shell.draw(rectangle_outline(corner - 0.06, corner + 0.12, low + 0.2, low + 0.235), WRAP, "gap")
+    shell.draw(rectangle_outline(corner - 0.055, corner + 0.115, low + 0.205, low + 0.23), WRAP, "taillight", layer=2)
     wide = end - corner - 0.1
     shell.sink(quad(end - wide, end + 0.1, (low + 0.05,) * 2, (low + 0.17,) * 2), WRAP, 0.03, "trim")
     if style.exhausts == "fins":
         for a in (0.12, 0.28, 0.44):
-            shell.draw(rectangle(end - a - 0.012, end - a, low + 0.05, low + 0.17), WRAP, "gap", layer=14)
+            shell.draw(rectangle_outline(end - a - 0.012, end - a, low + 0.05, low + 0.17), WRAP, "gap", layer=14)
     if style.exhausts == "blend":
-        shell.draw(rectangle(end - wide, end - wide + 0.16, low + 0.075, low + 0.135), WRAP, "chrome", layer=3)
+        shell.draw(rectangle_outline(end - wide, end - wide + 0.16, low + 0.075, low + 0.135), WRAP, "chrome", layer=3)
     if style.exhausts not in ("pipes", "middle"):
         return []
     at = shell.place((end - (wide - 0.12 if style.exhausts == "pipes" else 0.07), low + 0.1), WRAP)[0]

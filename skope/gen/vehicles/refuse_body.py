@@ -8,7 +8,7 @@ from skope.gen.mesh import box
 from skope.gen.vehicles.cargo import BEACON, Cargo, CargoSpace, mudguards
 from skope.gen.vehicles.liveries import TONES, draw_graphics
 from skope.gen.vehicles.lofted_surfaces import WRAP, Plan
-from skope.gen.vehicles.panels import rectangle
+from skope.gen.vehicles.panels import rectangle_outline
 from skope.gen.vehicles.parts import block
 from skope.gen.vehicles.solids import pipe, prism
 from skope.gen.vehicles.upright_shells import Tower
@@ -28,7 +28,7 @@ def refuse_body(space: CargoSpace) -> Cargo:
     )  # fmt: skip
     shell, _, _ = tower.surface("livery")
     draw_graphics(shell, (start + 0.3, space.ahead - 0.2), (floor + 0.3, high - 0.35), rng)
-    shell.draw(rectangle(-1, 99, 0, floor + 0.14), WRAP, "trim")
+    shell.draw(rectangle_outline(-1, 99, 0, floor + 0.14), WRAP, "trim")
     add(shell.half)
     for x in (space.ahead - 0.06, start + 0.02):
         add(box((x - 0.06, half - 0.05, floor + 0.02), (x + 0.06, half + 0.012, high - 0.26), "livery"))

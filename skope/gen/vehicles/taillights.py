@@ -5,7 +5,7 @@ from typing import Final
 import numpy as np
 
 from skope.gen.vehicles.lofted_surfaces import WRAP, Surface
-from skope.gen.vehicles.panels import Points, disc, grown, quad, rectangle, rounded, within
+from skope.gen.vehicles.panels import Points, disc, grown, quad, rectangle_outline, rounded, within
 from skope.types import Array
 
 _BEYOND: Final = 99.0
@@ -124,9 +124,9 @@ def _draw_lamp(shell: Surface, kind: str, lamp: Array) -> None:
     if kind == "hook":
         shell.draw(within(lamp, 0.06, 0.3, 0.08, 0.72), WRAP, "brake_light", layer=3)
     if kind == "band":
-        shell.draw(rectangle(inner, _BEYOND, high - 0.085, high - 0.02), WRAP, "gap")
-        shell.draw(rectangle(inner, _BEYOND, high - 0.075, high - 0.03), WRAP, "taillight", layer=2)
+        shell.draw(rectangle_outline(inner, _BEYOND, high - 0.085, high - 0.02), WRAP, "gap")
+        shell.draw(rectangle_outline(inner, _BEYOND, high - 0.075, high - 0.03), WRAP, "taillight", layer=2)
     if kind == "bar":
         middle = (low + high) / 2
-        shell.draw(rectangle(inner, _BEYOND, middle - 0.03, middle + 0.03), WRAP, "gap")
-        shell.draw(rectangle(inner, _BEYOND, middle - 0.018, middle + 0.018), WRAP, "taillight", layer=2)
+        shell.draw(rectangle_outline(inner, _BEYOND, middle - 0.03, middle + 0.03), WRAP, "gap")
+        shell.draw(rectangle_outline(inner, _BEYOND, middle - 0.018, middle + 0.018), WRAP, "taillight", layer=2)

@@ -74,7 +74,7 @@ class Follower:
         self._x, self._y = x, y
 
 
-def pose(vehicle: Vehicle, driven: DrivenTrailer | None, T_world_chassis: Array) -> Array:
+def trailer_poses(vehicle: Vehicle, driven: DrivenTrailer | None, T_world_chassis: Array) -> Array:
     """(3, 4, 4) world poses of a vehicle's trailer and of its wheels, rear right and rear left.
 
     The trailer hangs on the hinge, stands with its axles on the road, and leans to the side as what draws it does.

@@ -16,7 +16,7 @@ from skope.gen.vehicles.lofted_surfaces import SIDE, WRAP, Plan, Surface
 from skope.gen.vehicles.long_hood import exhaust_stack, long_hood
 from skope.gen.vehicles.lorry_parts import axle, cargo_body, side_guard, underrun_bar
 from skope.gen.vehicles.mirrors import arm_mirror
-from skope.gen.vehicles.panels import grown, rectangle
+from skope.gen.vehicles.panels import grown, rectangle_outline
 from skope.gen.vehicles.shape import Shape, VehicleStyle
 from skope.gen.vehicles.truck_faces import draw_face
 from skope.gen.vehicles.upright_shells import ARCH_RADIUS_WHEELS, Tower, arch, corner_w
@@ -100,7 +100,7 @@ class TruckBody:
             top = min(top, base + _SCREEN)
             for at in (0.25, 0.6) if self.cab_height - top > 0.4 else ():
                 cab.draw(
-                    rectangle(at - 0.06, at + 0.06, self.cab_height - 0.3, self.cab_height - 0.25),
+                    rectangle_outline(at - 0.06, at + 0.06, self.cab_height - 0.3, self.cab_height - 0.25),
                     WRAP,
                     MARKER,
                     layer=3,
@@ -108,13 +108,13 @@ class TruckBody:
         if self.style.body == "tractor":  # over the windscreen there is room for a bed
             top = min(top, base + 1.05)
         screen = corner_w(w) - 0.05
-        cab.paint(rectangle(-0.2, screen + 0.05, base - 0.05, top + 0.06), WRAP, "trim")
-        cab.paint(rectangle(-0.2, screen, base, top), WRAP, "glass")
+        cab.paint(rectangle_outline(-0.2, screen + 0.05, base - 0.05, top + 0.06), WRAP, "trim")
+        cab.paint(rectangle_outline(-0.2, screen, base, top), WRAP, "glass")
         for start, stop in ((0.04, 0.55), (0.5, screen - 0.06)):
             cab.line([(start, base - 0.02), (stop, base + 0.06)], WRAP, width=0.02, layer=4)
         # Painted it also is clean from afar, where what hovers over the shell flickers.
         lay = cab.paint if self.style.face else cab.draw
-        lay(rectangle(-1, 99, 0, s.bumper_height - 0.1), WRAP, "trim")
+        lay(rectangle_outline(-1, 99, 0, s.bumper_height - 0.1), WRAP, "trim")
         self._cab_doors(cab, base, top)
         if s.hood_length:
             self._parts += long_hood(s, self.style, self.points)
@@ -145,7 +145,7 @@ class TruckBody:
         cab.paint(grown(np.array(window), 0.035), SIDE, "trim", facing=LEFT_AXIS)
         cab.paint(window, SIDE, "glass", facing=LEFT_AXIS)
         if s.cab_length > _CREW_CAB:
-            second = rectangle(self.cab_rear + 0.25, behind - 0.1, base + 0.02, top - 0.02)
+            second = rectangle_outline(self.cab_rear + 0.25, behind - 0.1, base + 0.02, top - 0.02)
             cab.paint(grown(second, 0.035), SIDE, "trim", facing=LEFT_AXIS)
             cab.paint(second, SIDE, "glass", facing=LEFT_AXIS)
         sill = s.wheel_radius * (1 + ARCH_RADIUS_WHEELS) + 0.04
@@ -157,7 +157,7 @@ class TruckBody:
         step = s.front_axle_x + ARCH_RADIUS_WHEELS * s.wheel_radius
         if self.face - step > 0.5:
             for z in (s.clearance + 0.18, s.clearance + 0.45):
-                tread = rectangle(step + 0.06, self.face - 0.22, z, z + 0.1)
+                tread = rectangle_outline(step + 0.06, self.face - 0.22, z, z + 0.1)
                 cab.draw(tread, SIDE, "gap", facing=LEFT_AXIS)
         self.points["beltline"] = cab.place((behind + 0.06, base), SIDE)[0]
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from skope.gen.vehicles.lofted_surfaces import CENTER, FLOOR, INNER, SIDE_START, Plan, Surface, along
+from skope.gen.vehicles.lofted_surfaces import CENTER, FLOOR, INNER, SIDE_START, Plan, Surface, metres_along
 from skope.gen.vehicles.shape import Shape
 from skope.types import Array
 
@@ -77,7 +77,7 @@ class Tower:
                 rows.append(edge * [1, share, 1] + np.stack([0 * rise, 0 * rise, rise], axis=-1))
                 levels.append(level)
         middle = outlines[len(outlines) // 2]
-        w = along(middle)
+        w = metres_along(middle)
         return Surface(rows, levels, w, material), w, middle
 
     def _inset_plan(self, side: float, front: float, rear: float) -> Plan:

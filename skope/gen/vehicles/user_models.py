@@ -57,7 +57,7 @@ class AddedVehicle(Derived):
         return None
 
 
-def folder() -> Path:
+def models_folder() -> Path:
     """$SKOPE_VEHICLES, or skope's folder in the user's data."""
     own = os.environ.get("SKOPE_VEHICLES")
     if own:
@@ -65,7 +65,7 @@ def folder() -> Path:
     return Path(os.environ.get("XDG_DATA_HOME", Path.home() / ".local/share")) / "skope" / "vehicles"
 
 
-def vehicle_of(marked: Marked, name: str, vehicle_type: str, mass: float | None) -> AddedVehicle:
+def vehicle_of_model(marked: Marked, name: str, vehicle_type: str, mass: float | None) -> AddedVehicle:
     """Make a vehicle from a model with markers.
 
     Args:
@@ -92,9 +92,9 @@ def vehicle_of(marked: Marked, name: str, vehicle_type: str, mass: float | None)
     return AddedVehicle(name, vehicle_type, shape, kilograms, marked.mesh, marked.wheel, points)
 
 
-def save(vehicle: AddedVehicle) -> Path:
+def save_model(vehicle: AddedVehicle) -> Path:
     """Write a model's files; returns their folder. Raises UserError where another model has that name."""
-    path = folder() / vehicle.model
+    path = models_folder() / vehicle.model
     arrays = {f"{name}_{field}": getattr(getattr(vehicle, name), field) for name in _MESHES for field in _FIELDS}
     mesh = io.BytesIO()
     np.savez_compressed(mesh, **arrays)
@@ -120,14 +120,14 @@ def save(vehicle: AddedVehicle) -> Path:
     return path
 
 
-def remove(name: str) -> Path:
+def remove_model(name: str) -> Path:
     """Remove a model's files, readable or not; returns their folder, which stays where it holds anything else.
 
     Raises UserError where no model of that name was added, or its files cannot be removed.
     """
-    if name not in names():
-        raise UserError(f"{name}: no such model was added; there are: {', '.join(names()) or 'none'}")
-    path = folder() / name
+    if name not in model_names():
+        raise UserError(f"{name}: no such model was added; there are: {', '.join(model_names()) or 'none'}")
+    path = models_folder() / name
     try:
         # What makes it a model goes last: a removal that was stopped can be repeated.
         for file in _MODEL_FILES:
@@ -136,14 +136,14 @@ def remove(name: str) -> Path:
             path.rmdir()
     except OSError as error:
         raise UserError(f"{path}: cannot be removed: {error.strerror or error}") from None
-    load.cache_clear()
+    load_model.cache_clear()
     return path
 
 
 @cache
-def load(name: str) -> AddedVehicle:
+def load_model(name: str) -> AddedVehicle:
     """A model that was added under that name."""
-    path = folder() / check_name("model", name)
+    path = models_folder() / check_name("model", name)
     if not (path / "vehicle.json").is_file():
         raise UserError(f"--vehicles: there is no model {name!r}; `skope gen vehicles list` names all")
     row = read_json(path / "vehicle.json")
@@ -201,9 +201,9 @@ def _read_mesh(arrays: Mapping[str, NDArray[Any]], name: str, materials: list[st
     return Mesh(vertices, normals, triangles, tuple(materials), material)
 
 
-def names() -> list[str]:
+def model_names() -> list[str]:
     """Names of all models that the user has added."""
-    return sorted(path.parent.name for path in folder().glob("*/vehicle.json"))
+    return sorted(path.parent.name for path in models_folder().glob("*/vehicle.json"))
 
 
 def _digest(path: Path) -> str:

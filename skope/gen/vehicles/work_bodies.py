@@ -6,7 +6,7 @@ from skope.gen.mesh import box
 from skope.gen.vehicles.cargo import BEACON, Cargo, CargoSpace, mudguards
 from skope.gen.vehicles.liveries import TONES
 from skope.gen.vehicles.lofted_surfaces import SIDE, TOP, WRAP, Plan
-from skope.gen.vehicles.panels import rectangle
+from skope.gen.vehicles.panels import rectangle_outline
 from skope.gen.vehicles.parts import block
 from skope.gen.vehicles.solids import barrel, beam, ladder, pipe, prism
 from skope.gen.vehicles.upright_shells import Tower
@@ -28,10 +28,12 @@ def hook_body(space: CargoSpace) -> Cargo:
     end = float(w[-1])
     shell.paint([(-99, -9), (99, -9), (99, 9), (-99, 9)], TOP, "bed", levels=(2.1, 3.0))
     for a in (0.12, 0.5):
-        shell.draw(rectangle(end - a - 0.05, end - a + 0.05, low + 0.06, high - 0.1), WRAP, tone, layer=5)
+        shell.draw(rectangle_outline(end - a - 0.05, end - a + 0.05, low + 0.06, high - 0.1), WRAP, tone, layer=5)
     shell.line([(end, low), (end, high)], WRAP, width=0.03)
     if rng.uniform() < 0.6:
-        shell.draw(rectangle(space.end + 1.0, space.end + 2.4, high - 0.75, high - 0.3), SIDE, "#e8e8e6", layer=0.5)
+        shell.draw(
+            rectangle_outline(space.end + 1.0, space.end + 2.4, high - 0.75, high - 0.3), SIDE, "#e8e8e6", layer=0.5
+        )
     add(shell.half)
     for x in np.linspace(front - 0.06, space.end + 0.06, max(7, round((front - space.end) / 0.7))).tolist():
         add(

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from xlsxwriter.workbook import Workbook
     from xlsxwriter.worksheet import Worksheet
 
-FILE: Final = "traffic.xlsx"
+EXCEL_FILE: Final = "traffic.xlsx"
 _MOST_ROWS: Final = 1_048_575
 """Below the row of names."""
 _LEFT_OUT: Final = frozenset({"trajectories"})
@@ -38,7 +38,7 @@ def write_excel(folder: Path, report: TrafficReport) -> list[Path]:
     """
     import xlsxwriter
 
-    path = folder / FILE
+    path = folder / EXCEL_FILE
     with replacing(path) as temporary:
         book = xlsxwriter.Workbook(str(temporary), {"constant_memory": True, "nan_inf_to_errors": False})
         try:

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from skope.site.site_file import SiteParts
     from skope.traffic.report import TrafficReport
 
-FORMATS: Final[Mapping[str, str]] = {
+EXPORT_FORMATS: Final[Mapping[str, str]] = {
     "excel": "a workbook",
     "parquet": "tables with types",
     "geojson": "gates, tracks and conflicts on the map",
@@ -36,7 +36,7 @@ def checked_formats(text: str, site: "SiteParts", *, metres: bool) -> tuple[str,
         metres: Whether the tracks are in metres.
 
     Returns:
-        The names, each once, in the order of `FORMATS`.
+        The names, each once, in the order of `EXPORT_FORMATS`.
 
     Raises:
         UserError: A name is none of a format; or the format needs metres, a library, or something of the site, that
@@ -48,8 +48,8 @@ def checked_formats(text: str, site: "SiteParts", *, metres: bool) -> tuple[str,
 
     names = [name.strip() for name in text.split(",") if name.strip()]
     for name in names:
-        if name not in FORMATS:
-            raise UserError(f"--also: expected some of {', '.join(FORMATS)}, got {name!r:.40}")
+        if name not in EXPORT_FORMATS:
+            raise UserError(f"--also: expected some of {', '.join(EXPORT_FORMATS)}, got {name!r:.40}")
         if not metres and name not in IN_PIXELS:
             raise UserError(f"--also: {name} needs metres, and nothing calibrates the camera")
     if "geojson" in names:
@@ -58,14 +58,14 @@ def checked_formats(text: str, site: "SiteParts", *, metres: bool) -> tuple[str,
         edges_of(site)
     if "parquet" in names:
         check_parquet()
-    return tuple(name for name in FORMATS if name in names)
+    return tuple(name for name in EXPORT_FORMATS if name in names)
 
 
 def write_format(name: str, folder: Path, report: "TrafficReport", camera: Camera | None) -> list[Path]:
     """Write a report in a format to a folder; returns the files.
 
     Args:
-        name: One of `FORMATS`.
+        name: One of `EXPORT_FORMATS`.
         folder: The folder.
         report: The report.
         camera: What the footage was seen with; None: not known.

@@ -22,8 +22,8 @@ from skope.traffic.report_tables import clock, thinned
 from skope.traffic.trajectories import KMH, Trajectory
 from skope.types import Array
 
-FILE: Final = "traffic.geojson"
-_DIGITS: Final = 7
+GEOJSON_FILE: Final = "traffic.geojson"
+_DEGREE_DIGITS: Final = 7
 """Of degrees: a centimetre."""
 _LEAST_POINTS: Final = 2
 
@@ -34,7 +34,7 @@ def write_geojson(folder: Path, report: TrafficReport) -> list[Path]:
     Raises:
         UserError: The site does not say where it is (`skope.site.on_earth`).
     """
-    path = folder / FILE
+    path = folder / GEOJSON_FILE
     with replacing(path) as temporary, temporary.open("wb") as file:
         file.write(b'{"type":"FeatureCollection","features":[')
         separator = b"\n"
@@ -135,7 +135,7 @@ def _feature(report: TrafficReport, kind: str, places: Outline | Array, properti
         if (x * np.roll(y, -1) - np.roll(x, -1) * y).sum() < 0:
             points = points[::-1]
         points = np.concatenate([points, points[:1]])
-    degrees = np.round(on_earth(report.site, points), _DIGITS).tolist()
+    degrees = np.round(on_earth(report.site, points), _DEGREE_DIGITS).tolist()
     return {
         "type": "Feature",
         "geometry": {"type": kind, "coordinates": [degrees] if kind == "Polygon" else degrees},

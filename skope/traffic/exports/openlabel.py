@@ -19,11 +19,11 @@ from skope.traffic.report_tables import clock
 from skope.traffic.trajectories import KMH, Trajectory, worst_sigma
 from skope.version import __version__
 
-FILE: Final = "traffic.json"
+OPENLABEL_FILE: Final = "traffic.json"
 _WORLD: Final = "world"
 _HEIGHTS_M: Final[Mapping[str, float]] = {"pedestrian": 1.7, "bicycle": 1.7, "motorcycle": 1.6}
 _VEHICLE_M: Final = 1.5
-_DIGITS: Final = 3
+_VALUE_DIGITS: Final = 3
 
 
 def write_openlabel(folder: Path, report: TrafficReport) -> list[Path]:
@@ -37,7 +37,7 @@ def write_openlabel(folder: Path, report: TrafficReport) -> list[Path]:
     begun: dict[int, list[Trajectory]] = {}
     for one in chosen:
         begun.setdefault(int(spans[one.number][0]), []).append(one)
-    path = folder / FILE
+    path = folder / OPENLABEL_FILE
     with replacing(path) as temporary, temporary.open("wb") as file:
         file.write(b'{"openlabel":{"metadata":' + json_bytes(_metadata(report)).strip())
         file.write(b',\n"coordinate_systems":' + json_bytes({_WORLD: {"type": "scene_cs", "parent": ""}}).strip())
@@ -108,7 +108,7 @@ def _cuboid(one: Trajectory, time_s: float) -> dict[str, Any]:
         "val": [round(value, 6) for value in values],
         "coordinate_system": _WORLD,
         "attributes": {
-            "num": [{"name": name, "val": round(value, _DIGITS)} for name, value in numbers.items()],
+            "num": [{"name": name, "val": round(value, _VALUE_DIGITS)} for name, value in numbers.items()],
             "boolean": [{"name": "size_measured", "val": measured}],
         },
     }

@@ -27,13 +27,13 @@ from skope.traffic.report import TrafficReport
 from skope.traffic.trajectories import Trajectory
 from skope.version import __version__
 
-_LONGEST: Final = 12_000
+_MOST_DETECTIONS: Final = 12_000
 """OTAnalytics leaves out tracks of more detections than these: they are thinned."""
 _HOST: Final = re.compile(r"[A-Za-z0-9]+_.*")
 """Names of footage from which OTAnalytics takes a camera's name."""
 _FPS: Final = 10.0
 """Frames a second of footage of one frame, which says nothing of that."""
-_DIGITS: Final = 4
+_COORDINATE_DIGITS: Final = 4
 
 
 def write_otanalytics(folder: Path, report: TrafficReport, camera: Camera | None = None) -> list[Path]:
@@ -87,7 +87,7 @@ def _metadata(report: TrafficReport, view: OtView) -> dict[str, Any]:
     seconds = float(times[-1] - times[0]) + 1 / fps if len(times) else 0.0
     name = Path(observation.source or "footage.mp4")
     size = {} if view.size is None else dict(zip(("width", "height"), view.size, strict=True))
-    run = hashlib.sha256(json_bytes([str(name), start, np.round(times, _DIGITS).tolist()])).hexdigest()
+    run = hashlib.sha256(json_bytes([str(name), start, np.round(times, _COORDINATE_DIGITS).tolist()])).hexdigest()
     return {
         "otdet_version": "1.4",
         "ottrk_version": "1.1",
@@ -116,10 +116,10 @@ def _detections(track: Trajectory, report: TrafficReport, view: OtView) -> Itera
     """The moments of a track at which it is in the view's picture."""
     places = view.pixels(track.place)
     rows = np.flatnonzero(view.inside(places))
-    rows = rows[:: math.ceil(len(rows) / _LONGEST) or 1].tolist()
+    rows = rows[:: math.ceil(len(rows) / _MOST_DETECTIONS) or 1].tolist()
     frames = 1 + _nearest(report.observation.times_s, track.times_s)
-    geo = None if view.geo is None else np.round(view.geo(track.place), _DIGITS).tolist()
-    pixels = np.round(places, _DIGITS).tolist()
+    geo = None if view.geo is None else np.round(view.geo(track.place), _COORDINATE_DIGITS).tolist()
+    pixels = np.round(places, _COORDINATE_DIGITS).tolist()
     start = _epoch(report)
     for row in rows:
         yield {
@@ -156,7 +156,9 @@ def flow_document(report: TrafficReport, view: OtView) -> dict[str, Any]:
                 "name": gate.name,
                 "type": "line",
                 "relative_offset_coordinates": {"section-enter": {"x": 0.5, "y": 0.5}},
-                "coordinates": [{"x": round(x, _DIGITS), "y": round(y, _DIGITS)} for x, y in line],
+                "coordinates": [
+                    {"x": round(x, _COORDINATE_DIGITS), "y": round(y, _COORDINATE_DIGITS)} for x, y in line
+                ],
                 "plugin_data": {},
             }
         )

@@ -18,7 +18,7 @@ from skope.traffic.gates import may_count
 from skope.traffic.report import TrafficReport
 from skope.types import Array
 
-FILE: Final = "tracks.trj"
+SSAM_FILE: Final = "tracks.trj"
 _STEP_S: Final = 0.1
 """Step of time in which SSAM looks at collisions, seconds."""
 _VERSION: Final = 3.0
@@ -56,7 +56,7 @@ def write_ssam(folder: Path, report: TrafficReport) -> list[Path]:
     rows, ticks = rows[order], ticks[order]
     steps = max(last - first, int(ticks[-1]) if len(ticks) else 0)
     bounds = np.searchsorted(ticks, np.arange(steps + 2))
-    path = folder / FILE
+    path = folder / SSAM_FILE
     with replacing(path) as temporary, temporary.open("wb") as file:
         file.write(struct.pack("<Bcf", _FORMAT, b"L", _VERSION) + struct.pack("<B", _Z))
         file.write(struct.pack("<BBf4i", _DIMENSIONS, _METRES, 1.0, 0, 0, *size))

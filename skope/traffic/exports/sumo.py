@@ -27,7 +27,7 @@ _LIGHT: Final = frozenset({"car", "van", "unknown"})
 _HEAVY: Final = frozenset({"lorry", "bus"})
 """Detectors tell two kinds of vehicles apart."""
 _MOTOR: Final = _LIGHT | _HEAVY | {"motorcycle"}
-Side = tuple[str, str]
+GateSide = tuple[str, str]
 """A gate and a direction."""
 
 
@@ -50,7 +50,7 @@ def write_sumo(folder: Path, report: TrafficReport) -> list[Path]:
     return written
 
 
-def edges_of(site: "SiteParts") -> dict[Side, str]:
+def edges_of(site: "SiteParts") -> dict[GateSide, str]:
     """The edge of each gate and direction that has one. Raises UserError where none has."""
     edges = {
         (gate.name, direction): edge
@@ -88,7 +88,7 @@ def _interval(one: ClockInterval, shift: float) -> str:
 
 
 def _turns(
-    report: TrafficReport, whole: Sequence[ClockInterval], edges: dict[Side, str], shift: float
+    report: TrafficReport, whole: Sequence[ClockInterval], edges: dict[GateSide, str], shift: float
 ) -> Iterator[str]:
     """Elements with the numbers from edge to edge, in the interval of the first crossing, as in the matrix of
     movements."""
@@ -107,7 +107,7 @@ def _turns(
 
 
 def _edges(
-    report: TrafficReport, whole: Sequence[ClockInterval], edges: dict[Side, str], shift: float
+    report: TrafficReport, whole: Sequence[ClockInterval], edges: dict[GateSide, str], shift: float
 ) -> Iterator[str]:
     for interval in whole:
         yield _interval(interval, shift)
@@ -117,14 +117,14 @@ def _edges(
         yield "  </interval>"
 
 
-def _detectors(edges: dict[Side, str]) -> Iterator[str]:
+def _detectors(edges: dict[GateSide, str]) -> Iterator[str]:
     for edge in edges.values():
         name = quoteattr(edge)
         yield f'  <inductionLoop id={name} lane={quoteattr(edge + "_0")} pos="0" period="60" file="NUL"/>'
 
 
 def _flows(
-    report: TrafficReport, whole: Sequence[ClockInterval], edges: dict[Side, str], shift: float
+    report: TrafficReport, whole: Sequence[ClockInterval], edges: dict[GateSide, str], shift: float
 ) -> Iterator[str]:
     """Counts and mean speeds, km/h, of light and of heavy vehicles; -1 where nobody has a speed."""
     yield "Detector;Time;qPKW;qLKW;vPKW;vLKW"
@@ -135,7 +135,9 @@ def _flows(
             yield f"{edge};{minute};{len(light)};{len(heavy)};{_speed(light)};{_speed(heavy)}"
 
 
-def _crossed(report: TrafficReport, interval: ClockInterval, side: Side, classes: frozenset[str]) -> list[GateCrossing]:
+def _crossed(
+    report: TrafficReport, interval: ClockInterval, side: GateSide, classes: frozenset[str]
+) -> list[GateCrossing]:
     return [
         one
         for one in report.crossings

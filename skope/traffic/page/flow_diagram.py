@@ -13,7 +13,7 @@ from skope.schema import VEHICLE
 from skope.traffic.count_interval import in_words
 from skope.traffic.counts import ALL
 from skope.traffic.report import TrafficReport
-from skope.traffic.turning import NOWHERE, Side, TurningCount
+from skope.traffic.turning import NOWHERE, GateDirection, TurningCount
 from skope.types import Array
 
 _SIZE: Final = 560.0
@@ -47,7 +47,7 @@ def flow_diagram(report: TrafficReport) -> str:
     order = sorted({one.origin for one in whole})
     parts = [tag("circle", cx=_SIZE / 2, cy=_SIZE / 2, r=_RADIUS, class_="ring")]
     largest_first = sorted(whole, key=lambda one: -(one.count or 0))
-    ranks: Counter[Side] = Counter()
+    ranks: Counter[GateDirection] = Counter()
     numbers = []
     for one in largest_first:
         band, number = _band(one, angles, most, order.index(one.origin) % 4, ranks[one.origin])

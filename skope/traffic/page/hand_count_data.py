@@ -31,7 +31,7 @@ MOST_CROSSINGS: Final = 100_000
 _ARROW_M: Final = 3.0
 _ARROW_PX: Final = 20.0
 """From a gate's middle to the end of the arrow that shows a direction."""
-_DIGITS: Final = 1
+_PIXEL_DIGITS: Final = 1
 
 
 def hand_count_data(report: TrafficReport, camera: Camera | None) -> dict[str, Any]:
@@ -110,7 +110,7 @@ def _view(report: TrafficReport, camera: Camera | None) -> dict[str, Any] | None
     gates = [
         {
             "gate": gate.name,
-            "line": np.round(np.array(lines[gate.name]), _DIGITS).tolist(),
+            "line": np.round(np.array(lines[gate.name]), _PIXEL_DIGITS).tolist(),
             "arrow": _arrow(gate, view, _ARROW_M if report.metres else _ARROW_PX),
         }
         for gate in report.gates
@@ -123,7 +123,7 @@ def _arrow(gate: Gate, view: OtView, length: float) -> list[list[float]] | None:
     """From the left of a gate to its right, pixels; None where that cannot be seen."""
     middle = np.mean(np.array(gate.line), axis=0)
     ends = view.pixels(np.stack([middle + length * normal_of(gate), middle - length * normal_of(gate)]))
-    return np.round(ends, _DIGITS).tolist() if np.isfinite(ends).all() else None
+    return np.round(ends, _PIXEL_DIGITS).tolist() if np.isfinite(ends).all() else None
 
 
 def _machine(report: TrafficReport, sides: Sequence[tuple[str, str]]) -> dict[str, Any]:
@@ -141,12 +141,12 @@ def _machine(report: TrafficReport, sides: Sequence[tuple[str, str]]) -> dict[st
             pair = numbers[origin], numbers[destination]
             moved.setdefault(pair, []).append((way.time_s, way.trajectory.class_name))
     return {
-        "crossings": [packed(events) for events in crossed],
-        "movements": [[*pair, packed(events)] for pair, events in sorted(moved.items())],
+        "crossings": [packed_times(events) for events in crossed],
+        "movements": [[*pair, packed_times(events)] for pair, events in sorted(moved.items())],
     }
 
 
-def packed(events: Iterable[tuple[float, str]]) -> str:
+def packed_times(events: Iterable[tuple[float, str]]) -> str:
     """Times (seconds) and classes as text: for each the milliseconds since the one before, and the class's letter.
 
     Milliseconds are rounded down, so that who crosses before a whole second stays before it.

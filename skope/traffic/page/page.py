@@ -10,7 +10,7 @@ import numpy as np
 
 from skope.camera.model import Camera
 from skope.files.atomic import write_text
-from skope.page import document
+from skope.page import html_document
 from skope.page.html_pieces import details, table, tag
 from skope.schema import VEHICLE
 from skope.traffic.count_interval import in_words
@@ -30,7 +30,7 @@ from skope.traffic.trajectories import KMH
 from skope.traffic.turning import TurningCount
 from skope.version import __version__
 
-FILE: Final = "report.html"
+REPORT_FILE: Final = "report.html"
 _CONFLICTS: Final = 20
 _Counted = TypeVar("_Counted", Count, TurningCount)
 _MOST_INTERVALS: Final = 400
@@ -52,7 +52,7 @@ def write_page(
     Returns:
         The file.
     """
-    path = out / FILE
+    path = out / REPORT_FILE
     write_text(path, traffic_page(report, tracks=tracks, road=road, camera=camera))
     return path
 
@@ -88,7 +88,7 @@ def traffic_page(
         if any(found):
             parts += [tag("h2", title), *found]
     parts.append(tag("p", tag("small", escape(f"skope {__version__}; tracks of {tracks}; intervals hold 90%"))))
-    return document(f"Traffic: {name}", *parts, plays_files=True)
+    return html_document(f"Traffic: {name}", *parts, plays_files=True)
 
 
 def _what(report: TrafficReport) -> str:

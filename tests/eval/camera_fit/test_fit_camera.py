@@ -17,8 +17,8 @@ from skope.dataset import coco
 from skope.errors import UserError
 from skope.eval.camera_fit.bundle_adjustment import VehicleViews
 from skope.eval.camera_fit.camera_doubts import sigma_of_ways, why_not
-from skope.eval.camera_fit.camera_unknowns import FOCAL, HEIGHT, PITCH, camera_of
-from skope.eval.camera_fit.fit_camera import CameraEstimate, Rival, fit_camera
+from skope.eval.camera_fit.camera_unknowns import FOCAL, HEIGHT, PITCH, camera_of_unknowns
+from skope.eval.camera_fit.fit_camera import CameraEstimate, Rival, fit_camera_to_vehicles
 from skope.eval.camera_fit.known_lengths import KnownLength, corrected
 from skope.eval.camera_fit.write_camera import known_of
 from skope.eval.pose.shape_model import fleet_shapes
@@ -40,12 +40,12 @@ def stored(name: str) -> tuple[VehicleViews, Array, Array]:
 
 @cache
 def fitted(name: str) -> CameraEstimate:
-    return fit_camera(stored(name)[0])
+    return fit_camera_to_vehicles(stored(name)[0])
 
 
 def ways(unknowns: Array, pixels: Array) -> Array:
     """Distances on the road between pixels (P, 2) that follow one another."""
-    camera = camera_of(unknowns, SIZE)
+    camera = camera_of_unknowns(unknowns, SIZE)
     x, y, down = (camera.rays(pixels)[0] @ camera.T_camera_world[:3, :3]).T
     on_road = np.stack([x, y], axis=-1) * (-camera.position[2] / down)[:, None]
     return np.asarray(np.linalg.norm(np.diff(on_road, axis=0), axis=1))
@@ -80,7 +80,7 @@ def test_squeezed_pictures_are_refused() -> None:
     views, _, edges = stored("steep")
     found = views.found.copy()
     found[..., 0] = SIZE[0] / 2 + 0.75 * (found[..., 0] - SIZE[0] / 2)
-    estimate = fit_camera(replace(views, found=found))
+    estimate = fit_camera_to_vehicles(replace(views, found=found))
     undoubted = replace(estimate, unevenness=0.0, covariance=fitted("steep").covariance)
     assert "a pixel is 1.33 times as wide as high" in str(why_not(undoubted, edges))
 
@@ -88,7 +88,7 @@ def test_squeezed_pictures_are_refused() -> None:
 def test_what_is_known_is_kept_to() -> None:
     views, truth, _ = stored("steep")
     height, fov = math.exp(truth[HEIGHT]), 2 * math.degrees(math.atan(SIZE[0] / 2 / math.exp(truth[FOCAL])))
-    estimate = fit_camera(views, known_of(height, fov, SIZE[0]))
+    estimate = fit_camera_to_vehicles(views, known_of(height, fov, SIZE[0]))
     assert estimate.camera.K[0, 0] == pytest.approx(math.exp(truth[FOCAL]), rel=0.06)
     assert estimate.camera.position[2] == pytest.approx(height, rel=0.06)
     assert sigma_of_ways(estimate) < sigma_of_ways(fitted("steep"))
@@ -136,7 +136,9 @@ def test_half_of_the_vehicles_tell_the_same_within_what_both_say() -> None:
     whole = fitted("rain_dusk")
     rows = views.vehicle % 2 == 0
     vehicle = views.vehicle[rows] // 2
-    half = fit_camera(replace(views, found=views.found[rows], sigma_px=views.sigma_px[rows], vehicle=vehicle))
+    half = fit_camera_to_vehicles(
+        replace(views, found=views.found[rows], sigma_px=views.sigma_px[rows], vehicle=vehicle)
+    )
     apart = half.solved.bundle.camera - whole.solved.bundle.camera
     sigma = np.sqrt(np.diag(half.covariance) + np.diag(whole.covariance))
     assert (np.abs(apart) < 3 * sigma).all()
@@ -166,13 +168,13 @@ def test_a_camera_file_says_how_certain_it_is(skope: Any) -> None:
 def test_a_road_that_rises_is_no_plane() -> None:
     """Half of the vehicles stand 1.5 m higher than the others, under a camera 4.8 m over the road."""
     views, truth, edges = stored("day")
-    camera = camera_of(truth, SIZE)
+    camera = camera_of_unknowns(truth, SIZE)
     bundle = fitted("day").solved.bundle
     found = views.found.copy()
     for row in np.flatnonzero(views.vehicle % 2):
         place = np.array([[*(bundle.pose[row, :2] * camera.position[2]), 0.0]])
         here, there = camera.project(place)[0], camera.project(place + [0.0, 0.0, 1.5])[0]
         found[row, :, :2] += there - here
-    estimate = fit_camera(replace(views, found=found))
+    estimate = fit_camera_to_vehicles(replace(views, found=found))
     assert estimate.unevenness > fitted("day").unevenness
     assert why_not(estimate, edges) is not None

@@ -387,7 +387,7 @@ def test_a_sloping_road_that_is_known_costs_nothing() -> None:
         assert point[2] == pytest.approx(3 + 0.05 * (point[0] - 12) - 0.03 * (point[1] - 4))
     file = drive(1, 5, speeds=(8.0, 0.0))
     level, sloping = Scene(file, None, None, Ground()), Scene(tilted(file, T), None, None, ground)
-    a, b = pose_errors.measure(level, noise=1), pose_errors.measure(sloping, noise=1)
+    a, b = pose_errors.measure_poses(level, noise=1), pose_errors.measure_poses(sloping, noise=1)
     assert b.position == pytest.approx(a.position, abs=2e-3)
     assert b.heading == pytest.approx(a.heading, abs=0.1)
 
@@ -580,7 +580,7 @@ def test_a_camera_is_found_from_vehicles() -> None:
     real = Camera.looking([0, 0, 8.5], yaw=0.3, pitch_down=math.radians(20), fov=math.radians(70))
     seen = scene(drawn(16, 3), np.random.default_rng(4), noise=1, far=35, camera=real)
     count = len(seen.found)
-    fit = fit_camera.fit_camera(
+    fit = fit_camera.fit_camera_to_vehicles(
         VehicleViews(
             seen.found, np.ones(count), np.arange(count, dtype=np.intp), (real.width, real.height), fleet_shapes()
         )

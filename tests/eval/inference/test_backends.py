@@ -23,7 +23,7 @@ from skope.detector.checkpoint import find_checkpoint, load_weights
 from skope.detector.detect import detect, detect_on_boxes
 from skope.errors import UserError
 from skope.eval.inference.backends import eight_bits
-from skope.eval.inference.backends.network_parts import NetworkPart, Run, hand_over, parts_of
+from skope.eval.inference.backends.network_parts import NetworkPart, RunNetwork, hand_over, parts_of
 from skope.eval.inference.backends.prepare import prepare
 from skope.eval.inference.backends.region_pooling import RegionPooling
 from skope.eval.inference.backends.region_suppression import suppress_together
@@ -125,7 +125,7 @@ def test_a_runtime_finds_what_torch_finds(
 def test_parts_handed_over_to_torch_itself_answer_as_before(random_run: Path, pixels: NDArray[np.uint8]) -> None:
     """Also in an image without vehicles, of which no region reaches the heads."""
 
-    def by_itself(part: NetworkPart) -> Run:
+    def by_itself(part: NetworkPart) -> RunNetwork:
         def run(x: Floats32) -> list[Floats32]:
             out = part.module(torch.from_numpy(x))
             return [one.numpy() for one in (out if isinstance(out, tuple) else (out,))]

@@ -16,7 +16,7 @@ from skope.dataset.folder import read_image
 from skope.detections import Detections, RoadUserDetections
 from skope.eval.inference.predictor import Predictor
 from skope.eval.inference.settings import Settings
-from skope.eval.inference.tiles import Tile, joined, tiles_of
+from skope.eval.inference.tiles import Tile, join_tiles, tiles_of
 from skope.terminal.console import Console
 
 WIDE = {"short": 640, "long": 1138}
@@ -70,7 +70,7 @@ def test_each_vehicle_is_there_once_and_whole(seed: int) -> None:
         for tile in tiles
     ]
     assert sum(len(part) for _, part in parts) > 1.2 * len(rectangles)
-    found = joined(whole, parts)
+    found = join_tiles(whole, parts)
     assert found.size == (1920, 1080)
     assert sorted(map(tuple, found.boxes_xyxy.round(6))) == sorted(map(tuple, rectangles.round(6)))
     assert (np.diff(found.scores) <= 0).all()
@@ -85,9 +85,9 @@ def test_a_part_of_what_the_tile_cuts_is_no_vehicle() -> None:
     whole = Detections(np.array(bus), np.array([0.9]), one, (600, 400))
     for score, left in ((0.8, 1), (0.95, 2)):  # what is surer than the whole vehicle stands before it
         part = Detections(np.array(nose), np.array([score]), one, (300, 400))
-        assert len(joined(whole, [(Tile(0, 0, 300, 400), part)])) == left
+        assert len(join_tiles(whole, [(Tile(0, 0, 300, 400), part)])) == left
     uncut = Detections(np.array([[150.0, 150, 200, 290]]), np.array([0.8]), one, (600, 400))
-    assert len(joined(whole, [(Tile(0, 0, 600, 400), uncut)])) == 2
+    assert len(join_tiles(whole, [(Tile(0, 0, 600, 400), uncut)])) == 2
 
 
 @pytest.fixture
@@ -169,7 +169,7 @@ def test_road_users_are_joined_by_category() -> None:
         ),
         (right, nothing((600, 400), people((300, 50, 16, 40, 0.7, 3)))),
     ]
-    users = joined(whole, parts).road_users
+    users = join_tiles(whole, parts).road_users
     found = zip(users.boxes_xyxy[:, 0].tolist(), users.scores.tolist(), users.categories.tolist(), strict=True)
     assert list(found) == [(100, 0.9, 4), (700, 0.7, 3), (590, 0.6, 2), (100, 0.4, 2)]
 
@@ -178,6 +178,6 @@ def test_a_part_of_a_rider_whom_a_tile_cuts_is_left_out() -> None:
     tile = Tile(0, 0, 600, 400)
     whole = nothing((1000, 400), people((560, 50, 80, 100, 0.9, 3)))
     part = people((562, 52, 30, 40, 0.8, 3), (562, 52, 30, 40, 0.7, 4))
-    users = joined(whole, [(tile, nothing((600, 400), part))]).road_users
+    users = join_tiles(whole, [(tile, nothing((600, 400), part))]).road_users
     assert users.categories.tolist() == [3, 4]
     assert users.scores.tolist() == [0.9, 0.7]

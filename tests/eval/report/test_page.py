@@ -15,7 +15,7 @@ from skope.keypoints import INDEX
 from skope.metrics.breakdown import FleetInfo
 from skope.metrics.counts import quality
 from skope.metrics.outcomes import Options
-from skope.metrics.split_scores import SplitScores, measure
+from skope.metrics.split_scores import SplitScores, split_metrics
 from skope.page import image_viewer
 from skope.page.charts import Axes, Line, chart, histogram
 from skope.page.vehicle_outline import plan
@@ -110,7 +110,7 @@ def measured_split(count: int, results: list[Result] | None = None) -> SplitScor
     images = tuple(make_image(i) for i in range(1, count + 1))
     vehicles = tuple(make_annotation(i, i, (20, 20, 80, 60)) for i in range(1, count + 1))
     file = AnnotationFile(images=images, annotations=vehicles, name="a<b")
-    return measure(file, results or detector_of(file), Options(score=0.5), FleetInfo())
+    return split_metrics(file, results or detector_of(file), Options(score=0.5), FleetInfo())
 
 
 def test_curves_agree_with_the_figures_at_their_place() -> None:
@@ -128,7 +128,7 @@ def test_the_best_the_median_and_the_worst_are_chosen() -> None:
     values = np.array([0.5, np.nan, 0.9, 0.1, 0.4, 0.6, 0.8, 0.2, 0.45])
 
     def chosen(values: np.ndarray, blocks: list[int]) -> list[tuple[int, str]]:
-        return [(c.index, c.kind) for c in gallery.choose(values, np.array(blocks))]
+        return [(c.index, c.kind) for c in gallery.chosen_images(values, np.array(blocks))]
 
     alone = list(range(9))
     assert sorted(chosen(values, alone)) == sorted(
@@ -150,11 +150,13 @@ def test_quality_is_what_the_page_says() -> None:
 
 
 def test_names_of_the_user_are_escaped_and_missing_images_left_out(tmp_path: Path) -> None:
-    from skope.eval.report import render
-    from skope.metrics.pck_precision_recall import document
+    from skope.eval.report import render_page
+    from skope.metrics.pck_precision_recall import scores_document
 
     measured = measured_split(4)
-    text = render(document(Options(), {"a<b": measured.entry}), [measured], tmp_path, Options(), "pooled", None, "a&b")
+    text = render_page(
+        scores_document(Options(), {"a<b": measured.entry}), [measured], tmp_path, Options(), "pooled", None, "a&b"
+    )
     page = Page(text)
     assert "Split a<b" in page.text
     assert page.all("img") == []
@@ -178,7 +180,7 @@ def test_points_of_another_scheme_alone_are_drawn() -> None:
     few = tuple(sorted(keypoints.VERI20.values()))
     options = Options(score=0.5, points=few)
     file = replace(measured_split(4).file)
-    measured = measure(file, detector_of(file), options, FleetInfo())
+    measured = split_metrics(file, detector_of(file), options, FleetInfo())
     assert list(measured.entry["by"]["keypoint"]) == [keypoints.NAMES[k] for k in few]
 
 
@@ -187,7 +189,7 @@ def test_texts_over_an_image_stand_clear_of_each_other() -> None:
     boxes = [
         np.array([x, y, 60, 30]) for x, y in zip(rng.integers(0, 600, 12), rng.integers(200, 260, 12), strict=True)
     ]
-    drawn = Page(image_viewer.labels([(box, "2 L/R, 3 jitter") for box in boxes], (640, 480)))
+    drawn = Page(image_viewer.labels_svg([(box, "2 L/R, 3 jitter") for box in boxes], (640, 480)))
     texts = drawn.all("text")
     assert len(texts) == 12
     size = float(texts[0]["font-size"] or 0)
@@ -203,10 +205,10 @@ def test_texts_over_an_image_stand_clear_of_each_other() -> None:
 
 
 def test_a_text_stands_right_above_a_box_alone_and_below_one_at_the_image_s_top() -> None:
-    (alone,) = Page(image_viewer.labels([(np.array([100, 200, 50, 50]), "missed")], (640, 480))).all("text")
+    (alone,) = Page(image_viewer.labels_svg([(np.array([100, 200, 50, 50]), "missed")], (640, 480))).all("text")
     assert float(alone["x"] or 0) == 100
     assert 190 < float(alone["y"] or 0) < 200
-    (top,) = Page(image_viewer.labels([(np.array([100, 2, 50, 50]), "missed")], (640, 480))).all("text")
+    (top,) = Page(image_viewer.labels_svg([(np.array([100, 2, 50, 50]), "missed")], (640, 480))).all("text")
     assert 52 < float(top["y"] or 0) < 70
 
 

@@ -3,9 +3,9 @@ from typing import Any
 import pytest
 
 from skope.errors import UserError
-from skope.eval.report.table import evidence, published, render
+from skope.eval.report.table import evidence, published, render_table
 from skope.metrics.outcomes import Options
-from skope.metrics.pck_precision_recall import document
+from skope.metrics.pck_precision_recall import scores_document
 
 
 def split(pck: float | None) -> dict[str, Any]:
@@ -25,11 +25,11 @@ def split(pck: float | None) -> dict[str, Any]:
     }
 
 
-METRICS = document(Options(), {"easy": split(0.9865), "medium": split(1.0), "hard": split(None)})
+METRICS = scores_document(Options(), {"easy": split(0.9865), "medium": split(1.0), "hard": split(None)})
 
 
 def test_splits_stand_side_by_side_with_a_row_per_threshold() -> None:
-    lines = render(METRICS, "pooled", 120).splitlines()
+    lines = render_table(METRICS, "pooled", 120).splitlines()
     assert "pooled" in lines[0]
     assert lines[2].split() == ["easy", "|", "medium", "|", "hard"]
     assert [line.split()[0] for line in lines[5:9]] == ["0.9", "0.8", "0.7", "0.6"]
@@ -38,31 +38,31 @@ def test_splits_stand_side_by_side_with_a_row_per_threshold() -> None:
 
 
 def test_a_narrow_terminal_gets_them_one_below_the_other() -> None:
-    lines = render(METRICS, "pooled", 60).splitlines()
+    lines = render_table(METRICS, "pooled", 60).splitlines()
     assert sum(line.startswith("  0.9") for line in lines) == 3
     assert max(len(line) for line in lines if line.startswith("  0.")) <= 60
 
 
 @pytest.mark.parametrize("width", [1, 40, 75, 76, 80, 110, 200])
 def test_no_row_of_the_table_is_wider_than_the_terminal_or_one_split(width: int) -> None:
-    table = render(METRICS, "pooled", width).split("\n\nsplit")[0]
+    table = render_table(METRICS, "pooled", width).split("\n\nsplit")[0]
     assert max(len(line) for line in table.splitlines()[1:]) <= max(width, 40)
 
 
 def test_the_protocol_decides_which_figures_are_shown() -> None:
-    assert "0.250" in render(METRICS, "paper", 120)
-    assert "paper" in render(METRICS, "paper", 120).splitlines()[0]
+    assert "0.250" in render_table(METRICS, "paper", 120)
+    assert "paper" in render_table(METRICS, "paper", 120).splitlines()[0]
     with pytest.raises(UserError, match=r"--protocol.*pooled, paper"):
-        render(METRICS, "published", 120)
+        render_table(METRICS, "published", 120)
 
 
 def test_counts_and_average_precision_stand_below() -> None:
-    last = render(METRICS, "pooled", 120).splitlines()[-1]
+    last = render_table(METRICS, "pooled", 120).splitlines()[-1]
     assert last.split() == ["hard", "7", "20", "3", "11", "0.125", "0.500", "-", "0.000", "0.750", "-"]
 
 
 def test_the_published_rows_stand_below_ours() -> None:
-    lines = render(METRICS, "paper", 120, beside=published()).splitlines()
+    lines = render_table(METRICS, "paper", 120, beside=published()).splitlines()
     rows = [line.split() for line in lines if line.startswith("paper")]
     assert rows[0] == [
         *("paper", "98.65", "0.408", "0.345", "0.462", "0.931", "|"),
@@ -73,7 +73,9 @@ def test_the_published_rows_stand_below_ours() -> None:
 
 
 def test_a_split_that_was_not_published_gets_dashes() -> None:
-    lines = render(document(Options(), {"extra": split(0.5)}), "paper", 120, beside=published()).splitlines()
+    lines = render_table(
+        scores_document(Options(), {"extra": split(0.5)}), "paper", 120, beside=published()
+    ).splitlines()
     assert [line.split() for line in lines if line.startswith("paper")] == [["paper", *"-----"]] * 4
 
 
@@ -110,5 +112,5 @@ def test_intervals_are_printed_at_the_lowest_threshold() -> None:
     names = ("box_precision", "box_recall", "keypoint_precision", "keypoint_recall")
     figures = {"pck": [0.91, 0.95], **dict.fromkeys(names, both)}
     entry = {**split(0.5), "intervals": {"unit": "site", "blocks": 9, "sites": 9, "iou": {"0.9": {}, "0.6": figures}}}
-    text = render(document(Options(), {"extra": entry}), "pooled", 120)
+    text = render_table(scores_document(Options(), {"extra": entry}), "pooled", 120)
     assert "IoU 0.6: PCK 91.00-95.00, box Pr 0.300-0.400" in text

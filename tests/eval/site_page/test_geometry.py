@@ -16,9 +16,9 @@ from skope.eval.site_page.drawings import read_drawings, shapes
 from skope.eval.site_page.error_map import error_map
 from skope.eval.site_page.from_above import seen_from_above
 from skope.eval.site_page.gate_checks import gate_warnings
-from skope.eval.site_page.marks import read_marks
-from skope.eval.site_page.merge import joined
-from skope.eval.site_page.overlays import box, horizon, overlays
+from skope.eval.site_page.marks import marks_of_document
+from skope.eval.site_page.merge import merged_document
+from skope.eval.site_page.overlays import car_edges, horizon_line, overlays
 from skope.eval.site_page.plan import plan_scale
 from tests.eval.site_page.conftest import PLACES, SIZE, empty_document, pixels_of
 
@@ -40,13 +40,13 @@ def test_the_grid_lies_on_the_road_at_whole_steps() -> None:
 
 
 def test_a_level_horizon_is_the_tilt_above_the_middle() -> None:
-    (line,) = horizon(LEVEL)
+    (line,) = horizon_line(LEVEL)
     rows = np.array(line)[:, 1]
     assert rows == pytest.approx(180 - LEVEL.K[1, 1] * math.tan(0.3), abs=0.1)
 
 
 def test_a_box_is_as_large_as_a_car() -> None:
-    edges = box(LEVEL, np.array([1.0, 15.0, 0.0]), np.array([0.0, 1.0]))
+    edges = car_edges(LEVEL, np.array([1.0, 15.0, 0.0]), np.array([0.0, 1.0]))
     assert len(edges) == 12
     feet = [e for e in edges if np.isfinite(ground_places(LEVEL, np.array(e))).all()]
     lengths = sorted(float(np.linalg.norm(np.subtract(*ground_places(LEVEL, np.array(e))[:, :2]))) for e in feet)
@@ -138,7 +138,7 @@ def test_marks_that_are_wrong_are_said_by_field_and_left_out() -> None:
         verticals=[{"pixels": [[5, 9], [5, 1]], "metres": "tall"}],
         known={"fov_deg": [300, 1], "height_m": [6, 0.2]},
     )
-    marks = read_marks(document, SIZE)
+    marks = marks_of_document(document, SIZE)
     assert [(one.kind, one.index, one.field, one.missing) for one in marks.problems] == [
         ("points", 0, "place.y", False),
         ("points", 0, "place.z", True),
@@ -210,7 +210,14 @@ def test_joining_keeps_the_changes_of_both() -> None:
     a, b, c, d = ({"name": name, "line": [[0, 0], [i, 1]]} for i, name in enumerate("abcd"))
     moved, other = a | {"line": [[5, 5], [6, 6]]}, a | {"line": [[7, 7], [8, 8]]}
     base = empty_document(gates=[a, b])
-    assert joined(base, empty_document(gates=[moved, b]), empty_document(gates=[a, b, c]))["gates"] == [moved, b, c]
-    assert joined(base, empty_document(gates=[a]), empty_document(gates=[a, b, c]))["gates"] == [a, c]
-    assert joined(base, empty_document(gates=[a, b, d]), empty_document(gates=[other]))["gates"] == [other, d]
-    assert joined(base, empty_document(gates=[moved, b]), empty_document(gates=[other, b]))["gates"] == [moved, b]
+    assert merged_document(base, empty_document(gates=[moved, b]), empty_document(gates=[a, b, c]))["gates"] == [
+        moved,
+        b,
+        c,
+    ]
+    assert merged_document(base, empty_document(gates=[a]), empty_document(gates=[a, b, c]))["gates"] == [a, c]
+    assert merged_document(base, empty_document(gates=[a, b, d]), empty_document(gates=[other]))["gates"] == [other, d]
+    assert merged_document(base, empty_document(gates=[moved, b]), empty_document(gates=[other, b]))["gates"] == [
+        moved,
+        b,
+    ]

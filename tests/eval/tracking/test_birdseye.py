@@ -117,7 +117,7 @@ def test_labels_lie_neither_on_each_other_nor_on_vehicles() -> None:
     map_signs.draw_labels(axes, tracks, tracks, {t.number: 0 for t in tracks}, [])
     boxes = [text.get_window_extent() for text in axes.texts]
     assert len(boxes) > 10
-    vehicles = [axes.transData.transform(map_signs.corners(t, 0, map_signs.OUTLINE)) for t in tracks]
+    vehicles = [axes.transData.transform(map_signs.vehicle_points(t, 0, map_signs.OUTLINE)) for t in tracks]
     for a, b in itertools.combinations(boxes, 2):
         assert not a.overlaps(b)
     for box, corners in itertools.product(boxes, vehicles):
@@ -149,7 +149,7 @@ def test_the_video_moves_what_drives_over_the_road() -> None:
     """One vehicle, 10 m in a second; the rest of the pictures stays as it is."""
     drives = track(1, np.array([10.0, 0.0]) + np.arange(11)[:, None] * [1.0, 0.0])
     road = np.full((CAMERA.height, CAMERA.width, 3), 90, dtype=np.uint8)
-    pictures = list(birdseye_video.frames([drives], drives.times_s.tolist(), CAMERA, GROUND, road))
+    pictures = list(birdseye_video.birdseye_frames([drives], drives.times_s.tolist(), CAMERA, GROUND, road))
     assert len(pictures) == 11
     first, last = pictures[0].astype(int), pictures[-1].astype(int)
     height, width = first.shape[:2]
@@ -160,7 +160,7 @@ def test_the_video_moves_what_drives_over_the_road() -> None:
     columns = np.percentile(changed[:, 1], [0, 100]) / scale + low[0]
     assert columns[0] == pytest.approx(10 - 2.25, abs=0.5)
     assert columns[1] > 20 + 2.25 - 0.5
-    nothing = list(birdseye_video.frames([], [0.0, 0.1], CAMERA, None, None))
+    nothing = list(birdseye_video.birdseye_frames([], [0.0, 0.1], CAMERA, None, None))
     assert len(nothing) == 2
 
 

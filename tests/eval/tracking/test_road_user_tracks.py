@@ -411,8 +411,8 @@ def test_pictures_with_others_in_them_differ(tmp_path: Path) -> None:
         birdseye.draw(path, [], CAMERA, Ground(), None, shown)
         pictures.append(path.read_bytes())
     assert pictures[0] != pictures[1]
-    above = next(birdseye_video.frames([], times, CAMERA, None, None, tracks))
-    bare = next(birdseye_video.frames([], times, CAMERA, None, None, []))
+    above = next(birdseye_video.birdseye_frames([], times, CAMERA, None, None, tracks))
+    bare = next(birdseye_video.birdseye_frames([], times, CAMERA, None, None, []))
     assert above.shape != bare.shape or (above != bare).any()
 
 

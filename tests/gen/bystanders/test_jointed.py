@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from skope.gen.bystanders import looks
-from skope.gen.bystanders.bystander import BYSTANDER_KINDS, Bystander, build
+from skope.gen.bystanders.bystander import BYSTANDER_KINDS, Bystander, build_bystander
 from skope.gen.bystanders.joints import SOLE, leg_to, sunk
 from skope.gen.bystanders.luggage import LUGGAGE_KINDS
 from skope.gen.bystanders.people import Look
@@ -32,7 +32,7 @@ def volume(mesh: Mesh) -> float:
 
 def drawn(kind: str, count: int = 60) -> list[Look]:
     rng = np.random.default_rng(3)
-    return [looks.drawn(kind, rng, raining=k % 2 == 0) for k in range(count)]
+    return [looks.draw_look(kind, rng, raining=k % 2 == 0) for k in range(count)]
 
 
 @pytest.mark.parametrize("kind", BYSTANDER_KINDS)
@@ -40,7 +40,7 @@ def test_every_load_is_drawn_on_the_ground_or_above_and_faces_outward(kind: str)
     machines = range(len(MACHINES.get(kind, (0,))))
     for load, machine, passenger in itertools.product(range(len(LUGGAGE_KINDS)), machines, (0.0, 1.0)):
         look = Look(jointed=1.0, load=float(load), machine=float(machine), passenger=passenger, helmet=1.0)
-        body = build(kind, look.to_dict())
+        body = build_bystander(kind, look.to_dict())
         assert all(volume(part) > 0 for part in body.parts)
         assert len(body.parts) <= 8
         lowest = min(points[:, 2].min() for points in placed(body, speed=0.0 if kind == "pedestrian" else 5.0))
@@ -50,7 +50,7 @@ def test_every_load_is_drawn_on_the_ground_or_above_and_faces_outward(kind: str)
 @pytest.mark.parametrize("kind", BYSTANDER_KINDS)
 def test_no_pose_reaches_out_of_the_extent(kind: str) -> None:
     for look in drawn(kind, 20):
-        body = build(kind, look.to_dict())
+        body = build_bystander(kind, look.to_dict())
         low, high = body.extent
         for travelled, speed in itertools.product(np.linspace(0, 7, 15), (0.0, 0.5, 1.4, 2.9)):
             for points in placed(body, float(travelled), speed):
@@ -60,7 +60,7 @@ def test_no_pose_reaches_out_of_the_extent(kind: str) -> None:
 
 def test_the_lower_foot_of_a_walker_is_on_the_ground_and_the_knee_bends() -> None:
     look = Look(jointed=1.0)
-    body = build("pedestrian", look.to_dict())
+    body = build_bystander("pedestrian", look.to_dict())
     lifted = []
     for travelled in np.linspace(0, 3, 40):
         for speed in (0.0, 0.7, 1.4):
@@ -73,7 +73,7 @@ def test_the_lower_foot_of_a_walker_is_on_the_ground_and_the_knee_bends() -> Non
 
 
 def test_feet_turn_with_the_pedals_and_come_down_where_the_rider_stands() -> None:
-    body = build("cyclist", Look(jointed=1.0).to_dict())
+    body = build_bystander("cyclist", Look(jointed=1.0).to_dict())
     for travelled in np.linspace(0, 5, 21):
         *_, right, left, pedals = placed(body, float(travelled))
         for sole, side in ((right, -1), (left, 1)):
@@ -108,7 +108,7 @@ def test_a_leg_ends_where_it_has_to() -> None:
 @pytest.mark.parametrize("machine", [0, 1, 2])
 @pytest.mark.parametrize("kind", ["cyclist", "motorcyclist"])
 def test_lamps_shine_ahead_and_behind(kind: str, machine: int) -> None:
-    lamps = lamps_of(build(kind, Look(jointed=1.0, machine=float(machine)).to_dict()))
+    lamps = lamps_of(build_bystander(kind, Look(jointed=1.0, machine=float(machine)).to_dict()))
     ahead = {"cyclist": "reverse_light", "motorcyclist": "headlight"}[kind]
     assert {lamp.material for lamp in lamps} == {ahead, "taillight"}
     for lamp in lamps:
@@ -127,7 +127,7 @@ def test_people_differ_and_old_bodies_keep_their_numbers() -> None:
         assert {look.passenger for look in every} == ({0.0} if kind == "pedestrian" else {0.0, 1.0})
         assert {int(look.machine) for look in every} == set(range(len(MACHINES.get(kind, (0,)))))
     assert any(look.load == LUGGAGE_KINDS.index("umbrella") for look in drawn("pedestrian", 40))
-    dry = [looks.drawn("pedestrian", np.random.default_rng(k)) for k in range(100)]
+    dry = [looks.draw_look("pedestrian", np.random.default_rng(k)) for k in range(100)]
     assert not any(look.load == LUGGAGE_KINDS.index("umbrella") for look in dry)
     assert Look().to_dict() == {"height": 1.72, "girth": 1.0, "palette": 0.0, "bag": 0.0}
     assert Look(**drawn("cyclist")[0].to_dict()) == drawn("cyclist")[0]

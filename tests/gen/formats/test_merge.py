@@ -13,7 +13,7 @@ from skope.dataset.folder import open_dataset, read_manifest
 from skope.errors import UserError
 from skope.files.json_files import read_json, write_json
 from skope.gen.inspect.check import check
-from skope.gen.output.licences import terms_of, united
+from skope.gen.output.licences import licence_terms, united
 from skope.gen.output.writers import checksum
 from skope.keypoints import PUBLISHED
 from tests.samples import make_dataset
@@ -170,10 +170,16 @@ def test_one_dataset_is_not_enough(skope: Any) -> None:
 
 
 def test_licences() -> None:
-    assert terms_of(NC_SA) == {"BY", "NC", "SA"}
-    assert terms_of("CC-BY-4.0") == {"BY"}
-    assert terms_of(CC0) == set()
-    assert terms_of(PHOTO) is terms_of("not stated") is terms_of("CC BY-XY 4.0") is terms_of("CC BYE") is None
+    assert licence_terms(NC_SA) == {"BY", "NC", "SA"}
+    assert licence_terms("CC-BY-4.0") == {"BY"}
+    assert licence_terms(CC0) == set()
+    assert (
+        licence_terms(PHOTO)
+        is licence_terms("not stated")
+        is licence_terms("CC BY-XY 4.0")
+        is licence_terms("CC BYE")
+        is None
+    )
     # Creative Commons' chart of what may be built from what: row and column, or their common licence.
     chart = {
         (CC0, CC0): CC0, (CC0, BY): BY, (CC0, SA): SA, (CC0, NC): NC, (CC0, NC_SA): NC_SA, (CC0, ND): None,

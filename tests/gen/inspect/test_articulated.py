@@ -9,7 +9,7 @@ import pytest
 
 from skope.dataset import coco
 from skope.dataset.folder import Dataset
-from skope.eval.pose.pose_errors import PoseErrors, summary, table
+from skope.eval.pose.pose_errors import PoseErrors, pose_summary, pose_table
 from skope.gen.inspect import check, stats
 from skope.gen.inspect.check_boxes import box_3d_findings
 from skope.keypoints import SKOPE33
@@ -76,8 +76,8 @@ def test_statistics_have_the_bend_of_articulated_vehicles_alone(tmp_path: Path) 
     assert bent.bend_deg == pytest.approx((15.0, 20.0, 25.0))
     assert "bend_deg" in bent.to_dict()
     assert "bend_deg" not in none.to_dict()
-    assert any("20 (15-25)" in line for line in stats.table({"test": bent}))
-    assert not any("bend" in line for line in stats.table({"test": none}))
+    assert any("20 (15-25)" in line for line in stats.stats_table({"test": bent}))
+    assert not any("bend" in line for line in stats.stats_table({"test": none}))
 
 
 def test_poses_of_articulated_vehicles_are_listed_apart() -> None:
@@ -88,11 +88,11 @@ def test_poses_of_articulated_vehicles_are_listed_apart() -> None:
         occlusion=np.zeros(count),
         bend=np.array([math.nan, math.nan, math.nan, 1.0, 30.0, 40.0]),
     )
-    told = summary(errors)
+    told = pose_summary(errors)
     assert [told["articulation"][band]["vehicles"] for band in ("0-5", "5-20", "20+")] == [1, 0, 2]
     assert told["all"]["vehicles"] == count
-    lines = table("poses", told)
+    lines = pose_table("poses", told)
     assert any(line.split()[:4] == ["bent", "20+", "deg", "2"] for line in lines)
-    rigid = summary(errors.where(~np.isfinite(errors.bend)))
+    rigid = pose_summary(errors.where(~np.isfinite(errors.bend)))
     assert "articulation" not in rigid
-    assert not any("bent" in line for line in table("poses", rigid))
+    assert not any("bent" in line for line in pose_table("poses", rigid))

@@ -21,7 +21,7 @@ from skope.dataset import coco
 from skope.dataset.depth_files import depth_png
 from skope.dataset.folder import open_dataset
 from skope.gen.inspect.report.layers import figure
-from skope.gen.inspect.report.plots import plots, spread_of
+from skope.gen.inspect.report.plots import spread_of, spread_plots
 from skope.gen.inspect.report.sample import spread
 from skope.keypoints import PUBLISHED, SKOPE33
 from skope.pictures import draw
@@ -235,7 +235,7 @@ def test_plots_count_every_vehicle_once() -> None:
     rows = [replace(make_annotation(i, 1, (0, 0, 40, 30 + i), hidden=3), distance=float(i)) for i in range(1, 11)]
     ignored = make_annotation(11, 1, (0, 0, 9, 9), iscrowd=1)
     file = AnnotationFile(images=(make_image(1),), annotations=(*rows, ignored), name="easy")
-    page = Page("".join(plots({"easy": spread_of(file)}, SKOPE33)))
+    page = Page("".join(spread_plots({"easy": spread_of(file)}, SKOPE33)))
     tips = [a["data-tip"] or "" for a in page.all("path") if "data-tip" in a]
     far = [tip for tip in tips if "distance" in tip]
     # Bands of 1 m up to 20 m; only bars that are higher than nothing say what they are.
@@ -247,9 +247,9 @@ def test_plots_count_every_vehicle_once() -> None:
 
 def test_splits_with_no_vehicle_and_with_one_at_no_distance_have_plots_too() -> None:
     file = AnnotationFile(images=(make_image(1),), annotations=(), name="easy")
-    assert Page("".join(plots({"easy": spread_of(file)}, SKOPE33))).all("svg")
+    assert Page("".join(spread_plots({"easy": spread_of(file)}, SKOPE33))).all("svg")
     here = replace(make_annotation(1, 1, (0, 0, 40, 30)), distance=0.0)
-    page = Page("".join(plots({"easy": spread_of(replace(file, annotations=(here,)))}, SKOPE33)))
+    page = Page("".join(spread_plots({"easy": spread_of(replace(file, annotations=(here,)))}, SKOPE33)))
     assert "easy (1): distance, m 0 to 1, share of vehicles 1.000" in [a.get("data-tip") for a in page.all("path")]
 
 

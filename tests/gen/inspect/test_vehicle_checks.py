@@ -11,7 +11,7 @@ import pytest
 from skope import keypoints
 from skope.gen.inspect.vehicle_checks import distance_to_surface, findings
 from skope.gen.mesh import Mesh
-from skope.gen.vehicles.fleet import build, fleet
+from skope.gen.vehicles.fleet import build_vehicle, fleet
 from skope.gen.vehicles.keypoint_separation import Sidecar
 from skope.gen.vehicles.model import Vehicle
 from skope.gen.vehicles.shape_jitter import jittered
@@ -98,7 +98,7 @@ def test_distances_to_surfaces_agree_with_another_way_of_working_them_out() -> N
 
 @pytest.mark.parametrize(("model", "seed"), [("van", 9), ("suv", 9)])
 def test_rod_antennas_do_not_count_in_a_height(model: str, seed: int) -> None:
-    vehicle = build(model, jittered(model, np.random.default_rng(seed)))
+    vehicle = build_vehicle(model, jittered(model, np.random.default_rng(seed)))
     assert vehicle.mesh.vertices[:, 2].max() > vehicle.size_lwh[2] + 0.1
     assert not list(findings(vehicle))
 
@@ -116,4 +116,4 @@ def test_200_shapes_of_each_type_are_without_findings(vehicle_type: str) -> None
 
 def _findings_of_a_shape(drawn: tuple[str, int]) -> list[str]:
     model, seed = drawn
-    return [str(finding) for finding in findings(build(model, jittered(model, np.random.default_rng(seed))))]
+    return [str(finding) for finding in findings(build_vehicle(model, jittered(model, np.random.default_rng(seed))))]

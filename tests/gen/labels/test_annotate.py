@@ -11,7 +11,15 @@ from pycocotools import mask as coco_mask
 from skope import keypoints
 from skope.camera.model import Camera
 from skope.errors import UserError
-from skope.gen.labels.annotate import Rules, _segmentation, annotate, bbox_of, behind, locate, occluded_by_others
+from skope.gen.labels.annotate import (
+    Rules,
+    _segmentation,
+    annotate,
+    bbox_of,
+    behind,
+    occluded_by_others,
+    world_keypoints,
+)
 from skope.gen.render.choose_renderer import make_renderer
 from skope.gen.render.frame import SKY, STATIC, RenderedFrame, Silhouette
 from skope.gen.scene.recording import Recording, RecordingPlan
@@ -240,7 +248,7 @@ def test_wheels_of_the_near_side_are_seen_and_those_of_the_far_side_hidden() -> 
 @pytest.mark.parametrize(("wheel", "v"), [("wheel_front_right", 2), ("wheel_front_left", 1)])
 def test_a_wheel_whose_face_is_beyond_the_images_edge_is_hidden_by_the_body_all_the_same(wheel: str, v: int) -> None:
     recording = standing(CAMERA, [("sedan", 0.0, 3.0, math.radians(30))])
-    k, world = keypoints.INDEX[wheel], locate(recording.moment(0), "rigid")
+    k, world = keypoints.INDEX[wheel], world_keypoints(recording.moment(0), "rigid")
     (center, _), (face, _) = (CAMERA.project(points[0, k])[0] for points in (world.points, world.tested))
     # The image ends half way between the wheel's centre and the middle of its face.
     edge = CAMERA.width if face > center else 0
@@ -257,7 +265,7 @@ def test_a_wheel_whose_face_is_beyond_the_images_edge_is_hidden_by_the_body_all_
 def test_scenery_hides_a_wheel_whose_face_is_beyond_the_images_edge() -> None:
     """A post that covers the wheel's centre: no ray to the road users would notice it."""
     recording = standing(CAMERA, [("sedan", 0.0, 3.0, math.radians(30))])
-    k, world = keypoints.INDEX["wheel_front_right"], locate(recording.moment(0), "rigid")
+    k, world = keypoints.INDEX["wheel_front_right"], world_keypoints(recording.moment(0), "rigid")
     (center, _), (face, _) = (CAMERA.project(points[0, k])[0] for points in (world.points, world.tested))
     edge = CAMERA.width if face > center else 0
     K = CAMERA.K.copy()
@@ -279,7 +287,7 @@ def agreement(name: str, recording: Recording, frames: Sequence[int]) -> Counter
     for frame in frames:
         moment, view = recording.moment(frame), renderer.render(frame)
         annotations, _ = annotate(moment, view, recording.camera, Rules(), 1)
-        world = locate(moment, "rigid")
+        world = world_keypoints(moment, "rigid")
         triangles = [vehicle_triangles(moment, i) for i in range(len(moment.vehicles))]
         tracks = {vehicle.track_id: i for i, vehicle in enumerate(moment.vehicles)}
         for annotation in annotations:
@@ -361,7 +369,7 @@ def test_localizers_agree_on_a_standing_vehicle() -> None:
     free = annotate(recording.moment(0), view, CAMERA, Rules(localizer="trilateration"), 1)[0][0]
     rigid = annotate(recording.moment(0), view, CAMERA, Rules(), 1)[0][0]
     np.testing.assert_allclose(free.keypoints_3d, rigid.keypoints_3d, atol=1e-3)
-    assert locate(recording.moment(0), "rigid").difference.max() < 1e-6
+    assert world_keypoints(recording.moment(0), "rigid").difference.max() < 1e-6
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ import pytest
 from skope import keypoints
 from skope.camera.model import Camera
 from skope.dataset import coco
-from skope.gen.labels.annotate import Rules, annotate, locate
+from skope.gen.labels.annotate import Rules, annotate, world_keypoints
 from skope.gen.render.choose_renderer import make_renderer
 from skope.gen.render.frame import RenderedFrame
 from skope.gen.render.vehicle_lamps import lit_lamps
@@ -49,8 +49,8 @@ def test_front_points_ride_on_the_tractor_and_rear_ones_on_the_trailer() -> None
 @pytest.mark.parametrize("localizer", ["rigid", "trilateration"])
 def test_points_of_the_trailer_turn_about_the_hinge(model: str, localizer: str) -> None:
     vehicle, bend = fleet()[model].vehicle, 0.5
-    straight = locate(scene(0.0, model).moment(0), localizer).points[0]
-    bent = locate(scene(math.degrees(bend), model).moment(0), localizer).points[0]
+    straight = world_keypoints(scene(0.0, model).moment(0), localizer).points[0]
+    bent = world_keypoints(scene(math.degrees(bend), model).moment(0), localizer).points[0]
     np.testing.assert_allclose(bent[~ON_TRAILER], straight[~ON_TRAILER], atol=1e-6)
     yaw = LORRY[3]
     hinge = np.array(LORRY[1:3]) + vehicle.trailer.hinge[0] * np.array([math.cos(yaw), math.sin(yaw)])
@@ -99,7 +99,7 @@ def test_pixels_of_both_parts_are_the_one_vehicles(renderer: str) -> None:
 def test_visibility_of_a_bent_lorry_is_that_of_rays() -> None:
     for bend_deg in (35.0, -35.0):
         recording, _, annotation = labelled("gl", bend_deg)
-        tested = locate(recording.moment(0), "rigid").tested[0]
+        tested = world_keypoints(recording.moment(0), "rigid").tested[0]
         away = np.linalg.norm(tested - CAMERA.position, axis=1)
         hits, _ = cast(
             CAMERA.position, (tested - CAMERA.position) / away[:, None], vehicle_triangles(recording.moment(0), 0)
@@ -114,7 +114,7 @@ def test_the_trailers_lamps_shine_where_the_trailer_is() -> None:
     recording = scene(40.0)
     moment = replace(recording.moment(0), lamps=np.array([LAMPS["low_beam"]], dtype=np.uint8))
     lit = [lamp.center for lamp in lit_lamps(moment) if lamp.color[0] > 3 * lamp.color[1]]
-    points = locate(moment, "rigid").points[0]
+    points = world_keypoints(moment, "rigid").points[0]
     for side in ("right", "left"):
         middle = points[[keypoints.INDEX[f"taillight_{end}_{side}"] for end in ("outer", "inner")]].mean(axis=0)
         assert min(np.linalg.norm(center - middle) for center in lit) < 0.3

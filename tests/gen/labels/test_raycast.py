@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from skope.camera.model import Camera
-from skope.gen.labels.annotate import locate
+from skope.gen.labels.annotate import world_keypoints
 from skope.gen.labels.raycast import RayCaster, _split_in_patches
 from skope.gen.vehicles.fleet import fleet
 from skope.gen.vehicles.model import TRAILER_PART
@@ -33,7 +33,7 @@ def test_first_hits_are_those_of_every_triangle_of_every_vehicle(models: tuple[s
     points = triangles[rng.integers(len(triangles), size=300)].mean(axis=1) + rng.normal(0, 0.3, (300, 3))
     away = points - camera.position
     expected, _ = cast(camera.position, away / np.linalg.norm(away, axis=1, keepdims=True), triangles)
-    hits = RayCaster(moment, locate(moment, "rigid").vehicles, camera).first_hits(points)
+    hits = RayCaster(moment, world_keypoints(moment, "rigid").vehicles, camera).first_hits(points)
     before = expected < np.linalg.norm(away, axis=1)
     assert 100 < before.sum() < 290
     np.testing.assert_allclose(hits[before], expected[before], atol=1e-6)
@@ -50,7 +50,7 @@ def test_rays_meet_both_parts_of_an_articulated_vehicle_that_is_bent() -> None:
     away = points - camera.position
     length = np.linalg.norm(away, axis=1)
     expected, which = cast(camera.position, away / length[:, None], triangles)
-    hits = RayCaster(moment, locate(moment, "rigid").vehicles, camera).first_hits(points)
+    hits = RayCaster(moment, world_keypoints(moment, "rigid").vehicles, camera).first_hits(points)
     before = expected < length
     np.testing.assert_allclose(hits[before], expected[before], atol=1e-6)
     np.testing.assert_array_less(length[~before], hits[~before] + 1e-6)

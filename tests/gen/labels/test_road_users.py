@@ -39,7 +39,7 @@ def scene(
 ) -> Recording:
     """One frame of cars and of jointed people, who are numbered against the order in which they stand."""
     recording = standing(CAMERA, cars)
-    bodies = [bystander.build(kind, Look(jointed=1.0, **numbers).to_dict()) for kind, numbers, _ in figures]
+    bodies = [bystander.build_bystander(kind, Look(jointed=1.0, **numbers).to_dict()) for kind, numbers, _ in figures]
     chassis = np.array([pose(*place) for _, _, place in figures]).reshape(-1, 4, 4)
     parts = [T @ body.pose(0.35) for T, body in zip(chassis, bodies, strict=True)]
     rest = [np.concatenate([p[4:], np.tile(np.eye(4), (7 - len(p), 1, 1))]) for p in parts]
@@ -133,7 +133,7 @@ def test_categories_and_what_is_known_of_the_body(renderer: str) -> None:
     length, width, height = found[1].box_3d.size_lwh
     assert (2.5 < length < 3.5, 0.5 < width < 1.0, 1.6 < height < 2.0) == (True, True, True)  # with its trailer
     assert 1.6 < found[0].box_3d.size_lwh[2] < 2.2  # with the umbrella
-    body = bystander.build(recording.vehicles[3].model, recording.vehicles[3].shape)
+    body = bystander.build_bystander(recording.vehicles[3].model, recording.vehicles[3].shape)
     assert found[2].box_3d.size_lwh == pytest.approx(np.diff(body.box, axis=0)[0])
 
 

@@ -18,7 +18,7 @@ from skope.errors import UserError
 from skope.files.json_files import read_json, write_json
 from skope.gen.labels.annotate import Rules
 from skope.gen.output import card_text, dataset_card, licences
-from skope.gen.output.card_counts import Counts, kind_of
+from skope.gen.output.card_counts import Counts, count_kind
 from skope.gen.output.croissant import croissant
 from skope.gen.output.frames import Encoding
 from skope.gen.output.parameters import DatasetPlan, Parameters
@@ -43,7 +43,7 @@ def root(tmp_path: Path) -> Path:
     files = [path for path in tmp_path.rglob("*") if path.is_file()]
     sums = {str(path.relative_to(tmp_path)): hashlib.sha256(path.read_bytes()).hexdigest() for path in files}
     write_json(tmp_path / "manifest.json", {"sha256": sums, "tallies": {}})
-    dataset_card.write(tmp_path, content())
+    dataset_card.write_card(tmp_path, content())
     return tmp_path
 
 
@@ -234,7 +234,7 @@ def test_what_is_known_of_an_image_is_counted(tmp_path: Path) -> None:
     file = coco.read(make_dataset(tmp_path) / "annotations/easy.json")
     counts = Counts()
     for image in file.images:
-        kinds = [kind_of(a.iscrowd, a.vehicle_type) for a in file.by_image()[image.id]]
+        kinds = [count_kind(a.iscrowd, a.vehicle_type) for a in file.by_image()[image.id]]
         counts.add({"split": "easy", "site": None, "weather": image.weather}, kinds, {"ignored": {}})
     said = counts.to_dict()
     assert said["by_weather"] == {"clear": {"images": 2, "ground_truth": 4, "ignored": 0}}

@@ -66,7 +66,7 @@ def test_a_dataset_with_people_is_whole(made: Path) -> None:
     assert any("categories of their own" in rule for rule in dataset.card["label_rules"])
     assert "--road-users" in dataset.card["command"]
     assert "category_id" in (made / "croissant.json").read_text()
-    assert "pedestrians" in card_text.summary(dataset.card)
+    assert "pedestrians" in card_text.card_summary(dataset.card)
     assert "| pedestrian | " in (made / "README.md").read_text()
     assert "have no labels; of a truck" not in (made / "README.md").read_text()
     (site, *_), rows = ({image.site for image in file.images}, [*file.annotations, *file.road_users])
@@ -214,7 +214,7 @@ def test_recordings_say_whether_people_are_labelled(tmp_path: Path, made: Path) 
     recordings.save(tmp_path / "a.npz", labelled)
     recordings.save(tmp_path / "b.npz", before)
     assert recordings.load(tmp_path / "a.npz").road_users
-    assert recordings.packed(recordings.load(tmp_path / "a.npz")) == recordings.packed(labelled)
+    assert recordings.packed_recording(recordings.load(tmp_path / "a.npz")) == recordings.packed_recording(labelled)
     assert not recordings.load(tmp_path / "b.npz").road_users
     with np.load(tmp_path / "b.npz") as file:
         assert "road_users" not in str(file["header"])

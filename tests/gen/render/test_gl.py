@@ -14,9 +14,9 @@ from skope.camera.model import Camera
 from skope.dataset.depth_files import encode_depth
 from skope.gen.mesh import flat, merged
 from skope.gen.render.choose_renderer import choose_renderer, make_renderer
-from skope.gen.render.gl.light import Stage, joined
+from skope.gen.render.gl.light import Stage, mean_light
 from skope.gen.render.gl.renderer import GLRenderer, device
-from skope.gen.render.pixel_windows import TILE, runs, tiles
+from skope.gen.render.pixel_windows import TILE, tile_runs, tiles
 from tests.gen.scenes import conditions, driven, standing
 
 SIZE = (640, 360)
@@ -35,7 +35,7 @@ def test_light_in_parts_adds_up_to_light_in_one() -> None:
     ground = flat([np.array([(-90, -90, 0), (90, -90, 0), (90, 90, 0), (-90, 90, 0)])], "asphalt")
     wall = flat([np.array([(20, -9, 0), (20, 9, 0), (20, 9, 8), (20, -9, 8)])], "brick")
     stage = Stage(device(), merged([ground, wall]), camera, conditions())
-    whole, parts = (joined([make() for make in stage.light_parts(count)]) for count in (1, 3))
+    whole, parts = (mean_light([make() for make in stage.light_parts(count)]) for count in (1, 3))
     for name, light in whole.items():
         assert np.unique(light).size > 500
         np.testing.assert_allclose(parts[name].astype(float), light.astype(float), rtol=2e-3, atol=1e-5)
@@ -156,12 +156,12 @@ def test_tiles_cover_polygons() -> None:
         turn = [a[0] * (rows - p[1]) - a[1] * (columns - p[0]) for p, a in zip(hull, ahead, strict=True)]
         within = np.all(np.array(turn) >= 0, axis=0) | np.all(np.array(turn) <= 0, axis=0)
         covered = np.zeros(within.shape, int)
-        for x0, y0, x1, y1 in runs(tiles([hull], size), size):
+        for x0, y0, x1, y1 in tile_runs(tiles([hull], size), size):
             assert x0 % TILE == y0 % TILE == 0
             covered[y0:y1, x0:x1] += 1
         assert covered.max() <= 1
         assert covered[within].all()
-    assert runs(tiles([np.zeros((0, 2))], size), size) == []
+    assert tile_runs(tiles([np.zeros((0, 2))], size), size) == []
 
 
 def test_without_egl_the_fallback_is_taken_and_gl_is_refused(tmp_path: Path) -> None:

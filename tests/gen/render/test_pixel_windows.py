@@ -27,7 +27,7 @@ def test_no_part_sticks_out_of_a_vehicle_so_far_that_it_is_missed(model: str) ->
 
 @pytest.mark.parametrize("kind", ["pedestrian", "cyclist", "motorcyclist"])
 def test_nor_does_any_of_a_bystander(kind: str) -> None:
-    check_extent(bystander.build(kind, Look.drawn(np.random.default_rng(1)).to_dict()))
+    check_extent(bystander.build_bystander(kind, Look.drawn(np.random.default_rng(1)).to_dict()))
 
 
 def test_what_is_far_from_the_image_is_not_seen() -> None:
@@ -48,7 +48,9 @@ def test_of_an_articulated_vehicle_the_trailer_alone_may_be_seen() -> None:
 def parts(vehicle: Vehicle, x: float, y: float, yaw: float, bend: float = 0.0) -> np.ndarray:
     """(8, 4, 4) poses of a standing vehicle's parts."""
     T = pose(x, y, yaw)
-    return np.concatenate([np.tile(T, (5, 1, 1)), trailer_motion.pose(vehicle, DrivenTrailer(yaw + bend, 0.0, 0.0), T)])
+    return np.concatenate(
+        [np.tile(T, (5, 1, 1)), trailer_motion.trailer_poses(vehicle, DrivenTrailer(yaw + bend, 0.0, 0.0), T)]
+    )
 
 
 def check_extent(body: Body) -> None:

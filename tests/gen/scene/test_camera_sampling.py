@@ -27,7 +27,7 @@ def test_angles_are_those_a_camera_was_hung_with(yaw: float, pitch: float, roll:
 
 def test_a_fisheye_shows_the_field_of_view_it_is_asked_for() -> None:
     (plan, *_) = request("demo", settings={"fisheye": (1.0, 1.0), "k1": (-0.03, -0.03)}).plans()
-    lens = camera_sampling.drawn(
+    lens = camera_sampling.sample_camera(
         plan.site,
         CameraRanges(SIZE, 110.0, conditions_of(plan.variation.settings).distortion, plan.variation.cameras),
         np.random.default_rng(0),
@@ -53,7 +53,7 @@ def test_varied_cameras_keep_to_the_ranges_and_see_road() -> None:
     for number, name in enumerate(request().parameters.sites):
         layout = Layout.of(site(name).town)
         for seed in range(3):
-            camera = camera_sampling.drawn(
+            camera = camera_sampling.sample_camera(
                 site(name), CameraRanges(SIZE, 110.0, None, spans), np.random.default_rng([number, seed])
             )
             _, pitch, roll = camera.angles
@@ -75,7 +75,7 @@ def test_jitter_moves_each_recordings_camera_a_little() -> None:
     spans = request("demo", camera_jitter=True).parameters.variation.cameras
     own = site("t01_mill_corner")
     first, second = (
-        camera_sampling.drawn(own, CameraRanges(SIZE, 80.0, None, spans), np.random.default_rng(seed))
+        camera_sampling.sample_camera(own, CameraRanges(SIZE, 80.0, None, spans), np.random.default_rng(seed))
         for seed in (1, 2)
     )
     plain = own.camera(SIZE, 80.0)
@@ -89,7 +89,7 @@ def test_jitter_moves_each_recordings_camera_a_little() -> None:
 
 def test_views_that_show_no_road_are_refused() -> None:
     with pytest.raises(UserError, match="t01_mill_corner: of 500 cameras drawn none sees"):
-        camera_sampling.drawn(
+        camera_sampling.sample_camera(
             site("t01_mill_corner"),
             CameraRanges(SIZE, 30.0, None, {"yaw_by_deg": (90.0, 90.0), "pitch_deg": (60.0, 80.0)}),
             np.random.default_rng(0),

@@ -8,7 +8,7 @@ import numpy as np
 
 from skope.camera.model import Camera
 from skope.gen.scene import recording as recordings
-from skope.gen.scene.recording import Recording, packed, unpacked
+from skope.gen.scene.recording import Recording, packed_recording, unpacked_recording
 from tests.gen.scenes import standing
 
 CAMERA = Camera.looking([300.0, -190.0, 6.0], yaw=0.7, pitch_down=0.25, size=(320, 180))
@@ -27,16 +27,16 @@ def test_poses_of_trailers_survive_the_disk(tmp_path: Path) -> None:
     np.testing.assert_array_equal(again.T_world_trailer[0], np.tile(np.eye(4), (3, 1, 1)))
     assert again.part_poses(1).shape == (8, 4, 4)
     np.testing.assert_array_equal(again.part_poses(1)[5:], recording.T_world_trailer[1])
-    assert packed(recordings.load(tmp_path / "r.npz")) == packed(recording)
+    assert packed_recording(recordings.load(tmp_path / "r.npz")) == packed_recording(recording)
 
 
 def test_a_file_without_an_articulated_vehicle_is_as_it_always_was() -> None:
     recording = standing(CAMERA, PLACES[:1])
     before = replace(recording, T_world_trailer=None)
-    assert packed(recording) == packed(before)
-    with np.load(io.BytesIO(packed(recording))) as file:
+    assert packed_recording(recording) == packed_recording(before)
+    with np.load(io.BytesIO(packed_recording(recording))) as file:
         assert "T_world_trailer" not in file.files
-    again = unpacked(packed(before), Path("r.npz"))
+    again = unpacked_recording(packed_recording(before), Path("r.npz"))
     np.testing.assert_array_equal(again.moment(0).T_world_trailer[0], np.tile(np.eye(4), (3, 1, 1)))
     assert again.starts_like(recording)
 

@@ -6,9 +6,9 @@ import shapely
 from shapely import Point, Polygon
 
 from skope.gen.scenery.build import bays_of, scenery
-from skope.gen.scenery.markings import crossings
+from skope.gen.scenery.markings import zebra_stripes
 from skope.gen.towns.parking import Bay
-from skope.gen.towns.regions import rectangle
+from skope.gen.towns.regions import rectangle_polygon
 from skope.gen.towns.road_graph import RoadGraph
 from skope.gen.towns.town import Town, Variant
 
@@ -17,7 +17,7 @@ CAR = (4.6, 1.85)
 
 def car(graph: RoadGraph, bay: Bay) -> Polygon:
     """The ground under a car in a bay, in the graph's places."""
-    corners = shapely.get_coordinates(rectangle(np.array(bay.place), bay.heading, *CAR))
+    corners = shapely.get_coordinates(rectangle_polygon(np.array(bay.place), bay.heading, *CAR))
     return Polygon(graph.world(corners))
 
 
@@ -31,7 +31,7 @@ def test_cars_along_kerbs_stand_beside_the_carriageway(name: str) -> None:
     assert not [one for one in cars if one.intersects(graph.road)]
     along = [one for one in cars if one.distance(graph.road) < 0.4]
     assert len(along) > 60
-    stripes = shapely.union_all(list(crossings(graph)))
+    stripes = shapely.union_all(list(zebra_stripes(graph)))
     houses = shapely.union_all([Polygon(graph.world(shapely.get_coordinates(house))) for house in grown.buildings])
     for one in along:
         assert one.distance(stripes) > 4

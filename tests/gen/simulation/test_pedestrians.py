@@ -8,7 +8,7 @@ from shapely import Point, Polygon
 
 from skope import keypoints
 from skope.camera.model import Camera
-from skope.gen.bystanders.bystander import BYSTANDER_KINDS, build
+from skope.gen.bystanders.bystander import BYSTANDER_KINDS, build_bystander
 from skope.gen.bystanders.luggage import LUGGAGE_KINDS
 from skope.gen.bystanders.people import HIP, Look
 from skope.gen.labels.annotate import Rules, annotate
@@ -31,7 +31,7 @@ def volume(mesh: Mesh) -> float:
 
 @pytest.mark.parametrize("kind", BYSTANDER_KINDS)
 def test_surfaces_face_outward_and_people_have_the_volume_of_people(kind: str) -> None:
-    body = build(kind, Look().to_dict())
+    body = build_bystander(kind, Look().to_dict())
     for part in body.parts:
         assert volume(part) > 0 or not len(part.triangles)
     if kind == "pedestrian":

@@ -13,7 +13,7 @@ from skope.gen.scene.lamps import LAMPS
 from skope.gen.scene.recording import RecordingPlan
 from skope.gen.scene.variation import Variation
 from skope.gen.scenery.build import bays_of
-from skope.gen.simulation.parked import parked
+from skope.gen.simulation.parked import parked_vehicles
 from skope.gen.simulation.physics import World, at_rest
 from skope.gen.simulation.recorder import Recorder
 from skope.gen.simulation.simulate import _models, simulate
@@ -322,7 +322,9 @@ def test_a_further_model_can_be_asked_for_where_others_do_not_drive() -> None:
 def test_some_further_models_park() -> None:
     town = Town("town01")
     models = {name: entry for name, entry in fleet().items() if entry.further}
-    standing = {one.model for one in parked(town, bays_of(town) * 3, models, np.random.default_rng(0), most=200)}
+    standing = {
+        one.model for one in parked_vehicles(town, bays_of(town) * 3, models, np.random.default_rng(0), most=200)
+    }
     assert standing
     assert all(models[name].vehicle.size_lwh[0] < BAY[0] + 0.2 for name in standing)
 
@@ -342,4 +344,4 @@ def test_models_that_drive_when_asked_for_drive_then_alone() -> None:
 
 def test_where_all_vehicles_are_too_long_for_a_bay_none_is_parked() -> None:
     town, bus = Town("town01"), {"bus": fleet()["bus"]}
-    assert parked(town, bays_of(town)[:20], bus, np.random.default_rng(0)) == []
+    assert parked_vehicles(town, bays_of(town)[:20], bus, np.random.default_rng(0)) == []

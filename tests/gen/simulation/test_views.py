@@ -78,7 +78,9 @@ def test_paints_come_in_shades(filmed: list[Recording]) -> None:
 
 
 def test_equal_plans_make_equal_recordings(plans: Sequence[RecordingPlan], filmed: list[Recording]) -> None:
-    assert list(map(recordings.packed, simulate_together(plans))) == list(map(recordings.packed, filmed))
+    assert list(map(recordings.packed_recording, simulate_together(plans))) == list(
+        map(recordings.packed_recording, filmed)
+    )
 
 
 def test_a_missing_recording_is_made_as_it_was(
@@ -86,7 +88,7 @@ def test_a_missing_recording_is_made_as_it_was(
 ) -> None:
     store = Store(tmp_path)
     for plan, recording in zip(plans, filmed, strict=True):
-        store.write_recording(plan.info, recordings.packed(recording))
+        store.write_recording(plan.info, recordings.packed_recording(recording))
     lost = store.recording_path(plans[2].info)
     whole = lost.read_bytes()
     lost.unlink()

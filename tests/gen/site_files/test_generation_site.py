@@ -33,15 +33,15 @@ from skope.gen.scene.recording import Recording, RecordingPlan
 from skope.gen.scene.sun import sun_direction, time_of_day
 from skope.gen.scene.variation import Variation
 from skope.gen.scenery.build import scenery
-from skope.gen.scenery.markings import crossings, markings
+from skope.gen.scenery.markings import markings, zebra_stripes
 from skope.gen.simulation.simulate import simulate
-from skope.gen.site_files.generation_site import OwnSite, read_site
+from skope.gen.site_files.generation_site import OwnSite, read_generation_site
 from skope.gen.towns import netconvert
-from skope.gen.towns.left_hand_traffic import is_lefthand, mirrored
+from skope.gen.towns.left_hand_traffic import is_lefthand, mirrored_town
 from skope.gen.towns.road_graph import RoadGraph, driven
 from skope.gen.towns.sidewalks import sidewalks
 from skope.gen.towns.sites import site, site_of
-from skope.gen.towns.town import Town, folder
+from skope.gen.towns.town import Town, town_folder
 from skope.gen.towns.user_road import OwnRoad
 from skope.gen.traffic.demand import trips
 from skope.gen.traffic.route_files import scheduled, streams
@@ -70,7 +70,7 @@ def planned(own: OwnSite, **values: object) -> RecordingPlan:
 
 @pytest.fixture(scope="module")
 def own() -> OwnSite:
-    return read_site(EXAMPLE / "site.toml")
+    return read_generation_site(EXAMPLE / "site.toml")
 
 
 @pytest.fixture(scope="module")
@@ -245,7 +245,7 @@ NEEDS_NETCONVERT = pytest.mark.skipif(netconvert.program() is None, reason="netc
 
 @NEEDS_NETCONVERT
 def test_maps_are_converted_around_their_origin() -> None:
-    drawn = read_site(EXAMPLE / "drawn.toml")
+    drawn = read_generation_site(EXAMPLE / "drawn.toml")
     nodes = {node.getID(): node.getCoord() for node in RoadGraph.of(drawn.site.town).net.getNodes()}
     assert nodes["3"] == pytest.approx((0, 0), abs=0.02)
     assert nodes["1"] == pytest.approx((-170, -4), abs=0.02)
@@ -260,7 +260,7 @@ def test_maps_are_converted_around_their_origin() -> None:
 def test_maps_need_netconvert(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(netconvert, "program", lambda: None)
     with pytest.raises(UserError, match=r"drawn\.toml: network: .*junction\.osm.*pip install \"skope\[maps\]\""):
-        read_site(EXAMPLE / "drawn.toml")
+        read_generation_site(EXAMPLE / "drawn.toml")
 
 
 @NEEDS_NETCONVERT
@@ -384,7 +384,7 @@ def test_a_site_file_that_is_none(text: str | None, word: str, tmp_path: Path) -
     if text:
         (tmp_path / "site.toml").write_text(text)
     with pytest.raises(UserError, match=word):
-        read_site(tmp_path / "site.toml")
+        read_generation_site(tmp_path / "site.toml")
 
 
 def test_cameras_in_all_ways_are_the_same_camera(tmp_path: Path) -> None:
@@ -408,7 +408,7 @@ def test_cameras_in_all_ways_are_the_same_camera(tmp_path: Path) -> None:
     for way in ways:
         values = {**BASE, "camera": {"size": [1280, 720], "distortion": lens, **way}}
         (tmp_path / "site.toml").write_text(toml(values))
-        read = read_site(tmp_path / "site.toml")
+        read = read_generation_site(tmp_path / "site.toml")
         np.testing.assert_allclose(read.road.camera.project(ground)[0], own.project(ground)[0], atol=0.01)
         assert bool(read.said) == ("points" in way)
 
@@ -421,11 +421,11 @@ def test_what_evaluating_needs_of_a_site_file_does_generating_no_harm(tmp_path: 
     shared["world"] = {"origin": {"longitude": 8.4, "latitude": 49.0}}
     shared["plan"] = {"file": "not_there.png", "metres_per_pixel": 0.1, "origin": [0, 0]}
     (tmp_path / "site.toml").write_text(toml({**BASE, **shared, "camera": camera}))
-    read = read_site(tmp_path / "site.toml")
+    read = read_generation_site(tmp_path / "site.toml")
     assert read.said == ("site.toml: gates[1].colour: unknown; not used",)
     (tmp_path / "site.toml").write_text(toml({**BASE, "gates": [{**gate, "line": [[0, 0]]}]}))
     with pytest.raises(UserError, match=r"site.toml: gates\[1\].line: expected two or more"):
-        read_site(tmp_path / "site.toml")
+        read_generation_site(tmp_path / "site.toml")
 
 
 def calibrated(folder: Path, size: list[int] | None) -> Camera:
@@ -434,7 +434,7 @@ def calibrated(folder: Path, size: list[int] | None) -> Camera:
         shutil.copy(EXAMPLE / name, folder)
     table = {"file": "camera.yml", **({"size": size} if size else {})}
     (folder / "site.toml").write_text(toml({**BASE, "camera": table}))
-    return read_site(folder / "site.toml").road.camera
+    return read_generation_site(folder / "site.toml").road.camera
 
 
 def test_a_calibration_is_scaled_to_the_cameras_size(tmp_path: Path) -> None:
@@ -460,8 +460,8 @@ def test_a_size_of_another_shape_than_the_calibrations_is_refused(tmp_path: Path
 @pytest.fixture(scope="module")
 def both() -> tuple[OwnRoad, OwnRoad]:
     """Town 01 as it is, and in the mirror: there people drive on the left."""
-    net, style = Town("town01").network.read_bytes(), (folder("town01") / "town.toml").read_text(encoding="utf-8")
-    left = mirrored(net).replace(b"<net ", b'<net lefthand="true" ', 1)
+    net, style = Town("town01").network.read_bytes(), (town_folder("town01") / "town.toml").read_text(encoding="utf-8")
+    left = mirrored_town(net).replace(b"<net ", b'<net lefthand="true" ', 1)
     corner, out = site("t01_mill_corner"), []
     for data, side in ((net, 1.0), (left, -1.0)):
         hung = Camera.looking(
@@ -475,14 +475,14 @@ def test_the_mirror_turns_round_and_back() -> None:
     net = Town("town01").network.read_bytes()
     assert not is_lefthand(net)
     assert is_lefthand(b'<net version="1.20" lefthand="true">')
-    assert mirrored(mirrored(net)) == mirrored(mirrored(mirrored(mirrored(net))))
+    assert mirrored_town(mirrored_town(net)) == mirrored_town(mirrored_town(mirrored_town(mirrored_town(net))))
 
 
 def test_what_stands_beside_a_left_hand_road_is_on_the_other_side(both: tuple[OwnRoad, OwnRoad]) -> None:
     right, left = (RoadGraph.of(Town.of(one)) for one in both)
     assert left.mirrored
     assert right.ground_road.symmetric_difference(left.ground_road).area < 1e-3
-    painted = [unary_union([*markings(graph), *crossings(graph)]) for graph in (right, left)]
+    painted = [unary_union([*markings(graph), *zebra_stripes(graph)]) for graph in (right, left)]
     assert painted[0].symmetric_difference(painted[1]).area < 1e-3
     signals = [scenery(Town.of(one)).signals for one in both]
     assert len(signals[0]) == len(signals[1]) > 3

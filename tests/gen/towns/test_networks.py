@@ -20,7 +20,7 @@ from skope.gen.scenery.build import scenery
 from skope.gen.towns.land_use import Layout
 from skope.gen.towns.road_graph import RoadGraph, driven
 from skope.gen.towns.sites import sites
-from skope.gen.towns.town import Town, folder, source_digest, towns
+from skope.gen.towns.town import Town, source_digest, town_folder, towns
 from tests.gen.rays import cast
 
 CLEARANCE = 4.2
@@ -40,7 +40,7 @@ def by_size() -> list[Any]:
 
 
 def sources(town: Town, kind: str, tag: str) -> list[dict[str, str]]:
-    path = folder(town.name) / "source" / f"town.{kind}.xml"
+    path = town_folder(town.name) / "source" / f"town.{kind}.xml"
     return [element.attrib for element in ET.parse(path).iter(tag)] if path.is_file() else []
 
 

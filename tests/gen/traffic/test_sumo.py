@@ -18,7 +18,7 @@ from skope.gen.simulation.smooth_paths import Driven
 from skope.gen.towns.sites import site, sites
 from skope.gen.towns.town import Town
 from skope.gen.traffic.demand import in_town, ways
-from skope.gen.vehicles.fleet import build, fleet
+from skope.gen.vehicles.fleet import build_vehicle, fleet
 from skope.gen.vehicles.model import Vehicle
 
 
@@ -52,7 +52,7 @@ def test_tyres_stay_on_sloped_roads(name: str) -> None:
     for frame in range(len(recording)):
         moment = recording.moment(frame).labelled()
         for vehicle, wheels in zip(moment.vehicles, moment.T_world_wheels, strict=True):
-            radius = build(vehicle.model, vehicle.shape).shape.wheel_radius
+            radius = build_vehicle(vehicle.model, vehicle.shape).shape.wheel_radius
             for T in wheels:
                 heights.append(T[2, 3])
                 assert T[2, 3] - radius == pytest.approx(road_height("town07", T[:2, 3]), abs=0.02)
@@ -84,7 +84,7 @@ def test_bodies_are_where_sumo_has_them(monkeypatch: pytest.MonkeyPatch) -> None
 
 
 def footprint(moment: Moment, i: int) -> Polygon:
-    vehicle = build(moment.vehicles[i].model, moment.vehicles[i].shape)
+    vehicle = build_vehicle(moment.vehicles[i].model, moment.vehicles[i].shape)
     length, width, _ = vehicle.size_lwh
     corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * [length / 2, width / 2]
     T = moment.T_world_chassis[i]

@@ -10,7 +10,7 @@ from skope import keypoints
 from skope.errors import UserError
 from skope.gen.render.materials import MATERIALS, own_color
 from skope.gen.vehicles.details import DETAILS, draw_details, styled
-from skope.gen.vehicles.fleet import ParametricVehicle, build, fleet, parametric
+from skope.gen.vehicles.fleet import ParametricVehicle, build_vehicle, fleet, parametric
 from skope.gen.vehicles.roof_loads import ROOF_LOAD_HEIGHTS_M
 from skope.gen.vehicles.shape import DETAIL_NAMES, Shape
 from skope.gen.vehicles.shape_jitter import jittered
@@ -22,7 +22,7 @@ OPTIONS = [(name, number) for name, detail in DETAILS.items() for number in rang
 
 
 def with_details(model: str, **details: float) -> ParametricVehicle:
-    vehicle = build(model, {**parametric(model).shape.to_dict(), **details})
+    vehicle = build_vehicle(model, {**parametric(model).shape.to_dict(), **details})
     assert isinstance(vehicle, ParametricVehicle)
     return vehicle
 
@@ -37,7 +37,7 @@ def test_models_have_no_details_of_their_own(model: str) -> None:
 @pytest.mark.parametrize("model", sorted(fleet()))
 def test_shapes_without_details_are_the_models(model: str) -> None:
     """As of recordings older than details."""
-    assert build(model, parametric(model).shape.to_dict()) == parametric(model)
+    assert build_vehicle(model, parametric(model).shape.to_dict()) == parametric(model)
 
 
 def test_details_are_neutral_where_nothing_is_said() -> None:
@@ -89,7 +89,7 @@ def test_each_option_is_drawn() -> None:
 def test_jittered_vehicles_keep_their_keypoints(model: str) -> None:
     rng = np.random.default_rng(11)
     for _ in range(3):
-        vehicle = build(model, jittered(model, rng))
+        vehicle = build_vehicle(model, jittered(model, rng))
         assert_on_the_surface(vehicle)
         assert backs_seen(vehicle, rng, 3) == 0
         p = {name: vehicle.points[i] for name, i in keypoints.INDEX.items()}
@@ -147,8 +147,8 @@ def test_liveries_and_loads_follow_from_the_length(model: str) -> None:
     looks = set()
     for seed in range(8):
         shape = jittered(model, np.random.default_rng(seed))
-        mesh = build(model, shape).mesh
-        again = replace(build(model, shape)).mesh  # type: ignore[type-var]
+        mesh = build_vehicle(model, shape).mesh
+        again = replace(build_vehicle(model, shape)).mesh  # type: ignore[type-var]
         assert mesh.vertices.tobytes() == again.vertices.tobytes()
         looks.add(tuple(sorted(mesh.materials)))
     assert len(looks) >= 4

@@ -7,7 +7,7 @@ from skope.errors import UserError
 from skope.gen.labels.localize import transform, trilaterate
 from skope.gen.mesh import Mesh, merged
 from skope.gen.render.materials import MATERIALS
-from skope.gen.vehicles.fleet import build, class_ranges, fleet, parametric
+from skope.gen.vehicles.fleet import build_vehicle, class_ranges, fleet, parametric
 from skope.gen.vehicles.keypoint_separation import Sidecar
 from skope.gen.vehicles.model import Vehicle, straight_lwh, straight_mesh
 from skope.gen.vehicles.shape_jitter import jittered
@@ -290,9 +290,9 @@ def test_lamps_are_parts_of_their_own(model: str) -> None:
 def test_jittered_shapes_keep_their_keypoints(model: str) -> None:
     rng = np.random.default_rng(5)
     shape = jittered(model, rng)
-    assert shape == build(model, shape).shape.to_dict()
+    assert shape == build_vehicle(model, shape).shape.to_dict()
     assert shape != fleet()[model].vehicle.shape.to_dict()
-    vehicle = build(model, shape)
+    vehicle = build_vehicle(model, shape)
     for name, (low, high) in class_ranges(vehicle.size_class).items():
         assert low - 1e-9 <= shape[name] <= high + 1e-9, name
     points = vehicle.points
@@ -303,6 +303,6 @@ def test_jittered_shapes_keep_their_keypoints(model: str) -> None:
 
 def test_unknown_models_and_shapes_are_named() -> None:
     with pytest.raises(UserError, match="hovercraft"):
-        build("hovercraft", {})
+        build_vehicle("hovercraft", {})
     with pytest.raises(UserError, match="sedan"):
-        build("sedan", {"wings": 2.0})
+        build_vehicle("sedan", {"wings": 2.0})

@@ -183,5 +183,5 @@ def test_trailers_follow_before_anybody_watches() -> None:
 
 def test_what_has_no_trailer_has_poses_of_none() -> None:
     sedan = fleet()["sedan"].vehicle
-    assert trailer_motion.pose(sedan, None, np.eye(4)) is trailer_motion.NO_TRAILER
+    assert trailer_motion.trailer_poses(sedan, None, np.eye(4)) is trailer_motion.NO_TRAILER
     assert Hitch.of(sedan) is None

@@ -15,10 +15,10 @@ from skope.errors import UserError
 from skope.files.json_files import read_json, write_json
 from skope.gen.inspect.check import check
 from skope.gen.vehicles import user_models
-from skope.gen.vehicles.fleet import build, fleet
+from skope.gen.vehicles.fleet import build_vehicle, fleet
 from skope.gen.vehicles.marked_models import read_marked
 from skope.gen.vehicles.paints import color_name
-from skope.gen.vehicles.user_models import names
+from skope.gen.vehicles.user_models import model_names
 from tests.gen.vehicles.test_marked_models import nodes, renamed, swapped, without, written
 
 ROOT = Path(__file__).parents[3]
@@ -27,7 +27,7 @@ ROOT = Path(__file__).parents[3]
 @pytest.fixture(autouse=True)
 def own_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("SKOPE_VEHICLES", str(tmp_path / "vehicles"))
-    user_models.load.cache_clear()
+    user_models.load_model.cache_clear()
     return tmp_path / "vehicles"
 
 
@@ -42,9 +42,9 @@ def test_an_added_model_drives(tmp_path: Path, own_folder: Path) -> None:
     code, text = run("vehicles", "add", str(path), "--mass", "1500")
     assert code == 0, text
     assert "note: parts: no brake lamps" in text
-    assert names() == ["my_car"]
+    assert model_names() == ["my_car"]
     assert sorted(path.name for path in (own_folder / "my_car").iterdir()) == ["mesh.npz", "vehicle.json"]
-    vehicle = build("my_car", {})
+    vehicle = build_vehicle("my_car", {})
     assert vehicle.vehicle_type == "other"
     assert vehicle.mass == 1500
 
@@ -56,7 +56,7 @@ def test_an_added_model_drives(tmp_path: Path, own_folder: Path) -> None:
     assert list(check(dataset)) == []
     models = [annotation.model for annotation in dataset.read("medium").annotations]
     assert "my_car" in models
-    assert dataset.card["parameters"]["vehicles"] == {"my_car": user_models.load("my_car").digest}
+    assert dataset.card["parameters"]["vehicles"] == {"my_car": user_models.load_model("my_car").digest}
     assert "--vehicles my_car" in dataset.card["command"]
 
 
@@ -118,26 +118,26 @@ def test_bad_flags_are_refused(tmp_path: Path, flags: list[str], said: str) -> N
 
 def test_unknown_and_damaged_models_are_refused(own_folder: Path) -> None:
     with pytest.raises(UserError, match="--vehicles: there is no model 'nothing'; `skope gen vehicles list` names all"):
-        user_models.load("nothing")
+        user_models.load_model("nothing")
     (own_folder / "broken").mkdir(parents=True)
     (own_folder / "broken" / "vehicle.json").write_text('{"version": 1}')
     with pytest.raises(UserError, match="broken: not a readable vehicle"):
-        user_models.load("broken")
+        user_models.load_model("broken")
 
 
 def test_a_removed_model_is_gone_and_the_others_stay(car: Path, own_folder: Path, tmp_path: Path) -> None:
     code, text = run("vehicles", "add", str(written(tmp_path / "other.glb", nodes())))
     assert code == 0, text
-    assert user_models.load("car").model == "car"
+    assert user_models.load_model("car").model == "car"
     assert run("vehicles", "remove", "car") == (0, f"removed {own_folder / 'car'}\n")
-    assert names() == ["other"]
+    assert model_names() == ["other"]
     assert not car.parent.exists()
     with pytest.raises(UserError, match="there is no model 'car'"):
-        user_models.load("car")
+        user_models.load_model("car")
     # The name is free, for another model too.
     code, text = run("vehicles", "add", str(written(tmp_path / "car.glb", nodes())), "--mass", "900")
     assert code == 0, text
-    assert user_models.load("car").mass == 900
+    assert user_models.load_model("car").mass == 900
 
 
 def test_a_damaged_model_can_be_removed_and_other_files_are_left(car: Path) -> None:
@@ -189,7 +189,7 @@ def car(tmp_path: Path, own_folder: Path) -> Path:
 def test_a_changed_model_is_named_and_the_others_are_listed(car: Path, field: str, value: object, said: str) -> None:
     write_json(car, {**read_json(car), field: value})
     with pytest.raises(UserError, match=f"{car.parent}.*{said}"):
-        user_models.load("car")
+        user_models.load_model("car")
     code, text = run("vehicles", "list")
     assert code != 0
     assert text.startswith("model ")
@@ -215,7 +215,7 @@ def test_a_changed_model_is_named_and_the_others_are_listed(car: Path, field: st
     ],
 )
 def test_labels_name_the_colour_that_most_of_a_model_has(car: Path, material: str, color: str) -> None:
-    vehicle = user_models.load(car.parent.name)
+    vehicle = user_models.load_model(car.parent.name)
     mesh = replace(vehicle.mesh, materials=("#00ff00", material), material=np.ones_like(vehicle.mesh.material))
     mesh.material[0] = 0
     assert color_name(replace(vehicle, mesh=mesh), "white") == color

@@ -20,7 +20,7 @@ from skope.eval.inference.backends.handed_proposals import HandedProposals, Pyra
 from skope.eval.inference.backends.region_pooling import RegionPooling
 from skope.types import Floats32
 
-Run = Callable[[Floats32], list[Floats32]]
+RunNetwork = Callable[[Floats32], list[Floats32]]
 """Computes a part: its input, (N, ...), to its outputs. They may be overwritten by the next call."""
 
 PYRAMID: Final = "pyramid"
@@ -84,7 +84,7 @@ def parts_of(model: KeypointRCNN) -> dict[str, NetworkPart]:
     }
 
 
-def hand_over(model: KeypointRCNN, runs: Mapping[str, Run]) -> None:
+def hand_over(model: KeypointRCNN, runs: Mapping[str, RunNetwork]) -> None:
     """Let `runs` compute the parts of a model from now on; its own layers are given up."""
     heads = model.roi_heads
     pyramid = _HandedPyramid(runs[PYRAMID], model.backbone.out_channels)
@@ -109,7 +109,7 @@ class _Pyramid(nn.Module):
 
 
 class _HandedPyramid(PyramidWithProposals):
-    def __init__(self, run: Run, out_channels: int) -> None:
+    def __init__(self, run: RunNetwork, out_channels: int) -> None:
         super().__init__(out_channels)
         self._run = run
 
@@ -125,7 +125,7 @@ class _HandedPyramid(PyramidWithProposals):
 
 
 class _HandedBoxHead(nn.Module):
-    def __init__(self, run: Run) -> None:
+    def __init__(self, run: RunNetwork) -> None:
         super().__init__()
         self._run = run
 
@@ -135,7 +135,7 @@ class _HandedBoxHead(nn.Module):
 
 
 class _HandedKeypointHead(nn.Module):
-    def __init__(self, run: Run) -> None:
+    def __init__(self, run: RunNetwork) -> None:
         super().__init__()
         self._run = run
 
@@ -150,7 +150,7 @@ class _Upsampled(nn.Module):
         )
 
 
-def _computed(run: Run, x: Tensor) -> list[Tensor]:
+def _computed(run: RunNetwork, x: Tensor) -> list[Tensor]:
     if not len(x):  # runtimes refuse what is empty: one input tells the outputs' shapes
         return [out[:0] for out in _computed(run, x.new_zeros(1, *x.shape[1:]))]
     return [torch.from_numpy(array) for array in run(x.contiguous().numpy())]

@@ -14,7 +14,7 @@ import torch
 
 from skope.detector.device import has_bfloat16
 from skope.errors import UserError
-from skope.eval.inference.backends.network_parts import INPUT, NetworkPart, Run
+from skope.eval.inference.backends.network_parts import INPUT, NetworkPart, RunNetwork
 from skope.processors import usable_processors
 from skope.types import Floats32
 
@@ -61,7 +61,7 @@ class Runtime(ABC):
         line = f"--backend {self.backend}: {why}: pip install 'skope[{self.backend}]'"
         return UnusableError(line, missing=missing)
 
-    def compile(self, part: NetworkPart, number: str) -> Run:
+    def compile(self, part: NetworkPart, number: str) -> RunNetwork:
         """A function that computes a part with products in a number format, one of `formats`.
 
         Both raise UnusableError, of one line, where the library cannot.
@@ -84,7 +84,7 @@ class Runtime(ABC):
             raise self._unusable(why) from None
 
     @abstractmethod
-    def _compiled(self, part: NetworkPart, number: str) -> Run: ...
+    def _compiled(self, part: NetworkPart, number: str) -> RunNetwork: ...
 
 
 class OpenVino(Runtime):
@@ -95,7 +95,7 @@ class OpenVino(Runtime):
     module = "openvino"
     oldest = (2025, 0)
 
-    def _compiled(self, part: NetworkPart, number: str) -> Run:
+    def _compiled(self, part: NetworkPart, number: str) -> RunNetwork:
         core = self._library.Core()
         hints = {
             "INFERENCE_PRECISION_HINT": "bf16" if number != "float32" and has_bfloat16(torch.device("cpu")) else "f32",
@@ -127,7 +127,7 @@ class OnnxRuntime(Runtime):
     module = "onnxruntime"
     oldest = (1, 20)
 
-    def _compiled(self, part: NetworkPart, number: str) -> Run:
+    def _compiled(self, part: NetworkPart, number: str) -> RunNetwork:
         options = self._library.SessionOptions()
         options.intra_op_num_threads = usable_processors()
         model = _without_shapes(part.to_onnx())

@@ -69,11 +69,11 @@ def figure(dataset: Dataset, image: Image, labels: Sequence[Annotation | RoadUse
         data_split=image.split,
         data_site=image.site,
         data_weather=image.weather,
-        data_type=" ".join(sorted({kind_of(label) for label in known})),
+        data_type=" ".join(sorted({filter_kind(label) for label in known})),
     )
 
 
-def kind_of(label: Annotation | RoadUser) -> str:
+def filter_kind(label: Annotation | RoadUser) -> str:
     """Kind of a label, by which it is filtered: type of a vehicle, category of another road user."""
     return (label.vehicle_type or "unknown") if isinstance(label, Annotation) else label.category
 
@@ -99,14 +99,14 @@ def _layers(image: Image, labels: Sequence[Annotation | RoadUser], scheme: Schem
     kinds: dict[str, Callable[[Annotation | RoadUser], str]] = {
         "masks": _mask,
         "boxes3d": lambda label: _box_3d(image, label),
-        "boxes": lambda label: image_viewer.box(label.bbox, draw.words_of(label)),
+        "boxes": lambda label: image_viewer.box_svg(label.bbox, draw.words_of(label)),
         "points": lambda label: _points(label, _scale(label, image), scheme),
     }
     layers = [
         tag("g", *(_own(label, of(label), _scale(label, image)) for label in known), class_=name)
         for name, of in kinds.items()
     ]
-    ignored = [image_viewer.box(label.bbox, draw.words_of(label)) for label in labels if label.ignored]
+    ignored = [image_viewer.box_svg(label.bbox, draw.words_of(label)) for label in labels if label.ignored]
     return [tag("g", *ignored, class_="ignored"), *layers]
 
 
@@ -123,7 +123,7 @@ def _own(label: Annotation | RoadUser, drawn: str, scale: float) -> str:
         "g",
         drawn,
         style="--c:#{:02x}{:02x}{:02x}".format(*draw.color_of(label)) + f";--s:{scale:.2f}",
-        data_of=kind_of(label),
+        data_of=filter_kind(label),
     )
 
 
@@ -143,14 +143,16 @@ def _box_3d(image: Image, label: Annotation | RoadUser) -> str:
         if pieces and straight:
             pieces = [np.stack([pieces[0][0], pieces[-1][1]])]
         ends[front] += "".join(f"M{image_viewer.place(start)}L{image_viewer.place(end)}" for start, end in pieces)
-    return image_viewer.path(ends[False], "edges_3d") + image_viewer.path(ends[True], "front")
+    return image_viewer.path_svg(ends[False], "edges_3d") + image_viewer.path_svg(ends[True], "front")
 
 
 def _mask(label: Annotation | RoadUser) -> str:
     """The outline of the visible pixels, simplified by less than a pixel."""
-    inside = draw.mask_of(label)
+    inside = draw.visible_mask(label)
     if inside is None:
         return ""
     contours, _ = cv2.findContours(inside.astype(np.uint8), cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
     rings = [cv2.approxPolyDP(contour, 0.7, True)[:, 0] + 0.5 for contour in contours]
-    return image_viewer.path("".join(f"M{'L'.join(image_viewer.place(p) for p in ring)}Z" for ring in rings), "area")
+    return image_viewer.path_svg(
+        "".join(f"M{'L'.join(image_viewer.place(p) for p in ring)}Z" for ring in rings), "area"
+    )

@@ -10,30 +10,30 @@ from typing import Final
 from skope.dataset.folder import Dataset
 from skope.errors import UserError
 from skope.files.atomic import write_text
-from skope.gen.inspect.report.layers import LAYER_TITLES, SHOWN, figure, kind_of
-from skope.gen.inspect.report.plots import Spread, plots, spread_of
+from skope.gen.inspect.report.layers import LAYER_TITLES, SHOWN, figure, filter_kind
+from skope.gen.inspect.report.plots import Spread, spread_of, spread_plots
 from skope.gen.inspect.report.sample import spread
 from skope.gen.inspect.stats import SplitStats, rows, split_stats
 from skope.gen.output import card_text
-from skope.page import document
+from skope.page import html_document
 from skope.page.html_pieces import table, tag
 from skope.page.image_viewer import switches
 from skope.schema import Annotation, Image, RoadUser
 from skope.terminal.console import Console
 
-Labelled = tuple[Image, Sequence[Annotation | RoadUser]]
+ShownImage = tuple[Image, Sequence[Annotation | RoadUser]]
 
 _FILTERS: Final = {"split": "split", "site": "site", "weather": "weather", "type": "vehicle type"}
 _HINT: Final = "Each vehicle has its own colour; point at its box, or touch it, for what is known of it."
 
 
-def write_report(dataset: Dataset, count: int, path: Path, console: Console) -> Path:
+def write_dataset_report(dataset: Dataset, count: int, path: Path, console: Console) -> Path:
     """Write the page with at most `count` images to `path`, and return that; splits are read one at a time."""
     if count < 1:
         raise UserError(f"--max-images: expected a whole number from 1, got {count}")
     stats: dict[str, SplitStats] = {}
     spreads: dict[str, Spread] = {}
-    candidates: list[Labelled] = []
+    candidates: list[ShownImage] = []
     for split in console.bar(dataset.splits, unit="split", label="reading"):
         file = dataset.read(split)
         stats[split], spreads[split] = split_stats(dataset, file), spread_of(file)
@@ -53,7 +53,7 @@ def _page(
     dataset: Dataset,
     stats: Mapping[str, SplitStats],
     spreads: Mapping[str, Spread],
-    chosen: Sequence[Labelled],
+    chosen: Sequence[ShownImage],
     figures: Sequence[str],
 ) -> str:
     total = sum(of.images for of in stats.values())
@@ -64,10 +64,10 @@ def _page(
         else "."
     )
     numbers = [[escape(name.strip()), *map(escape, cells)] for name, cells in rows(stats)]
-    return document(
+    return html_document(
         f"skope gen: {dataset.root.resolve().name}",
         tag("h1", card_text.TITLE),
-        tag("p", tag("b", escape(dataset.root.resolve().name)), escape(f": {card_text.summary(dataset.card)}")),
+        tag("p", tag("b", escape(dataset.root.resolve().name)), escape(f": {card_text.card_summary(dataset.card)}")),
         tag(
             "section",
             tag("h2", "Images"),
@@ -78,13 +78,13 @@ def _page(
             "section",
             tag("h2", "Numbers"),
             table(("", *stats), numbers, caption="Of ground truth; distance and height: median and quartiles"),
-            tag("div", *plots(spreads, dataset.scheme), class_="grid"),
+            tag("div", *spread_plots(spreads, dataset.scheme), class_="grid"),
         ),
         tag("section", card_text.html(dataset.card)),
     )
 
 
-def _controls(chosen: Sequence[Labelled]) -> str:
+def _controls(chosen: Sequence[ShownImage]) -> str:
     filters = "".join(
         _select(key, words, counts) for key, words in _FILTERS.items() if len(counts := _kinds(key, chosen)) > 1
     )
@@ -101,18 +101,18 @@ def _select(key: str, words: str, counts: Mapping[str, int]) -> str:
     return tag("label", escape(f"{words} "), tag("select", *options, data_filter=key))
 
 
-def _kinds(key: str, chosen: Sequence[Labelled]) -> Counter[str]:
+def _kinds(key: str, chosen: Sequence[ShownImage]) -> Counter[str]:
     """Number of images of each value that a filter has."""
     counts = Counter[str]()
     for image, labels in chosen:
         if key == "type":
-            counts.update({kind_of(label) for label in labels if not label.ignored})
+            counts.update({filter_kind(label) for label in labels if not label.ignored})
         else:
             counts.update(filter(None, [getattr(image, key)]))
     return counts
 
 
-def _has(layer: str, chosen: Sequence[Labelled]) -> bool:
+def _has(layer: str, chosen: Sequence[ShownImage]) -> bool:
     """Whether any image has something to show on a layer."""
     every = [label for _, labels in chosen for label in labels]
     return {

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from skope import keypoints
 from skope.keypoints import Scheme
 from skope.page.charts import Axes, Line, histogram
-from skope.page.html_pieces import share, share_bar, table, tag
+from skope.page.html_pieces import percent_text, share_bar, table, tag
 from skope.page.vehicle_outline import Point, outline
 from skope.schema import Annotation, AnnotationFile
 
@@ -55,7 +55,7 @@ def _values(known: Sequence[Annotation], value: Callable[[Annotation], float | N
     return np.array([v for a in known if (v := value(a)) is not None], dtype=np.float64)
 
 
-def plots(spreads: Mapping[str, Spread], scheme: Scheme) -> list[str]:
+def spread_plots(spreads: Mapping[str, Spread], scheme: Scheme) -> list[str]:
     """Figures and tables, as parts of a page."""
     distance = {split: of.distance_m for split, of in spreads.items()}
     height = {split: of.height_px for split, of in spreads.items()}
@@ -108,6 +108,8 @@ def _visible(spreads: Sequence[Spread], scheme: Scheme) -> str:
     points = {}
     for name, count in zip(scheme.names, np.asarray(seen).tolist(), strict=True):
         part = count / vehicles if vehicles else None
-        points[name] = Point(share=part, tip=f"visible on {count} of {vehicles}", cells=(str(count), share(part)))
+        points[name] = Point(
+            share=part, tip=f"visible on {count} of {vehicles}", cells=(str(count), percent_text(part))
+        )
     title = "Share of the vehicles on which each keypoint is visible"
     return outline(title, points, ("visible", "of vehicles"))

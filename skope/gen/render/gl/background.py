@@ -149,7 +149,7 @@ def _cached_light(stage: Stage, road: Plane | None, digest: str, on_light: Calla
     parts = [partial(make, work) for work in works]
 
     def join(made: Sequence[Arrays]) -> Arrays:
-        return lighting.joined(made[: len(shares)]) | (dict(made[-1]) if road else {})
+        return lighting.mean_light(made[: len(shares)]) | (dict(made[-1]) if road else {})
 
     if stage.device.software:
         return cached_from_parts("light", digest, parts, join)

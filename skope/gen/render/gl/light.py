@@ -35,7 +35,7 @@ from skope.gen.render.palette import USUAL, Palette
 from skope.gen.scene.conditions import Conditions
 from skope.types import Array
 
-Parts = list[tuple[DeviceMesh, tuple[str, ...]]]
+LitMeshes = list[tuple[DeviceMesh, tuple[str, ...]]]
 """Meshes with the options of the programs that draw them."""
 
 SAMPLES: Final = 24
@@ -145,7 +145,7 @@ class Stage:
         )
         return {"mirrored": _half_precision(ambient + sunlit)}
 
-    def reflected_parts(self, plane: Plane) -> Parts:
+    def reflected_parts(self, plane: Plane) -> LitMeshes:
         """Parts that the mirrored view may show."""
         return _upload_parts(
             self.device, self._mesh.taken(_in_view(self._mesh, self._camera, plane.mirror)), self._camera
@@ -164,7 +164,7 @@ class Stage:
         which: range,
         samples: int,
         placed: Array,
-        parts: Parts,
+        parts: LitMeshes,
         *options: str,
     ) -> list[NDArray[np.float32]]:
         """Sums over `which` samples' shares of the mean of all, with everything moved by `placed`."""
@@ -233,7 +233,7 @@ class Stage:
         shadows: dict[str, Any],
         jitter: tuple[float, float],
         placed: Array,
-        parts: Parts,
+        parts: LitMeshes,
         *options: str,
     ) -> None:
         device = self.device
@@ -293,7 +293,7 @@ def _look_of(camera: Camera, conditions: Conditions, daylight: Daylight, palette
     }
 
 
-def joined(parts: Sequence[Arrays]) -> dict[str, NDArray[np.float16]]:
+def mean_light(parts: Sequence[Arrays]) -> dict[str, NDArray[np.float16]]:
     """The mean of the samples: light from sky and lamps ("ambient") and from the sun ("sunlit"), (H, W, 4) each.
 
     The fourth channel of the one is the albedo, of the other the share of light that water on the ground mirrors,
@@ -333,7 +333,7 @@ class _Eye:
 
 
 @lru_cache(maxsize=2)
-def _scenery_parts(device: Device, mesh: Mesh, eye: _Eye) -> tuple[Parts, Parts]:
+def _scenery_parts(device: Device, mesh: Mesh, eye: _Eye) -> tuple[LitMeshes, LitMeshes]:
     """Parts of a scenery that a camera sees, and those that may throw shadows into its view.
 
     Cached, since recordings of the same camera often follow each other.
@@ -379,7 +379,7 @@ def _within_reach(mesh: Mesh, camera: Camera) -> NDArray[np.bool_]:
     return np.asarray((away < 2 * SHADOW_MAP_M)[mesh.triangles].any(axis=-1))
 
 
-def _upload_parts(device: Device, mesh: Mesh, camera: Camera) -> Parts:
+def _upload_parts(device: Device, mesh: Mesh, camera: Camera) -> LitMeshes:
     """A mesh by groups of materials, with the options of the programs that draw each.
 
     Only leaves have gaps between them, or nothing could be hidden from what is behind it before that is shaded.
@@ -390,7 +390,7 @@ def _upload_parts(device: Device, mesh: Mesh, camera: Camera) -> Parts:
     numbers = [last_number if name.startswith("#") else order.index(name) for name in mesh.materials]
     number = np.array(numbers)[mesh.material]
     left = np.ones(len(number), dtype=bool)
-    out: Parts = []
+    out: LitMeshes = []
     for group, (first, last) in GROUPS.items():
         chosen = left & (number >= order.index(first)) & (number <= order.index(last))
         left &= ~chosen

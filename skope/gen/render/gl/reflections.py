@@ -11,7 +11,7 @@ from skope.camera.model import Camera
 from skope.gen.render.gl.context import Device, projection, put
 from skope.gen.render.gl.placed_vehicles import PARTS_DEFINITION, PlacedVehicle
 from skope.gen.render.gl.water import Plane
-from skope.gen.render.pixel_windows import TILE, mirror_hull_of, runs, tiles
+from skope.gen.render.pixel_windows import TILE, mirror_hull_of, tile_runs, tiles
 
 BLUR: Final = 64
 """Blur of a mirror image up and down by water in an image 1920 pixels wide (see blur.glsl), pixels."""
@@ -52,7 +52,7 @@ class Reflections:
         around = cv2.dilate(tiles(hulls, size).astype(np.uint8), np.ones((2 * reach + 1, 3), np.uint8)) > 0
         # The blur looks beyond these tiles too.
         self._target.clear(0, 0, 0, 0)
-        half = [(x0 // 2, y0 // 2, -(-x1 // 2), -(-y1 // 2)) for x0, y0, x1, y1 in runs(around, size)]
+        half = [(x0 // 2, y0 // 2, -(-x1 // 2), -(-y1 // 2)) for x0, y0, x1, y1 in tile_runs(around, size)]
         unit = len(units)
         self._scenery_depth.use(unit)
         own = {**uniforms, "u_size": list(self._target.size), "u_scenery": unit}

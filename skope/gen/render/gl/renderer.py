@@ -28,10 +28,10 @@ from skope.gen.render.pixel_windows import (
     CONTACT,
     Window,
     crossing,
-    inside,
-    mask_of,
-    runs,
+    inside_image,
     shadow_hull_of,
+    tile_mask,
+    tile_runs,
     tiles,
     union,
 )
@@ -130,7 +130,7 @@ class GLRenderer:
             drawn = self._draw_frame(placed, moving(reversed(placed), moment.velocity, shutter_s, camera))
             x0, y0, x1, y1 = drawn.picture.window
             picture = cv2.cvtColor(drawn.picture.pixels, cv2.COLOR_RGBA2RGB)
-            cv2.copyTo(picture, mask_of(drawn.changed, drawn.picture.window), rgb[y0:y1, x0:x1])
+            cv2.copyTo(picture, tile_mask(drawn.changed, drawn.picture.window), rgb[y0:y1, x0:x1])
             for vehicle, layer in zip(placed, drawn.layers, strict=True):
                 own = _put_vehicle(layer, vehicle.number, depth, slope, ids)
                 silhouettes[vehicle.index] = Silhouette(*vehicle.window[:2], drawn.masks[vehicle.index])
@@ -144,7 +144,7 @@ class GLRenderer:
         """Draw all of a frame, and wait for it once."""
         camera, pixels = self._camera, self._pixels
         pixels.forget()
-        windows = [inside(vehicle.window, camera) for vehicle in placed]
+        windows = [inside_image(vehicle.window, camera) for vehicle in placed]
         self._draw_geometry(placed, windows, whole=bool(blurred))
         for window in windows:
             pixels.ask(self._geometry, window, "f4")
@@ -154,11 +154,11 @@ class GLRenderer:
             self._draw_silhouette(vehicle)
         changed = self._draw_color(placed, blurred)
         # A window may touch the image though its hull does not.
-        shown = union(runs(changed, (camera.width, camera.height)) or [(0, 0, 1, 1)])
+        shown = union(tile_runs(changed, (camera.width, camera.height)) or [(0, 0, 1, 1)])
         pixels.ask(self._display, shown, "f1")
         if crowd:
             self._draw_behind(crowd)
-            around = union([inside(vehicle.window, camera) for vehicle in crowd])
+            around = union([inside_image(vehicle.window, camera) for vehicle in crowd])
             pixels.ask(self._behind, around, "f1")
         fetched = iter(pixels.fetch())
         layers = [_Layer(window, next(fetched)) for window in windows]
@@ -214,19 +214,19 @@ class GLRenderer:
         swept = [tiles([one.hull], size) for one in blurred]
         for places in swept:
             covered |= places
-        self._draw_vehicles(self._color, placed, runs(covered, size))
+        self._draw_vehicles(self._color, placed, tile_runs(covered, size))
         mirrored = np.zeros_like(covered)
         if self._reflections:
             units = self._vehicle_textures()
             uniforms = {**self._background.bind(), **self._uniforms, **self._bind_textures(units)}
             mirrored = self._reflections.draw(placed, uniforms, {**self._background.textures, **units})
         for there, more in ((~mirrored, ()), (mirrored, ("REFLECTIONS",))):
-            self._compose_picture(runs((shaded | mirrored) & ~covered & there, size), "SHADOWS", *more)
-            self._compose_picture(runs(covered & there, size), "SHADOWS", "VEHICLES", *more)
+            self._compose_picture(tile_runs((shaded | mirrored) & ~covered & there, size), "SHADOWS", *more)
+            self._compose_picture(tile_runs(covered & there, size), "SHADOWS", "VEHICLES", *more)
         more = ("REFLECTIONS",) if self._reflections else ()
         for one, places in zip(blurred, swept, strict=True):
             way = {"u_way": one.way, "u_id": float(one.vehicle.number), "u_nearest": one.nearest}
-            self._compose_picture(runs(places, size), "SHADOWS", "VEHICLES", "BLUR", *more, uniforms=way)
+            self._compose_picture(tile_runs(places, size), "SHADOWS", "VEHICLES", "BLUR", *more, uniforms=way)
         return covered | shaded | mirrored
 
     def _draw_shadows(self, placed: Sequence[PlacedVehicle]) -> None:
@@ -334,13 +334,13 @@ class GLRenderer:
     def _draw_behind(self, crowd: Sequence[PlacedVehicle]) -> None:
         """The image behind vehicles that stand before others."""
         size = (self._camera.width, self._camera.height)
-        self._draw_vehicles(self._behind, crowd, runs(tiles([v.hull for v in crowd], size), size), peel=True)
+        self._draw_vehicles(self._behind, crowd, tile_runs(tiles([v.hull for v in crowd], size), size), peel=True)
 
     def _contrast(
         self, placed: PlacedVehicle, own: NDArray[np.bool_], rgb: NDArray[np.uint8], drawn: "_Drawn"
     ) -> float:
         """Mean difference, where a vehicle shows, between the picture and the one without it and its shadow."""
-        window = x0, y0, x1, y1 = inside(placed.window, self._camera)
+        window = x0, y0, x1, y1 = inside_image(placed.window, self._camera)
         picture: NDArray[Any] = self._plain[y0:y1, x0:x1]
         if drawn.behind and placed in drawn.crowd:
             behind = drawn.behind.crop(window)
