@@ -29,7 +29,7 @@ from skope.detector.checkpoint import find_checkpoint, load_weights
 from skope.detector.device import choose_device
 from skope.eval.inference.predictor import Predictor
 from skope.eval.inference.settings import Settings
-from skope.metrics.outcomes import Options
+from skope.metrics.keypoint_outcomes import Options
 from skope.metrics.pck_precision_recall import score_split
 from skope.metrics.thresholds import IOU_THRESHOLDS
 from skope.schema import Annotation, AnnotationFile, Image, Result

@@ -87,7 +87,7 @@ class Skope:
         self.renderer = make_renderer(renderer, recording)
 
     def __call__(self, frame: int) -> None:
-        from skope.gen.labels.annotate import Rules
+        from skope.gen.labels.ignore_rules import Rules
         from skope.gen.output.frames import Encoding, frames_of
 
         for made in frames_of(self.recording, self.renderer, Rules(), Encoding(), [frame]):

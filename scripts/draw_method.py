@@ -19,15 +19,10 @@ from skope import keypoints
 from skope.camera.model import Camera
 from skope.files.atomic import replacing
 from skope.gen.inspect.vehicle_sheets import parked_recording
-from skope.gen.labels.annotate import (
-    POINT_TOLERANCE,
-    VEHICLE_TOLERANCE,
-    Rules,
-    WorldKeypoints,
-    annotate,
-    behind,
-    world_keypoints,
-)
+from skope.gen.labels.annotate import annotate
+from skope.gen.labels.ignore_rules import Rules
+from skope.gen.labels.visibility import POINT_TOLERANCE, VEHICLE_TOLERANCE, behind
+from skope.gen.labels.world_keypoints import WorldKeypoints, world_keypoints
 from skope.gen.pipeline.config import from_preset
 from skope.gen.render.choose_renderer import choose_renderer, make_renderer
 from skope.gen.render.frame import RenderedFrame

@@ -18,9 +18,9 @@ import numpy as np
 
 from skope.dataset import coco
 from skope.files.json_files import read_json
-from skope.metrics.counts import ratio
+from skope.metrics.keypoint_outcomes import Options, outcomes_at
 from skope.metrics.match import Matches, match
-from skope.metrics.outcomes import Options, outcomes_at
+from skope.metrics.outcome_counts import ratio
 from skope.metrics.pck_precision_recall import AT_PRECISION, ranked, recall_at_precision
 from skope.metrics.read_inputs import read_vehicle_results
 from skope.schema import AnnotationFile, Result

@@ -38,8 +38,8 @@ from skope.files.output_folders import claim_output
 from skope.files.reading import sha256_of
 from skope.keypoints import FLIP, OTHER_END
 from skope.metrics.coco_ap import average_precision
+from skope.metrics.keypoint_outcomes import Options, lengths, outcomes_at
 from skope.metrics.match import Matches, match
-from skope.metrics.outcomes import Options, lengths, outcomes_at
 from skope.metrics.pck_precision_recall import AT_PRECISION, recall_at_precision
 from skope.metrics.read_inputs import for_images, read_vehicle_results
 from skope.pictures import draw

@@ -18,7 +18,7 @@ import numpy as np
 
 from skope import keypoints
 from skope.files.atomic import write_text
-from skope.gen.labels.annotate import box_around
+from skope.gen.labels.boxes_and_masks import box_around
 from skope.gen.traffic.sumo_vehicle_types import HEAVY_FROM_KG
 from skope.gen.vehicles.fleet import build_vehicle, fleet
 from skope.gen.vehicles.model import ON_TRAILER, Vehicle

@@ -23,15 +23,15 @@ from skope import cli, schema
 from skope.detector.backbones import BACKBONES
 from skope.eval.inference.settings import BACKENDS, PRECISIONS, TILES
 from skope.gen.formats.convert import READERS, WRITERS
-from skope.gen.labels.annotate import OCCLUSION_RULES
+from skope.gen.labels.ignore_rules import OCCLUSION_RULES
 from skope.gen.labels.localize import LOCALIZERS
 from skope.gen.output.frames import SUFFIX_OF_FORMAT
 from skope.gen.output.writers import DATASET_FORMATS
 from skope.gen.pipeline.presets import presets
 from skope.gen.render.choose_renderer import RENDERERS
 from skope.gen.scene.conditions import TIMES_OF_DAY
+from skope.metrics.keypoint_outcomes import LABELLED, PROTOCOLS
 from skope.metrics.match import BOX_KINDS
-from skope.metrics.outcomes import LABELLED, PROTOCOLS
 from skope.metrics.read_inputs import RESULT_SCHEMES
 from skope.terminal import command_options
 from skope.terminal.command_options import Commands, option

@@ -30,8 +30,8 @@ from skope.eval.inference.camera_sway import SwayWatch, record_of
 from skope.eval.inference.view_changes import Looks
 from skope.eval.pose.camera_error import with_camera_error
 from skope.eval.pose.camera_motion import MOTION, turned_camera
-from skope.eval.pose.records import locate_view
-from skope.eval.pose.views import Scene, read_scene
+from skope.eval.pose.pose_records import locate_view
+from skope.eval.pose.scene import Scene, read_scene
 from skope.eval.tracking.measurements import detections_of
 from skope.eval.tracking.tracker import follow
 from skope.schema import Annotation, AnnotationFile, Image

@@ -28,8 +28,8 @@ from traffic_tables import VISIBLE
 
 from skope.files.json_files import read_json
 from skope.schema import VEHICLE
-from skope.traffic.counts import ALL
 from skope.traffic.event_probability import SEEN_IN_METRES, crossing_evidence, usual_step
+from skope.traffic.gate_counts import ALL
 from skope.types import Array
 
 _RIDGE: Final = 1e-3

@@ -23,7 +23,7 @@ from skope.dataset import coco
 from skope.schema import CATEGORIES, AnnotationFile, Labelled
 from skope.traffic.gates import GateCrossing
 from skope.traffic.observation import FOOTAGE
-from skope.traffic.report import TrafficReport
+from skope.traffic.traffic_report import TrafficReport
 from skope.traffic.trajectories import Trajectory
 from skope.traffic.write_report import SUMMARY
 

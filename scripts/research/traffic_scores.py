@@ -29,14 +29,14 @@ from skope.schema import VEHICLE
 from skope.site.site_file import read_site
 from skope.traffic.conflicts import conflicts
 from skope.traffic.count_interval import CountInterval
-from skope.traffic.counts import ALL, expected
+from skope.traffic.gate_counts import ALL, expected
 from skope.traffic.gates import direction_names
 from skope.traffic.measure import measure
 from skope.traffic.normal_distribution import INTERVAL_SIGMAS
 from skope.traffic.observation import Observation, read_observation
 from skope.traffic.read_track_folder import read_trajectories
 from skope.traffic.trajectories import KMH
-from skope.traffic.turning import NOWHERE
+from skope.traffic.turning_movements import NOWHERE
 from skope.traffic.write_report import SUMMARY
 
 RESULTS: Final = "results.json"

@@ -20,7 +20,8 @@ from skope.eval.tracking.vehicle_classes import OF_BODY_TYPE
 from skope.files.atomic import replacing
 from skope.gen.bystanders import bystander
 from skope.gen.bystanders.bystander import CATEGORY_OF
-from skope.gen.labels.annotate import Rules, box_around
+from skope.gen.labels.boxes_and_masks import box_around
+from skope.gen.labels.ignore_rules import Rules
 from skope.gen.pipeline.config import from_preset
 from skope.gen.pipeline.write_footage import plan_of
 from skope.gen.scene.recording import Recording, RecordingPlan

@@ -21,9 +21,9 @@ import numpy as np
 
 from skope.dataset import coco
 from skope.dataset.folder import PREDICTIONS
-from skope.metrics.counts import ratio
+from skope.metrics.keypoint_outcomes import Options, outcomes_at
 from skope.metrics.match import match
-from skope.metrics.outcomes import Options, outcomes_at
+from skope.metrics.outcome_counts import ratio
 from skope.metrics.pck_precision_recall import ranked, recall_at_precision
 from skope.metrics.read_inputs import read_vehicle_results
 from skope.schema import AnnotationFile, Result

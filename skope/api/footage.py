@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from skope.eval.inference.footage import Footage
     from skope.eval.inference.predict_job import PredictJob
     from skope.eval.inference.predictor import Predictor
-    from skope.eval.pose.views import Scene
+    from skope.eval.pose.scene import Scene
     from skope.eval.tracking.track_list import TrackedVehicle, Tracks
 
 RoadHeight = float | Literal["auto", "fit"] | None
@@ -217,7 +217,7 @@ class Video:
         return camera_of_vehicles(self._scene(None), max_vehicles, height=height_m, fov_deg=fov_deg).estimate
 
     def _scene(self, ground: float | None) -> "Scene":
-        from skope.eval.pose.views import read_scene
+        from skope.eval.pose.scene import read_scene
 
         return read_scene(Path(self._results.name), None, None, None, ground)
 

@@ -11,7 +11,7 @@ from skope.errors import UserError
 
 if TYPE_CHECKING:
     from skope.detections import Detections
-    from skope.eval.pose.records import Located
+    from skope.eval.pose.pose_records import Located
     from skope.eval.tracking.track_list import Tracks
 
 
@@ -56,10 +56,10 @@ def locate(detections: "Detections", camera: Camera, *, ground: float | None = 0
     """
     from skope.dataset.camera_of_file import sized
     from skope.eval.pose.ground import Ground
-    from skope.eval.pose.records import INTERPOLATED, Located
+    from skope.eval.pose.pose_records import INTERPOLATED, Located
+    from skope.eval.pose.scene import view_of
     from skope.eval.pose.shape_model import fleet_shapes
     from skope.eval.pose.solver import locate as solve
-    from skope.eval.pose.views import view_of
 
     own = sized(camera, detections.size, "image")
     view = view_of(detections)

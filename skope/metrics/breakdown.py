@@ -11,9 +11,9 @@ from typing import Any, Final
 import numpy as np
 
 from skope import keypoints
-from skope.metrics.counts import ratio
+from skope.metrics.keypoint_outcomes import Options, Outcomes, outcomes_at
 from skope.metrics.match import Matches
-from skope.metrics.outcomes import Options, Outcomes, outcomes_at
+from skope.metrics.outcome_counts import ratio
 from skope.schema import Annotation, Image
 from skope.types import Mask
 

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skope import keypoints, schema
+from skope.metrics.keypoint_outcomes import Options
 from skope.metrics.match import box_of
-from skope.metrics.outcomes import Options
 from skope.schema import Annotation, AnnotationFile, Found, Labelled, Result
 
 AP_DETECTIONS: Final = 300

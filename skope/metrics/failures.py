@@ -10,8 +10,8 @@ import numpy as np
 
 from skope import keypoints
 from skope.keypoints import FLIP, OTHER_END
+from skope.metrics.keypoint_outcomes import Options, Outcomes, lengths
 from skope.metrics.match import Matches
-from skope.metrics.outcomes import Options, Outcomes, lengths
 from skope.types import Array, Integers
 
 ERROR_KINDS: Final = ("left_right", "front_rear", "jitter")

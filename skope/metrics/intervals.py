@@ -15,7 +15,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from skope.metrics.counts import Name, Quotients, nested, ratio
+from skope.metrics.outcome_counts import Name, Quotients, nested, ratio
 from skope.schema import Image
 from skope.types import Array, Integers
 

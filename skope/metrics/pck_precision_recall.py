@@ -2,7 +2,7 @@
 
 `pooled` divides sums over the whole split. `paper` is the mean, over the images that have ground truth, of each image's
 own figures, which is what the published table follows. Ratios without a denominator are None. What is counted is
-decided in outcomes.py, and counted image by image in counts.py.
+decided in outcomes.py, and counted image by image in outcome_counts.py.
 """
 
 from collections.abc import Mapping, Sequence
@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skope import keypoints
-from skope.metrics import counts
-from skope.metrics.counts import ratio
+from skope.metrics import outcome_counts
+from skope.metrics.keypoint_outcomes import Options, Outcomes
 from skope.metrics.match import Matches, match
-from skope.metrics.outcomes import Options, Outcomes
+from skope.metrics.outcome_counts import ratio
 from skope.schema import AnnotationFile, Result
 
 __all__ = [
@@ -109,16 +109,16 @@ def score_summary(matches: Matches, options: Options) -> dict[str, Any]:
         "ground_truth": len(matches.gt_image),
         "ignored": matches.ignored,
         "detections": len(matches.det_image),
-        "iou": {f"{t:g}": named_scores(counts.tally(matches, t, options)) for t in options.iou},
+        "iou": {f"{t:g}": named_scores(outcome_counts.tally(matches, t, options)) for t in options.iou},
     }
 
 
-def named_scores(pooled: counts.Tally) -> dict[str, Any]:
+def named_scores(pooled: outcome_counts.Tally) -> dict[str, Any]:
     """Counts and ratios at one IoU threshold, laid out as in `metrics.json`."""
     names = ("matched", "labelled", "labelled_all", "correct", "predicted", "detections_ignored")
     sums = {name: int(getattr(pooled, name).sum()) for name in names}
-    ratios = {name: ratio(top.sum(), bottom.sum()) for name, (top, bottom) in counts.quotients(pooled).items()}
-    return {**sums, **counts.nested(ratios)}
+    ratios = {name: ratio(top.sum(), bottom.sum()) for name, (top, bottom) in outcome_counts.quotients(pooled).items()}
+    return {**sums, **outcome_counts.nested(ratios)}
 
 
 def localisation(outcomes: Outcomes) -> dict[str, Any]:

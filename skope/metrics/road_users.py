@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 
 from skope.metrics.coco_ap import CocoRow, evaluated, found_box, mean_precision, truth_box
-from skope.metrics.counts import ratio
+from skope.metrics.outcome_counts import ratio
 from skope.schema import CATEGORIES, AnnotationFile, RoadUserResult
 from skope.types import Array, Mask
 

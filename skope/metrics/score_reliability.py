@@ -8,9 +8,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from skope.metrics.counts import ratio
+from skope.metrics.keypoint_outcomes import Options, Outcomes, predicted_keypoints
 from skope.metrics.match import Matches
-from skope.metrics.outcomes import Options, Outcomes, predicted_keypoints
+from skope.metrics.outcome_counts import ratio
 from skope.types import Array, Integers, Mask
 
 SCORE_BINS: Final = 10

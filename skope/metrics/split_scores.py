@@ -6,13 +6,13 @@ from typing import Any
 
 import numpy as np
 
-from skope.metrics import counts, failures, pck_precision_recall, score_reliability
+from skope.metrics import failures, outcome_counts, pck_precision_recall, score_reliability
 from skope.metrics.breakdown import FleetInfo, breakdown
 from skope.metrics.coco_ap import NO_PRECISION, average_precision
-from skope.metrics.counts import Tally
 from skope.metrics.intervals import Blocks, blocks_of, intervals
+from skope.metrics.keypoint_outcomes import Options, Outcomes, outcomes_at
 from skope.metrics.match import Matches
-from skope.metrics.outcomes import Options, Outcomes, outcomes_at
+from skope.metrics.outcome_counts import Tally
 from skope.metrics.road_users import category_figures
 from skope.schema import VEHICLE_ALONE, AnnotationFile, Result, RoadUserResult
 
@@ -58,7 +58,7 @@ def split_metrics(
     """
     matches = pck_precision_recall.match_split(file, results, options)
     outcomes = {t: outcomes_at(matches, t, options) for t in options.iou}
-    tallies = {t: counts.tally(matches, t, options) for t in options.iou}
+    tallies = {t: outcome_counts.tally(matches, t, options) for t in options.iou}
     blocks = blocks_of(file.images)
     entry = {
         **pck_precision_recall.score_summary(matches, options),
@@ -74,7 +74,7 @@ def split_metrics(
         "confidence": score_reliability.confidence(matches, outcomes[options.loosest], options),
         "intervals": {
             **blocks.to_dict(),
-            "iou": {f"{t:g}": intervals(counts.quotients(tallies[t]), blocks) for t in options.iou},
+            "iou": {f"{t:g}": intervals(outcome_counts.quotients(tallies[t]), blocks) for t in options.iou},
         },
     }
     categories = category_figures(

@@ -63,8 +63,9 @@ class SeenAlike:
     missed: Beta
     """The share that is missed at a gate without a trace, as a Beta distribution."""
     came: Beta
-    """The share of those who were lost before a gate or found behind it (`skope.traffic.vanished`) who did cross it, as
-    a Beta distribution: nearly none where vehicles are seen at the gate, all where the camera loses them there."""
+    """The share of those who were lost before a gate or found behind it (`skope.traffic.missed_crossings`) who did
+    cross it, as a Beta distribution: nearly none where vehicles are seen at the gate, all where the camera loses them
+    there."""
     real: Beta | None = None
     """The share of the crossings at a gate that are one, where gates differ in it: as a Beta distribution."""
     refused: bool = False

@@ -12,11 +12,11 @@ import numpy as np
 from skope.site.marks import Gate
 from skope.site.traffic_settings import TrafficSettings
 from skope.traffic.count_interval import CountInterval, Group, in_words, joint_draws
-from skope.traffic.counts import ALL, expected, group_of
+from skope.traffic.gate_counts import ALL, expected, group_of
 from skope.traffic.gates import GateCrossing
 from skope.traffic.hand_count_file import HandCount
 from skope.traffic.learn_shares import CountEvidence, hand_sigma, learnt_shares
-from skope.traffic.vanished import Unseen
+from skope.traffic.missed_crossings import Unseen
 
 _HOUR_S: Final = 3600.0
 _CONTRADICTS: Final = 0.001

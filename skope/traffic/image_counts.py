@@ -8,21 +8,21 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from skope.site.traffic_settings import TrafficSettings
-from skope.traffic.clock import clock_intervals, local_start
+from skope.traffic.clock_intervals import clock_intervals, local_start
 from skope.traffic.conflicts import ConflictSearch
-from skope.traffic.counts import interval_counts
 from skope.traffic.event_probability import SEEN_IN_PIXELS
+from skope.traffic.gate_counts import interval_counts
 from skope.traffic.gates import gate_crossings, upwards
 from skope.traffic.hand_checks import counts_adjusted_by_hand, hand_checks
 from skope.traffic.hand_count_file import HandCount
 from skope.traffic.lanes import LaneMap
 from skope.traffic.measure import total_counts, whole_footage
+from skope.traffic.missed_crossings import unseen
 from skope.traffic.observation import Observation
-from skope.traffic.remarks import remarks_on_counts
-from skope.traffic.report import TrafficReport
+from skope.traffic.report_remarks import remarks_on_counts
+from skope.traffic.traffic_report import TrafficReport
 from skope.traffic.trajectories import Trajectory
-from skope.traffic.turning import movements, turning_counts
-from skope.traffic.vanished import unseen
+from skope.traffic.turning_movements import movements, turning_counts
 
 if TYPE_CHECKING:
     from skope.site.site_file import SiteParts

@@ -17,14 +17,14 @@ import numpy as np
 from skope.schema import VEHICLE
 from skope.site.marks import Gate
 from skope.site.traffic_settings import OF_VEHICLES, TrafficSettings
-from skope.traffic.clock import ClockInterval
+from skope.traffic.clock_intervals import ClockInterval
 from skope.traffic.count_interval import CountInterval, joint_interval
-from skope.traffic.counts import observed_word
+from skope.traffic.gate_counts import observed_word
 from skope.traffic.gates import GateCrossing, direction_names
+from skope.traffic.missed_crossings import Unseen, Vanished
 from skope.traffic.normal_distribution import at_most
 from skope.traffic.observation import Observation
 from skope.traffic.trajectories import Trajectory
-from skope.traffic.vanished import Unseen, Vanished
 from skope.types import Array
 
 LENGTH_BINS: Final = ("short", "medium", "long")

@@ -10,26 +10,26 @@ import numpy as np
 from skope.site.marks import Gate
 from skope.site.traffic_settings import TrafficSettings
 from skope.traffic.braking import hard_brakings
-from skope.traffic.clock import ClockInterval, clock_intervals, local_start
+from skope.traffic.clock_intervals import ClockInterval, clock_intervals, local_start
 from skope.traffic.conflicts import conflicts
-from skope.traffic.counts import Count, interval_counts
 from skope.traffic.event_probability import usual_step
+from skope.traffic.gate_counts import Count, interval_counts
 from skope.traffic.gates import GateCrossing, gate_crossings
 from skope.traffic.hand_checks import counts_adjusted_by_hand, hand_checks
 from skope.traffic.hand_count_file import HandCount
 from skope.traffic.headways import headways, occupancies
-from skope.traffic.joining import join_trajectories
+from skope.traffic.join_broken_tracks import join_trajectories
 from skope.traffic.lanes import LaneMap, lane_changes
 from skope.traffic.length_bins import length_counts
+from skope.traffic.missed_crossings import Unseen, unseen
 from skope.traffic.observation import Observation
 from skope.traffic.queues import delays, queues
 from skope.traffic.recordings import SiteRecording
-from skope.traffic.remarks import remarks
-from skope.traffic.report import TrafficReport
+from skope.traffic.report_remarks import remarks
 from skope.traffic.speeds import section_passes, speed_groups
+from skope.traffic.traffic_report import TrafficReport
 from skope.traffic.trajectories import Trajectory
-from skope.traffic.turning import movements, turning_counts
-from skope.traffic.vanished import Unseen, unseen
+from skope.traffic.turning_movements import movements, turning_counts
 from skope.traffic.zones import visits
 
 if TYPE_CHECKING:

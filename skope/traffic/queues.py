@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from skope.schema import PEDESTRIAN
 from skope.site.traffic_settings import TrafficSettings
-from skope.traffic.clock import ClockInterval
+from skope.traffic.clock_intervals import ClockInterval
 from skope.traffic.count_interval import CountInterval, count_interval
 from skope.traffic.event_probability import SEEN_IN_METRES, event_probability
 from skope.traffic.lanes import LaneMap

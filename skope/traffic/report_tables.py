@@ -10,15 +10,15 @@ from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from typing import Any, Final
 
-from skope.traffic.clock import ClockInterval
+from skope.traffic.clock_intervals import ClockInterval
 from skope.traffic.count_interval import in_cells
-from skope.traffic.counts import observed_word
+from skope.traffic.gate_counts import observed_word
 from skope.traffic.gates import GateCrossing
 from skope.traffic.length_bins import LONGEST_M, WHY_NOT, LengthCount, has_length, length_bin, length_sigma_m
 from skope.traffic.otc_classes import OTC_CLASSES
-from skope.traffic.report import TrafficReport
-from skope.traffic.sight import sight_in
+from skope.traffic.poor_sight import sight_in
 from skope.traffic.speed_percentiles import PERCENTILES
+from skope.traffic.traffic_report import TrafficReport
 from skope.traffic.trajectories import KMH, Trajectory, worst_sigma
 
 TableRow = Sequence[Any]

@@ -4,12 +4,12 @@ from collections.abc import Iterator
 
 from skope.terminal.text_table import text_table
 from skope.traffic.count_interval import count_interval, in_words
-from skope.traffic.counts import ALL
-from skope.traffic.report import TrafficReport
+from skope.traffic.gate_counts import ALL
 from skope.traffic.speed_percentiles import Percentile
 from skope.traffic.speeds import MOTOR
+from skope.traffic.traffic_report import TrafficReport
 from skope.traffic.trajectories import KMH
-from skope.traffic.turning import NOWHERE
+from skope.traffic.turning_movements import NOWHERE
 
 
 def report_lines(report: TrafficReport) -> Iterator[str]:

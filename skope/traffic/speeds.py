@@ -9,12 +9,12 @@ import numpy as np
 
 from skope.schema import PEDESTRIAN
 from skope.site.traffic_settings import CLASSES
-from skope.traffic.clock import ClockInterval
+from skope.traffic.clock_intervals import ClockInterval
 from skope.traffic.gates import GateCrossing
 from skope.traffic.observation import Observation
 from skope.traffic.speed_percentiles import Percentile, speed_percentiles
 from skope.traffic.trajectories import Trajectory
-from skope.traffic.turning import Movement
+from skope.traffic.turning_movements import Movement
 
 MOTOR: Final = "motor"
 """All classes of vehicles and motorcycles together."""

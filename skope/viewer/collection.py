@@ -4,7 +4,7 @@ come from."""
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from skope.metrics.outcomes import Options
+from skope.metrics.keypoint_outcomes import Options
 from skope.schema import AnnotationFile, Image, Result
 from skope.viewer.pictures import Picture
 

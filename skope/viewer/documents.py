@@ -9,10 +9,10 @@ from typing import Any, Final
 
 import numpy as np
 
-from skope.metrics import counts
+from skope.metrics import outcome_counts
 from skope.metrics.failures import false_detections, wrong_points
+from skope.metrics.keypoint_outcomes import outcomes_at
 from skope.metrics.match import box_of
-from skope.metrics.outcomes import outcomes_at
 from skope.metrics.pck_precision_recall import match_split
 from skope.pictures import draw
 from skope.schema import Annotation, Image, Result, RoadUser
@@ -195,14 +195,14 @@ class _SplitDocuments:
         options = replace(self._options, score=step / SCORE_STEPS)
         matches = match_split(self._split.file, self._split.results, options)
         outcomes = outcomes_at(matches, options.loosest, options)
-        tally = counts.tally(matches, options.loosest, options)
+        tally = outcome_counts.tally(matches, options.loosest, options)
         if not self._truth:
             return {"detections": tally.detections.tolist()}
         missed: list[list[int]] = [[] for _ in self._split.file.images]
         for g in np.flatnonzero(~outcomes.found):
             missed[matches.gt_image[g]].append(self._kinds[matches.vehicles[g].id])
         false = np.bincount(matches.det_image[false_detections(matches, outcomes)], minlength=matches.images)
-        quality = [None if np.isnan(value) else round(value, 4) for value in counts.quality(tally).tolist()]
+        quality = [None if np.isnan(value) else round(value, 4) for value in outcome_counts.quality(tally).tolist()]
         return {
             "detections": tally.detections.tolist(),
             "false": false.tolist(),

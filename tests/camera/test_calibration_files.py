@@ -20,7 +20,6 @@ from skope.camera.calibration_files import (
 from skope.camera.model import Camera, Distortion
 from skope.camera.pose_from_points import fit_camera_to_points
 from skope.errors import UserError
-from skope.pictures.video import write_video
 
 BROWN = Distortion("brown", (-0.12, 0.03, 0.001, -0.002, 0.004))
 FISHEYE = Distortion("fisheye", (-0.02, 0.005, -0.002, 0.0004))
@@ -177,5 +176,3 @@ def test_a_path_that_is_not_utf_8_is_refused(tmp_path: Path) -> None:
     path.touch()
     with pytest.raises(UserError, match="OpenCV takes no path that is not UTF-8"):
         read_opencv(path)
-    with pytest.raises(UserError, match="OpenCV takes no path that is not UTF-8"):
-        write_video(path.with_suffix(".mp4"), [np.zeros((8, 8, 3), np.uint8)], 5.0)

@@ -11,9 +11,9 @@ import scipy.stats
 from skope import keypoints
 from skope.metrics import failures, intervals, score_reliability
 from skope.metrics.breakdown import FleetInfo, breakdown
-from skope.metrics.counts import quotients, tally
+from skope.metrics.keypoint_outcomes import Options, outcomes_at
 from skope.metrics.match import match
-from skope.metrics.outcomes import Options, outcomes_at
+from skope.metrics.outcome_counts import quotients, tally
 from skope.metrics.pck_precision_recall import localisation, match_split, score_split
 from skope.schema import AnnotationFile, Image, Result
 from tests.metrics import brute

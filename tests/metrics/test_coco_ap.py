@@ -11,7 +11,7 @@ from pycocotools.cocoeval import COCOeval
 
 from skope.dataset import coco
 from skope.metrics.coco_ap import average_precision
-from skope.metrics.outcomes import Options
+from skope.metrics.keypoint_outcomes import Options
 from skope.schema import AnnotationFile, Result
 from tests.samples import make_annotation, make_image
 

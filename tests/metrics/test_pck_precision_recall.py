@@ -5,8 +5,8 @@ import pytest
 
 from skope import keypoints
 from skope.errors import UserError
+from skope.metrics.keypoint_outcomes import Options
 from skope.metrics.match import match
-from skope.metrics.outcomes import Options
 from skope.metrics.pck_precision_recall import recall_at_precision, recalls, score_split
 from skope.metrics.thresholds import IOU_THRESHOLDS
 from skope.schema import Annotation, AnnotationFile, Image, Result

@@ -14,7 +14,7 @@ from pycocotools.cocoeval import COCOeval
 
 from skope.dataset import coco
 from skope.metrics.breakdown import FleetInfo
-from skope.metrics.outcomes import Options
+from skope.metrics.keypoint_outcomes import Options
 from skope.metrics.road_users import category_figures
 from skope.metrics.split_scores import split_metrics
 from skope.schema import CATEGORIES, AnnotationFile, Result, RoadUser, RoadUserResult

@@ -10,8 +10,8 @@ import pytest
 from skope.eval.report import render_page, table
 from skope.metrics import pck_precision_recall
 from skope.metrics.breakdown import FleetInfo
-from skope.metrics.counts import quotients, ratio
-from skope.metrics.outcomes import Options
+from skope.metrics.keypoint_outcomes import Options
+from skope.metrics.outcome_counts import quotients, ratio
 from skope.metrics.split_scores import from_tallies, split_metrics, to_tallies
 from skope.schema import AnnotationFile, Result
 from tests.html_page import Page

@@ -1,6 +1,7 @@
 """Videos that are written here, read by OpenCV and played by a browser."""
 
 import base64
+import os
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
 from pathlib import Path
@@ -46,6 +47,12 @@ def test_times_and_colors_are_read_back(tmp_path: Path, name: str, fps: float) -
     for frame, color in zip(frames, COLORS, strict=True):
         assert frame.shape == (SIZE[1], SIZE[0], 3)
         assert np.abs(frame.astype(int) - color).max() <= 4
+
+
+def test_a_path_may_be_of_any_bytes(tmp_path: Path) -> None:
+    path = tmp_path / os.fsdecode(b"\xff.mp4")
+    write_video(path, shades(), 10)
+    assert len(read(path.rename(tmp_path / "v.mp4"))[1]) == len(COLORS)
 
 
 def test_an_odd_size_gains_a_pixel(tmp_path: Path) -> None:

@@ -14,7 +14,7 @@ from skope.traffic.conflicts import Conflict, conflicts
 from skope.traffic.encroachment import by_area, by_places
 from skope.traffic.event_probability import event_probability
 from skope.traffic.footprints import FootprintPath, footprint_corners, meeting, overlap
-from skope.traffic.joining import join_trajectories
+from skope.traffic.join_broken_tracks import join_trajectories
 from skope.traffic.trajectories import Trajectory
 from tests.traffic.drives import drive, straight, then
 

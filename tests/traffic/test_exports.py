@@ -25,8 +25,8 @@ from skope.traffic.exports.parquet import write_parquet
 from skope.traffic.exports.ssam import write_ssam
 from skope.traffic.exports.sumo import write_sumo
 from skope.traffic.measure import measure
-from skope.traffic.report import TrafficReport
 from skope.traffic.report_tables import report_tables
+from skope.traffic.traffic_report import TrafficReport
 from tests.traffic.drives import drive, straight, watched
 
 HEAD = 'time_zone = "Europe/Berlin"\nstart = 2026-11-26T10:00:00\n'

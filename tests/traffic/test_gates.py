@@ -12,7 +12,7 @@ import pytest
 from skope.site.marks import Gate, Lane
 from skope.site.traffic_settings import TrafficSettings
 from skope.traffic.gates import GateCrossing, gate_crossings
-from skope.traffic.joining import join_trajectories
+from skope.traffic.join_broken_tracks import join_trajectories
 from skope.traffic.lanes import LaneMap, lane_changes
 from skope.traffic.trajectories import Trajectory
 from tests.traffic.drives import GATE, along_x, drive, straight

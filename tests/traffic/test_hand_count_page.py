@@ -29,7 +29,7 @@ from skope.traffic.page.hand_count_panel import hand_count_panel
 from skope.traffic.page.page import traffic_page
 from skope.traffic.read_track_folder import TRACKS_CSV
 from skope.traffic.recordings import SiteRecording
-from skope.traffic.report import TrafficReport
+from skope.traffic.traffic_report import TrafficReport
 from tests.chromium import Browser
 from tests.traffic.drives import straight, watched
 from tests.traffic.test_exports import HEAD, junction_report, report_of

@@ -14,19 +14,19 @@ from scipy.stats import nbinom
 from skope.errors import UserError
 from skope.site.marks import Gate
 from skope.site.traffic_settings import TrafficSettings
-from skope.traffic.clock import ClockInterval
+from skope.traffic.clock_intervals import ClockInterval
 from skope.traffic.count_interval import CountInterval, joint_interval
 from skope.traffic.event_probability import SEEN_IN_PIXELS, SeenAlike
 from skope.traffic.hand_checks import counts_adjusted_by_hand, hand_checks, hand_lines
 from skope.traffic.hand_count_file import HandCount, read_hand_counts
 from skope.traffic.learn_shares import CountEvidence, learnt_shares
 from skope.traffic.measure import measure
+from skope.traffic.missed_crossings import Unseen
 from skope.traffic.observation import Observation
-from skope.traffic.report import TrafficReport
-from skope.traffic.vanished import Unseen
+from skope.traffic.traffic_report import TrafficReport
 from skope.types import Array
 from tests.traffic.drives import GATE, straight, watched
-from tests.traffic.test_vanished import SITE
+from tests.traffic.test_missed_crossings import SITE
 
 VEHICLES = SeenAlike(frozenset({"car", "van", "lorry", "bus", "unknown"}), missed=(0.26, 9.84), came=(0.04, 0.33))
 TWO_WHEELERS = SeenAlike(frozenset({"bicycle", "motorcycle"}), missed=(1.15, 2.61), came=(0.12, 9.0))

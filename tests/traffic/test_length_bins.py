@@ -15,11 +15,11 @@ from skope.site.traffic_settings import CLASSES, TrafficSettings
 from skope.traffic.length_bins import WHY_NOT, LengthCount, bin_probabilities, length_bin, length_sigma_m
 from skope.traffic.measure import measure
 from skope.traffic.otc_classes import OTC_CLASSES
-from skope.traffic.report import TrafficReport
+from skope.traffic.traffic_report import TrafficReport
 from skope.traffic.trajectories import Trajectory
 from skope.traffic.write_report import write_traffic_report
 from tests.traffic.drives import straight, watched
-from tests.traffic.test_vanished import SITE
+from tests.traffic.test_missed_crossings import SITE
 
 LIMITS = TrafficSettings().length_bins_m
 

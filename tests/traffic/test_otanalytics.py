@@ -25,7 +25,7 @@ from skope.traffic.image_counts import count_in_image
 from skope.traffic.measure import measure
 from skope.traffic.observation import Observation
 from skope.traffic.otc_classes import OTC_CLASSES
-from skope.traffic.report import TrafficReport
+from skope.traffic.traffic_report import TrafficReport
 from skope.traffic.trajectories import Trajectory
 from tests.eval.sightings import CAMERA
 from tests.traffic.drives import along_x, drive, straight, watched

@@ -9,12 +9,12 @@ from pathlib import Path
 import pytest
 
 from skope.site.marks import Gate
-from skope.traffic.clock import ClockInterval
+from skope.traffic.clock_intervals import ClockInterval
 from skope.traffic.hand_count_file import HandCount
 from skope.traffic.measure import measure
 from skope.traffic.page.page import traffic_page, write_page
-from skope.traffic.report import TrafficReport
 from skope.traffic.road_picture import RoadPicture, read_road_picture, write_road_picture
+from skope.traffic.traffic_report import TrafficReport
 from tests.chromium import Browser
 from tests.traffic.drives import watched
 from tests.traffic.test_exports import HEAD, junction_report, report_of, site_of

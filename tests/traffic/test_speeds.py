@@ -11,7 +11,7 @@ from scipy.stats import binom
 from skope.site.marks import Gate, Lane, Zone
 from skope.site.traffic_settings import TrafficSettings
 from skope.traffic.braking import hard_brakings
-from skope.traffic.clock import ClockInterval
+from skope.traffic.clock_intervals import ClockInterval
 from skope.traffic.count_interval import count_interval
 from skope.traffic.event_probability import SEEN_IN_METRES, event_probability
 from skope.traffic.gates import gate_crossings
@@ -22,7 +22,7 @@ from skope.traffic.queues import delays, queues
 from skope.traffic.speed_percentiles import order_ranks, speed_percentiles
 from skope.traffic.speeds import section_passes, speed_groups, way
 from skope.traffic.trajectories import Trajectory
-from skope.traffic.turning import movements
+from skope.traffic.turning_movements import movements
 from skope.traffic.zones import visits
 from tests.traffic.drives import GATE, along_x, drive, straight, watched
 

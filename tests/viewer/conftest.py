@@ -8,7 +8,7 @@ import pytest
 
 from skope.dataset import coco
 from skope.dataset.folder import open_dataset
-from skope.metrics.outcomes import Options
+from skope.metrics.keypoint_outcomes import Options
 from skope.schema import CATEGORIES, Result
 from skope.viewer.collection import Collection, ShownSplit
 from skope.viewer.documents import Documents

@@ -12,7 +12,7 @@ from skope.errors import UserError
 from skope.files.json_files import json_bytes
 from skope.keypoints import INDEX, K
 from skope.metrics.breakdown import FleetInfo
-from skope.metrics.outcomes import Options
+from skope.metrics.keypoint_outcomes import Options
 from skope.metrics.split_scores import SplitScores, split_metrics
 from skope.schema import Result
 from skope.viewer import vehicle_filters

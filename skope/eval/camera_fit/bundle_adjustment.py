@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from skope import keypoints
 from skope.eval.camera_fit.camera_unknowns import FOCAL, HEIGHT, UNKNOWN_NAMES, Pictured, by_camera, camera_of_unknowns
 from skope.eval.camera_fit.normal_equations import Linearised, Parts, summed
-from skope.eval.pose import cauchy, initialize
+from skope.eval.pose import cauchy, closed_form_starts
 from skope.eval.pose.ground import Ground
 from skope.eval.pose.observations import LEAST_PROBABILITY, observe
 from skope.eval.pose.self_occlusion import facing
@@ -305,7 +305,7 @@ class BundleAdjustment:
 
     def _starts(self, camera: Array) -> Starts:
         seen = observe(camera_of_unknowns(camera, self._views.size), self._views.found, self._views.sigma_px)
-        return initialize.on_ground(seen, self._shapes, START_ROAD)
+        return closed_form_starts.on_ground(seen, self._shapes, START_ROAD)
 
     def _placed(self, shared: Array, starts: Starts, kind: NDArray[np.intp]) -> Bundle:
         row, column = np.arange(len(self._views.vehicle)), kind[self._views.vehicle]

@@ -1,8 +1,8 @@
 """Focal length, height and tilt of a camera from vehicles on the road before it, whose sizes are roughly known.
 
 The right camera is the one under which all vehicles are likely: shapes as vehicles have them, the same in all views of
-a vehicle, wheels on one plane. A grid of cameras is judged by the closed-form starts of `skope.eval.pose.initialize`,
-the best few are adjusted together with their vehicles (`skope.eval.camera_fit.bundle_adjustment`), and how differently
+a vehicle, wheels on one plane. A grid of cameras is judged by `skope.eval.pose.closed_form_starts`, the best few are
+adjusted together with their vehicles (`skope.eval.camera_fit.bundle_adjustment`), and how differently
 single vehicles pull tells the uncertainty. What does not hold together is refused.
 Place and direction on the map cannot be known so: the camera hangs over (0, 0) and looks along x.
 """
@@ -17,7 +17,7 @@ import numpy as np
 from skope.camera.model import Camera
 from skope.eval.camera_fit.bundle_adjustment import START_ROAD, BundleAdjustment, Known, Solved, VehicleViews
 from skope.eval.camera_fit.camera_unknowns import FOCAL, HEIGHT, K1, PITCH, ROLL, camera_of_unknowns
-from skope.eval.pose import initialize
+from skope.eval.pose import closed_form_starts
 from skope.eval.pose.observations import observe
 from skope.types import Array
 
@@ -172,7 +172,7 @@ def _starts(views: VehicleViews, known: Known) -> list[Array]:
 
         def cost(at: Array) -> float:
             seen = observe(camera_of_unknowns(at, views.size), few.found, few.sigma_px)
-            least = initialize.on_ground(seen, shapes, START_ROAD).cost.min(axis=1)
+            least = closed_form_starts.on_ground(seen, shapes, START_ROAD).cost.min(axis=1)
             return float(capped(least).sum())
 
         return sorted(cameras, key=cost)

@@ -20,8 +20,8 @@ from skope.eval.camera_fit.vehicle_sample import sample_vehicles
 from skope.eval.pose.candidates import best_types
 from skope.eval.pose.ground import Ground
 from skope.eval.pose.observations import observe
+from skope.eval.pose.scene import Scene
 from skope.eval.pose.solver import levelled, locate
-from skope.eval.pose.views import Scene
 from skope.files.json_files import json_bytes
 from skope.schema import Image
 from skope.terminal.console import counted

@@ -12,7 +12,7 @@ from skope.errors import UserError
 from skope.eval.box_links import LOST_S, BoxLinks
 from skope.eval.camera_fit.bundle_adjustment import VehicleViews
 from skope.eval.pose.observations import LEAST_PROBABILITY
-from skope.eval.pose.views import Scene, View
+from skope.eval.pose.scene import Scene, View
 from skope.types import Array, Mask
 
 FEWEST_VEHICLES: Final = 5

@@ -108,7 +108,7 @@ def evaluate_or_score(
     """Measure a checkpoint on a dataset's test splits, or score a COCO results file."""
     from skope.eval.evaluate import EvalJob, evaluate
     from skope.metrics import read_inputs
-    from skope.metrics.outcomes import Options
+    from skope.metrics.keypoint_outcomes import Options
 
     options = Options(
         score=score,

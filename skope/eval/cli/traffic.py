@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from skope.site.site_file import SiteFile
     from skope.traffic.hand_count_file import HandCount
     from skope.traffic.observation import Observation
-    from skope.traffic.report import TrafficReport
+    from skope.traffic.traffic_report import TrafficReport
 
 _COMMAND: Final = "skope eval traffic"
 _BEGINS: Final = "--begins"
@@ -264,7 +264,7 @@ def _counted_by_hand(
     path: Path | None, site: "SiteFile", gates: "Sequence[Gate]", start: datetime | None, observation: "Observation"
 ) -> "tuple[HandCount, ...]":
     """The counts that `--hand-count` names, if any. Raises UserError naming file, line and column."""
-    from skope.traffic.clock import local_start
+    from skope.traffic.clock_intervals import local_start
     from skope.traffic.hand_count_file import read_hand_counts
 
     if path is None:

@@ -13,15 +13,15 @@ from skope.detections import apart
 from skope.detector.checkpoint import checkpoint_bytes, find_checkpoint, load_weights
 from skope.detector.weights import shipped
 from skope.errors import UserError
-from skope.eval.inference import calibrated_weights, score_calibration
-from skope.eval.inference.calibrated_weights import LEAST_SCORE
+from skope.eval.inference import fold_calibration, score_calibration
+from skope.eval.inference.fold_calibration import LEAST_SCORE
 from skope.eval.inference.predictor import CALIBRATED_KEY, Predictor
 from skope.eval.inference.score_calibration import ALPHA, CALIBRATION_IOU
 from skope.eval.inference.settings import Settings
 from skope.files.output_folders import check_file, work_of, write_new
 from skope.metrics import read_inputs, score_reliability
+from skope.metrics.keypoint_outcomes import Options, outcomes_at
 from skope.metrics.match import match
-from skope.metrics.outcomes import Options, outcomes_at
 from skope.metrics.road_users import box_outcomes
 from skope.schema import CATEGORY_ID, AnnotationFile, Result, RoadUserResult
 from skope.terminal.console import Console
@@ -100,7 +100,7 @@ def fit_calibration(job: CalibrationJob, console: Console) -> Path:
         return score_calibration.write(weights, fitted, work, predictor.scheme.name)
     boxes = _fitted_boxes(file, results, others, predictor.categories, console)
     model, config, metadata = load_weights(weights, "cpu")
-    calibrated_weights.fold(model, boxes, fitted)
+    fold_calibration.fold(model, boxes, fitted)
     known = [predictor.categories[number - CATEGORY_ID] for number in boxes]
     content = checkpoint_bytes(model, config, {**metadata, CALIBRATED_KEY: {**fitted_on, "categories": known}})
     write_new(job.out, content)
@@ -118,7 +118,7 @@ def _fitted_boxes(
     fitted = {}
     for number, name in enumerate(categories, start=CATEGORY_ID):
         if number == CATEGORY_ID:
-            scores, hits = calibrated_weights.vehicle_outcomes(file, vehicles)
+            scores, hits = fold_calibration.vehicle_outcomes(file, vehicles)
         else:
             scores, hits = box_outcomes(file, [one for one in others if one.score > LEAST_SCORE], name)
             if min(hits.sum(), (~hits).sum()) < LEAST_OUTCOMES:
@@ -127,9 +127,9 @@ def _fitted_boxes(
                     f"{hits.sum()} are right; {LEAST_OUTCOMES} right and as many wrong ones are needed"
                 )
                 continue
-        fitted[number] = calibrated_weights.fit_boxes(scores, hits)
+        fitted[number] = fold_calibration.fit_boxes(scores, hits)
         what = "vehicles" if number == CATEGORY_ID else name
-        _tell(what, scores, calibrated_weights.calibrated(scores, *fitted[number]), hits, console)
+        _tell(what, scores, fold_calibration.calibrated(scores, *fitted[number]), hits, console)
     return fitted
 
 

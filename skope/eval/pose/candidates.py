@@ -5,7 +5,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from skope.eval.pose import initialize
+from skope.eval.pose import closed_form_starts
 from skope.eval.pose.ground import Ground
 from skope.eval.pose.observations import Observed
 from skope.eval.pose.optimize import Fits, refine
@@ -33,9 +33,9 @@ def vehicle_starts(seen: Observed, shapes: Shapes, ground: Ground | None, chosen
         chosen: (N, 33) keypoints to begin from; None: all that count.
     """
     return (
-        initialize.on_ground(seen, shapes, ground, chosen)
+        closed_form_starts.on_ground(seen, shapes, ground, chosen)
         if ground
-        else initialize.placed_anywhere(seen, shapes, chosen)
+        else closed_form_starts.placed_anywhere(seen, shapes, chosen)
     )
 
 

@@ -7,7 +7,7 @@ project to where they were found: the most probable pose and shape given
 - shapes as vehicles of the body type have them;
 - wheels that stand on the road, where `ground` says where that is.
 
-The search starts from every body type's mean (on a known ground in closed form, see `skope.eval.pose.initialize`),
+The search starts from every body type's mean (on a known ground in closed form: `skope.eval.pose.closed_form_starts`),
 goes on by Levenberg and Marquardt's method from the best few, and is repeated for vehicles that do not fit
 (`skope.eval.pose.search`). What is not supported by enough keypoints is refused.
 """

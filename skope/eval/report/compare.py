@@ -15,9 +15,9 @@ from skope.errors import UserError, one_of
 from skope.eval.report.table import evidence, ratio_text
 from skope.files.json_files import read_json
 from skope.metrics import pck_precision_recall
-from skope.metrics.counts import FIGURES, Name, Tally, quotients, ratio
 from skope.metrics.intervals import Blocks, difference
-from skope.metrics.outcomes import PROTOCOLS
+from skope.metrics.keypoint_outcomes import PROTOCOLS
+from skope.metrics.outcome_counts import FIGURES, Name, Tally, quotients, ratio
 from skope.metrics.split_scores import from_tallies
 from skope.terminal.text_table import text_table
 

@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from skope.metrics.keypoint_outcomes import Options
 from skope.metrics.match import match
-from skope.metrics.outcomes import Options
 from skope.metrics.score_reliability import curve
 from skope.metrics.split_scores import SplitScores
 from skope.page.charts import Line

@@ -8,10 +8,10 @@ from typing import Final
 import numpy as np
 
 from skope.errors import UserError
-from skope.metrics.counts import quality
 from skope.metrics.failures import ERROR_KINDS, false_detections, wrong_points
+from skope.metrics.keypoint_outcomes import Options, Outcomes
 from skope.metrics.match import box_of
-from skope.metrics.outcomes import Options, Outcomes
+from skope.metrics.outcome_counts import quality
 from skope.metrics.split_scores import SplitScores
 from skope.page import image_viewer
 from skope.page.html_pieces import tag

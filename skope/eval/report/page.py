@@ -8,7 +8,7 @@ from typing import Any, Final
 from skope.eval.report import curves
 from skope.eval.report.gallery import gallery
 from skope.eval.report.table import AREA_WORDS, FIGURE_COLUMNS, evidence, published_row, road_user_rows, row_of
-from skope.metrics.outcomes import PROTOCOLS, Options
+from skope.metrics.keypoint_outcomes import PROTOCOLS, Options
 from skope.metrics.pck_precision_recall import AT_PRECISION
 from skope.metrics.road_users import AP50_IOU
 from skope.metrics.split_scores import SplitScores

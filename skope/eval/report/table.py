@@ -8,7 +8,7 @@ from typing import Any, Final
 
 from skope.errors import one_of
 from skope.metrics.intervals import ENOUGH_SITES
-from skope.metrics.outcomes import PROTOCOLS
+from skope.metrics.keypoint_outcomes import PROTOCOLS
 from skope.metrics.pck_precision_recall import AT_PRECISION
 from skope.metrics.road_users import AP50_IOU
 from skope.terminal.text_table import text_table

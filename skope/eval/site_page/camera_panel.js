@@ -1,7 +1,7 @@
 // What is said of the camera: figures, warnings, what is missing, what a button can mend, and what moved with it.
 
 import { MARKED, setPosition } from "./kinds.js";
-import { MovedDrawings } from "./moved.js";
+import { MovedDrawings } from "./moved_drawings.js";
 import { figures, text } from "./panel.js";
 import { post } from "./server.js";
 

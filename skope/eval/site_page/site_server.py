@@ -21,7 +21,7 @@ from skope.eval.site_page.from_above import seen_from_above
 from skope.eval.site_page.loaded_files import read_file
 from skope.eval.site_page.map_places import map_places
 from skope.eval.site_page.marks import marks_of_document
-from skope.eval.site_page.merge import merged_document
+from skope.eval.site_page.merge_windows import merged_document
 from skope.eval.site_page.plan import plan_scale
 from skope.eval.site_page.plan_pictures import PlanPictures
 from skope.eval.site_page.site_store import Opened, SavedElsewhereError, SiteStore
@@ -58,7 +58,7 @@ _SCRIPTS: Final = (
     "keys",
     "plan_view",
     "saving",
-    "moved",
+    "moved_drawings",
     "views",
     "camera_panel",
     "hints",

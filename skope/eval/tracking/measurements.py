@@ -6,7 +6,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from skope.eval.pose.records import INTERPOLATED, Located
+from skope.eval.pose.pose_records import INTERPOLATED, Located
 from skope.types import Array
 
 _FLOOR: Final = 0.05

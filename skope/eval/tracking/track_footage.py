@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from skope.camera.model import Camera
 from skope.dataset.folder import BEGINS, FOLLOWED, SIGHT_FIELD
 from skope.errors import UserError
-from skope.eval.pose.records import locate_view
-from skope.eval.pose.views import Scene
-from skope.eval.tracking import birdseye, birdseye_video, export, overlay
+from skope.eval.pose.pose_records import locate_view
+from skope.eval.pose.scene import Scene
+from skope.eval.tracking import birdseye, birdseye_video, track_overlay, write_tracks
 from skope.eval.tracking.empty_road import empty_road
 from skope.eval.tracking.ground_points import sights_of
 from skope.eval.tracking.measurements import Detection, detection_from_dict, detection_to_dict, detections_of
@@ -72,9 +72,9 @@ def follow_footage(job: TrackJob, console: Console) -> Iterator[str]:
     tracks, road_users = followed(job, times, progress, refused, console)
     camera = scene.camera_of(scene.file.images[0])
     index = [image.frame_index if image.frame_index is not None else i for i, image in enumerate(scene.file.images)]
-    export.write_csv(job.out / "tracks.csv", tracks, index)
-    export.write_mot(job.out / "mot.txt", tracks)
-    export.write_fcd(job.out / "fcd.xml", tracks, times, road_users)
+    write_tracks.write_csv(job.out / "tracks.csv", tracks, index)
+    write_tracks.write_mot(job.out / "mot.txt", tracks)
+    write_tracks.write_fcd(job.out / "fcd.xml", tracks, times, road_users)
     write_bytes(job.out / FOOTAGE, json_bytes(observation_of(scene, times, begins).to_dict()))
     written = ["tracks.csv", "mot.txt", "fcd.xml", FOOTAGE, "birdseye.png"]
     road = _road(job, camera, console)
@@ -93,15 +93,15 @@ def follow_footage(job: TrackJob, console: Console) -> Iterator[str]:
             write_video(temporary, above, 1 / float(np.median(np.diff(times))))
         written.append("birdseye.mp4")
     if job.overlay:
-        with replacing(job.out / "overlay.mp4") as temporary:
+        with replacing(job.out / "track_overlay.mp4") as temporary:
             drawn = console.bar(
-                overlay.overlay_frames(tracks, job.place, scene.file, road_users),
+                track_overlay.overlay_frames(tracks, job.place, scene.file, road_users),
                 total=len(times),
                 unit="image",
                 label="overlay",
             )
             write_video(temporary, drawn, 1 / float(np.median(np.diff(times))))
-        written.append("overlay.mp4")
+        written.append("track_overlay.mp4")
     progress.end()
     for name in written:
         yield f"wrote {job.out / name}"
@@ -193,12 +193,12 @@ def _write_road_users(job: TrackJob, tracks: list[RoadUserTrack], index: list[in
     """Write the files of other road users than vehicles, where the scene tells of any; returns the files' names."""
     written = []
     if tracks:
-        export.write_road_users(job.out / "road_users.csv", tracks, index)
+        write_tracks.write_road_users(job.out / "road_users.csv", tracks, index)
         written.append("road_users.csv")
     for number, category in enumerate(CATEGORIES[1:], start=2):
         own = [track for track in tracks if track.category == category]
         if own:
-            export.write_mot(job.out / f"mot_{category}.txt", own)
+            write_tracks.write_mot(job.out / f"mot_{category}.txt", own)
             written.append(f"mot_{category}.txt")
         truth = [user for user in job.scene.file.road_users if user.category_id == number]
         if truth:
@@ -268,7 +268,7 @@ def _write_truth(path: Path, scene: Scene, labels: Sequence[Labelled]) -> None:
     for label in labels:
         of_image[label.image_id].append(label)
     rows = [
-        export.mot_row(frame, a.track_id, a.bbox, "1,1,1")
+        write_tracks.mot_row(frame, a.track_id, a.bbox, "1,1,1")
         for frame, image in enumerate(scene.file.images, start=1)
         for a in of_image[image.id]
         if not a.ignored and a.track_id is not None

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from skope.boxes import xywh_to_xyxy
-from skope.eval.tracking import export, overlay
+from skope.eval.tracking import track_overlay, write_tracks
 from skope.eval.tracking.road_user_tracks import RoadUserTrack
 from skope.eval.tracking.tracks import Track
 from skope.traffic.observation import Observation
@@ -73,7 +73,9 @@ class Tracks(list[Track]):
         """A copy of a frame, (H, W, 3) RGB, with box, number, class and speed of everybody who is seen in it."""
         everybody: list[Track | RoadUserTrack] = [*self, *self.road_users]
         rows = ((track, _row(track, frame)) for track in everybody)
-        return overlay.with_tracks_drawn(image, [(track, i) for track, i in rows if i is not None and track.seen[i]])
+        return track_overlay.with_tracks_drawn(
+            image, [(track, i) for track, i in rows if i is not None and track.seen[i]]
+        )
 
     def to_csv(self, path: str | Path) -> None:
         """Write the vehicles' tracks as `skope eval track` does: a row for each frame of each track.
@@ -84,7 +86,7 @@ class Tracks(list[Track]):
             UserError: The file cannot be written.
         """
         last = max((int(track.frames[-1]) for track in self), default=-1)
-        export.write_csv(Path(path), self, self._frame_index or range(last + 1))
+        write_tracks.write_csv(Path(path), self, self._frame_index or range(last + 1))
 
 
 def _row(track: Track | RoadUserTrack, frame: int) -> int | None:

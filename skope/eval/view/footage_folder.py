@@ -15,7 +15,7 @@ from skope.eval.view.video_frames import VideoFrames
 from skope.files.json_files import read_json
 from skope.files.output_folders import WORK
 from skope.metrics import read_inputs
-from skope.metrics.outcomes import Options
+from skope.metrics.keypoint_outcomes import Options
 from skope.schema import Image, RoadUser, RoadUserResult
 from skope.viewer.collection import Collection, ShownSplit
 from skope.viewer.pictures import Picture, read_picture

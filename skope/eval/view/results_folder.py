@@ -12,7 +12,7 @@ from skope.eval.report import compare
 from skope.eval.view.footage_folder import footage_collection
 from skope.files.reading import sha256_of
 from skope.metrics import read_inputs
-from skope.metrics.outcomes import Options
+from skope.metrics.keypoint_outcomes import Options
 from skope.metrics.read_inputs import GroundTruth
 from skope.schema import AnnotationFile, Result
 from skope.terminal.console import Console

@@ -26,7 +26,7 @@ from skope.gen.inspect.check_boxes import (
     mask_findings,
     wrapped,
 )
-from skope.gen.labels.annotate import POINT_TOLERANCE, SLOPE_CAP
+from skope.gen.labels.visibility import POINT_TOLERANCE, SLOPE_CAP
 from skope.gen.output.frames import SUFFIX_OF_FORMAT
 from skope.gen.output.writers import rows_of
 from skope.schema import Annotation, AnnotationFile, Image, RoadUser, far_outside

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skope.camera.model import Camera
-from skope.gen.labels.annotate import Rules, annotate
+from skope.gen.labels.annotate import annotate
+from skope.gen.labels.ignore_rules import Rules
 from skope.gen.render.choose_renderer import make_renderer
 from skope.gen.scene.conditions import Conditions
 from skope.gen.scene.recording import RecordedVehicle, Recording

@@ -1,103 +1,26 @@
-"""Annotate a rendered frame: keypoints and their visibility, occlusion rules, boxes and masks.
+"""Annotate a rendered frame: labels of all vehicles that it shows.
 
 It knows arrays alone, and none of the engines that made them.
 """
 
 import math
 from dataclasses import dataclass, field
-from typing import Any, Final
+from typing import Any
 
-import cv2
 import numpy as np
-from numpy.typing import NDArray
-from pycocotools import mask as coco_mask
 
 from skope import keypoints
 from skope.camera.model import Camera
-from skope.errors import UserError, one_of
-from skope.gen.labels.localize import LOCALIZERS, transform, trilaterate, with_trailers, with_wheels
-from skope.gen.labels.raycast import RayCaster
-from skope.gen.render.frame import STATIC, RenderedFrame
+from skope.gen.labels.boxes_and_masks import box_around, measure_extent
+from skope.gen.labels.ignore_rules import Rules, ignore_reason, occluded_by_others
+from skope.gen.labels.visibility import VEHICLE_TOLERANCE, behind, find_hidden
+from skope.gen.labels.world_keypoints import world_keypoints
+from skope.gen.render.frame import RenderedFrame
 from skope.gen.scene.recording import Moment
-from skope.gen.scene.road_user_bodies import body_of, vehicle_body
-from skope.gen.vehicles.model import Trailer, Vehicle
+from skope.gen.vehicles.model import Vehicle
 from skope.gen.vehicles.paints import color_name
 from skope.schema import Annotation, Box3D
-from skope.types import Array, Mask
-
-OCCLUSION_RULES: Final = ("others", "paper")
-POINT_TOLERANCE: Final = 0.05
-"""A keypoint no farther than this behind the surface that the image shows counts as visible, metres."""
-VEHICLE_TOLERANCE: Final = 0.20
-"""A keypoint this far behind the surface shown counts as hidden where a whole vehicle is judged, metres (SKoPe3D)."""
-SLOPE_CAP: Final = 5.0
-"""Largest allowance for the slope of a surface within a pixel, metres; see `behind`."""
-MIN_PIXELS: Final = 20
-"""Vehicles with fewer visible pixels are ignored as `small`."""
-MIN_CONTRAST: Final = 1.0
-"""Vehicles whose visible pixels change by less than this on average, in units of what noise and compression hide, are
-ignored as `unseen`."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Rules:
-    """Rules on what is ground truth and what ignored, and on how keypoints are localised."""
-
-    occlusion: str = "others"
-    localizer: str = "rigid"
-    min_visible: float = 0.15
-    """Less than this share of the silhouette unhidden and inside the image: `sliver`."""
-    min_box: float = 12.0
-    """A box whose shorter edge is under this many pixels: `small`."""
-
-    def __post_init__(self) -> None:
-        one_of("--occlusion-rule", self.occlusion, OCCLUSION_RULES)
-        one_of("--localizer", self.localizer, LOCALIZERS)
-        if not 0 <= self.min_visible <= 1:
-            raise UserError(f"--min-visible: expected a share from 0 to 1, got {self.min_visible}")
-        if not self.min_box >= 0:
-            raise UserError(f"--min-box: expected pixels from 0, got {self.min_box}")
-
-
-@dataclass(frozen=True, eq=False)
-class WorldKeypoints:
-    """The keypoints of a moment's N vehicles in the world."""
-
-    vehicles: tuple[Vehicle, ...]
-    points: Array
-    """(N, 33, 3) keypoints, metres."""
-    tested: Array
-    """(N, 33, 3) where visibility is tested: the keypoints, but for wheels the middle of the outer face."""
-    difference: Array
-    """(N, 33) distance between trilateration's and the rigid transform's answer, metres."""
-
-
-def world_keypoints(moment: Moment, localizer: str) -> WorldKeypoints:
-    """World positions of the keypoints of all N labelled vehicles of a moment.
-
-    Args:
-        moment: The frame.
-        localizer: "rigid" (keypoints move with the chassis) or "trilateration" (from distances to the wheels).
-    """
-    moment = moment.labelled()
-    vehicles = tuple(map(vehicle_body, moment.vehicles))
-    if not vehicles:
-        return WorldKeypoints((), *(np.zeros((0, keypoints.K, 3)),) * 2, np.zeros((0, keypoints.K)))
-    wheels = moment.T_world_wheels
-    centers = wheels[:, :, :3, 3]
-    hitched = np.array([vehicle.trailer is not None for vehicle in vehicles])
-    rigid = transform(moment.T_world_chassis, np.stack([vehicle.points for vehicle in vehicles]))
-    sidecars = [vehicle.sidecar for vehicle in vehicles]
-    free = trilaterate(centers, np.stack([s.distances for s in sidecars]), np.stack([s.side for s in sidecars]))
-    rigid, free = with_trailers(rigid, moment, vehicles), with_trailers(free, moment, vehicles)
-    # The hindmost wheels of an articulated vehicle are its trailer's.
-    wheels = wheels.copy()
-    wheels[hitched, 2:] = moment.T_world_trailer[hitched, 1:]
-    centers = wheels[:, :, :3, 3]
-    points = with_wheels(rigid if localizer == "rigid" else free, centers)
-    faces = np.stack([vehicle.wheel_face_offsets for vehicle in vehicles])
-    outer = centers + np.einsum("nwij,nwj->nwi", wheels[:, :, :3, :3], faces)
-    return WorldKeypoints(vehicles, points, with_wheels(points, outer), np.linalg.norm(rigid - free, axis=-1))
+from skope.types import Array
 
 
 @dataclass
@@ -116,79 +39,6 @@ class RuleCounts:
     """Sum over the vehicles of the mean distance between the two localizers' keypoints, metres."""
     most_apart_m: float = 0.0
     """Largest distance between the two localizers' answers for a keypoint, metres."""
-
-
-def behind(view: RenderedFrame, camera: Camera, points: Array) -> tuple[Array, NDArray[np.int32]]:
-    """Distance of points behind the surfaces that the four pixels around them show.
-
-    A pixel's depth is that of its centre, not of the point's ray: what the surface's slope can make between the two is
-    subtracted, up to `SLOPE_CAP`.
-
-    Args:
-        view: The rendered frame.
-        camera: Its camera.
-        points: (..., 3) world, metres.
-
-    Returns:
-        (4, ...) metres behind the surface, as distances from the camera's centre; NaN outside the image. (4, ...) ids
-        of the pixels; -2 outside the image. The first of the four is the pixel that the point is in.
-    """
-    pixels, _, valid = camera.project(points)
-    seen = valid & camera.inside(pixels)
-    at = np.where(seen[..., None], pixels, 0.5)
-    own = np.floor(at)
-    beside = own + np.where(at - own < 0.5, -1, 1)
-    size = np.array([camera.width, camera.height])
-    picks = [[0, 0], [1, 0], [0, 1], [1, 1]]
-    which = np.clip([np.where(pick, beside, own) for pick in picks], 0, size - 1).astype(int)
-    columns, rows = which[..., 0], which[..., 1]
-    depth = view.depth[rows, columns].astype(np.float64)
-    centers = which + 0.5
-    rays, _ = camera.rays(centers)
-    length = np.linalg.norm(rays, axis=-1)
-    # On a plane the inverse depth is linear in the pixel, which carries the slope from the centre to the point's ray.
-    shift = (view.slope[rows, columns].astype(np.float64) * (at - centers)).sum(-1)
-    finite = np.isfinite(depth)
-    z = np.where(finite, depth, 1.0)
-    room = np.abs(z / np.maximum(1 - shift / z, 1e-3) - z)
-    slack = np.minimum(np.where(finite, room, 0.0) * length, SLOPE_CAP)
-    gap = np.linalg.norm(camera.to_camera(points), axis=-1) - depth * length - slack
-    return np.where(seen, gap, np.nan), np.where(seen, view.ids[rows, columns], -2).astype(np.int32)
-
-
-def _find_hidden(
-    moment: Moment,
-    world: WorldKeypoints,
-    view: RenderedFrame,
-    camera: Camera,
-    inside: Mask,
-    gap: Array,
-    shown: NDArray[np.int32],
-) -> Mask:
-    """(N, 33) which keypoints are hidden, from what `behind` says of them: `gap` and `shown` (4, N, 33).
-
-    Where the four pixels around a point show the same object and agree, they decide. Where an edge passes between
-    them, a ray to the point decides, since road users' shapes are known exactly. Scenery hides the point if the
-    point's own pixel shows it, or where all four show what stands before the point and one of them scenery: the ray
-    that passes by the edge of a road user meets that. `inside` (N, 33) are the keypoints in the image.
-    """
-    blocked = np.nan_to_num(gap, nan=0.0) > POINT_TOLERANCE
-    hidden: Mask = blocked[0].copy()
-    edge = (blocked != blocked[0]).any(axis=0) | (shown != shown[0]).any(axis=0)
-    # A wheel's centre may be inside the image while the middle of its face, which is tested, is not.
-    beyond = inside & np.isnan(gap[0])
-    doubtful = (edge & ~(blocked[0] & (shown[0] == STATIC))) | beyond
-    if doubtful.any():
-        points = world.tested[doubtful]
-        away = np.linalg.norm(points - camera.position, axis=-1)
-        hits = RayCaster(moment, [body_of(recorded) for recorded in moment.vehicles], camera).first_hits(points)
-        hidden[doubtful] = away - hits > POINT_TOLERANCE
-        hidden |= blocked.all(axis=0) & (shown == STATIC).any(axis=0)
-    if beyond.any():
-        # No ray meets scenery: the pixel of the wheel's centre shows it, which its own face is before.
-        to_center, at_center = behind(view, camera, world.points[beyond])
-        hidden[beyond] |= (at_center[0] == STATIC) & (to_center[0] > VEHICLE_TOLERANCE)
-    return hidden
 
 
 def annotate(
@@ -216,7 +66,7 @@ def annotate(
     inside = valid & camera.inside(pixels)
     gap, shown = behind(view, camera, world.tested)
     own = shown[0] == np.array(seen, dtype=np.int32).reshape(-1, 1) + 1
-    v = np.where(inside, np.where(_find_hidden(moment, world, view, camera, inside, gap, shown), 1, 2), 0)
+    v = np.where(inside, np.where(find_hidden(moment, world, view, camera, inside, gap, shown), 1, 2), 0)
     hidden = inside & (np.nan_to_num(gap[0], nan=0.0) > VEHICLE_TOLERANCE)
     by_others = occluded_by_others(hidden & ~own, inside)
     by_paper = hidden.sum(-1) * 2 > keypoints.K
@@ -253,116 +103,9 @@ def annotate(
     return out, tally
 
 
-def occluded_by_others(hidden_by_others: Mask, inside: Mask) -> Mask:
-    """(...,) whether a vehicle counts as hidden by the rule `others`.
-
-    It does where something else hides more than half of its keypoints inside the image; both masks are (..., 33).
-    """
-    return np.asarray(hidden_by_others.sum(-1) * 2 > inside.sum(-1))
-
-
 def _clip_to_image(pixels: Array, camera: Camera) -> Array:
     """Pixels (..., 2), rounded to 0.01 as annotation files have them, and kept inside the image."""
     return np.clip(np.round(np.nan_to_num(pixels), 2), 0, [camera.width - 0.01, camera.height - 0.01])
-
-
-@dataclass(frozen=True, eq=False)
-class Extent:
-    """Boxes, mask and pixel counts of a road user in the image."""
-
-    bbox: Array
-    """(4,) x, y, width, height of the silhouette inside the image, pixels."""
-    bbox_visible: Array
-    """(4,) x, y, width, height of the visible pixels."""
-    segmentation: dict[str, Any]
-    """Visible pixels as COCO's RLE."""
-    visible: int
-    """Number of visible pixels."""
-    inside: int
-    """Pixels of the whole silhouette inside the image."""
-    whole: int
-    """Pixels of the whole silhouette, also outside the image."""
-
-    def fields(self) -> dict[str, Any]:
-        """The fields of `schema.Labelled` that follow from these."""
-        return {
-            "bbox": self.bbox,
-            "bbox_visible": self.bbox_visible,
-            "segmentation": self.segmentation,
-            "area": self.visible,
-            "area_full": self.inside,
-            "occlusion": 1 - self.visible / self.inside,
-            "truncation": 1 - self.inside / self.whole,
-        }
-
-
-def measure_extent(view: RenderedFrame, i: int, camera: Camera) -> Extent | None:
-    """Boxes, mask and pixel counts of a road user; None where none of its pixels is visible.
-
-    Args:
-        view: The rendered frame.
-        i: Number of the road user in it.
-        camera: The frame's camera.
-    """
-    silhouette = view.silhouettes[i]
-    height, width = silhouette.mask.shape
-    x0, y0 = max(silhouette.x, 0), max(silhouette.y, 0)
-    x1, y1 = min(silhouette.x + width, camera.width), min(silhouette.y + height, camera.height)
-    visible = view.ids[y0:y1, x0:x1] == i + 1
-    if not visible.any():
-        return None
-    whole = silhouette.mask[y0 - silhouette.y : y1 - silhouette.y, x0 - silhouette.x : x1 - silhouette.x]
-    # The silhouette is drawn in another window, where an edge may round to the pixel beside it; visible pixels are part
-    # of the vehicle in any case.
-    inside = whole | visible
-    corner = np.array([x0, y0, 0, 0])
-    return Extent(
-        bbox_of(inside) + corner,
-        bbox_of(visible) + corner,
-        _segmentation(visible, (x0, y0), (camera.width, camera.height)),
-        int(np.count_nonzero(visible)),
-        int(np.count_nonzero(inside)),
-        int(np.count_nonzero(silhouette.mask) + np.count_nonzero(inside) - np.count_nonzero(whole)),
-    )
-
-
-def _segmentation(mask: Mask, corner: tuple[int, int], size: tuple[int, int]) -> dict[str, Any]:
-    """COCO's RLE of an image of `size` (width, height) with a mask at `corner` (x, y) and nothing else."""
-    (x0, y0), (width, height) = corner, size
-    # RLE runs go down the columns; an empty row at the end keeps a run from continuing in the next column.
-    columns = np.pad(mask, ((0, 1), (0, 0))).T.ravel()
-    edges = np.flatnonzero(np.diff(columns, prepend=False))
-    column, row = np.divmod(edges, len(mask) + 1)
-    edges = (x0 + column) * height + y0 + row
-    # In a mask as high as the image a run may end where the next begins: such runs are joined.
-    meets = np.flatnonzero(edges[1:] == edges[:-1])
-    edges = np.delete(edges, np.concatenate([meets, meets + 1]))
-    counts = np.diff(edges[edges < width * height], prepend=0, append=width * height).tolist()
-    rle = coco_mask.frPyObjects({"size": [height, width], "counts": counts}, height, width)
-    return {"size": [height, width], "counts": rle["counts"].decode()}
-
-
-def bbox_of(mask: Mask) -> Array:
-    """(4,) x, y, width, height of the tight box around a mask's (H, W) pixels."""
-    return np.array(cv2.boundingRect(mask.view(np.uint8)), dtype=np.float64)
-
-
-def ignore_reason(shape: Extent, occluded: bool, contrast: float, rules: Rules) -> str | None:
-    """Tell why a road user is ignored; None where it is ground truth.
-
-    Args:
-        shape: Its boxes and pixel counts.
-        occluded: Whether something else hides it, by the rule of occlusion.
-        contrast: Its contrast with what is behind it, in deviations of the noise.
-        rules: The limits.
-    """
-    if occluded:
-        return "occluded"
-    if shape.visible < rules.min_visible * shape.whole:
-        return "sliver"
-    if min(shape.bbox[2:]) < rules.min_box or shape.visible < MIN_PIXELS:
-        return "small"
-    return "unseen" if contrast < MIN_CONTRAST else None
 
 
 def _vehicle_fields(moment: Moment, i: int, vehicle: Vehicle, camera: Camera) -> dict[str, Any]:
@@ -385,24 +128,3 @@ def _vehicle_fields(moment: Moment, i: int, vehicle: Vehicle, camera: Camera) ->
         "distance": float(np.linalg.norm(center - camera.position)),
         **articulation,
     }
-
-
-def box_around(vehicle: Vehicle, trailer: Trailer, T_world_chassis: Array, T_world_trailer: Array) -> tuple[Array, Any]:
-    """The box around both parts of an articulated vehicle, along the axes of the first.
-
-    Args:
-        vehicle: The part in front.
-        trailer: The part behind.
-        T_world_chassis: (4, 4) pose of the part in front, metres.
-        T_world_trailer: (4, 4) pose of the trailer, metres.
-
-    Returns:
-        Middle (3,), world, and size (3,), metres.
-    """
-    length, width, height = vehicle.size_lwh
-    own = np.array([[-length / 2, -width / 2, 0.0], [length / 2, width / 2, height]])
-    corners = np.array(np.meshgrid(*trailer.corners.T)).reshape(3, -1).T
-    T = np.linalg.inv(T_world_chassis) @ T_world_trailer
-    points = np.concatenate([own, corners @ T[:3, :3].T + T[:3, 3]])
-    low, high = points.min(axis=0), points.max(axis=0)
-    return T_world_chassis[:3, :3] @ ((low + high) / 2) + T_world_chassis[:3, 3], high - low

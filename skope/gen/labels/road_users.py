@@ -8,7 +8,8 @@ import numpy as np
 from skope.camera.model import Camera
 from skope.gen.bystanders import bystander
 from skope.gen.bystanders.bystander import CATEGORY_OF
-from skope.gen.labels.annotate import Extent, Rules, ignore_reason, measure_extent
+from skope.gen.labels.boxes_and_masks import Extent, measure_extent
+from skope.gen.labels.ignore_rules import Rules, ignore_reason
 from skope.gen.render.frame import RenderedFrame
 from skope.gen.scene.recording import Moment
 from skope.schema import CATEGORIES, Box3D, RoadUser

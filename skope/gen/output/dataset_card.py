@@ -10,8 +10,8 @@ from skope.dataset.depth_files import DEPTH_SCALE
 from skope.dataset.folder import CARD, read_manifest
 from skope.files.atomic import write_text
 from skope.files.json_files import write_json
-from skope.gen.labels import annotate
-from skope.gen.labels.annotate import Rules
+from skope.gen.labels import ignore_rules, visibility
+from skope.gen.labels.ignore_rules import Rules
 from skope.gen.output import card_text, licences
 from skope.gen.output.card_counts import Counts
 from skope.gen.output.croissant import croissant
@@ -119,14 +119,15 @@ def label_rules(rules: Rules) -> list[str]:
     return [
         "v = 2: visible; v = 1: inside the image but hidden by the vehicle itself or by something else; "
         "v = 0: outside the image, x = y = 0.",
-        f"A keypoint is hidden when it lies more than {annotate.POINT_TOLERANCE} m behind the surface that the four "
-        f"pixels around it show, after allowing for that surface's slope (at most {annotate.SLOPE_CAP} m); where they "
-        "disagree, when a vehicle's own shape stands before it on its own ray, or its own pixel shows something else.",
-        f"A vehicle is {by_rule} (tolerance {annotate.VEHICLE_TOLERANCE} m).",
+        f"A keypoint is hidden when it lies more than {visibility.POINT_TOLERANCE} m behind the surface that the four "
+        f"pixels around it show, after allowing for that surface's slope (at most {visibility.SLOPE_CAP} m); where "
+        "they disagree, when a vehicle's own shape stands before it on its own ray, or its own pixel shows something "
+        "else.",
+        f"A vehicle is {by_rule} (tolerance {visibility.VEHICLE_TOLERANCE} m).",
         "A vehicle without a visible pixel has no annotation.",
         f"Ignored (iscrowd = 1): sliver, less than {rules.min_visible:.0%} of its silhouette unhidden and inside the "
-        f"image; small, shorter edge of its box under {rules.min_box:g} px or fewer than {annotate.MIN_PIXELS} visible "
-        f"pixels; unseen, contrast under {annotate.MIN_CONTRAST:g}.",
+        f"image; small, shorter edge of its box under {rules.min_box:g} px or fewer than {ignore_rules.MIN_PIXELS} "
+        f"visible pixels; unseen, contrast under {ignore_rules.MIN_CONTRAST:g}.",
         f"Keypoints are localised by {rules.localizer}; wheel centres are the wheels' own.",
     ]
 

@@ -7,7 +7,7 @@ from typing import Any, Final
 
 from skope.camera.model import Distortion
 from skope.errors import UserError, one_of
-from skope.gen.labels.annotate import Rules
+from skope.gen.labels.ignore_rules import Rules
 from skope.gen.output.parameters import DatasetPlan, OwnSiteRecord, Parameters
 from skope.gen.output.writers import DATASET_FORMATS
 from skope.gen.pipeline.planned_light import in_asked_light, in_its_light, in_its_split, varied

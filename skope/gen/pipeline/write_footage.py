@@ -15,7 +15,8 @@ from skope.errors import UserError
 from skope.files.atomic import replacing
 from skope.files.json_files import read_json
 from skope.files.output_folders import changed_options
-from skope.gen.labels.annotate import Rules, annotate
+from skope.gen.labels.annotate import annotate
+from skope.gen.labels.ignore_rules import Rules
 from skope.gen.labels.road_users import annotate_road_users
 from skope.gen.output.frames import image_of
 from skope.gen.pipeline.lighting_messages import lighting_messages

@@ -11,7 +11,7 @@ from skope.errors import UserError
 
 if TYPE_CHECKING:
     from skope.site.site_file import SiteParts
-    from skope.traffic.report import TrafficReport
+    from skope.traffic.traffic_report import TrafficReport
 
 EXPORT_FORMATS: Final[Mapping[str, str]] = {
     "excel": "a workbook",

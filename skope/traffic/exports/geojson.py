@@ -17,8 +17,8 @@ from skope.traffic.count_interval import in_json
 from skope.traffic.gates import direction_names, may_count
 from skope.traffic.length_bins import has_length, length_bin, length_sigma_m
 from skope.traffic.otc_classes import OTC_CLASSES
-from skope.traffic.report import TrafficReport
 from skope.traffic.report_tables import clock, thinned
+from skope.traffic.traffic_report import TrafficReport
 from skope.traffic.trajectories import KMH, Trajectory
 from skope.types import Array
 

@@ -14,8 +14,8 @@ import numpy as np
 from skope.files.atomic import replacing
 from skope.files.json_files import json_bytes
 from skope.traffic.gates import may_count
-from skope.traffic.report import TrafficReport
 from skope.traffic.report_tables import clock
+from skope.traffic.traffic_report import TrafficReport
 from skope.traffic.trajectories import KMH, Trajectory, worst_sigma
 from skope.version import __version__
 

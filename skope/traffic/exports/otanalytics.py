@@ -23,7 +23,7 @@ from skope.files.json_files import json_bytes
 from skope.traffic.exports.otanalytics_view import OtView, image_view, pixel_view, plan_view
 from skope.traffic.gates import may_count
 from skope.traffic.otc_classes import OTC_CLASSES
-from skope.traffic.report import TrafficReport
+from skope.traffic.traffic_report import TrafficReport
 from skope.traffic.trajectories import Trajectory
 from skope.version import __version__
 

@@ -9,8 +9,8 @@ from typing import Any, Final
 
 from skope.errors import UserError
 from skope.files.atomic import replacing
-from skope.traffic.report import TrafficReport
 from skope.traffic.report_tables import ReportTable, report_tables
+from skope.traffic.traffic_report import TrafficReport
 
 _ROWS: Final = 100_000
 """Written together, which bounds the memory."""

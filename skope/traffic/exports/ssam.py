@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from skope.files.atomic import replacing
 from skope.traffic.footprints import FootprintPath
 from skope.traffic.gates import may_count
-from skope.traffic.report import TrafficReport
+from skope.traffic.traffic_report import TrafficReport
 from skope.types import Array
 
 SSAM_FILE: Final = "tracks.trj"

@@ -14,10 +14,10 @@ import numpy as np
 
 from skope.errors import UserError
 from skope.files.atomic import write_text
-from skope.traffic.clock import ClockInterval
-from skope.traffic.counts import observed_word
+from skope.traffic.clock_intervals import ClockInterval
+from skope.traffic.gate_counts import observed_word
 from skope.traffic.gates import GateCrossing, direction_names
-from skope.traffic.report import TrafficReport
+from skope.traffic.traffic_report import TrafficReport
 from skope.traffic.trajectories import KMH
 
 if TYPE_CHECKING:

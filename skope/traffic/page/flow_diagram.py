@@ -11,9 +11,9 @@ import numpy as np
 from skope.page.html_pieces import tag
 from skope.schema import VEHICLE
 from skope.traffic.count_interval import in_words
-from skope.traffic.counts import ALL
-from skope.traffic.report import TrafficReport
-from skope.traffic.turning import NOWHERE, GateDirection, TurningCount
+from skope.traffic.gate_counts import ALL
+from skope.traffic.traffic_report import TrafficReport
+from skope.traffic.turning_movements import NOWHERE, GateDirection, TurningCount
 from skope.types import Array
 
 _SIZE: Final = 560.0

@@ -16,12 +16,12 @@ import numpy as np
 from skope.camera.model import Camera
 from skope.site.marks import Gate
 from skope.site.traffic_settings import CLASSES, UNKNOWN
-from skope.traffic.clock import ClockInterval
-from skope.traffic.counts import ALL
+from skope.traffic.clock_intervals import ClockInterval
 from skope.traffic.exports.otanalytics_view import OtView, image_view, pixel_view
+from skope.traffic.gate_counts import ALL
 from skope.traffic.gates import direction_names, normal_of
-from skope.traffic.report import TrafficReport
 from skope.traffic.speeds import MOTOR, MOTOR_CLASSES
+from skope.traffic.traffic_report import TrafficReport
 from skope.types import Array
 
 LETTERS: Final[Mapping[str, str]] = {name: chr(ord("a") + k) for k, name in enumerate(CLASSES)}

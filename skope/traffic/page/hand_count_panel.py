@@ -7,7 +7,7 @@ from typing import Final
 from skope.camera.model import Camera
 from skope.page.html_pieces import tag
 from skope.traffic.page.hand_count_data import hand_count_data
-from skope.traffic.report import TrafficReport
+from skope.traffic.traffic_report import TrafficReport
 
 _SCRIPTS: Final = ("hand_count_numbers.js", "hand_count.js")
 

@@ -14,20 +14,20 @@ from skope.page import html_document
 from skope.page.html_pieces import details, table, tag
 from skope.schema import VEHICLE
 from skope.traffic.count_interval import in_words
-from skope.traffic.counts import ALL, Count
+from skope.traffic.gate_counts import ALL, Count
 from skope.traffic.length_bins import LONGEST_M, UNTOLD
 from skope.traffic.normal_distribution import INTERVAL_SIGMAS
 from skope.traffic.page.flow_diagram import flow_diagram
 from skope.traffic.page.hand_count_panel import hand_count_panel
 from skope.traffic.page.plots import counts_over_time, headway_histograms, speed_histograms
 from skope.traffic.page.road_map import road_map
-from skope.traffic.report import TrafficReport
 from skope.traffic.report_tables import clock
 from skope.traffic.road_picture import RoadPicture
 from skope.traffic.speed_percentiles import PERCENTILES, Percentile
 from skope.traffic.speeds import MOTOR
+from skope.traffic.traffic_report import TrafficReport
 from skope.traffic.trajectories import KMH
-from skope.traffic.turning import TurningCount
+from skope.traffic.turning_movements import TurningCount
 from skope.version import __version__
 
 REPORT_FILE: Final = "report.html"

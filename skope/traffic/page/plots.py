@@ -7,10 +7,10 @@ from typing import Final
 import numpy as np
 
 from skope.page.charts import Axes, Line, chart, histogram
-from skope.traffic.counts import ALL
+from skope.traffic.gate_counts import ALL
 from skope.traffic.gates import direction_names
-from skope.traffic.report import TrafficReport
 from skope.traffic.speeds import MOTOR_CLASSES
+from skope.traffic.traffic_report import TrafficReport
 from skope.traffic.trajectories import KMH
 
 _SPEED_KMH: Final = 5.0

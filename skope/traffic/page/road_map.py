@@ -12,11 +12,11 @@ from skope.page.html_pieces import tag
 from skope.schema import PEDESTRIAN, VEHICLE
 from skope.site.marks import Outline
 from skope.traffic.count_interval import in_words
-from skope.traffic.counts import ALL
+from skope.traffic.gate_counts import ALL
 from skope.traffic.gates import may_count
-from skope.traffic.report import TrafficReport
 from skope.traffic.report_tables import thinned
 from skope.traffic.road_picture import RoadPicture
+from skope.traffic.traffic_report import TrafficReport
 from skope.traffic.trajectories import Trajectory
 from skope.types import Array
 

@@ -31,8 +31,8 @@ from skope.eval.inference.anonymize import blurred
 from skope.eval.inference.footage import Cut, open_footage
 from skope.eval.pose import pose_errors, pose_footage
 from skope.eval.pose.ground import Ground
+from skope.eval.pose.scene import Scene, read_scene
 from skope.eval.pose.shape_model import fleet_shapes
-from skope.eval.pose.views import Scene, read_scene
 from skope.files.json_files import write_json
 from skope.files.progress import Progress
 from skope.schema import Annotation, AnnotationFile, Box3D, Result

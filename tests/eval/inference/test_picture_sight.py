@@ -10,7 +10,7 @@ from skope.eval.image_shift import small_grey
 from skope.eval.inference.picture_sight import brightness_and_contrast, sight_rows
 from skope.eval.inference.view_changes import Looks
 from skope.schema import Image
-from skope.traffic.sight import DARK, FLAT
+from skope.traffic.poor_sight import DARK, FLAT
 
 DOCS = Path(__file__).parents[3] / "docs"
 

@@ -14,10 +14,10 @@ from skope.camera.model import Camera, Distortion
 from skope.errors import UserError
 from skope.eval.pose import solver
 from skope.eval.pose.ground import Ground
-from skope.eval.pose.records import locate_view
+from skope.eval.pose.pose_records import locate_view
+from skope.eval.pose.scene import Scene
 from skope.eval.pose.self_occlusion import facing
 from skope.eval.pose.shape_model import Shapes, fleet_shapes, read_shapes
-from skope.eval.pose.views import Scene
 from skope.gen.vehicles.fleet import fleet
 from skope.schema import AnnotationFile, Image, Result
 from tests.eval.sightings import CAMERA, scene

@@ -13,8 +13,8 @@ from skope.dataset import coco
 from skope.eval.report import curves, gallery
 from skope.keypoints import INDEX
 from skope.metrics.breakdown import FleetInfo
-from skope.metrics.counts import quality
-from skope.metrics.outcomes import Options
+from skope.metrics.keypoint_outcomes import Options
+from skope.metrics.outcome_counts import quality
 from skope.metrics.split_scores import SplitScores, split_metrics
 from skope.page import image_viewer
 from skope.page.charts import Axes, Line, chart, histogram

@@ -4,7 +4,7 @@ import pytest
 
 from skope.errors import UserError
 from skope.eval.report.table import evidence, published, render_table
-from skope.metrics.outcomes import Options
+from skope.metrics.keypoint_outcomes import Options
 from skope.metrics.pck_precision_recall import scores_document
 
 

@@ -17,7 +17,7 @@ from skope.eval.site_page.error_map import error_map
 from skope.eval.site_page.from_above import seen_from_above
 from skope.eval.site_page.gate_checks import gate_warnings
 from skope.eval.site_page.marks import marks_of_document
-from skope.eval.site_page.merge import merged_document
+from skope.eval.site_page.merge_windows import merged_document
 from skope.eval.site_page.overlays import car_edges, horizon_line, overlays
 from skope.eval.site_page.plan import plan_scale
 from tests.eval.site_page.conftest import PLACES, SIZE, empty_document, pixels_of

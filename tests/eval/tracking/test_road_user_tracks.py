@@ -16,7 +16,7 @@ from skope import schema
 from skope.camera.model import Camera
 from skope.dataset import coco
 from skope.eval.pose.ground import Ground
-from skope.eval.pose.views import read_scene
+from skope.eval.pose.scene import read_scene
 from skope.eval.tracking.ground_points import GroundPoint, Sight, ground_points, sights_of
 from skope.eval.tracking.road_user_tracks import RoadUserTrack, follow_road_users
 from skope.schema import AnnotationFile, RoadUserResult

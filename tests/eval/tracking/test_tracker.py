@@ -13,7 +13,7 @@ import pytest
 
 from skope.dataset import coco
 from skope.errors import UserError
-from skope.eval.pose.views import read_scene
+from skope.eval.pose.scene import read_scene
 from skope.eval.tracking import kalman, track_footage
 from skope.eval.tracking.headings import smoothed_headings
 from skope.eval.tracking.measurements import Detection, PoseMeasurement, detection_from_dict, detection_to_dict

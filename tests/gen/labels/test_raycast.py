@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 
 from skope.camera.model import Camera
-from skope.gen.labels.annotate import world_keypoints
 from skope.gen.labels.raycast import RayCaster, _split_in_patches
+from skope.gen.labels.world_keypoints import world_keypoints
 from skope.gen.vehicles.fleet import fleet
 from skope.gen.vehicles.model import TRAILER_PART
 from tests.gen.rays import cast, vehicle_triangles

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from skope.errors import UserError
-from skope.gen.labels.annotate import Rules
+from skope.gen.labels.ignore_rules import Rules
 from skope.gen.pipeline.config import DatasetRequest, from_preset
 from skope.gen.pipeline.dataset_store import Store
 from skope.gen.pipeline.presets import presets

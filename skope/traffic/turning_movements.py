@@ -13,14 +13,14 @@ from typing import Final
 from skope.schema import PEDESTRIAN
 from skope.site.marks import Gate
 from skope.site.traffic_settings import TrafficSettings
-from skope.traffic.clock import ClockInterval
+from skope.traffic.clock_intervals import ClockInterval
 from skope.traffic.count_interval import CountInterval, Group, joint_interval
-from skope.traffic.counts import classes_of, row_classes
 from skope.traffic.event_probability import COUNTED_FROM, SeenAlike, same_probability
+from skope.traffic.gate_counts import classes_of, row_classes
 from skope.traffic.gates import GateCrossing, direction_names
+from skope.traffic.missed_crossings import Unseen
 from skope.traffic.observation import Observation
 from skope.traffic.trajectories import Trajectory
-from skope.traffic.vanished import Unseen
 
 GateDirection = tuple[str, str]
 """A gate and the name of a direction."""

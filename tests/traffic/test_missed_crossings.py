@@ -7,10 +7,10 @@ import pytest
 
 from skope.site.site_file import SiteParts
 from skope.site.traffic_settings import TrafficSettings
-from skope.traffic.clock import ClockInterval
+from skope.traffic.clock_intervals import ClockInterval
 from skope.traffic.event_probability import crossing_probability, usual_step
 from skope.traffic.measure import measure
-from skope.traffic.report import TrafficReport
+from skope.traffic.traffic_report import TrafficReport
 from skope.traffic.trajectories import Trajectory
 from tests.traffic.drives import GATE, straight, watched
 

@@ -12,8 +12,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from skope.metrics.keypoint_outcomes import Options, outcomes_at, predicted_keypoints
 from skope.metrics.match import Matches
-from skope.metrics.outcomes import Options, outcomes_at, predicted_keypoints
 from skope.types import Array, Integers
 
 Name = tuple[str, str | None]

@@ -11,16 +11,16 @@ from numpy.typing import NDArray
 
 from skope.site.marks import Gate
 from skope.site.traffic_settings import TrafficSettings
-from skope.traffic.clock import clock_intervals
+from skope.traffic.clock_intervals import clock_intervals
 from skope.traffic.count_interval import Group, count_interval, joint_interval, poisson_binomial
-from skope.traffic.counts import ALL, interval_counts
 from skope.traffic.event_probability import SEEN_IN_METRES, usual_step
+from skope.traffic.gate_counts import ALL, interval_counts
 from skope.traffic.gates import gate_crossings
 from skope.traffic.lanes import LaneMap
+from skope.traffic.missed_crossings import Unseen
 from skope.traffic.observation import Observation
 from skope.traffic.trajectories import Trajectory
-from skope.traffic.turning import NOWHERE, movements, turning_counts
-from skope.traffic.vanished import Unseen
+from skope.traffic.turning_movements import NOWHERE, movements, turning_counts
 from tests.traffic.drives import GATE, drive, straight, watched
 
 BERLIN = ZoneInfo("Europe/Berlin")

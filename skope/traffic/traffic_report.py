@@ -6,21 +6,21 @@ from typing import TYPE_CHECKING
 
 from skope.site.marks import Gate
 from skope.traffic.braking import HardBraking
-from skope.traffic.clock import ClockInterval
+from skope.traffic.clock_intervals import ClockInterval
 from skope.traffic.conflicts import ConflictSearch
-from skope.traffic.counts import Count
+from skope.traffic.gate_counts import Count
 from skope.traffic.gates import GateCrossing, upwards
 from skope.traffic.hand_checks import HandCheck
 from skope.traffic.headways import Headway, Occupancy
 from skope.traffic.lanes import LaneChange
 from skope.traffic.length_bins import LengthCount
+from skope.traffic.missed_crossings import Unseen
 from skope.traffic.observation import Observation
 from skope.traffic.queues import Delay, QueueRecord
 from skope.traffic.recordings import SiteRecording
 from skope.traffic.speeds import SectionPass, SpeedGroup
 from skope.traffic.trajectories import Trajectory
-from skope.traffic.turning import Movement, TurningCount
-from skope.traffic.vanished import Unseen
+from skope.traffic.turning_movements import Movement, TurningCount
 from skope.traffic.zones import ZoneVisit
 
 if TYPE_CHECKING:

@@ -11,10 +11,10 @@ import pytest
 from skope.errors import UserError
 from skope.traffic.measure import measure
 from skope.traffic.observation import Observation, checked_sight, held_s, read_observation
-from skope.traffic.sight import sight_in, sight_lines
+from skope.traffic.poor_sight import sight_in, sight_lines
 from skope.traffic.write_report import write_traffic_report
 from tests.traffic.drives import straight, watched
-from tests.traffic.test_vanished import SITE
+from tests.traffic.test_missed_crossings import SITE
 
 LOOKS = np.array([[0.5 * k, 0.05 if 10 <= k < 20 else 0.4, 0.005 if 30 <= k < 36 else 0.2] for k in range(120)])
 """A minute of small pictures: dark from 5 to 10 s, without contrast from 15 to 18 s."""

@@ -10,13 +10,13 @@ from skope.schema import VEHICLE
 from skope.site.marks import Gate
 from skope.traffic.gates import signed_distances
 from skope.traffic.hand_checks import hand_lines
+from skope.traffic.poor_sight import sight_lines
 from skope.traffic.recordings import recording_lines
-from skope.traffic.sight import sight_lines
 from skope.traffic.trajectories import wandering
-from skope.traffic.turning import NOWHERE, on_foot
+from skope.traffic.turning_movements import NOWHERE, on_foot
 
 if TYPE_CHECKING:
-    from skope.traffic.report import TrafficReport
+    from skope.traffic.traffic_report import TrafficReport
 
 _LOST_S: Final = 0.5
 """So much that was not observed within the footage is worth a warning."""

@@ -8,12 +8,12 @@ from typing import Final
 from skope.schema import VEHICLE
 from skope.site.marks import Gate
 from skope.site.traffic_settings import OF_VEHICLES, UNKNOWN, TrafficSettings
-from skope.traffic.clock import ClockInterval
+from skope.traffic.clock_intervals import ClockInterval
 from skope.traffic.count_interval import CountInterval, Group, joint_interval
 from skope.traffic.event_probability import SeenAlike
 from skope.traffic.gates import GateCrossing, direction_names
+from skope.traffic.missed_crossings import Unseen
 from skope.traffic.observation import Observation
-from skope.traffic.vanished import Unseen
 
 ALL: Final = "all"
 _WHOLE: Final = 0.999
