@@ -17,6 +17,8 @@ import cv2
 from skope.errors import UserError
 from skope.eval.image_shift import ImageMotion, ReferencePicture, SmallPicture
 
+_ONE_THREAD: Final = {f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "MKL")}
+"""Variables that keep libraries of linear algebra to one thread: for matrices as small as these more are slower."""
 _MAIN: Final = f"from {__name__} import answer_pictures; answer_pictures()"
 
 
@@ -31,7 +33,7 @@ class MotionProcess:
             [sys.executable, "-P", "-c", _MAIN],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
-            env={**os.environ, "PYTHONPATH": paths},
+            env={**os.environ, **_ONE_THREAD, "PYTHONPATH": paths},
             start_new_session=True,
         )
         assert self._process.stdin is not None

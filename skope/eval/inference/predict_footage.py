@@ -40,8 +40,9 @@ from skope.schema import CATEGORIES, AnnotationFile, AnyResult, Image
 from skope.terminal.console import Console, counted
 from skope.types import Pixels
 
-_SWAY_PROCESSES: Final = 2
-"""Processes that measure the camera's sway beside a detector that sees every frame: on a GPU it would wait for one."""
+_SWAY_PROCESSES: Final = 4
+"""Processes that measure the camera's sway beside a detector that sees every frame, at most, and one for so many
+processors: a GPU would wait for fewer."""
 
 
 class Watcher(Protocol):
@@ -252,8 +253,8 @@ def _info(
 def _sway_watch(job: PredictJob, last: int) -> SwayWatch:
     """Make the measure of the camera's sway, against the first frame also where a run goes on."""
     # Frames of a stream do not wait, and where the detector sees key frames only, it is what takes the time.
-    apart = not job.footage.live and job.key_every == 1 and usable_processors() >= 2 * _SWAY_PROCESSES
-    processes = _SWAY_PROCESSES if apart else 0
+    apart = not job.footage.live and job.key_every == 1
+    processes = min(_SWAY_PROCESSES, usable_processors() // _SWAY_PROCESSES) if apart else 0
     if not last or job.footage.live:
         return SwayWatch(processes=processes)
     first = next(job.footage.frames(), None)
