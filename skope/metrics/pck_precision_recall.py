@@ -2,7 +2,7 @@
 
 `pooled` divides sums over the whole split. `paper` is the mean, over the images that have ground truth, of each image's
 own figures, which is what the published table follows. Ratios without a denominator are None. What is counted is
-decided in outcomes.py, and counted image by image in outcome_counts.py.
+decided in keypoint_outcomes.py, and counted image by image in outcome_counts.py.
 """
 
 from collections.abc import Mapping, Sequence

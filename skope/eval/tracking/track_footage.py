@@ -93,7 +93,7 @@ def follow_footage(job: TrackJob, console: Console) -> Iterator[str]:
             write_video(temporary, above, 1 / float(np.median(np.diff(times))))
         written.append("birdseye.mp4")
     if job.overlay:
-        with replacing(job.out / "track_overlay.mp4") as temporary:
+        with replacing(job.out / "overlay.mp4") as temporary:
             drawn = console.bar(
                 track_overlay.overlay_frames(tracks, job.place, scene.file, road_users),
                 total=len(times),
@@ -101,7 +101,7 @@ def follow_footage(job: TrackJob, console: Console) -> Iterator[str]:
                 label="overlay",
             )
             write_video(temporary, drawn, 1 / float(np.median(np.diff(times))))
-        written.append("track_overlay.mp4")
+        written.append("overlay.mp4")
     progress.end()
     for name in written:
         yield f"wrote {job.out / name}"
