@@ -21,7 +21,7 @@ def make_weight_ema(model: KeypointRCNN, recipe: Recipe) -> AveragedModel | None
 
     In the first steps it forgets faster, or the first weights would weigh for long.
     """
-    decay = recipe.average
+    decay = recipe.ema_decay
     if decay is None:
         return None
 

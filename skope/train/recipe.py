@@ -16,7 +16,7 @@ from skope.train.network_shape import NetworkShape
 from skope.train.teacher_rules import TeacherRules
 
 SUPERVISE: Final = ("visible", "all")
-_ADDED: Final = ("anchors", "average", "box_passes", "cosine_to", "ignore_below", "network", "teacher")
+_ADDED: Final = ("anchors", "box_passes", "cosine_to", "ema_decay", "ignore_below", "network", "teacher")
 """Values that the recipes of older runs lack, and have as the recipe `paper` does."""
 SMALL_SIZE: Final = (360, 640)
 """Short and largest long side of images inside the network where two cores are to learn from them, pixels."""
@@ -40,7 +40,7 @@ class Recipe:
     gamma: float
     cosine_to: float | None
     """The learning rate falls along half a cosine to this share of itself instead; None: in steps."""
-    average: float | None
+    ema_decay: float | None
     """Decay, per step, of a running mean of weights and statistics that is validated and saved in place of the last
     ones; None: there is no mean."""
     epochs: int
@@ -98,7 +98,7 @@ class Recipe:
             self._in_range(name, 1, math.inf)
         for name in ("warmup_steps", "weight_decay", "learning_rate", "gradient_clip", "ignore_below"):
             self._in_range(name, 0, math.inf)
-        for name in ("cosine_to", "average"):
+        for name in ("cosine_to", "ema_decay"):
             self._in_range(name, 0, 1)
         if self.anchors is not None:
             check_anchors(self.anchors)
@@ -175,7 +175,7 @@ _PAPER: Final[dict[str, Any]] = {
     "init": "auto",
     "norm": "given",
     "cosine_to": None,
-    "average": None,
+    "ema_decay": None,
     "weight_decay": 0.0,
     "batch_size": 2,
     "images_at_once": None,

@@ -86,7 +86,7 @@ def test_a_resumed_run_equals_an_uninterrupted_one(
     before = signal.getsignal(signal.SIGINT)
     data = samples.make_dataset(tmp_path / "data", images=5, splits=("train",))
     often = Augment(**dict.fromkeys(AUGMENT_STEPS, 0.5))
-    recipe = replace(TINY, batch_size=2, augment=often, average=0.6, cosine_to=0.1)
+    recipe = replace(TINY, batch_size=2, augment=often, ema_decay=0.6, cosine_to=0.1)
     state = torch.get_rng_state()
     whole = tmp_path / "whole"
     last = train(data, whole, recipe)
@@ -149,7 +149,7 @@ def test_the_mean_of_the_weights_is_saved(tmp_path: Path, monkeypatch: pytest.Mo
         return done
 
     monkeypatch.setattr(step, "train_on_batch", learn)
-    last = train(data, tmp_path / "run", replace(TINY, average=0.2))
+    last = train(data, tmp_path / "run", replace(TINY, ema_decay=0.2))
     assert len(after) == 6
     mean = after[0]
     for n, weights in enumerate(after[1:], start=1):

@@ -12,7 +12,7 @@ from skope.train.network_shape import NetworkShape
 from skope.train.recipe import RECIPES, Recipe, choose_recipe
 from skope.train.teacher_rules import TeacherRules
 
-LATER = ("anchors", "average", "box_passes", "cosine_to")
+LATER = ("anchors", "ema_decay", "box_passes", "cosine_to")
 """Values that the recipes of older runs lack."""
 
 
@@ -70,7 +70,7 @@ def test_choice() -> None:
 def test_recipes_survive_a_round_trip() -> None:
     for recipe in RECIPES.values():
         assert Recipe.from_dict(recipe.to_dict()) == recipe
-    own = replace(RECIPES["scratch"], anchors=(16, 32, 64, 160, 400), average=0.99, cosine_to=0.05, ignore_below=8.0)
+    own = replace(RECIPES["scratch"], anchors=(16, 32, 64, 160, 400), ema_decay=0.99, cosine_to=0.05, ignore_below=8.0)
     own = replace(own, box_passes=2)
     assert Recipe.from_dict(json.loads(json.dumps(own.to_dict()))) == own
     narrow = replace(own, network=NetworkShape(backbone="resnet18", keypoint_layers=4))
@@ -86,5 +86,5 @@ def test_recipes_survive_a_round_trip() -> None:
         replace(RECIPES["paper"], epochs=0)
     with pytest.raises(UserError, match=r"anchors: expected 5 rising sides from 4 pixels, got \[16, 32\]"):
         replace(RECIPES["paper"], anchors=(16, 32))
-    with pytest.raises(UserError, match="average: expected 0 to 1, got 2"):
-        replace(RECIPES["paper"], average=2.0)
+    with pytest.raises(UserError, match="ema_decay: expected 0 to 1, got 2"):
+        replace(RECIPES["paper"], ema_decay=2.0)
