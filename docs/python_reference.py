@@ -12,8 +12,8 @@ from skope.camera.calibrate import SiteCalibration
 from skope.dataset.folder import Dataset, LabelledImage
 from skope.detections import RoadUserDetections
 from skope.eval.camera_fit.fit_camera import CameraEstimate
+from skope.eval.pose.estimate_pose import Poses
 from skope.eval.pose.pose_records import Located
-from skope.eval.pose.solver import Poses
 from skope.eval.tracking.track_list import TrackedVehicle, Tracks
 from skope.eval.tracking.tracks import Track
 from skope.traffic.gate_counts import Count

@@ -20,9 +20,9 @@ import cv2
 import numpy as np
 from bench_render import Peer, frames_per_second
 
+from skope.cpu_count import usable_processors
 from skope.gen.scene import recording as recordings
 from skope.gen.scene.recording import Recording
-from skope.processors import usable_processors
 
 SITE = "t01_main_west"
 

@@ -14,7 +14,7 @@ import numpy as np
 from skope.camera.model import Camera
 from skope.dataset import coco
 from skope.errors import UserError
-from skope.eval.pose import solver
+from skope.eval.pose import estimate_pose
 from skope.eval.pose.shape_model import fleet_shapes
 
 NOISE = 2.0
@@ -45,7 +45,7 @@ def measured(path: Path) -> tuple[Array, Array, Array]:
         found[..., 2] = seen
         road = np.array([a.box_3d.center - a.box_3d.R @ [0, 0, a.box_3d.size_lwh[2] / 2] for a in vehicles])
         begun = time.process_time()
-        ours = solver.locate(camera, found, sigma_px=NOISE).position
+        ours = estimate_pose.locate(camera, found, sigma_px=NOISE).position
         between = time.process_time()
         theirs = solve_pnp(camera, found, seen, mean)
         seconds += [between - begun, time.process_time() - between]

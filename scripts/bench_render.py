@@ -20,10 +20,10 @@ from typing import Any
 
 import numpy as np
 
+from skope.cpu_count import usable_processors
 from skope.gen.scene import recording as recordings
 from skope.gen.scene.recording import Recording, RecordingPlan
 from skope.gen.towns.sites import site
-from skope.processors import usable_processors
 
 SITE = "t01_main_west"
 DENSITY = 2
@@ -41,7 +41,7 @@ STAGES = {
     "copies": ["GLRenderer.render"],
     "glare": ["Glare.spread"],
     "rain": ["Rain.fall"],
-    "noise": ["sensor.with_noise"],
+    "noise": ["camera_effects.with_noise"],
     "annotation": ["frames.annotate"],
     "JPEG": ["Encoding.encoded"],
     "depth PNG": ["frames.depth_png"],
@@ -232,7 +232,7 @@ def timed_stages() -> Iterator[dict[str, float]]:
     """Seconds by stage of what is drawn within; waiting for the device after each, their sum is a little larger."""
     from skope.gen.output import frames as made
     from skope.gen.pipeline.dataset_store import Store
-    from skope.gen.render import sensor
+    from skope.gen.render import camera_effects
     from skope.gen.render.gl import renderer as gl
     from skope.gen.render.gl.beams import Beams
     from skope.gen.render.gl.reflections import Reflections
@@ -240,7 +240,8 @@ def timed_stages() -> Iterator[dict[str, float]]:
     from skope.gen.render.rain import Rain
 
     classes = (gl.GLRenderer, gl.Placer, gl.Device, Beams, Reflections, Glare, Rain, Store, made.Encoding)
-    owners = {owner.__name__: owner for owner in classes} | {"renderer": gl, "sensor": sensor, "frames": made}
+    modules = {"renderer": gl, "camera_effects": camera_effects, "frames": made}
+    owners = {owner.__name__: owner for owner in classes} | modules
     spent, inner = dict.fromkeys(STAGES, 0.0), [0.0]
 
     def timed(function: Callable[..., Any], stage: str) -> Callable[..., Any]:

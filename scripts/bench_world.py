@@ -19,6 +19,7 @@ from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
+from skope.cpu_count import usable_processors
 from skope.gen.labels.annotate import annotate
 from skope.gen.output import dataset_card
 from skope.gen.output.frames import files_of
@@ -32,7 +33,6 @@ from skope.gen.scene.recording import Recording
 from skope.gen.scene.road_user_bodies import body_of
 from skope.gen.scenery.build import scenery
 from skope.gen.vehicles.model import Body
-from skope.processors import usable_processors
 
 STAGES = ("vehicle meshes", "town", "light", "drawing", "labels", "encoding, writing", "end of the run")
 

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from skope.dataset.folder import open_dataset, read_image
 from skope.errors import UserError
-from skope.eval.inference.footage import open_footage
+from skope.eval.inference.frame_sources import open_footage
 from skope.files.atomic import write_text
 from skope.files.json_files import read_json
 from skope.page import html_document

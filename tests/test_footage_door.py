@@ -69,7 +69,7 @@ def detector(random_weights: Path) -> Iterator[door.Detector]:
     with pytest.MonkeyPatch.context() as patch:
         shrink(patch)
         patch.setattr("skope.eval.inference.predictor.detect", detect)
-        patch.setattr("skope.eval.inference.settings.FASTEST", "torch")
+        patch.setattr("skope.eval.inference.network_settings.FASTEST", "torch")
         yield door.load_detector(random_weights, device="cpu")
 
 

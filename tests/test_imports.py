@@ -77,7 +77,7 @@ GEN = (
 )
 """Folders and modules of skope/gen: each imports from those before it only, the last one from all."""
 SHARED = (
-    {"errors", "processors", "types", "version"},
+    {"cpu_count", "errors", "types", "version"},
     {"keypoints"},
     {"boxes", "field_checks", "files"},
     {"camera", "terminal"},
@@ -181,7 +181,7 @@ def test_rendering_a_recording_needs_no_simulator() -> None:
 import sys
 for name in ("pybullet", "libsumo"):
     sys.modules[name] = None
-import skope.gen.labels.annotate, skope.gen.render.gl.renderer, skope.gen.render.sensor, skope.gen.scenery.build
+import skope.gen.labels.annotate, skope.gen.render.gl.renderer, skope.gen.render.camera_effects, skope.gen.scenery.build
 import skope.gen.pipeline.dataset_store
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)

@@ -15,9 +15,9 @@ from skope.detector import weights
 from skope.detector.build import DetectorConfig
 from skope.detector.checkpoint import read_checkpoint
 from skope.errors import UserError
-from skope.eval.pose.scene import read_scene
+from skope.eval.pose.estimate_pose import locate
+from skope.eval.pose.keypoint_views import read_scene
 from skope.eval.pose.shape_model import fleet_shapes
-from skope.eval.pose.solver import locate
 from skope.files.json_files import read_json, write_json
 from skope.keypoints import SKOPE33, scheme_of
 from skope.schema import AnnotationFile, Result

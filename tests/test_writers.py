@@ -22,8 +22,8 @@ from skope import cli
 from skope.dataset import coco
 from skope.detector.build import DetectorConfig, build
 from skope.detector.checkpoint import checkpoint_bytes, checkpoint_name, save_weights
+from skope.eval.inference.network_settings import Settings
 from skope.eval.inference.predictor import Predictor
-from skope.eval.inference.settings import Settings
 from skope.terminal.console import Console
 from tests import hostile
 from tests.eval.sightings import drive

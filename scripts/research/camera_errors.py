@@ -32,7 +32,7 @@ from skope.eval.camera_fit.camera_unknowns import FOCAL, HEIGHT, PITCH, on_road
 from skope.eval.camera_fit.fit_camera import fit_camera_to_vehicles
 from skope.eval.camera_fit.vehicle_sample import sample_vehicles
 from skope.eval.inference.confirmation import Confirmation
-from skope.eval.pose.scene import Scene
+from skope.eval.pose.keypoint_views import Scene
 from skope.keypoints import FLIP, OTHER_END
 from skope.schema import AnnotationFile, Result
 from skope.types import Array

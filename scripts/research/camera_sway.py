@@ -30,10 +30,10 @@ from skope.eval.inference.camera_sway import SwayWatch, record_of
 from skope.eval.inference.view_changes import Looks
 from skope.eval.pose.camera_error import with_camera_error
 from skope.eval.pose.camera_motion import MOTION, turned_camera
+from skope.eval.pose.keypoint_views import Scene, read_scene
 from skope.eval.pose.pose_records import locate_view
-from skope.eval.pose.scene import Scene, read_scene
-from skope.eval.tracking.measurements import detections_of
-from skope.eval.tracking.tracker import follow
+from skope.eval.tracking.tracker_inputs import detections_of
+from skope.eval.tracking.vehicle_tracker import follow
 from skope.schema import Annotation, AnnotationFile, Image
 from skope.types import Array
 

@@ -19,7 +19,7 @@ from traffic_truth import FOV_DEG
 from skope.camera.model import Camera
 from skope.gen.towns.road_graph import RoadGraph, beside, legs
 from skope.gen.towns.sites import site
-from skope.site.marks import Gate
+from skope.site.gates_zones_lanes import Gate
 from skope.types import Array
 
 SITE: Final = "site.toml"

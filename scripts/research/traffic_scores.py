@@ -28,7 +28,7 @@ from skope.files.json_files import read_json
 from skope.schema import VEHICLE
 from skope.site.site_file import read_site
 from skope.traffic.conflicts import conflicts
-from skope.traffic.count_interval import CountInterval
+from skope.traffic.count_uncertainty import CountInterval
 from skope.traffic.gate_counts import ALL, expected
 from skope.traffic.gates import direction_names
 from skope.traffic.measure import measure

@@ -28,7 +28,7 @@ from skope.gen.scene.recording import Recording, RecordingPlan
 from skope.gen.scene.road_user_bodies import vehicle_body
 from skope.gen.simulation.simulate import simulate
 from skope.schema import VEHICLE
-from skope.site.marks import Gate
+from skope.site.gates_zones_lanes import Gate
 from skope.traffic.gates import signed_distances
 from skope.traffic.trajectories import Trajectory
 from skope.types import Array

@@ -150,8 +150,8 @@ def load_detector(
     Raises:
         UserError: There is no such checkpoint, it is damaged, or there is no such device.
     """
+    from skope.eval.inference.network_settings import BACKENDS, PRECISIONS, TILES, Settings
     from skope.eval.inference.predictor import Predictor
-    from skope.eval.inference.settings import BACKENDS, PRECISIONS, TILES, Settings
     from skope.terminal.console import Console
 
     one_of("backend", backend, BACKENDS)

@@ -21,10 +21,10 @@ from skope.types import Pixels
 
 if TYPE_CHECKING:
     from skope.eval.camera_fit.fit_camera import CameraEstimate
-    from skope.eval.inference.footage import Footage
+    from skope.eval.inference.frame_sources import Footage
     from skope.eval.inference.predict_job import PredictJob
     from skope.eval.inference.predictor import Predictor
-    from skope.eval.pose.scene import Scene
+    from skope.eval.pose.keypoint_views import Scene
     from skope.eval.tracking.track_list import TrackedVehicle, Tracks
 
 RoadHeight = float | Literal["auto", "fit"] | None
@@ -217,7 +217,7 @@ class Video:
         return camera_of_vehicles(self._scene(None), max_vehicles, height=height_m, fov_deg=fov_deg).estimate
 
     def _scene(self, ground: float | None) -> "Scene":
-        from skope.eval.pose.scene import read_scene
+        from skope.eval.pose.keypoint_views import read_scene
 
         return read_scene(Path(self._results.name), None, None, None, ground)
 
@@ -276,7 +276,7 @@ def open_video(
         fps: Images a second of image files, which carry no times; None: the files' own times, if any.
     """
     from skope.dataset.camera_of_file import read_camera
-    from skope.eval.inference.footage import Cut, open_footage
+    from skope.eval.inference.frame_sources import Cut, open_footage
     from skope.eval.inference.predict_job import PredictJob
     from skope.eval.pose.camera_error import camera_info
 

@@ -55,11 +55,11 @@ def locate(detections: "Detections", camera: Camera, *, ground: float | None = 0
         UserError: The camera's shape is not the image's.
     """
     from skope.dataset.camera_of_file import sized
+    from skope.eval.pose.estimate_pose import locate as solve
     from skope.eval.pose.ground import Ground
+    from skope.eval.pose.keypoint_views import view_of
     from skope.eval.pose.pose_records import INTERPOLATED, Located
-    from skope.eval.pose.scene import view_of
     from skope.eval.pose.shape_model import fleet_shapes
-    from skope.eval.pose.solver import locate as solve
 
     own = sized(camera, detections.size, "image")
     view = view_of(detections)
@@ -86,9 +86,9 @@ def track(frames: "Iterable[Located]", times_s: Sequence[float]) -> "Tracks":
     Raises:
         ValueError: The times do not rise.
     """
-    from skope.eval.tracking.measurements import detections_of
     from skope.eval.tracking.track_list import Tracks
-    from skope.eval.tracking.tracker import follow
+    from skope.eval.tracking.tracker_inputs import detections_of
+    from skope.eval.tracking.vehicle_tracker import follow
     from skope.traffic.observation import Observation
 
     if (np.diff(times_s) <= 0).any():

@@ -64,7 +64,7 @@ def measure_traffic(
     from skope.eval.tracking.track_list import Tracks
     from skope.eval.tracking.trajectories_of_tracks import trajectories_of_tracks
     from skope.site.site_file import SiteFile
-    from skope.traffic.clock_intervals import local_start
+    from skope.traffic.counting_intervals import local_start
     from skope.traffic.hand_count_file import read_hand_counts
     from skope.traffic.measure import measure
     from skope.traffic.observation import Observation

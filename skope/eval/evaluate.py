@@ -13,7 +13,7 @@ from skope.dataset.image_selection import take
 from skope.detections import apart
 from skope.errors import UserError
 from skope.eval import report
-from skope.eval.inference.settings import Settings
+from skope.eval.inference.network_settings import Settings
 from skope.eval.report import table
 from skope.files.atomic import write_text
 from skope.files.json_files import write_json

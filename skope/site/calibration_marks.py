@@ -20,6 +20,7 @@ from skope.camera.evidence import (
     Vertical,
 )
 from skope.errors import UserError
+from skope.site.gates_zones_lanes import checked_name
 from skope.site.mark_limits import (
     FARTHEST,
     KNOWN_RANGES,
@@ -31,7 +32,6 @@ from skope.site.mark_limits import (
     WIDEST_PX,
     is_known,
 )
-from skope.site.marks import checked_name
 from skope.site.toml_table import TomlTable
 
 _Mark = TypeVar("_Mark")

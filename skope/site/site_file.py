@@ -15,7 +15,7 @@ from zoneinfo import ZoneInfo
 from skope.errors import UserError
 from skope.files.reading import decoded, read_bytes
 from skope.site.calibration_marks import CalibrationMarks, read_marks
-from skope.site.marks import (
+from skope.site.gates_zones_lanes import (
     Gate,
     Lane,
     OccluderMark,

@@ -3,7 +3,7 @@
 from dataclasses import asdict, dataclass
 from typing import Any, Final
 
-from skope.site.marks import checked_name
+from skope.site.gates_zones_lanes import checked_name
 from skope.site.toml_table import TomlTable
 
 VEHICLE_CLASSES: Final = ("car", "van", "lorry", "bus")

@@ -8,13 +8,13 @@ from typing import Final
 import numpy as np
 
 from skope.schema import PEDESTRIAN
-from skope.site.marks import Zone
+from skope.site.gates_zones_lanes import Zone
 from skope.site.traffic_settings import TrafficSettings
 from skope.traffic.collision import REAR_END_DEG, angle_deg
 from skope.traffic.conflict_doubt import STEP_S, hardest_needed, is_followed, pet_sigma, ttc_doubt
+from skope.traffic.encounters import Meeting, meeting_of, rows_together
 from skope.traffic.encroachment import by_area, near
 from skope.traffic.footprints import FootprintPath, footprint_paths, overlap
-from skope.traffic.meetings import Meeting, meeting_of, rows_together
 from skope.traffic.trajectories import Trajectory, wandering
 from skope.traffic.zones import inside_polygon
 from skope.types import Array

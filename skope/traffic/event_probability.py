@@ -14,7 +14,7 @@ from scipy.special import expit
 
 from skope.schema import PEDESTRIAN, VEHICLE
 from skope.site.traffic_settings import CLASSES, OF_VEHICLES, UNKNOWN
-from skope.traffic.count_interval import Group
+from skope.traffic.count_uncertainty import Group
 from skope.traffic.gate_shares import Beta, LearntShares
 from skope.traffic.trajectories import Trajectory, worst_sigma
 

@@ -6,10 +6,10 @@ from functools import partial
 from typing import Final
 
 from skope.schema import VEHICLE
-from skope.site.marks import Gate
+from skope.site.gates_zones_lanes import Gate
 from skope.site.traffic_settings import OF_VEHICLES, UNKNOWN, TrafficSettings
-from skope.traffic.clock_intervals import ClockInterval
-from skope.traffic.count_interval import CountInterval, Group, joint_interval
+from skope.traffic.count_uncertainty import CountInterval, Group, joint_interval
+from skope.traffic.counting_intervals import ClockInterval
 from skope.traffic.event_probability import SeenAlike
 from skope.traffic.gates import GateCrossing, direction_names
 from skope.traffic.missed_crossings import Unseen

@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from skope.site.marks import Gate
+from skope.site.gates_zones_lanes import Gate
 from skope.site.traffic_settings import TrafficSettings
 from skope.traffic.event_probability import COUNTED_FROM, crossing_probability, event_probability, usual_step
 from skope.traffic.lanes import LaneMap

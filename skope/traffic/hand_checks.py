@@ -9,9 +9,9 @@ from typing import Final
 
 import numpy as np
 
-from skope.site.marks import Gate
+from skope.site.gates_zones_lanes import Gate
 from skope.site.traffic_settings import TrafficSettings
-from skope.traffic.count_interval import CountInterval, Group, in_words, joint_draws
+from skope.traffic.count_uncertainty import CountInterval, Group, in_words, joint_draws
 from skope.traffic.gate_counts import ALL, expected, group_of
 from skope.traffic.gates import GateCrossing
 from skope.traffic.hand_count_file import HandCount

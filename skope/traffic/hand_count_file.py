@@ -9,9 +9,9 @@ from typing import Final
 
 from skope.errors import UserError
 from skope.files.reading import read_text
-from skope.site.marks import Gate
+from skope.site.gates_zones_lanes import Gate
 from skope.site.traffic_settings import CLASSES, UNKNOWN, TrafficSettings
-from skope.traffic.clock_intervals import ClockInterval
+from skope.traffic.counting_intervals import ClockInterval
 from skope.traffic.gate_counts import ALL
 from skope.traffic.gates import direction_names
 from skope.traffic.observation import Observation

@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from skope.schema import PEDESTRIAN, VEHICLE
-from skope.traffic.clock_intervals import ClockInterval
+from skope.traffic.counting_intervals import ClockInterval
 from skope.traffic.gates import GateCrossing
 from skope.traffic.observation import Observation
 

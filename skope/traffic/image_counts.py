@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from skope.site.traffic_settings import TrafficSettings
-from skope.traffic.clock_intervals import clock_intervals, local_start
 from skope.traffic.conflicts import ConflictSearch
+from skope.traffic.counting_intervals import clock_intervals, local_start
 from skope.traffic.event_probability import SEEN_IN_PIXELS
 from skope.traffic.gate_counts import interval_counts
 from skope.traffic.gates import gate_crossings, upwards

@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from skope.site.marks import Lane
+from skope.site.gates_zones_lanes import Lane
 from skope.traffic.normal_distribution import at_most
 from skope.traffic.trajectories import Trajectory, wandering
 from skope.types import Array

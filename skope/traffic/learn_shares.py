@@ -19,7 +19,7 @@ import numpy as np
 from scipy.special import gammaln, ndtr
 from scipy.stats import binom
 
-from skope.traffic.count_interval import Group, poisson_binomial
+from skope.traffic.count_uncertainty import Group, poisson_binomial
 from skope.traffic.event_probability import SeenAlike
 from skope.traffic.gate_shares import LearntShares, chances_at, share_at
 from skope.types import Array

@@ -15,10 +15,10 @@ from typing import Final
 import numpy as np
 
 from skope.schema import VEHICLE
-from skope.site.marks import Gate
+from skope.site.gates_zones_lanes import Gate
 from skope.site.traffic_settings import OF_VEHICLES, TrafficSettings
-from skope.traffic.clock_intervals import ClockInterval
-from skope.traffic.count_interval import CountInterval, joint_interval
+from skope.traffic.count_uncertainty import CountInterval, joint_interval
+from skope.traffic.counting_intervals import ClockInterval
 from skope.traffic.gate_counts import observed_word
 from skope.traffic.gates import GateCrossing, direction_names
 from skope.traffic.missed_crossings import Unseen, Vanished

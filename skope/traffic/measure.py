@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from skope.site.marks import Gate
+from skope.site.gates_zones_lanes import Gate
 from skope.site.traffic_settings import TrafficSettings
 from skope.traffic.braking import hard_brakings
-from skope.traffic.clock_intervals import ClockInterval, clock_intervals, local_start
 from skope.traffic.conflicts import conflicts
+from skope.traffic.counting_intervals import ClockInterval, clock_intervals, local_start
 from skope.traffic.event_probability import usual_step
 from skope.traffic.gate_counts import Count, interval_counts
 from skope.traffic.gates import GateCrossing, gate_crossings

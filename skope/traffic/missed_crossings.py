@@ -11,9 +11,9 @@ from typing import Final
 
 import numpy as np
 
-from skope.site.marks import Gate
+from skope.site.gates_zones_lanes import Gate
 from skope.site.traffic_settings import TrafficSettings
-from skope.traffic.clock_intervals import ClockInterval
+from skope.traffic.counting_intervals import ClockInterval
 from skope.traffic.event_probability import SEEN_IN_METRES, SeenAlike, seen_in_metres
 from skope.traffic.gates import GateCrossing, may_count, signed_distances
 from skope.traffic.observation import Observation

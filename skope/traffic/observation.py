@@ -12,7 +12,7 @@ import numpy as np
 
 from skope.errors import UserError
 from skope.files.json_files import check_version, read_json
-from skope.traffic.clock_intervals import time_of
+from skope.traffic.counting_intervals import time_of
 from skope.types import Array
 
 FOOTAGE: Final = "footage.json"

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from skope.schema import PEDESTRIAN
 from skope.site.traffic_settings import TrafficSettings
-from skope.traffic.clock_intervals import ClockInterval
-from skope.traffic.count_interval import CountInterval, count_interval
+from skope.traffic.count_uncertainty import CountInterval, count_interval
+from skope.traffic.counting_intervals import ClockInterval
 from skope.traffic.event_probability import SEEN_IN_METRES, event_probability
 from skope.traffic.lanes import LaneMap
 from skope.traffic.normal_distribution import INTERVAL_SIGMAS

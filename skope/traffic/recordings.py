@@ -17,7 +17,7 @@ import numpy as np
 from skope.errors import UserError
 from skope.files.reading import sha256_of
 from skope.terminal.console import counted
-from skope.traffic.clock_intervals import local_start, local_time
+from skope.traffic.counting_intervals import local_start, local_time
 from skope.traffic.observation import FOOTAGE, Observation, read_observation
 from skope.traffic.read_track_folder import TRACKS_CSV, read_trajectories
 from skope.traffic.recording_begin import begin_in_name, said_begin

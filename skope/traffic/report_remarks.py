@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from skope.schema import VEHICLE
-from skope.site.marks import Gate
+from skope.site.gates_zones_lanes import Gate
 from skope.traffic.gates import signed_distances
 from skope.traffic.hand_checks import hand_lines
 from skope.traffic.poor_sight import sight_lines

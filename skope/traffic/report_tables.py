@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from typing import Any, Final
 
-from skope.traffic.clock_intervals import ClockInterval
-from skope.traffic.count_interval import in_cells
+from skope.traffic.count_uncertainty import in_cells
+from skope.traffic.counting_intervals import ClockInterval
 from skope.traffic.gate_counts import observed_word
 from skope.traffic.gates import GateCrossing
 from skope.traffic.length_bins import LONGEST_M, WHY_NOT, LengthCount, has_length, length_bin, length_sigma_m

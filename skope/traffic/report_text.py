@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 
 from skope.terminal.text_table import text_table
-from skope.traffic.count_interval import count_interval, in_words
+from skope.traffic.count_uncertainty import count_interval, in_words
 from skope.traffic.gate_counts import ALL
 from skope.traffic.speed_percentiles import Percentile
 from skope.traffic.speeds import MOTOR

@@ -9,7 +9,7 @@ import numpy as np
 
 from skope.schema import PEDESTRIAN
 from skope.site.traffic_settings import CLASSES
-from skope.traffic.clock_intervals import ClockInterval
+from skope.traffic.counting_intervals import ClockInterval
 from skope.traffic.gates import GateCrossing
 from skope.traffic.observation import Observation
 from skope.traffic.speed_percentiles import Percentile, speed_percentiles

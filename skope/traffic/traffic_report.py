@@ -4,10 +4,10 @@ from dataclasses import dataclass
 from datetime import datetime
 from typing import TYPE_CHECKING
 
-from skope.site.marks import Gate
+from skope.site.gates_zones_lanes import Gate
 from skope.traffic.braking import HardBraking
-from skope.traffic.clock_intervals import ClockInterval
 from skope.traffic.conflicts import ConflictSearch
+from skope.traffic.counting_intervals import ClockInterval
 from skope.traffic.gate_counts import Count
 from skope.traffic.gates import GateCrossing, upwards
 from skope.traffic.hand_checks import HandCheck

@@ -11,10 +11,10 @@ from dataclasses import dataclass
 from typing import Final
 
 from skope.schema import PEDESTRIAN
-from skope.site.marks import Gate
+from skope.site.gates_zones_lanes import Gate
 from skope.site.traffic_settings import TrafficSettings
-from skope.traffic.clock_intervals import ClockInterval
-from skope.traffic.count_interval import CountInterval, Group, joint_interval
+from skope.traffic.count_uncertainty import CountInterval, Group, joint_interval
+from skope.traffic.counting_intervals import ClockInterval
 from skope.traffic.event_probability import COUNTED_FROM, SeenAlike, same_probability
 from skope.traffic.gate_counts import classes_of, row_classes
 from skope.traffic.gates import GateCrossing, direction_names

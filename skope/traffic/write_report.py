@@ -13,7 +13,7 @@ import numpy as np
 
 from skope.files.atomic import replacing
 from skope.files.json_files import write_json
-from skope.traffic.count_interval import count_interval, in_json
+from skope.traffic.count_uncertainty import count_interval, in_json
 from skope.traffic.normal_distribution import COUNT_INTERVAL_LEVEL
 from skope.traffic.report_tables import ReportTable, report_tables
 from skope.traffic.traffic_report import TrafficReport

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from skope.site.marks import Zone
+from skope.site.gates_zones_lanes import Zone
 from skope.site.traffic_settings import TrafficSettings
 from skope.traffic.passages import passages
 from skope.traffic.trajectories import Trajectory

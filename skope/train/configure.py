@@ -7,10 +7,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from skope.cpu_count import usable_processors
 from skope.detector.checkpoint import find_checkpoint
 from skope.errors import UserError
 from skope.files.output_folders import changed_options
-from skope.processors import usable_processors
 from skope.schema import checked_categories
 from skope.train import init_weights
 from skope.train import recipe as recipes

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from skope.schema import VEHICLE
-from skope.site.marks import Gate
+from skope.site.gates_zones_lanes import Gate
 from skope.traffic.observation import Observation
 from skope.traffic.trajectories import COLUMNS, Trajectory
 

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from skope.site.marks import Gate
+from skope.site.gates_zones_lanes import Gate
 from skope.site.traffic_settings import TrafficSettings
-from skope.traffic.clock_intervals import clock_intervals
-from skope.traffic.count_interval import Group, count_interval, joint_interval, poisson_binomial
+from skope.traffic.count_uncertainty import Group, count_interval, joint_interval, poisson_binomial
+from skope.traffic.counting_intervals import clock_intervals
 from skope.traffic.event_probability import SEEN_IN_METRES, usual_step
 from skope.traffic.gate_counts import ALL, interval_counts
 from skope.traffic.gates import gate_crossings

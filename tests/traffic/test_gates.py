@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from skope.site.marks import Gate, Lane
+from skope.site.gates_zones_lanes import Gate, Lane
 from skope.site.traffic_settings import TrafficSettings
 from skope.traffic.gates import GateCrossing, gate_crossings
 from skope.traffic.join_broken_tracks import join_trajectories

@@ -18,7 +18,7 @@ import pytest
 
 from skope.camera.model import Camera
 from skope.files.json_files import write_json
-from skope.site.marks import Gate
+from skope.site.gates_zones_lanes import Gate
 from skope.site.site_file import parse_site
 from skope.site.traffic_settings import CLASSES
 from skope.traffic.image_counts import count_in_image

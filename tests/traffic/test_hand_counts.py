@@ -12,10 +12,10 @@ from scipy.special import betaincinv, ndtr
 from scipy.stats import nbinom
 
 from skope.errors import UserError
-from skope.site.marks import Gate
+from skope.site.gates_zones_lanes import Gate
 from skope.site.traffic_settings import TrafficSettings
-from skope.traffic.clock_intervals import ClockInterval
-from skope.traffic.count_interval import CountInterval, joint_interval
+from skope.traffic.count_uncertainty import CountInterval, joint_interval
+from skope.traffic.counting_intervals import ClockInterval
 from skope.traffic.event_probability import SEEN_IN_PIXELS, SeenAlike
 from skope.traffic.hand_checks import counts_adjusted_by_hand, hand_checks, hand_lines
 from skope.traffic.hand_count_file import HandCount, read_hand_counts

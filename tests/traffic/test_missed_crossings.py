@@ -7,7 +7,7 @@ import pytest
 
 from skope.site.site_file import SiteParts
 from skope.site.traffic_settings import TrafficSettings
-from skope.traffic.clock_intervals import ClockInterval
+from skope.traffic.counting_intervals import ClockInterval
 from skope.traffic.event_probability import crossing_probability, usual_step
 from skope.traffic.measure import measure
 from skope.traffic.traffic_report import TrafficReport

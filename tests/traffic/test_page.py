@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from skope.site.marks import Gate
-from skope.traffic.clock_intervals import ClockInterval
+from skope.site.gates_zones_lanes import Gate
+from skope.traffic.counting_intervals import ClockInterval
 from skope.traffic.hand_count_file import HandCount
 from skope.traffic.measure import measure
 from skope.traffic.page.page import traffic_page, write_page

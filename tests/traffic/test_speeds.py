@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
-from skope.site.marks import Gate, Lane, Zone
+from skope.site.gates_zones_lanes import Gate, Lane, Zone
 from skope.site.traffic_settings import TrafficSettings
 from skope.traffic.braking import hard_brakings
-from skope.traffic.clock_intervals import ClockInterval
-from skope.traffic.count_interval import count_interval
+from skope.traffic.count_uncertainty import count_interval
+from skope.traffic.counting_intervals import ClockInterval
 from skope.traffic.event_probability import SEEN_IN_METRES, event_probability
 from skope.traffic.gates import gate_crossings
 from skope.traffic.headways import headways, occupancies

@@ -14,7 +14,7 @@ import skope as door
 from skope import cli
 from skope.dataset import coco
 from skope.errors import UserError
-from skope.eval.tracking.tracker import follow
+from skope.eval.tracking.vehicle_tracker import follow
 from skope.schema import AnnotationFile, Result, RoadUserResult
 from skope.site.site_file import parse_site, read_site
 from skope.site.traffic_settings import TrafficSettings
@@ -225,7 +225,7 @@ def test_without_a_camera_gates_in_the_image_count_and_nothing_else(skope: Skope
 
 
 def test_tracks_in_memory_and_from_files_are_alike(tracks: AnnotationFile) -> None:
-    from tests.eval.tracking.test_tracker import seen, straight
+    from tests.eval.tracking.test_vehicle_tracker import seen, straight
 
     times = (np.arange(60) / 10).tolist()
     (made,) = follow(seen([straight(9.0, 0.0)], times), times)

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from skope import keypoints
 from skope.eval.camera_fit.camera_unknowns import FOCAL, HEIGHT, UNKNOWN_NAMES, Pictured, by_camera, camera_of_unknowns
 from skope.eval.camera_fit.normal_equations import Linearised, Parts, summed
-from skope.eval.pose import cauchy, closed_form_starts
+from skope.eval.pose import closed_form_starts, robust_loss
 from skope.eval.pose.ground import Ground
 from skope.eval.pose.observations import LEAST_PROBABILITY, observe
 from skope.eval.pose.self_occlusion import facing
@@ -356,9 +356,9 @@ class BundleAdjustment:
         away = pictured.pixels - views.found[..., :2]
         variance = self._variance + (focal * self._shapes.rest[kind] / pictured.near) ** 2
         squared = np.where(pictured.front, (away**2).sum(axis=-1) / variance, _BEHIND)
-        each = np.where(counted, cauchy.cost(squared), _HIDDEN * self._seen)
+        each = np.where(counted, robust_loss.cost(squared), _HIDDEN * self._seen)
         vehicle_cost = self._by_vehicle(each.sum(axis=1)) + (bundle.shape**2).sum(axis=1)
-        weight = np.where(counted & pictured.front, cauchy.weight(squared) / variance, 0.0)
+        weight = np.where(counted & pictured.front, robust_loss.weight(squared) / variance, 0.0)
         # Derivatives of the image by a shift in the world, by the pose, by the shape.
         by_world = pictured.by_world()
         by_body = np.einsum("bkij,bjl->bkil", by_world, R)

@@ -9,7 +9,7 @@ import numpy as np
 from skope.camera.derivatives import slopes
 from skope.eval.camera_fit.camera_unknowns import FOCAL, HEIGHT, UNKNOWN_STEP, camera_of_unknowns, on_road
 from skope.eval.camera_fit.fit_camera import CameraEstimate, gain_of_pixel_width
-from skope.eval.pose.candidates import INLIER
+from skope.eval.pose.fit_body_types import INLIER
 from skope.types import Array
 
 _LEAST_AGREEMENT: Final = 0.92

@@ -11,7 +11,7 @@ import numpy as np
 
 from skope.camera.calibrate import SiteCalibration, calibrate
 from skope.camera.evidence import Evidence
-from skope.camera.left_out import LeftOutError, left_out_errors
+from skope.camera.leave_one_out import LeftOutError, left_out_errors
 from skope.camera.point_files import read_points
 from skope.camera.uncertain_camera import UncertainCamera
 from skope.errors import UserError

@@ -17,11 +17,11 @@ from skope.eval.camera_fit.bundle_adjustment import BundleAdjustment, Known, Sol
 from skope.eval.camera_fit.camera_unknowns import FOCAL, HEIGHT, camera_of_unknowns
 from skope.eval.camera_fit.fit_camera import capped
 from skope.eval.camera_fit.vehicle_sample import sample_vehicles
-from skope.eval.pose.candidates import best_types
+from skope.eval.pose.estimate_pose import levelled, locate
+from skope.eval.pose.fit_body_types import best_types
 from skope.eval.pose.ground import Ground
+from skope.eval.pose.keypoint_views import Scene
 from skope.eval.pose.observations import observe
-from skope.eval.pose.scene import Scene
-from skope.eval.pose.solver import levelled, locate
 from skope.files.json_files import json_bytes
 from skope.schema import Image
 from skope.terminal.console import counted

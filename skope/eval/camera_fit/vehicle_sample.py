@@ -11,8 +11,8 @@ from skope import boxes as box_math
 from skope.errors import UserError
 from skope.eval.box_links import LOST_S, BoxLinks
 from skope.eval.camera_fit.bundle_adjustment import VehicleViews
+from skope.eval.pose.keypoint_views import Scene, View
 from skope.eval.pose.observations import LEAST_PROBABILITY
-from skope.eval.pose.scene import Scene, View
 from skope.types import Array, Mask
 
 FEWEST_VEHICLES: Final = 5

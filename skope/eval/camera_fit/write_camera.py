@@ -19,7 +19,7 @@ from skope.eval.camera_fit.camera_unknowns import FOCAL, HEIGHT, UNKNOWN_NAMES
 from skope.eval.camera_fit.fit_camera import CameraEstimate
 from skope.eval.camera_fit.known_lengths import KnownLength, corrected
 from skope.eval.camera_fit.vehicle_sample import sample_vehicles
-from skope.eval.pose.scene import Scene
+from skope.eval.pose.keypoint_views import Scene
 from skope.files.output_folders import write_new
 from skope.terminal.console import counted
 

@@ -126,7 +126,7 @@ def _picture(folder: Path, edition: int | None, camera: Path, console: Console) 
     """A picture of what the camera says, beside its file; None where the footage is not at hand."""
     import cv2
 
-    from skope.eval.pose.scene import read_scene
+    from skope.eval.pose.keypoint_views import read_scene
     from skope.eval.tracking.camera_picture import draw_camera_picture
     from skope.files.output_folders import write_new
 

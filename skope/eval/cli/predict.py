@@ -12,7 +12,7 @@ from skope.errors import UserError
 from skope.eval.cli.checks import check_probability
 from skope.eval.cli.options import FastMachineOptions, counts, data_option, output
 from skope.eval.cli.scene_options import CameraOption
-from skope.eval.inference.settings import TILES
+from skope.eval.inference.network_settings import TILES
 from skope.terminal.command_options import DIR, PREDICTED
 from skope.terminal.console import Console
 
@@ -63,7 +63,7 @@ def predict(
 ) -> None:
     """Run a detector on footage: COCO results, and overlays. The same command goes on where a stopped one was."""
     from skope.dataset.camera_of_file import read_camera
-    from skope.eval.inference.footage import Cut, open_footage
+    from skope.eval.inference.frame_sources import Cut, open_footage
 
     check_probability("--score", score)
     footage = open_footage(source, Cut(every=every, start_s=start, end_s=math.inf if end is None else end))

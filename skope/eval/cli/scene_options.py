@@ -16,7 +16,7 @@ from skope.terminal.command_options import DIR, FILE_METAVAR
 from skope.terminal.console import Console
 
 if TYPE_CHECKING:
-    from skope.eval.pose.scene import Scene
+    from skope.eval.pose.keypoint_views import Scene
 
 _FITTED = ("auto", "fit")
 _HIGHEST_M = 10_000.0
@@ -72,7 +72,7 @@ class KeypointOptions:
 
         Warns where results do not say by which edition of their definition they are marked.
         """
-        from skope.eval.pose.scene import read_scene
+        from skope.eval.pose.keypoint_views import read_scene
 
         where = (self.folder, self.annotations, self.predictions, camera)
         scene = read_scene(*where, ground, self.keypoint_edition)

@@ -49,7 +49,7 @@ def tracked_footage(
     """
     from skope.dataset.camera_of_file import read_camera
     from skope.eval.camera_fit.write_camera import write_camera
-    from skope.eval.inference.footage import Cut, open_footage
+    from skope.eval.inference.frame_sources import Cut, open_footage
     from skope.eval.inference.predict_footage import predict
     from skope.eval.inference.predict_job import PredictJob, content_of
     from skope.eval.pose.camera_error import camera_info

@@ -17,7 +17,7 @@ from skope.terminal.command_options import DIR, FILE_METAVAR, LIST, SITE_FILE, T
 from skope.terminal.console import Console
 
 if TYPE_CHECKING:
-    from skope.site.marks import Gate
+    from skope.site.gates_zones_lanes import Gate
     from skope.site.site_file import SiteFile
     from skope.traffic.hand_count_file import HandCount
     from skope.traffic.observation import Observation
@@ -264,7 +264,7 @@ def _counted_by_hand(
     path: Path | None, site: "SiteFile", gates: "Sequence[Gate]", start: datetime | None, observation: "Observation"
 ) -> "tuple[HandCount, ...]":
     """The counts that `--hand-count` names, if any. Raises UserError naming file, line and column."""
-    from skope.traffic.clock_intervals import local_start
+    from skope.traffic.counting_intervals import local_start
     from skope.traffic.hand_count_file import read_hand_counts
 
     if path is None:

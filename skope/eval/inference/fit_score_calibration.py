@@ -15,9 +15,9 @@ from skope.detector.weights import shipped
 from skope.errors import UserError
 from skope.eval.inference import fold_calibration, score_calibration
 from skope.eval.inference.fold_calibration import LEAST_SCORE
+from skope.eval.inference.network_settings import Settings
 from skope.eval.inference.predictor import CALIBRATED_KEY, Predictor
 from skope.eval.inference.score_calibration import ALPHA, CALIBRATION_IOU
-from skope.eval.inference.settings import Settings
 from skope.files.output_folders import check_file, work_of, write_new
 from skope.metrics import read_inputs, score_reliability
 from skope.metrics.keypoint_outcomes import Options, outcomes_at

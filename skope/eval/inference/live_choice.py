@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Final, Protocol
 
 from skope.detector import weights
+from skope.eval.inference.network_settings import Settings
 from skope.eval.inference.predictor import Predictor
-from skope.eval.inference.settings import Settings
 from skope.keypoints import Scheme
 from skope.schema import AnyResult, Image
 from skope.terminal.console import Console

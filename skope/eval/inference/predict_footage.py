@@ -14,6 +14,7 @@ from typing import Any, Final, Protocol
 
 import numpy as np
 
+from skope.cpu_count import usable_processors
 from skope.dataset import coco
 from skope.dataset.camera_of_file import with_camera
 from skope.dataset.folder import BEGINS, CHANGES, DETECTOR, FOLLOWED, FRAMES, PIXEL_WIDTH, PREDICTIONS, SIGHT_FIELD
@@ -23,19 +24,18 @@ from skope.eval.box_links import FARTHEST_S
 from skope.eval.image_shift import ImageMotion
 from skope.eval.inference.camera_sway import SwayWatch, motion_of_row, motion_to_row, record_of
 from skope.eval.inference.confirmation import Confirmation
-from skope.eval.inference.footage import Footage
+from skope.eval.inference.frame_contrast import sight_rows
+from skope.eval.inference.frame_sources import Footage
 from skope.eval.inference.key_frames import with_frames_between
 from skope.eval.inference.live_choice import FrameDetector, LiveChoice
+from skope.eval.inference.network_settings import Settings
 from skope.eval.inference.numbers_by_category import Linked, NumbersByCategory
-from skope.eval.inference.picture_sight import sight_rows
 from skope.eval.inference.predict_job import PROGRESS_FILE, PredictJob, claim, found_at
 from skope.eval.inference.predictor import Predictor
-from skope.eval.inference.settings import Settings
 from skope.eval.inference.view_changes import Looks, ViewChange
 from skope.eval.inference.write_overlays import KeepRule, write_overlay
 from skope.eval.pose.camera_motion import MOTION, CameraMotion
 from skope.files.progress import Progress
-from skope.processors import usable_processors
 from skope.schema import CATEGORIES, AnnotationFile, AnyResult, Image
 from skope.terminal.console import Console, counted
 from skope.types import Pixels

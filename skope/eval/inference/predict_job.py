@@ -13,9 +13,9 @@ from skope.camera.model import Camera
 from skope.detector.device import choose_device
 from skope.eval.box_links import FARTHEST_S
 from skope.eval.inference.confirmation import WEAK
-from skope.eval.inference.footage import FOUND_AT, Footage
+from skope.eval.inference.frame_sources import FOUND_AT, Footage
 from skope.eval.inference.key_frames import INTERVAL_S
-from skope.eval.inference.settings import Settings
+from skope.eval.inference.network_settings import Settings
 from skope.files.json_files import read_json
 from skope.files.output_folders import WORK, claim_output
 from skope.files.reading import sha256_of

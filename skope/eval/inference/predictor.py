@@ -26,8 +26,8 @@ from skope.detector.weights import shipped
 from skope.errors import UserError
 from skope.eval.inference import score_calibration
 from skope.eval.inference.backends.prepare import prepare
+from skope.eval.inference.network_settings import Settings
 from skope.eval.inference.read_ahead import read_ahead
-from skope.eval.inference.settings import Settings
 from skope.eval.inference.tiles import Tile, join_tiles, tiles_of
 from skope.keypoints import Scheme
 from skope.schema import Annotation, AnnotationFile, AnyResult, Image, Result

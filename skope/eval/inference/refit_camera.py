@@ -27,7 +27,7 @@ from skope.eval.camera_fit.camera_from_marks import evidence_of, place_errors
 from skope.eval.camera_fit.write_camera import write_camera
 from skope.eval.image_shift import FollowedCorners, ImageMotion, ReferencePicture, SmallPicture
 from skope.eval.inference.camera_sway import SwayWatch
-from skope.eval.inference.footage import Cut, open_footage
+from skope.eval.inference.frame_sources import Cut, open_footage
 from skope.eval.pose.camera_motion import covariance_of_turns, turned_camera
 from skope.terminal.console import counted
 from skope.types import Array, Pixels

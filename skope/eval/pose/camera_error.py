@@ -15,8 +15,8 @@ from skope.camera.camera_json import is_camera_json, read_uncertain_camera
 from skope.camera.model import Camera
 from skope.camera.uncertain_camera import UncertainCamera
 from skope.errors import UserError
+from skope.eval.pose.estimate_pose import Poses
 from skope.eval.pose.ground import Ground
-from skope.eval.pose.solver import Poses
 from skope.files.json_files import read_json
 from skope.types import Array
 

@@ -10,7 +10,7 @@ from typing import Final
 import cv2
 import numpy as np
 
-from skope.eval.pose import cauchy
+from skope.eval.pose import robust_loss
 from skope.eval.pose.ground import Ground
 from skope.eval.pose.observations import NEAREST_M, Observed
 from skope.eval.pose.shape_model import Shapes
@@ -131,5 +131,5 @@ def _cost(seen: Observed, points: Array) -> Array:
     variance = seen.variance[:, None] + (seen.focal.mean() * _MISFIT / near) ** 2
     squared = (away**2).sum(axis=-1) / variance
     behind = ((depth <= NEAREST_M) & seen.counted[:, None]).any(axis=-1)
-    cost = (cauchy.cost(squared) * seen.counted[:, None]).sum(axis=-1)
+    cost = (robust_loss.cost(squared) * seen.counted[:, None]).sum(axis=-1)
     return np.asarray(np.where(behind, IMPOSSIBLE, cost))

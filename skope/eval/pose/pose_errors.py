@@ -9,8 +9,8 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
+from skope.eval.pose.keypoint_views import Scene
 from skope.eval.pose.pose_records import Located, locate_view
-from skope.eval.pose.scene import Scene
 from skope.schema import Annotation, Box3D
 from skope.terminal.text_table import text_table
 from skope.types import Array

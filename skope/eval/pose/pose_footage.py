@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any, Final
 
 from skope.eval.pose.camera_error import with_camera_error
+from skope.eval.pose.keypoint_views import Scene
 from skope.eval.pose.pose_errors import measure_poses, pose_summary, pose_table
 from skope.eval.pose.pose_records import INTERPOLATED, Located, locate_view, records, write_poses
-from skope.eval.pose.scene import Scene
 from skope.files.json_files import write_json
 from skope.files.progress import Progress
 from skope.terminal.console import Console

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from skope.camera.model import Camera
 from skope.eval.pose.camera_error import with_camera_error
 from skope.eval.pose.camera_motion import MOVED_REASON
-from skope.eval.pose.scene import Scene, View
-from skope.eval.pose.solver import Poses, locate
+from skope.eval.pose.estimate_pose import Poses, locate
+from skope.eval.pose.keypoint_views import Scene, View
 from skope.files.atomic import replacing
 from skope.keypoints import WHEELS
 from skope.types import Array

@@ -9,7 +9,7 @@ import numpy as np
 
 from skope.dataset.folder import read_image
 from skope.errors import UserError
-from skope.eval.inference.footage import open_footage
+from skope.eval.inference.frame_sources import open_footage
 from skope.eval.view.video_frames import VideoFrames
 from skope.schema import Image
 from skope.types import Pixels

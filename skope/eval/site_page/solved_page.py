@@ -12,7 +12,7 @@ import numpy as np
 from skope.camera.calibrate import SiteCalibration, calibrate
 from skope.camera.evidence import Belief
 from skope.camera.ground_plane import ground_places
-from skope.camera.left_out import LeftOutError, left_out_errors
+from skope.camera.leave_one_out import LeftOutError, left_out_errors
 from skope.camera.model import Camera
 from skope.camera.uncertain_camera import UncertainCamera
 from skope.dataset.camera_of_file import sized

@@ -12,7 +12,7 @@ from skope.eval.pose.ground import Ground
 from skope.eval.tracking import map_signs
 from skope.eval.tracking.ground_track import GroundTrack
 from skope.eval.tracking.ground_view import GroundView
-from skope.eval.tracking.road_user_tracks import RoadUserTrack
+from skope.eval.tracking.pedestrian_and_cycle_tracks import RoadUserTrack
 from skope.eval.tracking.tracks import Track
 from skope.files.atomic import replacing
 from skope.terminal.console import counted

@@ -13,9 +13,9 @@ import numpy as np
 
 from skope.camera.model import Camera
 from skope.errors import UserError
-from skope.eval.inference.footage import Cut, open_footage
+from skope.eval.inference.frame_sources import Cut, open_footage
+from skope.eval.pose.keypoint_views import Scene, View
 from skope.eval.pose.pose_records import corners_of, locate_view
-from skope.eval.pose.scene import Scene, View
 from skope.eval.tracking.birdseye_video import put_text
 from skope.eval.tracking.empty_road import footage_of
 from skope.types import Array, Pixels

@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from skope.eval.tracking.measurements import PoseMeasurement
+from skope.eval.tracking.tracker_inputs import PoseMeasurement
 from skope.eval.tracking.tracks import OpenTrack
 from skope.types import Array
 

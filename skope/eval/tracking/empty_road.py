@@ -8,7 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from skope.eval.inference.footage import FOUND_AT, Cut, open_footage
+from skope.eval.inference.frame_sources import FOUND_AT, Cut, open_footage
 from skope.schema import AnnotationFile
 from skope.types import Pixels
 

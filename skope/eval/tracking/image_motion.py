@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
-from skope.eval.tracking.measurements import Detection
+from skope.eval.tracking.tracker_inputs import Detection
 from skope.eval.tracking.tracks import OpenTrack, TrackStep
 from skope.types import Array
 

@@ -10,7 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from skope.eval.tracking.measurements import PoseMeasurement
+from skope.eval.tracking.tracker_inputs import PoseMeasurement
 from skope.types import Array
 
 State = tuple[Array, Array]

@@ -14,16 +14,16 @@ from numpy.typing import NDArray
 from skope.camera.model import Camera
 from skope.dataset.folder import BEGINS, FOLLOWED, SIGHT_FIELD
 from skope.errors import UserError
+from skope.eval.pose.keypoint_views import Scene
 from skope.eval.pose.pose_records import locate_view
-from skope.eval.pose.scene import Scene
 from skope.eval.tracking import birdseye, birdseye_video, track_overlay, write_tracks
 from skope.eval.tracking.empty_road import empty_road
 from skope.eval.tracking.ground_points import sights_of
-from skope.eval.tracking.measurements import Detection, detection_from_dict, detection_to_dict, detections_of
-from skope.eval.tracking.road_user_tracks import RoadUserTrack, follow_road_users
+from skope.eval.tracking.pedestrian_and_cycle_tracks import RoadUserTrack, follow_road_users
 from skope.eval.tracking.track_flags import flagged
-from skope.eval.tracking.tracker import follow
+from skope.eval.tracking.tracker_inputs import Detection, detection_from_dict, detection_to_dict, detections_of
 from skope.eval.tracking.tracks import Track
+from skope.eval.tracking.vehicle_tracker import follow
 from skope.files.atomic import replacing, write_bytes, write_text
 from skope.files.json_files import json_bytes
 from skope.files.progress import Progress

@@ -8,7 +8,7 @@ import numpy as np
 
 from skope.boxes import xywh_to_xyxy
 from skope.eval.tracking import track_overlay, write_tracks
-from skope.eval.tracking.road_user_tracks import RoadUserTrack
+from skope.eval.tracking.pedestrian_and_cycle_tracks import RoadUserTrack
 from skope.eval.tracking.tracks import Track
 from skope.traffic.observation import Observation
 from skope.types import Array, Pixels

@@ -8,11 +8,11 @@ import cv2
 import numpy as np
 
 from skope.errors import UserError
-from skope.eval.inference.footage import open_footage
+from skope.eval.inference.frame_sources import open_footage
 from skope.eval.tracking import map_signs
 from skope.eval.tracking.birdseye_video import put_text
 from skope.eval.tracking.empty_road import footage_of
-from skope.eval.tracking.road_user_tracks import RoadUserTrack
+from skope.eval.tracking.pedestrian_and_cycle_tracks import RoadUserTrack
 from skope.eval.tracking.tracks import Track
 from skope.pictures.draw import PALETTE
 from skope.schema import AnnotationFile

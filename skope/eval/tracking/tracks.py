@@ -14,7 +14,7 @@ from skope.eval.tracking import kalman
 from skope.eval.tracking.ground_track import GroundTrack
 from skope.eval.tracking.headings import smoothed_headings
 from skope.eval.tracking.kalman import State
-from skope.eval.tracking.measurements import Detection, PoseMeasurement
+from skope.eval.tracking.tracker_inputs import Detection, PoseMeasurement
 from skope.eval.tracking.vehicle_classes import vehicle_class
 from skope.types import Array
 

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from skope.eval.tracking.ground_track import GroundTrack
-from skope.eval.tracking.road_user_tracks import RoadUserTrack
+from skope.eval.tracking.pedestrian_and_cycle_tracks import RoadUserTrack
 from skope.eval.tracking.tracks import Track
 from skope.schema import VEHICLE
 from skope.traffic.trajectories import Trajectory

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from skope.eval.tracking.ground_track import GroundTrack
-from skope.eval.tracking.road_user_tracks import RoadUserTrack
+from skope.eval.tracking.pedestrian_and_cycle_tracks import RoadUserTrack
 from skope.eval.tracking.tracks import Track
 from skope.files.atomic import replacing
 from skope.schema import PEDESTRIAN

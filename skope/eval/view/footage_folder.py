@@ -10,7 +10,7 @@ from skope.dataset import coco
 from skope.dataset.folder import FRAMES, PREDICTIONS
 from skope.detections import apart
 from skope.errors import UserError
-from skope.eval.inference.footage import FOUND_AT
+from skope.eval.inference.frame_sources import FOUND_AT
 from skope.eval.view.video_frames import VideoFrames
 from skope.files.json_files import read_json
 from skope.files.output_folders import WORK

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Final
 
 from skope.errors import UserError
-from skope.eval.inference.footage import open_footage
+from skope.eval.inference.frame_sources import open_footage
 from skope.schema import Image
 from skope.types import Pixels
 from skope.viewer.pictures import Picture, encoded

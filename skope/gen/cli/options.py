@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Annotated, Final
 
+from skope.cpu_count import usable_processors
 from skope.errors import UserError
-from skope.processors import usable_processors
 from skope.terminal.command_options import LIST, SITE, SIZE, panel
 from skope.terminal.console import counted
 

@@ -8,10 +8,10 @@ from typing import Any
 
 from skope.dataset import coco
 from skope.errors import UserError
-from skope.gen.formats import foreign_names
+from skope.gen.formats import file_name_rules
 from skope.gen.formats.coco_sources import AnnotationSource
 from skope.gen.formats.dataset_builder import bare_name
-from skope.gen.formats.foreign_names import Place
+from skope.gen.formats.file_name_rules import Place
 from skope.gen.formats.picture_headers import PictureHeader, read_header
 from skope.gen.formats.remarks import Remarks
 from skope.gen.formats.source_files import Files, first
@@ -64,7 +64,7 @@ class ImageImporter:
         Raises UserError for an image that is nowhere or stands twice, or whose size is not that of its picture.
         """
         found = self._locate(file, files)
-        places = foreign_names.places([one.name for one in found])
+        places = file_name_rules.places([one.name for one in found])
         _tell_places(file, found, places, console)
         for one, place in zip(console.bar(found, unit="image", label=file.split), places, strict=True):
             yield one.row["id"], self._image(one, place, file, files)
@@ -75,7 +75,7 @@ class ImageImporter:
         taken: dict[str, str] = {}
         for i, row in enumerate(file.document["images"]):
             where, stated = f"{file.path}: images[{i}]", row["file_name"]
-            name = foreign_names.slashed(stated)
+            name = file_name_rules.slashed(stated)
             ending, path = self._looked_up(among, file, name)
             if not path:
                 raise UserError(f"{where}: file_name: {self._not_found(stated, name, among)}")
@@ -93,7 +93,7 @@ class ImageImporter:
     def _looked_up(self, among: Files, file: AnnotationSource, name: str) -> tuple[str, str]:
         """The longest end of a name that is that of a file, and the file's path; without --images the whole name."""
         folders = ("",) if self.given else file.image_folders
-        endings = foreign_names.endings(name)
+        endings = file_name_rules.endings(name)
         for ending in endings if self.given else [e for e in endings if e == name]:
             for folder in folders:
                 if among.has(f"{folder}{ending}"):
@@ -103,7 +103,7 @@ class ImageImporter:
     def _not_found(self, stated: str, name: str, among: Files) -> str:
         if self.given:
             return f"no {stated} in {among.where}"
-        if name not in foreign_names.endings(name):
+        if name not in file_name_rules.endings(name):
             return (
                 f"{stated!r:.80} is no path inside a folder; say with --images where the images lie: there they are "
                 "found by the ends of such names"

@@ -15,7 +15,7 @@ from skope.dataset import coco
 from skope.dataset.folder import FRAMES, PREDICTIONS
 from skope.errors import UserError
 from skope.files.json_files import parse_json, read_json
-from skope.gen.formats import foreign_names
+from skope.gen.formats import file_name_rules
 from skope.gen.formats.coco_write import CVAT_START
 from skope.gen.formats.dataset_builder import LICENCE_FILE, SPLIT_NAME
 from skope.gen.formats.source_files import Files, files_at, first
@@ -70,7 +70,7 @@ def annotation_sources(
         source: An annotation file, a folder or an archive.
         files: What `open_source` gave for it.
         form: "coco" or "cvat".
-        split: Split that all of them are of; None: what their names say (see `foreign_names.split_of`).
+        split: Split that all of them are of; None: what their names say (see `file_name_rules.split_of`).
         console: Where it is said what a split was taken from.
 
     Raises:
@@ -87,7 +87,7 @@ def annotation_sources(
         stem = PurePosixPath(name).stem.removeprefix(CVAT_START)
         inside = PurePosixPath(name).parts[:-1]
         folders = [source.resolve().parent.name] if _alone(source) else [*reversed(inside)]
-        chosen, by = (split, "") if split else foreign_names.split_of(stem, folders)
+        chosen, by = (split, "") if split else file_name_rules.split_of(stem, folders)
         if not SPLIT_NAME.fullmatch(chosen):
             raise UserError(
                 f"{where}: {chosen!r} cannot be the name of a split: rename the file, or read it alone with --split"
@@ -101,7 +101,7 @@ def annotation_sources(
         document = _parsed(where, files.find(name))
         yield AnnotationSource(
             path=where,
-            name=foreign_names.source_name([*called, *inside, stem]),
+            name=file_name_rules.source_name([*called, *inside, stem]),
             document=document,
             split=chosen,
             image_folders=_image_folders(inside, stem, alone=_alone(source)),
@@ -127,7 +127,7 @@ def _names(source: Path, files: Files, form: str) -> list[str]:
 def _image_folders(inside: Sequence[str], stem: str, *, alone: bool) -> tuple[str, ...]:
     """Places where images may lie: of a subset first its own folder, since others may have images of the same names."""
     own = "/".join(inside)
-    bare = foreign_names.bare_stem(stem)
+    bare = file_name_rules.bare_stem(stem)
     near = [f"images/{stem}/", f"{stem}/", f"images/{bare}/", f"{bare}/", "", "images/"]
     if own and own != _FOLDER:
         near = [f"{own}/", f"{own}/images/", *near]
@@ -190,7 +190,7 @@ def _predictions(folder: Path, split: str | None) -> AnnotationSource:
     }
     return AnnotationSource(
         path=str(folder / PREDICTIONS),
-        name=foreign_names.source_name([folder.resolve().name]),
+        name=file_name_rules.source_name([folder.resolve().name]),
         document=document,
         split=split or "train",
         image_folders=("", "images/"),

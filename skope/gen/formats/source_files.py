@@ -8,7 +8,7 @@ from pathlib import Path, PurePosixPath
 from typing import Final, Protocol
 
 from skope.errors import UserError
-from skope.gen.formats import foreign_names
+from skope.gen.formats import file_name_rules
 from skope.gen.formats.archive import Archive, added_by_system, opened
 
 _LARGEST_BYTES: Final = {".json": 1 << 31}
@@ -78,7 +78,7 @@ class InArchive:
         self.where, self._archive = archive.path, archive
         tops = {name.partition("/")[0] for name in archive.names}
         self._top = f"{tops.pop()}/" if len(tops) == 1 and all("/" in name for name in archive.names) else ""
-        if self._top in ("annotations/", "images/") or foreign_names.named_split(self._top.rstrip("/")):
+        if self._top in ("annotations/", "images/") or file_name_rules.named_split(self._top.rstrip("/")):
             self._top = ""
         self._names = {_composed(name.removeprefix(self._top)): name for name in archive.names}
 

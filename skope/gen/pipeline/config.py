@@ -10,7 +10,7 @@ from skope.errors import UserError, one_of
 from skope.gen.labels.ignore_rules import Rules
 from skope.gen.output.parameters import DatasetPlan, OwnSiteRecord, Parameters
 from skope.gen.output.writers import DATASET_FORMATS
-from skope.gen.pipeline.planned_light import in_asked_light, in_its_light, in_its_split, varied
+from skope.gen.pipeline.planned_conditions import in_asked_light, in_its_light, in_its_split, varied
 from skope.gen.pipeline.presets import presets, range_pairs, tables
 from skope.gen.render.lens import pinhole_of
 from skope.gen.scene import camera_sampling

@@ -11,12 +11,12 @@ from typing import Final
 
 import numpy as np
 
+from skope.cpu_count import usable_processors
 from skope.gen.output.frames import Encoding
 from skope.gen.pipeline.config import DatasetRequest
 from skope.gen.pipeline.dataset_store import Store
 from skope.gen.pipeline.workers import CHUNK
 from skope.gen.scene.recording import RecordingInfo, RecordingPlan
-from skope.processors import usable_processors
 from skope.terminal.console import counted, disk_size, minutes
 
 START_S: Final = 6.0

@@ -45,7 +45,7 @@ def make_renderer(name: str, recording: Recording, on_light: Callable[[], None] 
         on_light: Called, perhaps more than once, before "gl" works out the light of the recording's scenery, which may
             take most of a minute; not called where the cache has it.
     """
-    from skope.gen.render.sensor import Sensor
+    from skope.gen.render.camera_effects import Sensor
 
     if name == "gl":
         from skope.gen.render.gl.renderer import GLRenderer

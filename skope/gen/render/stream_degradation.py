@@ -6,7 +6,7 @@ from typing import Final
 import cv2
 import numpy as np
 
-from skope.gen.render.picture_processing import processed
+from skope.gen.render.image_signal_processing import processed
 from skope.gen.scene.recording import Recording
 from skope.types import Pixels
 

@@ -27,7 +27,7 @@ from skope.gen.towns.town_style import style
 from skope.gen.towns.user_road import Occluder, OwnRoad, PixelOutline
 from skope.gen.traffic import route_files
 from skope.gen.traffic.demand import ways
-from skope.site.marks import read_occluder, read_outline
+from skope.site.gates_zones_lanes import read_occluder, read_outline
 from skope.site.site_camera import read_site_camera
 from skope.site.site_file import read_parts
 from skope.site.toml_table import TomlTable

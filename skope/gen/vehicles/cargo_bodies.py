@@ -7,7 +7,7 @@ from skope.gen.vehicles.box_bodies import box_body, curtain_body, luton_body
 from skope.gen.vehicles.cargo import Cargo, CargoSpace
 from skope.gen.vehicles.fire_body import fire_body
 from skope.gen.vehicles.flatbeds import crane_body, dropside_body, flatbed_body
-from skope.gen.vehicles.living_body import living_body
+from skope.gen.vehicles.motorhome_body import living_body
 from skope.gen.vehicles.refuse_body import refuse_body
 from skope.gen.vehicles.tank_bodies import mixer_body, tank_body
 from skope.gen.vehicles.work_bodies import hook_body, recovery_body, skip_body

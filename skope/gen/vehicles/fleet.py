@@ -18,7 +18,7 @@ from skope.gen.vehicles.bus import BusBody
 from skope.gen.vehicles.car import CarBody
 from skope.gen.vehicles.chassis_cab import ChassisCabBody
 from skope.gen.vehicles.coaches import CityBusBody, CoachBody, DoubleDeckBody, SchoolBusBody, StepVanBody
-from skope.gen.vehicles.details import styled
+from skope.gen.vehicles.jittered_parts import styled
 from skope.gen.vehicles.model import Derived, Trailer, Vehicle, simplified_parts
 from skope.gen.vehicles.parts import SIGN_HEIGHT
 from skope.gen.vehicles.roof_loads import ROOF_LOAD_HEIGHTS_M
@@ -55,7 +55,7 @@ class ParametricVehicle(Derived):
     substituted: tuple[str, ...] = ()
     """Keypoints that stand for a part that this body lacks."""
     size_class: str = ""
-    """The table of `classes.toml` whose ranges its dimensions stay within."""
+    """The table of `vehicle_dimensions.toml` whose ranges its dimensions stay within."""
     recurs: bool = field(default=False, compare=False)
     """Whether a shape that is not the model's own occurs in other recordings too, and so is worth keeping on disk."""
 
@@ -191,7 +191,7 @@ def _read_table(name: str) -> dict[str, Any]:
 @cache
 def class_ranges(size_class: str) -> Mapping[str, tuple[float, float]]:
     """Least and greatest value of each dimension of a class of vehicles, metres; empty for one that has no table."""
-    ranges = _read_table("classes.toml").get(size_class, {}).get("range", {})
+    ranges = _read_table("vehicle_dimensions.toml").get(size_class, {}).get("range", {})
     return {name: (low, high) for name, (low, high) in ranges.items()}
 
 
@@ -208,7 +208,7 @@ def fleet(*, further: bool = True) -> Mapping[str, FleetEntry]:
 
 def _fleet_entry(name: str, row: Mapping[str, Any], further: bool) -> FleetEntry:
     size_class = row.get("class", row["vehicle_type"])
-    shape = Shape(**{**_read_table("classes.toml")[size_class]["shape"], **row.get("shape", {})})
+    shape = Shape(**{**_read_table("vehicle_dimensions.toml")[size_class]["shape"], **row.get("shape", {})})
     choices: dict[str, Any] = {key: tuple(v) if isinstance(v, list) else v for key, v in row["style"].items()}
     vehicle = ParametricVehicle(
         model=name,

@@ -48,8 +48,10 @@ class Dimensions:
 
 @dataclass(frozen=True, kw_only=True)
 class Details:
-    """Parts of `skope.gen.vehicles.details.DETAILS` that a vehicle has in place of its model's: the option's number, 0
-    for the model's own."""
+    """Parts of `skope.gen.vehicles.jittered_parts.DETAILS` that a vehicle has in place of its model's.
+
+    Each is the option's number, 0 for the model's own.
+    """
 
     seams: float = 0.0
     grille: float = 0.0

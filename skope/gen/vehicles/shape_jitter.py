@@ -7,8 +7,8 @@ from typing import Final
 import numpy as np
 
 from skope.errors import one_of
-from skope.gen.vehicles.details import draw_details
 from skope.gen.vehicles.fleet import class_ranges, fleet, parametric
+from skope.gen.vehicles.jittered_parts import draw_details
 from skope.gen.vehicles.shape import Shape
 
 _ALONG: Final = frozenset((

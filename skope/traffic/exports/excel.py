@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from skope.errors import UserError
 from skope.files.atomic import replacing
-from skope.traffic.count_interval import in_cells
+from skope.traffic.count_uncertainty import in_cells
 from skope.traffic.report_tables import ReportTable, report_tables
 from skope.traffic.traffic_report import TrafficReport
 

@@ -11,9 +11,9 @@ import numpy as np
 
 from skope.files.atomic import replacing
 from skope.files.json_files import json_bytes
-from skope.site.marks import Outline
+from skope.site.gates_zones_lanes import Outline
 from skope.site.on_earth import on_earth
-from skope.traffic.count_interval import in_json
+from skope.traffic.count_uncertainty import in_json
 from skope.traffic.gates import direction_names, may_count
 from skope.traffic.length_bins import has_length, length_bin, length_sigma_m
 from skope.traffic.otc_classes import OTC_CLASSES

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skope.camera.model import Camera
-from skope.site.marks import Gate, Outline
+from skope.site.gates_zones_lanes import Gate, Outline
 from skope.traffic.trajectories import Trajectory
 from skope.types import Array
 

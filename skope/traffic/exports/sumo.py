@@ -14,7 +14,7 @@ import numpy as np
 
 from skope.errors import UserError
 from skope.files.atomic import write_text
-from skope.traffic.clock_intervals import ClockInterval
+from skope.traffic.counting_intervals import ClockInterval
 from skope.traffic.gate_counts import observed_word
 from skope.traffic.gates import GateCrossing, direction_names
 from skope.traffic.traffic_report import TrafficReport

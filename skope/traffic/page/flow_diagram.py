@@ -10,7 +10,7 @@ import numpy as np
 
 from skope.page.html_pieces import tag
 from skope.schema import VEHICLE
-from skope.traffic.count_interval import in_words
+from skope.traffic.count_uncertainty import in_words
 from skope.traffic.gate_counts import ALL
 from skope.traffic.traffic_report import TrafficReport
 from skope.traffic.turning_movements import NOWHERE, GateDirection, TurningCount

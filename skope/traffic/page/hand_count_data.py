@@ -14,9 +14,9 @@ from typing import Any, Final
 import numpy as np
 
 from skope.camera.model import Camera
-from skope.site.marks import Gate
+from skope.site.gates_zones_lanes import Gate
 from skope.site.traffic_settings import CLASSES, UNKNOWN
-from skope.traffic.clock_intervals import ClockInterval
+from skope.traffic.counting_intervals import ClockInterval
 from skope.traffic.exports.otanalytics_view import OtView, image_view, pixel_view
 from skope.traffic.gate_counts import ALL
 from skope.traffic.gates import direction_names, normal_of

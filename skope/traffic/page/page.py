@@ -13,7 +13,7 @@ from skope.files.atomic import write_text
 from skope.page import html_document
 from skope.page.html_pieces import details, table, tag
 from skope.schema import VEHICLE
-from skope.traffic.count_interval import in_words
+from skope.traffic.count_uncertainty import in_words
 from skope.traffic.gate_counts import ALL, Count
 from skope.traffic.length_bins import LONGEST_M, UNTOLD
 from skope.traffic.normal_distribution import INTERVAL_SIGMAS

@@ -10,8 +10,8 @@ import numpy as np
 
 from skope.page.html_pieces import tag
 from skope.schema import PEDESTRIAN, VEHICLE
-from skope.site.marks import Outline
-from skope.traffic.count_interval import in_words
+from skope.site.gates_zones_lanes import Outline
+from skope.traffic.count_uncertainty import in_words
 from skope.traffic.gate_counts import ALL
 from skope.traffic.gates import may_count
 from skope.traffic.report_tables import thinned

@@ -28,16 +28,16 @@ from skope.eval.camera_fit import fit_camera
 from skope.eval.camera_fit.bundle_adjustment import VehicleViews
 from skope.eval.inference import stream
 from skope.eval.inference.anonymize import blurred
-from skope.eval.inference.footage import Cut, open_footage
+from skope.eval.inference.frame_sources import Cut, open_footage
 from skope.eval.pose import pose_errors, pose_footage
 from skope.eval.pose.ground import Ground
-from skope.eval.pose.scene import Scene, read_scene
+from skope.eval.pose.keypoint_views import Scene, read_scene
 from skope.eval.pose.shape_model import fleet_shapes
 from skope.files.json_files import write_json
 from skope.files.progress import Progress
 from skope.schema import Annotation, AnnotationFile, Box3D, Result
 from tests.eval.inference import streams
-from tests.eval.pose.test_solver import drawn
+from tests.eval.pose.test_estimate_pose import drawn
 from tests.eval.sightings import CAMERA, drive, scene
 
 
@@ -181,7 +181,7 @@ def test_jumping_into_a_long_video_lands_on_the_frame_that_is_meant(
     path = numbered_video(tmp_path / "v.mp4", 30)
     if varied:
         streams.vary(path, [1] * 15 + [9] * 15)
-    monkeypatch.setattr("skope.eval.inference.footage.SEEK_FRAMES", 3)
+    monkeypatch.setattr("skope.eval.inference.frame_sources.SEEK_FRAMES", 3)
     for first in range(30):
         image, pixels = next(open_footage(str(path)).frames(first))
         assert image.frame_index == first

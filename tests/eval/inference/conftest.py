@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from skope.dataset import coco
+from skope.eval.inference.network_settings import Settings
 from skope.eval.inference.predictor import Predictor
-from skope.eval.inference.settings import Settings
 from skope.terminal.console import Console
 from tests.samples import make_annotation, make_dataset
 

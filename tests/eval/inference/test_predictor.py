@@ -16,8 +16,8 @@ from skope.dataset import coco
 from skope.detector.checkpoint import find_checkpoint, load_weights
 from skope.errors import UserError
 from skope.eval.inference.backends import bfloat16
+from skope.eval.inference.network_settings import Settings
 from skope.eval.inference.predictor import Predictor, _batches, _decoded, default_batch_size
-from skope.eval.inference.settings import Settings
 from skope.schema import AnnotationFile, Image, Result
 from skope.terminal.console import Console
 from tests.eval.conftest import files_of

@@ -14,8 +14,8 @@ from skope import boxes
 from skope.dataset import coco
 from skope.dataset.folder import read_image
 from skope.detections import Detections, RoadUserDetections
+from skope.eval.inference.network_settings import Settings
 from skope.eval.inference.predictor import Predictor
-from skope.eval.inference.settings import Settings
 from skope.eval.inference.tiles import Tile, join_tiles, tiles_of
 from skope.terminal.console import Console
 

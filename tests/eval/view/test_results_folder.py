@@ -13,7 +13,7 @@ import pytest
 from skope.dataset import coco
 from skope.dataset.image_selection import take
 from skope.errors import UserError
-from skope.eval.inference.footage import FOUND_AT
+from skope.eval.inference.frame_sources import FOUND_AT
 from skope.eval.view import video_frames
 from skope.eval.view.results_folder import read_results_folder
 from skope.files.json_files import write_json

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from skope.camera.model import Camera
+from skope.gen.render.camera_effects import hidden_below, sigma_of
 from skope.gen.render.choose_renderer import make_renderer
 from skope.gen.render.frame import STATIC, RenderedFrame
 from skope.gen.render.gl.light import STANDING_WATER, _signed_water
-from skope.gen.render.sensor import hidden_below, sigma_of
 from skope.gen.render.vehicle_lamps import lamps_of, lit_lamps
 from skope.gen.scene.conditions import Conditions, ranges
 from skope.gen.scene.lamps import LAMPS

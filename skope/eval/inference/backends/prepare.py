@@ -9,7 +9,7 @@ from torchvision.models.detection import KeypointRCNN
 from skope.detector import int8_ranges
 from skope.detector.device import has_bfloat16
 from skope.errors import UserError
-from skope.eval.inference import settings
+from skope.eval.inference import network_settings
 from skope.eval.inference.backends import bfloat16, eight_bits, network_parts
 from skope.eval.inference.backends.region_suppression import suppress_best_first, suppress_together
 from skope.eval.inference.backends.runtimes import RUNTIMES, Runtime, UnusableError
@@ -48,7 +48,7 @@ def prepare(
     keep_anchors(model)
     if device.type == "cpu":
         suppress_best_first(model)
-    name = (settings.FASTEST if device.type == "cpu" else "torch") if backend == "auto" else backend
+    name = (network_settings.FASTEST if device.type == "cpu" else "torch") if backend == "auto" else backend
     if name != "torch":
         if device.type != "cpu":
             raise UserError(f"--backend {backend}: computes on the CPU only; give --device cpu, or --backend torch")

@@ -12,10 +12,10 @@ from typing import Any, ClassVar, Final
 
 import torch
 
+from skope.cpu_count import usable_processors
 from skope.detector.device import has_bfloat16
 from skope.errors import UserError
 from skope.eval.inference.backends.network_parts import INPUT, NetworkPart, RunNetwork
-from skope.processors import usable_processors
 from skope.types import Floats32
 
 

@@ -13,12 +13,12 @@ import pytest
 
 from skope.dataset import coco
 from skope.errors import UserError
-from skope.eval.pose.scene import read_scene
+from skope.eval.pose.keypoint_views import read_scene
 from skope.eval.tracking import kalman, track_footage
 from skope.eval.tracking.headings import smoothed_headings
-from skope.eval.tracking.measurements import Detection, PoseMeasurement, detection_from_dict, detection_to_dict
-from skope.eval.tracking.tracker import follow
+from skope.eval.tracking.tracker_inputs import Detection, PoseMeasurement, detection_from_dict, detection_to_dict
 from skope.eval.tracking.tracks import Track
+from skope.eval.tracking.vehicle_tracker import follow
 from skope.metrics import read_inputs
 from skope.schema import Result
 from tests.eval.cli.test_footage import rows_of
@@ -242,7 +242,7 @@ def test_what_was_seen_long_ago_is_as_if_all_were_smoothed_at_once(monkeypatch: 
     times = (np.arange(500) / 5).tolist()
     paths = [turning(6.0, 40.0), straight(0.3, 60.0)]
     in_parts = follow(seen(paths, times), times)
-    monkeypatch.setattr("skope.eval.tracking.tracker._LAG_S", 1e9)
+    monkeypatch.setattr("skope.eval.tracking.vehicle_tracker._LAG_S", 1e9)
     at_once = follow(seen(paths, times), times)
     for one, other in zip(in_parts, at_once, strict=True):
         for name in ("position", "velocity", "acceleration", "heading"):

@@ -28,7 +28,7 @@ from skope.eval.tracking import kalman
 from skope.eval.tracking.duplicate_tracks import encloses, give_up_duplicates, inside_vehicle
 from skope.eval.tracking.image_motion import whereabouts
 from skope.eval.tracking.kalman import GATE
-from skope.eval.tracking.measurements import Detection, PoseMeasurement
+from skope.eval.tracking.tracker_inputs import Detection, PoseMeasurement
 from skope.eval.tracking.tracks import OpenTrack, Sighting, Track, begin, finished
 from skope.types import Array
 

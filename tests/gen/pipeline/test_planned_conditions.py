@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from skope.gen.pipeline.config import HEAVY_TYPES
-from skope.gen.pipeline.planned_light import in_its_light, varied
+from skope.gen.pipeline.planned_conditions import in_its_light, varied
 from skope.gen.pipeline.presets import presets, tables
 from skope.gen.scene.conditions import CONDITION_LIMITS, Conditions, ranges
 from skope.gen.towns.sites import site, sites

@@ -16,9 +16,9 @@ from skope import schema
 from skope.camera.model import Camera
 from skope.dataset import coco
 from skope.eval.pose.ground import Ground
-from skope.eval.pose.scene import read_scene
+from skope.eval.pose.keypoint_views import read_scene
 from skope.eval.tracking.ground_points import GroundPoint, Sight, ground_points, sights_of
-from skope.eval.tracking.road_user_tracks import RoadUserTrack, follow_road_users
+from skope.eval.tracking.pedestrian_and_cycle_tracks import RoadUserTrack, follow_road_users
 from skope.schema import AnnotationFile, RoadUserResult
 from tests.eval.conftest import files_of
 from tests.eval.sightings import CAMERA, drive
@@ -234,7 +234,7 @@ def test_a_long_track_is_the_same_in_parts(monkeypatch: pytest.MonkeyPatch) -> N
     times = np.arange(0, 30, 0.2).tolist()
     people = [(PEDESTRIAN, lambda t: (10 * math.cos(0.1 * t), 10 * math.sin(0.1 * t)))]
     (whole,) = follow_road_users(walked(people, times), times)
-    monkeypatch.setattr("skope.eval.tracking.road_user_tracks._LAG_S", 8.0)
+    monkeypatch.setattr("skope.eval.tracking.pedestrian_and_cycle_tracks._LAG_S", 8.0)
     (parts,) = follow_road_users(walked(people, times), times)
     assert parts.position == pytest.approx(whole.position, abs=0.02)
     assert parts.speed_sigma == pytest.approx(whole.speed_sigma, abs=0.02)

@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 from skope.eval.pose import closed_form_starts
 from skope.eval.pose.ground import Ground
+from skope.eval.pose.levenberg_marquardt import Fits, refine
 from skope.eval.pose.observations import Observed
-from skope.eval.pose.optimize import Fits, refine
 from skope.eval.pose.shape_model import Shapes
 from skope.eval.pose.starts import Starts
 from skope.types import Array, Mask

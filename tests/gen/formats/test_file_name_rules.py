@@ -3,8 +3,8 @@
 import pytest
 
 from skope.files.safe_names import counting_order, is_relative
-from skope.gen.formats import foreign_names
-from skope.gen.formats.foreign_names import Place, endings, named_split, places, slashed, split_of
+from skope.gen.formats import file_name_rules
+from skope.gen.formats.file_name_rules import Place, endings, named_split, places, slashed, split_of
 
 
 @pytest.mark.parametrize(
@@ -88,9 +88,9 @@ def test_dates_are_one_number() -> None:
 
 
 def test_names_become_short_names() -> None:
-    assert foreign_names.as_name("..x" + "ü" * 200) == "x" + "ü" * 45
-    assert foreign_names.source_name(["export.v2", "annotations", "default"]) == "export.v2"
-    assert foreign_names.source_name(["data", "train", "result"]) == "recording"
+    assert file_name_rules.as_name("..x" + "ü" * 200) == "x" + "ü" * 45
+    assert file_name_rules.source_name(["export.v2", "annotations", "default"]) == "export.v2"
+    assert file_name_rules.source_name(["data", "train", "result"]) == "recording"
 
 
 def test_numbers_count_as_numbers() -> None:

@@ -7,7 +7,7 @@ import pytest
 
 from skope.dataset.folder import read_image
 from skope.eval.image_shift import small_grey
-from skope.eval.inference.picture_sight import brightness_and_contrast, sight_rows
+from skope.eval.inference.frame_contrast import brightness_and_contrast, sight_rows
 from skope.eval.inference.view_changes import Looks
 from skope.schema import Image
 from skope.traffic.poor_sight import DARK, FLAT

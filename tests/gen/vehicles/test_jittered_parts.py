@@ -9,8 +9,8 @@ import pytest
 from skope import keypoints
 from skope.errors import UserError
 from skope.gen.render.materials import MATERIALS, own_color
-from skope.gen.vehicles.details import DETAILS, draw_details, styled
 from skope.gen.vehicles.fleet import ParametricVehicle, build_vehicle, fleet, parametric
+from skope.gen.vehicles.jittered_parts import DETAILS, draw_details, styled
 from skope.gen.vehicles.roof_loads import ROOF_LOAD_HEIGHTS_M
 from skope.gen.vehicles.shape import DETAIL_NAMES, Shape
 from skope.gen.vehicles.shape_jitter import jittered
