@@ -42,8 +42,8 @@ from skope.train import configure, distributed, init_weights, losses, optimizer,
 from skope.train.distributed import ProcessGroup
 from skope.train.fold_batchnorm import fold_norms
 from skope.train.recipe import RECIPES, Recipe, adjusted_recipe
-from skope.train.run_folder import TrainingState
 from skope.train.sample_loader import Loader
+from skope.train.training_state import TrainingState
 
 Batches = Iterable[Any]
 

@@ -34,7 +34,7 @@ from typing import Final
 from skope.dataset.folder import CARD
 from skope.detector.checkpoint import find_checkpoint
 from skope.gen.towns.sites import sites
-from skope.train.run_folder import resumable
+from skope.train.training_state import resumable
 
 HERE: Final = Path(__file__).parent
 

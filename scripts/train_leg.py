@@ -41,7 +41,7 @@ from skope.detector.checkpoint import HEADER, find_checkpoint, read_checkpoint, 
 from skope.errors import UserError
 from skope.files.atomic import write_bytes
 from skope.files.json_files import read_json, write_json
-from skope.train.run_folder import resumable
+from skope.train.training_state import resumable
 
 HERE: Final = Path(__file__).parent
 PART_BYTES: Final = 15 * 2**20

@@ -45,9 +45,9 @@ from skope.files.atomic import write_text
 from skope.files.json_files import read_json, write_json
 from skope.schema import VEHICLE_TYPES
 from skope.terminal.console import Console
-from skope.train import loop, run_folder, splits, validate
+from skope.train import loop, splits, training_state, validate
 from skope.train.recipe import RECIPES, Recipe, adjusted_recipe
-from skope.train.run_folder import RunConfig
+from skope.train.run_config import RunConfig
 
 EXACT = ("bfloat16=false", "keypoint_regions=none", "fold_norms=false", "channels_last=false")
 FAST = ("bfloat16=true", "keypoint_regions=48", "fold_norms=true", "channels_last=true")
@@ -185,7 +185,7 @@ def measured(options: argparse.Namespace, name: str, seed: int) -> Row:
         folder / "run",
         device=device,
         workers=options.workers if device.type == "cuda" else 0,
-        resume=run_folder.resumable(folder / "run"),
+        resume=training_state.resumable(folder / "run"),
         console=console,
         saving=loop.Saving(),
     )

@@ -3,9 +3,10 @@
 from collections.abc import Sequence
 
 from skope.terminal.console import Console, counted
-from skope.train.run_folder import RunConfig, TrainingState
+from skope.train.run_config import RunConfig
 from skope.train.splits import TrainingSource
 from skope.train.training_samples import TrainingSet
+from skope.train.training_state import TrainingState
 
 
 def announce(

@@ -14,7 +14,8 @@ from skope.files.output_folders import changed_options
 from skope.schema import checked_categories
 from skope.train import init_weights
 from skope.train import recipe as recipes
-from skope.train.run_folder import RunConfig, resumable
+from skope.train.run_config import RunConfig
+from skope.train.training_state import resumable
 
 _MOST_WORKERS = 8
 _RECIPE_FLAGS = ("epochs", "init", "batch_size", "supervise", "exclude_types", "val_fraction")

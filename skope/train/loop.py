@@ -15,18 +15,31 @@ from skope.errors import UserError
 from skope.files.atomic import write_text
 from skope.schema import CATEGORIES, AnnotationFile
 from skope.terminal.console import Console, counted
-from skope.train import distributed, monitor, run_card, run_folder, splits, step, training_samples, validate
+from skope.train import (
+    distributed,
+    monitor,
+    run_card,
+    run_config,
+    run_folder,
+    splits,
+    step,
+    training_samples,
+    training_state,
+    validate,
+)
 from skope.train.announce import announce
 from skope.train.distributed import ProcessGroup
 from skope.train.fold_batchnorm import fold_norms
 from skope.train.interrupt import StopRequest
+from skope.train.optimizer import learning_rate_at
 from skope.train.progress import TrainingProgress, figures_text
 from skope.train.recipe import SMALL_SIZE
-from skope.train.run_folder import RunConfig, TrainingState
+from skope.train.run_config import RunConfig
 from skope.train.sample_loader import Loader
 from skope.train.splits import TrainingSource
 from skope.train.teacher import Teacher
 from skope.train.training_samples import Draw, TrainingSample, TrainingSet
+from skope.train.training_state import TrainingState
 
 CHECKPOINT_INTERVAL_S: Final = 60.0
 """Half a gigabyte is written for a checkpoint: not after every epoch when epochs take seconds."""
@@ -97,7 +110,7 @@ def train(
             parts, seed=config.seed, augment=recipe.augment, supervise=recipe.supervise, inside=recipe.inside
         )
         with run_folder.exclusive(out) if processes.first else contextlib.nullcontext():
-            begin = run_folder.resume if resume else run_folder.start
+            begin = training_state.resume if resume else training_state.start
             training = begin(out, config, [part.fingerprint for part in parts], device)
             if processes.first:
                 run_folder.check_room(out, training, keep=saving.keep)
@@ -106,7 +119,7 @@ def train(
             if recipe.fold_norms:
                 fold_norms(training.model)
             if processes.first:
-                run_folder.record(out, config)
+                run_config.record_config(out, config)
             where = f"on {device} x {processes.size}, {workers} extra processes"
             announce(config, training, training_set, parts, where, console)
             if unlearnt:
@@ -249,7 +262,7 @@ class _Run:
             if self._step == 0 and batch:
                 _check_first(batch, self.console)
             step.seed(seed, epoch, training.steps_done, self.processes)
-            rate = recipe.rate(self._step, self._steps)
+            rate = learning_rate_at(recipe, self._step, self._steps)
             losses, (stops, saves) = step.train_on_batch(
                 training, batch, recipe, rate=rate, images=len(group), processes=self.processes, votes=self._votes()
             )
@@ -292,7 +305,7 @@ class _Run:
     def _save_within(self, stopped: bool) -> None:
         self.processes.average_statistics(self.training.model)
         if self.processes.first:
-            run_folder.save_state(self.out, self.training)
+            training_state.save_state(self.out, self.training)
         self.saved_at = time.monotonic()
         if stopped:
             raise KeyboardInterrupt

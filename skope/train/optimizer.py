@@ -1,5 +1,6 @@
-"""Stochastic gradient descent on a model's weights, and their moving average, which is validated and saved."""
+"""Stochastic gradient descent on a model's weights, its learning rate step by step, and the weights' moving average."""
 
+import math
 from typing import Any
 
 import torch
@@ -30,6 +31,15 @@ def make_weight_ema(model: KeypointRCNN, recipe: Recipe) -> AveragedModel | None
         get_ema_multi_avg_fn(share)(mean, now, steps)  # type: ignore[no-untyped-call]
 
     return AveragedModel(model, multi_avg_fn=average, use_buffers=True)
+
+
+def learning_rate_at(recipe: Recipe, step: int, steps: int) -> float:
+    """Learning rate at `step`, from 0 and counted over the run, where an epoch has `steps`: warm-up, then its fall."""
+    warm = min(1.0, (step + 1) / recipe.warmup_steps) if recipe.warmup_steps else 1.0
+    if recipe.cosine_to is None:
+        return recipe.learning_rate * warm * float(recipe.gamma ** (step // steps // recipe.decay_epochs))
+    share = (1 + math.cos(math.pi * step / (steps * recipe.epochs))) / 2
+    return recipe.learning_rate * warm * (recipe.cosine_to + (1 - recipe.cosine_to) * share)
 
 
 def make_sgd(model: KeypointRCNN, recipe: Recipe) -> torch.optim.SGD:

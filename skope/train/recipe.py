@@ -136,26 +136,19 @@ class Recipe:
         short, long = self.inside or SMALL_SIZE
         return replace(self, min_size=min_size, max_size=round(min_size * long / short))
 
-    def rate(self, step: int, steps: int) -> float:
-        """Learning rate at `step` (from 0, counted over the whole run), where an epoch has `steps`."""
-        warm = min(1.0, (step + 1) / self.warmup_steps) if self.warmup_steps else 1.0
-        if self.cosine_to is None:
-            return self.learning_rate * warm * float(self.gamma ** (step // steps // self._step_size))
-        share = (1 + math.cos(math.pi * step / (steps * self.epochs))) / 2
-        return self.learning_rate * warm * (self.cosine_to + (1 - self.cosine_to) * share)
-
     @property
     def inside(self) -> tuple[int, int] | None:
         """Short and largest long side of images inside the network, pixels; None: as the first weights have them."""
         return None if self.min_size is None or self.max_size is None else (self.min_size, self.max_size)
 
     @property
-    def _step_size(self) -> int:
+    def decay_epochs(self) -> int:
+        """Epochs after which the learning rate falls by `gamma`, again and again."""
         return self.step_size or (self.epochs + 1) // 2
 
     def describe(self, min_size: int) -> str:
         """The recipe in one line for people, with the short side that the first weights left or gave, pixels."""
-        falls = f"x {self.gamma:g} every {self._step_size}"
+        falls = f"x {self.gamma:g} every {self.decay_epochs}"
         if self.cosine_to is not None:
             falls = f"to {self.cosine_to * self.learning_rate:g} along a cosine"
         return (

@@ -7,7 +7,8 @@ from skope import keypoints
 from skope.dataset.folder import Dataset
 from skope.detector.checkpoint import BEST
 from skope.terminal.console import counted
-from skope.train.run_folder import RunConfig, TrainingState
+from skope.train.run_config import RunConfig
+from skope.train.training_state import TrainingState
 from skope.train.validate import rank
 from skope.version import __version__
 

@@ -13,8 +13,8 @@ from skope.train import teacher
 from skope.train.distributed import ProcessGroup
 from skope.train.losses import LearningRules, detection_losses
 from skope.train.recipe import Recipe
-from skope.train.run_folder import TrainingState
 from skope.train.training_samples import TrainingSample
+from skope.train.training_state import TrainingState
 
 LOSSES: Final = ("loss_classifier", "loss_box_reg", "loss_keypoint", "loss_objectness", "loss_rpn_box_reg")
 """Names of the losses, in torchvision's order."""

@@ -27,7 +27,7 @@ from skope.train.augment import AUGMENT_STEPS, Augment
 from skope.train.export import CATEGORIES_OUTPUT, OUTPUTS, DeployedCategories, export
 from skope.train.loop import Saving
 from skope.train.recipe import Recipe
-from skope.train.run_folder import RunConfig
+from skope.train.run_config import RunConfig
 from skope.train.target_batch import IGNORED_KEY
 from skope.train.targets import LEAST_INSIDE, Vehicles
 from skope.train.torchvision_code import torchvision_code

@@ -14,7 +14,7 @@ from skope.errors import UserError
 from skope.files.json_files import write_json
 from skope.train import cli, configure, loop
 from skope.train.recipe import RECIPES
-from skope.train.run_folder import RunConfig
+from skope.train.run_config import RunConfig
 from tests import samples
 
 NO_FLAGS: dict[str, Any] = {

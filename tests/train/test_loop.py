@@ -19,11 +19,11 @@ from skope.dataset.folder import read_image
 from skope.detector.checkpoint import BEST, checkpoints, load_weights
 from skope.errors import UserError
 from skope.terminal.console import Console
-from skope.train import loop, run_folder, step
+from skope.train import loop, run_folder, step, training_state
 from skope.train.augment import AUGMENT_STEPS, Augment
 from skope.train.loop import Saving
 from skope.train.recipe import RECIPES, Recipe
-from skope.train.run_folder import RunConfig
+from skope.train.run_config import RunConfig
 from tests import samples
 
 pytestmark = pytest.mark.usefixtures("small_network")
@@ -98,7 +98,7 @@ def test_a_resumed_run_equals_an_uninterrupted_one(
         with monkeypatch.context() as patch:
             _Signal(n, number, patch)
             with pytest.raises(KeyboardInterrupt):
-                train(data, parts, recipe, resume=run_folder.resumable(parts))
+                train(data, parts, recipe, resume=training_state.resumable(parts))
         torch.manual_seed(123)  # where the state that torch starts with must not matter
     assert capfd.readouterr().err.count("skope: stopping after this step, to save it; once more stops at once") == 2
     resumed = train(data, parts, recipe, resume=True)
@@ -143,7 +143,7 @@ def test_the_mean_of_the_weights_is_saved(tmp_path: Path, monkeypatch: pytest.Mo
     data = samples.make_dataset(tmp_path / "data", images=3, splits=("train",))
     after, take = [], step.train_on_batch
 
-    def learn(training: run_folder.TrainingState, *args: Any, **kwargs: Any) -> Any:
+    def learn(training: training_state.TrainingState, *args: Any, **kwargs: Any) -> Any:
         done = take(training, *args, **kwargs)
         after.append({name: value.clone() for name, value in training.model.state_dict().items()})
         return done
@@ -289,7 +289,7 @@ def test_a_loss_that_is_not_finite_names_the_images(tmp_path: Path) -> None:
     wild = replace(TINY, learning_rate=1e12, warmup_steps=0, gradient_clip=None, epochs=9)
     with pytest.raises(UserError, match=r"epoch \d: the loss is no longer a finite number, at images/site/00_000001"):
         train(data, tmp_path / "run", wild)
-    assert not run_folder.resumable(tmp_path / "run")
+    assert not training_state.resumable(tmp_path / "run")
 
 
 @pytest.mark.slow

@@ -9,6 +9,7 @@ import torch
 from skope.errors import UserError
 from skope.train.augment import Augment
 from skope.train.network_shape import NetworkShape
+from skope.train.optimizer import learning_rate_at
 from skope.train.recipe import RECIPES, Recipe, choose_recipe
 from skope.train.teacher_rules import TeacherRules
 
@@ -35,16 +36,16 @@ def test_the_rate_is_torchs_step_schedule() -> None:
     optimizer = torch.optim.SGD([torch.zeros(1, requires_grad=True)], lr=paper.learning_rate)
     schedule = torch.optim.lr_scheduler.StepLR(optimizer, step_size=paper.step_size, gamma=paper.gamma)
     for epoch in range(paper.epochs):
-        assert paper.rate(epoch * 100, 100) == pytest.approx(schedule.get_last_lr()[0])
+        assert learning_rate_at(paper, epoch * 100, 100) == pytest.approx(schedule.get_last_lr()[0])
         optimizer.step()
         schedule.step()
 
 
 def test_warm_up_and_a_drop_after_half_of_the_epochs() -> None:
     recipe = replace(RECIPES["scratch"], epochs=5, warmup_steps=10, learning_rate=1.0, gamma=0.2, step_size=None)
-    assert recipe.rate(0, 20) == pytest.approx(0.1)
-    assert recipe.rate(9, 20) == recipe.rate(59, 20) == 1.0
-    assert recipe.rate(60, 20) == recipe.rate(99, 20) == pytest.approx(0.2)
+    assert learning_rate_at(recipe, 0, 20) == pytest.approx(0.1)
+    assert learning_rate_at(recipe, 9, 20) == learning_rate_at(recipe, 59, 20) == 1.0
+    assert learning_rate_at(recipe, 60, 20) == learning_rate_at(recipe, 99, 20) == pytest.approx(0.2)
 
 
 def test_a_rate_that_falls_along_a_cosine() -> None:
@@ -53,7 +54,7 @@ def test_a_rate_that_falls_along_a_cosine() -> None:
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, T_max=100, eta_min=0.2)
     for step in range(100):
         warm = min(1.0, (step + 1) / 10)
-        assert recipe.rate(step, 25) == pytest.approx(warm * schedule.get_last_lr()[0])
+        assert learning_rate_at(recipe, step, 25) == pytest.approx(warm * schedule.get_last_lr()[0])
         optimizer.step()
         schedule.step()
     assert "to 0.2 along a cosine" in recipe.describe(360)

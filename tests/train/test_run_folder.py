@@ -103,9 +103,9 @@ def test_a_state_without_room_is_one_line(tmp_path: Path) -> None:
     code = (
         "import sys; from pathlib import Path\n"
         "from tests.train.test_run_folder import little_room, state\n"
-        "from skope.errors import UserError; from skope.train import run_folder\n"
+        "from skope.errors import UserError; from skope.train import training_state\n"
         "training = state(); little_room()\n"
-        "try: run_folder.save_state(Path(sys.argv[1]), training)\n"
+        "try: training_state.save_state(Path(sys.argv[1]), training)\n"
         "except UserError as error: print(error)"
     )
     done = subprocess.run([sys.executable, "-c", code, str(tmp_path)], capture_output=True, text=True, check=False)
@@ -117,7 +117,7 @@ def state() -> object:
     """As much of a training as a saved state has."""
     from skope.train.optimizer import make_sgd
     from skope.train.recipe import RECIPES
-    from skope.train.run_folder import TrainingState
+    from skope.train.training_state import TrainingState
 
     with pytest.MonkeyPatch.context() as patch:
         shrink(patch)

@@ -10,10 +10,11 @@ from typing import Any
 
 from skope import schema
 from skope.errors import UserError
+from skope.gen.formats.coco_categories import Label, road_user_categories, vehicle_categories
 from skope.gen.formats.coco_images import ImageImporter
-from skope.gen.formats.coco_road_users import others_of, road_user_of
+from skope.gen.formats.coco_road_users import road_user_of
 from skope.gen.formats.coco_sources import AnnotationSource, annotation_sources, open_source
-from skope.gen.formats.coco_vehicles import Label, labels_of, vehicle_of_row
+from skope.gen.formats.coco_vehicles import vehicle_of_row
 from skope.gen.formats.dataset_builder import finish_dataset, labelled_frame
 from skope.gen.formats.remarks import Remarks
 from skope.gen.formats.source_files import Files, InFolder
@@ -59,7 +60,7 @@ def read(
         with open_source(source) as files:
             for file in annotation_sources(source, files, form, split, console):
                 stated[file.licence] = None
-                labels, others = labels_of(file, console), others_of(file, console)
+                labels, others = vehicle_categories(file, console), road_user_categories(file, console)
                 scheme = next(iter(labels.values())).scheme
                 categories = schema.checked_categories([*schema.VEHICLE_ALONE, *others.values()])
                 writer = writer or FolderWriter(root, scheme, categories)

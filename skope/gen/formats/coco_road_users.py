@@ -8,27 +8,10 @@ import numpy as np
 from skope import schema
 from skope.dataset import coco
 from skope.gen.formats.coco_images import ImportedImage, telling
-from skope.gen.formats.coco_sources import AnnotationSource
-from skope.gen.formats.coco_vehicles import PLAIN, attributes_of, bare, box_of_row, cut_to
+from skope.gen.formats.coco_vehicles import PLAIN, attributes_of, box_of_row, cut_to
 from skope.gen.formats.remarks import Remarks
 from skope.keypoints import K
 from skope.schema import RoadUser
-from skope.terminal.console import Console
-
-
-def others_of(file: AnnotationSource, console: Console) -> dict[int, str]:
-    """Categories without keypoints that are called as ours are, by the ids that the file gives them.
-
-    Where the file is not one of ours it is said, as somebody else's bicycles may be without whoever rides them.
-    """
-    out = {
-        row["id"]: name
-        for row in file.document["categories"]
-        if (name := bare(row.get("name"))) in schema.CATEGORIES[1:] and not row.get("keypoints")
-    }
-    if out and not file.ours:
-        console.say(f"{file.path}: taken for ours, without keypoints: {', '.join(out.values())}")
-    return out
 
 
 def road_user_of(
