@@ -41,6 +41,8 @@ class Figures:
     several_homes: list[str] = field(default_factory=list)
     """Public names that more than one module defines."""
     long_functions: list[str] = field(default_factory=list)
+    long_bodies: list[str] = field(default_factory=list)
+    """Functions whose statements alone, without parameters and docstring, are as long."""
     questions: list[str] = field(default_factory=list)
     """Docstrings that begin with a word of a question."""
     graphs: dict[str, dict[str, set[str]]] = field(default_factory=dict)
@@ -57,6 +59,7 @@ class Figures:
             f"one-word constants in more than {SHARED_CONSTANT_MODULES} modules": str(len(self.shared_constants)),
             "public names with several homes": str(len(self.several_homes)),
             f"functions over {LONG_FUNCTION_LINES} lines": str(len(self.long_functions)),
+            f"functions over {LONG_FUNCTION_LINES} lines of statements": str(len(self.long_bodies)),
             "docstrings that begin with a question": str(len(self.questions)),
         }
         for group, graph in self.graphs.items():
@@ -96,6 +99,8 @@ def figures(tree: Path) -> Figures:
                 (found.documented if told else found.undocumented).append(place)
             if (function.end_lineno or function.lineno) - function.lineno >= LONG_FUNCTION_LINES:
                 found.long_functions.append(place)
+            if statement_lines(function) > LONG_FUNCTION_LINES:
+                found.long_bodies.append(place)
         found.questions += [f"{name}:{line} {text}" for line, text in docstrings(body) if QUESTION.match(text)]
     found.shared_constants = [
         f"{constant}: {', '.join(where)}"
@@ -156,6 +161,13 @@ def is_command(function: Function) -> bool:
     """Whether its parameters are options of the command line, which have help texts instead."""
     text = " ".join(ast.unparse(decorator) for decorator in function.decorator_list)
     return bool(re.search(r"\.(command|callback)\(", text))
+
+
+def statement_lines(function: ast.FunctionDef | ast.AsyncFunctionDef) -> int:
+    """Lines of a function's statements, without its decorators, parameters and docstring."""
+    documented = ast.get_docstring(function) is not None
+    statements = function.body[1:] if documented else function.body
+    return (function.end_lineno or 0) - statements[0].lineno + 1 if statements else 0
 
 
 def parameters(function: Function) -> list[str]:

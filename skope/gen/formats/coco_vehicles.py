@@ -1,4 +1,4 @@
-"""The vehicles of a COCO file of somebody's: categories by their keypoints' names, boxes, points and attributes."""
+"""Read the vehicles of a COCO file of somebody's: boxes, points and attributes."""
 
 import re
 from collections.abc import Mapping
