@@ -1,12 +1,22 @@
 """Checks of single fields, which raise a UserError that names the field, what was expected and what came."""
 
 import math
-from typing import Any
+from typing import Any, TypeGuard
 
 import numpy as np
 
 from skope.errors import UserError, one_of
 from skope.types import Array
+
+
+def is_number(value: Any) -> TypeGuard[float]:
+    """Whether a value is a finite number that a float holds; true and false are none."""
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return False
+    try:
+        return math.isfinite(value)
+    except OverflowError:  # whole numbers have any length
+        return False
 
 
 def array(name: str, value: Any, *shape: int) -> Array:
@@ -56,7 +66,7 @@ def integer(name: str, value: Any, least: int) -> int:
 
 def check_share(name: str, value: float | None) -> None:
     """Raise a UserError unless `value` is None or from 0 to 1."""
-    if value is not None and not (isinstance(value, int | float) and 0 <= value <= 1):
+    if value is not None and not (is_number(value) and 0 <= value <= 1):
         raise UserError(f"{name}: expected a share from 0 to 1, got {value!r}")
 
 
@@ -77,11 +87,11 @@ def choice(name: str, value: str | None, choices: tuple[str, ...]) -> None:
 
 def check_number(name: str, value: Any) -> None:
     """Raise a UserError unless `value` is a finite number from 0."""
-    if not isinstance(value, int | float) or not math.isfinite(value) or value < 0:
+    if not is_number(value) or value < 0:
         raise UserError(f"{name}: expected a number from 0, got {value!r}")
 
 
 def probability(name: str, value: Any) -> None:
     """Raise a UserError unless `value` is a number from 0 to 1."""
-    if isinstance(value, bool) or not isinstance(value, int | float) or not 0 <= value <= 1:
+    if not is_number(value) or not 0 <= value <= 1:
         raise UserError(f"{name}: expected a number from 0 to 1, got {value!r}")

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from skope import keypoints
 from skope.camera.model import Camera
 from skope.errors import UserError
-from skope.field_checks import array, check_number, check_share, choice, integer, probability
+from skope.field_checks import array, check_number, check_share, choice, integer, is_number, probability
 from skope.files import safe_names
 from skope.keypoints import SKOPE33, Scheme
 from skope.types import Array
@@ -231,7 +231,7 @@ class Annotation(Labelled):
             raise UserError("keypoints: v is 0, 1 or 2")
         if self.articulation is not None:
             angle = self.articulation
-            if isinstance(angle, bool) or not isinstance(angle, int | float) or not abs(angle) <= math.pi:
+            if not is_number(angle) or not abs(angle) <= math.pi:
                 raise UserError(f"articulation: expected radians from -pi to pi, got {angle!r}")
         choice("vehicle_type", self.vehicle_type, VEHICLE_TYPES)
         choice("color", self.color, VEHICLE_COLORS)

@@ -3,6 +3,7 @@
 import math
 
 from skope.errors import UserError
+from skope.field_checks import is_number
 
 
 def in_range(name: str, value: float, least: float, most: float) -> None:
@@ -17,6 +18,6 @@ def in_range(name: str, value: float, least: float, most: float) -> None:
     Raises:
         UserError: `value` is no number, NaN, or outside the range.
     """
-    if not isinstance(value, int | float) or not least <= value <= most:
+    if not is_number(value) or not least <= value <= most:
         to = "" if math.isinf(most) else f" to {most:g}"
         raise UserError(f"{name}: expected a number from {least:g}{to}, got {value!r}")

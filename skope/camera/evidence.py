@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from skope.errors import UserError
+from skope.field_checks import is_number
 from skope.types import Array
 
 MARKED_PX: Final = 1.5
@@ -183,7 +184,7 @@ def _floats(record: object, kind: str, label: str, **shapes: tuple[int, ...]) ->
 def _positive(record: object, kind: str, label: str, *names: str) -> None:
     for name in names:
         value = getattr(record, name)
-        if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < math.inf:
+        if not is_number(value) or not value > 0:
             raise UserError(f"{_named(kind, label)}: {name}: expected a number above 0, got {value!r}")
 
 

@@ -19,6 +19,7 @@ from torchvision.ops import FrozenBatchNorm2d
 from skope import keypoints, schema
 from skope.detector.backbones import BACKBONES, DEFAULT_BACKBONE, with_pyramid
 from skope.errors import UserError, one_of
+from skope.field_checks import is_number
 
 NORMS: Final = ("frozen", "batch")
 ANCHORS: Final = (32, 64, 128, 256, 512)
@@ -89,7 +90,7 @@ class DetectorConfig:
         one_of("backbone", self.backbone, tuple(BACKBONES))
         for name in SIZE_RANGES:
             check_size(name, getattr(self, name))
-        if isinstance(self.norm_eps, bool) or not isinstance(self.norm_eps, int | float) or not 0 <= self.norm_eps < 1:
+        if not is_number(self.norm_eps) or not 0 <= self.norm_eps < 1:
             raise UserError(f"norm_eps: expected a number from 0 to 1, got {self.norm_eps!r}")
         for name in ("min_size", "max_size"):
             value = getattr(self, name)

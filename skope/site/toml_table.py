@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, Final, Self
 
 from skope.errors import UserError
+from skope.field_checks import is_number
 from skope.files.reading import read_text
 
 _LARGEST_NUMBER: Final = 1e300
@@ -80,9 +81,8 @@ class TomlTable:
         return self._checked(key, self.value(key), low, high)
 
     def _checked(self, key: str, value: Any, low: float = -math.inf, high: float = math.inf) -> float:
-        plain = isinstance(value, int | float) and not isinstance(value, bool)
         # Whole numbers have any length in TOML: those that no float holds are no numbers here.
-        if not plain or abs(value) >= _LARGEST_NUMBER or not low <= value <= high:
+        if not is_number(value) or abs(value) >= _LARGEST_NUMBER or not low <= value <= high:
             limits = "" if (low, high) == (-math.inf, math.inf) else f" from {low:g} to {high:g}"
             raise self.wrong(key, f"expected a number{limits}, got {_shown(value)}" if key in self else "missing")
         return float(value)

@@ -1,10 +1,10 @@
 """Values of the page's document, which may be anything that a browser sends, as what they should be."""
 
-import math
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 from skope.errors import UserError
+from skope.field_checks import is_number
 from skope.site.mark_limits import LONGEST_NAME
 
 NO_NAME: Final = f"expected a name of one line and up to {LONGEST_NAME} letters"
@@ -40,9 +40,7 @@ def is_name(value: Any) -> bool:
 
 def number_or_none(value: Any) -> float | None:
     """A finite number, or None for anything else."""
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        return None
-    return float(value)
+    return float(value) if is_number(value) else None
 
 
 def positions(value: Any, width: int) -> list[list[float]] | None:

@@ -9,6 +9,7 @@ from typing import Any, Final, Self
 from skope import keypoints
 from skope.dataset.folder import check_takes
 from skope.errors import UserError
+from skope.field_checks import is_number
 from skope.gen.labels.ignore_rules import Rules
 from skope.gen.output import licences
 from skope.gen.output.frames import Encoding
@@ -172,10 +173,6 @@ class _Kind:
     holds: Callable[[Any], bool]
 
 
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)
-
-
 def _is_whole(value: Any) -> bool:
     return isinstance(value, int) and not isinstance(value, bool)
 
@@ -185,7 +182,7 @@ def _is_text(value: Any) -> bool:
 
 
 def _is_range(value: Any) -> bool:
-    return isinstance(value, list) and len(value) == 2 and all(map(_is_number, value))
+    return isinstance(value, list) and len(value) == 2 and all(map(is_number, value))
 
 
 def _object_of(holds: Callable[[Any], bool]) -> Callable[[Any], bool]:
@@ -194,11 +191,11 @@ def _object_of(holds: Callable[[Any], bool]) -> Callable[[Any], bool]:
 
 _TEXT: Final = _Kind("text", _is_text)
 _WHOLE_NUMBER: Final = _Kind("a whole number", _is_whole)
-_NUMBER: Final = _Kind("a number", _is_number)
+_NUMBER: Final = _Kind("a number", is_number)
 _SWITCH: Final = _Kind("true or false", lambda value: isinstance(value, bool))
 _OBJECT: Final = _Kind("an object", lambda value: isinstance(value, dict))
 _OBJECT_OR_NULL: Final = _Kind("an object or null", lambda value: isinstance(value, dict | None))
-_NUMBER_OR_NULL: Final = _Kind("a number or null", lambda value: value is None or _is_number(value))
+_NUMBER_OR_NULL: Final = _Kind("a number or null", lambda value: value is None or is_number(value))
 _RANGE_OR_NULL: Final = _Kind("a pair of numbers or null", lambda value: value is None or _is_range(value))
 _TEXTS: Final = _Kind("names", lambda value: isinstance(value, list) and all(map(_is_text, value)))
 _TEXT_BY_NAME: Final = _Kind("an object of texts", _object_of(_is_text))

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from skope import keypoints
 from skope.errors import UserError, one_of
-from skope.field_checks import array
+from skope.field_checks import array, is_number
 from skope.files.atomic import write_bytes
 from skope.files.json_files import check_version, read_json
 from skope.files.safe_names import name as check_name
@@ -173,7 +173,7 @@ def load_model(name: str) -> AddedVehicle:
 def check_mass(field: str, kilograms: Any) -> float:
     """Return a mass, or raise a UserError that names the field."""
     low, high = MASSES
-    if isinstance(kilograms, bool) or not isinstance(kilograms, int | float) or not low <= kilograms <= high:
+    if not is_number(kilograms) or not low <= kilograms <= high:
         raise UserError(f"{field}: expected kilograms from {low:g} to {high:g}, got {kilograms!r:.60}")
     return float(kilograms)
 
