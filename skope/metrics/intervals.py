@@ -10,7 +10,6 @@ are pieces makes up for their small number (MacKinnon, Nielsen and Webb, 2023, o
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from statistics import NormalDist
 from typing import Any, Final
 
 import numpy as np
@@ -108,24 +107,10 @@ def share_interval(value: float | None, without: Array) -> Interval:
 
 
 def student(freedom: int) -> float:
-    """Bound that |t| stays within with probability INTERVAL_LEVEL, for Student's t with `freedom` degrees of freedom.
+    """Bound of |t| with probability INTERVAL_LEVEL, for Student's t with `freedom` degrees of freedom."""
+    from scipy.special import stdtrit  # only what says intervals waits for it
 
-    Exact for one and two degrees of freedom, else to 0.2% (G. W. Hill, 1970).
-    """
-    outside, n = 1 - INTERVAL_LEVEL, float(freedom)
-    if freedom == 1:
-        return math.tan(math.pi / 2 * INTERVAL_LEVEL)
-    if freedom == 2:
-        return math.sqrt(2 / (outside * (2 - outside)) - 2)
-    # Hill's expansion about the normal distribution (Cornish and Fisher's series in 1/n).
-    z = NormalDist().inv_cdf((1 + INTERVAL_LEVEL) / 2)
-    terms = (
-        (z**3 + z) / 4,
-        (5 * z**5 + 16 * z**3 + 3 * z) / 96,
-        (3 * z**7 + 19 * z**5 + 17 * z**3 - 15 * z) / 384,
-        (79 * z**9 + 776 * z**7 + 1482 * z**5 - 1920 * z**3 - 945 * z) / 92160,
-    )
-    return z + sum(term / n**k for k, term in enumerate(terms, start=1))
+    return float(stdtrit(freedom, (1 + INTERVAL_LEVEL) / 2))
 
 
 def intervals(values: Quotients, blocks: Blocks) -> dict[str, Any]:

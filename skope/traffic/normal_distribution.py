@@ -6,7 +6,7 @@ from typing import Final
 COUNT_INTERVAL_LEVEL: Final = 0.90
 """All intervals shall hold the truth so often."""
 INTERVAL_SIGMAS: Final = 1.6448536269514722
-"""Standard deviations on either side of a normal distribution's middle that hold `INTERVAL_LEVEL` of it."""
+"""Standard deviations on either side of a normal distribution's middle that hold `COUNT_INTERVAL_LEVEL` of it."""
 
 
 def at_most(z: float) -> float:

@@ -279,7 +279,7 @@ def test_differences_are_covered_as_often(count: int) -> None:
 
 def test_students_quantiles_are_those_of_scipy() -> None:
     for freedom in (*range(1, 12), 20, 50, 1000):
-        assert intervals.student(freedom) == pytest.approx(scipy.stats.t.ppf(0.975, freedom), rel=2e-3)
+        assert intervals.student(freedom) == pytest.approx(scipy.stats.t.ppf(0.975, freedom), rel=1e-9)
 
 
 def test_where_nothing_can_be_said_there_is_no_interval() -> None:
