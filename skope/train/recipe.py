@@ -126,6 +126,8 @@ class Recipe:
     def from_dict(cls, values: Mapping[str, Any]) -> Self:
         """The recipe of `to_dict`; a UserError says when fields are missing or unknown."""
         names = {field.name for field in fields(cls)}
+        if isinstance(values, Mapping) and "average" in values:  # as older runs call it
+            values = {"ema_decay" if name == "average" else name: value for name, value in values.items()}
         if not isinstance(values, Mapping) or {*values, *_ADDED} != names:
             raise UserError(f"recipe: expected the fields {', '.join(sorted(names))}")
         like: Any = RECIPES["paper"]

@@ -79,6 +79,7 @@ def test_recipes_survive_a_round_trip() -> None:
     assert Recipe.from_dict(json.loads(json.dumps(narrow.to_dict()))) == narrow
     older = {name: value for name, value in own.to_dict().items() if name not in (*LATER, "network", "teacher")}
     assert Recipe.from_dict(older) == replace(own, **dict.fromkeys(LATER))
+    assert Recipe.from_dict({**older, "average": 0.99}) == replace(own, **{**dict.fromkeys(LATER), "ema_decay": 0.99})
     with pytest.raises(UserError, match="recipe: expected the fields"):
         Recipe.from_dict({"name": "x"})
     with pytest.raises(UserError, match=r"augment.reduce: needs min_size and max_size"):
