@@ -247,9 +247,13 @@ def box(low: ArrayLike, high: ArrayLike, material: str) -> Mesh:
 
 
 def lathe(profile: ArrayLike, materials: Sequence[str], sides: int, axis: str) -> Mesh:
-    """Turn a profile of (along, radius) pairs about `axis` ("y" or "z"); a material for each of its segments.
+    """Turn a profile about an axis; where it rises along the axis, the surface faces outward.
 
-    With `along` rising the surface faces outward.
+    Args:
+        profile: (N, 2) places along the axis and radii, metres.
+        materials: N - 1 materials, one of each segment.
+        sides: Sides of the polygon that stands for a circle.
+        axis: "y" or "z".
     """
     p = np.asarray(profile, dtype=np.float64)
     angle = np.linspace(0, 2 * np.pi, sides + 1)
@@ -267,7 +271,14 @@ def lathe(profile: ArrayLike, materials: Sequence[str], sides: int, axis: str) -
 
 
 def tube(path: ArrayLike, radii: Sequence[float], material: str, sides: int) -> Mesh:
-    """A round pipe along points (N, 3) with a radius at each, open at both ends."""
+    """A round pipe, open at both ends.
+
+    Args:
+        path: (N, 3) points of its middle, metres.
+        radii: Radius at each of them, metres.
+        material: Its material.
+        sides: Sides of the polygon that stands for a circle.
+    """
     p = np.asarray(path, dtype=np.float64)
     along = np.gradient(p, axis=0)
     along /= np.linalg.norm(along, axis=1, keepdims=True)

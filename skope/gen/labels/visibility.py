@@ -68,12 +68,24 @@ def find_hidden(
     gap: Array,
     shown: NDArray[np.int32],
 ) -> Mask:
-    """(N, 33) which keypoints are hidden, from what `behind` says of them: `gap` and `shown` (4, N, 33).
+    """Find the keypoints that something hides.
 
     Where the four pixels around a point show the same object and agree, they decide. Where an edge passes between
     them, a ray to the point decides, since road users' shapes are known exactly. Scenery hides the point if the
     point's own pixel shows it, or where all four show what stands before the point and one of them scenery: the ray
-    that passes by the edge of a road user meets that. `inside` (N, 33) are the keypoints in the image.
+    that passes by the edge of a road user meets that.
+
+    Args:
+        moment: Poses of the road users.
+        world: Keypoints of N vehicles where they are in the world.
+        view: The rendered frame.
+        camera: Its camera.
+        inside: (N, 33) which keypoints are in the image.
+        gap: (4, N, 33) metres of each behind the surface that the pixels around it show, as `behind` gives them.
+        shown: (4, N, 33) ids of these pixels.
+
+    Returns:
+        (N, 33) which are hidden.
     """
     blocked = np.nan_to_num(gap, nan=0.0) > POINT_TOLERANCE
     hidden: Mask = blocked[0].copy()

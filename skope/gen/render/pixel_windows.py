@@ -52,7 +52,13 @@ def hull_of(vehicle: Body, T_world_parts: Array, camera: Camera) -> Array:
 
 
 def may_be_seen(vehicle: Body, T_world_parts: Array, camera: Camera) -> bool:
-    """Whether the image may show a vehicle, by its dimensions alone: `window_of` is None where it may not."""
+    """Whether the image may show a vehicle, by its dimensions alone: `window_of` is None where it may not.
+
+    Args:
+        vehicle: The body.
+        T_world_parts: (8, 4, 4) poses of its parts (see `Moment.part_poses`), metres.
+        camera: The image's camera.
+    """
     length, width, height = vehicle.size_lwh
     half = [length / 2 + _STICKS_OUT, width / 2 + _STICKS_OUT]
     corners = [_corners_between(np.array([*np.negative(half), -_STICKS_OUT]), np.array([*half, height + _STICKS_OUT]))]
@@ -66,6 +72,12 @@ def shadow_hull_of(vehicle: Body, T_world_parts: Array, camera: Camera, sun_dire
     """(N, 2) convex polygon around the pixels that a vehicle may cover or take light from.
 
     Shadows are followed for 25 m at most.
+
+    Args:
+        vehicle: The body.
+        T_world_parts: (8, 4, 4) poses of its parts, metres.
+        camera: The image's camera.
+        sun_direction: (3,) unit vector towards the sun, world axes.
     """
     corners, height = _box_corners(vehicle), straight_lwh(vehicle)[2]
     around = [_around(box) for box in corners]
@@ -87,14 +99,28 @@ def beam_corners(reach: float) -> Array:
 
 
 def beam_hull_of(vehicle: Body, T_world_chassis: Array, camera: Camera, reach: float) -> Array:
-    """(N, 2) convex polygon around the pixels of road, and of what stands on it, that headlights may light."""
+    """(N, 2) convex polygon around the pixels of road, and of what stands on it, that headlights may light.
+
+    Args:
+        vehicle: The body.
+        T_world_chassis: (4, 4) its pose, metres.
+        camera: The image's camera.
+        reach: How far the headlights reach ahead of the bumper, metres.
+    """
     ahead = beam_corners(reach) + [vehicle.size_lwh[0] / 2, 0]
     points = np.concatenate([np.column_stack([ahead, np.full(4, z)]) for z in (0.0, 1.5)])
     return _projected_hull(points @ T_world_chassis[:3, :3].T + T_world_chassis[:3, 3], camera)
 
 
 def mirror_hull_of(vehicle: Body, T_world_parts: Array, camera: Camera, mirror: Array) -> Array:
-    """(N, 2) convex polygon around the pixels that a vehicle may cover in a mirror (see `Plane.mirror`)."""
+    """(N, 2) convex polygon around the pixels that a vehicle may cover in a mirror.
+
+    Args:
+        vehicle: The body.
+        T_world_parts: (8, 4, 4) poses of its parts, metres.
+        camera: The image's camera.
+        mirror: (4, 4) the reflection, about the camera's place (see `Plane.mirror`).
+    """
     world = _corners_world(_box_corners(vehicle), T_world_parts)
     return _projected_hull((world - camera.position) @ mirror[:3, :3].T + mirror[:3, 3] + camera.position, camera)
 

@@ -44,7 +44,16 @@ def light_signals(
     signals: tuple[Signal, ...],
     fine: int = 1,
 ) -> None:
-    """Draw the lamps that are lit, turned to the camera and not hidden, into `rgb` (H * fine, W * fine, 3)."""
+    """Draw the lamps that are lit, turned to the camera and not hidden.
+
+    Args:
+        rgb: (H * fine, W * fine, 3), changed in place.
+        depth: (H, W) metres.
+        camera: The image's camera.
+        moment: When it is.
+        signals: The town's traffic lights.
+        fine: Pixels of `rgb` beside each other in one of `depth`.
+    """
     for signal, lamp in _lit_heads(camera, moment, signals):
         pixel, z, valid = camera.project(signal.lamps[lamp])
         if not valid or not camera.inside(pixel):

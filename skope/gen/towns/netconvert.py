@@ -64,8 +64,12 @@ def netconvert(options: Mapping[str, str], header: str = "") -> str:
 def from_map(path: Path, kind: str, origin: tuple[float, float] | None, *, lefthand: bool, height: float = 0.0) -> str:
     """The network of an OpenStreetMap ("osm") or OpenDRIVE ("opendrive") file.
 
-    World coordinates of the former are metres east and north of `origin` (latitude, longitude in degrees); the world's
-    z = 0 is a `height` of the map.
+    Args:
+        path: The file.
+        kind: "osm" or "opendrive".
+        origin: Latitude and longitude in degrees of what becomes (0, 0) of an OpenStreetMap file, x east and y north.
+        lefthand: Whether traffic keeps to the left.
+        height: Height of the map that becomes z = 0, metres.
     """
     options = {**COMMON, **_MAP, f"{kind}-files": str(path)}
     if height:

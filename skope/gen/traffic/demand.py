@@ -102,7 +102,14 @@ def trips(
 ) -> Iterator[Trip]:
     """Poisson arrivals over all ways in for `duration` seconds, each to a random way out that is not the way back.
 
-    With `passing`, all on ways over one of these edges. `vehicles_per_hour` are of all kinds together.
+    Args:
+        network: SUMO's network file.
+        models: The fleet, with its shares.
+        vehicles_per_hour: Arrivals of all kinds together.
+        duration: Seconds.
+        rng: Draws them.
+        passing: Edges of which each way leads over one; empty: any way.
+        riders: Shares of those on two wheels.
     """
     routes = [way for way in ways(network) if not passing or not passing.isdisjoint(way[0])]
     weights = np.array([weight for _, weight in routes])

@@ -30,9 +30,15 @@ class Moving:
 
 
 def moving(placed: Iterable[PlacedVehicle], velocity: Array, shutter_s: float, camera: Camera) -> list[Moving]:
-    """The vehicles that move visibly while the shutter is open; `velocity` (N, 3) is that of all in the frame, m/s.
+    """The vehicles that move visibly while the shutter is open.
 
     What is nearer than its own length is left sharp: its parts move in all directions.
+
+    Args:
+        placed: The vehicles that the image may show.
+        velocity: (N, 3) of all vehicles in the frame, m/s.
+        shutter_s: How long the shutter is open, seconds.
+        camera: The image's camera.
     """
     out = []
     for one in placed:
