@@ -109,7 +109,7 @@ def trips(
         duration: Seconds.
         rng: Draws them.
         passing: Edges of which each way leads over one; empty: any way.
-        riders: Shares of those on two wheels.
+        riders: Number of those on two wheels for one vehicle, and how they ride.
     """
     routes = [way for way in ways(network) if not passing or not passing.isdisjoint(way[0])]
     weights = np.array([weight for _, weight in routes])
