@@ -28,8 +28,8 @@ RECIPE  ?= paper
 CHECKPOINT ?= road33
 GPUS    ?= 0
 SCORED  ?= runs/real
-# One more than there are processors: tests also wait, for processes and browsers.
-TESTERS ?= $(shell echo $$(($$(getconf _NPROCESSORS_ONLN) + 1)))
+# One more than there are processors, and at most four: tests also wait, for processes and browsers.
+TESTERS ?= $(shell n=$$(getconf _NPROCESSORS_ONLN); echo $$((n < 3 ? n + 1 : 4)))
 FOOTAGE ?= runs/bench_footage
 
 .PHONY: help setup demo chain paper reference lite real test test-slow lint data model report docs bench clean
@@ -50,7 +50,7 @@ chain: $(STAMP)
 	SKOPE=$(SKOPE) bash scripts/chain.sh
 
 test: $(STAMP)
-	$(VENV)/bin/python -m pytest -n $(TESTERS) --maxprocesses 4 --dist loadfile --no-loadscope-reorder
+	$(VENV)/bin/python -m pytest -n $(TESTERS) --dist loadfile --no-loadscope-reorder
 
 test-slow: $(STAMP)
 	$(VENV)/bin/python -m pytest -m slow
