@@ -17,7 +17,7 @@ def json_bytes(value: Any) -> bytes:
     try:
         data = orjson.dumps(value)
     except TypeError:  # text that is not Unicode, as names of files may be, and numbers of more than 64 bits
-        data = b"null"
+        return json.dumps(value, allow_nan=False, separators=(",", ":")).encode()
     # What orjson makes of NaN, too: read again, that is another value.
     if b"null" in data and orjson.loads(data) != value:
         return json.dumps(value, allow_nan=False, separators=(",", ":")).encode()

@@ -56,10 +56,19 @@ def counting_order(path: Path | str) -> list[str | int]:
 
 def for_opencv(path: Path | str) -> str:
     """A path as OpenCV takes it; a UserError where it is not UTF-8, at which OpenCV ends the process."""
+    return _in_utf8(path, "OpenCV")
+
+
+def for_ffmpeg(path: Path | str) -> str:
+    """A path as FFmpeg takes it; a UserError where it is not UTF-8."""
+    return _in_utf8(path, "FFmpeg")
+
+
+def _in_utf8(path: Path | str, program: str) -> str:
     try:
         str(path).encode()
     except UnicodeEncodeError:
-        raise UserError(f"{path}: OpenCV takes no path that is not UTF-8; choose another name") from None
+        raise UserError(f"{path}: {program} takes no path that is not UTF-8; choose another name") from None
     return str(path)
 
 

@@ -1,5 +1,8 @@
 """Pictures written as a video file."""
 
+import errno
+import math
+import os
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from fractions import Fraction
@@ -10,6 +13,7 @@ import cv2
 import numpy as np
 
 from skope.errors import UserError
+from skope.files.safe_names import for_ffmpeg
 from skope.types import Pixels
 
 if TYPE_CHECKING:
@@ -34,13 +38,18 @@ _LIMITED_RANGE: Final = 1
 class VideoFile:
     """A video that is being written, frame by frame."""
 
-    def __init__(self, file: "OutputContainer", stream: "VideoStream") -> None:
-        self._file, self._stream = file, stream
+    def __init__(self, file: "OutputContainer", stream: "VideoStream", size: tuple[int, int]) -> None:
+        self._file, self._stream, self._size = file, stream, size
 
     def add(self, pixels: Pixels) -> None:
-        """Append a frame (H, W, 3) RGB of the video's size; where that is odd, its edge is repeated."""
+        """Append a frame (H, W, 3) RGB of the video's size; where that is odd, its edge is repeated.
+
+        Raises ValueError for a frame of another size or type.
+        """
         from av import VideoFrame
 
+        if pixels.dtype != np.uint8 or pixels.shape != (self._size[1], self._size[0], 3):
+            raise ValueError(f"expected a frame of {self._size}, 8 bits RGB, got {pixels.shape} of {pixels.dtype}")
         right, below = self._stream.width - pixels.shape[1], self._stream.height - pixels.shape[0]
         if right or below:
             pixels = np.asarray(cv2.copyMakeBorder(pixels, 0, below, 0, right, cv2.BORDER_REPLICATE), dtype=np.uint8)
@@ -61,32 +70,44 @@ def create_video(path: Path, size: tuple[int, int], fps: float) -> Iterator[Vide
         fps: Frames a second.
 
     Raises:
-        UserError: The video cannot be written.
+        UserError: The video cannot be written so.
+        OSError: The file cannot be written.
     """
     import av
     from av.error import FFmpegError
 
     container, codec, kept, options = _FORMATS[path.suffix]
-    # Python opens the file: FFmpeg takes some names for addresses and patterns.
-    with path.open("wb") as out:
-        try:
-            with av.open(out, "w", format=container) as file:
-                rate = Fraction(fps).limit_denominator(_MOST_DENOMINATOR)
-                stream: Any = file.add_stream(codec, rate=rate, options=options)
-                even = container == "mp4"
-                stream.width, stream.height = (side + (side % 2 if even else 0) for side in size)
-                stream.pix_fmt = kept
-                if even:
-                    stream.codec_context.colorspace, stream.codec_context.color_range = _BT601, _LIMITED_RANGE
-                video = VideoFile(file, stream)
-                yield video
-                video.end()
-        except FFmpegError as error:
-            raise UserError(f"{path}: cannot be written as a video ({error.strerror})") from None
+    try:
+        # Named as a file: FFmpeg takes some names for addresses. It writes by itself, as an interrupt that came while
+        # it calls Python would be lost.
+        with av.open(f"file:{for_ffmpeg(path)}", "w", format=container) as file:
+            stream: Any = file.add_stream(codec, rate=_rate(path, fps), options=options)
+            even = container == "mp4"
+            stream.width, stream.height = (side + (side % 2 if even else 0) for side in size)
+            stream.pix_fmt = kept
+            if even:
+                stream.codec_context.colorspace, stream.codec_context.color_range = _BT601, _LIMITED_RANGE
+            video = VideoFile(file, stream, size)
+            yield video
+            video.end()
+    except FFmpegError as error:
+        number = error.errno or 0
+        if number in errno.errorcode and number != errno.EINVAL:  # which a codec says of what it cannot write
+            raise OSError(number, os.strerror(number), str(path)) from None
+        raise UserError(f"{path}: cannot be written as a video ({error.strerror})") from None
+
+
+def _rate(path: Path, fps: float) -> Fraction:
+    """Frames a second as a fraction."""
+    if not (math.isfinite(fps) and fps > 0):
+        raise UserError(f"{path}: cannot be written as a video of {fps:g} frames a second")
+    if fps < 1:
+        return 1 / Fraction(1 / float(fps)).limit_denominator(_MOST_DENOMINATOR)
+    return Fraction(float(fps)).limit_denominator(_MOST_DENOMINATOR)
 
 
 def write_video(path: Path, frames: Iterable[Pixels], fps: float) -> None:
-    """Write frames as a video file, as `open_video` does; where there is no frame, nothing is written.
+    """Write frames as a video file, as `create_video` does; where there is no frame, nothing is written.
 
     Args:
         path: The file, .mp4 or .avi.

@@ -2,6 +2,8 @@
 
 import base64
 import os
+import resource
+import signal
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
 from pathlib import Path
@@ -12,6 +14,7 @@ import pytest
 from numpy.typing import NDArray
 
 from skope.errors import UserError
+from skope.files.atomic import replacing
 from skope.pictures.video import create_video, write_video
 from tests.chromium import Browser
 
@@ -49,10 +52,45 @@ def test_times_and_colors_are_read_back(tmp_path: Path, name: str, fps: float) -
         assert np.abs(frame.astype(int) - color).max() <= 4
 
 
-def test_a_path_may_be_of_any_bytes(tmp_path: Path) -> None:
-    path = tmp_path / os.fsdecode(b"\xff.mp4")
-    write_video(path, shades(), 10)
-    assert len(read(path.rename(tmp_path / "v.mp4"))[1]) == len(COLORS)
+def test_a_path_that_is_not_utf_8_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(UserError, match="FFmpeg takes no path that is not UTF-8"):
+        write_video(tmp_path / os.fsdecode(b"\xff.mp4"), shades(), 10)
+
+
+@pytest.mark.parametrize("fps", [0.0, -1.0, float("nan"), float("inf")])
+def test_a_rate_that_is_none_is_refused(tmp_path: Path, fps: float) -> None:
+    with pytest.raises(UserError, match="cannot be written as a video of"):
+        write_video(tmp_path / "v.mp4", shades(), fps)
+
+
+@pytest.mark.parametrize("fps", [1e-3, np.float32(0.5), 240])
+def test_slow_and_fast_videos(tmp_path: Path, fps: float) -> None:
+    write_video(tmp_path / "v.mp4", shades(), fps)
+    times, _ = read(tmp_path / "v.mp4")
+    assert times == pytest.approx([k / fps for k in range(len(COLORS))], rel=1e-3, abs=1e-3)
+
+
+def test_a_full_disk_is_named(tmp_path: Path) -> None:
+    noise = np.random.default_rng(0).integers(0, 256, (240, 320, 3), dtype=np.uint8)
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    held = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    try:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, before[1]))
+        with (
+            pytest.raises(UserError, match=rf"^{tmp_path}/v\.mp4: .*File too large"),
+            replacing(tmp_path / "v.mp4") as temporary,
+        ):
+            write_video(temporary, [noise] * 30, 10)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+        signal.signal(signal.SIGXFSZ, held)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("other", [np.zeros((64, 98, 3), np.uint8), np.zeros((64, 96, 3), np.uint16)])
+def test_a_frame_of_another_kind_is_refused(tmp_path: Path, other: NDArray[np.uint8]) -> None:
+    with pytest.raises(ValueError, match="expected a frame of"):
+        write_video(tmp_path / "v.mp4", [*shades(), other], 10)
 
 
 def test_an_odd_size_gains_a_pixel(tmp_path: Path) -> None:

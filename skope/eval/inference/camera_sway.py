@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import ExitStack, closing
+from contextlib import ExitStack, closing, suppress
 from dataclasses import dataclass, replace
 from queue import SimpleQueue
 from typing import Final, TypeAlias
@@ -66,9 +66,10 @@ class SwayWatch:
         """Start the measures of all frames from now on, one at a time each; `pixels` is the first of them."""
         first = self._first or SmallPicture.of(pixels)
         idle: SimpleQueue[_Measure] = SimpleQueue()
-        for _ in range(self._processes):
-            idle.put(ends.enter_context(closing(MotionProcess(first))))
-        if not self._processes:
+        with suppress(OSError):  # where there can be no such processes, this one measures
+            for _ in range(self._processes):
+                idle.put(ends.enter_context(closing(MotionProcess(first))))
+        if idle.empty():
             idle.put(ReferencePicture(first))
         return idle
 

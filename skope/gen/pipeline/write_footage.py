@@ -15,6 +15,7 @@ from skope.errors import UserError
 from skope.files.atomic import replacing
 from skope.files.json_files import read_json
 from skope.files.output_folders import changed_options
+from skope.files.safe_names import for_ffmpeg
 from skope.gen.labels.annotate import annotate
 from skope.gen.labels.ignore_rules import Rules
 from skope.gen.labels.road_users import annotate_road_users
@@ -116,6 +117,7 @@ def write_footage(
         out / f"{name}.mp4", out / f"{name}.json", out / f"{name}_labels.mp4" if with_overlay else None
     )
     check_free(footage, options)
+    for_ffmpeg(footage.video)  # what cannot be written is told before anything is simulated
     console.say(f"{name}: simulating {plan.frames * plan.interval:g} s")
     recording = simulate(plan)
     size, fps = (recording.camera.width, recording.camera.height), 1 / plan.interval

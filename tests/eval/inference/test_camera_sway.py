@@ -2,6 +2,7 @@
 
 import json
 import math
+import sys
 import threading
 from contextlib import closing
 from dataclasses import replace
@@ -99,6 +100,28 @@ def test_a_measuring_process_tells_what_went_wrong_and_that_it_was_killed() -> N
         with pytest.raises(UserError, match="was killed"):
             process.motion(first)
     assert process._process.returncode is not None
+
+
+@pytest.mark.parametrize("executable", ["/nowhere/python", None])
+def test_where_no_process_can_be_started_this_one_measures(
+    monkeypatch: pytest.MonkeyPatch, executable: str | None
+) -> None:
+    monkeypatch.setattr(sys, "executable", executable)
+    monkeypatch.setenv("PATH", "/nowhere")
+    shifts = [(0.5 * k, -0.3 * k) for k in range(4)]
+    assert recorded(shifts, processes=2)[0].motions == recorded(shifts)[0].motions
+
+
+def test_a_process_that_ends_by_itself_is_not_called_killed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "executable", "/bin/true")
+    with pytest.raises(UserError, match="ended by itself, with exit code 0"):
+        recorded([(0.0, 0.0)] * 40, processes=1)
+
+
+def test_what_libraries_print_is_no_answer(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("OPENCV_LOG_LEVEL", "DEBUG")
+    shifts = [(0.5 * k, -0.3 * k) for k in range(4)]
+    assert recorded(shifts, processes=1)[0].motions == recorded(shifts)[0].motions
 
 
 def test_measuring_processes_end_with_the_watch() -> None:
