@@ -142,7 +142,10 @@ def _predictor(job: EvalJob, console: Console) -> "Predictor":
     from skope.eval.inference.predictor import Predictor  # torch
 
     assert job.checkpoint is not None
-    settings = replace(job.settings, min_score=job.options.score) if job.fast else job.settings
+    sizes = {(image.width, image.height) for file in job.truth.splits for image in file.images}
+    settings = replace(job.settings, one_size=len(sizes) <= 1)
+    if job.fast:
+        settings = replace(settings, min_score=job.options.score)
     predictor = Predictor.load(job.checkpoint, settings, console)
     predictor.check_scheme(job.truth.scheme, job.truth.root)
     return predictor

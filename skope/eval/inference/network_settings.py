@@ -35,6 +35,9 @@ class Settings:
     """Images of one size that go through the network together; default: 1 on a CPU, 8 on a GPU, 16 if it has 24 GB."""
     tiles: str = "none"
     """Whether parts of the image go through the network too: "auto" where it is larger than the network takes it."""
+    one_size: bool = True
+    """Whether all images have one size, for which a backend may prepare: a fifth faster. Of several sizes none is set
+    apart, so that what is found in an image does not depend on those before it."""
     calibrated: bool = True
     """Use the calibration beside the weights, if there is one."""
 

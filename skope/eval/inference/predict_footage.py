@@ -69,7 +69,7 @@ def predict(job: PredictJob, console: Console) -> list[Path]:
     """
     # The frames of a live stream do not wait for a batch to be full.
     batch_size = job.settings.batch_size or (1 if job.footage.live else None)
-    settings = replace(job.settings, min_score=job.least_score, batch_size=batch_size)
+    settings = replace(job.settings, min_score=job.least_score, batch_size=batch_size, one_size=job.footage.one_size)
     detector = _loaded(job, settings, console)
     claim(job, detector.files)
     prediction = Prediction(job, detector)

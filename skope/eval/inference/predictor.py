@@ -92,7 +92,13 @@ class Predictor:
             config = config.with_min_size(settings.min_size)
             model.transform.min_size, model.transform.max_size = (config.min_size,), config.max_size
         number = prepare(
-            model, metadata, device, backend=settings.backend, precision=settings.precision, console=console
+            model,
+            metadata,
+            device,
+            backend=settings.backend,
+            precision=settings.precision,
+            one_size=settings.one_size,
+            console=console,
         )
         predictor = cls(
             model,

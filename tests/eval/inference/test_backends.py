@@ -122,6 +122,35 @@ def test_a_runtime_finds_what_torch_finds(
             assert len(answer) == len(by_torch)
 
 
+_IN_BOTH_ORDERS = """
+import sys
+from pathlib import Path
+import numpy as np
+from skope.dataset.folder import read_image
+from skope.eval.inference.network_settings import Settings
+from skope.eval.inference.predictor import Predictor
+from skope.terminal.console import Console
+wide = read_image(Path(sys.argv[1]))
+images = [np.ascontiguousarray(part) for part in (wide, wide[:, :700], wide[200:, :900])]
+settings = Settings(backend="openvino", precision="int8", min_size=320, one_size=False)
+orders = [[0, 1, 2], [2, 1, 0], [1]]
+found = []
+for order in orders:
+    predictor = Predictor.load(Path("road33-lite"), settings, Console(quiet=True))
+    found.append({i: predictor.detections([images[i]])[0] for i in order})
+for later in found[1:]:
+    for i, own in later.items():
+        assert len(own) >= 2
+        for name in ("boxes_xyxy", "scores", "keypoints"):
+            assert np.array_equal(getattr(own, name), getattr(found[0][i], name)), (i, name)
+"""
+
+
+def test_images_of_several_sizes_are_found_the_same_in_any_order() -> None:
+    command = [sys.executable, "-c", _IN_BOTH_ORDERS, str(PICTURE)]
+    subprocess.run(command, check=True, cwd=PICTURE.parents[1])
+
+
 def test_parts_handed_over_to_torch_itself_answer_as_before(random_run: Path, pixels: NDArray[np.uint8]) -> None:
     """Also in an image without vehicles, of which no region reaches the heads."""
 

@@ -6,9 +6,11 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from PIL import Image as Picture
 
 from skope.dataset import coco
 from skope.errors import UserError
+from skope.eval.inference.frame_sources import open_footage
 from skope.files import progress
 from skope.files.progress import Progress
 
@@ -114,3 +116,19 @@ def test_flags_out_of_range_claim_no_folder(skope: Any, command: str, flags: tup
     assert code == 2
     assert message in error
     assert not Path("t").exists()
+
+
+def test_whether_all_images_have_one_size_is_told_by_their_headers(tmp_path: Path) -> None:
+    """As they are shown: one that is turned by its EXIF is as wide as the others are high."""
+
+    def save(name: str, size: tuple[int, int], orientation: int = 1) -> None:
+        exif = Picture.Exif()
+        exif[274] = orientation
+        Picture.new("RGB", size).save(tmp_path / name, exif=exif)
+
+    save("a.jpg", (96, 64))
+    save("b.jpg", (64, 96), orientation=6)
+    (tmp_path / "c.jpg").write_bytes(b"none")
+    assert open_footage(str(tmp_path)).one_size
+    save("d.jpg", (64, 96))
+    assert not open_footage(str(tmp_path)).one_size

@@ -1,6 +1,7 @@
 """Choose what computes the costly parts: torch, or a runtime that is faster on the CPU; and in which number format."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import torch
@@ -26,6 +27,7 @@ def prepare(
     *,
     backend: str,
     precision: str,
+    one_size: bool = True,
     console: Console,
 ) -> str:
     """Let a backend compute a model's costly parts from now on.
@@ -37,6 +39,7 @@ def prepare(
         backend: `auto`, `torch`, or a key of `RUNTIMES`. `auto` is OpenVINO on a CPU where it is installed.
         precision: Number format of the products: `float32`, `bfloat16`, `int8`, or `auto`, the fastest that backend,
             processor and checkpoint have.
+        one_size: Whether all images have one size, for which a runtime may prepare.
         console: Says when `auto` finds a runtime that is broken.
 
     Returns:
@@ -53,7 +56,7 @@ def prepare(
         if device.type != "cpu":
             raise UserError(f"--backend {backend}: computes on the CPU only; give --device cpu, or --backend torch")
         try:
-            return _by_runtime(RUNTIMES[name](), model, metadata, precision)
+            return _by_runtime(RUNTIMES[name](), model, metadata, precision, one_size=one_size)
         except UnusableError as error:
             if backend != "auto":
                 raise
@@ -67,14 +70,20 @@ def prepare(
     return number
 
 
-def _by_runtime(runtime: Runtime, model: KeypointRCNN, metadata: Mapping[str, Any], precision: str) -> str:
+def _by_runtime(
+    runtime: Runtime, model: KeypointRCNN, metadata: Mapping[str, Any], precision: str, *, one_size: bool
+) -> str:
     """Hand a model's parts over; it is as before where the runtime fails."""
     ranges = int8_ranges.read(model, metadata)
     number = _number_format(precision, runtime, ranged=ranges is not None, device=torch.device("cpu"))
     try:
         if number == "int8" and ranges is not None:
             eight_bits.convert(model, ranges)
-        runs = {name: runtime.compile(part, number) for name, part in network_parts.parts_of(model).items()}
+        parts = network_parts.parts_of(model)
+        runs = {
+            name: runtime.compile(replace(part, steady=part.steady and one_size), number)
+            for name, part in parts.items()
+        }
     except UnusableError:
         eight_bits.revert(model)
         raise
