@@ -106,7 +106,7 @@ def coarse_shift(one: Array, other: Array) -> tuple[float, float] | None:
 def _agreement(one: Array, other: Array) -> float:
     """Share of the blocks of two pictures, of those that show something, in which their edges correlate."""
     firsts = [
-        [part[0] for part in np.array_split(np.arange(size), parts)]
+        [part[0] for part in np.array_split(np.arange(size), min(parts, size))]
         for size, parts in zip(one.shape, _BLOCKS, strict=True)
     ]
     pixels = _block_sums(np.ones_like(one), firsts)

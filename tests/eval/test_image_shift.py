@@ -95,6 +95,12 @@ def test_a_picture_with_nothing_in_it_tells_nothing() -> None:
     assert ReferencePicture(SmallPicture.of(even)).motion(SmallPicture.of(picture(np.eye(3)))) is None
 
 
+@pytest.mark.parametrize("size", [(161, 3), (1000, 1), (3, 200)])
+def test_a_strip_of_a_picture_is_no_error(size: tuple[int, int]) -> None:
+    noise = SmallPicture.of(np.random.default_rng(0).integers(0, 256, (size[1], size[0], 3), dtype=np.uint8))
+    assert ReferencePicture(noise).motion(noise) is None
+
+
 def test_corners_are_followed_in_pixels_whose_centres_are_halves() -> None:
     """In a wide picture, which is made smaller for it, too."""
     large = np.asarray(cv2.resize(picture(np.eye(3)), (1280, 720), interpolation=cv2.INTER_CUBIC), dtype=np.uint8)
