@@ -14,14 +14,12 @@ def json_bytes(value: Any) -> bytes:
     """Compact JSON; NaN and infinities are a ValueError as JSON has none."""
     import orjson
 
-    try:
+    with contextlib.suppress(TypeError):  # text that is not Unicode, as names of files may be; more than 64 bits
         data = orjson.dumps(value)
-    except TypeError:  # text that is not Unicode, as names of files may be, and numbers of more than 64 bits
-        return json.dumps(value, allow_nan=False, separators=(",", ":")).encode()
-    # What orjson makes of NaN, too: read again, that is another value.
-    if b"null" in data and orjson.loads(data) != value:
-        return json.dumps(value, allow_nan=False, separators=(",", ":")).encode()
-    return data
+        # What orjson makes of NaN, too: read again, that is another value.
+        if b"null" not in data or orjson.loads(data) == value:
+            return data
+    return json.dumps(value, allow_nan=False, separators=(",", ":")).encode()
 
 
 def parse_json(data: bytes) -> Any:

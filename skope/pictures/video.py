@@ -1,6 +1,7 @@
 """Pictures written as a video file."""
 
 import errno
+import itertools
 import math
 import os
 from collections.abc import Iterable, Iterator
@@ -115,13 +116,13 @@ def write_video(path: Path, frames: Iterable[Pixels], fps: float) -> None:
         fps: Frames a second.
 
     Raises:
-        UserError: The video cannot be written.
+        UserError: The video cannot be written so.
+        OSError: The file cannot be written.
     """
     left = iter(frames)
     first = next(left, None)
     if first is None:
         return
     with create_video(path, (first.shape[1], first.shape[0]), fps) as video:
-        video.add(first)
-        for pixels in left:
+        for pixels in itertools.chain([first], left):
             video.add(pixels)

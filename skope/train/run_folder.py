@@ -1,11 +1,13 @@
 """The run folder: its checkpoints, and room for them.
 
-recipe.json               configuration of the run
-epoch_NNN.safetensors     weights after NNN epochs (the newest ones)
-best.safetensors          weights of the epoch with the best validation
-metrics.jsonl             losses and validation of each epoch
-resume.pt                 the whole state: weights, optimiser, position in the epoch, history, best figure
-README.md, curves.png, progress/, tensorboard/    the model card, and what lets one see it learn
+    recipe.json               configuration of the run
+    epoch_NNN.safetensors     weights after NNN epochs (the newest ones)
+    best.safetensors          weights of the epoch with the best validation
+    metrics.jsonl             losses and validation of each epoch
+    resume.pt                 the whole state: weights, optimiser, position in the epoch, history, best figure
+    README.md, curves.png, progress/, tensorboard/    the model card, and what lets one see it learn
+
+`skope.train.training_state` says what a run goes on from.
 """
 
 import contextlib

@@ -17,9 +17,9 @@ from typing import Final
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image as Picture
 
 from skope.dataset.folder import read_image
+from skope.dataset.picture_headers import read_header
 from skope.errors import UserError
 from skope.eval.inference import stream
 from skope.files import safe_names
@@ -27,10 +27,6 @@ from skope.schema import Image
 from skope.types import Pixels
 
 IMAGE_SUFFIXES: Final = (".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp", ".ppm", ".pgm")
-_ORIENTATION_TAG: Final = 274
-"""EXIF's tag of how a picture is turned."""
-_FIRST_TURNED: Final = 5
-"""Its values from this one on swap width and height."""
 _GLOB_CHARS: Final = frozenset("*?[")
 _SAME_S: Final = 5e-4
 """Times that differ by less are the same: containers count in thousandths of a second, or finer."""
@@ -148,7 +144,7 @@ class ImageFiles(Footage):
 
     @property
     def one_size(self) -> bool:
-        return len({size for size in map(_shown_size, self.images) if size}) <= 1
+        return len({header.shown for header in map(read_header, self.images) if header}) <= 1
 
     @property
     def names(self) -> list[str]:
@@ -175,16 +171,6 @@ class ImageFiles(Footage):
                 self._skip(str(error))
                 continue
             yield _image(number, name, pixels, number - 1, None), pixels
-
-
-def _shown_size(path: Path) -> tuple[int, int] | None:
-    """Width and height of a picture as it is shown, from its header; None where that cannot be read."""
-    try:
-        with Picture.open(path) as picture:
-            turned = picture.getexif().get(_ORIENTATION_TAG, 1) >= _FIRST_TURNED
-            return (picture.height, picture.width) if turned else picture.size
-    except Exception:  # whatever a damaged file leads to: it is said where the picture is read
-        return None
 
 
 @dataclass

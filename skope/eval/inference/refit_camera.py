@@ -135,8 +135,9 @@ def registration(before: Pixels, after: Pixels, known: UncertainCamera, name: st
     Raises:
         UserError: A turn does not explain what is seen.
     """
-    reference, moved = (SmallPicture.of(pixels, _MATCHED_WIDTH_PX) for pixels in (before, after))
-    motion, followed = ReferencePicture(reference).motion(moved), ReferencePicture(reference).followed(moved)
+    first, moved = (SmallPicture.of(pixels, _MATCHED_WIDTH_PX) for pixels in (before, after))
+    reference = ReferencePicture(first)
+    motion, followed = reference.motion(moved), reference.followed(moved)
     if motion is None or followed is None:
         raise UserError(f"{name}: too little of one picture is found in the other to tell how the camera was turned")
     rays, valid = known.camera.rays(followed.before)

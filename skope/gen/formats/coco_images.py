@@ -7,12 +7,12 @@ from pathlib import Path
 from typing import Any
 
 from skope.dataset import coco
+from skope.dataset.picture_headers import PictureHeader, read_header
 from skope.errors import UserError
 from skope.gen.formats import file_name_rules
 from skope.gen.formats.coco_sources import AnnotationSource
 from skope.gen.formats.dataset_builder import bare_name
 from skope.gen.formats.file_name_rules import Place
-from skope.gen.formats.picture_headers import PictureHeader, read_header
 from skope.gen.formats.remarks import Remarks
 from skope.gen.formats.source_files import Files, first
 from skope.schema import Image

@@ -16,7 +16,7 @@ from PIL import Image
 
 from skope.dataset.folder import open_dataset, read_image
 from skope.dataset.image_selection import held_back, ignoring, recordings
-from skope.gen.formats.picture_headers import PictureHeader, read_header
+from skope.dataset.picture_headers import PictureHeader, read_header
 from skope.schema import AnnotationFile
 from tests.gen.formats.foreign_files import BOX, SIZE, category, document, jpeg, picture, save, vehicle, write
 
