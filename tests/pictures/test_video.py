@@ -129,10 +129,10 @@ def test_a_browser_plays_it_in_its_colors(
         assert browser.run("document.querySelector('video').duration") == pytest.approx(1.0, abs=0.01)
         for k, color in enumerate(COLORS):
             browser.run(f"document.querySelector('video').currentTime = {(k + 0.5) / 5}")
-            browser.until("!document.querySelector('video').seeking")
-            shown = browser.run(
+            # A busy browser may end a seek before the canvas is given the frame that it has come to.
+            browser.until(
                 "(() => { const canvas = document.createElement('canvas'), pen = canvas.getContext('2d');"
                 "pen.drawImage(document.querySelector('video'), 0, 0);"
-                "return [...pen.getImageData(40, 30, 1, 1).data].slice(0, 3); })()"
+                "const shown = pen.getImageData(40, 30, 1, 1).data;"
+                f"return {list(color)}.every((expected, i) => Math.abs(shown[i] - expected) <= 6); }})()"
             )
-            assert np.abs(np.subtract(shown, color)).max() <= 6
