@@ -42,7 +42,7 @@ class NetworkPart:
     shape: tuple[int, ...]
     """Of its input; -1 stands for any number."""
     steady: bool = True
-    """Whether its input mostly has one size."""
+    """Whether its input mostly has one size, or one of few."""
 
     def to_onnx(self) -> bytes:
         """The part as an ONNX model with one input, `INPUT`."""

@@ -39,7 +39,7 @@ def prepare(
         backend: `auto`, `torch`, or a key of `RUNTIMES`. `auto` is OpenVINO on a CPU where it is installed.
         precision: Number format of the products: `float32`, `bfloat16`, `int8`, or `auto`, the fastest that backend,
             processor and checkpoint have.
-        one_size: Whether all images have one size, for which a runtime may prepare.
+        one_size: Whether images have one size, or few, for each of which a runtime may prepare.
         console: Says when `auto` finds a runtime that is broken.
 
     Returns:
