@@ -47,7 +47,7 @@ HEADWAY_S: Final = 1.8
 SIZES: Final = {"car": (4.4, 1.8), "van": (5.4, 2.0), "lorry": (9.0, 2.5), "bus": (12.0, 2.5)}
 SHARES: Final = (0.75, 0.12, 0.09, 0.04)
 COLUMNS: Final = (
-    "track", "time_s", "x", "y", "z", "heading_deg", "vx", "vy", "measured", "sigma_position", "sigma_speed", "length",
+    "track", "time_s", "x", "y", "z", "heading_deg", "vx", "vy", "located", "sigma_position", "sigma_speed", "length",
     "width", "class", "class_confidence", "flags",
 )  # fmt: skip
 BEGINS: Final = datetime(2026, 11, 26, 5, tzinfo=UTC)

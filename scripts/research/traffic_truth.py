@@ -128,7 +128,7 @@ def _trajectory(row: Sequence[str], times: Array, frame: Array, state: Array) ->
         heading=state[:, 2],
         covariance=np.zeros((n, 2, 2)),
         speed_sigma=np.zeros(n),
-        measured=np.ones(n, dtype=bool),
+        located=np.ones(n, dtype=bool),
         length=float(length),
         width=float(width),
         flags=() if moves and parked == "False" else ("never_moved",),

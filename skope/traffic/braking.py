@@ -55,7 +55,7 @@ def _hardest(trajectory: Trajectory, limit: float) -> HardBraking | None:
     drop = trajectory.at(trajectory.speed, begins) - trajectory.at(trajectory.speed, begins + _OVER_S)
     k = int(drop.argmax())
     # A gap in the track is bridged by a straight line, which brakes evenly: there it is seen nowhere.
-    if not trajectory.measured[(times >= begins[k]) & (times <= begins[k] + _OVER_S)].any():
+    if not trajectory.located[(times >= begins[k]) & (times <= begins[k] + _OVER_S)].any():
         return None
     ends = np.array([begins[k], begins[k] + _OVER_S])
     sigma = math.hypot(*trajectory.at(trajectory.speed_sigma, ends)) / _OVER_S

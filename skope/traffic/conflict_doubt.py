@@ -41,7 +41,7 @@ def is_followed(trajectory: Trajectory, time_s: float) -> bool:
 
     Of pieces of tracks, and of what a detector takes for a vehicle for a moment, nearly all conflicts are none.
     """
-    times = trajectory.times_s[trajectory.measured]
+    times = trajectory.times_s[trajectory.located]
     if len(times) < _FEWEST_PLACES or times[-1] - times[0] < _SHORTEST_S:
         return False
     gap_s = trajectory.longest_gap(time_s, _AROUND_S)

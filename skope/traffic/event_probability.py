@@ -126,7 +126,7 @@ def event_probability(trajectory: Trajectory) -> float:
 
     By Laplace's rule of succession over the moments at which a place was taken: two say little, many say much.
     """
-    places = min(int(trajectory.measured.sum()), _MOST_PLACES)
+    places = min(int(trajectory.located.sum()), _MOST_PLACES)
     return (places + 1) / (places + 2) * undoubted(trajectory)
 
 
@@ -160,7 +160,7 @@ def crossing_evidence(trajectory: Trajectory, time_s: float, step_s: float) -> t
         1, and logarithms of the places on the shorter side, of the place's standard deviation (metres), and of the
         longest gap (seconds); 1 where the class is unknown, else 0.
     """
-    times = trajectory.times_s[trajectory.measured]
+    times = trajectory.times_s[trajectory.located]
     sides = (time_s - times[times < time_s], times[times >= time_s] - time_s)
     parts = min(len(np.unique(np.floor(side / _HALF_S))) for side in sides)
     return (
@@ -197,7 +197,7 @@ def same_probability(trajectory: Trajectory, begin_s: float, end_s: float, step_
 
 def usual_step(trajectories: Sequence[Trajectory]) -> float:
     """Usual time from a place to the next one, over all tracks, seconds; that of 10 frames a second without any."""
-    steps = [np.diff(one.times_s[one.measured]) for one in trajectories]
+    steps = [np.diff(one.times_s[one.located]) for one in trajectories]
     every = np.concatenate([np.zeros(0), *steps])
     return float(np.median(every)) if len(every) else _USUAL_STEP_S
 

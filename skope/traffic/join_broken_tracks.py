@@ -111,7 +111,7 @@ def _together(before: Trajectory, after: Trajectory, probability: float) -> Traj
     kept = _until(before, float(after.times_s[0]))
     assert kept is not None
     whole: dict[str, Any] = {name: np.concatenate([getattr(kept, name), getattr(after, name)]) for name in COLUMNS}
-    longer, shorter = sorted((before, after), key=lambda one: -int(one.measured.sum()))
+    longer, shorter = sorted((before, after), key=lambda one: -int(one.located.sum()))
     return replace(
         longer,
         **whole,

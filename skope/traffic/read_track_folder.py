@@ -27,7 +27,7 @@ _SHARED: Final = (
     "heading_deg",
     "vx",
     "vy",
-    "measured",
+    "located",
     "sigma_position",
     "sigma_speed",
 )
@@ -127,7 +127,7 @@ def _vehicle(path: Path, rows: CsvRows, observation: Observation) -> Trajectory:
         category=VEHICLE,
         class_name=first["class"],
         class_confidence=float(confidence),
-        measured=_numbers(path, rows, "measured") > 0,
+        located=_numbers(path, rows, "located") > 0,
         length=float(length),
         width=float(width),
         height=float(height) if height > 0 else None,
@@ -145,7 +145,7 @@ def _other(path: Path, rows: CsvRows, observation: Observation) -> Trajectory:
         category=first["category"],
         class_name=first["category"],
         class_confidence=1.0,
-        measured=_numbers(path, rows, "measured") > 0,
+        located=_numbers(path, rows, "located") > 0,
         **_columns(path, rows, observation),
     )
 

@@ -142,13 +142,13 @@ def _trajectories(report: TrafficReport) -> ReportTable:
                     *(one.number, one.class_name, float(one.times_s[i]), clock(report, float(one.times_s[i]))),
                     *(*one.place[i].tolist(), heading, float(one.speed[i]) * KMH),
                     *(float(worst_sigma(one.covariance[i])), float(one.speed_sigma[i]) * KMH),
-                    *(one.length, one.width, int(one.measured[i])),
+                    *(one.length, one.width, int(one.located[i])),
                     *(" ".join(map(str, one.joined)), one.joined_probability, " ".join(one.flags)),
                     *_recording(report, float(one.times_s[i])),
                 )
 
     return _table(
-        "track class time_s time x y heading_deg speed_kmh sigma_position sigma_speed_kmh length width measured "
+        "track class time_s time x y heading_deg speed_kmh sigma_position sigma_speed_kmh length width located "
         f"joined joined_probability flags{_RECORDING if report.recordings else ''}",
         rows(),
     )

@@ -22,7 +22,7 @@ VEHICLE_LENGTH_SIGMA_M: Final = 0.3
 """Standard deviation of a vehicle's length, metres."""
 KMH: Final = 3.6
 """Kilometres an hour in a metre a second."""
-COLUMNS: Final = ("times_s", "place", "velocity", "heading", "covariance", "speed_sigma", "measured")
+COLUMNS: Final = ("times_s", "place", "velocity", "heading", "covariance", "speed_sigma", "located")
 """Fields of a trajectory that have a row for each moment."""
 
 
@@ -50,7 +50,7 @@ class Trajectory:
     """(M, 2, 2) of the places, square metres."""
     speed_sigma: Array
     """(M,) standard deviations of the speeds, m/s."""
-    measured: NDArray[np.bool_]
+    located: NDArray[np.bool_]
     """(M,) at which moments a place was taken."""
     length: float | None = None
     """Metres; None where it is not measured."""
@@ -119,7 +119,7 @@ class Trajectory:
 
     def longest_gap(self, time_s: float, around_s: float) -> float:
         """The longest time without a place from `around_s` before a time until as long after it, seconds."""
-        times = self.times_s[self.measured]
+        times = self.times_s[self.located]
         near = times[np.abs(times - time_s) <= around_s]
         return float(np.diff(np.concatenate([[time_s - around_s], near, [time_s + around_s]])).max())
 

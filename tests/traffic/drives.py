@@ -33,7 +33,7 @@ def drive(number: int, places: Any, times_s: Any = None, *, sigma: float = 0.05,
         velocity=velocity,
         covariance=np.tile(sigma**2 * np.eye(2), (len(times), 1, 1)),
         speed_sigma=np.full(len(times), 0.1),
-        measured=np.ones(len(times), dtype=bool),
+        located=np.ones(len(times), dtype=bool),
         **{**values, **others},
     )
 

@@ -139,9 +139,9 @@ def test_who_is_hardly_followed_is_in_no_conflict(wrong: str) -> None:
     assert not conflicts((first, second), TrafficSettings(), np.random.default_rng(0)).unsteady
     there = np.abs(second.times_s - 4.3) < 0.4
     worse = {
-        "gap": replace(second, measured=~there),
+        "gap": replace(second, located=~there),
         "end": second.taken(second.times_s < 4.5),
-        "few": replace(second, measured=np.arange(len(second.times_s)) % 14 == 0),
+        "few": replace(second, located=np.arange(len(second.times_s)) % 14 == 0),
         "vague": replace(second, covariance=np.where(there[:, None, None], np.eye(2), second.covariance)),
     }[wrong]
     search = conflicts((first, worse), TrafficSettings(), np.random.default_rng(0))

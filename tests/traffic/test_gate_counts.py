@@ -229,7 +229,7 @@ def test_movements_with_u_turns_add_up_to_the_gates_counts() -> None:
 def test_a_track_that_nothing_was_seen_of_for_long_is_no_movement_and_stays_in_the_gates_counts() -> None:
     settings = TrafficSettings()
     seen = turn(1, "west", "east", 0)
-    sides = [seen, *(replace(seen, number=k, measured=hidden(seen, around_s)) for k, around_s in ((2, 0.5), (3, 1.5)))]
+    sides = [seen, *(replace(seen, number=k, located=hidden(seen, around_s)) for k, around_s in ((2, 0.5), (3, 1.5)))]
     step_s = usual_step(sides)
     found = movements(gate_crossings(sides, ARMS, NO_LANES, settings), settings, step_s)
     way = (("west", "in"), ("east", "out"))

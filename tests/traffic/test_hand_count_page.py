@@ -59,7 +59,7 @@ line = [[12, -6], [12, 6]]
 directions = ["east", "west"]
 """
 COLUMNS = (
-    "track", "time_s", "x", "y", "z", "heading_deg", "vx", "vy", "measured", "sigma_position", "sigma_speed", "length",
+    "track", "time_s", "x", "y", "z", "heading_deg", "vx", "vy", "located", "sigma_position", "sigma_speed", "length",
     "width", "class", "class_confidence", "flags",
 )  # fmt: skip
 

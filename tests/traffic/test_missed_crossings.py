@@ -124,12 +124,12 @@ def test_a_gate_that_nobody_was_ever_seen_near_has_no_count_that_is_known() -> N
 def glimpsed() -> Trajectory:
     """A vehicle over three seconds of which it is seen in three moments, vaguely."""
     track = straight(1, (-15, 0), (10, 0), 3.0, begin_s=14.5, sigma=0.6)
-    return replace(track, measured=np.isin(np.arange(31), (0, 12, 24)))
+    return replace(track, located=np.isin(np.arange(31), (0, 12, 24)))
 
 
 def seldom(every: int, sigma: float = 0.15) -> Trajectory:
     track = straight(1, (-60, 0), (10, 0), 12.0, begin_s=10.0, sigma=sigma)
-    return replace(track, measured=np.arange(len(track.times_s)) % every == 0)
+    return replace(track, located=np.arange(len(track.times_s)) % every == 0)
 
 
 def test_how_sure_a_crossing_is_follows_from_how_it_is_followed() -> None:

@@ -27,7 +27,7 @@ from tests.traffic.drives import straight
 
 Skope = Callable[..., tuple[int, str, str]]
 COLUMNS = (
-    "track", "time_s", "x", "y", "z", "heading_deg", "vx", "vy", "measured", "sigma_position", "sigma_speed", "length",
+    "track", "time_s", "x", "y", "z", "heading_deg", "vx", "vy", "located", "sigma_position", "sigma_speed", "length",
     "width", "class", "class_confidence", "flags",
 )  # fmt: skip
 SITE = """time_zone = "Europe/Berlin"

@@ -287,7 +287,7 @@ def test_footage_is_detected_and_tracked_first_and_once(
 
 def test_people_on_foot_count_by_where_they_stand(tracks: AnnotationFile) -> None:
     """They have no heading while they may stand, and no length."""
-    names = "track,category,frame,time_s,seen,x,y,z,heading_deg,speed,vx,vy,measured,sigma_position,sigma_speed"
+    names = "track,category,frame,time_s,detected,x,y,z,heading_deg,speed,vx,vy,located,sigma_position,sigma_speed"
     site = Path("site.toml")
     x, y, _ = (CAMERA.position + 8).tolist()
     line = [[x, y - 4], [x, y + 4]]

@@ -31,7 +31,7 @@ class GroundTrack:
     unless `under` was called."""
     speed_sigma: Array
     """(M,) standard deviation of the speed, m/s, given the same."""
-    measured: NDArray[np.bool_]
+    located: NDArray[np.bool_]
     """(M,) in which frames a place was taken; in the others position and speed follow from the frames around."""
     boxes: Array
     """(M, 4) boxes of the detections, x, y, width, height in pixels; NaN where the road user was missed."""
@@ -56,7 +56,7 @@ class GroundTrack:
         )
 
     @cached_property
-    def seen(self) -> NDArray[np.bool_]:
+    def detected(self) -> NDArray[np.bool_]:
         """(M,) in which frames it has a box: it was detected there, or followed from other frames."""
         return np.isfinite(self.scores)
 

@@ -109,6 +109,6 @@ def _trajectory(number: int, category_id: int, rows: Array) -> Trajectory:
         heading=np.full(len(times), np.nan),
         covariance=sigma[:, None, None] ** 2 * np.eye(2),
         speed_sigma=np.full(len(times), np.nan),
-        measured=np.ones(len(times), dtype=bool),
+        located=np.ones(len(times), dtype=bool),
         confirmed=len(times) >= _FEWEST_BOXES and bool(times[-1] - times[0] >= _SHORTEST_S),
     )

@@ -153,20 +153,20 @@ class _Open:
         del self.steps[sum(step.time_s <= self.last_s for step in self.steps) :]
         self.settle(np.inf)
         rows = np.array(self.rows)
-        measured = np.isfinite(rows[:, 8])
+        located = np.isfinite(rows[:, 8])
         times = rows[:, 1]
-        if measured.sum() < _FEWEST_PLACES or times[-1] - times[0] < _SHORTEST_S:
+        if located.sum() < _FEWEST_PLACES or times[-1] - times[0] < _SHORTEST_S:
             return None
         return RoadUserTrack(
             number=0,
-            category=self.category(float(np.median(np.hypot(rows[measured, 4], rows[measured, 5])))),
+            category=self.category(float(np.median(np.hypot(rows[located, 4], rows[located, 5])))),
             frames=rows[:, 0].astype(np.intp),
             times_s=times,
-            position=np.column_stack([rows[:, 2:4], np.interp(times, times[measured], rows[measured, 8])]),
+            position=np.column_stack([rows[:, 2:4], np.interp(times, times[located], rows[located, 8])]),
             velocity=rows[:, 4:6],
             position_sigma=rows[:, 6],
             speed_sigma=rows[:, 7],
-            measured=measured,
+            located=located,
             boxes=rows[:, 9:13],
             scores=rows[:, 13],
         )

@@ -48,7 +48,7 @@ def flagged(tracks: Sequence[Track]) -> list[Track]:
     out = []
     for track in parts:
         holds = {
-            "two_poses": int(track.measured.sum()) <= _FEW,
+            "two_poses": int(track.located.sum()) <= _FEW,
             "never_moved": _never_moved(track),
             "impossible_motion": "impossible_motion" in track.flags,
             "against_traffic": track.number in against,

@@ -32,7 +32,7 @@ class TrackedVehicle:
     """(3,) length, width, height, metres."""
     box_xyxy: Array
     """(4,) pixels; NaN where the vehicle was missed in this frame."""
-    measured: bool
+    located: bool
     """Whether a place was taken in this frame; else it follows from the frames around."""
 
 
@@ -74,7 +74,7 @@ class Tracks(list[Track]):
         everybody: list[Track | RoadUserTrack] = [*self, *self.road_users]
         rows = ((track, _row(track, frame)) for track in everybody)
         return track_overlay.with_tracks_drawn(
-            image, [(track, i) for track, i in rows if i is not None and track.seen[i]]
+            image, [(track, i) for track, i in rows if i is not None and track.detected[i]]
         )
 
     def to_csv(self, path: str | Path) -> None:
@@ -104,5 +104,5 @@ def _vehicle(track: Track, i: int) -> TrackedVehicle:
         speed=float(track.speed[i]),
         size_lwh=track.size_lwh,
         box_xyxy=xywh_to_xyxy(track.boxes[i][None])[0],
-        measured=bool(track.measured[i]),
+        located=bool(track.located[i]),
     )

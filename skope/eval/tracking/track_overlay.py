@@ -45,7 +45,7 @@ def overlay_frames(
     present: dict[int, list[tuple[Track | RoadUserTrack, int]]] = {}
     everybody: list[Track | RoadUserTrack] = [*tracks, *road_users]
     for track in everybody:
-        for i in np.flatnonzero(track.seen).tolist():
+        for i in np.flatnonzero(track.detected).tolist():
             present.setdefault(int(track.frames[i]), []).append((track, i))
     for image, pixels in open_footage(str(source)).frames():
         frame = place.get(-1 if image.frame_index is None else image.frame_index)

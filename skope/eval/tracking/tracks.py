@@ -34,7 +34,7 @@ _PER_TRACK: Final = ("number", "kind", "vehicle_class", "class_confidence", "siz
 class Track(GroundTrack):
     """A vehicle over M frames: all from its first to its last pose, seen or not, and a moment more by its box.
 
-    Its position is on the ground under the middle of its box; a frame is measured where a pose was taken.
+    Its position is on the ground under the middle of its box; a frame is located where a pose was taken.
     """
 
     kind: str
@@ -63,7 +63,7 @@ class Track(GroundTrack):
     @property
     def confirmed(self) -> bool:
         """Whether it has been seen often and long enough to be a vehicle."""
-        times = self.times_s[self.measured]
+        times = self.times_s[self.located]
         return len(times) >= _CONFIRMED_POSES and bool(times[-1] - times[0] >= _CONFIRMED_S)
 
     @cached_property
@@ -248,16 +248,16 @@ def finished(track: OpenTrack, number: int) -> Track:
     names = [one.name for one in fields(TrackPart)]
     columns = {name: np.concatenate([getattr(part, name) for part in track.parts]) for name in names}
     track.parts = []  # twice the memory otherwise
-    states, measured = columns["states"], np.isfinite(columns["headings"])
+    states, located = columns["states"], np.isfinite(columns["headings"])
     times = columns["times_s"]
     vehicle, confidence = vehicle_class(track.kinds)
-    z = np.interp(times, times[measured], columns["heights"][measured])
+    z = np.interp(times, times[located], columns["heights"][located])
     return Track(
         number=number,
         kind=track.kinds.most_common(1)[0][0],
         vehicle_class=vehicle,
         class_confidence=confidence,
-        size_lwh=np.median(columns["sizes"][measured], axis=0),
+        size_lwh=np.median(columns["sizes"][located], axis=0),
         frames=columns["frames"],
         times_s=times,
         position=np.column_stack([states[:, :2], z]),
@@ -266,7 +266,7 @@ def finished(track: OpenTrack, number: int) -> Track:
         heading=smoothed_headings(times, columns["headings"], columns["heading_sigmas"], states[:, 2:4]),
         position_sigma=columns["position_sigmas"],
         speed_sigma=columns["speed_sigmas"],
-        measured=measured,
+        located=located,
         boxes=columns["boxes"],
         scores=columns["scores"],
         truth_ids=columns["truth_ids"],

@@ -34,7 +34,7 @@ def _trajectory(track: GroundTrack, number: int) -> Trajectory:
         heading=heading,
         covariance=track.position_sigma[:, None, None] ** 2 * np.eye(2),
         speed_sigma=track.speed_sigma,
-        measured=track.measured,
+        located=track.located,
         length=float(vehicle.size_lwh[0]) if vehicle else None,
         width=float(vehicle.size_lwh[1]) if vehicle else None,
         confirmed=vehicle.confirmed if vehicle else True,

@@ -22,12 +22,12 @@ from skope.schema import PEDESTRIAN
 T = TypeVar("T", bound=GroundTrack)
 
 _TRACK_COLUMNS: Final = (
-    "track", "type", "frame", "time_s", "seen", "x", "y", "z", "heading_deg", "speed", "vx", "vy", "acceleration",
-    "length", "width", "height", "measured", "sigma_position", "sigma_speed", "class", "class_confidence", "flags",
+    "track", "type", "frame", "time_s", "detected", "x", "y", "z", "heading_deg", "speed", "vx", "vy", "acceleration",
+    "length", "width", "height", "located", "sigma_position", "sigma_speed", "class", "class_confidence", "flags",
 )  # fmt: skip
 _ROAD_USER_COLUMNS: Final = (
-    "track", "category", "frame", "time_s", "seen", "x", "y", "z", "heading_deg", "speed", "vx", "vy",
-    "measured", "sigma_position", "sigma_speed",
+    "track", "category", "frame", "time_s", "detected", "x", "y", "z", "heading_deg", "speed", "vx", "vy",
+    "located", "sigma_position", "sigma_speed",
 )  # fmt: skip
 _SUMO_CLASS: Final = {"bus": "bus", "lorry": "truck", "van": "delivery"}
 
@@ -46,7 +46,7 @@ def write_csv(path: Path, tracks: Sequence[Track], frame_index: Sequence[int]) -
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(_TRACK_COLUMNS)
         for track in tracks:
-            seen, speed, along = track.seen, track.speed, track.along
+            detected, speed, along = track.detected, track.speed, track.along
             for i, frame in enumerate(track.frames):
                 writer.writerow(
                     [
@@ -54,14 +54,14 @@ def write_csv(path: Path, tracks: Sequence[Track], frame_index: Sequence[int]) -
                         track.kind,
                         frame_index[frame],
                         f"{track.times_s[i]:.4f}",
-                        int(seen[i]),
+                        int(detected[i]),
                         *(f"{v:.3f}" for v in track.position[i]),
                         f"{math.degrees(track.heading[i]):.2f}",
                         f"{speed[i]:.3f}",
                         *(f"{v:.3f}" for v in track.velocity[i]),
                         f"{along[i]:.3f}",
                         *(f"{v:.2f}" for v in track.size_lwh),
-                        int(track.measured[i]),
+                        int(track.located[i]),
                         f"{track.position_sigma[i]:.3f}",
                         f"{track.speed_sigma[i]:.3f}",
                         track.vehicle_class,
@@ -93,12 +93,12 @@ def write_road_users(path: Path, tracks: Sequence[RoadUserTrack], frame_index: S
                         track.category,
                         frame_index[frame],
                         f"{track.times_s[i]:.4f}",
-                        int(track.seen[i]),
+                        int(track.detected[i]),
                         *(f"{v:.3f}" for v in track.position[i]),
                         "" if math.isnan(heading) else f"{math.degrees(heading):.2f}",
                         f"{track.speed[i]:.3f}",
                         *(f"{v:.3f}" for v in track.velocity[i]),
-                        int(track.measured[i]),
+                        int(track.located[i]),
                         f"{track.position_sigma[i]:.3f}",
                         f"{track.speed_sigma[i]:.3f}",
                     ]

@@ -131,7 +131,7 @@ def _detections(track: Trajectory, report: TrafficReport, view: OtView) -> Itera
             "h": 0,
             "frame": int(frames[row]),
             "occurrence": start + float(track.times_s[row]),
-            "interpolated-detection": not track.measured[row],
+            "interpolated-detection": not track.located[row],
             "first": row == rows[0],
             "finished": row == rows[-1],
             "track-id": track.number,

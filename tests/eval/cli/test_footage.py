@@ -543,7 +543,7 @@ def test_a_vehicle_that_is_hidden_for_a_while_rolls_on(skope: Any) -> None:
     hidden = [float(r["speed"]) for r in rows if 40 <= int(r["frame"]) + 1 < 75]
     assert len(hidden) == 35
     assert hidden == pytest.approx([8.0] * 35, abs=0.6)
-    assert {r["seen"] for r in rows if 40 <= int(r["frame"]) + 1 < 75} == {"0"}
+    assert {r["detected"] for r in rows if 40 <= int(r["frame"]) + 1 < 75} == {"0"}
 
 
 @pytest.mark.parametrize(
@@ -739,7 +739,7 @@ def test_a_calibration_ends_where_the_camera_moves(skope: Any) -> None:
     assert told in out
     assert "14 camera_moved" in out
     rows = list(csv.DictReader(Path("t/tracks.csv").read_text().splitlines()))
-    measured = [float(row["time_s"]) for row in rows if row["measured"] in ("1", "True", "true")]
+    measured = [float(row["time_s"]) for row in rows if row["located"] in ("1", "True", "true")]
     assert max(measured) == pytest.approx(2.4)
     footage = json.loads(Path("t/footage.json").read_text())
     assert max(footage["times_s"]) == pytest.approx(2.4)

@@ -174,8 +174,8 @@ def test_who_is_gone_for_long_comes_back_as_somebody_else_and_for_short_does_not
         tracks = follow_road_users(images, times)
         assert len(tracks) == count
         if count == 1:
-            assert not tracks[0].seen.all()
-            assert (tracks[0].seen == tracks[0].measured).all()
+            assert not tracks[0].detected.all()
+            assert (tracks[0].detected == tracks[0].located).all()
             assert np.abs(tracks[0].position[:, 0] - times).max() < 0.35
 
 
@@ -198,7 +198,7 @@ def test_who_is_taken_for_several_kinds_is_one_of_the_surest(links: bool) -> Non
     images = [[sight(np.array([1.0, 1.0]), kind, 3 if links else None)] for kind in kinds]
     (track,) = follow_road_users(images, times)
     assert track.category == "bicycle"
-    assert track.measured.all()
+    assert track.located.all()
 
 
 def test_a_number_that_was_mixed_up_once_stays_with_its_track() -> None:
@@ -209,7 +209,7 @@ def test_a_number_that_was_mixed_up_once_stays_with_its_track() -> None:
     images[10] = [replace(images[10][0], links=((PEDESTRIAN, 1), (BICYCLE, 2)))]
     one, other = follow_road_users(images, times)
     assert (one.category, other.category) == ("pedestrian", "bicycle")
-    assert (one.measured.sum(), other.measured.sum()) == (20, 19)
+    assert (one.located.sum(), other.located.sum()) == (20, 19)
 
 
 def test_boxes_without_a_place_continue_a_track_and_begin_none() -> None:
@@ -219,8 +219,8 @@ def test_boxes_without_a_place_continue_a_track_and_begin_none() -> None:
         [sight(place, MOTORCYCLE, 3, known=k % 5 == 0), sight(place, MOTORCYCLE, 4, known=False)] for k in range(20)
     ]
     (track,) = follow_road_users(images, times)
-    assert track.measured.tolist() == [k % 5 == 0 for k in range(16)], "to the last place"
-    assert track.seen.all()
+    assert track.located.tolist() == [k % 5 == 0 for k in range(16)], "to the last place"
+    assert track.detected.all()
 
 
 def test_one_or_two_sights_are_nobody() -> None:
@@ -339,8 +339,8 @@ def test_results_of_other_road_users_are_followed(skope: Any) -> None:
     assert "besides: 1 pedestrian" in said
     rows = rows_of(Path("t/road_users.csv"))
     assert {row["category"] for row in rows} == {"pedestrian"}
-    assert {row["seen"] for row in rows} == {"1"}
-    assert sum(row["measured"] == "1" for row in rows) == 6
+    assert {row["detected"] for row in rows} == {"1"}
+    assert sum(row["located"] == "1" for row in rows) == 6
     assert all(0.05 < float(row["sigma_position"]) < 2 for row in rows)
     code, said, _ = skope("eval", "track", *call, "--ground", "none", "--out", "u", "-q")
     assert code == 0

@@ -20,10 +20,10 @@ def track(number: int, xy: Any, *, seconds: float = 6.0, poses: int | None = Non
     count = len(places)
     times = np.linspace(0, seconds, count)
     velocity = np.gradient(places, times, axis=0)
-    measured = np.ones(count, dtype=bool)
+    located = np.ones(count, dtype=bool)
     if poses is not None:
-        measured[:] = False
-        measured[np.linspace(0, count - 1, poses).astype(int)] = True
+        located[:] = False
+        located[np.linspace(0, count - 1, poses).astype(int)] = True
     return Track(
         number=number,
         kind="suv",
@@ -38,7 +38,7 @@ def track(number: int, xy: Any, *, seconds: float = 6.0, poses: int | None = Non
         heading=np.arctan2(velocity[:, 1], velocity[:, 0]),
         position_sigma=np.full(count, 0.1),
         speed_sigma=np.full(count, 0.2),
-        measured=measured,
+        located=located,
         boxes=np.zeros((count, 4)),
         scores=np.ones(count),
         truth_ids=np.full(count, -1, dtype=np.int64),

@@ -68,7 +68,7 @@ def straight(speed: float, lane: float, begin: float = 0.0) -> Path2D:
 
 def names(found: Sequence[Track]) -> list[set[int]]:
     """The true vehicles in each track."""
-    return [set(track.truth_ids[track.seen].tolist()) for track in found]
+    return [set(track.truth_ids[track.detected].tolist()) for track in found]
 
 
 @pytest.mark.parametrize("fps", [25.0, 10.0, 5.0, 2.5, 2.0])
@@ -156,7 +156,7 @@ def test_sigmas_say_how_far_off_places_and_speeds_are() -> None:
         seen_at = [rng.normal(place, 0.1) if i % 5 == 0 else None for i, (place, _) in enumerate(real)]
         images = [[] if at is None else [detection(at, rng.normal(0, 0.1), 0.0, box=20 * at)] for at in seen_at]
         (found,) = follow(images, times)
-        assert found.measured.tolist() == [at is not None for at in seen_at[: len(found.frames)]]
+        assert found.located.tolist() == [at is not None for at in seen_at[: len(found.frames)]]
         truth = np.array(real)[found.frames]
         places += ((found.position[:, 0] - truth[:, 0]) / found.position_sigma)[::5].tolist()
         speeds += ((found.speed - truth[:, 1]) / found.speed_sigma)[::5].tolist()
@@ -183,7 +183,7 @@ def test_a_vehicle_that_is_detected_twice_is_followed_once(fps: float, twin_from
         return [[own], [twin], [own, twin]][rng.integers(3)]
 
     (track,) = follow(map(image, times.tolist()), times.tolist())
-    assert track.seen.mean() > 0.95
+    assert track.detected.mean() > 0.95
     assert np.abs(track.position[:, 1]).max() < 1.0
 
 
@@ -298,7 +298,7 @@ def test_interpolated_vehicles_keep_their_track_and_measure_nothing(skope: Any) 
     assert len({row["track"] for row in told}) == 1
     assert [float(row["speed"]) for row in told] == pytest.approx([9.0] * len(told), abs=0.5)
     assert len(told) == len(file.images) == 30, "from two frames before the first key frame to three after the last"
-    assert [row["measured"] for row in told] == ["1" if k % 4 == 2 else "0" for k in range(30)]
+    assert [row["located"] for row in told] == ["1" if k % 4 == 2 else "0" for k in range(30)]
     truth = [a.box_3d.center[0] for a in file.annotations if a.box_3d]
     assert [float(row["x"]) for row in told] == pytest.approx(truth, abs=0.5)
     boxes = Path("t/mot.txt").read_text().splitlines()
@@ -313,7 +313,7 @@ def test_boxes_without_a_pose_are_a_vehicles_for_half_a_second_before_and_after(
         images[k] = [replace(one, pose=None) for one in images[k]]
     (track,) = follow(images, times)
     assert track.frames.tolist() == list(range(7, 33))
-    assert track.measured.tolist() == [12 <= k < 28 for k in range(7, 33)]
+    assert track.located.tolist() == [12 <= k < 28 for k in range(7, 33)]
     assert track.position[:, :2] == pytest.approx(np.array([path(time)[:2] for time in times[7:33]]), abs=0.3)
     assert (np.diff(track.position_sigma[:6]) < 0).all()
     assert (np.diff(track.position_sigma[-6:]) > 0).all()
