@@ -105,8 +105,8 @@ def test_a_pose_that_jumps_leaves_the_box_its_track_and_one_that_stays_there_beg
 
     before, after = follow((image(i) for i in range(60)), times)
     assert (before.frames.tolist(), after.frames.tolist()) == (list(range(40)), list(range(40, 60)))
-    assert before.seen.all()
-    assert after.seen.all()
+    assert before.detected.all()
+    assert after.detected.all()
     assert np.abs(before.position[:, 1]).max() < 1.0  # two frames elsewhere are not believed
     assert np.abs(after.position[:, 1] - 30).max() < 1.0
     for track in (before, after):
@@ -197,7 +197,7 @@ def test_two_tracks_that_come_together_are_one_vehicle() -> None:
     found = follow((image(i) for i in range(80)), times)
     longest, *others = sorted(found, key=lambda track: -len(track.frames))
     assert len(longest.frames) == 80
-    assert longest.seen.all()
+    assert longest.detected.all()
     assert len(others) <= 1
     assert all(len(track.frames) < 40 for track in others)
 
