@@ -36,8 +36,8 @@ class Settings:
     tiles: str = "none"
     """Whether parts of the image go through the network too: "auto" where it is larger than the network takes it."""
     one_size: bool = True
-    """Whether images have one size, or few, for each of which a backend may prepare: a fifth faster, after about a
-    second for each size. What is found in an image does not depend on those before it either way."""
+    """Whether images have one size, or few, for each of which a backend may prepare: a fifth faster, after 1.5 s
+    for each size. What is found in an image does not depend on those before it either way."""
     calibrated: bool = True
     """Use the calibration beside the weights, if there is one."""
 
