@@ -65,6 +65,7 @@ def measure_traffic(
     from skope.eval.tracking.trajectories_of_tracks import trajectories_of_tracks
     from skope.site.site_file import SiteFile
     from skope.traffic.counting_intervals import local_start
+    from skope.traffic.gates import gates_on_road
     from skope.traffic.hand_count_file import read_hand_counts
     from skope.traffic.measure import measure
     from skope.traffic.observation import Observation
@@ -98,7 +99,9 @@ def measure_traffic(
         )
     start, observation = footage.start, footage.observation
     counted = (
-        () if hand_count is None else read_hand_counts(Path(hand_count), read.gates, read.traffic, start, observation)
+        ()
+        if hand_count is None
+        else read_hand_counts(Path(hand_count), gates_on_road(read.gates), read.traffic, start, observation)
     )
     return measure(footage.tracks, observation, read, start, counted, recordings=footage.recordings)
 

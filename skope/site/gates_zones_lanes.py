@@ -14,11 +14,15 @@ _LANE_M: Final = (0.5, 50.0)
 
 @dataclass(frozen=True, kw_only=True)
 class Gate:
-    """A line across the road that traffic is counted at."""
+    """A line across the road at which traffic is counted: drawn in the image, surveyed on the road, or both."""
 
     name: str
-    line: Outline
-    """Its two ends, world x and y, metres; of a gate in the image columns and rows, pixels."""
+    line: Outline = ()
+    """Its two ends on the road, world x and y, metres; empty for a gate that is drawn in the image alone."""
+    pixels: Outline = ()
+    """Its two ends in the image, column and row; empty for a gate that comes from a map or a survey."""
+    size: tuple[int, int] | None = None
+    """Width and height of the image in which `pixels` were drawn; None: not recorded."""
     directions: tuple[str, str] | None = None
     """Names of crossings from left to right, and from right to left, of the line as drawn; None: not named."""
     edges: tuple[str, str] | None = None
@@ -60,20 +64,36 @@ class OccluderMark:
 
 def read_gate(row: TomlTable) -> Gate:
     """Raises UserError naming file and key, as all readers here do."""
-    line = read_line(row, "line")
-    if len(line) != 2:
-        raise row.wrong("line", f"expected two ends [x, y], got {len(line)}")
-    if line[0] == line[1]:
-        raise row.wrong("line", "its ends are one place")
-    return Gate(name=read_name(row), line=line, directions=_directions(row), edges=_edges(row))
+    if "line" not in row and "pixels" not in row:
+        raise row.wrong("line", "missing: draw the gate (`pixels`) or survey it (`line`)")
+    return Gate(
+        name=read_name(row),
+        line=_ends(row, "line", "[x, y]") if "line" in row else (),
+        pixels=_ends(row, "pixels", "[column, row]") if "pixels" in row else (),
+        size=_image_size(row),
+        directions=_directions(row),
+        edges=_edges(row),
+    )
 
 
-def read_image_gate(row: TomlTable) -> Gate:
-    """A gate whose ends are `pixels` of the footage."""
-    line = read_line(row, "pixels")
-    if len(line) != 2 or line[0] == line[1]:
-        raise row.wrong("pixels", "expected two different ends [column, row]")
-    return Gate(name=read_name(row), line=line, directions=_directions(row))
+def _ends(row: TomlTable, key: str, what: str) -> Outline:
+    """The two ends of a gate."""
+    ends = read_line(row, key)
+    if len(ends) != 2:
+        raise row.wrong(key, f"expected two ends {what}, got {len(ends)}")
+    if ends[0] == ends[1]:
+        raise row.wrong(key, "its ends are the same")
+    return ends
+
+
+def _image_size(row: TomlTable) -> tuple[int, int] | None:
+    """Width and height of the image that a gate was drawn in; None if the row does not give it."""
+    if "size" not in row:
+        return None
+    width, height = row.numbers("size", 2)
+    if width % 1 or height % 1 or not (1 <= width <= FARTHEST and 1 <= height <= FARTHEST):
+        raise row.wrong("size", "expected the width and height of the image, whole numbers of pixels")
+    return int(width), int(height)
 
 
 def _directions(row: TomlTable) -> tuple[str, str] | None:

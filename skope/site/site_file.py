@@ -21,7 +21,6 @@ from skope.site.gates_zones_lanes import (
     OccluderMark,
     Zone,
     read_gate,
-    read_image_gate,
     read_lane,
     read_occluder,
     read_zone,
@@ -47,8 +46,6 @@ class SiteParts:
     calibration: CalibrationMarks | None
     """Marks that calibrate the camera; None: there are none."""
     gates: tuple[Gate, ...]
-    image_gates: tuple[Gate, ...]
-    """Gates in pixels of the footage, to count by where nothing gives metres."""
     zones: tuple[Zone, ...]
     lanes: tuple[Lane, ...]
     time_zone: str | None
@@ -116,20 +113,18 @@ def read_parts(table: TomlTable) -> SiteParts:
     unknown: list[str] = []
     zone = _time_zone(table)
     gates = _named(table, "gates", read_gate, unknown)
-    image_gates = _named(table, "image_gates", read_image_gate, unknown)
+    if "image_gates" in table:
+        raise table.wrong("image_gates", "gates in the image stand in [[gates]] too, with `pixels`")
     return SiteParts(
         calibration=read_marks(table.table("calibration"), unknown) if "calibration" in table else None,
         gates=gates,
-        image_gates=image_gates,
         zones=_named(table, "zones", read_zone, unknown),
         lanes=_named(table, "lanes", read_lane, unknown),
         time_zone=zone.key if zone else None,
         start=_start(table, zone),
         world=read_world(table.table("world"), unknown) if "world" in table else None,
         plan=read_plan(table.table("plan"), unknown) if "plan" in table else None,
-        traffic=read_traffic(
-            table.table("traffic"), tuple(dict.fromkeys(gate.name for gate in (*gates, *image_gates))), unknown
-        ),
+        traffic=read_traffic(table.table("traffic"), tuple(gate.name for gate in gates), unknown),
         unknown=tuple(unknown),
     )
 

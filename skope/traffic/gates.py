@@ -78,10 +78,14 @@ def direction_names(gate: Gate) -> tuple[str, str]:
     return gate.directions or ("1", "2")
 
 
-def upwards(gate: Gate) -> Gate:
-    """A gate of columns and rows among places of columns and negative rows."""
-    (a, b), (c, d) = gate.line
-    return replace(gate, line=((a, -b), (c, -d)))
+def gates_on_road(gates: Sequence[Gate]) -> tuple[Gate, ...]:
+    """The gates that have a `line` on the road."""
+    return tuple(gate for gate in gates if gate.line)
+
+
+def gates_in_image(gates: Sequence[Gate]) -> tuple[Gate, ...]:
+    """The gates that have `pixels`, as lines among positions whose y is the negative image row."""
+    return tuple(replace(gate, line=tuple((u, -v) for u, v in gate.pixels)) for gate in gates if gate.pixels)
 
 
 def may_count(trajectory: Trajectory, settings: TrafficSettings) -> bool:

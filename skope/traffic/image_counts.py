@@ -12,7 +12,7 @@ from skope.traffic.conflicts import ConflictSearch
 from skope.traffic.counting_intervals import clock_intervals, local_start
 from skope.traffic.event_probability import SEEN_IN_PIXELS
 from skope.traffic.gate_counts import interval_counts
-from skope.traffic.gates import gate_crossings, upwards
+from skope.traffic.gates import gate_crossings, gates_in_image
 from skope.traffic.hand_checks import counts_adjusted_by_hand, hand_checks
 from skope.traffic.hand_count_file import HandCount
 from skope.traffic.lanes import LaneMap
@@ -49,12 +49,12 @@ def count_in_image(
     Args:
         tracks: The tracks.
         observation: When the camera has shown the view that the gates are drawn in.
-        site: Its `image_gates` and settings count.
+        site: Gates with `pixels` and the settings are used.
         start: When the footage begins; None: as the site says.
         hand_counts: What was counted by hand meanwhile.
     """
     settings = site.traffic
-    gates = [upwards(gate) for gate in site.image_gates]
+    gates = gates_in_image(site.gates)
     begin = local_start(site) if start is None else start
     whole = whole_footage(observation)
     intervals = clock_intervals(begin, max(0.0, whole.begin_s), whole.end_s, settings.interval_minutes)
@@ -73,6 +73,7 @@ def count_in_image(
     moved = movements(crossed, settings)
     report = TrafficReport(
         site=site,
+        gates=gates,
         start=begin,
         observation=observation,
         intervals=tuple(intervals),

@@ -14,7 +14,7 @@ from skope.traffic.conflicts import conflicts
 from skope.traffic.counting_intervals import ClockInterval, clock_intervals, local_start
 from skope.traffic.event_probability import usual_step
 from skope.traffic.gate_counts import Count, interval_counts
-from skope.traffic.gates import GateCrossing, gate_crossings
+from skope.traffic.gates import GateCrossing, gate_crossings, gates_on_road
 from skope.traffic.hand_checks import counts_adjusted_by_hand, hand_checks
 from skope.traffic.hand_count_file import HandCount
 from skope.traffic.headways import headways, occupancies
@@ -65,14 +65,14 @@ def measure(
     begin = local_start(site) if start is None else start
     confirmed = [one for one in tracks if one.confirmed]
     trajectories = join_trajectories(confirmed) if broken else confirmed
-    lanes = LaneMap(site.lanes)
+    lanes, gates = LaneMap(site.lanes), gates_on_road(site.gates)
     whole = whole_footage(observation)
     intervals = clock_intervals(begin, max(0.0, whole.begin_s), whole.end_s, settings.interval_minutes)
-    every = gate_crossings(trajectories, site.gates, lanes, settings)
-    missed = unseen(trajectories, site.gates, every, observation, settings)
+    every = gate_crossings(trajectories, gates, lanes, settings)
+    missed = unseen(trajectories, gates, every, observation, settings)
     crossed = [one for one in every if one.counts]
     checks = hand_checks(hand_counts, crossed, missed, settings)
-    missed = counts_adjusted_by_hand(checks, crossed, missed, site.gates, settings)
+    missed = counts_adjusted_by_hand(checks, crossed, missed, gates, settings)
     moved = movements(crossed, settings, usual_step(trajectories) if broken else None)
     sections = section_passes(moved)
     speeds = speed_groups(crossed, sections, intervals, observation)
@@ -81,6 +81,7 @@ def measure(
     names = [lane.name for lane in site.lanes]
     report = TrafficReport(
         site=site,
+        gates=gates,
         start=begin,
         observation=observation,
         intervals=tuple(intervals),
@@ -88,15 +89,15 @@ def measure(
         crossings=tuple(crossed),
         visits=tuple(visits(trajectories, site.zones, settings)),
         lane_changes=tuple(lane_changes(trajectories, lanes, settings.hysteresis_m)),
-        counts=tuple(interval_counts(crossed, site.gates, names, intervals, observation, settings, missed)),
-        counts_total=total_counts(crossed, site.gates, observation, settings, missed),
-        lengths=tuple(length_counts(crossed, site.gates, intervals, observation, settings, missed)),
-        lengths_total=tuple(length_counts(crossed, site.gates, [whole], observation, settings, missed)),
+        counts=tuple(interval_counts(crossed, gates, names, intervals, observation, settings, missed)),
+        counts_total=total_counts(crossed, gates, observation, settings, missed),
+        lengths=tuple(length_counts(crossed, gates, intervals, observation, settings, missed)),
+        lengths_total=tuple(length_counts(crossed, gates, [whole], observation, settings, missed)),
         unseen=missed,
         hand_checks=tuple(checks),
         movements=tuple(moved),
-        turning=tuple(turning_counts(moved, site.gates, intervals, observation, settings, missed)),
-        turning_total=tuple(turning_counts(moved, site.gates, [whole], observation, settings, missed)),
+        turning=tuple(turning_counts(moved, gates, intervals, observation, settings, missed)),
+        turning_total=tuple(turning_counts(moved, gates, [whole], observation, settings, missed)),
         sections=tuple(sections),
         speeds=tuple(speeds),
         headways=tuple(headways(crossed, observation)),

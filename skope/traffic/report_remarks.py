@@ -29,7 +29,7 @@ _FEW: Final = 3
 
 def remarks(report: "TrafficReport") -> Iterator[str]:
     """The sentences, of a report in metres."""
-    if not report.site.gates:
+    if not report.gates:
         yield "no counts, speeds and headways: the site has no gates"
     if not report.site.lanes:
         yield "no queues and lane changes, headways over the whole width of a gate: the site has no lanes"
@@ -46,7 +46,7 @@ def remarks(report: "TrafficReport") -> Iterator[str]:
         yield "delays: too few vehicles tell the speed of free flow (traffic.free_flow_kmh of the site says it)"
     yield from _of_conflicts(report)
     yield from remarks_on_counts(report)
-    for gate in report.site.gates:
+    for gate in report.gates:
         yield from _of_gate(gate, report)
 
 

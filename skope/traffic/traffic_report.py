@@ -9,7 +9,7 @@ from skope.traffic.braking import HardBraking
 from skope.traffic.conflicts import ConflictSearch
 from skope.traffic.counting_intervals import ClockInterval
 from skope.traffic.gate_counts import Count
-from skope.traffic.gates import GateCrossing, upwards
+from skope.traffic.gates import GateCrossing
 from skope.traffic.hand_checks import HandCheck
 from skope.traffic.headways import Headway, Occupancy
 from skope.traffic.lanes import LaneChange
@@ -32,6 +32,8 @@ class TrafficReport:
     """All that was measured of the traffic in a footage."""
 
     site: "SiteParts"
+    gates: tuple[Gate, ...]
+    """The gates that were counted at; their lines are among positions as the trajectories have them."""
     start: datetime | None
     """Time at which the footage begins, in the site's zone; None: not known."""
     observation: Observation
@@ -70,8 +72,3 @@ class TrafficReport:
     """Sentences on what could not be measured, or should be distrusted, and why."""
     metres: bool = True
     """Whether places are metres on the road; else pixels, and nothing is measured but counts and movements."""
-
-    @property
-    def gates(self) -> tuple[Gate, ...]:
-        """The gates that counted, among places as the trajectories have them."""
-        return self.site.gates if self.metres else tuple(map(upwards, self.site.image_gates))

@@ -155,7 +155,7 @@ def test_the_camera_of_a_file_keeps_its_uncertainty(tmp_path: Path) -> None:
         ('"Europe/Berlin"', '"Europe"', ["time_zone"]),
         ('time_zone = "Europe/Berlin"', "", ["start", "time_zone"]),
         ("[8.0, 10.0]]", "[8.0, 10.0], [9.0, 9.0]]", ["gates[1].line", "two ends"]),
-        ("[8.0, 10.0]]", "[0.0, 10.0]]", ["gates[1].line", "one place"]),
+        ("[8.0, 10.0]]", "[0.0, 10.0]]", ["gates[1].line", "its ends are the same"]),
         ("[8.0, 10.0]]", "[inf, 10.0]]", ["gates[1].line"]),
         ('"to the station", ', "", ["gates[1].directions", "two names"]),
         ('name = "north"', 'name = "a\\nb"', ["gates[1].name", "one line"]),
@@ -191,6 +191,36 @@ def test_what_is_wrong_is_told_in_one_line(site: Path, old: str, new: str, said:
     assert "\n" not in line
     assert len(line) < len(str(site)) + 400
     assert all(word in line for word in said), line
+
+
+def test_a_gate_has_a_line_or_pixels_or_both(site: Path) -> None:
+    row = '[[gates]]\nname = "g"\n'
+    drawn, surveyed = "pixels = [[4, 5], [60, 7]]\nsize = [640, 480]\n", "line = [[0, 1], [8, 1]]\n"
+    for text, line, pixels, size in (
+        (drawn, (), ((4, 5), (60, 7)), (640, 480)),
+        (surveyed, ((0, 1), (8, 1)), (), None),
+        (drawn + surveyed, ((0, 1), (8, 1)), ((4, 5), (60, 7)), (640, 480)),
+    ):
+        site.write_text(row + text)
+        (gate,) = read_site(site).gates
+        assert (gate.line, gate.pixels, gate.size) == (line, pixels, size)
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("", "gates[1].line: missing: draw the gate (`pixels`) or survey it (`line`)"),
+        ("pixels = [[4, 5]]", "gates[1].pixels: expected two"),
+        ("pixels = [[4, 5], [4, 5]]", "gates[1].pixels: its ends are the same"),
+        ("pixels = [[4, 5], [6, 7]]\nsize = [640]", "gates[1].size: expected 2 numbers"),
+        ("pixels = [[4, 5], [6, 7]]\nsize = [640.5, 480]", "gates[1].size: expected the width and height"),
+    ],
+)
+def test_a_wrong_gate_is_named_with_its_field(site: Path, text: str, expected: str) -> None:
+    site.write_text(f'[[gates]]\nname = "g"\n{text}\n')
+    with pytest.raises(UserError) as error:
+        read_site(site)
+    assert expected in str(error.value)
 
 
 def test_files_that_are_no_text_are_refused(site: Path) -> None:

@@ -408,7 +408,7 @@ def seen_from_above(report: TrafficReport) -> dict[str, Any]:
 
 def test_gates_of_the_image_are_drawn_where_they_are() -> None:
     """One that is drawn upwards: from its left to its right is to the right on the screen."""
-    text = b'[[image_gates]]\nname = "g"\npixels = [[240, 200], [240, 60]]\ndirections = ["right", "left"]\n'
+    text = b'[[gates]]\nname = "g"\npixels = [[240, 200], [240, 60]]\ndirections = ["right", "left"]\n'
     report = count_in_image([], watched(10.0), parse_site(Path("site.toml"), text))
     view = hand_count_data(report, None)["view"]
     assert view["size"] is None
@@ -419,5 +419,5 @@ def test_gates_of_the_image_are_drawn_where_they_are() -> None:
 
 def test_without_gates_or_frames_there_is_nothing_to_count() -> None:
     plain = report_of()
-    assert hand_count_panel(replace(plain, site=replace(plain.site, gates=()))) == ""
+    assert hand_count_panel(replace(plain, gates=())) == ""
     assert hand_count_panel(measure([], Observation(times_s=np.zeros(0)), plain.site)) == ""

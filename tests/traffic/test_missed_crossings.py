@@ -18,7 +18,6 @@ ALWAYS = ClockInterval(begin_s=0.0, end_s=100.0, begin=None, end=None)
 SITE = SiteParts(
     calibration=None,
     gates=(GATE,),
-    image_gates=(),
     zones=(),
     lanes=(),
     time_zone=None,

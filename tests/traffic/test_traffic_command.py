@@ -202,7 +202,7 @@ def test_without_a_camera_gates_in_the_image_count_and_nothing_else(skope: Skope
     coco.write(Path("seen/frames.json"), bare)
     coco.write_results(Path("seen/predictions.json"), rows)
     Path("site.toml").write_text(
-        '[[image_gates]]\nname = "g"\npixels = [[240, 200], [240, 60]]\ndirections = ["right", "left"]\n'
+        '[[gates]]\nname = "g"\npixels = [[240, 200], [240, 60]]\ndirections = ["right", "left"]\n'
     )
     code, out, err = skope("eval", "traffic", "seen", "--out", "r")
     assert code == 0, err
@@ -221,7 +221,7 @@ def test_without_a_camera_gates_in_the_image_count_and_nothing_else(skope: Skope
     assert sorted(row["y"] for row in events) == ["120.000", "140.000", "140.000"]
     Path("site.toml").write_text("")
     code, _, err = skope("eval", "traffic", "seen", "--out", "other")
-    assert (code, "needs image_gates" in err) == (2, True)
+    assert (code, "needs gates with `pixels`" in err) == (2, True)
 
 
 def test_tracks_in_memory_and_from_files_are_alike(tracks: AnnotationFile) -> None:

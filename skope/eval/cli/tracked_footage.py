@@ -59,7 +59,7 @@ def tracked_footage(
     if site.camera is None:
         raise UserError(
             f"{site.path}: camera: missing: footage has no metres without one (`skope eval site` calibrates it); "
-            "`skope eval predict` and image_gates count without"
+            "`skope eval predict` and gates with `pixels` count without one"
         )
     footage = open_footage(source, Cut())
     if footage.clip is None:

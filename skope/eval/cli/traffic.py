@@ -126,13 +126,14 @@ def _report_of_tracks(
     formats: tuple[str, ...],
 ) -> Iterator[str]:
     """Measure the tracks of one or several recordings of the site."""
+    from skope.traffic.gates import gates_on_road
     from skope.traffic.measure import measure
     from skope.traffic.read_track_folder import TRACKS_CSV, track_files
     from skope.traffic.recordings import read_recordings
 
     footage = read_recordings(folders, begins, site, _BEGINS)
     observation, start = footage.observation, footage.start
-    counted = _counted_by_hand(hand_count, site, site.gates, start, observation)
+    counted = _counted_by_hand(hand_count, site, gates_on_road(site.gates), start, observation)
     # Of several the files alone do not tell which of them began when.
     several = [f"{one.begin.isoformat()} {sha256_of(one.folder / TRACKS_CSV)[:12]}" for one in footage.recordings]
     options = _options(several or _isoformat(_only_begin(begins, site)), hand_count)
@@ -240,18 +241,20 @@ def _report_in_image(
     """
     from skope.eval.tracking.image_trajectories import read_image_trajectories
     from skope.traffic.exports.formats import checked_formats
+    from skope.traffic.gates import gates_in_image
     from skope.traffic.image_counts import count_in_image
     from skope.traffic.recordings import begin_of
 
-    if not site.image_gates:
+    gates = gates_in_image(site.gates)
+    if not gates:
         raise UserError(
             f"{folder}: holds what `skope eval predict` found, in pixels: `skope eval track {folder}` makes tracks in "
-            f"metres of it where the camera is known; without, {site.path} needs image_gates"
+            f"metres of it where the camera is known; without, {site.path} needs gates with `pixels`"
         )
     formats = checked_formats(also, site, metres=False)
     tracks, observation = read_image_trajectories(folder)
     begin = begin_of(start, observation, site)
-    counted = _counted_by_hand(hand_count, site, site.image_gates, begin, observation)
+    counted = _counted_by_hand(hand_count, site, gates, begin, observation)
     inputs = [folder / FRAMES, folder / PREDICTIONS, site.path]
     options = _options(_isoformat(start), hand_count)
     claim_output(out, _COMMAND, inputs, options)

@@ -128,6 +128,7 @@ def document_of(site: SiteFile | None, size: tuple[int, int]) -> dict[str, Any]:
     out["gates"] = [
         {"name": one.name, "line": _rows(one.line), "directions": list(one.directions or ("", ""))}
         for one in site.gates
+        if one.line
     ]
     out["zones"] = [{"name": one.name, "polygon": _rows(one.polygon)} for one in site.zones]
     out["lanes"] = [{"name": one.name, "line": _rows(one.line), "width": one.width} for one in site.lanes]

@@ -47,7 +47,7 @@ def write_geojson(folder: Path, report: TrafficReport) -> list[Path]:
 
 def _features(report: TrafficReport) -> Iterator[dict[str, Any]]:
     site = report.site
-    for gate in site.gates:
+    for gate in report.gates:
         yield _feature(
             report, "LineString", gate.line, {"kind": "gate", "name": gate.name, **_totals(report, gate.name)}
         )
@@ -85,7 +85,7 @@ def _features(report: TrafficReport) -> Iterator[dict[str, Any]]:
 
 def _totals(report: TrafficReport, gate: str) -> dict[str, Any]:
     """The counts of the whole footage of a gate, by direction, of all and of vehicles, with their intervals."""
-    (mark,) = (one for one in report.site.gates if one.name == gate)
+    (mark,) = (one for one in report.gates if one.name == gate)
     totals: dict[str, dict[str, Any]] = {}
     for one in report.counts_total:
         if one.gate == gate:

@@ -54,10 +54,10 @@ def write_otanalytics(folder: Path, report: TrafficReport, camera: Camera | None
     """
     chosen = [one for one in report.trajectories if may_count(one, report.site.traffic)]
     if report.metres:
-        views = [plan_view(report.site, chosen)]
-        views += [] if camera is None else [image_view(report.site, camera)]
+        views = [plan_view(report.site, report.gates, chosen)]
+        views += [] if camera is None else [image_view(report.gates, camera)]
     else:
-        views = [pixel_view(report.site)]
+        views = [pixel_view(report.gates)]
     written = []
     for view in views:
         written += [folder / f"{view.name}.ottrk", folder / f"{view.name}.otflow"]
@@ -147,8 +147,8 @@ def flow_document(report: TrafficReport, view: OtView) -> dict[str, Any]:
     settings = report.site.traffic
     sections = []
     numbers: dict[str, str] = {}
-    for number, (gate, line) in enumerate((*view.gates, *view.further), start=1):
-        if number <= len(view.gates) and (settings.turning is None or gate.name in settings.turning):
+    for number, (gate, line) in enumerate(view.gates, start=1):
+        if settings.turning is None or gate.name in settings.turning:
             numbers[gate.name] = str(number)
         sections.append(
             {

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -40,8 +40,6 @@ class OtView:
     """Takes places (M, 2) of a trajectory to columns and rows (M, 2); NaN where they have none."""
     gates: tuple[tuple[Gate, Outline], ...]
     """The gates that counted, and their lines in pixels."""
-    further: tuple[tuple[Gate, Outline], ...] = ()
-    """Other ones, which have no movements."""
     georeference: dict[str, Any] | None = None
     """An entry of the `.ottrk`, which makes OTAnalytics count in metres; None: the picture is a camera's."""
     geo: Callable[[Array], Array] | None = None
@@ -52,41 +50,39 @@ class OtView:
         return np.asarray(((pixels >= 0) & (pixels <= (self.size or np.inf))).all(axis=1))
 
 
-def image_view(site: "SiteParts", camera: Camera) -> OtView:
-    """View of a camera on places in metres on a road at z = 0, where gates are drawn.
+def image_view(gates: Sequence[Gate], camera: Camera) -> OtView:
+    """View of a camera on positions in metres on a road at z = 0.
 
-    Of gates the part that lies in the image is kept, the longest one of several. Those that are drawn in the image stay
-    as they are; where one on the road has the same name, theirs gets "(image)".
+    A gate that was drawn in the image keeps its pixels. Of a gate that has a line on the road alone, the longest part
+    inside the image is kept.
     """
 
     def pixels(places: Array) -> Array:
         return camera.project(np.column_stack([places, np.zeros(len(places))]))[0]
 
-    names = {gate.name for gate in site.gates}
-    own = [replace(gate, name=f"{gate.name} (image)" if gate.name in names else gate.name) for gate in site.image_gates]
-    lines = [(gate, _bent(gate, pixels, (camera.width, camera.height))) for gate in site.gates]
+    size = (camera.width, camera.height)
+    lines = [(gate, _drawn(gate, size) or _bent(gate, pixels, size)) for gate in gates]
     return OtView(
         name="image",
-        size=(camera.width, camera.height),
+        size=size,
         pixels=pixels,
         gates=tuple((gate, line) for gate, line in lines if len(line) > 1),
-        further=tuple((gate, gate.line) for gate in own),
     )
 
 
-def pixel_view(site: "SiteParts") -> OtView:
+def pixel_view(gates: Sequence[Gate]) -> OtView:
     """The image that gates are drawn in, of a report without metres: places are columns and negative rows there."""
     return OtView(
         name="image",
         size=None,
         pixels=lambda places: places * [1.0, -1.0],
-        gates=tuple((gate, gate.line) for gate in site.image_gates),
+        gates=tuple((gate, gate.pixels) for gate in gates),
     )
 
 
-def plan_view(site: "SiteParts", trajectories: Sequence[Trajectory]) -> OtView:
+def plan_view(site: "SiteParts", gates: Sequence[Gate], trajectories: Sequence[Trajectory]) -> OtView:
     """The road from above: a picture, nowhere drawn, that holds all gates and trajectories, ten pixels to a metre."""
-    places = [np.array(gate.line) for gate in site.gates] + [one.place for one in trajectories]
+    places = [np.array(gate.line) for gate in gates] + [one.place for one in trajectories]
     shift, crs = _map_of(site)
     everywhere = np.concatenate([*places, np.zeros((0, 2))]) + shift
     low, high = (everywhere.min(axis=0), everywhere.max(axis=0)) if len(everywhere) else (shift, shift)
@@ -104,7 +100,7 @@ def plan_view(site: "SiteParts", trajectories: Sequence[Trajectory]) -> OtView:
         name="plan",
         size=(width, height),
         pixels=pixels,
-        gates=tuple((gate, _outline(pixels(np.array(gate.line)))) for gate in site.gates),
+        gates=tuple((gate, _outline(pixels(np.array(gate.line)))) for gate in gates),
         georeference={
             "geo_bounds": {"min_x": west, "min_y": south, "max_x": east, "max_y": north},
             "birds_eye_view_size": {"width": width, "height": height},
@@ -127,6 +123,11 @@ def _map_of(site: "SiteParts") -> tuple[Array, str]:
     zone = str(world["utm_zone"])
     code = world.get("epsg", (32600 if zone.endswith("N") else 32700) + int(zone[:-1]))
     return np.array([origin["easting"], origin["northing"]]), f"EPSG:{code}"
+
+
+def _drawn(gate: Gate, size: tuple[int, int]) -> Outline:
+    """A gate's own pixels, where they are of images of this size; else empty."""
+    return gate.pixels if gate.size in (None, size) else ()
 
 
 def _bent(gate: Gate, pixels: Callable[[Array], Array], size: tuple[int, int]) -> Outline:

@@ -105,7 +105,7 @@ def _view(report: TrafficReport, camera: Camera | None) -> dict[str, Any] | None
     """Gates in the picture: lines, and from where to where the first direction goes, pixels; None without a camera."""
     if report.metres and camera is None:
         return None
-    view = pixel_view(report.site) if camera is None or not report.metres else image_view(report.site, camera)
+    view = pixel_view(report.gates) if camera is None or not report.metres else image_view(report.gates, camera)
     lines = {gate.name: line for gate, line in view.gates}
     gates = [
         {

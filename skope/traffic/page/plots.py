@@ -63,7 +63,7 @@ def _hourly(count: int | None, observed_s: float) -> float | None:
 
 def speed_histograms(report: TrafficReport) -> Iterator[str]:
     """A figure for each gate: how fast motor vehicles crossed it."""
-    for gate in report.site.gates:
+    for gate in report.gates:
         groups = {
             name: [
                 one.speed * KMH
@@ -77,7 +77,7 @@ def speed_histograms(report: TrafficReport) -> Iterator[str]:
 
 def headway_histograms(report: TrafficReport) -> Iterator[str]:
     """A figure for each gate: how long after the one before vehicles crossed it."""
-    for gate in report.site.gates:
+    for gate in report.gates:
         groups = {
             name: [
                 one.headway_s

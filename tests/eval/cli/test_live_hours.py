@@ -25,8 +25,6 @@ SITE = """time_zone = "Europe/Berlin"
 [[gates]]
 name = "g"
 line = [[-20, 30], [20, 30]]
-[[image_gates]]
-name = "g"
 pixels = [[10, 60], [10, 5]]
 """
 
