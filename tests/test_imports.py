@@ -82,7 +82,7 @@ SHARED = (
     {"boxes", "field_checks", "files"},
     {"camera", "terminal"},
     {"schema", "site"},
-    {"dataset", "pictures"},
+    {"dataset", "pictures", "tracks"},
     {"detections"},
     {"detector", "metrics", "page"},
     {"traffic", "viewer"},

@@ -18,14 +18,14 @@ from typing import Final
 import numpy as np
 from scipy.optimize import minimize
 from scipy.stats import norm
+from skope.traffic.read_track_folder import TRACKS_CSV, read_trajectories
 from traffic_truth import TRUTH, read_truth
 
 from skope.schema import VEHICLE
+from skope.tracks.track import Track, is_in_traffic
 from skope.traffic.length_bins import bin_probabilities
 from skope.traffic.normal_distribution import INTERVAL_SIGMAS
 from skope.traffic.observation import read_observation
-from skope.traffic.read_track_folder import TRACKS_CSV, read_trajectories
-from skope.traffic.trajectories import Trajectory, wandering
 from skope.types import Array
 
 TRACKS: Final = "found/tracks"
@@ -42,7 +42,7 @@ class Pair:
     """A track, and how long its vehicle is."""
 
     site: str
-    track: Trajectory
+    track: Track
     true_m: float
 
 
@@ -52,13 +52,13 @@ def pairs_of(folder: Path) -> Iterator[Pair]:
     truth = [one for one in read_truth(folder).trajectories if one.category == VEHICLE]
     at: defaultdict[float, list[tuple[int, Array]]] = defaultdict(list)
     for k, one in enumerate(truth):
-        for time_s, place in zip(one.times_s, one.place, strict=True):
+        for time_s, place in zip(one.times_s, one.xy, strict=True):
             at[round(float(time_s), 3)].append((k, place))
     for track in read_trajectories(tracks, read_observation(tracks)):
-        if track.category != VEHICLE or not wandering(track) or len(track.times_s) < FEWEST:
+        if track.category != VEHICLE or not is_in_traffic(track) or len(track.times_s) < FEWEST:
             continue
         votes, moments = Counter[int](), 0
-        for time_s, place in zip(track.times_s[::3], track.place[::3], strict=True):
+        for time_s, place in zip(track.times_s[::3], track.xy[::3], strict=True):
             there = at[round(float(time_s), 3)]
             away = [float(np.hypot(*(place - other))) for _, other in there]
             moments += bool(there)

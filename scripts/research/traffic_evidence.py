@@ -21,10 +21,10 @@ from traffic_gates import SITE
 
 from skope.dataset import coco
 from skope.schema import CATEGORIES, AnnotationFile, Labelled
+from skope.tracks.track import Track
 from skope.traffic.gates import GateCrossing
 from skope.traffic.observation import FOOTAGE
 from skope.traffic.traffic_report import TrafficReport
-from skope.traffic.trajectories import Trajectory
 from skope.traffic.write_report import SUMMARY
 
 LABELS: Final = "labels.json"
@@ -67,16 +67,16 @@ class Owners:
     seen: Mapping[int, list[tuple[float, int]]]
     """Times and numbers in the labels, by track."""
 
-    def _votes(self, trajectory: Trajectory) -> list[tuple[float, int]]:
+    def _votes(self, trajectory: Track) -> list[tuple[float, int]]:
         return [vote for number in (trajectory.number, *trajectory.joined) for vote in self.seen.get(number, ())]
 
-    def of(self, trajectory: Trajectory, time_s: float) -> int | None:
+    def of(self, trajectory: Track, time_s: float) -> int | None:
         """Who a trajectory is around a time; None: nobody whom the labels know."""
         votes = self._votes(trajectory)
         near = [vote for vote in votes if abs(vote[0] - time_s) < AROUND_S]
         return _most(who for _, who in near or votes)
 
-    def whole(self, trajectory: Trajectory) -> int | None:
+    def whole(self, trajectory: Track) -> int | None:
         """Who it is in the whole clip."""
         return _most(who for _, who in self._votes(trajectory))
 
@@ -129,11 +129,11 @@ class Evidence:
     categories: Mapping[str, int]
     """How often a detection of somebody had which category, as "20-40 m: vehicle as pedestrian"; empty without."""
 
-    def shown(self, one: Trajectory) -> Trajectory | None:
+    def shown(self, one: Track) -> Track | None:
         """A true trajectory from the first to the last moment at which it is visible; None where that is never."""
         times = self.visible.get(one.number, [])
         rows = (one.times_s >= min(times, default=1) - 1e-6) & (one.times_s <= max(times, default=0) + 1e-6)
-        return one.taken(rows) if rows.sum() > 1 else None
+        return one.during(rows) if rows.sum() > 1 else None
 
     def state_of(self, crossing: GateCrossing) -> str:
         """Seen (before and after), hardly (by ignored labels too), hidden (there), or never seen in the clip."""
@@ -170,9 +170,7 @@ def _near(times: Iterable[float], time_s: float, within_s: float) -> bool:
     return any(abs(time - time_s) < within_s for time in times)
 
 
-def evidence_of(
-    file: AnnotationFile, results: Path | None, owners: Owners, trajectories: Sequence[Trajectory]
-) -> Evidence:
+def evidence_of(file: AnnotationFile, results: Path | None, owners: Owners, trajectories: Sequence[Track]) -> Evidence:
     """Collect it; without results the labels that are not ignored are what was detected."""
     visible, clear, found = defaultdict[int, list[float]](list), defaultdict[int, list[float]](list), None
     for image, labels in zip(file.images, labels_of(file), strict=True):
@@ -223,7 +221,7 @@ class Clip:
     """What is known and what is said of a clip."""
 
     file: AnnotationFile
-    truth: Sequence[Trajectory]
+    truth: Sequence[Track]
     real: TrafficReport
     told: TrafficReport
     owners: Owners

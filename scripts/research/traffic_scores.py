@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+from skope.traffic.read_track_folder import read_trajectories
 from traffic_evidence import LABELS, SEEN, Clip, evidence_of, owners_of, paired, reported
 from traffic_gates import SITE
 from traffic_tables import VISIBLE, middle_of, print_tables
@@ -27,6 +28,7 @@ from skope.errors import UserError
 from skope.files.json_files import read_json
 from skope.schema import VEHICLE
 from skope.site.site_file import read_site
+from skope.tracks.track import KMH
 from skope.traffic.conflicts import conflicts
 from skope.traffic.count_uncertainty import CountInterval
 from skope.traffic.gate_counts import ALL, expected
@@ -34,8 +36,6 @@ from skope.traffic.gates import direction_names
 from skope.traffic.measure import measure
 from skope.traffic.normal_distribution import INTERVAL_SIGMAS
 from skope.traffic.observation import Observation, read_observation
-from skope.traffic.read_track_folder import read_trajectories
-from skope.traffic.trajectories import KMH
 from skope.traffic.turning_movements import NOWHERE
 from skope.traffic.write_report import SUMMARY
 

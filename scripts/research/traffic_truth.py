@@ -29,8 +29,8 @@ from skope.gen.scene.road_user_bodies import vehicle_body
 from skope.gen.simulation.simulate import simulate
 from skope.schema import VEHICLE
 from skope.site.gates_zones_lanes import Gate
+from skope.tracks.track import Track
 from skope.traffic.gates import signed_distances
-from skope.traffic.trajectories import Trajectory
 from skope.types import Array
 
 TRUTH: Final = "truth.npz"
@@ -100,7 +100,7 @@ class Truth:
     """What really happened."""
 
     times_s: Array
-    trajectories: Sequence[Trajectory]
+    trajectories: Sequence[Track]
     """Of everybody, by number; those who stand all the time are flagged as never moved."""
 
 
@@ -113,11 +113,11 @@ def read_truth(folder: Path) -> Truth:
     return Truth(times, [one for one in found if len(one.times_s) > 1])
 
 
-def _trajectory(row: Sequence[str], times: Array, frame: Array, state: Array) -> Trajectory:
+def _trajectory(row: Sequence[str], times: Array, frame: Array, state: Array) -> Track:
     number, category, kind, length, width, parked = row
     n = len(frame)
     moves = n > 0 and float(np.ptp(state[:, :2], axis=0).max()) > STILL_M
-    return Trajectory(
+    return Track(
         number=int(number),
         category=str(category),
         class_name=str(kind),
@@ -143,7 +143,7 @@ def check_labels(truth: Truth, document: Mapping[str, Any]) -> float:
     at = {
         (one.number, round(float(time_s), 4)): place
         for one in truth.trajectories
-        for time_s, place in zip(one.times_s, one.place, strict=True)
+        for time_s, place in zip(one.times_s, one.xy, strict=True)
     }
     times = {image["id"]: round(float(image["time_s"]), 4) for image in document["images"]}
     places = [at.get((row["track_id"], times[row["image_id"]])) for row in document["annotations"]]
@@ -167,7 +167,7 @@ def plain_counts(truth: Truth, gates: Sequence[Gate]) -> Mapping[tuple[str, int]
     out: dict[tuple[str, int], list[tuple[int, float]]] = {(gate.name, k): [] for gate in gates for k in (0, 1)}
     for one in truth.trajectories:
         for gate in gates if "never_moved" not in one.flags else ():
-            signed, along = signed_distances(gate, one.place)
+            signed, along = signed_distances(gate, one.xy)
             left = signed > 0
             for i in np.flatnonzero(left[1:] != left[:-1]):
                 share = signed[i] / (signed[i] - signed[i + 1])

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from skope.eval.inference.predict_job import PredictJob
     from skope.eval.inference.predictor import Predictor
     from skope.eval.pose.keypoint_views import Scene
-    from skope.eval.tracking.track_list import TrackedVehicle, Tracks
+    from skope.eval.tracking.track_list import TrackedRoadUser, Tracks
 
 RoadHeight = float | Literal["auto", "fit"] | None
 """Height of the level road in the camera's world, metres, or how it is found: see `Detector.video`."""
@@ -46,8 +46,8 @@ class VideoFrame:
     """Seconds since the video's first frame; None for image files of which nothing says how many a second there are."""
     detections: Detections
     """The vehicles, with their `numbers` where they are followed from frame to frame, and other road users."""
-    tracks: "tuple[TrackedVehicle, ...]" = ()
-    """The vehicles in metres, where the video has a camera."""
+    tracks: "tuple[TrackedRoadUser, ...]" = ()
+    """The road users in metres, where the video has a camera."""
     _all_tracks: "Tracks | None" = field(default=None, repr=False)
 
     def draw(self) -> Pixels:
@@ -137,11 +137,12 @@ class Video:
         return detections_of_results(found, (image.width, image.height), self._predictor.scheme)
 
     def tracks(self) -> "Tracks":
-        """The vehicles of the whole video, followed in metres, as `skope eval track` does; computed once.
+        """The road users of the whole video, followed in metres, as `skope eval track` does; computed once.
 
         Returns:
-            A list of tracks, with smoothed `position` (M, 3), `velocity` (M, 2), `heading` (M,) and `speed` (M,) in
-            each of a vehicle's M `frames`. Its `to_csv` writes them, `skope.count` and `skope.measure_traffic` take it.
+            A list of `skope.tracks.track.Track`, with smoothed `position` (M, 3), `velocity` (M, 2), `heading` (M,) and
+            `speed` (M,) in each of a road user's M `frames`; `category` tells vehicles from others. Its `to_csv`
+            writes them, `skope.count` and `skope.measure_traffic` take it.
 
         Raises:
             UserError: The video has no camera or cannot be read, or its images carry no times (`fps` says them).
@@ -184,12 +185,12 @@ class Video:
         times = times_of(scene, self._image_fps)
         progress = poses_kept(folder)
         try:
-            tracks, road_users = followed(job, times, progress, Counter[str](), SilentConsole())
+            tracks = followed(job, times, progress, Counter[str](), SilentConsole())
         finally:
             progress.end()
         index = [i if image.frame_index is None else image.frame_index for i, image in enumerate(scene.file.images)]
         observation = observation_of(scene, times, begins_of(scene, job.begins))
-        return Tracks(tracks, observation, road_users=road_users, frame_index=index)
+        return Tracks(tracks, observation, frame_index=index)
 
     def find_camera(
         self, *, height_m: float | None = None, fov_deg: float | None = None, max_vehicles: int = 40

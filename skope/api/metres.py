@@ -54,9 +54,9 @@ def locate(detections: "Detections", camera: Camera, *, ground: float | None = 0
     Raises:
         UserError: The camera's shape is not the image's.
     """
+    from skope.camera.ground_plane import Ground
     from skope.dataset.camera_of_file import sized
     from skope.eval.pose.estimate_pose import locate as solve
-    from skope.eval.pose.ground import Ground
     from skope.eval.pose.keypoint_views import view_of
     from skope.eval.pose.pose_records import INTERPOLATED, Located
     from skope.eval.pose.shape_model import fleet_shapes
@@ -89,9 +89,11 @@ def track(frames: "Iterable[Located]", times_s: Sequence[float]) -> "Tracks":
     from skope.eval.tracking.track_list import Tracks
     from skope.eval.tracking.tracker_inputs import detections_of
     from skope.eval.tracking.vehicle_tracker import follow
+    from skope.tracks.csv_file import as_written
     from skope.traffic.observation import Observation
 
     if (np.diff(times_s) <= 0).any():
         raise ValueError("times_s: expected times that rise from frame to frame")
     seconds = np.asarray(times_s, dtype=np.float64)
-    return Tracks(follow((detections_of(one) for one in frames), times_s), Observation(times_s=seconds))
+    tracks = follow((detections_of(one) for one in frames), times_s)
+    return Tracks([as_written(one) for one in tracks], Observation(times_s=seconds))

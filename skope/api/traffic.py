@@ -10,8 +10,8 @@ import numpy as np
 from skope.errors import UserError
 
 if TYPE_CHECKING:
-    from skope.eval.tracking.tracks import Track
     from skope.site.site_file import SiteFile
+    from skope.tracks.track import Track
     from skope.traffic.gate_counts import Count
     from skope.traffic.traffic_report import TrafficReport
 
@@ -62,8 +62,8 @@ def measure_traffic(
         ValueError: `tracks` are folders and tracks.
     """
     from skope.eval.tracking.track_list import Tracks
-    from skope.eval.tracking.trajectories_of_tracks import trajectories_of_tracks
     from skope.site.site_file import SiteFile
+    from skope.tracks.csv_file import as_written
     from skope.traffic.counting_intervals import local_start
     from skope.traffic.gates import gates_on_road
     from skope.traffic.hand_count_file import read_hand_counts
@@ -91,9 +91,8 @@ def measure_traffic(
         else:
             times = [one.times_s for one in followed] or [np.zeros(0)]
             observed = Observation(times_s=np.unique(np.concatenate(times)))
-        others = tracks.road_users if isinstance(tracks, Tracks) else ()
         footage = RecordedTraffic(
-            tracks=tuple(trajectories_of_tracks([*followed, *others])),
+            tracks=tuple(as_written(one) for one in followed),
             observation=observed,
             start=said_begin(said[0], read, "begins") if said else local_start(read),
         )

@@ -9,8 +9,8 @@ import numpy as np
 
 from skope.schema import PEDESTRIAN
 from skope.site.traffic_settings import TrafficSettings
+from skope.tracks.track import Track, is_in_traffic
 from skope.traffic.normal_distribution import at_most
-from skope.traffic.trajectories import Trajectory, wandering
 from skope.types import Array
 
 _OVER_S: Final = 1.0
@@ -23,7 +23,7 @@ _LEAST: Final = 0.5
 class HardBraking:
     """A road user brakes harder than the limit."""
 
-    trajectory: Trajectory
+    trajectory: Track
     time_s: float
     """Time at which it brakes hardest, seconds."""
     place: Array
@@ -36,18 +36,18 @@ class HardBraking:
     """Probability that it was harder than the limit."""
 
 
-def hard_brakings(trajectories: Sequence[Trajectory], settings: TrafficSettings) -> list[HardBraking]:
+def hard_brakings(trajectories: Sequence[Track], settings: TrafficSettings) -> list[HardBraking]:
     """The hardest braking of each vehicle that brakes harder than `settings.hard_braking_ms2`, in order of time."""
     found = []
     for trajectory in trajectories:
-        if wandering(trajectory) and trajectory.category != PEDESTRIAN:
+        if is_in_traffic(trajectory) and trajectory.category != PEDESTRIAN:
             hardest = _hardest(trajectory, settings.hard_braking_ms2)
             if hardest is not None and hardest.probability > _LEAST:
                 found.append(hardest)
     return sorted(found, key=lambda one: one.time_s)
 
 
-def _hardest(trajectory: Trajectory, limit: float) -> HardBraking | None:
+def _hardest(trajectory: Track, limit: float) -> HardBraking | None:
     times = trajectory.times_s
     begins = times[times + _OVER_S <= times[-1]]
     if not len(begins):
@@ -64,7 +64,7 @@ def _hardest(trajectory: Trajectory, limit: float) -> HardBraking | None:
     return HardBraking(
         trajectory=trajectory,
         time_s=middle,
-        place=trajectory.at(trajectory.place, middle),
+        place=trajectory.at(trajectory.xy, middle),
         deceleration=hardest,
         sigma=sigma,
         probability=at_most((hardest - limit) / sigma) if sigma > 0 else float(hardest > limit),

@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skope.site.traffic_settings import TrafficSettings
+from skope.tracks.track import VEHICLE_LENGTH_SIGMA_M, Track
 from skope.traffic.collision import Doubt, deceleration_to_avoid, times_to_collision
 from skope.traffic.encroachment import Encroachment, by_places
 from skope.traffic.event_probability import event_probability
 from skope.traffic.footprints import FootprintPath
 from skope.traffic.normal_distribution import COUNT_INTERVAL_LEVEL, INTERVAL_SIGMAS
-from skope.traffic.trajectories import VEHICLE_LENGTH_SIGMA_M, Trajectory
 from skope.types import Array
 
 STEP_S: Final = 0.1
@@ -36,7 +36,7 @@ _WORST_M: Final = 0.5
 """and the place is known so well then, one standard deviation."""
 
 
-def is_followed(trajectory: Trajectory, time_s: float) -> bool:
+def is_followed(trajectory: Track, time_s: float) -> bool:
     """Whether somebody is followed well enough around a time for a conflict then to be believed.
 
     Of pieces of tracks, and of what a detector takes for a vehicle for a moment, nearly all conflicts are none.
@@ -44,8 +44,11 @@ def is_followed(trajectory: Trajectory, time_s: float) -> bool:
     times = trajectory.times_s[trajectory.located]
     if len(times) < _FEWEST_PLACES or times[-1] - times[0] < _SHORTEST_S:
         return False
+    margin_s = _AROUND_S - _LONGEST_GAP_S
+    if not times[0] <= time_s - margin_s <= time_s + margin_s <= times[-1]:
+        return False
     gap_s = trajectory.longest_gap(time_s, _AROUND_S)
-    return gap_s <= _LONGEST_GAP_S and trajectory.place_sigma(time_s) <= _WORST_M
+    return gap_s <= _LONGEST_GAP_S and trajectory.sigma_at(time_s) <= _WORST_M
 
 
 def ttc_doubt(
@@ -114,7 +117,7 @@ def surely_encroaches(one: FootprintPath, other: FootprintPath, i: int, j: int, 
     """
     shrunk = []
     for path, row in ((one, i), (other, j)):
-        spread = path.trajectory.at(path.trajectory.covariance, float(path.times_s[row]))
+        spread = path.trajectory.at(path.trajectory.total_covariance, float(path.times_s[row]))
         sides = path.facing[row], np.array([-path.facing[row, 1], path.facing[row, 0]])
         size = [
             max(0.1, extent - 2 * INTERVAL_SIGMAS * math.sqrt(max(0.0, float(side @ spread @ side))))
@@ -141,7 +144,7 @@ def pet_sigma(one: FootprintPath, other: FootprintPath, reached: Encroachment | 
     for path, time_s in zip((one, other), in_order((reached.first_s, reached.second_s), reached), strict=True):
         trajectory = path.trajectory
         speed = max(0.1, float(trajectory.at(trajectory.speed, time_s)))
-        total += (trajectory.place_sigma(time_s) ** 2 + (VEHICLE_LENGTH_SIGMA_M / 2) ** 2) / speed**2
+        total += (trajectory.sigma_at(time_s) ** 2 + (VEHICLE_LENGTH_SIGMA_M / 2) ** 2) / speed**2
     return math.sqrt(total)
 
 
@@ -162,7 +165,7 @@ def _drawn(
     shifts, speeds = [], []
     for path, row in zip((one, other), rows, strict=True):
         time_s, trajectory = float(path.times_s[row]), path.trajectory
-        shifts.append(rng.multivariate_normal(np.zeros(2), trajectory.at(trajectory.covariance, time_s), count))
+        shifts.append(rng.multivariate_normal(np.zeros(2), trajectory.at(trajectory.total_covariance, time_s), count))
         sigma = float(trajectory.at(trajectory.speed_sigma, time_s))
         speeds.append(np.maximum(0.0, path.speed[row] + rng.normal(0, sigma, count)))
     index = np.full(count, rows[0]), np.full(count, rows[1])

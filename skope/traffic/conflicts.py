@@ -10,12 +10,12 @@ import numpy as np
 from skope.schema import PEDESTRIAN
 from skope.site.gates_zones_lanes import Zone
 from skope.site.traffic_settings import TrafficSettings
+from skope.tracks.track import Track, is_in_traffic
 from skope.traffic.collision import REAR_END_DEG, angle_deg
 from skope.traffic.conflict_doubt import STEP_S, hardest_needed, is_followed, pet_sigma, ttc_doubt
 from skope.traffic.encounters import Meeting, meeting_of, rows_together
 from skope.traffic.encroachment import by_area, near
 from skope.traffic.footprints import FootprintPath, footprint_paths, overlap
-from skope.traffic.trajectories import Trajectory, wandering
 from skope.traffic.zones import inside_polygon
 from skope.types import Array
 
@@ -27,8 +27,8 @@ _CROSSING_DEG: Final = 80.0
 class Conflict:
     """Two road users near a collision."""
 
-    first: Trajectory
-    second: Trajectory
+    first: Track
+    second: Track
     """The one that gets where the other one was, or, where that does not happen, that drives behind."""
     time_s: float
     """Of the least time to collision; without one, when the second one gets there. Seconds of the footage."""
@@ -74,7 +74,7 @@ class ConflictSearch:
 
 
 def conflicts(
-    trajectories: Sequence[Trajectory],
+    trajectories: Sequence[Track],
     settings: TrafficSettings,
     rng: np.random.Generator,
     zones: Sequence[Zone] = (),
@@ -90,7 +90,7 @@ def conflicts(
     Returns:
         The conflicts by time, and how many pairs were left out.
     """
-    made = footprint_paths([one for one in trajectories if wandering(one)], STEP_S)
+    made = footprint_paths([one for one in trajectories if is_in_traffic(one)], STEP_S)
     found, overlapping, unsteady = [], 0, 0
     for one, other in _pairs(made, settings.pet_s):
         if not near(one, other, max(settings.pet_s, settings.ttc_s)):

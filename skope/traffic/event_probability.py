@@ -14,9 +14,9 @@ from scipy.special import expit
 
 from skope.schema import PEDESTRIAN, VEHICLE
 from skope.site.traffic_settings import CLASSES, OF_VEHICLES, UNKNOWN
+from skope.tracks.track import Track, worst_sigma
 from skope.traffic.count_uncertainty import Group
 from skope.traffic.gate_shares import Beta, LearntShares
-from skope.traffic.trajectories import Trajectory, worst_sigma
 
 COUNTED_FROM: Final = 0.5
 """A less probable event is not counted."""
@@ -121,7 +121,7 @@ SEEN_IN_PIXELS: Final = (SeenAlike(frozenset(CLASSES), missed=(1.2, 8.0), came=(
 footage 4 were missed by day and 15 in rain, over all distances."""
 
 
-def event_probability(trajectory: Trajectory) -> float:
+def event_probability(trajectory: Track) -> float:
     """Probability that an event of this track happened, and is no other track's too.
 
     By Laplace's rule of succession over the moments at which a place was taken: two say little, many say much.
@@ -130,7 +130,7 @@ def event_probability(trajectory: Trajectory) -> float:
     return (places + 1) / (places + 2) * undoubted(trajectory)
 
 
-def crossing_probability(trajectory: Trajectory, time_s: float, step_s: float) -> float:
+def crossing_probability(trajectory: Track, time_s: float, step_s: float) -> float:
     """Probability that a road user crossed a line at a time, in metres, and is counted by no other track.
 
     Args:
@@ -148,7 +148,7 @@ def crossing_probability(trajectory: Trajectory, time_s: float, step_s: float) -
     return undoubted(trajectory) * float(expit(logit))
 
 
-def crossing_evidence(trajectory: Trajectory, time_s: float, step_s: float) -> tuple[float, ...]:
+def crossing_evidence(trajectory: Track, time_s: float, step_s: float) -> tuple[float, ...]:
     """Evidence on a vehicle's crossing that `_LOGIT` weighs (see `crossing_probability`).
 
     Args:
@@ -166,13 +166,13 @@ def crossing_evidence(trajectory: Trajectory, time_s: float, step_s: float) -> t
     return (
         1.0,
         math.log(1 + min(parts, _MOST_PLACES)),
-        math.log(0.05 + trajectory.place_sigma(time_s)),
+        math.log(0.05 + trajectory.sigma_at(time_s)),
         math.log(0.1 + max(0.0, trajectory.longest_gap(time_s, _AROUND_S) - step_s) + _USUAL_STEP_S),
         float(trajectory.class_name == UNKNOWN),
     )
 
 
-def same_probability(trajectory: Trajectory, begin_s: float, end_s: float, step_s: float) -> float:
+def same_probability(trajectory: Track, begin_s: float, end_s: float, step_s: float) -> float:
     """Probability that a track, in metres, is one road user's all the time from one moment to another.
 
     Args:
@@ -189,20 +189,20 @@ def same_probability(trajectory: Trajectory, begin_s: float, end_s: float, step_
         logit = constant + of_gap * math.log(0.1 + gap_s) + of_time * math.log(1 + end_s - begin_s)
     else:
         between = trajectory.times_s[(trajectory.times_s > begin_s) & (trajectory.times_s < end_s)]
-        covariances = trajectory.at(trajectory.covariance, np.array([begin_s, *between, end_s]))
+        covariances = trajectory.at(trajectory.total_covariance, np.array([begin_s, *between, end_s]))
         constant, of_sigma = _SAME_WALKER
         logit = constant + of_sigma * math.log(0.05 + float(worst_sigma(covariances).max()))
     return float(expit(logit))
 
 
-def usual_step(trajectories: Sequence[Trajectory]) -> float:
+def usual_step(trajectories: Sequence[Track]) -> float:
     """Usual time from a place to the next one, over all tracks, seconds; that of 10 frames a second without any."""
     steps = [np.diff(one.times_s[one.located]) for one in trajectories]
     every = np.concatenate([np.zeros(0), *steps])
     return float(np.median(every)) if len(every) else _USUAL_STEP_S
 
 
-def undoubted(trajectory: Trajectory) -> float:
+def undoubted(trajectory: Track) -> float:
     """Factor for what a track should be distrusted for."""
     doubted = _DOUBTED if _DOUBTS & set(trajectory.flags) else 1.0
     return doubted * trajectory.joined_probability

@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from skope.traffic.trajectories import Trajectory
+from skope.tracks.track import Track
 from skope.types import Array
 
 _CORNERS: Final = np.array([[0.5, 0.5], [0.5, -0.5], [-0.5, -0.5], [-0.5, 0.5]])
@@ -70,7 +70,7 @@ def overlap(one: Array, other: Array) -> NDArray[np.bool_]:
 class FootprintPath:
     """A trajectory at the moments of a clock that all share, and its way by length."""
 
-    def __init__(self, trajectory: Trajectory, step_s: float) -> None:
+    def __init__(self, trajectory: Track, step_s: float) -> None:
         """`step_s`: seconds from one moment to the next; the moments are its multiples."""
         times = trajectory.times_s
         self.trajectory, self.size = trajectory, trajectory.size
@@ -91,7 +91,7 @@ class FootprintPath:
 
     def at(self, times_s: Array) -> tuple[Array, Array]:
         """Places and unit vectors (..., 2) where the front points, at times (...,)."""
-        place = self.trajectory.at(self.trajectory.place, times_s)
+        place = self.trajectory.at(self.trajectory.xy, times_s)
         facing = self.trajectory.at(self.trajectory.facing, times_s)
         return place, facing / np.maximum(np.linalg.norm(facing, axis=-1, keepdims=True), 1e-9)
 
@@ -120,7 +120,7 @@ class FootprintPath:
         return at + self.place[rows] - here, facing / norm
 
 
-def footprint_paths(trajectories: Sequence[Trajectory], step_s: float) -> list[FootprintPath]:
+def footprint_paths(trajectories: Sequence[Track], step_s: float) -> list[FootprintPath]:
     """The paths of those who are seen at two moments and more."""
     made = [FootprintPath(one, step_s) for one in trajectories if one.times_s[-1] - one.times_s[0] >= 2 * step_s]
     return [one for one in made if len(one.ticks) > 1]

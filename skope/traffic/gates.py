@@ -10,11 +10,11 @@ import numpy as np
 
 from skope.site.gates_zones_lanes import Gate
 from skope.site.traffic_settings import TrafficSettings
+from skope.tracks.track import VEHICLE_LENGTH_SIGMA_M, Track, is_in_traffic
 from skope.traffic.event_probability import COUNTED_FROM, crossing_probability, event_probability, usual_step
 from skope.traffic.lanes import LaneMap
 from skope.traffic.normal_distribution import at_most
 from skope.traffic.passages import Passage, passages
-from skope.traffic.trajectories import VEHICLE_LENGTH_SIGMA_M, Trajectory, wandering
 from skope.types import Array
 
 _SLOWEST: Final = 0.05
@@ -35,7 +35,7 @@ _BESIDE: Final = 0.05
 class GateCrossing:
     """A road user crosses a gate."""
 
-    trajectory: Trajectory
+    trajectory: Track
     gate: str
     direction: int
     """0 from the gate's left to its right as it is drawn, 1 back."""
@@ -88,13 +88,13 @@ def gates_in_image(gates: Sequence[Gate]) -> tuple[Gate, ...]:
     return tuple(replace(gate, line=tuple((u, -v) for u, v in gate.pixels)) for gate in gates if gate.pixels)
 
 
-def may_count(trajectory: Trajectory, settings: TrafficSettings) -> bool:
+def may_count(trajectory: Track, settings: TrafficSettings) -> bool:
     """Whether who crosses a gate counts: a road user in traffic, of the classes that are counted."""
-    return wandering(trajectory) and trajectory.class_name in settings.classes
+    return is_in_traffic(trajectory) and trajectory.class_name in settings.classes
 
 
 def gate_crossings(
-    trajectories: Sequence[Trajectory],
+    trajectories: Sequence[Track],
     gates: Sequence[Gate],
     lanes: LaneMap,
     settings: TrafficSettings,
@@ -139,9 +139,9 @@ def signed_distances(gate: Gate, places: Array) -> tuple[Array, Array]:
 
 
 def _of_one(
-    trajectory: Trajectory, gate: Gate, lanes: LaneMap, settings: TrafficSettings, step_s: float | None
+    trajectory: Track, gate: Gate, lanes: LaneMap, settings: TrafficSettings, step_s: float | None
 ) -> list[GateCrossing]:
-    signed, along = signed_distances(gate, trajectory.place)
+    signed, along = signed_distances(gate, trajectory.xy)
     length = math.dist(*gate.line)
     rule = _rule(trajectory, gate, signed, settings)
     found = []
@@ -151,14 +151,14 @@ def _of_one(
         inside = 0 <= at < length
         between = float(inside)
         if step_s is not None:
-            sigma = _sigma(_axis(gate)[1], trajectory.at(trajectory.covariance, passage.time_s))
+            sigma = _sigma(_axis(gate)[1], trajectory.at(trajectory.total_covariance, passage.time_s))
             between = at_most(at / sigma) - at_most((at - length) / sigma) if sigma > 0 else between
         if inside or between > _BESIDE:
             found.append(_crossing(trajectory, gate, passage, lanes, rule, step_s, inside, between))
     return found
 
 
-def _rule(trajectory: Trajectory, gate: Gate, signed: Array, settings: TrafficSettings) -> dict[str, float]:
+def _rule(trajectory: Track, gate: Gate, signed: Array, settings: TrafficSettings) -> dict[str, float]:
     """Distances that it has to be seen on the other side, and to move: more where places are less certain."""
     near = trajectory.covariance[np.abs(signed) < _NEAR_M]
     normal = normal_of(gate)
@@ -179,7 +179,7 @@ def normal_of(gate: Gate) -> Array:
 
 
 def _crossing(
-    trajectory: Trajectory,
+    trajectory: Track,
     gate: Gate,
     passage: Passage,
     lanes: LaneMap,
@@ -191,10 +191,10 @@ def _crossing(
     time_s = passage.time_s
     normal = normal_of(gate)
     velocity = trajectory.at(trajectory.velocity, time_s)
-    covariance = trajectory.at(trajectory.covariance, time_s)
+    covariance = trajectory.at(trajectory.total_covariance, time_s)
     sigma_m = _sigma(normal, covariance)
     across = max(abs(float(normal @ velocity)), _SLOWEST)
-    place = trajectory.at(trajectory.place, time_s)
+    place = trajectory.at(trajectory.xy, time_s)
     lane, lane_probability = lanes.lane_at(place, covariance)
     sure = at_most(passage.depth / sigma_m) if sigma_m > 0 else 1.0
     real = event_probability(trajectory) if step_s is None else crossing_probability(trajectory, time_s, step_s)
@@ -221,13 +221,13 @@ def _crossing(
     )
 
 
-def _along_s(trajectory: Trajectory, velocity: Array, *, metres: bool) -> float:
+def _along_s(trajectory: Track, velocity: Array, *, metres: bool) -> float:
     """By how much a crossing's time is off since the body's middle is off along its way, one standard deviation."""
     off = _ALONG_M.get(trajectory.class_name, 0.0) if metres else 0.0
     return off / max(float(np.linalg.norm(velocity)), _SLOWEST)
 
 
-def _end_time(trajectory: Trajectory, gate: Gate, places: Array, passage: Passage, rule: dict[str, float]) -> float:
+def _end_time(trajectory: Track, gate: Gate, places: Array, passage: Passage, rule: dict[str, float]) -> float:
     """Time at which the front or the rear (M, 2) crosses the gate's line in the same direction; NaN where that is not
     seen."""
     signed, _ = signed_distances(gate, places)

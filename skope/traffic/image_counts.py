@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from skope.site.traffic_settings import TrafficSettings
+from skope.tracks.track import Track
 from skope.traffic.conflicts import ConflictSearch
 from skope.traffic.counting_intervals import clock_intervals, local_start
 from skope.traffic.event_probability import SEEN_IN_PIXELS
@@ -21,7 +22,6 @@ from skope.traffic.missed_crossings import unseen
 from skope.traffic.observation import Observation
 from skope.traffic.report_remarks import remarks_on_counts
 from skope.traffic.traffic_report import TrafficReport
-from skope.traffic.trajectories import Trajectory
 from skope.traffic.turning_movements import movements, turning_counts
 
 if TYPE_CHECKING:
@@ -38,7 +38,7 @@ _WHY: Final = (
 
 
 def count_in_image(
-    tracks: Sequence[Trajectory],
+    tracks: Sequence[Track],
     observation: Observation,
     site: "SiteParts",
     start: datetime | None = None,
@@ -103,7 +103,7 @@ def count_in_image(
     return replace(report, refused=(_WHY, *remarks_on_counts(report)))
 
 
-def _in_pixels(track: Trajectory, settings: TrafficSettings) -> TrafficSettings:
+def _in_pixels(track: Track, settings: TrafficSettings) -> TrafficSettings:
     """Settings of a crossing in pixels, by how exactly it is known where this track's box stands."""
     sigma = float(np.median(np.sqrt(track.covariance[:, 0, 0])))
     return replace(settings, hysteresis_m=_HYSTERESIS * sigma, least_travel_m=2 * _HYSTERESIS * sigma)

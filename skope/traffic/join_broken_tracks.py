@@ -9,11 +9,11 @@ import math
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
-from skope.traffic.trajectories import COLUMNS, Trajectory, worst_sigma
+from skope.tracks.track import Track, concatenated, worst_sigma
 
 _LONGEST_S: Final = 8.0
 """A road user that is not seen for longer, seconds, is somebody else."""
@@ -33,7 +33,7 @@ _LIKELY: Final = 0.8
 """Probability from which two tracks are joined."""
 
 
-def join_trajectories(tracks: Sequence[Trajectory]) -> list[Trajectory]:
+def join_trajectories(tracks: Sequence[Track]) -> list[Track]:
     """The trajectories with broken ones joined, by their first moments."""
     ordered = sorted(tracks, key=lambda one: (float(one.times_s[0]), one.number))
     follows: dict[int, tuple[int, float]] = {}
@@ -54,7 +54,7 @@ def join_trajectories(tracks: Sequence[Trajectory]) -> list[Trajectory]:
     return out
 
 
-def _likely_pairs(ordered: Sequence[Trajectory]) -> list[tuple[float, int, int]]:
+def _likely_pairs(ordered: Sequence[Track]) -> list[tuple[float, int, int]]:
     """Pairs to be joined, by index, the likeliest first."""
     begins = np.array([one.times_s[0] for one in ordered])
     likelihood: dict[tuple[int, int], float] = {}
@@ -72,7 +72,7 @@ def _likely_pairs(ordered: Sequence[Trajectory]) -> list[tuple[float, int, int]]
     return sorted((pair for pair in pairs if pair[0] >= _LIKELY), reverse=True)
 
 
-def _likelihood(before: Trajectory, after: Trajectory) -> float:
+def _likelihood(before: Track, after: Track) -> float:
     """Density, per square metre, with which the one who ends as `before` begins as `after`; 0: it cannot be."""
     if before.category != after.category or "impossible_motion" in {*before.flags, *after.flags}:
         return 0.0
@@ -82,7 +82,7 @@ def _likelihood(before: Trajectory, after: Trajectory) -> float:
     before = kept
     gap = float(after.times_s[0] - before.times_s[-1])
     # Whoever speeds up, brakes or turns evenly goes as far as at the mean of the two velocities.
-    missing = after.place[0] - before.place[-1] - (before.velocity[-1] + after.velocity[0]) / 2 * gap
+    missing = after.xy[0] - before.xy[-1] - (before.velocity[-1] + after.velocity[0]) / 2 * gap
     sigma_v = math.hypot(float(before.speed_sigma[-1]), float(after.speed_sigma[0])) / 2
     sigma_v = math.hypot(sigma_v, _UNEVEN * gap / 4)
     spread = before.covariance[-1] + after.covariance[0] + (sigma_v * gap) ** 2 * np.eye(2)
@@ -98,23 +98,22 @@ def _likelihood(before: Trajectory, after: Trajectory) -> float:
     return density * math.exp(-total / 2) if total < 16 else 0.0
 
 
-def _until(track: Trajectory, end_s: float) -> Trajectory | None:
+def _until(track: Track, end_s: float) -> Track | None:
     """A trajectory before a time; None where it has not begun by then."""
     if track.times_s[-1] < end_s:
         return track
     rows = track.times_s < end_s
-    return track.taken(rows) if rows.any() else None
+    return track.during(rows) if rows.any() else None
 
 
-def _together(before: Trajectory, after: Trajectory, probability: float) -> Trajectory:
-    """One trajectory of two; between them there is a straight line, as `Trajectory.at` has it."""
+def _together(before: Track, after: Track, probability: float) -> Track:
+    """One trajectory of two; between them there is a straight line, as `Track.at` has it."""
     kept = _until(before, float(after.times_s[0]))
     assert kept is not None
-    whole: dict[str, Any] = {name: np.concatenate([getattr(kept, name), getattr(after, name)]) for name in COLUMNS}
     longer, shorter = sorted((before, after), key=lambda one: -int(one.located.sum()))
     return replace(
         longer,
-        **whole,
+        **concatenated(kept, after),
         number=before.number,
         class_confidence=_confidence(longer, shorter),
         flags=_flags(before, after),
@@ -123,13 +122,13 @@ def _together(before: Trajectory, after: Trajectory, probability: float) -> Traj
     )
 
 
-def _flags(before: Trajectory, after: Trajectory) -> tuple[str, ...]:
+def _flags(before: Track, after: Track) -> tuple[str, ...]:
     """Reasons to distrust either track; one that moved in one of the two has moved."""
     moved = "never_moved" not in before.flags or "never_moved" not in after.flags
     names = dict.fromkeys((*before.flags, *after.flags))
     return tuple(name for name in names if not (moved and name == "never_moved"))
 
 
-def _confidence(longer: Trajectory, shorter: Trajectory) -> float:
+def _confidence(longer: Track, shorter: Track) -> float:
     """Confidence of the class that the longer one has, where the shorter one says another: less."""
     return longer.class_confidence * (1.0 if longer.class_name == shorter.class_name else 0.8)

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skope.site.gates_zones_lanes import Lane
+from skope.tracks.track import Track, is_in_traffic
 from skope.traffic.normal_distribution import at_most
-from skope.traffic.trajectories import Trajectory, wandering
 from skope.types import Array
 
 _WIDTH_M: Final = 3.5
@@ -29,7 +29,7 @@ _NONE: Final = -1
 class LaneChange:
     """A road user goes from one lane to another beside it."""
 
-    trajectory: Trajectory
+    trajectory: Track
     time_s: float
     """Middle of the time between the two, seconds."""
     place: Array
@@ -113,7 +113,7 @@ def _from_line(line: Array, places: Array) -> tuple[Array, Array]:
     return np.where(beyond, np.inf, distance[m, k]), along[k]
 
 
-def lane_changes(trajectories: Sequence[Trajectory], lanes: LaneMap, hysteresis_m: float) -> list[LaneChange]:
+def lane_changes(trajectories: Sequence[Track], lanes: LaneMap, hysteresis_m: float) -> list[LaneChange]:
     """All changes of lane, in order of time.
 
     Args:
@@ -123,13 +123,13 @@ def lane_changes(trajectories: Sequence[Trajectory], lanes: LaneMap, hysteresis_
     """
     found: list[LaneChange] = []
     if len(lanes.lanes) > 1:
-        for trajectory in filter(wandering, trajectories):
+        for trajectory in filter(is_in_traffic, trajectories):
             found += _changes(trajectory, lanes, hysteresis_m)
     return sorted(found, key=lambda one: (one.time_s, one.trajectory.number))
 
 
-def _changes(trajectory: Trajectory, lanes: LaneMap, hysteresis_m: float) -> list[LaneChange]:
-    index, _, ways = lanes.indices(trajectory.place, hysteresis_m)
+def _changes(trajectory: Track, lanes: LaneMap, hysteresis_m: float) -> list[LaneChange]:
+    index, _, ways = lanes.indices(trajectory.xy, hysteresis_m)
     times = trajectory.times_s
     runs: list[NDArray[np.intp]] = []
     for run in np.split(np.arange(len(index)), np.flatnonzero(np.diff(index)) + 1):
@@ -147,14 +147,14 @@ def _changes(trajectory: Trajectory, lanes: LaneMap, hysteresis_m: float) -> lis
             continue
         time_s = float(times[left] + times[entered]) / 2
         sure = [
-            lanes.lane_at(trajectory.place[i], trajectory.covariance[i])[1]
+            lanes.lane_at(trajectory.xy[i], trajectory.total_covariance[i])[1]
             for i in (before[len(before) // 2], after[len(after) // 2])
         ]
         out.append(
             LaneChange(
                 trajectory=trajectory,
                 time_s=time_s,
-                place=trajectory.at(trajectory.place, time_s),
+                place=trajectory.at(trajectory.xy, time_s),
                 from_lane=lanes.lanes[index[left]].name,
                 to_lane=lanes.lanes[index[entered]].name,
                 probability=math.prod(sure),

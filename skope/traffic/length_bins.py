@@ -17,6 +17,7 @@ import numpy as np
 from skope.schema import VEHICLE
 from skope.site.gates_zones_lanes import Gate
 from skope.site.traffic_settings import OF_VEHICLES, TrafficSettings
+from skope.tracks.track import Track
 from skope.traffic.count_uncertainty import CountInterval, joint_interval
 from skope.traffic.counting_intervals import ClockInterval
 from skope.traffic.gate_counts import observed_word
@@ -24,7 +25,6 @@ from skope.traffic.gates import GateCrossing, direction_names
 from skope.traffic.missed_crossings import Unseen, Vanished
 from skope.traffic.normal_distribution import at_most
 from skope.traffic.observation import Observation
-from skope.traffic.trajectories import Trajectory
 from skope.types import Array
 
 LENGTH_BINS: Final = ("short", "medium", "long")
@@ -72,7 +72,7 @@ def bounds_m(limits_m: Sequence[float]) -> tuple[tuple[float, float], ...]:
     return (0.0, first), (first, second), (second, math.inf)
 
 
-def length_sigma_m(trajectory: Trajectory, common_sigma: float | None) -> float:
+def length_sigma_m(trajectory: Track, common_sigma: float | None) -> float:
     """Standard deviation of a vehicle's length, metres.
 
     `common_sigma` is the relative error that the camera's calibration gives all lengths alike; None: not known.
@@ -86,7 +86,7 @@ def length_sigma_m(trajectory: Trajectory, common_sigma: float | None) -> float:
     return math.hypot(math.sqrt(square), (common_sigma or 0.0) * length)
 
 
-def bin_probabilities(trajectory: Trajectory, limits_m: Sequence[float], common_sigma: float | None) -> Array:
+def bin_probabilities(trajectory: Track, limits_m: Sequence[float], common_sigma: float | None) -> Array:
     """(3,) how probable it is that a vehicle is short, medium and long.
 
     Args:
@@ -98,7 +98,7 @@ def bin_probabilities(trajectory: Trajectory, limits_m: Sequence[float], common_
     return np.diff([0.0, *below, 1.0])
 
 
-def length_bin(trajectory: Trajectory, limits_m: Sequence[float], common_sigma: float | None) -> tuple[str, float]:
+def length_bin(trajectory: Track, limits_m: Sequence[float], common_sigma: float | None) -> tuple[str, float]:
     """The bin of a vehicle.
 
     Args:
@@ -119,7 +119,7 @@ def _bin_of(chances: Array) -> str:
     return LENGTH_BINS[most] if chances[most] >= TOLD else UNTOLD
 
 
-def has_length(trajectory: Trajectory) -> bool:
+def has_length(trajectory: Track) -> bool:
     """Whether it is a vehicle whose length was measured: two-wheelers and people have none."""
     return trajectory.category == VEHICLE and trajectory.length is not None
 
@@ -212,7 +212,7 @@ def _between(
     return (*told(), None)
 
 
-def _errors(trajectory: Trajectory) -> tuple[tuple[float, float], ...]:
+def _errors(trajectory: Track) -> tuple[tuple[float, float], ...]:
     return _ERRORS.get(trajectory.class_name, _OF_OTHERS)
 
 
@@ -220,7 +220,7 @@ def _rest(parts: Sequence[tuple[float, float]]) -> float:
     return 1 - sum(share for share, _ in parts)
 
 
-def _shorter_than(trajectory: Trajectory, limit_m: float, common_sigma: float) -> float:
+def _shorter_than(trajectory: Track, limit_m: float, common_sigma: float) -> float:
     """Probability that a vehicle is shorter than this in truth."""
     assert trajectory.length is not None
     parts = _errors(trajectory)

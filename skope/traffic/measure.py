@@ -9,6 +9,7 @@ import numpy as np
 
 from skope.site.gates_zones_lanes import Gate
 from skope.site.traffic_settings import TrafficSettings
+from skope.tracks.track import Track
 from skope.traffic.braking import hard_brakings
 from skope.traffic.conflicts import conflicts
 from skope.traffic.counting_intervals import ClockInterval, clock_intervals, local_start
@@ -28,7 +29,6 @@ from skope.traffic.recordings import SiteRecording
 from skope.traffic.report_remarks import remarks
 from skope.traffic.speeds import section_passes, speed_groups
 from skope.traffic.traffic_report import TrafficReport
-from skope.traffic.trajectories import Trajectory
 from skope.traffic.turning_movements import movements, turning_counts
 from skope.traffic.zones import visits
 
@@ -40,7 +40,7 @@ _SEED: Final = 0
 
 
 def measure(
-    tracks: Sequence[Trajectory],
+    tracks: Sequence[Track],
     observation: Observation,
     site: "SiteParts",
     start: datetime | None = None,

@@ -13,11 +13,11 @@ import numpy as np
 
 from skope.site.gates_zones_lanes import Gate
 from skope.site.traffic_settings import TrafficSettings
+from skope.tracks.track import Track
 from skope.traffic.counting_intervals import ClockInterval
 from skope.traffic.event_probability import SEEN_IN_METRES, SeenAlike, seen_in_metres
 from skope.traffic.gates import GateCrossing, may_count, signed_distances
 from skope.traffic.observation import Observation
-from skope.traffic.trajectories import Trajectory
 
 _SOON_S: Final = 3.0
 """A road user that would be at the gate within this time after the track ends, seconds, may have crossed it; or has
@@ -32,7 +32,7 @@ NEAR_M: Final = 10.0
 class Vanished:
     """A track that was lost before a gate, or found behind it."""
 
-    trajectory: Trajectory
+    trajectory: Track
     gate: str
     direction: int
     """In which it would have crossed, or has: 0 from the gate's left to its right."""
@@ -83,7 +83,7 @@ class Unseen:
 
 
 def unseen(
-    trajectories: Sequence[Trajectory],
+    trajectories: Sequence[Track],
     gates: Sequence[Gate],
     crossings: Sequence[GateCrossing],
     observation: Observation,
@@ -125,14 +125,14 @@ def unseen(
     )
 
 
-def _would_cross(trajectory: Trajectory, gate: Gate, begins: bool, observation: Observation) -> list[tuple[int, float]]:
+def _would_cross(trajectory: Track, gate: Gate, begins: bool, observation: Observation) -> list[tuple[int, float]]:
     """Direction and time of the crossing that a track's end, or its beginning, speaks for; empty where it does not."""
     row = 0 if begins else -1
     end_s = float(trajectory.times_s[row])
     if observation.is_cut(end_s):
         return []
     velocity = trajectory.velocity[row]
-    places = np.stack([trajectory.place[row], trajectory.place[row] + velocity])
+    places = np.stack([trajectory.xy[row], trajectory.xy[row] + velocity])
     (signed, ahead), (along, later) = signed_distances(gate, places)
     across = ahead - signed
     if abs(across) < _SLOWEST:
@@ -145,8 +145,8 @@ def _would_cross(trajectory: Trajectory, gate: Gate, begins: bool, observation: 
     return [(0 if across < 0 else 1, end_s + after_s)] if 0 <= at < length else []
 
 
-def _is_near(gate: Gate, trajectory: Trajectory, near: float) -> bool:
-    signed, along = signed_distances(gate, trajectory.place)
+def _is_near(gate: Gate, trajectory: Track, near: float) -> bool:
+    signed, along = signed_distances(gate, trajectory.xy)
     length = math.dist(*gate.line)
     beside = np.maximum(0.0, np.maximum(-along, along - length))
     return bool((np.hypot(signed, beside) < near).any())

@@ -1,8 +1,9 @@
 """Times at which the camera observed the road: without that, nothing counted and nothing observed look alike."""
 
+import itertools
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from datetime import datetime
 from functools import cached_property
 from pathlib import Path
@@ -10,8 +11,14 @@ from typing import Any, Final
 
 import numpy as np
 
+from skope.camera.camera_json import camera_of_json, uncertain_of_json
+from skope.camera.ground_plane import Ground
+from skope.camera.model import Camera
+from skope.camera.uncertain_camera import UncertainCamera
 from skope.errors import UserError
+from skope.field_checks import is_number
 from skope.files.json_files import check_version, read_json
+from skope.tracks.csv_file import TRACKS_CSV
 from skope.traffic.counting_intervals import time_of
 from skope.types import Array
 
@@ -35,14 +42,15 @@ class Observation:
     source: str = ""
     """Name of the footage."""
     common_sigma: float | None = None
-    """Relative standard deviation that all distances and speeds share, from the camera's calibration; None: nothing
-    says how well the camera is known."""
-    eye: tuple[float, float, float] | None = None
-    """Place of the camera, world, metres; None: not known."""
-    focal_px: float | None = None
-    """The camera's focal length, pixels; None: not known."""
-    road_sigma_m: float = 0.0
-    """By how much vehicles stand above and below the plane that the road is taken for, one standard deviation."""
+    """Relative standard deviation that all distances and speeds share, from the camera's calibration. None: the camera
+    file has no covariance."""
+    camera: Camera | None = None
+    """The calibrated camera, in the world of the tracks; None: not known."""
+    uncertainty: UncertainCamera | None = None
+    """`camera` with the covariance of its parameters: the one error that all road users share. It is in no track's
+    covariance. None: not known."""
+    ground: Ground | None = None
+    """The road that positions were computed on; None: not known."""
     moved_s: Array = field(default_factory=lambda: np.zeros(0))
     """(M,) seconds of the frames after the camera had been moved, rising: they are not among `times_s`."""
     sight: Array = field(default_factory=lambda: np.zeros((0, 3)))
@@ -113,9 +121,9 @@ class Observation:
         if self.parts:
             known = [one for one in (part.pixels_per_metre(place) for part in self.parts) if one is not None]
             return min(known, default=None)
-        if self.eye is None or self.focal_px is None:
+        if self.camera is None:
             return None
-        return self.focal_px / max(1.0, math.dist(self.eye, (*map(float, place), 0.0)))
+        return float(self.camera.K[0, 0]) / max(1.0, math.dist(self.camera.position, (*map(float, place), 0.0)))
 
     def to_dict(self) -> dict[str, Any]:
         """Content of `footage.json`."""
@@ -125,9 +133,8 @@ class Observation:
             "times_s": [round(float(time), 4) for time in self.times_s],
             "moved_times_s": [round(float(time), 4) for time in self.moved_s],
             "common_sigma": self.common_sigma,
-            "eye": self.eye,
-            "focal_px": self.focal_px,
-            "road_sigma_m": self.road_sigma_m,
+            "camera": None if self.camera is None else _camera_dict(self.camera, self.uncertainty),
+            "ground": None if self.ground is None else asdict(self.ground),
             "sight": self.sight.tolist(),
             **({} if self.begins is None else {"begins": self.begins.isoformat()}),
         }
@@ -157,6 +164,11 @@ def _usual_step(times_s: Array) -> float:
     return float(np.median(np.diff(times_s))) if len(times_s) > 1 else 0.0
 
 
+def track_files(folder: Path) -> list[Path]:
+    """The files that a report of a folder of tracks is made from."""
+    return [folder / TRACKS_CSV, folder / FOOTAGE]
+
+
 def read_observation(folder: Path) -> Observation:
     """Read what `skope eval track` has written of the footage in a folder of tracks.
 
@@ -173,28 +185,57 @@ def read_observation(folder: Path) -> Observation:
     times = _numbers(path, document, "times_s")
     if (np.diff(times) <= 0).any():
         raise UserError(f"{path}: times_s: expected times that rise from frame to frame")
-    for name in ("common_sigma", "road_sigma_m"):
-        sigma = document.get(name)
-        if sigma is not None and (type(sigma) not in (int, float) or not 0 <= sigma < 1):
-            raise UserError(f"{path}: {name}: expected a number from 0 to 1, or null")
-    eye = None if document.get("eye") is None else _numbers(path, document, "eye")
-    if eye is not None and len(eye) != 3:
-        raise UserError(f"{path}: eye: expected three numbers")
-    focal = document.get("focal_px")
-    if focal is not None and (type(focal) not in (int, float) or not 0 < focal < math.inf):
-        raise UserError(f"{path}: focal_px: expected a number above 0, or null")
+    sigma = document.get("common_sigma")
+    if sigma is not None and (type(sigma) not in (int, float) or not 0 <= sigma < 1):
+        raise UserError(f"{path}: common_sigma: expected a number from 0 to 1, or null")
+    camera, uncertainty = _read_camera(path, document.get("camera"))
     source = document.get("source")
     return Observation(
         times_s=times,
         source=source if isinstance(source, str) else "",
         common_sigma=document.get("common_sigma"),
-        eye=None if eye is None else (float(eye[0]), float(eye[1]), float(eye[2])),
-        focal_px=document.get("focal_px"),
-        road_sigma_m=document.get("road_sigma_m") or 0.0,
+        camera=camera,
+        uncertainty=uncertainty,
+        ground=_read_ground(path, document.get("ground")),
         moved_s=np.unique(_numbers(path, document, "moved_times_s")) if "moved_times_s" in document else np.zeros(0),
         sight=checked_sight(document.get("sight"), f"{path}: sight"),
         begins=None if document.get("begins") is None else read_begins(document["begins"], f"{path}: begins"),
     )
+
+
+def _camera_dict(camera: Camera, uncertainty: UncertainCamera | None) -> dict[str, Any]:
+    covariance = {} if uncertainty is None else {"covariance": uncertainty.covariance_dict()}
+    return {"width": camera.width, "height": camera.height, **camera.to_dict(), **covariance}
+
+
+def _read_camera(path: Path, value: Any) -> tuple[Camera | None, UncertainCamera | None]:
+    """The camera of `footage.json` and its covariance, if it has any."""
+    if value is None:
+        return None, None
+    if not isinstance(value, dict):
+        raise UserError(f"{path}: camera: expected an object, or null")
+    try:
+        camera = camera_of_json(path, value)
+        return camera, uncertain_of_json(path, value, camera)
+    except UserError as error:
+        raise UserError(f"{path}: camera: {str(error).removeprefix(f'{path}: ')}") from None
+
+
+def _read_ground(path: Path, value: Any) -> Ground | None:
+    if value is None:
+        return None
+    expected = f"{path}: ground: expected height, height_sigma, tilt_sigma, slope and about, or null"
+    if not isinstance(value, dict):
+        raise UserError(expected)
+    numbers: list[Any] = [value.get(name) for name in ("height", "height_sigma", "tilt_sigma")]
+    pairs: list[Any] = [value.get(name) for name in ("slope", "about")]
+    if not all(isinstance(pair, list) and len(pair) == 2 for pair in pairs):
+        raise UserError(expected)
+    if not all(is_number(number) for number in (*numbers, *itertools.chain(*pairs))):
+        raise UserError(expected)
+    height, height_sigma, tilt_sigma = map(float, numbers)
+    slope, about = ((float(x), float(y)) for x, y in pairs)
+    return Ground(height=height, height_sigma=height_sigma, tilt_sigma=tilt_sigma, slope=slope, about=about)
 
 
 def checked_sight(rows: Any, where: str) -> Array:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from skope.schema import PEDESTRIAN
 from skope.site.traffic_settings import TrafficSettings
+from skope.tracks.track import KMH, Track, worst_sigma
 from skope.traffic.count_uncertainty import CountInterval, count_interval
 from skope.traffic.counting_intervals import ClockInterval
 from skope.traffic.event_probability import SEEN_IN_METRES, event_probability
@@ -23,7 +24,6 @@ from skope.traffic.lanes import LaneMap
 from skope.traffic.normal_distribution import INTERVAL_SIGMAS
 from skope.traffic.observation import Observation
 from skope.traffic.speeds import MOTOR, SectionPass, SpeedGroup
-from skope.traffic.trajectories import KMH, Trajectory, worst_sigma
 from skope.types import Array
 
 _STEP_S: Final = 1.0
@@ -91,7 +91,7 @@ def standing(speed: Array, begin: float, end: float) -> NDArray[np.bool_]:
 
 
 def stops(
-    trajectory: Trajectory, begin_s: float, end_s: float, settings: TrafficSettings, shift: float = 0.0
+    trajectory: Track, begin_s: float, end_s: float, settings: TrafficSettings, shift: float = 0.0
 ) -> tuple[int, float]:
     """Number of stops between two times, and how many seconds they last in all.
 
@@ -115,7 +115,7 @@ def stops(
 
 
 def queues(
-    trajectories: Sequence[Trajectory],
+    trajectories: Sequence[Track],
     lanes: LaneMap,
     intervals: Sequence[ClockInterval],
     observation: Observation,
@@ -171,7 +171,7 @@ def _between(chances: tuple[float, ...]) -> CountInterval:
 
 
 def _in_lane(
-    trajectories: Sequence[Trajectory], lanes: LaneMap, lane: int, moments: Array, settings: TrafficSettings
+    trajectories: Sequence[Track], lanes: LaneMap, lane: int, moments: Array, settings: TrafficSettings
 ) -> dict[float, Queue]:
     """The lane's longest queue, where there is one, by moment."""
     waiting: dict[float, list[tuple[float, float, float, float]]] = {}
@@ -185,8 +185,8 @@ def _in_lane(
         there = there[trajectory.at(slow.astype(float), there) > 0.5] if len(there) and slow.any() else there[:0]
         if not len(there):
             continue
-        places = trajectory.at(trajectory.place, there)
-        spread = worst_sigma(trajectory.at(trajectory.covariance, there))
+        places = trajectory.at(trajectory.xy, there)
+        spread = worst_sigma(trajectory.at(trajectory.total_covariance, there))
         inside = lanes.indices(places)[0] == lane
         along = lanes.along(lane, places)
         half = trajectory.size[0] / 2

@@ -17,11 +17,11 @@ import numpy as np
 from skope.errors import UserError
 from skope.files.reading import sha256_of
 from skope.terminal.console import counted
+from skope.tracks.csv_file import TRACKS_CSV, read_tracks
+from skope.tracks.track import Track
 from skope.traffic.counting_intervals import local_start, local_time
 from skope.traffic.observation import FOOTAGE, Observation, read_observation
-from skope.traffic.read_track_folder import TRACKS_CSV, read_trajectories
 from skope.traffic.recording_begin import begin_in_name, said_begin
-from skope.traffic.trajectories import Trajectory
 from skope.types import Array
 
 if TYPE_CHECKING:
@@ -60,7 +60,7 @@ class SiteRecording:
 class RecordedTraffic:
     """Content of one or several recordings of a site."""
 
-    tracks: tuple[Trajectory, ...]
+    tracks: tuple[Track, ...]
     observation: Observation
     start: datetime | None
     """Time of second 0; None where that of a single recording is not known."""
@@ -109,7 +109,7 @@ def read_recordings(
     placed = [_placed(folder, begin, site, where) for folder, begin in zip(folders, said, strict=True)]
     placed.sort(key=lambda one: (one.at(0).astimezone(UTC), str(one.folder)))
     _check(placed)
-    recordings, parts, tracks = list[SiteRecording](), list[Observation](), list[Trajectory]()
+    recordings, parts, tracks = list[SiteRecording](), list[Observation](), list[Track]()
     added = 0
     for one, late_s in _one_after_the_other(placed):
         begin_s = _seconds(one.begin, recordings[0].begin if recordings else one.begin)
@@ -125,7 +125,7 @@ def read_recordings(
             )
         )
         parts.append(_in_report(one.observation, begin_s))
-        own = read_trajectories(one.folder, one.observation)
+        own = read_tracks(one.folder / TRACKS_CSV)
         tracks += [replace(track, number=added + track.number, times_s=_at(track.times_s, begin_s)) for track in own]
         added += max((track.number for track in own), default=0)
     return RecordedTraffic(
@@ -158,7 +158,8 @@ def recording_lines(recordings: Sequence[SiteRecording], observation: Observatio
             f"speeds: the camera is known to {min(known):.2%} in one recording and to {max(known):.2%} in another: "
             "the intervals of all have the larger error"
         )
-    if len({(part.eye, part.focal_px) for part in parts}) > 1:
+    cameras = [part.camera for part in parts if part.camera is not None]
+    if any(one.to_dict() != cameras[0].to_dict() for one in cameras):
         yield (
             "recordings have other calibrations of the camera: places have the errors of their own; who is too small "
             "to be seen is told by the one that shows a gate the smallest"
@@ -168,7 +169,7 @@ def recording_lines(recordings: Sequence[SiteRecording], observation: Observatio
 def _only(folder: Path, said: datetime | None, site: "SiteFile") -> RecordedTraffic:
     observation = read_observation(folder)
     start = begin_of(said, observation, site) or local_start(site)
-    return RecordedTraffic(tracks=tuple(read_trajectories(folder, observation)), observation=observation, start=start)
+    return RecordedTraffic(tracks=tuple(read_tracks(folder / TRACKS_CSV)), observation=observation, start=start)
 
 
 def begin_of(said: datetime | None, observation: Observation, site: "SiteFile") -> datetime | None:
@@ -254,7 +255,6 @@ def _together(parts: Sequence[Observation]) -> Observation:
         times_s=np.concatenate([part.times_s for part in parts]),
         source=f"{parts[0].source} to {parts[-1].source}",
         common_sigma=max(sigmas) if math.isfinite(max(sigmas)) else None,
-        road_sigma_m=max(part.road_sigma_m for part in parts),
         moved_s=np.concatenate([part.moved_s for part in parts]),
         sight=np.concatenate([part.sight for part in parts]),
         parts=tuple(parts),

@@ -8,11 +8,11 @@ import numpy as np
 
 from skope.schema import VEHICLE
 from skope.site.gates_zones_lanes import Gate
+from skope.tracks.track import is_in_traffic
 from skope.traffic.gates import signed_distances
 from skope.traffic.hand_checks import hand_lines
 from skope.traffic.poor_sight import sight_lines
 from skope.traffic.recordings import recording_lines
-from skope.traffic.trajectories import wandering
 from skope.traffic.turning_movements import NOWHERE, on_foot
 
 if TYPE_CHECKING:
@@ -97,9 +97,9 @@ def _of_conflicts(report: "TrafficReport") -> Iterator[str]:
 def _of_gate(gate: Gate, report: "TrafficReport") -> Iterator[str]:
     """Warnings where many tracks begin or end at a gate, as at the image's edge, or pass its ends."""
     number = 0
-    for one in filter(wandering, report.trajectories):
+    for one in filter(is_in_traffic, report.trajectories):
         for row in (0, -1):
-            signed, along = signed_distances(gate, one.place[[row]])
+            signed, along = signed_distances(gate, one.xy[[row]])
             length = math.dist(*gate.line)
             cut = report.observation.is_cut(one.times_s[row])
             number += bool(abs(signed[0]) < _BESIDE_M and 0 <= along[0] <= length and not cut)

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from typing import Any, Final
 
+from skope.tracks.track import KMH, Track
 from skope.traffic.count_uncertainty import in_cells
 from skope.traffic.counting_intervals import ClockInterval
 from skope.traffic.gate_counts import observed_word
@@ -19,7 +20,6 @@ from skope.traffic.otc_classes import OTC_CLASSES
 from skope.traffic.poor_sight import sight_in
 from skope.traffic.speed_percentiles import PERCENTILES
 from skope.traffic.traffic_report import TrafficReport
-from skope.traffic.trajectories import KMH, Trajectory, worst_sigma
 
 TableRow = Sequence[Any]
 _RECORDING: Final = " recording"
@@ -80,7 +80,7 @@ def _recording(report: TrafficReport, time_s: float) -> TableRow:
     return (report.observation.recording_at(time_s),) if report.recordings else ()
 
 
-def _who(one: Trajectory) -> TableRow:
+def _who(one: Track) -> TableRow:
     return one.number, one.class_name, one.class_confidence
 
 
@@ -97,7 +97,7 @@ def _events(report: TrafficReport) -> ReportTable:
             borders = ("enter", visit.enter_s, None), ("leave", visit.leave_s, visit.dwell_s)
             for (event, time_s, dwell), sigma in zip(borders, visit.sigmas_s, strict=True):
                 if not math.isnan(time_s):
-                    place = visit.trajectory.at(visit.trajectory.place, time_s).tolist()
+                    place = visit.trajectory.at(visit.trajectory.xy, time_s).tolist()
                     where = (visit.zone, None, None, *place, None, None, None, None, dwell, None, None, *_NO_LENGTH)
                     yield time_s, (event, sigma, *_who(visit.trajectory), *where)
         for change in report.lane_changes:
@@ -122,7 +122,7 @@ def _events(report: TrafficReport) -> ReportTable:
 _NO_LENGTH: Final = (None,) * 5
 
 
-def _length(report: TrafficReport, one: Trajectory) -> TableRow:
+def _length(report: TrafficReport, one: Track) -> TableRow:
     """Cells of a road user: OpenTrafficCam's class, length, its standard deviation, the bin and its probability."""
     otc = OTC_CLASSES[one.class_name]
     if not report.metres or not has_length(one):
@@ -140,8 +140,8 @@ def _trajectories(report: TrafficReport) -> ReportTable:
                 heading = math.degrees(one.heading[i])
                 yield (
                     *(one.number, one.class_name, float(one.times_s[i]), clock(report, float(one.times_s[i]))),
-                    *(*one.place[i].tolist(), heading, float(one.speed[i]) * KMH),
-                    *(float(worst_sigma(one.covariance[i])), float(one.speed_sigma[i]) * KMH),
+                    *(*one.xy[i].tolist(), heading, float(one.speed[i]) * KMH),
+                    *(float(one.position_sigma[i]), float(one.speed_sigma[i]) * KMH),
                     *(one.length, one.width, int(one.located[i])),
                     *(" ".join(map(str, one.joined)), one.joined_probability, " ".join(one.flags)),
                     *_recording(report, float(one.times_s[i])),
@@ -154,7 +154,7 @@ def _trajectories(report: TrafficReport) -> ReportTable:
     )
 
 
-def thinned(one: Trajectory, step_s: float) -> list[int]:
+def thinned(one: Track, step_s: float) -> list[int]:
     """Rows of a trajectory that are `step_s` apart at least, with its first and its last one."""
     rows, at = [0], float(one.times_s[0])
     for i, time_s in enumerate(one.times_s[1:-1].tolist(), start=1):

@@ -3,12 +3,12 @@
 from collections.abc import Iterator
 
 from skope.terminal.text_table import text_table
+from skope.tracks.track import KMH
 from skope.traffic.count_uncertainty import count_interval, in_words
 from skope.traffic.gate_counts import ALL
 from skope.traffic.speed_percentiles import Percentile
 from skope.traffic.speeds import MOTOR
 from skope.traffic.traffic_report import TrafficReport
-from skope.traffic.trajectories import KMH
 from skope.traffic.turning_movements import NOWHERE
 
 

@@ -9,11 +9,11 @@ import numpy as np
 
 from skope.schema import PEDESTRIAN
 from skope.site.traffic_settings import CLASSES
+from skope.tracks.track import Track
 from skope.traffic.counting_intervals import ClockInterval
 from skope.traffic.gates import GateCrossing
 from skope.traffic.observation import Observation
 from skope.traffic.speed_percentiles import Percentile, speed_percentiles
-from skope.traffic.trajectories import Trajectory
 from skope.traffic.turning_movements import Movement
 
 MOTOR: Final = "motor"
@@ -88,7 +88,7 @@ def _pass(movement: Movement) -> SectionPass:
     )
 
 
-def way(trajectory: Trajectory, begin_s: float, end_s: float) -> float:
+def way(trajectory: Track, begin_s: float, end_s: float) -> float:
     """Length of the way that a road user takes from one time to another.
 
     Args:
@@ -100,7 +100,7 @@ def way(trajectory: Trajectory, begin_s: float, end_s: float) -> float:
         Metres, in steps of `_RULER_M` and more: shorter ones would add up what places jitter.
     """
     inner = trajectory.times_s[(trajectory.times_s > begin_s) & (trajectory.times_s < end_s)]
-    places = trajectory.at(trajectory.place, np.array([begin_s, *inner, end_s]))
+    places = trajectory.at(trajectory.xy, np.array([begin_s, *inner, end_s]))
     total, at = 0.0, places[0]
     for place in places[1:-1]:
         step = math.dist(at, place)

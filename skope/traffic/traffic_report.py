@@ -5,6 +5,7 @@ from datetime import datetime
 from typing import TYPE_CHECKING
 
 from skope.site.gates_zones_lanes import Gate
+from skope.tracks.track import Track
 from skope.traffic.braking import HardBraking
 from skope.traffic.conflicts import ConflictSearch
 from skope.traffic.counting_intervals import ClockInterval
@@ -19,7 +20,6 @@ from skope.traffic.observation import Observation
 from skope.traffic.queues import Delay, QueueRecord
 from skope.traffic.recordings import SiteRecording
 from skope.traffic.speeds import SectionPass, SpeedGroup
-from skope.traffic.trajectories import Trajectory
 from skope.traffic.turning_movements import Movement, TurningCount
 from skope.traffic.zones import ZoneVisit
 
@@ -38,7 +38,7 @@ class TrafficReport:
     """Time at which the footage begins, in the site's zone; None: not known."""
     observation: Observation
     intervals: tuple[ClockInterval, ...]
-    trajectories: tuple[Trajectory, ...]
+    trajectories: tuple[Track, ...]
     """Those of confirmed tracks, broken ones joined."""
     crossings: tuple[GateCrossing, ...]
     visits: tuple[ZoneVisit, ...]

@@ -13,6 +13,7 @@ from typing import Final
 from skope.schema import PEDESTRIAN
 from skope.site.gates_zones_lanes import Gate
 from skope.site.traffic_settings import TrafficSettings
+from skope.tracks.track import Track
 from skope.traffic.count_uncertainty import CountInterval, Group, joint_interval
 from skope.traffic.counting_intervals import ClockInterval
 from skope.traffic.event_probability import COUNTED_FROM, SeenAlike, same_probability
@@ -20,7 +21,6 @@ from skope.traffic.gate_counts import classes_of, row_classes
 from skope.traffic.gates import GateCrossing, direction_names
 from skope.traffic.missed_crossings import Unseen
 from skope.traffic.observation import Observation
-from skope.traffic.trajectories import Trajectory
 
 GateDirection = tuple[str, str]
 """A gate and the name of a direction."""
@@ -52,7 +52,7 @@ class Movement:
         return _side(self.origin), _side(self.destination)
 
     @property
-    def trajectory(self) -> Trajectory:
+    def trajectory(self) -> Track:
         """Track of the road user."""
         return self._first.trajectory
 

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from skope.site.gates_zones_lanes import Zone
 from skope.site.traffic_settings import TrafficSettings
+from skope.tracks.track import Track
 from skope.traffic.passages import passages
-from skope.traffic.trajectories import Trajectory
 from skope.types import Array
 
 
@@ -18,7 +18,7 @@ from skope.types import Array
 class ZoneVisit:
     """The body's middle in a zone."""
 
-    trajectory: Trajectory
+    trajectory: Track
     zone: str
     enter_s: float
     """Seconds; NaN where the track begins inside."""
@@ -63,7 +63,7 @@ def depth_in_polygon(polygon: Array, places: Array) -> Array:
     return np.asarray(np.where(inside_polygon(polygon, places), nearest, -nearest))
 
 
-def visits(trajectories: Sequence[Trajectory], zones: Sequence[Zone], settings: TrafficSettings) -> list[ZoneVisit]:
+def visits(trajectories: Sequence[Track], zones: Sequence[Zone], settings: TrafficSettings) -> list[ZoneVisit]:
     """All visits of all zones, by when they are first seen.
 
     Args:
@@ -81,8 +81,8 @@ def visits(trajectories: Sequence[Trajectory], zones: Sequence[Zone], settings: 
     return sorted(found, key=lambda one: (one.seen_s[0], one.trajectory.number, one.zone))
 
 
-def _of_one(trajectory: Trajectory, zone: Zone, hysteresis_m: float) -> list[ZoneVisit]:
-    signed = depth_in_polygon(np.array(zone.polygon), trajectory.place)
+def _of_one(trajectory: Track, zone: Zone, hysteresis_m: float) -> list[ZoneVisit]:
+    signed = depth_in_polygon(np.array(zone.polygon), trajectory.xy)
     times = trajectory.times_s
     if (signed < 0).all():
         return []
@@ -109,8 +109,8 @@ def _of_one(trajectory: Trajectory, zone: Zone, hysteresis_m: float) -> list[Zon
     return out
 
 
-def _sigma_s(trajectory: Trajectory, time_s: float) -> float:
+def _sigma_s(trajectory: Track, time_s: float) -> float:
     """Standard deviation of a time at which a border is crossed, seconds; NaN for none."""
     if math.isnan(time_s):
         return math.nan
-    return trajectory.place_sigma(time_s) / max(float(trajectory.at(trajectory.speed, time_s)), 0.05)
+    return trajectory.sigma_at(time_s) / max(float(trajectory.at(trajectory.speed, time_s)), 0.05)

@@ -7,11 +7,11 @@ import numpy as np
 
 from skope.schema import VEHICLE
 from skope.site.gates_zones_lanes import Gate
+from skope.tracks.track import Track, concatenated
 from skope.traffic.observation import Observation
-from skope.traffic.trajectories import COLUMNS, Trajectory
 
 
-def drive(number: int, places: Any, times_s: Any = None, *, sigma: float = 0.05, **others: Any) -> Trajectory:
+def drive(number: int, places: Any, times_s: Any = None, *, sigma: float = 0.05, **others: Any) -> Track:
     """A vehicle at places (M, 2), every 0.1 s if not at other times; it faces where it moves."""
     place = np.asarray(places, dtype=np.float64)
     times = np.arange(len(place)) * 0.1 if times_s is None else np.asarray(times_s, dtype=np.float64)
@@ -26,10 +26,10 @@ def drive(number: int, places: Any, times_s: Any = None, *, sigma: float = 0.05,
         "width": 2.0,
         "heading": heading,
     }
-    return Trajectory(
+    return Track(
         number=number,
         times_s=times,
-        place=place,
+        position=np.column_stack([place, np.zeros(len(place))]),
         velocity=velocity,
         covariance=np.tile(sigma**2 * np.eye(2), (len(times), 1, 1)),
         speed_sigma=np.full(len(times), 0.1),
@@ -47,22 +47,22 @@ def straight(
     begin_s: float = 0.0,
     step_s: float = 0.1,
     **others: Any,
-) -> Trajectory:
+) -> Track:
     """A vehicle at constant velocity."""
     since = np.arange(round(seconds / step_s) + 1) * step_s
     return drive(number, np.array(start) + since[:, None] * np.array(velocity), begin_s + since, **others)
 
 
-def then(track: Trajectory, velocity: tuple[float, float], seconds: float = 1.0) -> Trajectory:
+def then(track: Track, velocity: tuple[float, float], seconds: float = 1.0) -> Track:
     """A vehicle that goes on at once at another velocity; it faces where it did."""
-    more = straight(track.number, tuple(track.place[-1]), velocity, seconds, begin_s=float(track.times_s[-1]))
-    columns = {name: np.concatenate([getattr(track, name), getattr(more, name)[1:]]) for name in COLUMNS}
+    more = straight(track.number, tuple(track.xy[-1]), velocity, seconds, begin_s=float(track.times_s[-1]))
+    columns = concatenated(track, more.during(np.arange(1, len(more.times_s))))
     columns["velocity"][len(track.times_s) :] = velocity
     columns["heading"][len(track.times_s) :] = track.heading[-1]
     return replace(track, **columns)
 
 
-def along_x(number: int, x: Any, times_s: Any = None, **others: Any) -> Trajectory:
+def along_x(number: int, x: Any, times_s: Any = None, **others: Any) -> Track:
     """A vehicle at these places along x, in the middle of `GATE`."""
     x = np.asarray(x, dtype=np.float64)
     return drive(number, np.stack([x, np.zeros_like(x)], axis=1), times_s, **others)

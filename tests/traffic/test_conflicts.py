@@ -9,17 +9,17 @@ import pytest
 from shapely import Polygon
 
 from skope.site.traffic_settings import TrafficSettings
+from skope.tracks.track import Track
 from skope.traffic.collision import deceleration_to_avoid, times_to_collision
 from skope.traffic.conflicts import Conflict, conflicts
 from skope.traffic.encroachment import by_area, by_places
 from skope.traffic.event_probability import event_probability
 from skope.traffic.footprints import FootprintPath, footprint_corners, meeting, overlap
 from skope.traffic.join_broken_tracks import join_trajectories
-from skope.traffic.trajectories import Trajectory
 from tests.traffic.drives import drive, straight, then
 
 
-def found(*tracks: Trajectory, **settings: float) -> Sequence[Conflict]:
+def found(*tracks: Track, **settings: float) -> Sequence[Conflict]:
     return conflicts(tracks, TrafficSettings(**settings), np.random.default_rng(0)).conflicts
 
 
@@ -63,7 +63,7 @@ def test_one_behind_the_other() -> None:
     assert one.probability == pytest.approx(event_probability(slow) * event_probability(fast))
 
 
-def crossing(late_s: float) -> tuple[Trajectory, Trajectory]:
+def crossing(late_s: float) -> tuple[Track, Track]:
     """10 m/s along x and 8 m/s along y, both 4 m by 2 m: the first's rear leaves the other's way `late_s` before the
     other's front reaches its way."""
     first = straight(1, (-30, 0), (10, 0), 8)
@@ -140,7 +140,7 @@ def test_who_is_hardly_followed_is_in_no_conflict(wrong: str) -> None:
     there = np.abs(second.times_s - 4.3) < 0.4
     worse = {
         "gap": replace(second, located=~there),
-        "end": second.taken(second.times_s < 4.5),
+        "end": second.during(second.times_s < 4.5),
         "few": replace(second, located=np.arange(len(second.times_s)) % 14 == 0),
         "vague": replace(second, covariance=np.where(there[:, None, None], np.eye(2), second.covariance)),
     }[wrong]
@@ -151,9 +151,7 @@ def test_who_is_hardly_followed_is_in_no_conflict(wrong: str) -> None:
 # ----------------------------------------------------------------------------------------------------------- joining
 
 
-def hidden(
-    number: int, begin_s: float, end_s: float, *, y: float = 0.0, speed: float = 12.0, **others: float
-) -> Trajectory:
+def hidden(number: int, begin_s: float, end_s: float, *, y: float = 0.0, speed: float = 12.0, **others: float) -> Track:
     """A part of a drive along x that begins at 0 at second 0."""
     return straight(number, (speed * begin_s, y), (speed, 0), end_s - begin_s, begin_s=begin_s, **others)
 
@@ -165,7 +163,7 @@ def test_broken_tracks_are_joined_and_say_so() -> None:
     assert (whole.number, whole.joined) == (1, (2, 3, 4))
     assert 0.9 < whole.joined_probability < 1
     assert (np.diff(whole.times_s) > 0).all()
-    assert whole.at(whole.place, 4.75) == pytest.approx([57.0, 0.0], abs=0.01)
+    assert whole.at(whole.xy, 4.75) == pytest.approx([57.0, 0.0], abs=0.01)
 
 
 def test_others_are_not_joined() -> None:

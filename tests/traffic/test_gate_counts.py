@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from skope.site.gates_zones_lanes import Gate
 from skope.site.traffic_settings import TrafficSettings
+from skope.tracks.track import Track
 from skope.traffic.count_uncertainty import Group, count_interval, joint_interval, poisson_binomial
 from skope.traffic.counting_intervals import clock_intervals
 from skope.traffic.event_probability import SEEN_IN_METRES, usual_step
@@ -19,7 +20,6 @@ from skope.traffic.gates import gate_crossings
 from skope.traffic.lanes import LaneMap
 from skope.traffic.missed_crossings import Unseen
 from skope.traffic.observation import Observation
-from skope.traffic.trajectories import Trajectory
 from skope.traffic.turning_movements import NOWHERE, movements, turning_counts
 from tests.traffic.drives import GATE, drive, straight, watched
 
@@ -178,7 +178,7 @@ ARMS = tuple(
 FAR = {"north": (0, 20), "east": (20, 0), "south": (0, -20), "west": (-20, 0)}
 
 
-def turn(number: int, origin: str, destination: str, begin_s: float, *, until: float = 1.0) -> Trajectory:
+def turn(number: int, origin: str, destination: str, begin_s: float, *, until: float = 1.0) -> Track:
     """From one arm to another, or as far as `until` of the way."""
     corners = [FAR[origin], (0.0, 0.0), FAR[destination]]
     t = np.linspace(0, 2 * until, round(80 * until))
@@ -214,8 +214,7 @@ def test_movements_with_u_turns_add_up_to_the_gates_counts() -> None:
     whole = [track for track in tracks if len(track.times_s) == 80]
     for origin, destination in itertools.product(names, repeat=2):
         wanted = sum(
-            np.allclose(one.place[0], np.add(FAR[origin], 1))
-            and np.allclose(one.place[-1], np.add(FAR[destination], 1))
+            np.allclose(one.xy[0], np.add(FAR[origin], 1)) and np.allclose(one.xy[-1], np.add(FAR[destination], 1))
             for one in whole
         )
         pair = (origin, "in"), (destination, "out")
@@ -244,7 +243,7 @@ def test_a_track_that_nothing_was_seen_of_for_long_is_no_movement_and_stays_in_t
     assert [one.sides for one in unbroken].count(way) == 3, "a simulation's tracks are whole"
 
 
-def hidden(track: Trajectory, around_s: float) -> NDArray[np.bool_]:
+def hidden(track: Track, around_s: float) -> NDArray[np.bool_]:
     """Nothing is seen of it for so long before and after its middle."""
     middle = track.times_s.mean()
     return np.asarray(np.abs(track.times_s - middle) > around_s)

@@ -11,16 +11,16 @@ import pytest
 
 from skope.site.gates_zones_lanes import Gate, Lane
 from skope.site.traffic_settings import TrafficSettings
+from skope.tracks.track import Track
 from skope.traffic.gates import GateCrossing, gate_crossings
 from skope.traffic.join_broken_tracks import join_trajectories
 from skope.traffic.lanes import LaneMap, lane_changes
-from skope.traffic.trajectories import Trajectory
 from tests.traffic.drives import GATE, along_x, drive, straight
 
 NO_LANES = LaneMap(())
 
 
-def crossed(*trajectories: Trajectory, gates: tuple[Gate, ...] = (GATE,), **settings: Any) -> list[GateCrossing]:
+def crossed(*trajectories: Track, gates: tuple[Gate, ...] = (GATE,), **settings: Any) -> list[GateCrossing]:
     return [one for one in gate_crossings(trajectories, gates, NO_LANES, TrafficSettings(**settings)) if one.counts]
 
 
@@ -128,7 +128,7 @@ def test_the_stated_error_of_the_time_holds() -> None:
     for _ in range(300):
         clean = straight(1, (-20, 0), (9, 1), 4, sigma=0.3)
         # A filter's errors change slowly: this one is shared by all places of a track.
-        moved = drive(1, clean.place + rng.normal(0, 0.3, 2), sigma=0.3)
+        moved = drive(1, clean.xy + rng.normal(0, 0.3, 2), sigma=0.3)
         (found,) = crossed(moved)
         within += abs(found.time_s - 20 / 9) < 1.645 * found.sigma_s
     assert 0.85 < within / 300 < 0.95

@@ -21,17 +21,17 @@ from skope.files.json_files import write_json
 from skope.site.gates_zones_lanes import Gate
 from skope.site.site_file import parse_site
 from skope.site.traffic_settings import CLASSES
+from skope.tracks.csv_file import TRACKS_CSV, write_tracks
 from skope.traffic.image_counts import count_in_image
 from skope.traffic.measure import measure
 from skope.traffic.observation import FOOTAGE, Observation
 from skope.traffic.page.hand_count_data import LETTERS, hand_count_data, packed_times
 from skope.traffic.page.hand_count_panel import hand_count_panel
 from skope.traffic.page.page import traffic_page
-from skope.traffic.read_track_folder import TRACKS_CSV
 from skope.traffic.recordings import SiteRecording
 from skope.traffic.traffic_report import TrafficReport
 from tests.chromium import Browser
-from tests.traffic.drives import straight, watched
+from tests.traffic.drives import along_x, straight, watched
 from tests.traffic.test_exports import HEAD, junction_report, report_of
 
 Pages = Callable[[], AbstractContextManager[Browser]]
@@ -58,25 +58,19 @@ name = "far"
 line = [[12, -6], [12, 6]]
 directions = ["east", "west"]
 """
-COLUMNS = (
-    "track", "time_s", "x", "y", "z", "heading_deg", "vx", "vy", "located", "sigma_position", "sigma_speed", "length",
-    "width", "class", "class_confidence", "flags",
-)  # fmt: skip
 
 
-def write_tracks(folder: Path) -> None:
+def write_folder(folder: Path) -> None:
     """Cars at 10 m/s along x, which cross the first gate at the known times."""
     folder.mkdir()
     times = np.arange(0, SECONDS, STEP_S)
-    with (folder / TRACKS_CSV).open("w", newline="") as file:
-        writer = csv.writer(file)
-        writer.writerow(COLUMNS)
-        for number, (at, way) in enumerate([*((at, 1) for at in CROSSED_S), (BACK_S, -1)], start=1):
-            for t in times:
-                x = 10 * way * (t - at)
-                if abs(x) < 25:
-                    moment = (number, f"{t:.4f}", x, -2 * way, 0, 90 - 90 * way, 10 * way, 0, 1, 0.05, 0.1)
-                    writer.writerow([*moment, 4.4, 1.8, "car", 0.95, ""])
+    cars = []
+    for number, (at, way) in enumerate([*((at, 1) for at in CROSSED_S), (BACK_S, -1)], start=1):
+        x = 10 * way * (times - at)
+        near = np.abs(x) < 25
+        cars.append(along_x(number, x[near], times[near]))
+        cars[-1].position[:, 1] = -2 * way
+    write_tracks(folder / TRACKS_CSV, cars)
     write_json(folder / FOOTAGE, Observation(times_s=times, source="clip.mp4", common_sigma=0.01).to_dict())
 
 
@@ -97,7 +91,7 @@ def write_clip(path: Path, code: str, seconds: float = SECONDS) -> None:
 def counted(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with tracks, their site, a clip of them that browsers play, and one that they do not."""
     folder = tmp_path_factory.mktemp("counted")
-    write_tracks(folder / "tracks")
+    write_folder(folder / "tracks")
     (folder / "site.toml").write_text(SITE)
     write_clip(folder / "clip.webm", "VP90")
     write_clip(folder / "clip.mp4", "mp4v", 1.0)

@@ -12,11 +12,11 @@ from scipy.stats import norm
 from skope.errors import UserError
 from skope.site.site_file import parse_site
 from skope.site.traffic_settings import CLASSES, TrafficSettings
+from skope.tracks.track import Track
 from skope.traffic.length_bins import WHY_NOT, LengthCount, bin_probabilities, length_bin, length_sigma_m
 from skope.traffic.measure import measure
 from skope.traffic.otc_classes import OTC_CLASSES
 from skope.traffic.traffic_report import TrafficReport
-from skope.traffic.trajectories import Trajectory
 from skope.traffic.write_report import write_traffic_report
 from tests.traffic.drives import straight, watched
 from tests.traffic.test_missed_crossings import SITE
@@ -24,7 +24,7 @@ from tests.traffic.test_missed_crossings import SITE
 LIMITS = TrafficSettings().length_bins_m
 
 
-def of_length(length: float, class_name: str = "lorry", number: int = 1, begin_s: float = 0.0) -> Trajectory:
+def of_length(length: float, class_name: str = "lorry", number: int = 1, begin_s: float = 0.0) -> Track:
     return straight(number, (-30, 0), (10, 0), 6.0, begin_s=begin_s, class_name=class_name, length=length)
 
 

@@ -1,17 +1,19 @@
 """Who crosses a gate and is not counted: lost before it, found behind it, or hardly followed."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from skope.camera.model import Camera
 from skope.site.site_file import SiteParts
 from skope.site.traffic_settings import TrafficSettings
+from skope.tracks.track import Track
 from skope.traffic.counting_intervals import ClockInterval
 from skope.traffic.event_probability import crossing_probability, usual_step
 from skope.traffic.measure import measure
 from skope.traffic.traffic_report import TrafficReport
-from skope.traffic.trajectories import Trajectory
 from tests.traffic.drives import GATE, straight, watched
 
 ALWAYS = ClockInterval(begin_s=0.0, end_s=100.0, begin=None, end=None)
@@ -29,7 +31,7 @@ SITE = SiteParts(
 )
 
 
-def told(*tracks: Trajectory) -> TrafficReport:
+def told(*tracks: Track) -> TrafficReport:
     return measure(tracks, watched(60.0), SITE)
 
 
@@ -106,7 +108,11 @@ def test_a_gate_that_loses_more_vehicles_than_cross_it_says_nothing_of_their_num
 @pytest.mark.parametrize(("focal_px", "known"), [(1500.0, True), (700.0, True), (400.0, False), (None, True)])
 def test_where_people_are_too_small_to_be_seen_vehicles_alone_are_known(focal_px: float | None, known: bool) -> None:
     """At 40 m somebody is 64, 30 and 17 pixels high."""
-    observed = replace(watched(60.0), eye=(0.0, -39.0, 8.9), focal_px=focal_px)
+    camera = None
+    if focal_px is not None:
+        fov = 2 * math.atan(640 / focal_px)
+        camera = Camera.looking((0.0, -39.0, 8.9), yaw=1.57, pitch_down=0.2, size=(1280, 720), fov=fov)
+    observed = replace(watched(60.0), camera=camera)
     report = measure([straight(k, (-30, 0), (10, 0), 6.0, begin_s=5.0 * k) for k in range(8)], observed, SITE)
     assert between(report, "west") is not None
     assert (between(report, "west", "all") is not None) == known
@@ -120,13 +126,13 @@ def test_a_gate_that_nobody_was_ever_seen_near_has_no_count_that_is_known() -> N
     assert all(one.expected is None for one in report.counts)
 
 
-def glimpsed() -> Trajectory:
+def glimpsed() -> Track:
     """A vehicle over three seconds of which it is seen in three moments, vaguely."""
     track = straight(1, (-15, 0), (10, 0), 3.0, begin_s=14.5, sigma=0.6)
     return replace(track, located=np.isin(np.arange(31), (0, 12, 24)))
 
 
-def seldom(every: int, sigma: float = 0.15) -> Trajectory:
+def seldom(every: int, sigma: float = 0.15) -> Track:
     track = straight(1, (-60, 0), (10, 0), 12.0, begin_s=10.0, sigma=sigma)
     return replace(track, located=np.arange(len(track.times_s)) % every == 0)
 

@@ -20,13 +20,13 @@ import pytest
 
 from skope.errors import UserError
 from skope.site.site_file import SiteFile, parse_site, read_site
+from skope.tracks.track import Track
 from skope.traffic.exports.otanalytics import write_otanalytics
 from skope.traffic.image_counts import count_in_image
 from skope.traffic.measure import measure
 from skope.traffic.observation import Observation
 from skope.traffic.otc_classes import OTC_CLASSES
 from skope.traffic.traffic_report import TrafficReport
-from skope.traffic.trajectories import Trajectory
 from tests.eval.sightings import CAMERA
 from tests.traffic.drives import along_x, drive, straight, watched
 from tests.traffic.test_traffic_command import followed, site_of, tracks  # noqa: F401
@@ -71,7 +71,7 @@ def exported(folder: Path, report: TrafficReport, where: SiteFile) -> Path:
     return folder
 
 
-def turning(number: int, arms: tuple[int, int], begin_s: float, speed: float, class_name: str) -> Trajectory:
+def turning(number: int, arms: tuple[int, int], begin_s: float, speed: float, class_name: str) -> Track:
     """Somebody who drives on the right from 40 m out on one arm to 40 m out on another one, or turns around."""
     ahead = [np.array([np.cos(k * np.pi / 2), np.sin(k * np.pi / 2)]) for k in arms]
     begin, end = (40 * one + side * 2.2 * np.array([-one[1], one[0]]) for one, side in zip(ahead, (1, -1), strict=True))
@@ -83,7 +83,7 @@ def turning(number: int, arms: tuple[int, int], begin_s: float, speed: float, cl
     return drive(number, places, times, class_name=class_name, **others)
 
 
-def crossroads(rng: np.random.Generator) -> list[Trajectory]:
+def crossroads(rng: np.random.Generator) -> list[Track]:
     """Ten minutes with all movements, and some who turn around."""
     classes = ("car", "car", "car", "van", "lorry", "bus", "bicycle")
     return [
@@ -366,10 +366,10 @@ def test_otanalytics_counts_what_we_count(otanalytics: Path, tmp_path: Path, vie
     assert any(key[1] == key[2] for key in counts), "some turn around"
 
 
-def case(number: int, x: Sequence[float], **others: Any) -> Trajectory:
+def case(number: int, x: Sequence[float], **others: Any) -> Track:
     """A car along x in a street of its own, 50 m from the next one."""
     track = along_x(number, x, **others)
-    return drive(number, track.place + [0.0, 50.0 * number], track.times_s)
+    return drive(number, track.xy + [0.0, 50.0 * number], track.times_s)
 
 
 @pytest.mark.slow

@@ -10,6 +10,7 @@ from scipy.stats import binom
 
 from skope.site.gates_zones_lanes import Gate, Lane, Zone
 from skope.site.traffic_settings import TrafficSettings
+from skope.tracks.track import Track
 from skope.traffic.braking import hard_brakings
 from skope.traffic.count_uncertainty import count_interval
 from skope.traffic.counting_intervals import ClockInterval
@@ -21,7 +22,6 @@ from skope.traffic.observation import Observation
 from skope.traffic.queues import delays, queues
 from skope.traffic.speed_percentiles import order_ranks, speed_percentiles
 from skope.traffic.speeds import section_passes, speed_groups, way
-from skope.traffic.trajectories import Trajectory
 from skope.traffic.turning_movements import movements
 from skope.traffic.zones import visits
 from tests.traffic.drives import GATE, along_x, drive, straight, watched
@@ -139,7 +139,7 @@ def test_lanes_have_their_own_headways() -> None:
     assert {(one.leader.lane, one.follower.lane) for one in found} == {("0", "0"), ("1", "1")}
 
 
-def waiting() -> list[Trajectory]:
+def waiting() -> list[Track]:
     """Four cars that stop 7 m apart behind x = 0 from t = 10 on, and a fifth 60 m behind them."""
     out = []
     for k, stop in enumerate((-2.0, -9.0, -16.0, -23.0, -90.0)):

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from skope.site.traffic_settings import TrafficSettings
+from skope.tracks.track import Track
 from skope.traffic.conflicts import Conflict, conflicts
-from skope.traffic.trajectories import Trajectory
 from tests.traffic.drives import drive
 
 ROAD = Path(__file__).parents[2] / "examples/own_road"
@@ -30,7 +30,7 @@ libsumo.close()
 """
 
 
-def driven(folder: Path) -> dict[str, Trajectory]:
+def driven(folder: Path) -> dict[str, Track]:
     """The vehicles by their names; SUMO says where the middle of their front is."""
     rows: dict[str, list[list[float]]] = {}
     sizes = {}

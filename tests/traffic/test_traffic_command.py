@@ -5,6 +5,7 @@ import json
 import shutil
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,15 +15,18 @@ import skope as door
 from skope import cli
 from skope.dataset import coco
 from skope.errors import UserError
+from skope.eval.tracking.track_errors import with_body_error
+from skope.eval.tracking.track_list import Tracks
 from skope.eval.tracking.vehicle_tracker import follow
+from skope.files.json_files import write_json
 from skope.schema import AnnotationFile, Result, RoadUserResult
 from skope.site.site_file import parse_site, read_site
 from skope.site.traffic_settings import TrafficSettings
 from skope.site.write_site import save_site
+from skope.tracks.csv_file import TRACKS_CSV, read_tracks, write_tracks
 from skope.traffic.measure import measure
-from skope.traffic.observation import Observation, read_observation
-from skope.traffic.place_errors import place_covariance
-from skope.traffic.read_track_folder import read_trajectories
+from skope.traffic.observation import FOOTAGE, Observation
+from skope.traffic.report_tables import report_tables
 from tests.eval.cli.test_footage import numbered_video
 from tests.eval.sightings import CAMERA, drive
 from tests.traffic.drives import straight
@@ -114,7 +118,7 @@ def test_python_counts_what_the_command_counts(tracks: AnnotationFile) -> None:
 def test_a_moved_camera_observes_nothing(tracks: AnnotationFile) -> None:
     document = json.loads(Path("t/footage.json").read_text())
     assert document["common_sigma"] is None
-    assert document["eye"] == pytest.approx(CAMERA.position)
+    assert document["camera"]["T_camera_world"] == CAMERA.T_camera_world.tolist()
     document["times_s"] = [time for time in document["times_s"] if not 1.0 < time < 3.0]
     Path("t/footage.json").write_text(json.dumps(document))
     report = door.measure_traffic("t", site_of(tracks))
@@ -172,7 +176,9 @@ def test_files_that_are_wrong_get_one_line(skope: Skope, tracks: AnnotationFile)
     refused("t/tracks.csv: expected a column sigma_speed")
     lines = whole.splitlines()
     Path("t/tracks.csv").write_text(
-        "\n".join([*lines[:3], lines[3].replace(lines[3].split(",")[5], "here"), *lines[4:]])
+        "\n".join(
+            [*lines[:3], ",".join("here" if k == 9 else cell for k, cell in enumerate(lines[3].split(","))), *lines[4:]]
+        )
     )
     refused("t/tracks.csv: line 4: x: expected a number, got 'here'")
     Path("t/tracks.csv").write_text(whole)
@@ -224,27 +230,43 @@ def test_without_a_camera_gates_in_the_image_count_and_nothing_else(skope: Skope
     assert (code, "needs gates with `pixels`" in err) == (2, True)
 
 
-def test_tracks_in_memory_and_from_files_are_alike(tracks: AnnotationFile) -> None:
+def test_memory_folder_and_read_back_tracks_give_one_report(tracks: AnnotationFile) -> None:
+    """To the last digit: every table, and every number of every row."""
     from tests.eval.tracking.test_vehicle_tracker import seen, straight
 
     times = (np.arange(60) / 10).tolist()
-    (made,) = follow(seen([straight(9.0, 0.0)], times), times)
+    drives = [straight(9.0 + k / 7, 3.1 * k) for k in range(4)]
+    made = follow(seen(drives, times), times)
+    assert len(made) == 4
+    folder = Path("memory")
+    folder.mkdir()
+    watch = Observation(times_s=np.array(times), common_sigma=0.013)
+    write_tracks(folder / TRACKS_CSV, made)
+    write_json(folder / FOOTAGE, watch.to_dict())
     site = site_of(tracks)
-    report = door.measure_traffic([made], site, times_s=times)
-    (one,) = report.trajectories
-    assert one.speed == pytest.approx(made.speed)
-    assert one.size == pytest.approx(tuple(made.size_lwh[:2]))
-    with pytest.raises(UserError, match="no such folder"):
-        read_trajectories(Path("nowhere"), read_observation(Path("t")))
+    in_memory = door.measure_traffic(Tracks(made, watch), site)
+    read_back = door.measure_traffic(Tracks(read_tracks(folder / TRACKS_CSV), watch), site)
+    for report in (in_memory, read_back):
+        assert tables(report) == tables(door.measure_traffic(folder, site))
+    assert len(tables(in_memory)["events"]) == 2
+    with pytest.raises(UserError, match="no such file"):
+        door.measure_traffic("nowhere", site)
 
 
-def test_far_places_are_less_certain_along_the_line_of_sight_alone() -> None:
-    """A vehicle that stands 4 cm higher than the plane seems 0.04 * distance / height nearer."""
-    seen = Observation(times_s=np.zeros(0), eye=(0.0, 0.0, 8.0), road_sigma_m=0.04)
-    spread = place_covariance(np.array([[80.0, 0.0]]), np.zeros(1), np.array([0.1]), seen)[0]
-    assert spread[0, 0] == pytest.approx(0.1**2 + 0.4**2)
-    assert spread[1, 1] == pytest.approx((0.1 * 2 * 8 / 80) ** 2)
-    assert spread[0, 1] == pytest.approx(0)
+def tables(report: Any) -> dict[str, list[Any]]:
+    """All rows of a report's tables, numbers as they are; NaN equal to itself."""
+    return {name: [[repr(cell) for cell in row] for row in table.rows] for name, table in report_tables(report).items()}
+
+
+def test_a_vehicles_height_is_one_error_along_the_line_of_sight() -> None:
+    """A vehicle that stands 4 cm higher than the plane seems 0.04 * distance / height nearer all the way."""
+    still = straight(1, (80.0, 0.0), (0.0, 0.0), 1.0, sigma=0.1)
+    body = with_body_error(still, np.array([0.0, 0.0, 8.0]), 0.04)
+    assert body.body_error == pytest.approx(np.tile([0.4, 0.0], (11, 1)))
+    assert np.array_equal(body.covariance, still.covariance), "noise alone"
+    assert body.total_covariance[0] == pytest.approx(np.diag([0.1**2 + 0.4**2, 0.1**2]))
+    leaves = with_body_error(straight(1, (80.0, 0.0), (10.0, 0.0), 1.0), np.array([0.0, 0.0, 8.0]), 0.04)
+    assert leaves.speed_sigma == pytest.approx(np.hypot(0.1, 10 * 0.04 / 8))
 
 
 def test_footage_is_detected_and_tracked_first_and_once(
@@ -287,24 +309,26 @@ def test_footage_is_detected_and_tracked_first_and_once(
 
 def test_people_on_foot_count_by_where_they_stand(tracks: AnnotationFile) -> None:
     """They have no heading while they may stand, and no length."""
-    names = "track,category,frame,time_s,detected,x,y,z,heading_deg,speed,vx,vy,located,sigma_position,sigma_speed"
     site = Path("site.toml")
     x, y, _ = (CAMERA.position + 8).tolist()
     line = [[x, y - 4], [x, y + 4]]
     site.write_text(f'[[gates]]\nname = "kerb"\nline = {line}\ndirections = ["over", "back"]\n')
-    rows = [
-        f"7,pedestrian,{k},{k / 5},1,{x - 2 + 0.25 * k},{y},0,{'' if k < 3 else 0},1.25,1.25,0,1,0.1,0.05"
-        for k in range(20)
-    ]
-    Path("t/road_users.csv").write_text("\n".join([names, *rows]) + "\n")
+    walk = straight(7, (x - 2, y), (1.25, 0.0), 3.8, step_s=0.2, category="pedestrian", class_name="pedestrian",
+                    class_confidence=1.0, length=None, width=None)  # fmt: skip
+    walk.heading[:3] = np.nan
+    write_tracks(Path("t/tracks.csv"), [*read_tracks(Path("t/tracks.csv")), walk])
     report = door.measure_traffic("t", site)
     (one,) = report.crossings
     assert (one.trajectory.class_name, one.direction_name, one.trajectory.number) == ("pedestrian", "over", 7)
     assert one.time_s == pytest.approx(1.6)
     assert {row.class_name: row.count for row in report.counts if row.count} == {"all": 1, "pedestrian": 1}
     assert not report.headways
-    Path("t/road_users.csv").write_text("\n".join([names, rows[0].replace("pedestrian", "horse")]))
-    with pytest.raises(UserError, match=r"road_users\.csv: line 2: category: expected one of bicycle"):
+    text = Path("t/tracks.csv").read_text()
+    Path("t/tracks.csv").write_text(text.replace("7,pedestrian,pedestrian", "7,horse,pedestrian"))
+    with pytest.raises(UserError, match=r"tracks\.csv: line \d+: category: expected one of vehicle, bicycle"):
+        door.measure_traffic("t", site)
+    Path("t/tracks.csv").write_text(text.replace("7,pedestrian,pedestrian", "7,pedestrian,car"))
+    with pytest.raises(UserError, match=r"line \d+: class: expected one of pedestrian, got 'car'"):
         door.measure_traffic("t", site)
 
 

@@ -22,10 +22,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skope import keypoints
+from skope.camera.ground_plane import Ground
 from skope.eval.camera_fit.camera_unknowns import FOCAL, HEIGHT, UNKNOWN_NAMES, Pictured, by_camera, camera_of_unknowns
 from skope.eval.camera_fit.normal_equations import Linearised, Parts, summed
 from skope.eval.pose import closed_form_starts, robust_loss
-from skope.eval.pose.ground import Ground
 from skope.eval.pose.observations import LEAST_PROBABILITY, observe
 from skope.eval.pose.self_occlusion import facing
 from skope.eval.pose.shape_model import Shapes

@@ -10,6 +10,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from skope.camera.ground_plane import Ground
 from skope.camera.model import Camera
 from skope.dataset.image_selection import part
 from skope.errors import UserError
@@ -19,7 +20,6 @@ from skope.eval.camera_fit.fit_camera import capped
 from skope.eval.camera_fit.vehicle_sample import sample_vehicles
 from skope.eval.pose.estimate_pose import levelled, locate
 from skope.eval.pose.fit_body_types import best_types
-from skope.eval.pose.ground import Ground
 from skope.eval.pose.keypoint_views import Scene
 from skope.eval.pose.observations import observe
 from skope.files.json_files import json_bytes

@@ -95,9 +95,9 @@ def _report(
     console: Console,
 ) -> Iterator[str]:
     """Measure what the sources are: tracks in metres, what was found in an image, or footage."""
+    from skope.tracks.csv_file import TRACKS_CSV
     from skope.traffic.exports.formats import checked_formats
     from skope.traffic.observation import FOOTAGE
-    from skope.traffic.read_track_folder import TRACKS_CSV
 
     formats = checked_formats(also, site, metres=True)
     folder = Path(sources[0])
@@ -126,9 +126,10 @@ def _report_of_tracks(
     formats: tuple[str, ...],
 ) -> Iterator[str]:
     """Measure the tracks of one or several recordings of the site."""
+    from skope.tracks.csv_file import TRACKS_CSV
     from skope.traffic.gates import gates_on_road
     from skope.traffic.measure import measure
-    from skope.traffic.read_track_folder import TRACKS_CSV, track_files
+    from skope.traffic.observation import track_files
     from skope.traffic.recordings import read_recordings
 
     footage = read_recordings(folders, begins, site, _BEGINS)
@@ -159,9 +160,9 @@ def _report_of_footage(
 ) -> Iterator[str]:
     """Detect and track what a video shows, and measure that."""
     from skope.eval.cli.tracked_footage import TRACKS_NAME, tracked_footage
+    from skope.tracks.csv_file import TRACKS_CSV, read_tracks
     from skope.traffic.measure import measure
-    from skope.traffic.observation import read_observation
-    from skope.traffic.read_track_folder import read_trajectories, track_files
+    from skope.traffic.observation import read_observation, track_files
 
     if hand_count is not None:
         raise UserError(
@@ -176,7 +177,7 @@ def _report_of_footage(
     options = _options(_isoformat(start), None)
     folder = tracked_footage(source, site, checkpoint, hardware, out, _COMMAND, options, console)
     observation = read_observation(folder)
-    tracks = read_trajectories(folder, observation)
+    tracks = read_tracks(folder / TRACKS_CSV)
     further = _claimed(out, [*track_files(folder), site.path], options, site, formats)
     yield from _written(measure(tracks, observation, site, start), source, site, out, further, folder)
 

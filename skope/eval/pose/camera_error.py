@@ -12,11 +12,11 @@ from typing import Any, Final
 import numpy as np
 
 from skope.camera.camera_json import is_camera_json, read_uncertain_camera
+from skope.camera.ground_plane import Ground
 from skope.camera.model import Camera
 from skope.camera.uncertain_camera import UncertainCamera
 from skope.errors import UserError
 from skope.eval.pose.estimate_pose import Poses
-from skope.eval.pose.ground import Ground
 from skope.files.json_files import read_json
 from skope.types import Array
 

@@ -10,8 +10,8 @@ from typing import Final
 import cv2
 import numpy as np
 
+from skope.camera.ground_plane import Ground
 from skope.eval.pose import robust_loss
-from skope.eval.pose.ground import Ground
 from skope.eval.pose.observations import NEAREST_M, Observed
 from skope.eval.pose.shape_model import Shapes
 from skope.eval.pose.starts import IMPOSSIBLE, Starts

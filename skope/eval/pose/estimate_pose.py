@@ -20,9 +20,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from skope import keypoints
+from skope.camera.ground_plane import Ground
 from skope.camera.model import Camera
 from skope.eval.pose.fit_body_types import FEWEST_KEYPOINTS, INLIER, agreeing_share, best_types
-from skope.eval.pose.ground import Ground
 from skope.eval.pose.levenberg_marquardt import Fits
 from skope.eval.pose.observations import Observed, observe
 from skope.eval.pose.search import EXCHANGES, RIVAL, retry_exchanged, retry_from_subsets, without_hidden

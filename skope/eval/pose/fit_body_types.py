@@ -5,8 +5,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from skope.camera.ground_plane import Ground
 from skope.eval.pose import closed_form_starts
-from skope.eval.pose.ground import Ground
 from skope.eval.pose.levenberg_marquardt import Fits, refine
 from skope.eval.pose.observations import Observed
 from skope.eval.pose.shape_model import Shapes

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from skope import keypoints
 from skope.camera.camera_json import read_uncertain_camera
+from skope.camera.ground_plane import Ground
 from skope.camera.model import Camera
 from skope.camera.uncertain_camera import UncertainCamera
 from skope.dataset import coco
@@ -20,7 +21,6 @@ from skope.dataset.image_selection import part as part_of
 from skope.errors import UserError
 from skope.eval.pose.camera_error import CALIBRATED_FIELD, calibrated_seconds, camera_of_info
 from skope.eval.pose.camera_motion import CameraMotion, motion_of_info
-from skope.eval.pose.ground import Ground
 from skope.eval.pose.shape_model import Shapes, fleet_shapes
 from skope.metrics import read_inputs
 from skope.metrics.match import match

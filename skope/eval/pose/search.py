@@ -10,9 +10,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from skope.camera.ground_plane import Ground
 from skope.camera.model import Camera
 from skope.eval.pose.fit_body_types import FEWEST_KEYPOINTS, best_types, refined, vehicle_starts
-from skope.eval.pose.ground import Ground
 from skope.eval.pose.levenberg_marquardt import Fits
 from skope.eval.pose.observations import Observed
 from skope.eval.pose.self_occlusion import facing

@@ -7,15 +7,13 @@ from typing import TYPE_CHECKING, Any, Final
 import cv2
 import numpy as np
 
+from skope.camera.ground_plane import Ground
 from skope.camera.model import Camera
-from skope.eval.pose.ground import Ground
 from skope.eval.tracking import map_signs
-from skope.eval.tracking.ground_track import GroundTrack
 from skope.eval.tracking.ground_view import GroundView
-from skope.eval.tracking.pedestrian_and_cycle_tracks import RoadUserTrack
-from skope.eval.tracking.tracks import Track
 from skope.files.atomic import replacing
 from skope.terminal.console import counted
+from skope.tracks.track import Track
 from skope.traffic.road_picture import RoadPicture
 from skope.types import Array, Pixels
 
@@ -56,7 +54,7 @@ def draw(
     camera: Camera,
     ground: Ground | None,
     road: Pixels | None,
-    road_users: Sequence[RoadUserTrack] = (),
+    road_users: Sequence[Track] = (),
 ) -> None:
     """Write the picture of the tracks; metres, the world's y upwards.
 
@@ -105,7 +103,7 @@ def draw(
         figure.savefig(temporary)
 
 
-def road_picture(tracks: Sequence[GroundTrack], camera: Camera, ground: Ground, road: Pixels) -> RoadPicture:
+def road_picture(tracks: Sequence[Track], camera: Camera, ground: Ground, road: Pixels) -> RoadPicture:
     """The empty road from above: the rectangle that `draw` shows.
 
     Args:
@@ -123,7 +121,7 @@ def road_picture(tracks: Sequence[GroundTrack], camera: Camera, ground: Ground, 
 
 
 def _write_heading(
-    figure: "Figure", tracks: Sequence[Track], road_users: Sequence[RoadUserTrack], moment_s: float | None
+    figure: "Figure", tracks: Sequence[Track], road_users: Sequence[Track], moment_s: float | None
 ) -> None:
     """Over the map: how many tracks in how long, and what lines and outlines are."""
     place, height = _MAP_PLACE["left"], figure.get_figheight()
@@ -137,16 +135,16 @@ def _write_heading(
         )
     if road_users:
         kinds = [name for name in map_signs.ROAD_USERS if any(track.category == name for track in road_users)]
-        words = f"dotted: {', '.join(kinds)}, as in road_users.csv"
+        words = f"dotted: {', '.join(kinds)}, as in tracks.csv"
         figure.text(_MAP_PLACE["right"], 1 - 0.36 / height, words, fontsize=9, color=map_signs.FAINT_COLOR, ha="right")
     figure.text(place, 1 - 0.36 / height, heading, fontsize=14, weight="bold", color=map_signs.INK_COLOR)
     figure.text(place, 1 - 0.63 / height, note, fontsize=9, color=map_signs.FAINT_COLOR)
 
 
-def extent(tracks: Sequence[GroundTrack], camera_xy: Array) -> tuple[Array, Array]:
+def extent(tracks: Sequence[Track], camera_xy: Array) -> tuple[Array, Array]:
     """Corners (2,) of the map: sure places and the camera, with a margin, in a shape that fills the picture."""
-    sure = [t.position[t.position_sigma <= _SURE_M, :2] for t in tracks]
-    places = np.concatenate([camera_xy[None], *(sure if sum(map(len, sure)) else (t.position[:, :2] for t in tracks))])
+    sure = [t.xy[t.position_sigma <= _SURE_M] for t in tracks]
+    places = np.concatenate([camera_xy[None], *(sure if sum(map(len, sure)) else (t.xy for t in tracks))])
     low, high = places.min(axis=0) - _MARGIN_M, places.max(axis=0) + _MARGIN_M
     width, height = high - low
     wanted = np.array([max(width, height / _TALLEST), max(height, width * _FLATTEST)])
@@ -203,7 +201,7 @@ def _draw_path(axes: "Axes", track: Track, colors: "Colormap", norm: "Normalize"
     from matplotlib.collections import LineCollection
     from matplotlib.patches import Polygon
 
-    xy = track.position[:, :2]
+    xy = track.xy
     steps = np.stack([xy[:-1], xy[1:]], axis=1)
     axes.plot(*xy.T, color="white", linewidth=2.8 if many else 4.5, solid_capstyle="round", alpha=0.9, zorder=2)
     lines = LineCollection(
@@ -224,10 +222,10 @@ def _draw_path(axes: "Axes", track: Track, colors: "Colormap", norm: "Normalize"
         axes.add_patch(Polygon(corners, facecolor=color, edgecolor="white", linewidth=0.8, zorder=4))
 
 
-def _draw_road_user(axes: "Axes", track: RoadUserTrack, frame: int) -> None:
+def _draw_road_user(axes: "Axes", track: Track, frame: int) -> None:
     """The way of somebody on foot or on two wheels, and a dot at the place in a frame."""
     color = map_signs.ROAD_USERS[track.category]
-    axes.plot(*track.position[:, :2].T, color=color, linewidth=1.4, linestyle=(0, (1, 1.2)), zorder=3)
+    axes.plot(*track.xy.T, color=color, linewidth=1.4, linestyle=(0, (1, 1.2)), zorder=3)
     if frame in track.frames:
         x, y = track.position[frame - int(track.frames[0]), :2]
         axes.plot([x], [y], color=color, marker="o", markersize=5, markeredgecolor="white", zorder=6)

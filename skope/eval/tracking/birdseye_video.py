@@ -8,18 +8,16 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from skope.camera.ground_plane import Ground
 from skope.camera.model import Camera
-from skope.eval.pose.ground import Ground
 from skope.eval.tracking import map_signs
 from skope.eval.tracking.birdseye import extent
-from skope.eval.tracking.ground_track import GroundTrack
 from skope.eval.tracking.ground_view import GroundView
-from skope.eval.tracking.pedestrian_and_cycle_tracks import RoadUserTrack
-from skope.eval.tracking.tracks import Track
 from skope.pictures.draw import PALETTE
+from skope.tracks.track import Track
 from skope.types import Array, Pixels
 
-T = TypeVar("T", bound=GroundTrack)
+T = TypeVar("T", bound=Track)
 _LONGER_PX: Final = 1200
 """Pixels of the video's longer side."""
 _INK: Final = (27, 39, 51)
@@ -32,9 +30,7 @@ _LABEL_FONT: Final = cv2.FONT_HERSHEY_SIMPLEX
 class _Map:
     """The map of the road that all pictures share."""
 
-    def __init__(
-        self, tracks: Sequence[Track | RoadUserTrack], camera: Camera, ground: Ground | None, road: Pixels | None
-    ) -> None:
+    def __init__(self, tracks: Sequence[Track], camera: Camera, ground: Ground | None, road: Pixels | None) -> None:
         low, high = extent(tracks, camera.position[:2])
         self._low, self._scale = low, _LONGER_PX / float((high - low).max())
         # Encoders want even sides.
@@ -81,7 +77,7 @@ def birdseye_frames(
     camera: Camera,
     ground: Ground | None,
     road: Pixels | None,
-    road_users: Sequence[RoadUserTrack] = (),
+    road_users: Sequence[Track] = (),
 ) -> Iterator[Pixels]:
     """A picture (H, W, 3) from above for each time, y upwards: outlines with a line to their front, number and km/h.
 
@@ -118,7 +114,7 @@ def _draw(picture: Pixels, shown: _Map, track: Track, i: int) -> None:
     put_text(picture, map_signs.label(track, i), (int(x) + 3, int(y) - 3))
 
 
-def _draw_dot(picture: Pixels, shown: _Map, track: RoadUserTrack, i: int) -> None:
+def _draw_dot(picture: Pixels, shown: _Map, track: Track, i: int) -> None:
     """Somebody on foot or on two wheels in the track's i-th frame, and the way behind."""
     color = PALETTE[track.number % len(PALETTE)]
     since = int(np.searchsorted(track.times_s, track.times_s[i] - _TRAIL_S))

@@ -7,10 +7,9 @@ from typing import Final
 
 import numpy as np
 
-from skope.camera.ground_plane import ground_places, ground_slopes
+from skope.camera.ground_plane import Ground, ground_places, ground_slopes
 from skope.camera.model import Camera
 from skope.eval.pose.camera_error import camera_errors
-from skope.eval.pose.ground import Ground
 from skope.eval.pose.keypoint_views import Scene
 from skope.eval.tracking.duplicate_boxes import FOOT, INSIDE, feet, inside_and_apart
 from skope.schema import Image, RoadUser, RoadUserResult

@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from skope.camera.ground_plane import Ground
 from skope.camera.model import Camera
-from skope.eval.pose.ground import Ground
 from skope.types import Array, Pixels
 
 _PALE: Final = 0.62

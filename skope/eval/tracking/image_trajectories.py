@@ -14,8 +14,8 @@ from skope.eval.tracking.duplicate_boxes import FOOT, INSIDE, inside_and_apart
 from skope.metrics.read_inputs import read_all_results
 from skope.schema import CATEGORIES, VEHICLE
 from skope.site.traffic_settings import UNKNOWN
+from skope.tracks.track import Track
 from skope.traffic.observation import Observation, checked_sight, read_begins
-from skope.traffic.trajectories import Trajectory
 from skope.types import Array
 
 _FOOT_SIGMA_SHARE: Final = 0.03
@@ -28,7 +28,7 @@ _TOGETHER_SHARE: Final = 0.5
 MotRows = list[tuple[float, ...]]
 
 
-def read_image_trajectories(folder: Path) -> tuple[list[Trajectory], Observation]:
+def read_image_trajectories(folder: Path) -> tuple[list[Track], Observation]:
     """Read the ways of boxes through a video, by the numbers that they have, and when the view was the first one.
 
     Places are columns and negative rows, so that left and right of a line are what they are on the screen.
@@ -92,19 +92,19 @@ def _boxes(rows: Array) -> Array:
     return np.stack([middle - width / 2, -below - height, width, height], axis=1)
 
 
-def _trajectory(number: int, category_id: int, rows: Array) -> Trajectory:
+def _trajectory(number: int, category_id: int, rows: Array) -> Track:
     """Of rows (M, 5): seconds, place, width and height of the box."""
     times, place = rows[:, 0], rows[:, 1:3]
     velocity = np.gradient(place, times, axis=0) if len(times) > 1 else np.zeros_like(place)
     sigma = np.maximum(1.0, _FOOT_SIGMA_SHARE * rows[:, 3:].max(axis=1))
     category = CATEGORIES[category_id - 1]
-    return Trajectory(
+    return Track(
         number=number,
         category=category,
         class_name=UNKNOWN if category == VEHICLE else category,
         class_confidence=0.0 if category == VEHICLE else 1.0,
         times_s=times,
-        place=place,
+        position=np.column_stack([place, np.zeros(len(times))]),
         velocity=velocity,
         heading=np.full(len(times), np.nan),
         covariance=sigma[:, None, None] ** 2 * np.eye(2),

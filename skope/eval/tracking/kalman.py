@@ -157,14 +157,19 @@ def smoothed(
     return means, spreads
 
 
-def deviations(means: Array, spreads: Array) -> tuple[Array, Array]:
-    """Standard deviations of M states: (M,) of the place in its worst direction, metres, and (M,) of the speed, m/s.
+def position_and_speed_errors(means: Array, spreads: Array) -> tuple[Array, Array]:
+    """Covariances (M, 2, 2) of the positions of M states, square metres, and standard deviations (M,) of their speeds.
 
-    Smoothing leaves variances of almost nothing that rounding may take below 0.
+    Smoothing leaves tiny variances, which rounding may take below 0: they are raised to 0.
+
+    Args:
+        means: (M, 6) states.
+        spreads: (M, 6, 6) their covariances.
     """
-    place = np.sqrt(np.maximum(0, np.linalg.eigvalsh(spreads[:, :2, :2])[:, -1]))
+    variances, axes = np.linalg.eigh(spreads[:, :2, :2])
+    position = np.einsum("mik,mk,mjk->mij", axes, np.maximum(0.0, variances), axes)
     velocity, speed = means[:, 2:4], np.linalg.norm(means[:, 2:4], axis=1)
     ahead = np.divide(velocity, speed[:, None], out=np.zeros_like(velocity), where=speed[:, None] > 0)
     along = np.einsum("mi,mij,mj->m", ahead, spreads[:, 2:4, 2:4], ahead)
     worst = np.linalg.eigvalsh(spreads[:, 2:4, 2:4])[:, -1]
-    return place, np.sqrt(np.maximum(0, np.where(speed > 0, along, worst)))
+    return np.asarray(position), np.sqrt(np.maximum(0, np.where(speed > 0, along, worst)))

@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from skope.camera.model import Camera
-from skope.eval.tracking.ground_track import GroundTrack
-from skope.eval.tracking.tracks import Track
+from skope.tracks.track import Track
 from skope.types import Array
 
 if TYPE_CHECKING:
@@ -49,7 +48,7 @@ def vehicle_points(track: Track, i: int, shape: Sequence[tuple[float, float]]) -
     """
     ahead = np.array([np.cos(track.heading[i]), np.sin(track.heading[i])])
     across = np.array([-ahead[1], ahead[0]])
-    length, width = track.size_lwh[:2] / 2
+    length, width = np.array(track.size) / 2
     return [track.position[i, :2] + a * length * ahead + b * width * across for a, b in shape]
 
 
@@ -108,7 +107,7 @@ def draw_labels(
     # Window coordinates of matplotlib: pixels from the bottom left.
     drawn = [vehicle_points(track, present[track.number], OUTLINE) for track in tracks if track.number in present]
     taken = [*taken, *(_box_around(axes.transData.transform(outline)) for outline in drawn)]
-    ways = axes.transData.transform(np.concatenate([track.position[:, :2] for track in tracks] or [np.zeros((0, 2))]))
+    ways = axes.transData.transform(np.concatenate([track.xy for track in tracks] or [np.zeros((0, 2))]))
     inside = axes.get_window_extent()
     for track in sorted(labelled, key=lambda t: t.number not in present):
         i = present.get(track.number, len(track.frames) - 1)
@@ -136,7 +135,7 @@ def draw_labels(
         axes.plot(*zip(start, end, strict=True), color=FAINT_COLOR, linewidth=0.7, zorder=5)
 
 
-def label(track: GroundTrack, i: int) -> str:
+def label(track: Track, i: int) -> str:
     """A track's number, with the speed that who moves has in its i-th frame, and its 95% interval."""
     if track.speed[i] <= _DRIVES_MPS:
         return f"#{track.number}"
@@ -177,7 +176,7 @@ def draw_key(axes: "Axes", tracks: Sequence[Track], camera: Camera) -> "Bbox":
     unit = unit_m(axes)
     length = max(bar for bar in BARS_M if bar <= max(1, (x1 - x0) / 5))
     size = np.array([length + 4 * unit, 7 * unit])
-    places = np.concatenate([camera.position[None, :2], *(t.position[:, :2] for t in tracks)])
+    places = np.concatenate([camera.position[None, :2], *(t.xy for t in tracks)])
     inset = 1.5 * unit
     free = [(x, y) for y in (y0 + inset, y1 - inset - size[1]) for x in (x1 - inset - size[0], x0 + inset)]
     low = np.array(free)[:, None] - 2 * unit

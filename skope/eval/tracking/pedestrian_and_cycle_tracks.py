@@ -9,17 +9,17 @@ somebody on foot then still sees one: a track is of the category that its sights
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
-from typing import Final, Self
+from typing import Final
 
 import numpy as np
 
 from skope.eval.least_cost_pairs import cheapest_pairs
 from skope.eval.tracking import kalman
 from skope.eval.tracking.ground_points import GroundPoint, Sight
-from skope.eval.tracking.ground_track import GroundTrack
 from skope.eval.tracking.kalman import GATE, State
+from skope.eval.tracking.track_errors import with_body_error
 from skope.schema import CATEGORIES, PEDESTRIAN
+from skope.tracks.track import Track
 from skope.types import Array
 
 Link = tuple[int, int]
@@ -54,34 +54,28 @@ _MOVES: Final = 2.0
 _LEAST_SPEED: Final = 0.5
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class RoadUserTrack(GroundTrack):
-    """Somebody on foot or on two wheels over M frames: all from the first to the last place, seen or not."""
+def of_body(track: Track, camera_position: Array) -> Track:
+    """The track of the body's middle in place of its box's foot, with the error that all its positions share.
 
-    category: str
+    Args:
+        track: A track of `follow_road_users`.
+        camera_position: (3,) world, metres.
+    """
+    line = track.xy - camera_position[:2]
+    position = track.position.copy()
+    if track.category != PEDESTRIAN:
+        along = np.abs(np.cos(track.heading - np.arctan2(line[:, 1], line[:, 0])))
+        # Whether a standing two-wheeler faces the camera is not known.
+        shift = _HALF_WHEELBASE_M * np.where(np.isnan(along), 0.5, along)
+        position[:, :2] += line * (shift / np.maximum(np.linalg.norm(line, axis=1), 1e-9))[:, None]
+    return with_body_error(replace(track, position=position), camera_position, _HEIGHTS_M[track.category])
 
-    def under_body(self, eye: Array) -> Self:
-        """The track of the body's middle, with what all its places are uncertain by, seen by a camera at `eye` (3,).
 
-        That is no noise that more frames would average away.
-        """
-        line = self.position[:, :2] - eye[:2]
-        away = np.linalg.norm(line, axis=1)
-        per_metre = away / np.maximum(1.0, eye[2] - self.position[:, 2])
-        position = self.position.copy()
-        if self.category != PEDESTRIAN:
-            along = np.abs(np.cos(self.heading - np.arctan2(line[:, 1], line[:, 0])))
-            # Whether it comes or crosses is not known of one that stands.
-            shift = _HALF_WHEELBASE_M * np.where(np.isnan(along), 0.5, along)
-            position[:, :2] += line * (shift / np.maximum(away, 1e-9))[:, None]
-        shared = _HEIGHTS_M[self.category] * per_metre
-        return replace(self, position=position, position_sigma=np.hypot(self.position_sigma, shared))
-
-    @cached_property
-    def heading(self) -> Array:
-        """(M,) direction of motion, radians, counter-clockwise from world x; NaN where it may be none."""
-        moves = self.speed > np.maximum(_LEAST_SPEED, _MOVES * self.speed_sigma)
-        return np.where(moves, np.arctan2(self.velocity[:, 1], self.velocity[:, 0]), np.nan)
+def _headings(velocity: Array, speed_sigma: Array) -> Array:
+    """(M,) directions of motion, radians, counter-clockwise from world x; NaN where there may be no motion."""
+    speed = np.linalg.norm(velocity, axis=1)
+    moves = speed > np.maximum(_LEAST_SPEED, _MOVES * speed_sigma)
+    return np.where(moves, np.arctan2(velocity[:, 1], velocity[:, 0]), np.nan)
 
 
 @dataclass(eq=False, slots=True)
@@ -107,7 +101,7 @@ class _Open:
     scores: Counter[int] = field(default_factory=Counter)
     """Confidence in each category, summed over all sights."""
     rows: list[tuple[float, ...]] = field(default_factory=list)
-    """The frames before `steps`, smoothed: frame, time, x, y, vx, vy, sigmas, z, box, score."""
+    """The frames before `steps`, smoothed: frame, time, x, y, vx, vy, 3 variances, sigma of speed, z, box, score."""
 
     @property
     def state(self) -> State:
@@ -141,40 +135,46 @@ class _Open:
             [step.transition for step in steps], [step.predicted for step in steps], [step.filtered for step in steps]
         )
         count = sum(step.time_s < until_s for step in steps)
-        places, speeds = kalman.deviations(means[:count], spreads[:count])
-        for step, mean, place, speed in zip(steps[:count], means, places.tolist(), speeds.tolist(), strict=False):
+        covariances, speeds = kalman.position_and_speed_errors(means[:count], spreads[:count])
+        variances = covariances.reshape(-1, 4)[:, [0, 1, 3]].tolist()
+        for step, mean, spread, speed in zip(steps[:count], means, variances, speeds.tolist(), strict=False):
             height = np.nan if step.sight is None or step.sight.point is None else step.sight.point.height
             seen = [np.nan] * 5 if step.sight is None else [*step.sight.bbox, step.sight.score]
-            self.rows.append((step.frame, step.time_s, *mean[:4], place, speed, height, *seen))
+            self.rows.append((step.frame, step.time_s, *mean[:4], *spread, speed, height, *seen))
         del steps[:count]
 
-    def finished(self) -> RoadUserTrack | None:
+    def finished(self) -> Track | None:
         """The whole track up to its last place, as number 0; None where it is too short to be somebody."""
         del self.steps[sum(step.time_s <= self.last_s for step in self.steps) :]
         self.settle(np.inf)
         rows = np.array(self.rows)
-        located = np.isfinite(rows[:, 8])
-        times = rows[:, 1]
+        located = np.isfinite(rows[:, 10])
+        times, velocity, speed_sigma = rows[:, 1], rows[:, 4:6], rows[:, 9]
         if located.sum() < _FEWEST_PLACES or times[-1] - times[0] < _SHORTEST_S:
             return None
-        return RoadUserTrack(
+        category = self.category(float(np.median(np.hypot(*velocity[located].T))))
+        return Track(
             number=0,
-            category=self.category(float(np.median(np.hypot(rows[located, 4], rows[located, 5])))),
+            category=category,
+            class_name=category,
+            class_confidence=1.0,
             frames=rows[:, 0].astype(np.intp),
             times_s=times,
-            position=np.column_stack([rows[:, 2:4], np.interp(times, times[located], rows[located, 8])]),
-            velocity=rows[:, 4:6],
-            position_sigma=rows[:, 6],
-            speed_sigma=rows[:, 7],
+            position=np.column_stack([rows[:, 2:4], np.interp(times, times[located], rows[located, 10])]),
+            velocity=velocity,
+            heading=_headings(velocity, speed_sigma),
+            covariance=rows[:, [[6, 7], [7, 8]]],
+            speed_sigma=speed_sigma,
             located=located,
-            boxes=rows[:, 9:13],
-            scores=rows[:, 13],
+            detected=np.isfinite(rows[:, 15]),
+            boxes=rows[:, 11:15],
+            scores=rows[:, 15],
         )
 
 
 def follow_road_users(
     images: Iterable[Sequence[Sight]], times_s: Sequence[float], first_number: int = 1
-) -> list[RoadUserTrack]:
+) -> list[Track]:
     """Follow people on foot and on two wheels through consecutive images of one camera.
 
     Args:

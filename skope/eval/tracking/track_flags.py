@@ -8,7 +8,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from skope.eval.tracking.tracks import Track
+from skope.eval.tracking.tracks import is_confirmed
+from skope.tracks.track import Track
 from skope.types import Array
 
 TRACK_FLAGS: Final = ("two_poses", "never_moved", "impossible_motion", "against_traffic")
@@ -64,7 +65,7 @@ def _cut(track: Track) -> list[Track]:
         return [track]
     suspect = replace(track, flags=("impossible_motion",))
     possible = [suspect.during(run) for run in _runs(hard) if not hard[run[0]]]
-    return [part for part in possible if part.confirmed] or [suspect]
+    return [part for part in possible if is_confirmed(part.times_s[part.located])] or [suspect]
 
 
 def _runs(holds: NDArray[np.bool_]) -> list[NDArray[np.intp]]:
@@ -73,8 +74,8 @@ def _runs(holds: NDArray[np.bool_]) -> list[NDArray[np.intp]]:
 
 
 def _never_moved(track: Track) -> bool:
-    middle = np.median(track.position[:, :2], axis=0)
-    farthest = np.percentile(np.linalg.norm(track.position[:, :2] - middle, axis=1), 95)
+    middle = np.median(track.xy, axis=0)
+    farthest = np.percentile(np.linalg.norm(track.xy - middle, axis=1), 95)
     return bool(track.times_s[-1] - track.times_s[0] >= _STANDS_S and farthest < _STANDS_M)
 
 
@@ -94,7 +95,7 @@ def _against_traffic(tracks: Sequence[Track]) -> set[int]:
     moving = [(track, rows) for track, rows in moving if rows.size]
     if len(moving) <= _FEWEST_OTHERS:
         return set()
-    places = np.concatenate([track.position[rows, :2] for track, rows in moving])
+    places = np.concatenate([track.xy[rows] for track, rows in moving])
     ahead = np.concatenate([_directions(track, rows) for track, rows in moving])
     owner = np.concatenate([np.full(len(rows), k) for k, (_, rows) in enumerate(moving)])
     alone = np.zeros(len(places), dtype=bool)

@@ -16,20 +16,23 @@ from skope.dataset.folder import BEGINS, FOLLOWED, SIGHT_FIELD
 from skope.errors import UserError
 from skope.eval.pose.keypoint_views import Scene
 from skope.eval.pose.pose_records import locate_view
-from skope.eval.tracking import birdseye, birdseye_video, track_overlay, write_tracks
+from skope.eval.tracking import birdseye, birdseye_video, track_overlay
 from skope.eval.tracking.empty_road import empty_road
 from skope.eval.tracking.ground_points import sights_of
-from skope.eval.tracking.pedestrian_and_cycle_tracks import RoadUserTrack, follow_road_users
+from skope.eval.tracking.pedestrian_and_cycle_tracks import follow_road_users, of_body
+from skope.eval.tracking.track_errors import with_body_error, with_camera_error
 from skope.eval.tracking.track_flags import flagged
 from skope.eval.tracking.tracker_inputs import Detection, detection_from_dict, detection_to_dict, detections_of
-from skope.eval.tracking.tracks import Track
 from skope.eval.tracking.vehicle_tracker import follow
 from skope.files.atomic import replacing, write_bytes, write_text
 from skope.files.json_files import json_bytes
 from skope.files.progress import Progress
 from skope.pictures.video import write_video
-from skope.schema import CATEGORIES, Labelled
+from skope.schema import CATEGORIES, VEHICLE, Labelled
 from skope.terminal.console import Console, counted
+from skope.tracks.csv_file import TRACKS_CSV, as_written, write_tracks
+from skope.tracks.frame_files import mot_row, write_fcd, write_mot
+from skope.tracks.track import Track
 from skope.traffic.observation import FOOTAGE, Observation, checked_sight, read_begins
 from skope.traffic.road_picture import write_road_picture
 
@@ -69,14 +72,17 @@ def follow_footage(job: TrackJob, console: Console) -> Iterator[str]:
     if progress.count:
         console.say(f"{scene.file.name}: going on after the poses of {progress.count} images")
     refused = Counter[str]()
-    tracks, road_users = followed(job, times, progress, refused, console)
+    every = followed(job, times, progress, refused, console)
     camera = scene.camera_of(scene.file.images[0])
     index = [image.frame_index if image.frame_index is not None else i for i, image in enumerate(scene.file.images)]
-    write_tracks.write_csv(job.out / "tracks.csv", tracks, index)
-    write_tracks.write_mot(job.out / "mot.txt", tracks)
-    write_tracks.write_fcd(job.out / "fcd.xml", tracks, times, road_users)
+    write_tracks(job.out / TRACKS_CSV, every, index)
+    write_mot(job.out / "mot.txt", [track for track in every if track.category == VEHICLE])
+    write_fcd(job.out / "fcd.xml", every, times)
     write_bytes(job.out / FOOTAGE, json_bytes(observation_of(scene, times, begins).to_dict()))
-    written = ["tracks.csv", "mot.txt", "fcd.xml", FOOTAGE, "birdseye.png"]
+    written = [TRACKS_CSV, "mot.txt", "fcd.xml", FOOTAGE, "birdseye.png"]
+    shown = _with_all_errors(scene, every)
+    tracks = [track for track in shown if track.category == VEHICLE]
+    road_users = [track for track in shown if track.category != VEHICLE]
     road = _road(job, camera, console)
     birdseye.draw(job.out / "birdseye.png", tracks, camera, scene.ground, road, road_users)
     if road is not None and scene.ground is not None:
@@ -86,7 +92,7 @@ def follow_footage(job: TrackJob, console: Console) -> Iterator[str]:
     if scene.file.annotations:
         _write_truth(job.out / "mot_truth.txt", scene, scene.file.annotations)
         written.append("mot_truth.txt")
-    written += _write_road_users(job, road_users, index)
+    written += _write_road_users(job, road_users)
     if job.video:
         with replacing(job.out / "birdseye.mp4") as temporary:
             above = birdseye_video.birdseye_frames(tracks, times, camera, scene.ground, road, road_users)
@@ -132,11 +138,13 @@ def poses_kept(folder: Path) -> Progress:
 
 def followed(
     job: TrackJob, times: Sequence[float], progress: Progress, refused: Counter[str], console: Console
-) -> tuple[list[Track], list[RoadUserTrack]]:
-    """The tracks of vehicles and of other road users, with flags, and what is known of the camera in their deviations.
+) -> list[Track]:
+    """Tracks of vehicles, then of other road users, with flags, rounded as tracks.csv has them.
+
+    Their errors are those for a known camera: what is not known of it is in `observation_of`.
 
     Args:
-        job: What to follow.
+        job: The footage and how to follow it.
         times: Time of each image, seconds, as `times_of` gives them.
         progress: Of `poses_kept`.
         refused: Counts why vehicles have no pose, by reason.
@@ -146,12 +154,18 @@ def followed(
     seen = console.bar(_seen(job, progress, refused), total=len(times), unit="image", label="poses")
     tracks = flagged(follow(seen, times))
     road_users = _road_users(job, times, 1 + len(tracks))
-    if known := scene.known_in(scene.file.images[0]):
-        ground = scene.road_in(scene.file.images[0])
-        slope = ground.slope if ground else (0.0, 0.0)
-        tracks = [track.under(known, slope) for track in tracks]
-        road_users = [track.under(known, slope) for track in road_users]
-    return tracks, road_users
+    if scene.ground is not None:
+        eye, sigma_m = scene.camera_of(scene.file.images[0]).position, scene.ground.height_sigma
+        tracks = [with_body_error(track, eye, sigma_m) for track in tracks]
+    return [as_written(track) for track in (*tracks, *road_users)]
+
+
+def _with_all_errors(scene: Scene, tracks: Sequence[Track]) -> list[Track]:
+    """The tracks with the camera's error in theirs: for pictures that show each by itself."""
+    known = scene.known_in(scene.file.images[0])
+    ground = scene.road_in(scene.file.images[0])
+    slope = ground.slope if ground else (0.0, 0.0)
+    return [with_camera_error(track, known, slope) for track in tracks] if known else list(tracks)
 
 
 def observation_of(scene: Scene, times: Sequence[float], begins: datetime | None) -> Observation:
@@ -165,40 +179,36 @@ def observation_of(scene: Scene, times: Sequence[float], begins: datetime | None
     moved = np.array([scene.moved_in(image) for image in scene.file.images])
     known = scene.known_in(scene.file.images[0])
     camera = scene.camera_of(scene.file.images[0])
-    x, y, z = map(float, camera.position)
-    seconds = np.array(times)
+    seconds = np.round(np.array(times), 4)  # as tracks.csv has them
     return Observation(
         times_s=seconds[~moved],
         source=str(scene.file.info.get("source", scene.file.name)),
         common_sigma=known.ways_sigma() if known else None,
-        eye=(x, y, z),
-        focal_px=float(camera.K[0, 0]),
-        road_sigma_m=0.0 if scene.ground is None else scene.ground.height_sigma,
+        camera=camera,
+        uncertainty=known,
+        ground=scene.ground,
         moved_s=seconds[moved],
         sight=checked_sight(scene.file.info.get(SIGHT_FIELD), f"{scene.file.name}: info.{SIGHT_FIELD}"),
         begins=begins,
     )
 
 
-def _road_users(job: TrackJob, times: Sequence[float], first_number: int) -> list[RoadUserTrack]:
+def _road_users(job: TrackJob, times: Sequence[float], first_number: int) -> list[Track]:
     """Tracks of people on foot and on two wheels, where it is known where the road is."""
     if job.scene.ground is None:
         return []
     sights = sights_of(job.scene, score=job.score, sigma_px=job.sigma_px)
     eye = job.scene.camera_of(job.scene.file.images[0]).position
-    return [track.under_body(eye) for track in follow_road_users(sights, times, first_number)]
+    return [of_body(track, eye) for track in follow_road_users(sights, times, first_number)]
 
 
-def _write_road_users(job: TrackJob, tracks: list[RoadUserTrack], index: list[int]) -> list[str]:
-    """Write the files of other road users than vehicles, where the scene tells of any; returns the files' names."""
+def _write_road_users(job: TrackJob, tracks: list[Track]) -> list[str]:
+    """Write MOTChallenge files of people and two-wheelers, by category; returns the files' names."""
     written = []
-    if tracks:
-        write_tracks.write_road_users(job.out / "road_users.csv", tracks, index)
-        written.append("road_users.csv")
     for number, category in enumerate(CATEGORIES[1:], start=2):
         own = [track for track in tracks if track.category == category]
         if own:
-            write_tracks.write_mot(job.out / f"mot_{category}.txt", own)
+            write_mot(job.out / f"mot_{category}.txt", own)
             written.append(f"mot_{category}.txt")
         truth = [user for user in job.scene.file.road_users if user.category_id == number]
         if truth:
@@ -207,7 +217,7 @@ def _write_road_users(job: TrackJob, tracks: list[RoadUserTrack], index: list[in
     return written
 
 
-def _road_user_words(job: TrackJob, tracks: list[RoadUserTrack]) -> Iterator[str]:
+def _road_user_words(job: TrackJob, tracks: list[Track]) -> Iterator[str]:
     """Numbers of road users of each category in words, or why there is none."""
     if tracks:
         counts = Counter(track.category for track in tracks)
@@ -268,7 +278,7 @@ def _write_truth(path: Path, scene: Scene, labels: Sequence[Labelled]) -> None:
     for label in labels:
         of_image[label.image_id].append(label)
     rows = [
-        write_tracks.mot_row(frame, a.track_id, a.bbox, "1,1,1")
+        mot_row(frame, a.track_id, a.bbox, "1,1,1")
         for frame, image in enumerate(scene.file.images, start=1)
         for a in of_image[image.id]
         if not a.ignored and a.track_id is not None

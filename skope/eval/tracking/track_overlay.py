@@ -12,10 +12,9 @@ from skope.eval.inference.frame_sources import open_footage
 from skope.eval.tracking import map_signs
 from skope.eval.tracking.birdseye_video import put_text
 from skope.eval.tracking.empty_road import footage_of
-from skope.eval.tracking.pedestrian_and_cycle_tracks import RoadUserTrack
-from skope.eval.tracking.tracks import Track
 from skope.pictures.draw import PALETTE
 from skope.schema import AnnotationFile
+from skope.tracks.track import Track
 from skope.types import Pixels
 
 _LABELLED: Final = 0.05
@@ -25,7 +24,7 @@ _THICK: Final = 2
 
 
 def overlay_frames(
-    tracks: Sequence[Track], folder: Path, file: AnnotationFile, road_users: Sequence[RoadUserTrack] = ()
+    tracks: Sequence[Track], folder: Path, file: AnnotationFile, road_users: Sequence[Track] = ()
 ) -> Iterator[Pixels]:
     """The frames (H, W, 3) that were tracked, with the vehicles and other road users that are seen in them.
 
@@ -42,8 +41,8 @@ def overlay_frames(
     if source is None:
         raise UserError(f"{file.name}: does not say where its footage is, which --overlay draws into")
     place = {image.frame_index if image.frame_index is not None else i: i for i, image in enumerate(file.images)}
-    present: dict[int, list[tuple[Track | RoadUserTrack, int]]] = {}
-    everybody: list[Track | RoadUserTrack] = [*tracks, *road_users]
+    present: dict[int, list[tuple[Track, int]]] = {}
+    everybody: list[Track] = [*tracks, *road_users]
     for track in everybody:
         for i in np.flatnonzero(track.detected).tolist():
             present.setdefault(int(track.frames[i]), []).append((track, i))
@@ -53,7 +52,7 @@ def overlay_frames(
             yield with_tracks_drawn(pixels, present.get(frame, []))
 
 
-def with_tracks_drawn(pixels: Pixels, present: Sequence[tuple[Track | RoadUserTrack, int]]) -> Pixels:
+def with_tracks_drawn(pixels: Pixels, present: Sequence[tuple[Track, int]]) -> Pixels:
     """A copy of a frame (H, W, 3) with the tracks that are seen in it, each with its row there."""
     picture = pixels.copy()
     for track, i in present:
@@ -64,6 +63,5 @@ def with_tracks_drawn(pixels: Pixels, present: Sequence[tuple[Track | RoadUserTr
         if max(w, h) < _LABELLED * picture.shape[1]:
             continue
         number, _, speed = map_signs.label(track, i).partition("  ")
-        kind = track.category if isinstance(track, RoadUserTrack) else track.vehicle_class
-        put_text(picture, "  ".join(filter(None, (f"{number} {kind}", speed))), (round(x), round(y) - 5))
+        put_text(picture, "  ".join(filter(None, (f"{number} {track.class_name}", speed))), (round(x), round(y) - 5))
     return picture

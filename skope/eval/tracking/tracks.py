@@ -1,21 +1,20 @@
-"""A vehicle's track: while it is being followed, frame by frame, and when it is finished and smoothed."""
+"""The tracker's working state of a vehicle: `OpenTrack`, which becomes a smoothed `Track` when it ends."""
 
 import itertools
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields, replace
-from functools import cached_property
-from typing import Any, Final, TypeAlias
+from dataclasses import dataclass, field, fields
+from typing import Final, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from skope.eval.tracking import kalman
-from skope.eval.tracking.ground_track import GroundTrack
 from skope.eval.tracking.headings import smoothed_headings
 from skope.eval.tracking.kalman import State
 from skope.eval.tracking.tracker_inputs import Detection, PoseMeasurement
 from skope.eval.tracking.vehicle_classes import vehicle_class
+from skope.tracks.track import Track
 from skope.types import Array
 
 _BOX_S: Final = 0.5
@@ -24,54 +23,6 @@ _CONFIRMED_POSES: Final = 2
 """A track has at least this many poses."""
 _CONFIRMED_S: Final = 0.4
 """A track lasts at least this long, seconds."""
-
-
-_PER_TRACK: Final = ("number", "kind", "vehicle_class", "class_confidence", "size_lwh", "flags")
-"""Fields of a track that have one value for all its frames."""
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Track(GroundTrack):
-    """A vehicle over M frames: all from its first to its last pose, seen or not, and a moment more by its box.
-
-    Its position is on the ground under the middle of its box; a frame is located where a pose was taken.
-    """
-
-    kind: str
-    """The body type that most poses have."""
-    vehicle_class: str
-    """Of `skope.eval.tracking.vehicle_classes`."""
-    class_confidence: float
-    """Probability that the class is right, 0 to 1."""
-    size_lwh: Array
-    """(3,) median, metres."""
-    acceleration: Array
-    """(M, 2) m/s^2."""
-    heading: Array
-    """(M,) radians, counter-clockwise from world x."""
-    truth_ids: NDArray[np.int64]
-    """(M,) the ground-truth track that the detection is, or matches; -1 where there is none."""
-    flags: tuple[str, ...] = ()
-    """Of `skope.eval.tracking.track_flags`."""
-
-    def during(self, rows: NDArray[np.intp]) -> "Track":
-        """The track in some of its frames, as indices (R,) into them."""
-        columns = [one.name for one in fields(self) if one.name not in _PER_TRACK]
-        values: dict[str, Any] = {name: getattr(self, name)[rows] for name in columns}
-        return replace(self, **values)
-
-    @property
-    def confirmed(self) -> bool:
-        """Whether it has been seen often and long enough to be a vehicle."""
-        times = self.times_s[self.located]
-        return len(times) >= _CONFIRMED_POSES and bool(times[-1] - times[0] >= _CONFIRMED_S)
-
-    @cached_property
-    def along(self) -> Array:
-        """(M,) acceleration in the direction of travel, m/s^2; 0 for a vehicle that stands."""
-        speed = self.speed
-        dot = np.einsum("mi,mi->m", self.acceleration, self.velocity)
-        return np.asarray(np.divide(dot, speed, out=np.zeros_like(speed), where=speed > 0.1))
 
 
 @dataclass(eq=False, slots=True)
@@ -97,8 +48,8 @@ class TrackPart:
     times_s: Array
     states: Array
     """(M, 6) means of the smoothed states, as in `skope.eval.tracking.kalman`."""
-    position_sigmas: Array
-    """(M,) standard deviations of the places in their worst direction, metres."""
+    covariances: Array
+    """(M, 2, 2) of the positions, square metres."""
     speed_sigmas: Array
     """(M,) standard deviations of the speeds, m/s."""
     heights: Array
@@ -226,6 +177,11 @@ class OpenTrack:
         return self.poses >= _CONFIRMED_POSES and bool(times) and bool(times[-1][-1] - times[0][0] >= _CONFIRMED_S)
 
 
+def is_confirmed(times_s: Array) -> bool:
+    """Whether a vehicle with poses at these times (P,) was seen often and long enough to be one."""
+    return len(times_s) >= _CONFIRMED_POSES and bool(times_s[-1] - times_s[0] >= _CONFIRMED_S)
+
+
 def begin(
     frame: int, time_s: float, detection: Detection, pose: PoseMeasurement, approach: Sequence[Sighting] = ()
 ) -> OpenTrack:
@@ -252,19 +208,24 @@ def finished(track: OpenTrack, number: int) -> Track:
     times = columns["times_s"]
     vehicle, confidence = vehicle_class(track.kinds)
     z = np.interp(times, times[located], columns["heights"][located])
+    length, width, height = np.median(columns["sizes"][located], axis=0).tolist()
     return Track(
         number=number,
-        kind=track.kinds.most_common(1)[0][0],
-        vehicle_class=vehicle,
+        body_type=track.kinds.most_common(1)[0][0],
+        class_name=vehicle,
         class_confidence=confidence,
-        size_lwh=np.median(columns["sizes"][located], axis=0),
+        length=length,
+        width=width,
+        height=height,
+        confirmed=is_confirmed(times[located]),
+        detected=np.isfinite(columns["scores"]),
         frames=columns["frames"],
         times_s=times,
         position=np.column_stack([states[:, :2], z]),
         velocity=states[:, 2:4],
         acceleration=states[:, 4:6],
         heading=smoothed_headings(times, columns["headings"], columns["heading_sigmas"], states[:, 2:4]),
-        position_sigma=columns["position_sigmas"],
+        covariance=columns["covariances"],
         speed_sigma=columns["speed_sigmas"],
         located=located,
         boxes=columns["boxes"],
@@ -294,7 +255,7 @@ def _approached(sightings: Sequence[Sighting], first: TrackStep, state: State) -
 
 def _part(steps: Sequence[TrackStep], states: Array, spreads: Array) -> TrackPart:
     count = len(steps)
-    position_sigmas, speed_sigmas = kalman.deviations(states, spreads)
+    covariances, speed_sigmas = kalman.position_and_speed_errors(states, spreads)
     heights, headings, heading_sigmas, scores = np.full((4, count), np.nan)
     sizes, boxes = np.full((count, 3), np.nan), np.full((count, 4), np.nan)
     truth_ids = np.full(count, -1, dtype=np.int64)
@@ -310,7 +271,7 @@ def _part(steps: Sequence[TrackStep], states: Array, spreads: Array) -> TrackPar
         frames=np.array([step.frame for step in steps], dtype=np.intp),
         times_s=np.array([step.time_s for step in steps]),
         states=states,
-        position_sigmas=position_sigmas,
+        covariances=covariances,
         speed_sigmas=speed_sigmas,
         heights=heights,
         headings=headings,

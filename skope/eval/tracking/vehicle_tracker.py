@@ -29,7 +29,8 @@ from skope.eval.tracking.duplicate_tracks import encloses, give_up_duplicates, i
 from skope.eval.tracking.image_motion import whereabouts
 from skope.eval.tracking.kalman import GATE
 from skope.eval.tracking.tracker_inputs import Detection, PoseMeasurement
-from skope.eval.tracking.tracks import OpenTrack, Sighting, Track, begin, finished
+from skope.eval.tracking.tracks import OpenTrack, Sighting, begin, finished
+from skope.tracks.track import Track
 from skope.types import Array
 
 __all__ = ["Track", "follow"]

@@ -13,13 +13,13 @@ from skope.files.atomic import replacing
 from skope.files.json_files import json_bytes
 from skope.site.gates_zones_lanes import Outline
 from skope.site.on_earth import on_earth
+from skope.tracks.track import KMH, Track
 from skope.traffic.count_uncertainty import in_json
 from skope.traffic.gates import direction_names, may_count
 from skope.traffic.length_bins import has_length, length_bin, length_sigma_m
 from skope.traffic.otc_classes import OTC_CLASSES
 from skope.traffic.report_tables import clock, thinned
 from skope.traffic.traffic_report import TrafficReport
-from skope.traffic.trajectories import KMH, Trajectory
 from skope.types import Array
 
 GEOJSON_FILE: Final = "traffic.geojson"
@@ -58,7 +58,7 @@ def _features(report: TrafficReport) -> Iterator[dict[str, Any]]:
     for one in report.trajectories:
         rows = thinned(one, site.traffic.trajectory_interval_s)
         if may_count(one, site.traffic) and len(rows) >= _LEAST_POINTS:
-            yield _feature(report, "LineString", one.place[rows], _of_track(report, one, rows))
+            yield _feature(report, "LineString", one.xy[rows], _of_track(report, one, rows))
     for conflict in report.conflicts.conflicts:
         yield _feature(
             report,
@@ -93,7 +93,7 @@ def _totals(report: TrafficReport, gate: str) -> dict[str, Any]:
     return {"counts": totals, "from_left_to_right": direction_names(mark)[0]}
 
 
-def _of_track(report: TrafficReport, one: Trajectory, rows: Sequence[int]) -> dict[str, Any]:
+def _of_track(report: TrafficReport, one: Track, rows: Sequence[int]) -> dict[str, Any]:
     return {
         "kind": "track",
         "track": one.number,
@@ -108,7 +108,7 @@ def _of_track(report: TrafficReport, one: Trajectory, rows: Sequence[int]) -> di
     }
 
 
-def _length(report: TrafficReport, one: Trajectory) -> dict[str, Any]:
+def _length(report: TrafficReport, one: Track) -> dict[str, Any]:
     """Length, its standard deviation, bin and probability of a vehicle; nothing of others, who have none."""
     if not has_length(one):
         return {}

@@ -13,10 +13,10 @@ import numpy as np
 
 from skope.files.atomic import replacing
 from skope.files.json_files import json_bytes
+from skope.tracks.track import KMH, Track, worst_sigma
 from skope.traffic.gates import may_count
 from skope.traffic.report_tables import clock
 from skope.traffic.traffic_report import TrafficReport
-from skope.traffic.trajectories import KMH, Trajectory, worst_sigma
 from skope.version import __version__
 
 OPENLABEL_FILE: Final = "traffic.json"
@@ -34,7 +34,7 @@ def write_openlabel(folder: Path, report: TrafficReport) -> list[Path]:
     chosen = [one for one in report.trajectories if may_count(one, report.site.traffic)]
     times = report.observation.times_s
     spans = {one.number: np.searchsorted(times, [one.times_s[0] - 1e-6, one.times_s[-1] + 1e-6]) for one in chosen}
-    begun: dict[int, list[Trajectory]] = {}
+    begun: dict[int, list[Track]] = {}
     for one in chosen:
         begun.setdefault(int(spans[one.number][0]), []).append(one)
     path = folder / OPENLABEL_FILE
@@ -45,7 +45,7 @@ def write_openlabel(folder: Path, report: TrafficReport) -> list[Path]:
         if len(times):
             file.write(b',\n"frame_intervals":' + json_bytes([_interval(0, len(times))]).strip())
         file.write(b',\n"frames":{')
-        live: list[Trajectory] = []
+        live: list[Track] = []
         for frame, time_s in enumerate(times.tolist()):
             live = [one for one in (*live, *begun.get(frame, ())) if spans[one.number][1] > frame]
             file.write(b",\n" if frame else b"\n")
@@ -68,7 +68,7 @@ def _interval(begin: int, end: int) -> dict[str, int]:
     return {"frame_start": begin, "frame_end": end - 1}
 
 
-def _objects(chosen: Sequence[Trajectory], spans: Mapping[int, Any]) -> dict[str, Any]:
+def _objects(chosen: Sequence[Track], spans: Mapping[int, Any]) -> dict[str, Any]:
     """Everyone with a frame, by number."""
     objects = {}
     for one in chosen:
@@ -83,7 +83,7 @@ def _objects(chosen: Sequence[Trajectory], spans: Mapping[int, Any]) -> dict[str
     return objects
 
 
-def _frame(report: TrafficReport, live: Sequence[Trajectory], time_s: float) -> dict[str, Any]:
+def _frame(report: TrafficReport, live: Sequence[Track], time_s: float) -> dict[str, Any]:
     moment = clock(report, time_s)
     timestamp = f"{time_s:.3f}" if moment is None else moment.isoformat(timespec="milliseconds")
     frame: dict[str, Any] = {"frame_properties": {"timestamp": timestamp}}
@@ -92,14 +92,14 @@ def _frame(report: TrafficReport, live: Sequence[Trajectory], time_s: float) -> 
     return frame
 
 
-def _cuboid(one: Trajectory, time_s: float) -> dict[str, Any]:
-    x, y = one.at(one.place, time_s).tolist()
+def _cuboid(one: Track, time_s: float) -> dict[str, Any]:
+    x, y = one.at(one.xy, time_s).tolist()
     ahead = one.at(one.facing, time_s)
     heading = math.atan2(ahead[1], ahead[0])
     length, width = one.size
     height = one.height or _HEIGHTS_M.get(one.category, _VEHICLE_M)
     values = (x, y, height / 2, 0.0, 0.0, math.sin(heading / 2), math.cos(heading / 2), length, width, height)
-    sigma = float(worst_sigma(one.at(one.covariance, time_s)))
+    sigma = float(worst_sigma(one.at(one.total_covariance, time_s)))
     speed, speed_sigma = (float(one.at(column, time_s)) * KMH for column in (one.speed, one.speed_sigma))
     numbers = {"speed_kmh": speed, "speed_sigma_kmh": speed_sigma, "sigma_position_m": sigma}
     measured = bool(one.length and one.width and one.height)

@@ -20,11 +20,11 @@ import numpy as np
 from skope.camera.model import Camera
 from skope.files.atomic import replacing, write_text
 from skope.files.json_files import json_bytes
+from skope.tracks.track import Track
 from skope.traffic.exports.otanalytics_view import OtView, image_view, pixel_view, plan_view
 from skope.traffic.gates import may_count
 from skope.traffic.otc_classes import OTC_CLASSES
 from skope.traffic.traffic_report import TrafficReport
-from skope.traffic.trajectories import Trajectory
 from skope.version import __version__
 
 _MOST_DETECTIONS: Final = 12_000
@@ -66,7 +66,7 @@ def write_otanalytics(folder: Path, report: TrafficReport, camera: Camera | None
     return written
 
 
-def _write_tracks(path: Path, report: TrafficReport, tracks: Sequence[Trajectory], view: OtView) -> None:
+def _write_tracks(path: Path, report: TrafficReport, tracks: Sequence[Track], view: OtView) -> None:
     """One detection after the other: of some hours there are millions."""
     head = json_bytes(_metadata(report, view))
     with replacing(path) as temporary, bz2.open(temporary, "wb") as file:
@@ -112,13 +112,13 @@ def _metadata(report: TrafficReport, view: OtView) -> dict[str, Any]:
     }
 
 
-def _detections(track: Trajectory, report: TrafficReport, view: OtView) -> Iterator[dict[str, Any]]:
+def _detections(track: Track, report: TrafficReport, view: OtView) -> Iterator[dict[str, Any]]:
     """The moments of a track at which it is in the view's picture."""
-    places = view.pixels(track.place)
+    places = view.pixels(track.xy)
     rows = np.flatnonzero(view.inside(places))
     rows = rows[:: math.ceil(len(rows) / _MOST_DETECTIONS) or 1].tolist()
     frames = 1 + _nearest(report.observation.times_s, track.times_s)
-    geo = None if view.geo is None else np.round(view.geo(track.place), _COORDINATE_DIGITS).tolist()
+    geo = None if view.geo is None else np.round(view.geo(track.xy), _COORDINATE_DIGITS).tolist()
     pixels = np.round(places, _COORDINATE_DIGITS).tolist()
     start = _epoch(report)
     for row in rows:

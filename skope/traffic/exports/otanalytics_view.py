@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from skope.camera.model import Camera
 from skope.site.gates_zones_lanes import Gate, Outline
-from skope.traffic.trajectories import Trajectory
+from skope.tracks.track import Track
 from skope.types import Array
 
 if TYPE_CHECKING:
@@ -80,9 +80,9 @@ def pixel_view(gates: Sequence[Gate]) -> OtView:
     )
 
 
-def plan_view(site: "SiteParts", gates: Sequence[Gate], trajectories: Sequence[Trajectory]) -> OtView:
+def plan_view(site: "SiteParts", gates: Sequence[Gate], trajectories: Sequence[Track]) -> OtView:
     """The road from above: a picture, nowhere drawn, that holds all gates and trajectories, ten pixels to a metre."""
-    places = [np.array(gate.line) for gate in gates] + [one.place for one in trajectories]
+    places = [np.array(gate.line) for gate in gates] + [one.xy for one in trajectories]
     shift, crs = _map_of(site)
     everywhere = np.concatenate([*places, np.zeros((0, 2))]) + shift
     low, high = (everywhere.min(axis=0), everywhere.max(axis=0)) if len(everywhere) else (shift, shift)

@@ -14,11 +14,11 @@ import numpy as np
 
 from skope.errors import UserError
 from skope.files.atomic import write_text
+from skope.tracks.track import KMH
 from skope.traffic.counting_intervals import ClockInterval
 from skope.traffic.gate_counts import observed_word
 from skope.traffic.gates import GateCrossing, direction_names
 from skope.traffic.traffic_report import TrafficReport
-from skope.traffic.trajectories import KMH
 
 if TYPE_CHECKING:
     from skope.site.site_file import SiteParts

@@ -13,6 +13,7 @@ from skope.files.atomic import write_text
 from skope.page import html_document
 from skope.page.html_pieces import details, table, tag
 from skope.schema import VEHICLE
+from skope.tracks.track import KMH
 from skope.traffic.count_uncertainty import in_words
 from skope.traffic.gate_counts import ALL, Count
 from skope.traffic.length_bins import LONGEST_M, UNTOLD
@@ -26,7 +27,6 @@ from skope.traffic.road_picture import RoadPicture
 from skope.traffic.speed_percentiles import PERCENTILES, Percentile
 from skope.traffic.speeds import MOTOR
 from skope.traffic.traffic_report import TrafficReport
-from skope.traffic.trajectories import KMH
 from skope.traffic.turning_movements import TurningCount
 from skope.version import __version__
 

@@ -7,11 +7,11 @@ from typing import Final
 import numpy as np
 
 from skope.page.charts import Axes, Line, chart, histogram
+from skope.tracks.track import KMH
 from skope.traffic.gate_counts import ALL
 from skope.traffic.gates import direction_names
 from skope.traffic.speeds import MOTOR_CLASSES
 from skope.traffic.traffic_report import TrafficReport
-from skope.traffic.trajectories import KMH
 
 _SPEED_KMH: Final = 5.0
 _HEADWAY_S: Final = 1.0

@@ -11,13 +11,13 @@ import numpy as np
 from skope.page.html_pieces import tag
 from skope.schema import PEDESTRIAN, VEHICLE
 from skope.site.gates_zones_lanes import Outline
+from skope.tracks.track import Track
 from skope.traffic.count_uncertainty import in_words
 from skope.traffic.gate_counts import ALL
 from skope.traffic.gates import may_count
 from skope.traffic.report_tables import thinned
 from skope.traffic.road_picture import RoadPicture
 from skope.traffic.traffic_report import TrafficReport
-from skope.traffic.trajectories import Trajectory
 from skope.types import Array
 
 _WIDTH: Final = 1100.0
@@ -85,12 +85,12 @@ def road_map(report: TrafficReport, road: RoadPicture | None) -> str:
     return tag("figure", tag("figcaption", told), drawing, tag("ul", *keys, class_="legend"), class_="wide")
 
 
-def _outline(tracks: Sequence[Trajectory], lines: Sequence[Outline]) -> Array:
+def _outline(tracks: Sequence[Track], lines: Sequence[Outline]) -> Array:
     """(M, 2) the places that the map has to hold: of gates all, of tracks nearly all, not far from the gates."""
     ends = np.array([end for line in lines for end in line], dtype=np.float64).reshape(-1, 2)
     if not tracks:
         return ends
-    every = np.concatenate([one.place for one in tracks])
+    every = np.concatenate([one.xy for one in tracks])
     corners = np.percentile(every, [_OUTERMOST, 100 - _OUTERMOST], axis=0)
     if not len(ends):
         return np.asarray(corners)
@@ -119,11 +119,11 @@ def _marks(report: TrafficReport, frame: _Frame) -> Iterator[str]:
         yield tag("path", d=frame.path(lane.line), class_="lane", data_tip=f"lane {lane.name}")
 
 
-def _tracks(tracks: Sequence[Trajectory], frame: _Frame) -> Iterator[str]:
+def _tracks(tracks: Sequence[Track], frame: _Frame) -> Iterator[str]:
     faint = max(0.15, min(0.8, 40 / max(1, len(tracks))))
     for one in tracks:
         kind = 0 if one.category == VEHICLE else 2 if one.category == PEDESTRIAN else 1
-        path = frame.path(one.place[thinned(one, _STEP_S)])
+        path = frame.path(one.xy[thinned(one, _STEP_S)])
         tip = f"{one.class_name} {one.number}"
         yield tag("path", d=path, class_=f"track road-{kind}", stroke_opacity=f"{faint:.2f}", data_tip=tip)
 

@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 import sumolib
 
+from skope.camera.ground_plane import Ground
 from skope.camera.model import Camera
 from skope.camera.uncertain_camera import UncertainCamera
 from skope.dataset import coco
@@ -30,7 +31,6 @@ from skope.eval.inference import stream
 from skope.eval.inference.anonymize import blurred
 from skope.eval.inference.frame_sources import Cut, open_footage
 from skope.eval.pose import pose_errors, pose_footage
-from skope.eval.pose.ground import Ground
 from skope.eval.pose.keypoint_views import Scene, read_scene
 from skope.eval.pose.shape_model import fleet_shapes
 from skope.files.json_files import write_json

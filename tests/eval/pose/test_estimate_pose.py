@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from skope import keypoints
+from skope.camera.ground_plane import Ground
 from skope.camera.model import Camera, Distortion
 from skope.errors import UserError
 from skope.eval.pose import estimate_pose
-from skope.eval.pose.ground import Ground
 from skope.eval.pose.keypoint_views import Scene
 from skope.eval.pose.pose_records import locate_view
 from skope.eval.pose.self_occlusion import facing

@@ -11,16 +11,16 @@ import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from skope.camera.ground_plane import Ground
 from skope.camera.model import Camera
 from skope.dataset import coco
 from skope.dataset.folder import read_image
-from skope.eval.pose.ground import Ground
 from skope.eval.tracking import birdseye, birdseye_video, map_signs
 from skope.eval.tracking.empty_road import empty_road, median_of
 from skope.eval.tracking.ground_view import GroundView
-from skope.eval.tracking.tracks import Track
 from skope.pictures.video import write_video
 from skope.schema import AnnotationFile
+from skope.tracks.track import Track
 from tests.eval.sightings import drive
 from tests.samples import make_image
 
@@ -35,17 +35,19 @@ def track(number: int, places: Any, *, size: tuple[float, float, float] = (4.5, 
     count = len(xy)
     return Track(
         number=number,
-        kind="car",
-        vehicle_class="car",
+        body_type="car",
+        class_name="car",
         class_confidence=0.9,
-        size_lwh=np.array(size),
+        length=size[0],
+        width=size[1],
+        height=size[2],
         frames=np.arange(count),
         times_s=np.arange(count) / 10,
         position=np.column_stack([xy, np.zeros(count)]),
         velocity=velocity,
         acceleration=np.zeros((count, 2)),
         heading=np.arctan2(velocity[:, 1], velocity[:, 0]),
-        position_sigma=np.full(count, 0.1),
+        covariance=np.tile(0.01 * np.eye(2), (count, 1, 1)),
         speed_sigma=np.full(count, 0.2),
         located=np.ones(count, dtype=bool),
         boxes=np.full((count, 4), np.nan),
@@ -135,13 +137,13 @@ def test_any_number_of_tracks_makes_a_picture(tmp_path: Path, count: int) -> Non
 
 def test_the_map_is_of_what_is_known_well() -> None:
     near, far = track(1, [[10.0, 0.0], [20.0, 0.0]]), track(2, [[20.0, 5.0], [500.0, 5.0]])
-    far = replace(far, position_sigma=np.array([0.5, 30.0]))
+    far = replace(far, covariance=np.array([0.5**2, 900.0])[:, None, None] * np.eye(2))
     low, high = birdseye.extent([near, far], CAMERA.position[:2])
     assert high[0] < 100
     for x, y in ([3, -2], [10, 0], [20, 5]):
         assert low[0] < x < high[0]
         assert low[1] < y < high[1]
-    _, all_far = birdseye.extent([replace(far, position_sigma=np.full(2, 30.0))], CAMERA.position[:2])
+    _, all_far = birdseye.extent([replace(far, covariance=np.tile(900.0 * np.eye(2), (2, 1, 1)))], CAMERA.position[:2])
     assert all_far[0] > 500
 
 

@@ -13,13 +13,14 @@ import pytest
 import sumolib
 
 from skope import schema
+from skope.camera.ground_plane import Ground
 from skope.camera.model import Camera
 from skope.dataset import coco
-from skope.eval.pose.ground import Ground
 from skope.eval.pose.keypoint_views import read_scene
 from skope.eval.tracking.ground_points import GroundPoint, Sight, ground_points, sights_of
-from skope.eval.tracking.pedestrian_and_cycle_tracks import RoadUserTrack, follow_road_users
+from skope.eval.tracking.pedestrian_and_cycle_tracks import follow_road_users, of_body
 from skope.schema import AnnotationFile, RoadUserResult
+from skope.tracks.track import Track
 from tests.eval.conftest import files_of
 from tests.eval.sightings import CAMERA, drive
 from tests.samples import make_road_user
@@ -137,22 +138,24 @@ def test_sigmas_are_as_large_as_errors() -> None:
     assert np.sqrt(np.mean(np.square(errors)) / 2) == pytest.approx(np.sqrt(np.mean(np.square(sigmas))), rel=0.35)
 
 
-def test_what_all_places_of_a_track_share_is_in_their_sigmas() -> None:
-    """0.1 m of height for who walks and 0.06 m for who rides, 20 m away from a camera 5 m high."""
+def test_the_height_of_a_road_user_is_one_error_of_its_whole_track() -> None:
+    """0.1 m of height for pedestrians and 0.06 m for cyclists, seen from 5 m over (0, 0): along the line of sight."""
     times = np.arange(0, 4, 0.1).tolist()
     both = [(PEDESTRIAN, straight(20, 0, 0, 0)), (BICYCLE, straight(20, 9, 0, 0))]
     for track in follow_road_users(walked(both, times), times):
-        sure = track.under_body(np.array([0.0, 0.0, 5.0])).position_sigma
-        away = 20 if track.category == "pedestrian" else math.hypot(20, 9)
-        shared = (0.1 if track.category == "pedestrian" else 0.06) * away / 5
-        assert sure == pytest.approx(np.hypot(track.position_sigma, shared), rel=0.02)
+        body = of_body(track, np.array([0.0, 0.0, 5.0]))
+        height_sigma_m = 0.1 if track.category == "pedestrian" else 0.06
+        # A cyclist's body is up to half a wheelbase behind the foot of its box.
+        slack = 1e-6 if track.category == "pedestrian" else height_sigma_m * 0.7 / 5
+        assert body.body_error == pytest.approx(track.xy * height_sigma_m / 5, abs=slack)
+        assert np.array_equal(body.covariance, track.covariance)
 
 
 @pytest.mark.parametrize(("velocity", "shift"), [((5.0, 0.0), 0.6), ((0.0, 5.0), 0.0), ((-5.0, 0.0), 0.6)])
 def test_a_two_wheeler_is_half_a_wheelbase_behind_its_nearer_wheel(velocity: tuple[float, float], shift: float) -> None:
     times = np.arange(0, 1, 0.1).tolist()
     (track,) = follow_road_users(walked([(MOTORCYCLE, straight(200, 0, *velocity))], times), times)
-    moved = track.under_body(np.array([0.0, 0.0, 8.0])).position - track.position
+    moved = of_body(track, np.array([0.0, 0.0, 8.0])).position - track.position
     known = np.isfinite(track.heading)
     assert known.sum() > 3
     assert moved[known, 0] == pytest.approx(shift, abs=0.1), "headings are known to 0.1"
@@ -290,11 +293,13 @@ def test_labels_are_followed_beside_vehicles_whose_files_stay_what_they_are(skop
     plain = ("--annotations", "plain/road.json", "--noise", 1, "--out", "plain/t", "-q")
     assert skope("eval", "track", *plain)[0] == 0
     ours, theirs = files_of(Path("t")), files_of(Path("plain/t"))
-    for name in ("tracks.csv", "mot.txt", "mot_truth.txt"):
+    for name in ("mot.txt", "mot_truth.txt"):
         assert ours[name] == theirs[name]
-    assert not any("road_users" in name or "pedestrian" in name for name in theirs)
-    rows = rows_of(Path("t/road_users.csv"))
-    vehicles = {row["track"] for row in rows_of(Path("t/tracks.csv"))}
+    assert ours["tracks.csv"].startswith(theirs["tracks.csv"])
+    assert not any("pedestrian" in name for name in theirs)
+    rows = rows_of(Path("t/tracks.csv"))
+    vehicles = {row["track"] for row in rows if row["category"] == "vehicle"}
+    rows = [row for row in rows if row["category"] != "vehicle"]
     assert {row["category"] for row in rows} == {"bicycle", "pedestrian"}
     assert vehicles.isdisjoint(row["track"] for row in rows)
     for category, walk in (("pedestrian", straight(14, -4, 0.2, 1.4)), ("bicycle", straight(18, 3, 0, -4.0))):
@@ -337,11 +342,12 @@ def test_results_of_other_road_users_are_followed(skope: Any) -> None:
     code, said, error = skope("eval", "track", *call, "--out", "t", "-q")
     assert code == 0, error
     assert "besides: 1 pedestrian" in said
-    rows = rows_of(Path("t/road_users.csv"))
+    rows = rows_of(Path("t/tracks.csv"))
     assert {row["category"] for row in rows} == {"pedestrian"}
     assert {row["detected"] for row in rows} == {"1"}
     assert sum(row["located"] == "1" for row in rows) == 6
-    assert all(0.05 < float(row["sigma_position"]) < 2 for row in rows)
+    assert all(0.05**2 < float(row["sigma_xx"]) < 4 for row in rows)
+    assert {row["length"] for row in rows} == {""}
     code, said, _ = skope("eval", "track", *call, "--ground", "none", "--out", "u", "-q")
     assert code == 0
     assert "bicycle, motorcycle, pedestrian: no tracks, which need to know where the road is" in said
@@ -404,7 +410,7 @@ def test_pictures_with_others_in_them_differ(tmp_path: Path) -> None:
 
     times = np.arange(0, 2, 0.1).tolist()
     people = [(PEDESTRIAN, lambda t: tuple(on_road(12 + t, 1)))]
-    tracks: list[RoadUserTrack] = follow_road_users(walked(people, times), times)
+    tracks: list[Track] = follow_road_users(walked(people, times), times)
     pictures = []
     for shown in (tracks, []):
         path = tmp_path / f"{len(shown)}.png"

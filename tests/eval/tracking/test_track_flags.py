@@ -8,10 +8,11 @@ import pytest
 
 from skope.camera.model import Camera
 from skope.camera.uncertain_camera import UncertainCamera
+from skope.eval.tracking.track_errors import with_camera_error
 from skope.eval.tracking.track_flags import flagged
-from skope.eval.tracking.tracks import Track
 from skope.eval.tracking.vehicle_classes import VEHICLE_CLASS_NAMES, vehicle_class
 from skope.schema import VEHICLE_TYPES
+from skope.tracks.track import Track
 
 
 def track(number: int, xy: Any, *, seconds: float = 6.0, poses: int | None = None) -> Track:
@@ -26,17 +27,19 @@ def track(number: int, xy: Any, *, seconds: float = 6.0, poses: int | None = Non
         located[np.linspace(0, count - 1, poses).astype(int)] = True
     return Track(
         number=number,
-        kind="suv",
-        vehicle_class="car",
+        body_type="suv",
+        class_name="car",
         class_confidence=0.9,
-        size_lwh=np.array([4.5, 1.8, 1.6]),
+        length=4.5,
+        width=1.8,
+        height=1.6,
         frames=np.arange(count),
         times_s=times,
         position=np.column_stack([places, np.zeros(count)]),
         velocity=velocity,
         acceleration=np.gradient(velocity, times, axis=0),
         heading=np.arctan2(velocity[:, 1], velocity[:, 0]),
-        position_sigma=np.full(count, 0.1),
+        covariance=np.tile(0.01 * np.eye(2), (count, 1, 1)),
         speed_sigma=np.full(count, 0.2),
         located=located,
         boxes=np.zeros((count, 4)),
@@ -127,9 +130,9 @@ def test_who_drives_against_the_traffic_is_as_looking_at_all_pairs_says() -> Non
 
 def test_the_cameras_error_widens_what_a_track_says() -> None:
     """All distances from the camera's foot off by 5%, as where its height is."""
-    one = track(1, along(0, 12))
+    one = track(1, along(0, 12, count=40))
     camera = Camera.looking([-10.0, 0.0, 8.0], yaw=0.0, pitch_down=0.3)
-    wide = one.under(UncertainCamera.of_distances(camera, 0.05))
+    wide = with_camera_error(one, UncertainCamera.of_distances(camera, 0.05))
     assert wide.speed_sigma == pytest.approx(np.hypot(0.2, 0.05 * one.speed))
     away = np.linalg.norm(one.position[:, :2] - [-10, 0], axis=1)
     assert wide.position_sigma == pytest.approx(np.hypot(0.1, 0.05 * away))

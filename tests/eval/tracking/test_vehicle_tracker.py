@@ -324,8 +324,8 @@ def test_boxes_without_a_pose_are_a_vehicles_for_half_a_second_before_and_after(
 
 def test_variances_that_rounding_took_below_zero_are_zero() -> None:
     means = np.array([[0.0, 0, 3, 4, 0, 0], [0.0, 0, 0, 0, 0, 0]])
-    place, speed = kalman.deviations(means, np.stack([-1e-18 * np.eye(6)] * 2))
-    assert place.tolist() == [0, 0]
+    position, speed = kalman.position_and_speed_errors(means, np.stack([-1e-18 * np.eye(6)] * 2))
+    assert not position.any()
     assert speed.tolist() == [0, 0]
 
 

@@ -1,0 +1,1 @@
+"""Road users over time: the type that everything shares, and its file."""
