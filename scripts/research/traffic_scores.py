@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from skope.traffic.read_track_folder import read_trajectories
 from traffic_evidence import LABELS, SEEN, Clip, evidence_of, owners_of, paired, reported
 from traffic_gates import SITE
 from traffic_tables import VISIBLE, middle_of, print_tables
@@ -28,6 +27,7 @@ from skope.errors import UserError
 from skope.files.json_files import read_json
 from skope.schema import VEHICLE
 from skope.site.site_file import read_site
+from skope.tracks.csv_file import TRACKS_CSV, read_tracks
 from skope.tracks.track import KMH
 from skope.traffic.conflicts import conflicts
 from skope.traffic.count_uncertainty import CountInterval
@@ -51,7 +51,7 @@ def clip_of(folder: Path, *, true_keypoints: bool, clip: Mapping[str, Any]) -> C
     reported(folder, out, true_keypoints)
     site, truth, file = read_site(folder / SITE), read_truth(folder), coco.read(folder / LABELS)
     observation = read_observation(out / "tracks")
-    told = measure(read_trajectories(out / "tracks", observation), observation, site)
+    told = measure(read_tracks(out / "tracks" / TRACKS_CSV), observation, site)
     owners = owners_of(out / "tracks", file)
     found = None if true_keypoints else folder / SEEN / PREDICTIONS
     return Clip(

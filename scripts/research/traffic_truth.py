@@ -123,7 +123,7 @@ def _trajectory(row: Sequence[str], times: Array, frame: Array, state: Array) ->
         class_name=str(kind),
         class_confidence=1.0,
         times_s=times[frame],
-        place=state[:, :2],
+        position=np.column_stack([state[:, :2], np.zeros(n)]),
         velocity=state[:, 3:5],
         heading=state[:, 2],
         covariance=np.zeros((n, 2, 2)),
