@@ -30,6 +30,7 @@ from skope.files.progress import Progress
 from skope.pictures.video import write_video
 from skope.schema import CATEGORIES, Labelled
 from skope.terminal.console import Console, counted
+from skope.traffic.empty_road_picture import empty_road_picture, write_empty_road_picture
 from skope.traffic.observation import FOOTAGE, Observation, checked_sight, read_begins
 from skope.traffic.road_picture import write_road_picture
 
@@ -83,6 +84,8 @@ def follow_footage(job: TrackJob, console: Console) -> Iterator[str]:
         written += write_road_picture(
             job.out, birdseye.road_picture([*tracks, *road_users], camera, scene.ground, road)
         )
+    if road is not None and (picture := empty_road_picture(road, times)) is not None:
+        written += write_empty_road_picture(job.out, picture)
     if scene.file.annotations:
         _write_truth(job.out / "mot_truth.txt", scene, scene.file.annotations)
         written.append("mot_truth.txt")
