@@ -80,7 +80,7 @@ def _why_not_counted(crossing: GateCrossing, gate: Gate) -> str:
     reasons = [
         f"probability {crossing.probability:.2f}, below 0.5"
         if inside
-        else f"beside the end of the gate (probability {crossing.probability:.2f})",
+        else f"passes beside the end of the gate (probability {crossing.probability:.2f})",
         *(text for word, text in _IN_DOUBT.items() if word in crossing.doubt.split()),
     ]
     return "; ".join(reasons)

@@ -108,10 +108,19 @@ def _gate(
     yield tag("path", d=path, class_="gate under")
     yield tag("path", d=path, class_="gate", data_tip=tip)
     if gate["arrow"] is not None:
-        begin, end = np.array(gate["arrow"])
-        forward = (end - begin) / max(1e-9, float(np.linalg.norm(end - begin)))
+        forward = _forward(line, np.array(gate["arrow"]))
         for row, share, sign in zip(rows, _AT, (1.0, -1.0), strict=False):
             yield from _arrow(line[0] + share * (line[-1] - line[0]), sign * forward, row, letters, size)
+
+
+def _forward(line: Array, arrow: Array) -> Array:
+    """(2,) unit vector across a gate's line in the image, to the side that its first direction goes to.
+
+    The road's own normal may lie along the line in the image, where the camera looks along the road from low above.
+    """
+    along = line[-1] - line[0]
+    across = np.array([-along[1], along[0]]) / max(1e-9, float(np.linalg.norm(along)))
+    return np.asarray(across if across @ (arrow[1] - arrow[0]) > 0 else -across)
 
 
 def _name(gate: dict[str, Any], scale: float, size: Array) -> str:

@@ -117,13 +117,11 @@ def traffic_page(
 def _what(report: TrafficReport) -> str:
     """Sentence on the number of road users, and on the time that was observed."""
     spans = report.observation.spans
-    told = (
-        f"{len(report.trajectories)} road users in {report.observation.observed_s / 60:.1f} minutes that were observed"
-    )
+    told = f"{len(report.trajectories)} road users in {report.observation.observed_s / 60:.1f} minutes of observation"
     begin = clock(report, float(spans[0, 0])) if len(spans) else None
     end = clock(report, float(spans[-1, 1])) if len(spans) else None
     if begin is None or end is None:
-        return f"{told}. Nothing says when that was."
+        return f"{told}. The time of day is not known."
     zone = f", {report.site.time_zone}" if report.site.time_zone else ""
     return f"{told}, from {begin:%Y-%m-%d %H:%M:%S} to {end:%Y-%m-%d %H:%M:%S}{zone}."
 
