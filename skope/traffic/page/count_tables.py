@@ -12,7 +12,7 @@ from skope.traffic.count_uncertainty import in_words
 from skope.traffic.counting_intervals import ClockInterval
 from skope.traffic.gate_counts import ALL, Count, interval_counts
 from skope.traffic.measure import whole_footage
-from skope.traffic.peak_hour import peak_hours, why_no_factor, why_no_peak_hour
+from skope.traffic.peak_hour import PeakHour, peak_hours, why_no_factor, why_no_peak_hour
 from skope.traffic.traffic_report import TrafficReport
 
 GateDirection = tuple[str, str]
@@ -40,10 +40,15 @@ def with_interval(row: Count) -> str:
 
 def interval_label(report: TrafficReport, interval: ClockInterval) -> str:
     """Begin of an interval, plain text without breaks: the time, with the day if there are several, or minutes."""
-    days = {one.begin.date() for one in report.intervals if one.begin}
-    pattern = "%a %d %b %H:%M" if len(days) > 1 else "%H:%M"
-    begin = f"{interval.begin_s / 60:.0f} min" if interval.begin is None else interval.begin.strftime(pattern)
-    return begin.replace(" ", "\u00a0")
+    return _time(report, interval.begin, interval.begin_s)
+
+
+def _time(report: TrafficReport, moment: datetime | None, seconds: float) -> str:
+    if moment is None:
+        return f"{seconds / 60:.0f}\u00a0min"
+    first, last = report.intervals[0].begin, report.intervals[-1].begin
+    several_days = first is not None and last is not None and first.date() != last.date()
+    return moment.strftime("%a %d %b %H:%M" if several_days else "%H:%M").replace(" ", "\u00a0")
 
 
 def titled_table(title: str, head: Sequence[str], rows: Sequence[Sequence[str]], *, foot: Sequence[str] = ()) -> str:
@@ -180,6 +185,14 @@ def all_by_interval(report: TrafficReport) -> str:
     return shown if len(rows) <= _MAX_OPEN_ROWS else details("Counts of all by interval", shown)
 
 
+def _hour(report: TrafficReport, hour: PeakHour) -> str:
+    """Begin and end of a peak hour; a dash if nothing was counted."""
+    if not hour.volume:
+        return "–"
+    end = f"{hour.end_s / 60:.0f}\u00a0min" if hour.end is None else f"{hour.end:%H:%M}"
+    return f"{_time(report, hour.begin, hour.begin_s)} to {end}"
+
+
 def peak_hour_table(report: TrafficReport) -> list[str]:
     """The peak hour and its factor for the site and each gate direction, or the reason why there is none."""
     if not report.gates:
@@ -190,7 +203,7 @@ def peak_hour_table(report: TrafficReport) -> list[str]:
     rows = [
         [
             escape(side_name((hour.gate, hour.direction))) if hour.gate else "whole site",
-            f"{_time(hour.begin, hour.begin_s)} to {_time(hour.end, hour.end_s)}" if hour.volume else "–",
+            _hour(report, hour),
             str(hour.volume),
             "–" if hour.highest_15_minutes is None else str(hour.highest_15_minutes),
             "–" if hour.factor is None else f"{hour.factor:.2f}",
@@ -209,8 +222,3 @@ def peak_hour_table(report: TrafficReport) -> list[str]:
         table(head, rows, caption=f"Peak hour of {vehicles}"),
         tag("p", escape(notes + why)),
     ]
-
-
-def _time(moment: datetime | None, seconds: float) -> str:
-    text = f"{seconds / 60:.0f} min" if moment is None else f"{moment:%H:%M}"
-    return text.replace(" ", "\u00a0")

@@ -41,6 +41,8 @@ from skope.version import __version__
 
 REPORT_FILE: Final = "report.html"
 _CONFLICTS: Final = 20
+_HOURS_FROM_MINUTES: Final = 120
+"""Longer observations are given in hours."""
 _MAX_LEFT_OUT: Final = 30
 """Maximum number of rows in a table of crossings that are not counted."""
 
@@ -117,7 +119,9 @@ def traffic_page(
 def _what(report: TrafficReport) -> str:
     """Sentence on the number of road users, and on the time that was observed."""
     spans = report.observation.spans
-    told = f"{len(report.trajectories)} road users in {report.observation.observed_s / 60:.1f} minutes of observation"
+    minutes = report.observation.observed_s / 60
+    duration = f"{minutes:.1f} minutes" if minutes < _HOURS_FROM_MINUTES else f"{minutes / 60:.1f} hours"
+    told = f"{len(report.trajectories)} road users in {duration} of observation"
     begin = clock(report, float(spans[0, 0])) if len(spans) else None
     end = clock(report, float(spans[-1, 1])) if len(spans) else None
     if begin is None or end is None:
