@@ -10,7 +10,6 @@ from typing import Final
 
 from skope.files.atomic import write_bytes
 from skope.files.json_files import read_json, write_json
-from skope.page.image_viewer import encoded_jpeg
 from skope.types import Array, Pixels
 
 PICTURE: Final = "empty_road.jpg"
@@ -41,6 +40,8 @@ def empty_road_picture(road: Pixels, times_s: Sequence[float] | Array) -> EmptyR
     Returns:
         The picture. None if the footage is too short for the median to show no road users.
     """
+    from skope.page.image_viewer import encoded_jpeg
+
     if len(times_s) < _MIN_FRAMES or times_s[-1] - times_s[0] < _MIN_SECONDS:
         return None
     return EmptyRoadPicture(
