@@ -37,29 +37,45 @@ def plain(value: float | None, digits: int = 3) -> str:
     return "–" if value is None else f"{value:.{digits}f}"
 
 
-def table(head: Sequence[str], rows: Sequence[Sequence[str]], *, caption: str, sortable: bool = False) -> str:
+def table(
+    head: Sequence[str],
+    rows: Sequence[Sequence[str]],
+    *,
+    caption: str,
+    sortable: bool = False,
+    foot: Sequence[str] = (),
+    sticky: bool = False,
+) -> str:
     """Write an HTML table.
 
     Args:
         head: Headings of the columns, plain text.
         rows: Cells of each row, markup; the first one is the row's header.
-        caption: Plain text.
+        caption: Plain text. Of a sticky table it is the label only, as it would scroll away: write a title above it.
         sortable: Headings are buttons, by which the page's script sorts.
+        foot: Cells of a row of totals, markup; empty for none.
+        sticky: Headings and the first column stay visible while the table scrolls in its box; useful for long tables.
 
     Returns:
         The table as markup, in a box that scrolls.
     """
     titles = [tag("button", escape(title), type="button") if sortable else escape(title) for title in head]
     top = tag("tr", *(tag("th", title, scope="col") for title in titles))
-    body = [tag("tr", tag("th", row[0], scope="row"), *(tag("td", cell) for cell in row[1:])) for row in rows]
+    body, total = (
+        [tag("tr", tag("th", row[0], scope="row"), *(tag("td", cell) for cell in row[1:])) for row in part]
+        for part in (rows, [foot] if foot else [])
+    )
     inner = tag(
         "table",
-        tag("caption", escape(caption)),
+        *([] if sticky else [tag("caption", escape(caption))]),
         tag("thead", top),
         tag("tbody", *body),
+        *([tag("tfoot", *total)] if total else []),
         class_="sortable" if sortable else None,
     )
-    return tag("div", inner, class_="scroll", tabindex=0, role="region", aria_label=caption)
+    return tag(
+        "div", inner, class_="scroll sticky" if sticky else "scroll", tabindex=0, role="region", aria_label=caption
+    )
 
 
 def share_bar(value: float | None) -> str:

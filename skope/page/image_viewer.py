@@ -43,12 +43,24 @@ def jpeg(pixels: NDArray[np.uint8], *, longest: int = LONGEST, quality: int = QU
     Returns:
         A `data:` address.
     """
+    data = encoded_jpeg(pixels, longest=longest, quality=quality)
+    return "data:image/jpeg;base64," + base64.b64encode(data).decode()
+
+
+def encoded_jpeg(pixels: NDArray[np.uint8], *, longest: int, quality: int) -> bytes:
+    """Encode an image as JPEG.
+
+    Args:
+        pixels: (H, W, 3) RGB.
+        longest: Maximum length of the longer edge, pixels; a larger image is scaled down.
+        quality: Of the JPEG, 0 to 100.
+    """
     scale = min(1.0, longest / max(pixels.shape[:2]))
     if scale < 1:
         pixels = np.asarray(cv2.resize(pixels, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), dtype=np.uint8)
     done, data = cv2.imencode(".jpg", cv2.cvtColor(pixels, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, quality])
     assert done
-    return "data:image/jpeg;base64," + base64.b64encode(data.tobytes()).decode()
+    return bytes(data.tobytes())
 
 
 def drawing(layers: Sequence[str], size: tuple[int, int]) -> str:

@@ -1,6 +1,7 @@
 """The [traffic] table of a site file: by what rules traffic is counted and measured there."""
 
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
 from typing import Any, Final
 
 from skope.site.gates_zones_lanes import checked_name
@@ -13,6 +14,17 @@ OF_VEHICLES: Final = frozenset({*VEHICLE_CLASSES, UNKNOWN})
 """Classes of vehicles, with that of those whose class is not sure enough."""
 CLASSES: Final = (*VEHICLE_CLASSES, UNKNOWN, "motorcycle", "bicycle", "pedestrian")
 """All classes that traffic is counted by."""
+PCE_FACTORS: Final[Mapping[str, float]] = {
+    "van": 1.0,
+    "lorry": 2.3,
+    "bus": 2.0,
+    "motorcycle": 0.4,
+    "bicycle": 0.2,
+}
+"""Default passenger-car equivalents by class: Transport for London, "Traffic Modelling Guidelines", version 3.0, 2010
+(light goods vehicle 1.0, heavy goods vehicle 2.3, bus and coach 2.0, motorcycle 0.4, pedal cycle 0.2). The same table
+has 1.5 for goods vehicles over 3.5 t with two axles."""
+_LARGEST_PCE: Final = 10.0
 _DAY_MINUTES: Final = 1440
 
 
@@ -52,6 +64,8 @@ class TrafficSettings:
     length_bins_m: tuple[float, float] = (6.55, 14.94)
     """From which lengths on vehicles are medium, and long: 21.5 and 49 feet (Minge and others, "Loop- and length-based
     vehicle classification", Federal Highway Administration's pooled fund TPF-5(192), 2012)."""
+    pce: Mapping[str, float] = field(default_factory=lambda: dict(PCE_FACTORS), hash=False)
+    """Passenger-car equivalent of each class; a car is 1 and a pedestrian 0."""
 
     def to_dict(self) -> dict[str, Any]:
         """The settings as JSON has them."""
@@ -96,6 +110,7 @@ def read_traffic(table: TomlTable, gates: tuple[str, ...], unknown: list[str]) -
         turning=_names(table, "turning", gates, "gates of this file"),
         free_flow_kmh=free_flow,
         length_bins_m=_length_bins(table) or plain.length_bins_m,
+        pce=_pce_factors(table),
         **numbers,
     )
     if settings.queue_end_kmh < settings.queue_speed_kmh:
@@ -122,6 +137,18 @@ def _length_bins(table: TomlTable) -> tuple[float, float] | None:
             "length_bins_m", f"expected two lengths that rise, from {low:g} to {high:g} m, got {first:g} and {second:g}"
         )
     return first, second
+
+
+def _pce_factors(table: TomlTable) -> dict[str, float]:
+    """The passenger-car equivalents, with defaults for the classes that the table does not name.
+
+    Raises:
+        UserError: A class is unknown, or a factor is no number from 0 to 10.
+    """
+    factors = table.table("pce")
+    read = {name: factors.number(name, factor, low=0, high=_LARGEST_PCE) for name, factor in PCE_FACTORS.items()}
+    factors.done()
+    return read
 
 
 def _names(table: TomlTable, key: str, known: tuple[str, ...], what: str) -> tuple[str, ...] | None:

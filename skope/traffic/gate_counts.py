@@ -14,6 +14,7 @@ from skope.traffic.event_probability import SeenAlike
 from skope.traffic.gates import GateCrossing, direction_names
 from skope.traffic.missed_crossings import Unseen
 from skope.traffic.observation import Observation
+from skope.traffic.passenger_cars import passenger_cars, pce_factors
 
 ALL: Final = "all"
 _WHOLE: Final = 0.999
@@ -38,6 +39,9 @@ class Count:
     expected: CountInterval | None
     """Between which numbers the truth is, of what was observed; None where nothing was, where nobody was ever seen near
     the gate, where more vehicles are lost at it than cross it, or of the class unknown, which nobody is in truth."""
+    pce: float | None = None
+    """Passenger-car equivalents of those counted. None for rows of one class or of vehicles, if nothing was observed,
+    or if too few vehicles at the gate have a known class."""
 
     @property
     def observed(self) -> str:
@@ -78,6 +82,11 @@ def interval_counts(
         by_class: Make rows of single classes too.
     """
     out = []
+    factors = {
+        (gate.name, k): pce_factors([one for one in crossings if (one.gate, one.direction) == (gate.name, k)], settings)
+        for gate in gates
+        for k in (0, 1)
+    }
     for interval in intervals:
         observed_s = observation.seconds_in(interval.begin_s, interval.end_s)
         there, doubtful = (
@@ -97,6 +106,10 @@ def interval_counts(
                         most = partial(unseen.most, gate.name, k, interval)
                         kinds = unseen.kinds_at(gate.name, k)
                         told = expected([*own, *perhaps], kinds, most, lane, classes_of(class_name, settings))
+                    pce = None
+                    if observed_s > 0 and class_name == ALL:
+                        in_lane = [one for one in own if lane in (ALL, one.lane)]
+                        pce = passenger_cars(in_lane, factors[gate.name, k])
                     out.append(
                         Count(
                             interval=interval,
@@ -107,6 +120,7 @@ def interval_counts(
                             class_name=class_name,
                             count=_number(own, lane, classes_of(class_name, settings)) if observed_s > 0 else None,
                             expected=told,
+                            pce=pce,
                         )
                     )
     return out

@@ -181,7 +181,8 @@ def _counts(report: TrafficReport) -> ReportTable:
     seen = report.observation
     poor_s = {one: sight_in(seen, one.begin_s, one.end_s).poor_s for one in report.intervals}
     return _table(
-        "begin end begin_s end_s observed observed_s poor_sight_s gate direction lane class count low high otc_class",
+        "begin end begin_s end_s observed observed_s poor_sight_s gate direction lane class count low high otc_class "
+        "pce",
         (
             (
                 *_of_interval(one.interval),
@@ -197,6 +198,7 @@ def _counts(report: TrafficReport) -> ReportTable:
                 ),
                 *in_cells(one.expected),
                 OTC_CLASSES.get(one.class_name),
+                one.pce,
             )
             for one in report.counts
         ),

@@ -15,6 +15,7 @@ from skope.files.atomic import replacing
 from skope.files.json_files import write_json
 from skope.traffic.count_uncertainty import count_interval, in_json
 from skope.traffic.normal_distribution import COUNT_INTERVAL_LEVEL
+from skope.traffic.peak_hour import peak_hours_in_json
 from skope.traffic.report_tables import ReportTable, report_tables
 from skope.traffic.traffic_report import TrafficReport
 from skope.version import __version__
@@ -97,6 +98,7 @@ def report_summary(report: TrafficReport, *, tracks: str | list[str], revision: 
             "class": one.class_name,
             "count": one.count,
             **in_json(one.expected),
+            **({} if one.pce is None else {"pce": one.pce}),
         }
         for one in report.counts_total
     ]
@@ -119,6 +121,7 @@ def report_summary(report: TrafficReport, *, tracks: str | list[str], revision: 
         "trajectories": len(report.trajectories),
         "joined": [[one.number, *one.joined] for one in report.trajectories if one.joined],
         "counts": totals,
+        "peak_hour": peak_hours_in_json(report),
         "hand_counts": len(report.hand_checks),
         "turning": [
             {

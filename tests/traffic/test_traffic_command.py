@@ -1,12 +1,16 @@
 """`skope eval traffic`: from tracks to files, what is refused in one line, and the same from Python."""
 
+import base64
 import csv
 import json
+import re
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 from typer.testing import CliRunner
@@ -19,6 +23,7 @@ from skope.eval.tracking.track_errors import with_body_error
 from skope.eval.tracking.track_list import Tracks
 from skope.eval.tracking.vehicle_tracker import follow
 from skope.files.json_files import write_json
+from skope.pictures.video import write_video
 from skope.schema import AnnotationFile, Result, RoadUserResult
 from skope.site.site_file import parse_site, read_site
 from skope.site.traffic_settings import TrafficSettings
@@ -228,6 +233,45 @@ def test_without_a_camera_gates_in_the_image_count_and_nothing_else(skope: Skope
     Path("site.toml").write_text("")
     code, _, err = skope("eval", "traffic", "seen", "--out", "other")
     assert (code, "needs gates with `pixels`" in err) == (2, True)
+
+
+def test_gates_in_the_image_are_drawn_on_the_empty_road_if_the_footage_is_there(skope: Skope) -> None:
+    driven = drive(5.0, 10.0, speeds=(0.0,))
+    times_s = np.arange(24) / 2
+    frames = [np.full((90, 160, 3), 90, dtype=np.uint8) for _ in times_s]
+    for k, frame in enumerate(frames):
+        frame[40:60, 6 * k : 6 * k + 12] = 250  # a white vehicle, in no pixel for most of the time
+    write_video(Path("a.mp4"), iter(frames), 2.0)
+    images = tuple(
+        replace(
+            driven.images[0], id=k + 1, file_name=f"{k}.jpg", width=160, height=90, time_s=float(time_s), frame_index=k
+        )
+        for k, time_s in enumerate(times_s)
+    )
+    boxes = [np.array([6.0 * k, 40, 12, 20]) for k in range(len(images))]
+    rows: list[Result | RoadUserResult] = [
+        Result(image_id=image.id, score=0.9, bbox=box, keypoints=np.zeros((33, 3)), track_id=1)
+        for image, box in zip(images, boxes, strict=True)
+    ]
+    info = {"source": "a.mp4", "found_at": "../a.mp4"}
+    file = AnnotationFile(images=images, annotations=(), info=info, name="a.mp4", scheme=driven.scheme)
+    Path("seen").mkdir()
+    coco.write(Path("seen/frames.json"), file)
+    coco.write_results(Path("seen/predictions.json"), rows)
+    Path("site.toml").write_text('[[gates]]\nname = "g"\npixels = [[80, 80], [80, 20]]\n')
+    code, out, err = skope("eval", "traffic", "seen", "--out", "r")
+    assert code == 0, err
+    assert "no picture" not in out
+    page = Path("r/report.html").read_text()
+    (data,) = re.findall(r'<image href="data:image/jpeg;base64,(.*?)"', page)
+    picture = cv2.imdecode(np.frombuffer(base64.b64decode(data), np.uint8), cv2.IMREAD_GRAYSCALE)
+    assert picture.shape == (90, 160)
+    assert picture.max() < 110  # nobody is in it
+    Path("a.mp4").unlink()
+    code, out, err = skope("eval", "traffic", "seen", "--out", "later")
+    assert code == 0, err
+    assert "note: the page has no picture of the road: " in out
+    assert "<image" not in Path("later/report.html").read_text()
 
 
 def test_memory_folder_and_read_back_tracks_give_one_report(tracks: AnnotationFile) -> None:

@@ -19,6 +19,7 @@ from skope.terminal.console import Console
 if TYPE_CHECKING:
     from skope.site.gates_zones_lanes import Gate
     from skope.site.site_file import SiteFile
+    from skope.traffic.empty_road_picture import EmptyRoadPicture
     from skope.traffic.hand_count_file import HandCount
     from skope.traffic.observation import Observation
     from skope.traffic.traffic_report import TrafficReport
@@ -202,11 +203,13 @@ def _written(
     out: Path,
     further: dict[str, Path],
     tracks: Path | None = None,
+    view: "EmptyRoadPicture | None" = None,
 ) -> Iterator[str]:
     """Write a report, and in further formats to their folders; yields what was written and found.
 
-    The map is drawn on the picture of the road that lies in `tracks`.
+    The map is drawn on the picture of the road that lies in `tracks`, and the gates on `view`, or on that in `tracks`.
     """
+    from skope.traffic.empty_road_picture import read_empty_road_picture
     from skope.traffic.exports.formats import write_format
     from skope.traffic.page.page import write_page
     from skope.traffic.report_text import report_lines
@@ -217,9 +220,11 @@ def _written(
         for path in write_format(name, folder, report, site.camera.camera if site.camera else None):
             yield f"wrote {path}"
     road = None if tracks is None else read_road_picture(tracks)
+    view = view if tracks is None else read_empty_road_picture(tracks)
+    camera = site.camera.camera if site.camera else None
     said = ", ".join([source] if isinstance(source, str) else source)
     for path in (
-        write_page(out, report, tracks=said, road=road, camera=site.camera.camera if site.camera else None),
+        write_page(out, report, tracks=said, road=road, camera=camera, view=view),
         *write_traffic_report(out, report, tracks=source, revision=site.revision),
     ):
         yield f"wrote {path}"
@@ -240,7 +245,10 @@ def _report_in_image(
 
     Raises UserError where the camera is known, or there are no such gates.
     """
+    from skope.dataset import coco
+    from skope.eval.tracking.empty_road import empty_road
     from skope.eval.tracking.image_trajectories import read_image_trajectories
+    from skope.traffic.empty_road_picture import empty_road_picture
     from skope.traffic.exports.formats import checked_formats
     from skope.traffic.gates import gates_in_image
     from skope.traffic.image_counts import count_in_image
@@ -261,7 +269,13 @@ def _report_in_image(
     claim_output(out, _COMMAND, inputs, options)
     further = _claimed(out, inputs, options, site, formats)
     report = count_in_image(tracks, observation, site, begin, counted)
-    yield from _written(report, str(folder), site, out, further)
+    try:
+        road = empty_road(folder, coco.read(folder / FRAMES))
+        view = None if road is None else empty_road_picture(road, observation.times_s)
+    except UserError as error:
+        view = None
+        yield f"note: the page has no picture of the road: {error}"
+    yield from _written(report, str(folder), site, out, further, view=view)
 
 
 def _counted_by_hand(

@@ -33,6 +33,7 @@ from skope.terminal.console import Console, counted
 from skope.tracks.csv_file import TRACKS_CSV, as_written, write_tracks
 from skope.tracks.frame_files import mot_row, write_fcd, write_mot
 from skope.tracks.track import Track
+from skope.traffic.empty_road_picture import empty_road_picture, write_empty_road_picture
 from skope.traffic.observation import FOOTAGE, Observation, checked_sight, read_begins
 from skope.traffic.road_picture import write_road_picture
 
@@ -89,6 +90,8 @@ def follow_footage(job: TrackJob, console: Console) -> Iterator[str]:
         written += write_road_picture(
             job.out, birdseye.road_picture([*tracks, *road_users], camera, scene.ground, road)
         )
+    if road is not None and (picture := empty_road_picture(road, times)) is not None:
+        written += write_empty_road_picture(job.out, picture)
     if scene.file.annotations:
         _write_truth(job.out / "mot_truth.txt", scene, scene.file.annotations)
         written.append("mot_truth.txt")

@@ -69,7 +69,7 @@ def flow_diagram(report: TrafficReport) -> str:
         "figure",
         tag(
             "figcaption",
-            f"Movements{' of vehicles' if vehicles else ''}: as many as a band is wide, from its number on",
+            f"Movements{' of vehicles' if vehicles else ''}; the number of a band is at its origin",
         ),
         drawing,
     )

@@ -56,7 +56,7 @@ def hand_count_data(report: TrafficReport, camera: Camera | None) -> dict[str, A
         "spans": np.round(report.observation.spans, 3).tolist(),
         "clocks": list(_clocks(report.intervals)),
         "step_s": _step(report.observation.times_s),
-        "view": _view(report, camera),
+        "view": view_of_gates(report, camera),
         **_machine(report, sides),
     }
 
@@ -101,8 +101,17 @@ def _step(times_s: Array) -> float:
     return round(float(np.median(np.diff(times_s))), 4) if len(times_s) > 1 else 0.1
 
 
-def _view(report: TrafficReport, camera: Camera | None) -> dict[str, Any] | None:
-    """Gates in the picture: lines, and from where to where the first direction goes, pixels; None without a camera."""
+def view_of_gates(report: TrafficReport, camera: Camera | None) -> dict[str, Any] | None:
+    """Gates in the camera's image, as JSON has them, pixels.
+
+    Args:
+        report: The report.
+        camera: The camera of a report in metres; None: not known.
+
+    Returns:
+        `size` (width and height, None if not known), and of each visible gate its name, its line and the arrow of its
+        first direction. None for a report in metres without a camera.
+    """
     if report.metres and camera is None:
         return None
     view = pixel_view(report.gates) if camera is None or not report.metres else image_view(report.gates, camera)

@@ -4,7 +4,7 @@ import math
 from collections.abc import Iterator, Sequence
 from html import escape
 from pathlib import Path
-from typing import Final, TypeVar
+from typing import Final
 
 import numpy as np
 
@@ -15,11 +15,20 @@ from skope.page.html_pieces import details, table, tag
 from skope.schema import VEHICLE
 from skope.tracks.track import KMH
 from skope.traffic.count_uncertainty import in_words
-from skope.traffic.gate_counts import ALL, Count
+from skope.traffic.empty_road_picture import EmptyRoadPicture
+from skope.traffic.left_out_crossings import left_out_crossings
 from skope.traffic.length_bins import LONGEST_M, UNTOLD
 from skope.traffic.normal_distribution import INTERVAL_SIGMAS
+from skope.traffic.page.count_tables import (
+    all_by_interval,
+    class_tables,
+    peak_hour_table,
+    side_name,
+)
 from skope.traffic.page.flow_diagram import flow_diagram
+from skope.traffic.page.gates_in_picture import gates_in_picture
 from skope.traffic.page.hand_count_panel import hand_count_panel
+from skope.traffic.page.movement_matrix import movement_matrices
 from skope.traffic.page.plots import counts_over_time, headway_histograms, speed_histograms
 from skope.traffic.page.road_map import road_map
 from skope.traffic.report_tables import clock
@@ -32,13 +41,20 @@ from skope.version import __version__
 
 REPORT_FILE: Final = "report.html"
 _CONFLICTS: Final = 20
-_Counted = TypeVar("_Counted", Count, TurningCount)
-_MOST_INTERVALS: Final = 400
-"""Rows of counts by interval; the rest is in counts.csv."""
+_HOURS_FROM_MINUTES: Final = 120
+"""Longer observations are given in hours."""
+_MAX_LEFT_OUT: Final = 30
+"""Maximum number of rows in a table of crossings that are not counted."""
 
 
 def write_page(
-    out: Path, report: TrafficReport, *, tracks: str, road: RoadPicture | None = None, camera: Camera | None = None
+    out: Path,
+    report: TrafficReport,
+    *,
+    tracks: str,
+    road: RoadPicture | None = None,
+    camera: Camera | None = None,
+    view: EmptyRoadPicture | None = None,
 ) -> Path:
     """Write a report as `report.html`.
 
@@ -47,18 +63,24 @@ def write_page(
         report: What was measured.
         tracks: What the tracks were read from.
         road: The empty road from above, that the tracks are drawn on; None: there is no picture.
-        camera: What the footage was seen with, to draw gates over a video; None: not known.
+        camera: The camera of the footage, to draw gates over its image; None: not known.
+        view: The empty road as the camera shows it, to draw gates on; None: there is no picture.
 
     Returns:
         The file.
     """
     path = out / REPORT_FILE
-    write_text(path, traffic_page(report, tracks=tracks, road=road, camera=camera))
+    write_text(path, traffic_page(report, tracks=tracks, road=road, camera=camera, view=view))
     return path
 
 
 def traffic_page(
-    report: TrafficReport, *, tracks: str, road: RoadPicture | None = None, camera: Camera | None = None
+    report: TrafficReport,
+    *,
+    tracks: str,
+    road: RoadPicture | None = None,
+    camera: Camera | None = None,
+    view: EmptyRoadPicture | None = None,
 ) -> str:
     """Write the page of a report.
 
@@ -66,7 +88,8 @@ def traffic_page(
         report: What was measured.
         tracks: What the tracks were read from.
         road: The empty road from above, that the tracks are drawn on; None: there is no picture.
-        camera: What the footage was seen with, to draw gates over a video; None: not known.
+        camera: The camera of the footage, to draw gates over its image; None: not known.
+        view: The empty road as the camera shows it, to draw gates on; None: there is no picture.
 
     Returns:
         The page as HTML.
@@ -74,16 +97,18 @@ def traffic_page(
     name = report.observation.source or tracks
     by_hand = hand_count_panel(report, camera)
     sections = {
-        "Counts": [*_counts(report), _lengths(report)],
+        "Counts": [*class_tables(report), *peak_hour_table(report), _lengths(report)],
         "Movements": _movements(report),
         "Speeds": [_speeds(report), *_figures(speed_histograms(report))] if report.metres else [],
         "Headways": _figures(headway_histograms(report)) if report.metres else [],
-        "Over time": [*_figures(counts_over_time(report)), _by_interval(report)],
+        "Over time": [*_figures(counts_over_time(report)), all_by_interval(report)],
         "Conflicts": [_conflicts(report)] if report.metres else [],
+        "Crossings that are not counted": _left_out(report),
         "Accuracy": [_accuracy(report), by_hand],
         "What to know": [_remarks(report)],
     }
-    parts = [tag("h1", escape(f"Traffic: {name}")), tag("p", escape(_what(report))), road_map(report, road)]
+    parts = [tag("h1", escape(f"Traffic: {name}")), tag("p", escape(_what(report)))]
+    parts += [gates_in_picture(report, view, camera), road_map(report, road)]
     for title, found in sections.items():
         if any(found):
             parts += [tag("h2", title), *found]
@@ -94,13 +119,13 @@ def traffic_page(
 def _what(report: TrafficReport) -> str:
     """Sentence on the number of road users, and on the time that was observed."""
     spans = report.observation.spans
-    told = (
-        f"{len(report.trajectories)} road users in {report.observation.observed_s / 60:.1f} minutes that were observed"
-    )
+    minutes = report.observation.observed_s / 60
+    duration = f"{minutes:.1f} minutes" if minutes < _HOURS_FROM_MINUTES else f"{minutes / 60:.1f} hours"
+    told = f"{len(report.trajectories)} road users in {duration} of observation"
     begin = clock(report, float(spans[0, 0])) if len(spans) else None
     end = clock(report, float(spans[-1, 1])) if len(spans) else None
     if begin is None or end is None:
-        return f"{told}. Nothing says when that was."
+        return f"{told}. The time of day is not known."
     zone = f", {report.site.time_zone}" if report.site.time_zone else ""
     return f"{told}, from {begin:%Y-%m-%d %H:%M:%S} to {end:%Y-%m-%d %H:%M:%S}{zone}."
 
@@ -110,23 +135,10 @@ def _figures(found: Iterator[str]) -> list[str]:
     return [tag("div", *every, class_="grid figures")] if every else []
 
 
-def _number(one: Count) -> str:
-    return "–" if one.count is None else str(one.count)
-
-
-def _without_repeats(report: TrafficReport, rows: Sequence[_Counted]) -> list[_Counted]:
+def _without_repeats(report: TrafficReport, rows: Sequence[TurningCount]) -> list[TurningCount]:
     """The rows, but those of vehicles where nobody else was counted: they say what those of all say."""
     mixed = any(one.trajectory.category != VEHICLE for one in (*report.crossings, *report.unseen.doubtful))
     return [one for one in rows if mixed or one.class_name != VEHICLE]
-
-
-def _counts(report: TrafficReport) -> list[str]:
-    rows = [
-        [escape(f"{one.gate} ({one.direction})"), escape(one.class_name), _number(one), in_words(one.expected)]
-        for one in _without_repeats(report, report.counts_total)
-    ]
-    head = ["gate", "class", "counted", "there were"]
-    return [table(head, rows, caption="How many crossed each gate, and how many there were")] if rows else []
 
 
 def _lengths(report: TrafficReport) -> str:
@@ -142,22 +154,15 @@ def _lengths(report: TrafficReport) -> str:
     head = ["gate", f"short, up to {first:g} m", f"medium, up to {second:g} m", "long", "not sure"]
     rows = [[escape(f"{gate} ({direction})"), *own] for (gate, direction), own in cells.items()]
     untold = f"; of those over {LONGEST_M:g} m that is not known" if second >= LONGEST_M else ""
-    return table(head, rows, caption=f"Vehicles by length, and how many there were of each{untold}")
+    return table(head, rows, caption=f"Vehicles by length, with 90% intervals{untold}")
 
 
 def _movements(report: TrafficReport) -> list[str]:
-    rows = [
-        [
-            *(escape(f"{side[0]} ({side[1]})") if side[0] else "not seen" for side in (one.origin, one.destination)),
-            *(escape(one.class_name), "–" if one.count is None else str(one.count), in_words(one.expected)),
-        ]
-        for one in _without_repeats(report, report.turning_total)
-        if one.count
-    ]
-    if not rows:
-        return []
-    numbers = table(["from", "to", "class", "counted", "there were"], rows, caption="Movements between gates")
-    return [tag("div", flow_diagram(report), tag("div", numbers), class_="grid")]
+    """Matrices and diagram of movements; vehicles first where others are counted too."""
+    rows = _without_repeats(report, report.turning_total)
+    classes = sorted({row.class_name for row in rows}, key=lambda name: name != VEHICLE)
+    matrices = movement_matrices(report, classes)
+    return [*matrices, flow_diagram(report)] if matrices else []
 
 
 def _speeds(report: TrafficReport) -> str:
@@ -177,7 +182,7 @@ def _speeds(report: TrafficReport) -> str:
         for together in (True, False)
     )
     head = ["where", "kind", "class", "vehicles", *(f"{name}, km/h" for name in PERCENTILES)]
-    caption = "Speeds, of whom there are enough (speeds.csv says of how many others)"
+    caption = "Speeds with enough vehicles (the others are in speeds.csv)"
     shown = table(head, rows, caption=caption) if rows else ""
     return shown + (details("By class", table(head, of_classes, caption="Speeds by class")) if of_classes else "")
 
@@ -188,25 +193,30 @@ def _speed(one: Percentile) -> str:
     return f"{one.value * KMH:.1f} <small>{one.low * KMH:.1f} to {one.high * KMH:.1f}</small>"
 
 
-def _by_interval(report: TrafficReport) -> str:
-    """Counts of all by interval: a row for each, a column for each gate and direction."""
-    own = [one for one in report.counts if (one.lane, one.class_name) == (ALL, ALL)]
-    sides = list(dict.fromkeys((one.gate, one.direction) for one in own))
-    if len(report.intervals) < 2 or not sides:
-        return ""
-    cells = {(one.interval.begin_s, one.gate, one.direction): one for one in own}
-    rows = []
-    for interval in report.intervals[:_MOST_INTERVALS]:
-        begin = f"{interval.begin:%a %d %b %H:%M}" if interval.begin else f"{interval.begin_s / 60:.0f} min"
-        row = [begin.replace(" ", "\u00a0")]
-        for side in sides:
-            one = cells[(interval.begin_s, *side)]
-            row.append(
-                f"{_number(one)} <small>{in_words(one.expected) if one.count is not None else one.observed}</small>"
-            )
-        rows.append(row)
-    head = ["from", *(f"{gate} ({direction})" for gate, direction in sides)]
-    return table(head, rows, caption="Counts of all by interval, and how many there were")
+def _left_out(report: TrafficReport) -> list[str]:
+    """A table for each gate and direction with many crossings that are not counted."""
+    found = left_out_crossings(report)
+    if not found:
+        return []
+    head = ["time", "track", "class", "reason"]
+    parts = [
+        tag(
+            "p",
+            "At these gates many tracks cross, or may have crossed, and are not counted. They widen the 90% interval. "
+            "Tracks that were never confirmed, or never moved, are not listed.",
+        )
+    ]
+    for side, left_out in found.items():
+        rows = []
+        for one in left_out[:_MAX_LEFT_OUT]:
+            moment = clock(report, one.time_s)
+            when = f"{one.time_s:.1f}\u00a0s" if moment is None else f"{moment:%H:%M:%S}"
+            rows.append([when, str(one.track), escape(one.class_name), escape(one.reason)])
+        caption = f"{side_name(side)}: {len(left_out)} crossings that are not counted"
+        parts.append(table(head, rows, caption=caption))
+        if len(left_out) > len(rows):
+            parts.append(tag("p", f"and {len(left_out) - len(rows)} more"))
+    return parts
 
 
 def _conflicts(report: TrafficReport) -> str:
@@ -230,7 +240,7 @@ def _conflicts(report: TrafficReport) -> str:
         rows.append([when, escape(who), escape(one.kind), escape(one.zone), ttc, pet])
     head = ["when", "who", "kind", "zone", "TTC, s", "PET (SSAM), s"]
     more = f": the {len(rows)} nearest of {len(found)}" if len(found) > len(rows) else ""
-    return table(head, rows, caption=f"Conflicts{more}; places to look at, not numbers") if rows else ""
+    return table(head, rows, caption=f"Conflicts{more}; use them to find locations, not as a count") if rows else ""
 
 
 def _upwards(value: float) -> float:
@@ -260,14 +270,14 @@ def _accuracy(report: TrafficReport) -> str:
     if not rows:
         return tag(
             "p",
-            "Nothing was counted by hand. Count 10 or 15 minutes at each gate and give them to --hand-count: errors "
-            "and GEH come here, and the intervals of all counts learn from them.",
+            "No manual counts. Count 10 to 15 minutes at each gate and pass the file with --hand-count. This section "
+            "then shows errors and GEH, and all count intervals are updated.",
         )
     errors = [abs(one.count - one.hand.number) for one in report.hand_checks]
     total = sum(one.hand.number for one in report.hand_checks)
     said = f"Together {sum(errors)} off, of {total} counted by hand"
     said += f"; GEH under 5 in {np.mean([one.geh < 5 for one in report.hand_checks]):.0%}." if rows else "."
-    head = ["gate", "class", "when", "by hand", "counted", "off", "GEH", "there were, by what is seen alone"]
+    head = ["gate", "class", "when", "by hand", "counted", "off", "GEH", "90% interval without the manual count"]
     return table(head, rows, caption="Counted by hand") + tag("p", said)
 
 

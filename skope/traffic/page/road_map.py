@@ -79,7 +79,7 @@ def road_map(report: TrafficReport, road: RoadPicture | None) -> str:
         class_="chart road",
     )
     drawn = f"{len(chosen)} of {len(tracks)}" if len(chosen) < len(tracks) else f"{len(tracks)}"
-    told = f"{drawn} tracks{', from above' if report.metres else ', in the image'}; gates with how many were counted"
+    told = f"{drawn} tracks {'from above' if report.metres else 'in the image'}; gates with their counts"
     names = ("vehicles", "two-wheelers", "people", "conflicts")
     keys = [tag("li", tag("span", class_=f"key road-{k}"), name) for k, name in enumerate(names)]
     return tag("figure", tag("figcaption", told), drawing, tag("ul", *keys, class_="legend"), class_="wide")

@@ -1,0 +1,224 @@
+"""Tables of the page: counts by gate, class and interval, passenger-car equivalents and peak hours."""
+
+from collections.abc import Iterator, Sequence
+from datetime import datetime
+from html import escape
+from typing import Final
+
+from skope.page.html_pieces import details, table, tag
+from skope.schema import VEHICLE
+from skope.site.traffic_settings import OF_VEHICLES, UNKNOWN
+from skope.traffic.count_uncertainty import in_words
+from skope.traffic.counting_intervals import ClockInterval
+from skope.traffic.gate_counts import ALL, Count, interval_counts
+from skope.traffic.measure import whole_footage
+from skope.traffic.peak_hour import PeakHour, peak_hours, why_no_factor, why_no_peak_hour
+from skope.traffic.traffic_report import TrafficReport
+
+GateDirection = tuple[str, str]
+_MAX_INTERVALS: Final = 400
+"""Maximum number of intervals in a table; the others are in counts.csv."""
+_MAX_OPEN_ROWS: Final = 12
+"""Tables with more rows are folded."""
+
+
+def side_name(side: GateDirection) -> str:
+    """Name of a gate and direction, plain text."""
+    return f"{side[0]} ({side[1]})"
+
+
+def count_text(row: Count) -> str:
+    """The count of a row; a dash if nothing was observed."""
+    return "–" if row.count is None else str(row.count)
+
+
+def with_interval(row: Count) -> str:
+    """A count and its 90% interval below it, markup."""
+    bounds = in_words(row.expected) if row.count is not None else row.observed
+    return f"{count_text(row)} <small>{bounds}</small>"
+
+
+def interval_label(report: TrafficReport, interval: ClockInterval) -> str:
+    """Begin of an interval, plain text without breaks: the time, with the day if there are several, or minutes."""
+    return _time(report, interval.begin, interval.begin_s)
+
+
+def _time(report: TrafficReport, moment: datetime | None, seconds: float) -> str:
+    if moment is None:
+        return f"{seconds / 60:.0f}\u00a0min"
+    first, last = report.intervals[0].begin, report.intervals[-1].begin
+    several_days = first is not None and last is not None and first.date() != last.date()
+    return moment.strftime("%a %d %b %H:%M" if several_days else "%H:%M").replace(" ", "\u00a0")
+
+
+def titled_table(title: str, head: Sequence[str], rows: Sequence[Sequence[str]], *, foot: Sequence[str] = ()) -> str:
+    """A table that scrolls in its box, with its title above; arguments are those of `skope.page.html_pieces.table`."""
+    shown = table(head, rows, caption=title, foot=foot, sticky=True)
+    return tag("p", escape(title), class_="title") + shown
+
+
+def class_tables(report: TrafficReport) -> list[str]:
+    """Counts by class of the whole footage, then a table by interval for each gate and direction."""
+    whole = _class_rows(report)
+    if not whole:
+        return []
+    found = [name for name in report.site.traffic.classes if any(rows[name].count for rows in whole.values())]
+    groups = [name for name in (ALL, VEHICLE) if all(name in rows for rows in whole.values())]
+    groups = [ALL] if OF_VEHICLES.issuperset(found) else groups
+    columns = [*groups, *found]
+    has_pce = any(own[ALL].count and own[ALL].pce is not None for own in whole.values())
+    rows = [
+        [
+            escape(side_name(side)),
+            *(with_interval(own[name]) for name in columns),
+            *([_pce_text(own[ALL])] if has_pce else []),
+        ]
+        for side, own in whole.items()
+    ]
+    head = ["gate", *map(_heading, columns), *(["PCE"] if has_pce else [])]
+    return [
+        titled_table("Counts by gate and class, with 90% intervals of the true number", head, rows),
+        *([tag("p", escape(about))] if (about := _about_pce(report, whole)) else []),
+        *_by_interval(report, whole, groups),
+    ]
+
+
+def _class_rows(report: TrafficReport) -> dict[GateDirection, dict[str, Count]]:
+    """Counts of the whole footage by gate and direction, and by class."""
+    settings = report.site.traffic
+    whole = [whole_footage(report.observation)]
+    rows = interval_counts(report.crossings, report.gates, (), whole, report.observation, settings, report.unseen)
+    found: dict[GateDirection, dict[str, Count]] = {}
+    for row in rows:
+        found.setdefault((row.gate, row.direction), {})[row.class_name] = row
+    return found
+
+
+def _heading(class_name: str) -> str:
+    return {UNKNOWN: "unknown class", VEHICLE: "vehicles"}.get(class_name, class_name)
+
+
+def _pce_text(row: Count) -> str:
+    return "–" if row.pce is None else f"{row.pce:.1f}"
+
+
+def _about_pce(report: TrafficReport, whole: dict[GateDirection, dict[str, Count]]) -> str:
+    """Sentences on the passenger-car equivalents: the factors, or where and why there are none."""
+    crossed = {side: rows for side, rows in whole.items() if rows[ALL].count}
+    without = [side_name(side) for side, rows in crossed.items() if rows[ALL].pce is None]
+    why = "fewer than half of the vehicles there have a known class"
+    if len(without) == len(crossed):
+        if not crossed:
+            return ""
+        why = why if report.metres else "without metres the class of vehicles is not known"
+        return f"PCE (passenger-car equivalents) are not available: {why}."
+    factors = ", ".join(f"{name} {factor:g}" for name, factor in report.site.traffic.pce.items())
+    text = f"PCE: passenger-car equivalents (car 1, {factors}, pedestrian 0) of those counted, without an interval."
+    if any(rows[UNKNOWN].count for rows in crossed.values() if UNKNOWN in rows):
+        text += " A vehicle of unknown class has the mean factor of the other vehicles at the gate and direction."
+    return text + (f" Not available at {', '.join(without)}: {why}." if without else "")
+
+
+def _by_interval(
+    report: TrafficReport, whole: dict[GateDirection, dict[str, Count]], groups: list[str]
+) -> Iterator[str]:
+    """A folded table for each gate and direction: a row per interval, a column per class that occurs there."""
+    intervals = report.intervals[:_MAX_INTERVALS]
+    if len(report.intervals) < 2:
+        return
+    cells: dict[tuple[GateDirection, float, str], Count] = {
+        ((row.gate, row.direction), row.interval.begin_s, row.class_name): row
+        for row in report.counts
+        if row.lane == ALL
+    }
+    for side, totals in whole.items():
+        if not totals[ALL].count:
+            continue
+        classes = [name for name in report.site.traffic.classes if totals[name].count]
+        own = [{name: cells[side, one.begin_s, name] for name in (*groups, *classes)} for one in intervals]
+        has_pce = totals[ALL].pce is not None
+        rows = [
+            [
+                _observed_label(report, interval, row[ALL]),
+                *(with_interval(row[name]) for name in groups),
+                *(count_text(row[name]) for name in classes),
+                *([_pce_text(row[ALL])] if has_pce else []),
+            ]
+            for interval, row in zip(intervals, own, strict=True)
+        ]
+        foot = [
+            "whole footage",
+            *(with_interval(totals[name]) for name in (*groups, *classes)),
+            *([_pce_text(totals[ALL])] if has_pce else []),
+        ]
+        head = ["from", *map(_heading, (*groups, *classes)), *(["PCE"] if has_pce else [])]
+        more = "" if len(report.intervals) <= _MAX_INTERVALS else f", the first {_MAX_INTERVALS} intervals"
+        caption = f"{side_name(side)}: counts by interval and class{more}"
+        yield details(
+            caption,
+            table(head, rows, caption=caption, foot=foot, sticky=True),
+            opened=len(rows) <= _MAX_OPEN_ROWS,
+        )
+
+
+def _observed_label(report: TrafficReport, interval: ClockInterval, row: Count) -> str:
+    """Begin of an interval, markup, with a note if it was observed in part."""
+    label = interval_label(report, interval)
+    return f"{label} <small>observed in part</small>" if row.observed == "part" else label
+
+
+def all_by_interval(report: TrafficReport) -> str:
+    """Counts of all by interval: a row per interval, a column per gate and direction; empty for one interval."""
+    own = [row for row in report.counts if (row.lane, row.class_name) == (ALL, ALL)]
+    sides = list(dict.fromkeys((row.gate, row.direction) for row in own))
+    if len(report.intervals) < 2 or not sides:
+        return ""
+    cells = {(row.interval.begin_s, row.gate, row.direction): row for row in own}
+    rows = [
+        [
+            _observed_label(report, interval, cells[(interval.begin_s, *sides[0])]),
+            *(with_interval(cells[(interval.begin_s, *side)]) for side in sides),
+        ]
+        for interval in report.intervals[:_MAX_INTERVALS]
+    ]
+    shown = titled_table("Counts of all by interval, with 90% intervals", ["from", *map(side_name, sides)], rows)
+    return shown if len(rows) <= _MAX_OPEN_ROWS else details("Counts of all by interval", shown)
+
+
+def _hour(report: TrafficReport, hour: PeakHour) -> str:
+    """Begin and end of a peak hour; a dash if nothing was counted."""
+    if not hour.volume:
+        return "–"
+    end = f"{hour.end_s / 60:.0f}\u00a0min" if hour.end is None else f"{hour.end:%H:%M}"
+    return f"{_time(report, hour.begin, hour.begin_s)} to {end}"
+
+
+def peak_hour_table(report: TrafficReport) -> list[str]:
+    """The peak hour and its factor for the site and each gate direction, or the reason why there is none."""
+    if not report.gates:
+        return []
+    if reason := why_no_peak_hour(report):
+        return [tag("h3", "Peak hour"), tag("p", escape(f"Not available: {reason}."))]
+    reason = why_no_factor(report)
+    rows = [
+        [
+            escape(side_name((hour.gate, hour.direction))) if hour.gate else "whole site",
+            _hour(report, hour),
+            str(hour.volume),
+            "–" if hour.highest_15_minutes is None else str(hour.highest_15_minutes),
+            "–" if hour.factor is None else f"{hour.factor:.2f}",
+        ]
+        for hour in peak_hours(report)
+    ]
+    vehicles = "vehicles (more than two wheels)" if peak_hours(report)[0].class_name == VEHICLE else "all road users"
+    notes = (
+        "The peak-hour factor is the volume over four times the highest volume of 15 minutes in the hour. Only fully "
+        "observed intervals are used. At the whole site each road user counts once, at its first gate."
+    )
+    why = f" The peak-hour factor is not available: {reason}." if reason else ""
+    head = ["gate", "peak hour", "counted", "highest 15 minutes", "peak-hour factor"]
+    return [
+        tag("h3", "Peak hour"),
+        table(head, rows, caption=f"Peak hour of {vehicles}"),
+        tag("p", escape(notes + why)),
+    ]

@@ -1,0 +1,143 @@
+"""The gates of a report, with their directions and counts, over the empty road as the camera shows it."""
+
+import base64
+from collections.abc import Iterator
+from html import escape
+from typing import Any, Final
+
+import numpy as np
+
+from skope.camera.model import Camera
+from skope.page.html_pieces import tag
+from skope.traffic.count_uncertainty import in_words
+from skope.traffic.empty_road_picture import EmptyRoadPicture
+from skope.traffic.gate_counts import ALL, Count
+from skope.traffic.page.count_tables import count_text, side_name
+from skope.traffic.page.hand_count_data import view_of_gates
+from skope.traffic.traffic_report import TrafficReport
+from skope.types import Array
+
+_WIDTH: Final = 1100.0
+"""Width of the drawing; pixels of the footage are scaled to it."""
+_ARROW: Final = 42.0
+"""Length of an arrow from the gate on, in units of the drawing."""
+_HEAD: Final = 9.0
+"""Half the width of an arrow's head."""
+_EDGE: Final = 30.0
+"""Texts keep this distance from the edges."""
+_AT: Final = (0.35, 0.65)
+"""Where on the gate the arrows of its two directions begin, from its first end to the second."""
+
+
+def gates_in_picture(report: TrafficReport, picture: EmptyRoadPicture | None, camera: Camera | None) -> str:
+    """A figure with the gates in the camera's image.
+
+    Args:
+        report: The report.
+        picture: The empty road; None: there is none.
+        camera: The camera of a report in metres; None: not known.
+
+    Returns:
+        Markup. Empty without a picture, without a gate in the image, or if the picture is of another camera's size.
+    """
+    view = None if picture is None else view_of_gates(report, camera)
+    if picture is None or not view or not view["gates"] or view["size"] not in (None, picture.size):
+        return ""
+    scale = _WIDTH / picture.size[0]
+    height = picture.size[1] * scale
+    totals = [row for row in report.counts_total if row.class_name == ALL]
+    letters = {(row.gate, row.direction): _letter(k) for k, row in enumerate(totals)}
+    parts = [
+        tag(
+            "image",
+            href=f"data:image/jpeg;base64,{base64.b64encode(picture.jpeg).decode()}",
+            width=f"{_WIDTH:.0f}",
+            height=f"{height:.1f}",
+            preserveAspectRatio="none",
+        )
+    ]
+    size = np.array([_WIDTH, height])
+    for gate in view["gates"]:
+        rows = [row for row in totals if row.gate == gate["gate"]]
+        parts += _gate(gate, rows, letters, scale, size)
+    parts += [_name(gate, scale, size) for gate in view["gates"]]
+    drawing = tag(
+        "svg",
+        *parts,
+        viewBox=f"0 0 {_WIDTH:.0f} {height:.0f}",
+        role="img",
+        tabindex=0,
+        aria_label="The gates in the camera's image. The counts are in the list below.",
+        class_="chart road view",
+    )
+    drawn = {gate["gate"] for gate in view["gates"]}
+    listed = [
+        tag(
+            "li",
+            tag("b", letters[row.gate, row.direction]),
+            escape(f" {side_name((row.gate, row.direction))}: {count_text(row)} ({in_words(row.expected)})"),
+        )
+        for row in totals
+        if row.gate in drawn
+    ]
+    caption = "Gates in the camera's image, with the numbers counted by direction (90% intervals below)"
+    return tag(
+        "figure",
+        tag("figcaption", caption),
+        drawing,
+        tag("ul", *listed, class_="legend"),
+        class_="wide",
+    )
+
+
+def _letter(number: int) -> str:
+    """a to z, then a2 to z2 and so on."""
+    turn, place = divmod(number, 26)
+    return chr(ord("a") + place) + (str(turn + 1) if turn else "")
+
+
+def _gate(
+    gate: dict[str, Any], rows: list[Count], letters: dict[tuple[str, str], str], scale: float, size: Array
+) -> Iterator[str]:
+    """Line of a gate, and an arrow with letter and count for each direction."""
+    line = np.array(gate["line"]) * scale
+    path = "M" + "L".join(f"{x:.1f} {y:.1f}" for x, y in line)
+    tip = f"{gate['gate']}: " + "; ".join(
+        f"{row.direction} {count_text(row)} ({in_words(row.expected)})" for row in rows
+    )
+    yield tag("path", d=path, class_="gate under")
+    yield tag("path", d=path, class_="gate", data_tip=tip)
+    if gate["arrow"] is not None:
+        forward = _forward(line, np.array(gate["arrow"]))
+        for row, share, sign in zip(rows, _AT, (1.0, -1.0), strict=False):
+            yield from _arrow(line[0] + share * (line[-1] - line[0]), sign * forward, row, letters, size)
+
+
+def _forward(line: Array, arrow: Array) -> Array:
+    """(2,) unit vector across a gate's line in the image, to the side that its first direction goes to.
+
+    The road's own normal may lie along the line in the image, where the camera looks along the road from low above.
+    """
+    along = line[-1] - line[0]
+    across = np.array([-along[1], along[0]]) / max(1e-9, float(np.linalg.norm(along)))
+    return np.asarray(across if across @ (arrow[1] - arrow[0]) > 0 else -across)
+
+
+def _name(gate: dict[str, Any], scale: float, size: Array) -> str:
+    """Name of a gate above its left end."""
+    line = np.array(gate["line"]) * scale
+    x, y = np.clip(line[np.argmin(line[:, 0])] + [0.0, -12.0], _EDGE, size - _EDGE)
+    return tag("text", escape(gate["gate"]), x=f"{x:.1f}", y=f"{y:.1f}", class_="gate name")
+
+
+def _arrow(start: Array, along: Array, row: Count, letters: dict[tuple[str, str], str], size: Array) -> Iterator[str]:
+    tip = start + _ARROW * along
+    across = np.array([-along[1], along[0]])
+    corners = [tip + _HEAD * (across - along), tip, tip - _HEAD * (across + along)]
+    head = "M" + "L".join(f"{x:.1f} {y:.1f}" for x, y in corners)
+    path = f"M{start[0]:.1f} {start[1]:.1f}L{tip[0]:.1f} {tip[1]:.1f}{head}"
+    yield tag("path", d=path, class_="way under")
+    yield tag("path", d=path, class_="way")
+    x, y = np.clip(tip + 18 * along + [0.0, 5.0], _EDGE, size - _EDGE)
+    text = f"{letters[row.gate, row.direction]} {count_text(row)}"
+    yield tag("text", text, x=f"{x:.1f}", y=f"{y:.1f}", text_anchor="middle", class_="gate")
