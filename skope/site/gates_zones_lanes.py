@@ -1,10 +1,12 @@
 """Drawings of a user on a road, as a site file has them: gates, zones, lanes, occluders."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 from shapely import Polygon
 
+from skope.camera.model import same_aspect
+from skope.errors import UserError
 from skope.site.mark_limits import FARTHEST, LONGEST_NAME
 from skope.site.toml_table import TomlTable
 
@@ -60,6 +62,28 @@ class OccluderMark:
     """Planar depth, metres."""
     foot: tuple[float, float] | None = None
     """The pixel where it stands on the ground."""
+
+
+def gate_at_size(gate: Gate, size: tuple[int, int]) -> Gate:
+    """The gate with its pixels in an image of another size.
+
+    Args:
+        gate: The gate; without `pixels` it is returned unchanged, without `size` its pixels are taken to be of `size`.
+        size: Width and height of the image, pixels.
+
+    Raises:
+        UserError: The two images differ in aspect ratio by more than 1%.
+    """
+    if not gate.pixels:
+        return gate
+    drawn = gate.size or size
+    if not same_aspect(drawn, size):
+        raise UserError(
+            f"gate {gate.name!r}: drawn in an image of {drawn[0]}x{drawn[1]}, but this footage is {size[0]}x{size[1]}, "
+            "another aspect ratio"
+        )
+    x, y = size[0] / drawn[0], size[1] / drawn[1]
+    return replace(gate, pixels=tuple((u * x, v * y) for u, v in gate.pixels), size=size)
 
 
 def read_gate(row: TomlTable) -> Gate:

@@ -114,7 +114,7 @@ def _partners(before: Sequence[Mapping[str, Any]], rows: Sequence[Mapping[str, A
     """Index of the row that each was before: of its name, or in its place with another name alone; None: it is new."""
 
     def other_than_name(row: Mapping[str, Any]) -> dict[str, Any]:
-        return {key: value for key, value in row.items() if key != "name"}
+        return {key: value for key, value in row.items() if key != "name" and value is not None}
 
     at = {row["name"]: k for k, row in enumerate(before) if "name" in row}
     out = [at.get(row["name"]) if "name" in row else None for row in rows]

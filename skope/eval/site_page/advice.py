@@ -13,7 +13,8 @@ from skope.eval.site_page.marks import Marks
 from skope.types import Array
 
 BEGIN: Final = (
-    "Mark four points or more whose places you know, or a known length and lines that are parallel on the road."
+    "Mark at least four points whose positions you know, or a known length and lines that are parallel on the road. "
+    "Gates in the image need no calibration; everything in metres does."
 )
 MIRRORED: Final = (
     "These places are mirrored: the camera would hang below the road. Looking along x, y has to grow to the left, as "

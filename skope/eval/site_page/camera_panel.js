@@ -16,6 +16,13 @@ export class CameraPanel {
     for (const button of byId("mend").children) button.addEventListener("click", () => this.mend(button.dataset.way));
   }
 
+  // Says whether the camera of the newest marks is still being solved: what is shown is the one before then.
+  busy(solving) {
+    document.querySelector("main").classList.toggle("solving", solving);
+    const words = solving ? "Solving the camera…" : "";
+    if (byId("solving").textContent !== words) byId("solving").textContent = words;
+  }
+
   show(look) {
     const { message, camera, warnings } = look;
     this.look = look;

@@ -99,7 +99,7 @@ class SolvedPage:
     def look(self, document: Mapping[str, Any]) -> dict[str, Any]:
         """All that the page shows of a document."""
         solved, marks = self.solve(document)
-        drawings, problems = read_drawings(document)
+        drawings, problems = read_drawings(document, self.size)
         out: dict[str, Any] = {
             "problems": [asdict(problem) for problem in (*marks.problems, *problems, *read_time(document).problems)],
             "message": solved.message,
@@ -109,13 +109,12 @@ class SolvedPage:
             "warnings": [],
             "drawn": None,
             "errors": None,
-            "shapes": [],
+            "shapes": shapes(drawings, solved.camera, solved.known.place_error if solved.known else None),
         }
         if solved.camera is None:
             return out
         out["camera"] = _figures(solved)
         out["drawn"] = overlays(solved.camera, _toward(drawings))
-        out["shapes"] = shapes(drawings, solved.camera, solved.known.place_error if solved.known else None)
         if solved.known is not None:
             out["errors"] = error_map(solved.known)
         if solved.calibration is not None:

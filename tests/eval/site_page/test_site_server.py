@@ -17,7 +17,7 @@ from skope.errors import UserError
 from skope.eval.site_page.frames import SiteFrames
 from skope.eval.site_page.map_places import map_places
 from skope.eval.site_page.solved_page import SolvedPage
-from skope.site.site_file import read_site
+from skope.site.site_file import SiteFile, read_site
 from tests.eval.site_page.conftest import CAMERA, PLACES, SIZE, Served, empty_document, marked_points, pixels_of
 
 Serve = Callable[..., Served]
@@ -136,7 +136,7 @@ def moved_places(way: Callable[[float, float], tuple[float, float]]) -> list[dic
 
 def test_what_is_missing_is_said_point_by_point() -> None:
     points = marked_points(4)
-    assert look_at([])["message"].startswith("Mark four points or more")
+    assert look_at([])["message"].startswith("Mark at least four points")
     assert look_at(points[:1])["message"].startswith("1 of 4 points have their places. Mark three more")
     assert "Mark one more" in look_at(points[:3])["message"]
     points[1]["place"] = [None, None, 0]
@@ -348,6 +348,89 @@ def test_saving_keeps_what_the_page_does_not_know(serve: Serve, tmp_path: Path) 
     again = json.loads(ask(served, "/begin.json")[2])
     assert again["document"]["points"] == document["points"]
     assert again["document"]["gates"] == document["gates"]
+
+
+GATES = f"""
+[[gates]]
+name = "drawn"
+pixels = [[100, 300], [500, 250]]
+size = [{SIZE[0]}, {SIZE[1]}]
+edges = ["a", "b"]
+
+[[gates]]
+name = "survey"
+line = [[2, 15], [9, 18]]
+"""
+
+
+def saved_again(served: Served, **changes: Any) -> SiteFile:
+    """Open the page's document, change lists of it, save it, and read the file."""
+    begun = json.loads(ask(served, "/begin.json")[2])
+    sent = {"document": begun["document"] | changes, "revision": begun["revision"]}
+    status, _, data = ask(served, "/save", sent)
+    assert status == 200, data
+    return read_site(served.path)
+
+
+def test_gates_in_the_image_get_a_line_from_the_camera_and_keep_their_pixels(serve: Serve, tmp_path: Path) -> None:
+    path = tmp_path / "site.toml"
+    path.write_text(GATES)
+    served = serve(path=path)
+    assert [bool(gate.line) for gate in saved_again(served).gates] == [False, True]
+    drawn, survey = saved_again(served, points=marked_points()).gates
+    assert np.array(drawn.pixels).tolist() == [[100, 300], [500, 250]]
+    assert list(drawn.edges or ()) == ["a", "b"]
+    assert np.abs(pixels_of(drawn.line) - drawn.pixels).max() < 2
+    assert np.array(survey.line).tolist() == [[2, 15], [9, 18]]
+    assert (len(survey.pixels), survey.size) == (0, None)
+    # The camera is calibrated again: all places were counted from 3 m farther west.
+    moved = [point | {"place": [point["place"][0] + 3, *point["place"][1:]]} for point in marked_points()]
+    again, same = saved_again(served, points=moved).gates
+    assert again.pixels == drawn.pixels
+    assert np.array(again.line) == pytest.approx(np.array(drawn.line) + [3, 0], abs=0.02)
+    assert same.line == survey.line
+    # An end above the horizon is nowhere on the road: the gate counts in the image alone.
+    document = json.loads(ask(served, "/begin.json")[2])["document"]
+    document["gates"][0]["pixels"][1] = [500, 2]
+    (warned,) = json.loads(ask(served, "/look", document)[2])["shapes"][0]["warnings"]
+    assert "above the horizon" in warned
+    assert saved_again(served, gates=document["gates"]).gates[0].line == ()
+
+
+@pytest.mark.parametrize("size", [(1280, 720), (320, 181)])
+def test_gates_of_another_image_size_are_scaled(serve: Serve, tmp_path: Path, size: tuple[int, int]) -> None:
+    path = tmp_path / "site.toml"
+    x, y = size[0] / SIZE[0], size[1] / SIZE[1]
+    path.write_text(
+        f'[[gates]]\nname = "g"\npixels = [[{100 * x}, {300 * y}], [{500 * x}, {250 * y}]]\nsize = {list(size)}\n'
+    )
+    gate = saved_again(serve(path=path)).gates[0]
+    assert gate.size == SIZE
+    assert np.array(gate.pixels) == pytest.approx(np.array([[100, 300], [500, 250]]))
+
+
+def test_gates_of_another_aspect_ratio_are_a_problem_and_not_drawn(serve: Serve, tmp_path: Path) -> None:
+    path = tmp_path / "site.toml"
+    path.write_text('[[gates]]\nname = "g"\npixels = [[100, 300], [500, 250]]\nsize = [640, 480]\n')
+    served, before = serve(path=path), path.read_bytes()
+    begun = json.loads(ask(served, "/begin.json")[2])
+    look = json.loads(ask(served, "/look", begun["document"])[2])
+    (problem,) = look["problems"]
+    assert (problem["kind"], problem["field"]) == ("gates", "pixels")
+    assert problem["text"] == "was drawn in an image of 640x480; this footage is 640x360: delete it and draw it again"
+    assert look["shapes"] == []
+    assert ask(served, "/save", {"document": begun["document"], "revision": begun["revision"]})[0] == 422
+    assert path.read_bytes() == before
+
+
+def test_a_renamed_gate_in_the_image_keeps_its_other_keys(serve: Serve, tmp_path: Path) -> None:
+    path = tmp_path / "site.toml"
+    path.write_text(GATES)
+    served = serve(path=path)
+    gates = json.loads(ask(served, "/begin.json")[2])["document"]["gates"]
+    gates[0]["name"] = "renamed"
+    gate = saved_again(served, gates=gates).gates[0]
+    assert (gate.name, gate.edges) == ("renamed", ("a", "b"))
 
 
 def test_a_second_windows_save_is_refused_and_can_be_joined(serve: Serve) -> None:
