@@ -78,7 +78,8 @@ def _merge(table: Any, changes: Mapping[str, Any], *, inline: bool) -> None:
             if key in table:
                 table.remove(key)
         elif key not in table:
-            table[key] = _made(value, inline=inline)
+            if not _says_nothing(value):
+                table[key] = _made(value, inline=inline)
         elif _plain(table[key]) == value and type(_plain(table[key])) is type(value):
             continue
         elif isinstance(value, Mapping) and isinstance(table[key], Mapping):
@@ -148,6 +149,11 @@ def _made(value: Any, *, inline: bool) -> Any:
             listed.append(_made(row, inline=True))
         return listed
     return tomlkit.item(value)
+
+
+def _says_nothing(value: Any) -> bool:
+    """Whether a table only removes keys, so that there is nothing to add."""
+    return isinstance(value, Mapping) and all(one is None for one in value.values())
 
 
 def _tables(value: Any) -> bool:

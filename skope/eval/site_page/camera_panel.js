@@ -28,7 +28,7 @@ export class CameraPanel {
     this.look = look;
     byId("steps").hidden = Boolean(camera) || MARKED.some((kind) => this.does.document()[kind].length);
     byId("message").textContent = message;
-    byId("message").hidden = !message;
+    byId("message").hidden = !message || !byId("steps").hidden; // the steps say it too
     for (const button of byId("mend").children) button.hidden = button.dataset.mend !== look.mend;
     byId("warnings").replaceChildren(...warnings.map((words) => text("li", words)));
     byId("figures-details").hidden = !camera;
