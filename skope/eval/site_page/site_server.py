@@ -88,6 +88,12 @@ def serve_site(frames: SiteFrames, path: Path, added: Mapping[str, Any], port: i
         UserError: The site file cannot be read, or `port` not be used.
     """
     server = bound_site(frames, path, added, port)
+    camera = server.store.read().document["camera"]
+    if camera is not None and (size := (camera["width"], camera["height"])) != frames.size:
+        console.result(
+            f"{path}: camera: camera of {size[0]}x{size[1]}, scaled to the {frames.size[0]}x{frames.size[1]} of "
+            f"{frames.title}"
+        )
     serve_until_stopped(server, f"{frames.title}, {path}", console)
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from skope.camera.evidence import MARKED_PX, MEASURED_M, UNEVEN_M, Belief, MarkedPoint
 from skope.camera.model import Camera
 from skope.camera.uncertain_camera import UncertainCamera
-from skope.dataset.camera_of_file import sized
+from skope.dataset.camera_of_file import fitted_camera
 from skope.errors import UserError
 from skope.eval.site_page.document_values import entries_of, unique_names
 from skope.eval.site_page.drawings import DRAWN, drawn_in_image, line_on_road
@@ -187,12 +187,8 @@ def _unless(key: str, value: float, default: float) -> dict[str, float]:
 
 def _camera(site: SiteFile, size: tuple[int, int]) -> dict[str, Any]:
     assert site.camera is not None
-    camera = site.camera.camera
-    try:
-        sized(camera, size, "the footage")
-    except UserError as error:
-        raise UserError(f"{site.path}: {error}") from None
-    return camera_dict(site.camera.known, camera)
+    fitted_camera(site.camera.camera, size, f"{site.path}: camera", "the footage")  # or a UserError
+    return camera_dict(site.camera.known, site.camera.camera)
 
 
 def camera_dict(known: UncertainCamera | None, camera: Camera) -> dict[str, Any]:

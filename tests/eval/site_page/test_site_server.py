@@ -477,6 +477,15 @@ def test_files_that_are_loaded_are_named_as_the_user_does(serve: Serve) -> None:
     look = json.loads(ask(served, "/look", empty_document(camera=found["camera"]))[2])
     assert look["camera"]["figures"][1]["value"] == 6.5
     assert look["errors"] is None  # the file does not say how well it is known
+    assert found["said"] == ""
+    large = CAMERA.resized((1280, 720))
+    camera = {"width": 1280, "height": 720, **large.to_dict()}
+    found = json.loads(ask(served, "/read", {"name": "c.json", "text": json.dumps(camera)})[2])
+    assert found["said"] == "c.json: camera of 1280x720, scaled to the 640x360 of the footage"
+    status, _, data = ask(served, "/read", {"name": "c.json", "text": json.dumps(camera | {"height": 900})})
+    assert (status, data.decode()) == (
+        400, "c.json: image size: expected the aspect ratio of the footage, 640x360, got 1280x900"
+    )  # fmt: skip
 
 
 def test_an_empty_canvas_has_no_pictures(serve: Serve) -> None:
