@@ -3,12 +3,15 @@
 from dataclasses import dataclass, replace
 from typing import Final
 
+import numpy as np
 from shapely import Polygon
 
-from skope.camera.model import same_aspect
+from skope.camera.ground_plane import ground_places
+from skope.camera.model import Camera, same_aspect
 from skope.errors import UserError
 from skope.site.mark_limits import FARTHEST, LONGEST_NAME
 from skope.site.toml_table import TomlTable
+from skope.types import Array
 
 Outline = tuple[tuple[float, float], ...]
 _LANE_M: Final = (0.5, 50.0)
@@ -84,6 +87,33 @@ def gate_at_size(gate: Gate, size: tuple[int, int]) -> Gate:
         )
     x, y = size[0] / drawn[0], size[1] / drawn[1]
     return replace(gate, pixels=tuple((u * x, v * y) for u, v in gate.pixels), size=size)
+
+
+def line_on_road(camera: Camera, pixels: Array) -> Outline:
+    """Ends on the road z = 0 of a gate that is drawn in the image.
+
+    Args:
+        camera: The camera.
+        pixels: (2, 2) ends of the gate in an image of the camera's size.
+
+    Returns:
+        World x and y of both ends, metres, to a millimetre; empty if one lies on or above the horizon.
+    """
+    ends = np.round(ground_places(camera, pixels)[:, :2], 3)
+    if not np.isfinite(ends).all() or (ends[0] == ends[1]).all():
+        return ()
+    return tuple((float(x), float(y)) for x, y in ends)
+
+
+def gate_on_road(gate: Gate, camera: Camera) -> Gate:
+    """The gate with a line on the road: where it has only `pixels`, their line as the camera sees it.
+
+    Unchanged where its pixels are of an image of another aspect ratio, or one lies on or above the horizon.
+    """
+    size = (camera.width, camera.height)
+    if gate.line or not gate.pixels or not same_aspect(gate.size or size, size):
+        return gate
+    return replace(gate, line=line_on_road(camera, np.array(gate_at_size(gate, size).pixels)))
 
 
 def read_gate(row: TomlTable) -> Gate:

@@ -14,6 +14,7 @@ from skope.eval.site_page.document_values import NO_NAME, entries_of, is_name, n
 from skope.eval.site_page.gate_checks import gate_warnings
 from skope.eval.site_page.marks import Problem
 from skope.eval.site_page.overlays import Polyline, polylines_of
+from skope.site.gates_zones_lanes import line_on_road
 from skope.types import Array
 
 DRAWN: Final = ("gates", "zones", "lanes", "occluders")
@@ -79,12 +80,6 @@ def read_drawings(document: Mapping[str, Any], size: tuple[int, int]) -> tuple[l
 def drawn_in_image(kind: str, entry: Mapping[str, Any]) -> bool:
     """Whether an entry is a gate that has its ends in the image; its line on the road follows from the camera."""
     return kind == "gates" and bool(entry.get("pixels"))
-
-
-def line_on_road(camera: Camera, pixels: Array) -> Array | None:
-    """(2, 2) ends on the road z = 0 of a gate with these pixels (2, 2), metres; None if one is above the horizon."""
-    ends = ground_places(camera, pixels)[:, :2]
-    return np.round(ends, 3) if np.isfinite(ends).all() and np.ptp(np.round(ends, 3), axis=0).any() else None
 
 
 def _problems(kind: str, index: int, entry: Mapping[str, Any], names: set[str], size: tuple[int, int]) -> list[Problem]:
@@ -224,10 +219,11 @@ def _image_gate(
     if camera is None:
         return shown
     line = line_on_road(camera, pixels)
-    if line is None:
+    if not line:
         return shown | {"warnings": [_ABOVE_HORIZON]}
-    shown |= {"places": line.tolist(), "ways": [way.tolist() for way in _ways_across(line)]}
-    return shown | {"warnings": gate_warnings(line, camera, lanes, place_error)}
+    ends = np.array(line)
+    shown |= {"places": ends.tolist(), "ways": [way.tolist() for way in _ways_across(ends)]}
+    return shown | {"warnings": gate_warnings(ends, camera, lanes, place_error)}
 
 
 def road_line(camera: Camera, corners: Array) -> list[Polyline]:

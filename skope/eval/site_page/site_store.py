@@ -16,13 +16,13 @@ from skope.camera.uncertain_camera import UncertainCamera
 from skope.dataset.camera_of_file import fitted_camera
 from skope.errors import UserError
 from skope.eval.site_page.document_values import entries_of, unique_names
-from skope.eval.site_page.drawings import DRAWN, drawn_in_image, line_on_road
+from skope.eval.site_page.drawings import DRAWN, drawn_in_image
 from skope.eval.site_page.footage_time import read_time, time_texts
 from skope.eval.site_page.marks import KINDS, SIGMA_FIELDS
 from skope.eval.site_page.solved_page import SolvedCamera
 from skope.files.reading import sha256_of
 from skope.site.calibration_marks import CalibrationMarks
-from skope.site.gates_zones_lanes import Gate, gate_at_size
+from skope.site.gates_zones_lanes import Gate, gate_at_size, line_on_road
 from skope.site.site_file import SiteFile, read_site
 from skope.site.write_site import save_site
 
@@ -264,8 +264,7 @@ def _saved_drawing(kind: str, entry: Mapping[str, Any], camera: Camera | None) -
         if drawn_in_image(kind, entry):
             out |= {"pixels": entry["pixels"], "size": entry.get("size")}
         if drawn_in_image(kind, entry) and camera is not None:
-            line = line_on_road(camera, np.asarray(entry["pixels"]))
-            out["line"] = None if line is None else line.tolist()
+            out["line"] = _rows(line_on_road(camera, np.array(entry["pixels"]))) or None
         return out | {"directions": directions if any(directions) else None}
     if kind == "zones":
         return {"name": entry["name"], "polygon": entry["polygon"]}

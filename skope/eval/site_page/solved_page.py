@@ -17,7 +17,7 @@ from skope.camera.model import Camera
 from skope.camera.uncertain_camera import UncertainCamera
 from skope.dataset.camera_of_file import sized
 from skope.errors import UserError
-from skope.eval.site_page.advice import BEGIN, DEGREES, MIRRORED, below_road, in_degrees, missing
+from skope.eval.site_page.advice import BEGIN, DEGREES, MIRRORED, below_road, implausible, in_degrees, missing
 from skope.eval.site_page.document_values import positions
 from skope.eval.site_page.drawings import Drawing, read_drawings, shapes
 from skope.eval.site_page.error_map import error_map, values
@@ -94,6 +94,8 @@ class SolvedPage:
             return replace(fallback, message="no camera agrees with what is marked")
         if below_road(evidence, found.camera):
             return replace(fallback, message=MIRRORED, mend="mirrored")
+        if words := implausible(found.camera):
+            return replace(fallback, message=words)
         return SolvedCamera(found.camera, found, "", left_out=left_out_errors(evidence, found))
 
     def look(self, document: Mapping[str, Any]) -> dict[str, Any]:

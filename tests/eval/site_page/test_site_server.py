@@ -157,6 +157,18 @@ def test_a_mirrored_plan_is_said_and_has_no_camera(way: Any) -> None:
     assert "mirrored" in answer["message"]
 
 
+def test_a_camera_that_no_road_camera_is_is_rejected() -> None:
+    """Lines that are not parallel on the road, on real footage: the solver gave a focal length of 4 763 140 px."""
+    lines = [[[105, 336], [109, 242]], [[233, 307], [198, 233]], [[408, 354], [322, 200]], [[547, 356], [405, 232]]]
+    look = look_at(
+        [],
+        parallels=[{"name": "lines", "lines": lines}],
+        lengths=[{"name": "length", "pixels": [[233, 307], [211, 262]], "metres": 6.0}],
+    )
+    assert look["camera"] is None
+    assert "which is not plausible" in look["message"]
+
+
 def test_degrees_in_place_of_metres_are_said_and_taken_as_metres(serve: Serve) -> None:
     # A minute of latitude is a nautical mile of 1852 m at about 45 degrees, within a third of a percent at 50.
     points = moved_places(lambda x, y: (50 + y / 1852 / 60, 8 + x / (1852 * 60 * 0.6428)))
@@ -395,6 +407,20 @@ def test_gates_in_the_image_get_a_line_from_the_camera_and_keep_their_pixels(ser
     (warned,) = json.loads(ask(served, "/look", document)[2])["shapes"][0]["warnings"]
     assert "above the horizon" in warned
     assert saved_again(served, gates=document["gates"]).gates[0].line == ()
+
+
+def test_a_gate_in_the_image_has_its_line_where_the_camera_is_written_by_hand(tmp_path: Path) -> None:
+    path = tmp_path / "site.toml"
+    pixels = (2 * pixels_of([[2, 15], [9, 18]])).round(2).tolist()
+    gate = f'[[gates]]\nname = "g"\npixels = {pixels}\nsize = [{2 * SIZE[0]}, {2 * SIZE[1]}]\n'
+    camera = {"width": SIZE[0], "height": SIZE[1], **CAMERA.to_dict()}
+    (tmp_path / "camera.json").write_text(json.dumps(camera))
+    path.write_text(gate)
+    assert read_site(path).gates[0].line == ()
+    path.write_text(gate + '[camera]\nfile = "camera.json"\n')
+    assert np.array(read_site(path).gates[0].line) == pytest.approx(np.array([[2, 15], [9, 18]]), abs=0.01)
+    path.write_text(path.read_text().replace(f"{2 * SIZE[1]}]", "960]"))  # of another aspect ratio: nowhere
+    assert read_site(path).gates[0].line == ()
 
 
 @pytest.mark.parametrize("size", [(1280, 720), (320, 181)])
