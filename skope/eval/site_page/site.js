@@ -78,7 +78,7 @@ function refresh() {
   const same = saving.has(document_());
   byId("save").disabled = same;
   byId("state").textContent = same ? (saving.exists ? "saved" : "") : "not saved yet";
-  byId("then").hidden = !(same && saving.exists && begun.measure && look && document_().gates.some((gate) => look.camera || inImage("gates", gate)));
+  byId("then").hidden = !(same && saving.exists && begun.measure && look && !problems().length && document_().gates.some((gate) => look.camera || inImage("gates", gate)));
   const { tool, pending } = now;
   for (const button of byId("tools").querySelectorAll("[data-tool]")) button.setAttribute("aria-pressed", button.dataset.tool === tool);
   byId("finish").hidden = !(pending.length && KINDS[tool] && KINDS[tool].open);
