@@ -102,7 +102,7 @@ let solvedFrom = evidenceOf({ points: [], lengths: [], parallels: [], verticals:
 const askLook = newest("/look", (answer, asked) => {
   look = answer;
   solvedFrom = evidenceOf(asked);
-  stage.setAttribute("aria-busy", "false");
+  if (asked === document_()) stage.setAttribute("aria-busy", "false"); // else the newest document is still to be asked
   showBusy();
   cameraPanel.show(look);
   setMap();
