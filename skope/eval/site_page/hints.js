@@ -2,7 +2,7 @@
 
 import { DRAWN, KINDS } from "./kinds.js";
 
-const CAMERA_NEEDED = "Zones and lanes are in metres: calibrate the camera first, with points, or with a length and parallel lines.";
+const CAMERA_NEEDED = "Zones and lanes are in metres: calibrate the camera first.";
 const CALIBRATED = "Where grid and boxes lie on the road, go on with Gate, Zone and Lane; more points make places more exact.";
 const PLAN = {
   gone: "The plan's picture is not there any more: load it again.",

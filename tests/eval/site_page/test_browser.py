@@ -500,7 +500,7 @@ def test_gates_are_drawn_and_saved_before_anything_is_calibrated(
     assert np.abs(np.array(saved(page).gates[0].pixels) - [[520, 270], [110.5, 300]]).max() < 0.6
     # Zones are in metres: they still need a camera.
     page.tool("zones")
-    assert page.text("#hint").startswith("Zones and lanes are in metres: calibrate")
+    assert page.text("#hint") == "Zones and lanes are in metres: calibrate the camera first."
     again = open_page(page.served)
     assert again.count(".gates circle.handle") == 2
     assert again.text("#state") == "saved"
