@@ -29,7 +29,7 @@ NOT_RUN: Final = {
     r"skope (gen|eval) view ": "serve until they are stopped: tests/viewer",
     r"skope gen --preset \w+(?!.*--dry-run)": "hours: gen/pipeline/test_generate.py makes them small",
     r"skope gen sites --maps": "draws every town: gen/cli tests draw one",
-    r"skope eval traffic (tracks|video|runs/tracks)": "take tracks and gates of a reader's own: tests/traffic",
+    r"skope eval traffic (tracks|video|runs/tracks|report/seen)": "take a reader's own: tests/traffic",
     r"skope eval predict rtsp://": "watches a reader's own camera: eval/cli/test_live_hours.py watches another one",
     r"python -m OTAnalytics": "another program: tests/traffic/test_otanalytics.py runs it",
     r"python \$SUMO_HOME": "other programs: tests/traffic/test_exports.py runs them",

@@ -129,6 +129,16 @@ def test_with_a_camera_frames_have_tracks_and_no_ghosts(detector: door.Detector,
     assert next(again).index == 0
 
 
+def test_a_camera_of_another_image_size_is_scaled_with_a_warning(detector: door.Detector, seen: Path) -> None:
+    with pytest.warns(UserWarning, match="camera: camera of 1280x720, scaled to the 640x360 of v"):
+        video = detector.video(seen / "v.mp4", camera=CAMERA.resized((1280, 720)), every_frame=True)
+    assert sorted(round(one.speed) for one in list(video)[15].tracks) == [0, 4]
+    with pytest.raises(
+        door.UserError, match="camera: image size: expected the aspect ratio of v, 640x360, got 640x480"
+    ):
+        detector.video(seen / "v.mp4", camera=CAMERA.resized((640, 480)))
+
+
 def test_the_camera_is_told_by_vehicles_or_not(detector: door.Detector, seen: Path) -> None:
     with pytest.raises(door.UserError, match="5 are needed"):
         detector.video(seen / "v.mp4").find_camera()

@@ -90,7 +90,8 @@ class Detector:
 
         Args:
             source: A video file, an image, a folder or glob of images, or the address of a stream.
-            camera: The camera, or its file as `read_camera` takes it; with one the video has tracks in metres.
+            camera: The camera, or its file as `read_camera` takes it; with one the video has tracks in metres. A camera
+                of another image size is scaled, with a warning.
             ground: Height of the level road in the camera's world, metres; "auto": 0 unless the vehicles clearly show
                 another plane; "fit": the plane that they show; None: unknown, so that their size tells distance.
             score: Detections above this are kept, 0 to 1.

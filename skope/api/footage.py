@@ -2,8 +2,9 @@
 
 import itertools
 import math
+import warnings
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -268,7 +269,8 @@ def open_video(
     Args:
         predictor: The detector, with the settings that it was loaded with.
         source: A video file, an image, a folder or glob of images, or the address of a stream.
-        camera: The camera, or its file as `read_camera` takes it; None: no tracks in metres.
+        camera: The camera, or its file as `read_camera` takes it; None: no tracks in metres. A camera of another image
+            size is scaled, with a warning.
         ground: Height of the level road in the camera's world, metres, or a word or None as in `Detector.video`.
         score: Detections above this are kept, 0 to 1.
         every: Take every so many-th frame, from 1.
@@ -276,7 +278,7 @@ def open_video(
         every_frame: Run the detector on every frame; else on a CPU it runs twice a second.
         fps: Images a second of image files, which carry no times; None: the files' own times, if any.
     """
-    from skope.dataset.camera_of_file import read_camera
+    from skope.dataset.camera_of_file import fitted_camera, read_camera
     from skope.eval.inference.frame_sources import Cut, open_footage
     from skope.eval.inference.predict_job import PredictJob
     from skope.eval.pose.camera_error import camera_info
@@ -293,10 +295,16 @@ def open_video(
         in_range("ground", ground, -_HIGHEST_M, _HIGHEST_M)
     if fps is not None:
         in_range("fps", fps, 0.001, 1000.0)
-    known: Mapping[str, Any] = {}
-    if isinstance(camera, str | Path):
-        known, camera = camera_info(Path(camera)), read_camera(Path(camera))[0]
     footage = open_footage(str(source), Cut(every=every, start_s=start_s, end_s=math.inf if end_s is None else end_s))
+    name, known = "camera", dict[str, Any]()
+    size = None if camera is None else footage.frame_size()
+    if isinstance(camera, str | Path):
+        name, known = str(camera), camera_info(Path(camera))
+        camera = read_camera(Path(camera), size)[0]
+    if camera is not None and size is not None:
+        camera, scaled = fitted_camera(camera, size, name, footage.name)
+        if scaled:
+            warnings.warn(scaled, stacklevel=3)
     job = PredictJob(
         footage=footage,
         checkpoint=predictor.weights,

@@ -22,9 +22,16 @@ from skope.types import Array, Mask
 DISTORTION_MODELS: Final = ("none", "brown", "fisheye")
 _COUNTS: Final = {"none": (0,), "brown": (4, 5, 8, 12), "fisheye": (4,)}
 _NEAR: Final = 1e-6
+_SAME_ASPECT: Final = 0.01
+"""Largest relative difference of two aspect ratios that count as the same."""
 """Points nearer than this to the camera's plane count as behind it."""
 _BLOCK: Final = 1 << 13
 """Points that are distorted at once."""
+
+
+def same_aspect(size: tuple[int, int], other: tuple[int, int]) -> bool:
+    """Whether two images (width, height) have the same aspect ratio, within 1%."""
+    return abs(size[0] * other[1] - other[0] * size[1]) <= _SAME_ASPECT * size[0] * other[1]
 
 
 def _first_positive_root(coefficients: list[float]) -> float:

@@ -7,7 +7,7 @@ import numpy as np
 
 from skope.camera.calibration_files import read_calibration
 from skope.camera.camera_json import camera_of_json
-from skope.camera.model import Camera
+from skope.camera.model import Camera, same_aspect
 from skope.dataset import coco
 from skope.errors import UserError
 from skope.files.json_files import read_json
@@ -49,13 +49,38 @@ def sized(camera: Camera, size: tuple[int, int], name: str) -> Camera:
     Raises:
         UserError: The camera's shape is not the image's.
     """
-    if (camera.width, camera.height) == size:
+    own = (camera.width, camera.height)
+    if own == size:
         return camera
-    if abs(camera.width * size[1] - camera.height * size[0]) > 0.01 * camera.width * size[1]:
+    if not same_aspect(own, size):
         raise UserError(
-            f"{name}: is {size[0]}x{size[1]}, which a camera of {camera.width}x{camera.height} does not make"
+            f"{name}: image size: expected the aspect ratio of the camera, {own[0]}x{own[1]}, got {size[0]}x{size[1]}"
         )
     return camera.resized(size)
+
+
+def fitted_camera(camera: Camera, size: tuple[int, int], name: str, footage: str) -> tuple[Camera, str]:
+    """A camera from a file at the size of the footage it is used for.
+
+    Args:
+        camera: The camera.
+        size: Width and height of the footage, pixels.
+        name: Name of the camera's file, and the key in it where it is one of several, for messages.
+        footage: Name of the footage, for messages.
+
+    Returns:
+        The camera, and a sentence that it was scaled; empty where the sizes are equal.
+
+    Raises:
+        UserError: The aspect ratios differ by more than 1%.
+    """
+    own = (camera.width, camera.height)
+    if not same_aspect(own, size):
+        raise UserError(
+            f"{name}: image size: expected the aspect ratio of {footage}, {size[0]}x{size[1]}, got {own[0]}x{own[1]}"
+        )
+    words = f"{name}: camera of {own[0]}x{own[1]}, scaled to the {size[0]}x{size[1]} of {footage}"
+    return camera.resized(size), "" if own == size else words
 
 
 def with_camera(image: Image, camera: Camera | None) -> Image:

@@ -37,6 +37,8 @@ brightness (0 to 1) and contrast."""
 PIXEL_WIDTH: Final = "pixel_width"
 """Under this name the `info` of frames says how wide a pixel is, in its heights, where a video says that they are not
 square."""
+SKIPPED: Final = "skipped"
+"""Key in `info` of the frames: lines on what could not be read in the footage. Absent: all of it was read."""
 BEGINS: Final = "begins"
 """Under this name the `info` of frames says when second 0 of a live stream was, as a time with its offset."""
 

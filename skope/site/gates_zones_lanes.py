@@ -1,12 +1,17 @@
 """Drawings of a user on a road, as a site file has them: gates, zones, lanes, occluders."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
+import numpy as np
 from shapely import Polygon
 
+from skope.camera.ground_plane import ground_places
+from skope.camera.model import Camera, same_aspect
+from skope.errors import UserError
 from skope.site.mark_limits import FARTHEST, LONGEST_NAME
 from skope.site.toml_table import TomlTable
+from skope.types import Array
 
 Outline = tuple[tuple[float, float], ...]
 _LANE_M: Final = (0.5, 50.0)
@@ -60,6 +65,55 @@ class OccluderMark:
     """Planar depth, metres."""
     foot: tuple[float, float] | None = None
     """The pixel where it stands on the ground."""
+
+
+def gate_at_size(gate: Gate, size: tuple[int, int]) -> Gate:
+    """The gate with its pixels in an image of another size.
+
+    Args:
+        gate: The gate; without `pixels` it is returned unchanged, without `size` its pixels are taken to be of `size`.
+        size: Width and height of the image, pixels.
+
+    Raises:
+        UserError: The two images differ in aspect ratio by more than 1%.
+    """
+    if not gate.pixels:
+        return gate
+    drawn = gate.size or size
+    if not same_aspect(drawn, size):
+        raise UserError(
+            f"gate {gate.name!r}: drawn in an image of {drawn[0]}x{drawn[1]}, but this footage is {size[0]}x{size[1]}, "
+            "another aspect ratio"
+        )
+    x, y = size[0] / drawn[0], size[1] / drawn[1]
+    return replace(gate, pixels=tuple((u * x, v * y) for u, v in gate.pixels), size=size)
+
+
+def line_on_road(camera: Camera, pixels: Array) -> Outline:
+    """Ends on the road z = 0 of a gate that is drawn in the image.
+
+    Args:
+        camera: The camera.
+        pixels: (2, 2) ends of the gate in an image of the camera's size.
+
+    Returns:
+        World x and y of both ends, metres, to a millimetre; empty if one lies on or above the horizon.
+    """
+    ends = np.round(ground_places(camera, pixels)[:, :2], 3)
+    if not np.isfinite(ends).all() or (ends[0] == ends[1]).all():
+        return ()
+    return tuple((float(x), float(y)) for x, y in ends)
+
+
+def gate_on_road(gate: Gate, camera: Camera) -> Gate:
+    """The gate with a line on the road: where it has only `pixels`, their line as the camera sees it.
+
+    Unchanged where its pixels are of an image of another aspect ratio, or one lies on or above the horizon.
+    """
+    size = (camera.width, camera.height)
+    if gate.line or not gate.pixels or not same_aspect(gate.size or size, size):
+        return gate
+    return replace(gate, line=line_on_road(camera, np.array(gate_at_size(gate, size).pixels)))
 
 
 def read_gate(row: TomlTable) -> Gate:

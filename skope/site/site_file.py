@@ -20,6 +20,7 @@ from skope.site.gates_zones_lanes import (
     Lane,
     OccluderMark,
     Zone,
+    gate_on_road,
     read_gate,
     read_lane,
     read_occluder,
@@ -99,8 +100,9 @@ def parse_site(path: Path, data: bytes) -> SiteFile:
         occluders.append(read_occluder(row))
         unknown += row.unread
     others = [key for key in table.unread if key not in _FOR_GENERATING]
+    gates = parts.gates if camera is None else tuple(gate_on_road(gate, camera.camera) for gate in parts.gates)
     return SiteFile(
-        **{**vars(parts), "unknown": (*others, *unknown)},
+        **{**vars(parts), "unknown": (*others, *unknown), "gates": gates},
         path=path,
         revision=hashlib.sha256(data).hexdigest(),
         camera=camera,

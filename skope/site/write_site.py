@@ -78,7 +78,8 @@ def _merge(table: Any, changes: Mapping[str, Any], *, inline: bool) -> None:
             if key in table:
                 table.remove(key)
         elif key not in table:
-            table[key] = _made(value, inline=inline)
+            if not _says_nothing(value):
+                table[key] = _made(value, inline=inline)
         elif _plain(table[key]) == value and type(_plain(table[key])) is type(value):
             continue
         elif isinstance(value, Mapping) and isinstance(table[key], Mapping):
@@ -114,7 +115,7 @@ def _partners(before: Sequence[Mapping[str, Any]], rows: Sequence[Mapping[str, A
     """Index of the row that each was before: of its name, or in its place with another name alone; None: it is new."""
 
     def other_than_name(row: Mapping[str, Any]) -> dict[str, Any]:
-        return {key: value for key, value in row.items() if key != "name"}
+        return {key: value for key, value in row.items() if key != "name" and value is not None}
 
     at = {row["name"]: k for k, row in enumerate(before) if "name" in row}
     out = [at.get(row["name"]) if "name" in row else None for row in rows]
@@ -148,6 +149,11 @@ def _made(value: Any, *, inline: bool) -> Any:
             listed.append(_made(row, inline=True))
         return listed
     return tomlkit.item(value)
+
+
+def _says_nothing(value: Any) -> bool:
+    """Whether a table only removes keys, so that there is nothing to add."""
+    return isinstance(value, Mapping) and all(one is None for one in value.values())
 
 
 def _tables(value: Any) -> bool:

@@ -173,7 +173,7 @@ def _drawn(
 
 
 def _middle(drawn: Array) -> tuple[float, float]:
-    """Between what values lie with `INTERVAL_LEVEL`; infinite ones are the largest."""
+    """Between what values lie with `COUNT_INTERVAL_LEVEL`; infinite ones are the largest."""
     tail = round(len(drawn) * (1 - COUNT_INTERVAL_LEVEL) / 2)
     ordered = np.sort(drawn)
     return float(ordered[tail]), float(ordered[-1 - tail])

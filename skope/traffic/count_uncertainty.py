@@ -28,7 +28,7 @@ _TAIL: Final = 1e-6
 
 @dataclass(frozen=True)
 class CountInterval:
-    """The numbers between which the truth lies with `INTERVAL_LEVEL`, both included."""
+    """The numbers between which the truth lies with `COUNT_INTERVAL_LEVEL`, both included."""
 
     low: int
     high: int

@@ -92,7 +92,7 @@ def _ratio_sigma(ratio: float, n: int) -> float:
 
 
 def order_ranks(n: int, share: float) -> tuple[int, int] | None:
-    """Indices of the two of n sorted values between which a quantile of their distribution lies with `INTERVAL_LEVEL`.
+    """Indices of two of n sorted values between which a quantile lies with `COUNT_INTERVAL_LEVEL`.
 
     Each end errs with half of the rest at most. None where n is too small for that.
     """

@@ -230,6 +230,17 @@ def test_without_a_camera_gates_in_the_image_count_and_nothing_else(skope: Skope
         ("left", "2", ""), ("right", "1", ""), ("right", "3", "")
     ]  # fmt: skip
     assert sorted(row["y"] for row in events) == ["120.000", "140.000", "140.000"]
+    # Drawn in a picture of half the size it counts the same; of another aspect ratio it is rejected.
+    width, height = images[0].width, images[0].height
+    half = f'[[gates]]\nname = "g"\npixels = [[120, 100], [120, 30]]\nsize = [{width // 2}, {height // 2}]\n'
+    Path("half.toml").write_text(half + 'directions = ["right", "left"]\n')
+    assert skope("eval", "traffic", "seen", "--site", "half.toml", "--out", "half")[0] == 0
+    assert rows_of("half/counts.csv") == rows_of("r/counts.csv")
+    Path("half.toml").write_text(half.replace(f"{height // 2}]", f"{height // 2 + 40}]"))
+    code, _, err = skope("eval", "traffic", "seen", "--site", "half.toml", "--out", "other")
+    assert (code, err.count("\n"), Path("other").exists()) == (2, 1, False)
+    drawn = f"drawn in an image of {width // 2}x{height // 2 + 40}, but this footage is {width}x{height}"
+    assert f"half.toml: gate 'g': {drawn}" in err
     Path("site.toml").write_text("")
     code, _, err = skope("eval", "traffic", "seen", "--out", "other")
     assert (code, "needs gates with `pixels`" in err) == (2, True)
@@ -320,11 +331,10 @@ def test_footage_is_detected_and_tracked_first_and_once(
     numbered_video(Path("v.mp4"), 8)
     site = Path("site.toml")
     call = ("eval", "traffic", "v.mp4", "--checkpoint", random_run, "--device", "cpu", "--out", "r")
-    site.write_text(HEAD)
-    assert "site.toml: has no gates: nothing will be counted" in skope(*call)[2], "said before minutes are spent"
     site.write_text(HEAD + '[[gates]]\nname = "g"\nline = [[0, 20], [9, 20]]\n')
     code, _, err = skope(*call)
-    assert (code, "camera: missing" in err, Path("r").exists()) == (2, True, False)
+    assert (code, err.count("\n"), Path("r").exists()) == (2, 1, False)
+    assert "site.toml: gates: expected a gate that is drawn in the image (`pixels`), or a [camera] for metres" in err
     camera = "[camera]\nsize = [96, 64]\nfov_deg = 60.0\nposition = [0, 0, 6]\nyaw_deg = 90.0\npitch_deg = 20.0\n"
     camera += 'covariance = { of = ["z"], matrix = [[0.0036]] }\n'  # 6 cm of 6 m: all distances are off by 1%
     site.write_text(f"{site.read_text()}{camera}")
@@ -349,6 +359,80 @@ def test_footage_is_detected_and_tracked_first_and_once(
     numbered_video(Path("v.mp4"), 9)
     code, _, err = skope(*call)
     assert (code, "other work" in err) == (2, True)
+
+
+def test_a_site_without_gates_is_warned_of_before_minutes_are_spent(
+    skope: Skope, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    numbered_video(Path("v.mp4"), 8)
+    Path("site.toml").write_text(VIDEO_CAMERA.format(width=96, height=64))
+
+    def stop(*_: object) -> None:
+        raise UserError("detects now")
+
+    monkeypatch.setattr("skope.eval.inference.predict_footage.predict", stop)
+    _, _, err = skope("eval", "traffic", "v.mp4", "--out", "r", "--device", "cpu")
+    assert err.index("site.toml: has no gates: nothing will be counted") < err.index("detects now")
+
+
+VIDEO_CAMERA = (
+    "[camera]\nsize = [{width}, {height}]\nfov_deg = 60.0\nposition = [0, 0, 6]\nyaw_deg = 90.0\npitch_deg = 20.0\n"
+)
+IMAGE_GATE = '[[gates]]\nname = "g"\npixels = [[20, 100], [160, 100]]\nsize = [{width}, {height}]\n'
+
+
+def test_footage_is_counted_by_gates_in_the_image_where_there_is_no_camera(
+    skope: Skope, random_run: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The gate is of a picture twice as large; another aspect ratio is rejected before anything is detected."""
+    numbered_video(Path("v.mp4"), 8)
+    site = Path("site.toml")
+    call = ("eval", "traffic", "v.mp4", "--checkpoint", random_run, "--device", "cpu", "--out", "r")
+    site.write_text(IMAGE_GATE.format(width=192, height=144))
+    code, out, err = skope(*call)
+    assert (code, err.count("\n"), Path("r").exists()) == (2, 1, False)
+    assert "site.toml: gate 'g': drawn in an image of 192x144, but this footage is 96x64" in err
+    site.write_text(IMAGE_GATE.format(width=192, height=128))
+    code, out, err = skope(*call)
+    assert (code, "warning" in err) == (0, False), err
+    assert "no metres: nothing calibrates the camera" in out
+    written = {path.name for path in Path("r").iterdir()}
+    assert {"seen", "counts.csv", "events.csv", "report.html", "summary.json"} <= written
+    assert "tracks" not in written
+    assert len(rows_of("r/counts.csv")) > 0
+
+    def never(*_: object) -> None:
+        raise AssertionError("detected again")
+
+    monkeypatch.setattr("skope.eval.inference.predict_footage.predict", never)
+    made = Path("r/counts.csv").read_bytes()
+    frames = json.loads(Path("r/seen/frames.json").read_text())
+    frames["info"]["skipped"] = ["v.mp4: frame 5 of 8 cannot be decoded"]
+    Path("r/seen/frames.json").write_text(json.dumps(frames))
+    code, out, _ = skope(*call)
+    assert (code, "has the detections of v" in out) == (0, True)
+    assert Path("r/counts.csv").read_bytes() == made
+    note = "not read in the footage: v.mp4: frame 5 of 8 cannot be decoded"
+    assert f"note: {note}" in out
+    assert note in json.loads(Path("r/summary.json").read_text())["refused"]
+    code, _, err = skope(*call, "--hand-count", "h.csv")
+    assert (code, "skope eval traffic r/seen --site site.toml` with --hand-count" in err) == (2, True)
+
+
+def test_a_camera_of_another_image_size_is_scaled_to_the_footage(skope: Skope, random_run: Path) -> None:
+    numbered_video(Path("v.mp4"), 8)
+    gate = '[[gates]]\nname = "g"\nline = [[0, 20], [9, 20]]\n'
+    call = ("eval", "traffic", "v.mp4", "--checkpoint", random_run, "--device", "cpu", "--out", "r")
+    Path("site.toml").write_text(gate + VIDEO_CAMERA.format(width=192, height=144))
+    code, _, err = skope(*call)
+    assert (code, err.count("\n"), Path("r").exists()) == (2, 1, False)
+    assert "site.toml: camera: image size: expected the aspect ratio of v, 96x64, got 192x144" in err
+    Path("site.toml").write_text(gate + VIDEO_CAMERA.format(width=192, height=128))
+    code, out, err = skope(*call)
+    assert code == 0, err
+    assert "site.toml: camera: camera of 192x128, scaled to the 96x64 of v" in out
+    written = json.loads(Path("r/camera.json").read_text())
+    assert (written["width"], written["height"]) == (96, 64)
 
 
 def test_people_on_foot_count_by_where_they_stand(tracks: AnnotationFile) -> None:
@@ -439,7 +523,7 @@ def test_a_hand_count_gets_a_table_and_moves_intervals(skope: Skope, tracks: Ann
     assert "h.csv: line 2: count: expected a whole number" in err
     code, _, err = skope("eval", "traffic", "a.mp4", "--out", "new", "--hand-count", "h.csv")
     assert (code, err.count("\n"), Path("new").exists()) == (2, 1, False)
-    assert "--hand-count: needs tracks, not footage" in err
+    assert "--hand-count: needs a folder, not footage" in err
 
 
 def test_files_of_other_programs_are_written_beside_the_report(skope: Skope, tracks: AnnotationFile) -> None:

@@ -62,7 +62,7 @@ def predict(
     console: Console,
 ) -> None:
     """Run a detector on footage: COCO results, and overlays. The same command goes on where a stopped one was."""
-    from skope.dataset.camera_of_file import read_camera
+    from skope.dataset.camera_of_file import fitted_camera, read_camera
     from skope.eval.inference.frame_sources import Cut, open_footage
 
     check_probability("--score", score)
@@ -73,7 +73,14 @@ def predict(
         raise UserError("--overlay: a live stream cannot be read again; record it to a file first")
     settings = hardware.settings(tiles=tiles)
     out = out or PREDICTED / (Path(footage.name).stem or "images")
-    fixed = read_camera(camera)[0] if camera else None
+    fixed = None
+    if camera:
+        size = footage.frame_size()
+        fixed = read_camera(camera, size)[0]
+        if size:
+            fixed, scaled = fitted_camera(fixed, size, str(camera), footage.name)
+            if scaled:
+                console.result(scaled)
 
     from skope.eval.inference.predict_footage import predict
     from skope.eval.inference.predict_job import PredictJob

@@ -105,6 +105,7 @@ class SceneOptions(KeypointOptions):
 
         `noise` are the levels that will be added, of which the first one counts here.
         """
+        from skope.dataset.camera_of_file import fitted_camera
         from skope.eval.camera_fit.fit_ground import with_fitted_ground
         from skope.eval.camera_fit.write_camera import doubt
 
@@ -114,6 +115,11 @@ class SceneOptions(KeypointOptions):
         scene = self.read(console, self.camera, _ground(self.ground))
         if scene.left_out:
             console.result(scene.left_out)
+        if scene.camera is not None:
+            for size in sorted({(image.width, image.height) for image in scene.file.images}):
+                _, scaled = fitted_camera(scene.camera, size, str(self.camera), scene.file.name)
+                if scaled:
+                    console.result(scaled)
         if scene.motion:
             console.result(f"{scene.file.name}: {scene.motion}")
         if scene.known:

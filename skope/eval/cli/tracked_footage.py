@@ -1,9 +1,11 @@
-"""Footage tracked by the camera of a site file, for commands that begin with tracks."""
+"""Footage that is detected first, for commands that begin with tracks: in metres with a camera, or in the image."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from skope.dataset.folder import FRAMES, SKIPPED
 from skope.errors import UserError
 from skope.eval.cli.options import MachineOptions
 from skope.eval.cli.scene_options import SceneOptions
@@ -11,16 +13,78 @@ from skope.files.output_folders import claim_output
 from skope.terminal.console import Console
 
 if TYPE_CHECKING:
+    from skope.eval.inference.frame_sources import Footage
     from skope.site.site_file import SiteFile
 
 _CAMERA_NAME: Final = "camera.json"
-_SEEN: Final = "seen"
+SEEN_NAME: Final = "seen"
+"""The folder of detections below the output."""
 TRACKS_NAME: Final = "tracks"
 """The folder of tracks below the output."""
 
 
-def tracked_footage(
-    source: str,
+def recorded_video(source: str) -> "Footage":
+    """Open a video file.
+
+    Raises:
+        UserError: It cannot be read, is a live stream, or holds images without times.
+    """
+    from skope.eval.inference.frame_sources import Cut, open_footage
+
+    footage = open_footage(source, Cut())
+    if footage.clip is None:
+        raise UserError(
+            f"{source}: images carry no times: begin with `skope eval predict` and `skope eval track --fps`"
+        )
+    if footage.live:
+        raise UserError(f"{source}: is a live stream; record it, or begin with `skope eval predict {source}`")
+    return footage
+
+
+def site_at_size(site: "SiteFile", footage: "Footage", console: Console) -> "SiteFile":
+    """The site with its camera, or else the pixels of its gates, at the size of the footage.
+
+    A line says so where the camera is scaled.
+
+    Raises:
+        UserError: The camera, or a gate that is counted in the image, has another aspect ratio than the footage.
+    """
+    from skope.dataset.camera_of_file import fitted_camera
+
+    size = footage.frame_size()
+    if size is None:
+        raise UserError(f"{footage.name}: none of its frames can be decoded: {'; '.join(footage.skipped)}")
+    if site.camera is None:
+        return gates_at_size(site, size)
+    camera, scaled = fitted_camera(site.camera.camera, size, f"{site.path}: camera", footage.name)
+    if scaled:
+        console.result(scaled)
+    return replace(site, camera=replace(site.camera, camera=camera))
+
+
+def gates_at_size(site: "SiteFile", size: tuple[int, int]) -> "SiteFile":
+    """The site with the pixels of its gates in images of a size (width, height).
+
+    Raises:
+        UserError: A gate was drawn in an image of another aspect ratio; the message names the site file and the gate.
+    """
+    from skope.site.gates_zones_lanes import gate_at_size
+
+    try:
+        return replace(site, gates=tuple(gate_at_size(gate, size) for gate in site.gates))
+    except UserError as error:
+        raise UserError(f"{site.path}: {error}") from None
+
+
+def skipped_lines(folder: Path) -> list[str]:
+    """Lines of `skope eval predict` on what could not be read in the footage whose frames lie in a folder."""
+    from skope.dataset import coco
+
+    return list(map(str, coco.read(folder / FRAMES).info.get(SKIPPED, ())))
+
+
+def detected_footage(
+    footage: "Footage",
     site: "SiteFile",
     checkpoint: Path,
     hardware: MachineOptions,
@@ -29,10 +93,52 @@ def tracked_footage(
     options: Mapping[str, Any],
     console: Console,
 ) -> Path:
-    """Detect and track what a video shows, in folders below `out`; a stopped run goes on.
+    """Detect and follow in the image what a video shows, in a folder below `out`; a stopped run resumes.
 
     Args:
-        source: The video.
+        footage: The video.
+        site: Its site, which is part of the work.
+        checkpoint: What to detect with.
+        hardware: How to run it.
+        out: The output folder of `command`, which is claimed here.
+        command: The command that asks.
+        options: What else its result depends on.
+        console: Where messages go.
+
+    Returns:
+        The folder of detections, as `skope eval predict` writes it.
+
+    Raises:
+        UserError: The footage cannot be read, or `out` holds other work.
+    """
+    from skope.eval.inference.predict_footage import predict
+    from skope.eval.inference.predict_job import PROGRESS_FILE, PredictJob, content_of
+
+    claim_output(out, command, [site.path], {**options, "source": content_of(footage), "checkpoint": str(checkpoint)})
+    seen = out / SEEN_NAME
+    if (seen / FRAMES).is_file() and not (seen / PROGRESS_FILE).exists():
+        console.say(f"{seen}: has the detections of {footage.name}")
+        return seen
+    job = PredictJob(footage=footage, checkpoint=checkpoint, out=seen, settings=hardware.settings(tiles="none"))
+    for path in predict(job, console):
+        console.say(f"wrote {path}")
+    return seen
+
+
+def tracked_footage(
+    footage: "Footage",
+    site: "SiteFile",
+    checkpoint: Path,
+    hardware: MachineOptions,
+    out: Path,
+    command: str,
+    options: Mapping[str, Any],
+    console: Console,
+) -> Path:
+    """Detect and track what a video shows, in folders below `out`; a stopped run resumes.
+
+    Args:
+        footage: The video.
         site: Its site, whose camera took it.
         checkpoint: What to detect with.
         hardware: How to run it.
@@ -45,29 +151,17 @@ def tracked_footage(
         The folder of tracks.
 
     Raises:
-        UserError: The site has no camera, the footage cannot be read, or `out` holds other work.
+        UserError: The footage cannot be read, or `out` holds other work.
     """
     from skope.dataset.camera_of_file import read_camera
     from skope.eval.camera_fit.write_camera import write_camera
-    from skope.eval.inference.frame_sources import Cut, open_footage
     from skope.eval.inference.predict_footage import predict
     from skope.eval.inference.predict_job import PredictJob, content_of
     from skope.eval.pose.camera_error import camera_info
     from skope.eval.tracking.track_footage import TrackJob, follow_footage
     from skope.traffic.observation import FOOTAGE
 
-    if site.camera is None:
-        raise UserError(
-            f"{site.path}: camera: missing: footage has no metres without one (`skope eval site` calibrates it); "
-            "`skope eval predict` and gates with `pixels` count without one"
-        )
-    footage = open_footage(source, Cut())
-    if footage.clip is None:
-        raise UserError(
-            f"{source}: images carry no times: begin with `skope eval predict` and `skope eval track --fps`"
-        )
-    if footage.live:
-        raise UserError(f"{source}: is a live stream; record it, or begin with `skope eval predict {source}`")
+    assert site.camera is not None
     known = site.camera.known
     besides = {"covariance": known.covariance_dict()} if known else {}
     # The site file may name the camera's: what that holds is part of what the work is.
@@ -83,14 +177,14 @@ def tracked_footage(
     job = PredictJob(
         footage=footage,
         checkpoint=checkpoint,
-        out=out / _SEEN,
+        out=out / SEEN_NAME,
         settings=hardware.settings(tiles="none"),
         camera=read_camera(out / _CAMERA_NAME)[0],
         camera_info=camera_info(out / _CAMERA_NAME),
     )
     for path in predict(job, console):
         console.say(f"wrote {path}")
-    scene_options = SceneOptions(folder=out / _SEEN)
+    scene_options = SceneOptions(folder=out / SEEN_NAME)
     scene = scene_options.scene(0.0, console=console)
     scene_options.claim_output(tracks, "skope eval track", fps=None, noise=0.0)
     track_job = TrackJob(

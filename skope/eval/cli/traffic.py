@@ -1,6 +1,7 @@
 """`skope eval traffic`: counts, movements, speeds and conflicts from tracks."""
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
@@ -34,7 +35,7 @@ def traffic(
         typer.Argument(
             metavar="TRACKS...",
             help="Folders that `skope eval track` wrote, of one recording or several of one site; a video, which is "
-            "tracked first; or, without a camera, what `skope eval predict` wrote.",
+            "detected first; or, without a camera, a folder that `skope eval predict` wrote.",
         ),
     ],
     *,
@@ -107,7 +108,7 @@ def _report(
     start = _only_begin(begins, site)
     if (folder / FRAMES).is_file():
         return _report_in_image(folder, site, start, hand_count, out, also)
-    return _report_of_footage(sources[0], site, start, hand_count, out, formats, checkpoint, hardware, console)
+    return _report_of_footage(sources[0], site, start, hand_count, out, formats, also, checkpoint, hardware, console)
 
 
 def _options(begins: str | list[str] | None, hand_count: Path | None) -> dict[str, Any]:
@@ -155,32 +156,63 @@ def _report_of_footage(
     hand_count: Path | None,
     out: Path,
     formats: tuple[str, ...],
+    also: str,
     checkpoint: Path,
     hardware: FastMachineOptions,
     console: Console,
 ) -> Iterator[str]:
-    """Detect and track what a video shows, and measure that."""
-    from skope.eval.cli.tracked_footage import TRACKS_NAME, tracked_footage
+    """Detect what a video shows, and measure it: in metres with the site's camera, else by its gates in the image."""
+    from skope.eval.cli.tracked_footage import (
+        SEEN_NAME,
+        TRACKS_NAME,
+        detected_footage,
+        recorded_video,
+        site_at_size,
+        skipped_lines,
+        tracked_footage,
+    )
     from skope.tracks.csv_file import TRACKS_CSV, read_tracks
+    from skope.traffic.exports.formats import checked_formats
     from skope.traffic.measure import measure
     from skope.traffic.observation import read_observation, track_files
 
+    again = out / (SEEN_NAME if site.camera is None else TRACKS_NAME)
     if hand_count is not None:
         raise UserError(
-            f"--hand-count: needs tracks, not footage: `{_COMMAND} {source} --site {site.path} --out {out}` first, "
-            f"then `{_COMMAND} {out / TRACKS_NAME}` with --hand-count and another --out"
+            f"--hand-count: needs a folder, not footage: `{_COMMAND} {source} --site {site.path} --out {out}` first, "
+            f"then `{_COMMAND} {again} --site {site.path}` with --hand-count and another --out"
+        )
+    draw = f"`skope eval site {source} --site {site.path}`"
+    if site.camera is None and not any(gate.pixels for gate in site.gates):
+        raise UserError(
+            f"{site.path}: gates: expected a gate that is drawn in the image (`pixels`), or a [camera] for metres, got "
+            f"neither; {draw} draws gates and calibrates the camera"
         )
     if not site.gates:
         console.warn(
-            f"{site.path}: has no gates: nothing will be counted; `skope eval site {source} --site {site.path}` draws "
-            f"them, and `{_COMMAND} {out / TRACKS_NAME}` then counts without detecting again"
+            f"{site.path}: has no gates: nothing will be counted; {draw} draws them, and `{_COMMAND} {again}` then "
+            "counts without detecting again"
         )
     options = _options(_isoformat(start), None)
-    folder = tracked_footage(source, site, checkpoint, hardware, out, _COMMAND, options, console)
+    if site.camera is None:
+        checked_formats(also, site, metres=False)
+    footage = recorded_video(source)
+    site = site_at_size(site, footage, console)
+    if site.camera is None:
+        folder = detected_footage(footage, site, checkpoint, hardware, out, _COMMAND, options, console)
+        yield from _counted_in_image(folder, source, site, start, None, out, also, options)
+        return
+    folder = tracked_footage(footage, site, checkpoint, hardware, out, _COMMAND, options, console)
     observation = read_observation(folder)
     tracks = read_tracks(folder / TRACKS_CSV)
     further = _claimed(out, [*track_files(folder), site.path], options, site, formats)
-    yield from _written(measure(tracks, observation, site, start), source, site, out, further, folder)
+    report = _with_skipped(measure(tracks, observation, site, start), skipped_lines(out / SEEN_NAME))
+    yield from _written(report, source, site, out, further, folder)
+
+
+def _with_skipped(report: "TrafficReport", skipped: list[str]) -> "TrafficReport":
+    """The report with a note on each part of the footage that could not be read."""
+    return replace(report, refused=(*report.refused, *(f"not read in the footage: {line}" for line in skipped)))
 
 
 def _claimed(
@@ -243,9 +275,41 @@ def _report_in_image(
 ) -> Iterator[str]:
     """Count by gates in the image what `skope eval predict` has followed.
 
-    Raises UserError where the camera is known, or there are no such gates.
+    Raises UserError where there are no such gates, or they were drawn in an image of another aspect ratio.
     """
     from skope.dataset import coco
+    from skope.eval.cli.tracked_footage import gates_at_size
+
+    if not any(gate.pixels for gate in site.gates):
+        raise UserError(
+            f"{folder}: holds what `skope eval predict` found, in pixels: `skope eval track {folder}` makes tracks in "
+            f"metres of it where the camera is known; without, {site.path} needs gates with `pixels`"
+        )
+    images = coco.read(folder / FRAMES).images
+    if images:
+        site = gates_at_size(site, (images[0].width, images[0].height))
+    options = _options(_isoformat(start), hand_count)
+    yield from _counted_in_image(folder, str(folder), site, start, hand_count, out, also, options, claim=True)
+
+
+def _counted_in_image(
+    folder: Path,
+    source: str,
+    site: "SiteFile",
+    start: datetime | None,
+    hand_count: Path | None,
+    out: Path,
+    also: str,
+    options: dict[str, Any],
+    *,
+    claim: bool = False,
+) -> Iterator[str]:
+    """Count in a folder of detections by the site's gates, whose pixels are those of its images.
+
+    `claim` says whether the output folder is still to be claimed, for the folder of detections.
+    """
+    from skope.dataset import coco
+    from skope.eval.cli.tracked_footage import skipped_lines
     from skope.eval.tracking.empty_road import empty_road
     from skope.eval.tracking.image_trajectories import read_image_trajectories
     from skope.traffic.empty_road_picture import empty_road_picture
@@ -254,28 +318,22 @@ def _report_in_image(
     from skope.traffic.image_counts import count_in_image
     from skope.traffic.recordings import begin_of
 
-    gates = gates_in_image(site.gates)
-    if not gates:
-        raise UserError(
-            f"{folder}: holds what `skope eval predict` found, in pixels: `skope eval track {folder}` makes tracks in "
-            f"metres of it where the camera is known; without, {site.path} needs gates with `pixels`"
-        )
     formats = checked_formats(also, site, metres=False)
     tracks, observation = read_image_trajectories(folder)
     begin = begin_of(start, observation, site)
-    counted = _counted_by_hand(hand_count, site, gates, begin, observation)
+    counted = _counted_by_hand(hand_count, site, gates_in_image(site.gates), begin, observation)
     inputs = [folder / FRAMES, folder / PREDICTIONS, site.path]
-    options = _options(_isoformat(start), hand_count)
-    claim_output(out, _COMMAND, inputs, options)
+    if claim:
+        claim_output(out, _COMMAND, inputs, options)
     further = _claimed(out, inputs, options, site, formats)
-    report = count_in_image(tracks, observation, site, begin, counted)
+    report = _with_skipped(count_in_image(tracks, observation, site, begin, counted), skipped_lines(folder))
     try:
         road = empty_road(folder, coco.read(folder / FRAMES))
         view = None if road is None else empty_road_picture(road, observation.times_s)
     except UserError as error:
         view = None
         yield f"note: the page has no picture of the road: {error}"
-    yield from _written(report, str(folder), site, out, further, view=view)
+    yield from _written(report, source, site, out, further, view=view)
 
 
 def _counted_by_hand(

@@ -134,6 +134,14 @@ class Footage(ABC):
         What cannot be read is noted in `skipped`, and keeps its number.
         """
 
+    def frame_size(self) -> tuple[int, int] | None:
+        """Width and height of the first frame, pixels; None for a live stream, and where no frame can be read."""
+        if self.live:
+            return None
+        for image, _ in self.frames():
+            return image.width, image.height
+        return None
+
     def _skip(self, reason: str) -> None:
         if reason not in self.skipped:  # going over the frames again meets the same reasons
             self.skipped.append(reason)

@@ -17,7 +17,17 @@ import numpy as np
 from skope.cpu_count import usable_processors
 from skope.dataset import coco
 from skope.dataset.camera_of_file import with_camera
-from skope.dataset.folder import BEGINS, CHANGES, DETECTOR, FOLLOWED, FRAMES, PIXEL_WIDTH, PREDICTIONS, SIGHT_FIELD
+from skope.dataset.folder import (
+    BEGINS,
+    CHANGES,
+    DETECTOR,
+    FOLLOWED,
+    FRAMES,
+    PIXEL_WIDTH,
+    PREDICTIONS,
+    SIGHT_FIELD,
+    SKIPPED,
+)
 from skope.detector import weights
 from skope.errors import UserError
 from skope.eval.box_links import FARTHEST_S
@@ -239,6 +249,8 @@ def _info(
         info[BEGINS] = job.footage.begins.isoformat(timespec="milliseconds")
     if job.footage.clip and not job.footage.clip.square:
         info[PIXEL_WIDTH] = round(job.footage.clip.pixel_width, 4)
+    if job.footage.skipped:
+        info[SKIPPED] = list(job.footage.skipped)
     if job.key_every > 1:
         info[FOLLOWED] = True
     if looked:

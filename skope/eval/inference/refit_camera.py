@@ -21,7 +21,7 @@ from skope.camera.evidence import Evidence
 from skope.camera.ground_plane import ground_places
 from skope.camera.model import Camera
 from skope.camera.uncertain_camera import PARAMETERS, UncertainCamera, moved_camera
-from skope.dataset.camera_of_file import read_camera
+from skope.dataset.camera_of_file import fitted_camera, read_camera
 from skope.errors import UserError
 from skope.eval.camera_fit.camera_from_marks import evidence_of, place_errors
 from skope.eval.camera_fit.write_camera import write_camera
@@ -90,11 +90,9 @@ def refit(
         known = marked = calibrate(evidence)
         evidence = replace(evidence, points=tuple(p for p in evidence.points if p.name not in marked.outliers))
     else:
-        known = _known(camera, shape)
-    if (known.camera.width, known.camera.height) != shape:
-        raise UserError(
-            f"{before}: is {shape[0]}x{shape[1]}, but the camera is {known.camera.width}x{known.camera.height}"
-        )
+        known, scaled = _known(camera, shape, before)
+        if scaled:
+            yield scaled
     registered = registration(old_pixels, new_pixels, known, f"{before}, {after}")
     if evidence:
         moved = moved_evidence(evidence, known.camera, registered)
@@ -270,7 +268,8 @@ def turned_known(known: UncertainCamera, registered: Registration) -> UncertainC
     return UncertainCamera(registered.camera, names, covariance)
 
 
-def _known(path: Path | None, shape: tuple[int, int]) -> UncertainCamera:
+def _known(path: Path | None, shape: tuple[int, int], picture: str) -> tuple[UncertainCamera, str]:
+    """The old camera at the size of its picture, and a sentence where it was scaled."""
     if path is None:
         raise UserError("--refit: needs the old camera: --points with what was marked, or --camera with its file")
     camera, posed = read_camera(path, shape)
@@ -279,7 +278,8 @@ def _known(path: Path | None, shape: tuple[int, int]) -> UncertainCamera:
     known = read_uncertain_camera(path)
     if known is None:
         raise UserError(f"{path}: covariance: missing: nothing says how well the old camera is known")
-    return known.of_camera(camera)
+    camera, scaled = fitted_camera(camera, shape, str(path), picture)
+    return known.of_camera(camera), scaled
 
 
 def _split(source: str) -> tuple[str, float | None]:

@@ -1,5 +1,6 @@
 """Advice on what is missing or turned round in the marks, in words of somebody who has a road and a map."""
 
+import math
 from collections.abc import Mapping
 from typing import Any, Final
 
@@ -10,10 +11,12 @@ from skope.camera.model import Camera
 from skope.camera.pose_from_points import FEWEST
 from skope.eval.site_page.document_values import entries_of
 from skope.eval.site_page.marks import Marks
+from skope.site.mark_limits import KNOWN_RANGES
 from skope.types import Array
 
 BEGIN: Final = (
-    "Mark four points or more whose places you know, or a known length and lines that are parallel on the road."
+    "Mark at least four points whose positions you know, or a known length and lines that are parallel on the road. "
+    "Gates in the image need no calibration; everything in metres does."
 )
 MIRRORED: Final = (
     "These places are mirrored: the camera would hang below the road. Looking along x, y has to grow to the left, as "
@@ -58,6 +61,18 @@ def in_degrees(evidence: Evidence) -> bool:
         return False
     places: Array = np.array([point.place[:2] for point in evidence.points])
     return bool(np.ptp(places, axis=0).max() < _NO_METRES and 0 < np.abs(places).max() <= 180 and np.any(places % 1))
+
+
+def implausible(camera: Camera) -> str:
+    """Sentence on a camera that no road camera is, as marks give it that contradict each other; empty for any other."""
+    fov_deg = 2 * math.degrees(math.atan(camera.width / 2 / float(camera.K[0, 0])))
+    height_m = float(camera.position[2])
+    if fov_deg >= KNOWN_RANGES["fov_deg"][0] and height_m >= KNOWN_RANGES["height_m"][0]:
+        return ""
+    return (
+        f"The marks give a camera {height_m:.1f} m over the road with a field of view of {fov_deg:.1f} degrees, which "
+        "is not plausible. Check that the lines are parallel on the road, and the lengths; or mark points."
+    )
 
 
 def below_road(evidence: Evidence, camera: Camera) -> bool:

@@ -16,12 +16,19 @@ export class CameraPanel {
     for (const button of byId("mend").children) button.addEventListener("click", () => this.mend(button.dataset.way));
   }
 
+  // Says whether the camera of the newest marks is still being solved: what is shown is the one before then.
+  busy(solving) {
+    document.querySelector("main").classList.toggle("solving", solving);
+    const words = solving ? "Solving the camera…" : "";
+    if (byId("solving").textContent !== words) byId("solving").textContent = words;
+  }
+
   show(look) {
     const { message, camera, warnings } = look;
     this.look = look;
     byId("steps").hidden = Boolean(camera) || MARKED.some((kind) => this.does.document()[kind].length);
     byId("message").textContent = message;
-    byId("message").hidden = !message;
+    byId("message").hidden = !message || !byId("steps").hidden; // the steps say it too
     for (const button of byId("mend").children) button.hidden = button.dataset.mend !== look.mend;
     byId("warnings").replaceChildren(...warnings.map((words) => text("li", words)));
     byId("figures-details").hidden = !camera;

@@ -43,10 +43,10 @@ export function toolbar(bar, choose) {
   };
   bar.append(
     button("select", "Choose", "S"),
-    text("span", "Mark"),
-    ...MARKED.map((kind) => button(kind, KINDS[kind].word, KINDS[kind].key.toUpperCase())),
     text("span", "Draw"),
     ...DRAWN.map((kind) => button(kind, KINDS[kind].word, KINDS[kind].key.toUpperCase())),
+    text("span", "Calibrate"),
+    ...MARKED.map((kind) => button(kind, KINDS[kind].word, KINDS[kind].key.toUpperCase())),
   );
 }
 

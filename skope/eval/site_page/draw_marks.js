@@ -1,6 +1,6 @@
 // What lies over the picture, as SVG: marks with their handles, what the camera says of the road, gates, zones and lanes.
 
-import { DRAWN, KINDS, MARKED, positionsOf } from "./kinds.js";
+import { DRAWN, KINDS, MARKED, inImage, ofSize, positionsOf } from "./kinds.js";
 
 const SVG = "http://www.w3.org/2000/svg";
 
@@ -33,8 +33,10 @@ export function handlesOf(kind, index, entry, page) {
 function placesOf(kind, index, entry, { view, look }) {
   if (view.fromWorld) {
     if (kind === "points") return [entry.place.slice(0, 2).every((v) => typeof v === "number") ? view.fromWorld(entry.place) : null];
+    if (inImage(kind, entry)) return (shapeOf(look, kind, index)?.places || []).map(view.fromWorld);
     return KINDS[kind].world ? positionsOf(kind, entry).map((p) => p && numbers(p) && view.fromWorld(p)) : [];
   }
+  if (inImage(kind, entry)) return ofSize(entry, view.size) ? entry.pixels : [];
   if (!KINDS[kind].world) return positionsOf(kind, entry);
   const shape = shapeOf(look, kind, index);
   const corners = shape ? shape.corners : [];

@@ -14,6 +14,7 @@ from skope.eval.site_page.document_values import NO_NAME, entries_of, is_name, n
 from skope.eval.site_page.gate_checks import gate_warnings
 from skope.eval.site_page.marks import Problem
 from skope.eval.site_page.overlays import Polyline, polylines_of
+from skope.site.gates_zones_lanes import line_on_road
 from skope.types import Array
 
 DRAWN: Final = ("gates", "zones", "lanes", "occluders")
@@ -25,6 +26,9 @@ _FEWEST: Final = {"gates": 2, "zones": 3, "lanes": 2, "occluders": 3}
 _STEP_M: Final = 0.5
 """Lines on the road are projected in so many metres each, since a lens bends them."""
 _ARROW_M: Final = 3.0
+_ARROW_PX: Final = 40.0
+"""Length of the arrows across a gate that is drawn in the image, pixels."""
+_ABOVE_HORIZON: Final = "an end lies on or above the horizon: it counts in the image, but not in metres"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,22 +38,33 @@ class Drawing:
     kind: str
     index: int
     positions: Array
-    """(N, 2) metres on the road; of occluders, pixels."""
+    """(N, 2) metres on the road; of occluders, pixels. (0, 2) for a gate that has `pixels`."""
+    pixels: Array | None = None
+    """(2, 2) ends of a gate that is drawn in the image; None for everything else."""
     width: float = LANE_M
     foot: Array | None = None
     """(2,) pixel at which an occluder stands on the ground."""
 
 
-def read_drawings(document: Mapping[str, Any]) -> tuple[list[Drawing], list[Problem]]:
-    """The drawings of a document that hold together, and what is wrong with the others."""
+def read_drawings(document: Mapping[str, Any], size: tuple[int, int]) -> tuple[list[Drawing], list[Problem]]:
+    """The drawings of a document that hold together, and what is wrong with the others.
+
+    Args:
+        document: The page's document.
+        size: Width and height of the footage, pixels.
+    """
     good: list[Drawing] = []
     problems: list[Problem] = []
     for kind in DRAWN:
         names: set[str] = set()
         for index, entry in enumerate(entries_of(document, kind)):
-            found = _problems(kind, index, entry, names)
+            found = _problems(kind, index, entry, names, size)
             problems += found
             if any(problem.field not in ("name", "directions.0", "directions.1") for problem in found):
+                continue
+            if drawn_in_image(kind, entry):
+                pixels = np.asarray(positions(entry["pixels"], 2))
+                good.append(Drawing(kind=kind, index=index, positions=np.zeros((0, 2)), pixels=pixels))
                 continue
             rows = positions(entry.get(_FIELDS[kind]), 2)
             assert rows is not None
@@ -62,7 +77,12 @@ def read_drawings(document: Mapping[str, Any]) -> tuple[list[Drawing], list[Prob
     return good, problems
 
 
-def _problems(kind: str, index: int, entry: Mapping[str, Any], names: set[str]) -> list[Problem]:
+def drawn_in_image(kind: str, entry: Mapping[str, Any]) -> bool:
+    """Whether an entry is a gate that has its ends in the image; its line on the road follows from the camera."""
+    return kind == "gates" and bool(entry.get("pixels"))
+
+
+def _problems(kind: str, index: int, entry: Mapping[str, Any], names: set[str], size: tuple[int, int]) -> list[Problem]:
     """Problems of an entry; `names` are those of the entries before it, to which its own is added."""
     out: list[Problem] = []
 
@@ -79,14 +99,18 @@ def _problems(kind: str, index: int, entry: Mapping[str, Any], names: set[str]) 
             wrong("name", f"another one is called {name!r} already")
         else:
             names.add(name)
-    rows, field = positions(entry.get(_FIELDS[kind]), 2), _FIELDS[kind]
+    field = "pixels" if drawn_in_image(kind, entry) else _FIELDS[kind]
+    rows = positions(entry.get(field), 2)
+    drawn = positions([entry.get("size") or list(size)], 2)
     if rows is None:
         wrong(field, "expected two numbers for each corner")
+    elif field == "pixels" and (drawn is None or drawn[0] != list(size)):
+        wrong(field, _other_size(drawn[0] if drawn else None, size))
     elif len(rows) < _FEWEST[kind] or (kind == "gates" and len(rows) != 2):
         wrong(field, f"needs {_FEWEST[kind]} positions" + (" or more" if kind != "gates" else ""), missing=True)
     elif field == "polygon" and not Polygon(rows).is_valid:
         wrong(field, "its sides cross each other")
-    elif field == "line" and not any(a != b for a, b in itertools.pairwise(rows)):
+    elif field in ("line", "pixels") and not any(a != b for a, b in itertools.pairwise(rows)):
         wrong(field, "its ends are the same")
     if kind == "lanes" and entry.get("width") not in (None, ""):
         width = number_or_none(entry.get("width"))
@@ -98,6 +122,12 @@ def _problems(kind: str, index: int, entry: Mapping[str, Any], names: set[str]) 
     if kind == "gates":
         out += _direction_problems(index, entry)
     return out
+
+
+def _other_size(drawn: list[float] | None, size: tuple[int, int]) -> str:
+    """Sentence on a gate that was drawn in an image of another aspect ratio than the footage's."""
+    where = f"in an image of {drawn[0]:g}x{drawn[1]:g}" if drawn else "in an image of unknown size"
+    return f"was drawn {where}; this footage is {size[0]}x{size[1]}: delete it and draw it again"
 
 
 def _direction_problems(index: int, entry: Mapping[str, Any]) -> list[Problem]:
@@ -119,25 +149,34 @@ def _direction_problems(index: int, entry: Mapping[str, Any]) -> list[Problem]:
 
 
 def shapes(
-    drawings: Sequence[Drawing], camera: Camera, place_error: Callable[[Array], Array] | None
+    drawings: Sequence[Drawing], camera: Camera | None, place_error: Callable[[Array], Array] | None
 ) -> list[dict[str, Any]]:
     """Work out what the page draws of each drawing.
+
+    Without a camera only gates that are drawn in the image have a shape. Warnings that need metres are for drawings
+    with metres.
 
     The ways (two places each, metres) are a lane's last leg and the two directions across a gate, from its left to its
     right and back; `arrows` are the same in the image.
 
     Args:
         drawings: The drawings without faults.
-        camera: The camera, over a road at z = 0.
+        camera: The camera, over a road at z = 0; None: it is not known.
         place_error: Takes pixels (..., 2) to errors of places in metres (...,); None: they are not known.
 
     Returns:
         For each drawing `kind`, `index` and `warnings`; `lines` and `corners` in pixels, but of occluders; of gates and
-        lanes `ways` and `arrows`; of lanes `edges`, in pixels.
+        lanes `ways` and `arrows`; of lanes `edges`, in pixels; `places` of a gate that is drawn in the image: its ends
+        on the road, metres, where they are known.
     """
     lanes = [(one.positions, one.width) for one in drawings if one.kind == "lanes"]
     out = []
     for one in drawings:
+        if one.pixels is not None:
+            out.append(_image_gate(one, one.pixels, camera, lanes, place_error))
+            continue
+        if camera is None:
+            continue
         shown: dict[str, Any] = {"kind": one.kind, "index": one.index, "warnings": []}
         if one.kind == "occluders":
             shown["warnings"] = _occluder_warnings(one, camera)
@@ -157,6 +196,36 @@ def shapes(
     return out
 
 
+def _image_gate(
+    gate: Drawing,
+    pixels: Array,
+    camera: Camera | None,
+    lanes: Sequence[tuple[Array, float]],
+    place_error: Callable[[Array], Array] | None,
+) -> dict[str, Any]:
+    """What the page draws of a gate that has its ends in the image: an entry of `shapes`."""
+    # With rows counted upwards, left and right of the line are what they are on the screen.
+    upwards = np.array([1.0, -1.0])
+    arrows = [way * upwards for way in _ways_across(pixels * upwards, _ARROW_PX)]
+    shown: dict[str, Any] = {
+        "kind": gate.kind,
+        "index": gate.index,
+        "warnings": [],
+        "lines": [pixels.tolist()],
+        "corners": pixels.tolist(),
+        "arrows": [[arrow.round(1).tolist()] for arrow in arrows],
+        "ways": [],
+    }
+    if camera is None:
+        return shown
+    line = line_on_road(camera, pixels)
+    if not line:
+        return shown | {"warnings": [_ABOVE_HORIZON]}
+    ends = np.array(line)
+    shown |= {"places": ends.tolist(), "ways": [way.tolist() for way in _ways_across(ends)]}
+    return shown | {"warnings": gate_warnings(ends, camera, lanes, place_error)}
+
+
 def road_line(camera: Camera, corners: Array) -> list[Polyline]:
     """A line on the road through corners (N, 2), as polylines in pixels."""
     parts = []
@@ -172,11 +241,11 @@ def _pixels(camera: Camera, corners: Array) -> list[list[float] | None]:
     return [[round(float(v), 2) for v in pixel] if good else None for pixel, good in zip(pixels, valid, strict=True)]
 
 
-def _ways_across(line: Array) -> list[Array]:
-    """(2, 2) each: the way across a gate from its left to its right, and the way back."""
+def _ways_across(line: Array, longest: float = _ARROW_M) -> list[Array]:
+    """(2, 2) each: the way across a gate from its left to its right, and the way back; at most `longest` long."""
     along = line[1] - line[0]
     right = np.array([along[1], -along[0]]) / max(float(np.linalg.norm(along)), 1e-9)
-    reach = min(_ARROW_M, float(np.linalg.norm(along)) / 2)
+    reach = min(longest, float(np.linalg.norm(along)) / 2)
     starts = (line[0] + 0.4 * along, line[0] + 0.6 * along)
     return [np.stack([start, start + reach * way]) for start, way in zip(starts, (right, -right), strict=True)]
 

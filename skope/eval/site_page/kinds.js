@@ -6,7 +6,7 @@ export const KINDS = {
   lengths: { word: "Length", key: "l", count: 2, hint: "Click both ends of something on the road whose length you know." },
   parallels: { word: "Parallel lines", key: "r", count: 2, hint: "Click both ends of a line on the road, then of another one that is parallel to it." },
   verticals: { word: "Vertical", key: "v", count: 2, hint: "Click the foot, then the top of something upright: a post, the corner of a house." },
-  gates: { word: "Gate", key: "g", count: 2, world: true, hint: "Click both ends of a line across the road that traffic is counted on." },
+  gates: { word: "Gate", key: "g", count: 2, world: true, hint: "Click both ends of a line across the road: vehicles that cross it are counted. No calibration is needed." },
   zones: { word: "Zone", key: "z", count: 3, open: true, world: true, hint: "Click the corners of an area of the road; Enter or Finish closes it." },
   lanes: { word: "Lane", key: "n", count: 2, open: true, world: true, hint: "Click along the middle of a lane in its driving direction; Enter or Finish ends it." },
   occluders: { word: "Occluder", key: "o", count: 3, open: true, hint: "Click around what hides traffic: a tree, a sign; Enter or Finish closes it." },
@@ -24,24 +24,43 @@ export function positionsOf(kind, entry) {
   if (kind === "parallels") return entry.lines.flat();
   if (kind === "lengths" || kind === "verticals") return entry.pixels;
   if (kind === "occluders") return [...entry.polygon, entry.foot];
-  return entry.line || entry.polygon;
+  return entry.pixels || entry.line || entry.polygon;
 }
+
+// Whether an entry is a gate that has its ends in the image. Its line on the road follows from the camera.
+export const inImage = (kind, entry) => kind === "gates" && Boolean(entry.pixels);
+
+// Whether the pixels of a gate are those of an image of this size; the server has scaled them where it can.
+export const ofSize = ({ size }, [width, height]) => Boolean(size) && size[0] === width && size[1] === height;
 
 export function setPosition(kind, entry, part, position) {
   if (kind === "points") entry.pixel = position;
   else if (kind === "parallels") entry.lines[Math.floor(part / 2)][part % 2] = position;
   else if (kind === "lengths" || kind === "verticals") entry.pixels[part] = position;
   else if (kind === "occluders" && part === entry.polygon.length) entry.foot = position;
+  else if (inImage(kind, entry)) {
+    entry.pixels[part] = position;
+    delete entry.line; // of where it was before
+  }
   else (entry.line || entry.polygon)[part] = position;
 }
 
-// A new entry of positions that were clicked, with a name that no other one has.
-export function made(kind, positions, entries) {
+// Moves a gate on the road: its ends are metres from now on. `places` are where its ends are now.
+export function setOnRoad(entry, places, part, position) {
+  entry.line = structuredClone(places);
+  entry.line[part] = position;
+  delete entry.pixels;
+  delete entry.size;
+}
+
+// A new entry of positions that were clicked, with a name that no other one has. `size` is that of the image, where a gate
+// was drawn in it.
+export function made(kind, positions, entries, size = null) {
   if (kind === "points") return { name: freeName("", entries), pixel: positions[0], place: [null, null, 0] };
   if (kind === "lengths") return { name: freeName("length ", entries), pixels: positions, metres: null };
   if (kind === "parallels") return { name: freeName("lines ", entries), lines: [positions] };
   if (kind === "verticals") return { name: freeName("vertical ", entries), pixels: positions, metres: null };
-  if (kind === "gates") return { name: freeName("gate ", entries), line: positions, directions: ["", ""] };
+  if (kind === "gates") return { name: freeName("gate ", entries), ...(size ? { pixels: positions, size } : { line: positions }), directions: ["", ""] };
   if (kind === "zones") return { name: freeName("zone ", entries), polygon: positions };
   if (kind === "lanes") return { name: freeName("lane ", entries), line: positions, width: 3.5 };
   const lowest = positions.reduce((a, b) => (b[1] > a[1] ? b : a));
@@ -72,7 +91,7 @@ export function fieldsOf(kind, entry) {
   if (kind === "gates") {
     const ways = ["1: from its left to its right", "2: from its right to its left"];
     const directions = ways.map((words, i) => ({ way: ["directions", i], name: "directions." + i, words: "Direction " + words, text: true, wide: true }));
-    return [name, ...directions, ...corners("line", "end")];
+    return [name, ...directions, ...(inImage(kind, entry) ? corner("pixels", ["end 1", "end 2"]) : corners("line", "end"))];
   }
   if (kind === "zones") return [name, ...corners("polygon", "corner")];
   if (kind === "lanes") return [name, { way: ["width"], name: "width", words: "width, metres", usual: "3.5", wide: true }, ...corners("line", "point")];

@@ -9,7 +9,7 @@ import numpy as np
 from skope.camera.camera_json import read_uncertain_camera
 from skope.camera.model import Camera
 from skope.camera.point_files import read_points
-from skope.dataset.camera_of_file import read_camera, sized
+from skope.dataset.camera_of_file import fitted_camera, read_camera
 from skope.errors import UserError
 from skope.eval.site_page.site_store import camera_dict, point_entry
 from skope.files.atomic import write_text
@@ -44,9 +44,10 @@ def read_file(sent: Mapping[str, Any], folder: Path, size: tuple[int, int]) -> d
     path = folder / f"file{suffix}"
     write_text(path, text)
     try:
-        return loaded(path, size)
+        found = loaded(path, size)
     except UserError as error:
         raise UserError(str(error).replace(str(path), name)) from None
+    return found | {"said": found["said"].replace(str(path), name)}
 
 
 def loaded(path: Path, size: tuple[int, int]) -> dict[str, Any]:
@@ -59,11 +60,13 @@ def loaded(path: Path, size: tuple[int, int]) -> dict[str, Any]:
         return {"points": points, **world, "said": "; ".join(file.said)}
     camera, posed = read_camera(path, size)
     known = read_uncertain_camera(path) if posed and path.suffix.lower() == ".json" else None
-    lens = {"lens": lens_of(sized(camera, size, "the footage"))}
+    camera, scaled = fitted_camera(camera, size, str(path), "the footage")
+    lens = {"lens": lens_of(camera)}
     if not posed:
         said = "the file tells the lens alone: mark points, or lengths and parallels, that tell where the camera hangs"
+        said = f"{scaled}; {said}" if scaled else said
         return {**lens, "said": said}
-    return {**lens, "camera": camera_dict(known, camera) | {"trusted": True}, "said": ""}
+    return {**lens, "camera": camera_dict(known, camera) | {"trusted": True}, "said": scaled}
 
 
 def lens_of(camera: Camera) -> dict[str, list[float]]:

@@ -1,12 +1,12 @@
 // What clicks on the picture do: begin, go on with and end what the chosen tool marks or draws.
 
-import { KINDS, made, metres, pixel, setPosition } from "./kinds.js";
+import { KINDS, inImage, made, metres, pixel, setOnRoad, setPosition } from "./kinds.js";
 
 const byId = (id) => document.getElementById(id);
 
 export class Marking {
   // `now` is what the page is at; `views` what the stage shows; `does` has `document`, `change`, `refresh`, `trouble`,
-  // `placesOf`, `choose` and `placeOnPlan`.
+  // `placesOf`, `onRoad` (the ends of a gate in metres), `choose` and `placeOnPlan`.
   constructor(now, views, does) {
     Object.assign(this, { now, views, does });
   }
@@ -60,8 +60,9 @@ export class Marking {
     if (drawn.length < count) return does.trouble(`A ${KINDS[kind].word.toLowerCase()} needs ${count} positions or more.`);
     Object.assign(now, { pending: [], hover: null });
     const { fromWorld, toWorld } = views.current;
-    let positions = world ? [] : drawn.map(pixel);
-    if (world) positions = fromWorld ? drawn.map((position) => metres(toWorld(position))) : await does.placesOf(drawn);
+    const image = !fromWorld && (!world || kind === "gates");
+    let positions = image ? drawn.map(pixel) : [];
+    if (!image) positions = fromWorld ? drawn.map((position) => metres(toWorld(position))) : await does.placesOf(drawn);
     if (!positions.length) return does.refresh();
     if (kind === "parallels" && now.group !== null && does.document().parallels[now.group]) {
       now.selected = { kind, index: now.group, part: 0 };
@@ -69,7 +70,7 @@ export class Marking {
     }
     now.selected = { kind, index: does.document()[kind].length, part: 0 };
     if (kind === "parallels") now.group = now.selected.index;
-    does.change((all) => all[kind].push(made(kind, positions, all[kind])));
+    does.change((all) => all[kind].push(made(kind, positions, all[kind], image ? [...views.image.size] : null)));
     if (kind === "points" && views.planReady) does.placeOnPlan(now.selected.index);
     else if (!now.byTouch) typeNext(kind, now.selected.index);
   }
@@ -99,8 +100,12 @@ export class Marking {
     if (views.current.fromWorld) {
       const place = metres(views.current.toWorld(position));
       if (kind === "points") does.change((all) => all.points[index].place.splice(0, 2, ...place), of);
+      else if (inImage(kind, entry)) {
+        const places = does.onRoad(index);
+        if (places) does.change((all) => setOnRoad(all[kind][index], places, part, place), of);
+      }
       else does.change((all) => setPosition(kind, all[kind][index], part, place), of);
-    } else if (!KINDS[kind].world) does.change((all) => setPosition(kind, all[kind][index], part, pixel(position)), of);
+    } else if (!KINDS[kind].world || inImage(kind, entry)) does.change((all) => setPosition(kind, all[kind][index], part, pixel(position)), of);
     else {
       const [place] = await does.placesOf([position]);
       if (place) does.change((all) => setPosition(kind, all[kind][index], part, place), of);
@@ -126,7 +131,7 @@ export class Marking {
     const missing = points.findIndex(({ place: [x, y] }) => x === null || y === null);
     if (missing >= 0) this.does.placeOnPlan(missing);
     else await this.views.show(points.length ? "plan" : "image");
-    if (this.now.tool === "select" && missing < 0) this.setTool("points");
+    if ((this.now.tool === "select" || !points.length) && missing < 0) this.setTool("points");
   }
 
   // Says what lies at a position of the view.

@@ -1,8 +1,9 @@
 """Marks of the page as evidence for the solver, and what is wrong or missing in them, field by field.
 
 The page's document has lists `points`, `lengths`, `parallels`, `verticals` (pixels of the footage's own size, metres)
-and `gates`, `zones`, `lanes` (the world's metres) and `occluders` (pixels). A value that is not given yet is None; what
-a user typed that is no number is a text, and stays in the page until it is mended.
+and `gates` (`pixels` of the image with its `size`, or `line` in metres), `zones`, `lanes` (the world's metres) and
+`occluders` (pixels). A value that is not given yet is None; what a user typed that is no number is a text, and stays in
+the page until it is mended.
 """
 
 import math

@@ -1,6 +1,7 @@
-// Whether gates, zones and lanes have moved in the image because the camera was calibrated again.
+// Whether gates, zones and lanes have moved in the image because the camera was calibrated again. Gates that have their ends
+// in the image stay there.
 
-import { KINDS, DRAWN } from "./kinds.js";
+import { KINDS, DRAWN, inImage } from "./kinds.js";
 
 const MOVED_PX = 3; // less than this nobody sees
 
@@ -19,7 +20,7 @@ export class MovedDrawings {
     const seen = new Map();
     for (const { kind, index, corners } of look.shapes.filter((one) => ROAD.includes(one.kind))) {
       const entry = document[kind][index];
-      if (!entry) continue;
+      if (!entry || inImage(kind, entry)) continue;
       const places = entry.line || entry.polygon;
       const key = kind + " " + entry.name;
       const then = this.before.get(key);

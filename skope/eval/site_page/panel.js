@@ -1,6 +1,6 @@
 // The lists beside the picture: every entry with its residual or warning, and the fields of the one that is chosen.
 
-import { DRAWN, KINDS, MARKED, fieldsOf, setValue, typed, valueAt } from "./kinds.js";
+import { DRAWN, KINDS, MARKED, fieldsOf, inImage, setValue, typed, valueAt } from "./kinds.js";
 
 export function text(name, words, attributes = {}) {
   const made = document.createElement(name);
@@ -17,7 +17,7 @@ export function fill({ marks, road, sheet, narrow }, page, act) {
   const typing = focused && active instanceof HTMLInputElement ? { value: active.value, from: active.selectionStart, to: active.selectionEnd, was: active.dataset.was } : null;
   const shown = { ...page, narrow };
   rows(marks, MARKED, "Nothing is marked yet.", shown, act);
-  rows(road, DRAWN, page.look && page.look.camera ? "Nothing is drawn yet." : "Gates, zones and lanes can be drawn once the camera is calibrated.", shown, act);
+  rows(road, DRAWN, page.look && page.look.camera ? "Nothing is drawn yet." : "Nothing is drawn yet. Gates need no calibration; zones and lanes do.", shown, act);
   fillSheet(sheet, narrow ? page.selected : null, page, act);
   if (!focused) return;
   const again = [marks, road, sheet].flatMap((list) => [...list.querySelectorAll("[data-focus]")]).find((one) => one.dataset.focus === focused);
@@ -103,7 +103,10 @@ function form(kind, index, entry, page, act) {
   });
   for (const field of fieldsOf(kind, entry)) {
     const value = valueAt(entry, field.way);
-    const edit = (input) => act.edit(kind, index, (one) => setValue(one, field.way, field.text ? input.value : typed(input.value)));
+    const edit = (input) => act.edit(kind, index, (one) => {
+      setValue(one, field.way, field.text ? input.value : typed(input.value));
+      if (inImage(kind, one) && field.way[0] === "pixels") delete one.line; // of where it was before
+    });
     field.input = labelled(made, `${kind}:${index}:${field.way.join(".")}`, field, value, edit);
     const empty = problems.find((one) => one.field === field.name && one.missing);
     if (empty && field.input.value === "") {
@@ -123,7 +126,7 @@ function form(kind, index, entry, page, act) {
   const buttons = text("p", "", { class: "row wide" });
   if (kind === "points" && page.planReady) buttons.append(button("Click its place on the plan", () => act.placeOnPlan(index)));
   if (kind === "parallels") buttons.append(button("Add a line", () => act.addLine(index)));
-  if (kind === "gates") buttons.append(button("Swap its sides", () => act.edit(kind, index, (one) => one.line.reverse())));
+  if (kind === "gates") buttons.append(button("Swap its sides", () => act.edit(kind, index, (one) => [one.line, one.pixels].forEach((ends) => ends?.reverse()))));
   if (kind === "lanes") buttons.append(button("Turn round", () => act.edit(kind, index, (one) => one.line.reverse())));
   buttons.append(button("Delete", () => act.remove(kind, index)));
   made.append(buttons);

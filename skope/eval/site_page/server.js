@@ -15,7 +15,8 @@ export async function post(path, value) {
   throw Object.assign(new Error(said.text), { status: answer.status, said });
 }
 
-// Asks again and again for the newest value only: while one answer is awaited, values in between are left out.
+// Asks again and again for the newest value only: while one answer is awaited, values in between are left out. `answered` is
+// told the answer and the value that was asked.
 export function newest(path, answered, failed) {
   let waiting = null;
   let asking = false;
@@ -28,7 +29,7 @@ export function newest(path, answered, failed) {
       waiting = null;
       try {
         const answer = await post(path, asked);
-        if (waiting === null) answered(answer);
+        if (waiting === null) answered(answer, asked);
       } catch (error) {
         if (waiting === null) failed(error);
       }

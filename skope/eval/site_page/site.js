@@ -8,7 +8,7 @@ import { edits, loadFile } from "./edits.js";
 import { History } from "./history.js";
 import { hintFor } from "./hints.js";
 import { Keys, handleOf } from "./keys.js";
-import { KINDS } from "./kinds.js";
+import { KINDS, MARKED, inImage } from "./kinds.js";
 import { Marking } from "./marking.js";
 import { fill, footage, known, text } from "./panel.js";
 import { Pointer } from "./pointer.js";
@@ -78,7 +78,7 @@ function refresh() {
   const same = saving.has(document_());
   byId("save").disabled = same;
   byId("state").textContent = same ? (saving.exists ? "saved" : "") : "not saved yet";
-  byId("then").hidden = !(same && saving.exists && begun.measure && look && look.camera && document_().gates.length);
+  byId("then").hidden = !(same && saving.exists && begun.measure && look && !problems().length && document_().gates.some((gate) => look.camera || inImage("gates", gate)));
   const { tool, pending } = now;
   for (const button of byId("tools").querySelectorAll("[data-tool]")) button.setAttribute("aria-pressed", button.dataset.tool === tool);
   byId("finish").hidden = !(pending.length && KINDS[tool] && KINDS[tool].open);
@@ -95,14 +95,27 @@ function trouble(words) {
 
 // ----------------------------------------------------------------------------------------------------- the document
 
-const askLook = newest("/look", (answer) => {
+// What the server solves the camera from.
+const evidenceOf = (document) => JSON.stringify([...MARKED, "camera", "known"].map((key) => document[key]));
+let solvedFrom = evidenceOf({ points: [], lengths: [], parallels: [], verticals: [], camera: null, known: {} }); // the camera that is shown
+
+const askLook = newest("/look", (answer, asked) => {
   look = answer;
-  stage.setAttribute("aria-busy", "false");
+  solvedFrom = evidenceOf(asked);
+  if (asked === document_()) stage.setAttribute("aria-busy", "false"); // else the newest document is still to be asked
+  showBusy();
   cameraPanel.show(look);
   setMap();
   refresh();
-}, (error) => trouble(error.message));
+}, (error) => {
+  trouble(error.message);
+  stage.setAttribute("aria-busy", "false");
+  cameraPanel.busy(false);
+});
 let asking;
+
+// Until the answer to the newest evidence has come, the camera that is shown is an earlier one.
+const showBusy = () => cameraPanel.busy(evidenceOf(document_()) !== solvedFrom);
 
 function changed() {
   trouble("");
@@ -110,6 +123,7 @@ function changed() {
   stage.setAttribute("aria-busy", "true");
   clearTimeout(asking);
   asking = setTimeout(() => askLook(document_()), WAIT_MS);
+  showBusy();
   refresh();
 }
 
@@ -158,6 +172,9 @@ async function placesOf(pixels) {
   stage.setAttribute("aria-busy", busy);
   return [];
 }
+
+// The ends on the road of a gate that has them in the image, as the camera says; undefined where it does not.
+const onRoad = (index) => look?.shapes.find((one) => one.kind === "gates" && one.index === index)?.places;
 
 function step(does) {
   if (!history[does]()) return;
@@ -244,6 +261,12 @@ function listen() {
   addEventListener("beforeunload", (event) => !saving.has(document_()) && event.preventDefault());
 }
 
+// What a user does next: gates need footage alone, points without footage calibrate a camera.
+function firstTool({ document, frames }) {
+  if (MARKED.some((kind) => document[kind].length) || document.gates.length) return "select";
+  return frames ? "gates" : "points";
+}
+
 async function begin() {
   begun = await (await get("/begin.json")).json();
   history = new History(begun.document);
@@ -254,7 +277,7 @@ async function begin() {
   cameraPanel = new CameraPanel({ document: document_, change, trouble, placesOf });
   const placed = () => marking.placed();
   views = new Views(begun, viewport, now, { document: document_, change, trouble, placed, shown: () => (setMap(), refresh()) });
-  marking = new Marking(now, views, { document: document_, change, refresh, trouble, placesOf, ...act });
+  marking = new Marking(now, views, { document: document_, change, refresh, trouble, placesOf, onRoad, ...act });
   byId("zones").replaceChildren(...begun.zones.map((value) => text("option", "", { value })));
   toolbar(byId("tools"), (name) => marking.chooseTool(name));
   switches(byId("layers"), layers, (name) => (name === "errors" ? setMap() : drawAll()));
@@ -262,7 +285,8 @@ async function begin() {
   listen();
   keyList(byId("keys"));
   await views.show("image");
-  marking.setTool(begun.document.points.length ? "select" : "points");
+  marking.setTool(firstTool(begun));
+  showBusy();
   askLook(document_());
   if (begun.frames) await views.turnTo(begun.frame);
   views.plan.want(document_().plan).catch((error) => trouble(error.message));

@@ -14,7 +14,7 @@ from typing import Any, Final
 from zoneinfo import available_timezones
 
 from skope.errors import UserError
-from skope.eval.site_page.drawings import read_drawings
+from skope.eval.site_page.drawings import drawn_in_image, read_drawings
 from skope.eval.site_page.footage_time import read_time
 from skope.eval.site_page.frames import SiteFrames, decoded_frame
 from skope.eval.site_page.from_above import seen_from_above
@@ -88,6 +88,12 @@ def serve_site(frames: SiteFrames, path: Path, added: Mapping[str, Any], port: i
         UserError: The site file cannot be read, or `port` not be used.
     """
     server = bound_site(frames, path, added, port)
+    camera = server.store.read().document["camera"]
+    if camera is not None and (size := (camera["width"], camera["height"])) != frames.size:
+        console.result(
+            f"{path}: camera: camera of {size[0]}x{size[1]}, scaled to the {frames.size[0]}x{frames.size[1]} of "
+            f"{frames.title}"
+        )
     serve_until_stopped(server, f"{frames.title}, {path}", console)
 
 
@@ -164,7 +170,10 @@ class SiteServer(LocalServer):
     def save(self, sent: Mapping[str, Any]) -> tuple[int, dict[str, Any]]:
         """Status and answer to a document that is to be saved."""
         document = _document(sent)
-        problems = [*marks_of_document(document, self.frames.size).problems, *read_drawings(document)[1]]
+        problems = [
+            *marks_of_document(document, self.frames.size).problems,
+            *read_drawings(document, self.frames.size)[1],
+        ]
         problems += read_time(document).problems
         if problems:
             words = unfinished(problems)
@@ -180,7 +189,8 @@ class SiteServer(LocalServer):
             revision = self.store.save(document, solved, revision, now, file)
         except SavedElsewhereError:
             return HTTPStatus.CONFLICT, {"text": _ELSEWHERE.format(name=self.store.path.name)}
-        said = "" if solved.camera else "saved; the camera is not calibrated yet"
+        counts = solved.camera or any(drawn_in_image("gates", gate) for gate in document.get("gates", []))
+        said = "" if counts else "saved; the camera is not calibrated yet"
         return HTTPStatus.OK, {"revision": revision, "said": said}
 
     def merge(self, sent: Mapping[str, Any]) -> dict[str, Any]:

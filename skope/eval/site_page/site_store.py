@@ -1,5 +1,6 @@
 """The page's document from a site file, and back into it: what the page does not know stays in the file."""
 
+import contextlib
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -7,18 +8,21 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
+
 from skope.camera.evidence import MARKED_PX, MEASURED_M, UNEVEN_M, Belief, MarkedPoint
 from skope.camera.model import Camera
 from skope.camera.uncertain_camera import UncertainCamera
-from skope.dataset.camera_of_file import sized
+from skope.dataset.camera_of_file import fitted_camera
 from skope.errors import UserError
 from skope.eval.site_page.document_values import entries_of, unique_names
-from skope.eval.site_page.drawings import DRAWN
+from skope.eval.site_page.drawings import DRAWN, drawn_in_image
 from skope.eval.site_page.footage_time import read_time, time_texts
 from skope.eval.site_page.marks import KINDS, SIGMA_FIELDS
 from skope.eval.site_page.solved_page import SolvedCamera
 from skope.files.reading import sha256_of
 from skope.site.calibration_marks import CalibrationMarks
+from skope.site.gates_zones_lanes import Gate, gate_at_size, line_on_road
 from skope.site.site_file import SiteFile, read_site
 from skope.site.write_site import save_site
 
@@ -125,17 +129,25 @@ def document_of(site: SiteFile | None, size: tuple[int, int]) -> dict[str, Any]:
     if site.plan is not None:
         out["plan"] = {key: getattr(site.plan, key) for key in PLAN} | {"origin": list(site.plan.origin)}
     out |= time_texts(site.time_zone, site.start)
-    out["gates"] = [
-        {"name": one.name, "line": _rows(one.line), "directions": list(one.directions or ("", ""))}
-        for one in site.gates
-        if one.line
-    ]
+    out["gates"] = [_gate(gate, size) for gate in site.gates]
     out["zones"] = [{"name": one.name, "polygon": _rows(one.polygon)} for one in site.zones]
     out["lanes"] = [{"name": one.name, "line": _rows(one.line), "width": one.width} for one in site.lanes]
     out["occluders"] = [
         {"polygon": _rows(one.polygon), "foot": list(one.foot) if one.foot else None, "distance": one.distance}
         for one in site.occluders
     ]
+    return out
+
+
+def _gate(gate: Gate, size: tuple[int, int]) -> dict[str, Any]:
+    """A gate in the document; its pixels are those of the footage, unless the aspect ratio is another."""
+    with contextlib.suppress(UserError):  # `read_drawings` reports another aspect ratio as a problem
+        gate = gate_at_size(gate, size)
+    out: dict[str, Any] = {"name": gate.name, "directions": list(gate.directions or ("", ""))}
+    if gate.line:
+        out["line"] = _rows(gate.line)
+    if gate.pixels:
+        out |= {"pixels": _rows(gate.pixels), "size": list(gate.size or size)}
     return out
 
 
@@ -175,12 +187,8 @@ def _unless(key: str, value: float, default: float) -> dict[str, float]:
 
 def _camera(site: SiteFile, size: tuple[int, int]) -> dict[str, Any]:
     assert site.camera is not None
-    camera = site.camera.camera
-    try:
-        sized(camera, size, "the footage")
-    except UserError as error:
-        raise UserError(f"{site.path}: {error}") from None
-    return camera_dict(site.camera.known, camera)
+    fitted_camera(site.camera.camera, size, f"{site.path}: camera", "the footage")  # or a UserError
+    return camera_dict(site.camera.known, site.camera.camera)
 
 
 def camera_dict(known: UncertainCamera | None, camera: Camera) -> dict[str, Any]:
@@ -224,7 +232,7 @@ def changes_of(
     else:
         out["calibration"] = dict.fromkeys((*KINDS, *KNOWN_FIELDS))
     for kind in DRAWN:
-        rows_of_kind = [_saved_drawing(kind, entry) for entry in entries_of(document, kind)]
+        rows_of_kind = [_saved_drawing(kind, entry, solved.camera) for entry in entries_of(document, kind)]
         out[kind] = rows_of_kind or None
     out["world"] = document.get("world") or None
     out["plan"] = _saved_plan(document, plan)
@@ -249,10 +257,15 @@ def _saved_marks(document: Mapping[str, Any], kind: str) -> list[dict[str, Any]]
     ]
 
 
-def _saved_drawing(kind: str, entry: Mapping[str, Any]) -> dict[str, Any]:
+def _saved_drawing(kind: str, entry: Mapping[str, Any], camera: Camera | None) -> dict[str, Any]:
     if kind == "gates":
         directions = entry.get("directions") or ["", ""]
-        return {"name": entry["name"], "line": entry["line"], "directions": directions if any(directions) else None}
+        out = {"name": entry["name"], "line": entry.get("line"), "pixels": None, "size": None}
+        if drawn_in_image(kind, entry):
+            out |= {"pixels": entry["pixels"], "size": entry.get("size")}
+        if drawn_in_image(kind, entry) and camera is not None:
+            out["line"] = _rows(line_on_road(camera, np.array(entry["pixels"]))) or None
+        return out | {"directions": directions if any(directions) else None}
     if kind == "zones":
         return {"name": entry["name"], "polygon": entry["polygon"]}
     if kind == "lanes":

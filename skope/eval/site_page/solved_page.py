@@ -17,7 +17,7 @@ from skope.camera.model import Camera
 from skope.camera.uncertain_camera import UncertainCamera
 from skope.dataset.camera_of_file import sized
 from skope.errors import UserError
-from skope.eval.site_page.advice import BEGIN, DEGREES, MIRRORED, below_road, in_degrees, missing
+from skope.eval.site_page.advice import BEGIN, DEGREES, MIRRORED, below_road, implausible, in_degrees, missing
 from skope.eval.site_page.document_values import positions
 from skope.eval.site_page.drawings import Drawing, read_drawings, shapes
 from skope.eval.site_page.error_map import error_map, values
@@ -94,12 +94,14 @@ class SolvedPage:
             return replace(fallback, message="no camera agrees with what is marked")
         if below_road(evidence, found.camera):
             return replace(fallback, message=MIRRORED, mend="mirrored")
+        if words := implausible(found.camera):
+            return replace(fallback, message=words)
         return SolvedCamera(found.camera, found, "", left_out=left_out_errors(evidence, found))
 
     def look(self, document: Mapping[str, Any]) -> dict[str, Any]:
         """All that the page shows of a document."""
         solved, marks = self.solve(document)
-        drawings, problems = read_drawings(document)
+        drawings, problems = read_drawings(document, self.size)
         out: dict[str, Any] = {
             "problems": [asdict(problem) for problem in (*marks.problems, *problems, *read_time(document).problems)],
             "message": solved.message,
@@ -109,13 +111,12 @@ class SolvedPage:
             "warnings": [],
             "drawn": None,
             "errors": None,
-            "shapes": [],
+            "shapes": shapes(drawings, solved.camera, solved.known.place_error if solved.known else None),
         }
         if solved.camera is None:
             return out
         out["camera"] = _figures(solved)
         out["drawn"] = overlays(solved.camera, _toward(drawings))
-        out["shapes"] = shapes(drawings, solved.camera, solved.known.place_error if solved.known else None)
         if solved.known is not None:
             out["errors"] = error_map(solved.known)
         if solved.calibration is not None:

@@ -546,6 +546,45 @@ def test_a_vehicle_that_is_hidden_for_a_while_rolls_on(skope: Any) -> None:
     assert {r["detected"] for r in rows if 40 <= int(r["frame"]) + 1 < 75} == {"0"}
 
 
+def test_a_camera_file_of_another_image_size_is_scaled_or_rejected(skope: Any, random_run: Path) -> None:
+    """By `predict` before anything is detected, by `pose` and `track` of images, each with one line."""
+    numbered_video(Path("v.mp4"), 4)
+    for name, size in (("double", (192, 128)), ("square", (96, 96))):
+        camera = Camera.looking([0, 0, 6], yaw=0.4, pitch_down=0.3, size=size)
+        write_json(Path(f"{name}.json"), {"width": size[0], "height": size[1], **camera.to_dict()})
+    call = ("eval", "predict", "v.mp4", "--checkpoint", random_run, "--min-size", 64, "--out", "seen")
+    code, _, err = skope(*call, "--camera", "square.json")
+    assert (code, err.count("\n"), Path("seen").exists()) == (2, 1, False)
+    assert "square.json: image size: expected the aspect ratio of v, 96x64, got 96x96" in err
+    code, out, err = skope(*call, "--camera", "double.json")
+    assert code == 0, err
+    assert "double.json: camera of 192x128, scaled to the 96x64 of v" in out
+    (own,) = {image.camera.width for image in coco.read(Path("seen/frames.json")).images if image.camera}
+    assert own == 96
+    file = drive(0.4, 5)
+    coco.write(Path("road.json"), file)
+    for name, camera in (("large", CAMERA.resized((3840, 2160))), ("wide", CAMERA.resized((1920, 800)))):
+        write_json(Path(f"{name}.json"), {"width": camera.width, "height": camera.height, **camera.to_dict()})
+    for command in ("pose", "track"):
+        words = ("eval", command, "--annotations", "road.json", "--out", command)
+        code, _, err = skope(*words, "--camera", "wide.json")
+        assert (code, err.count("\n"), Path(command).exists()) == (2, 1, False)
+        assert "wide.json: image size: expected the aspect ratio of " in err
+        code, out, err = skope(*words, "--camera", "large.json")
+        assert code == 0, err
+        assert out.count("large.json: camera of 3840x2160, scaled to the ") == 1
+
+
+def test_frames_say_what_could_not_be_read(skope: Any, random_run: Path) -> None:
+    Path("images").mkdir()
+    cv2.imwrite("images/a.png", np.zeros((64, 96, 3), np.uint8))
+    Path("images/b.png").write_bytes(b"no picture")
+    code, _, err = skope("eval", "predict", "images", "--checkpoint", random_run, "--min-size", 64, "--out", "seen")
+    assert (code, "skope: skipped: images/b.png" in err) == (1, True)
+    (line,) = coco.read(Path("seen/frames.json")).info["skipped"]
+    assert line.startswith("images/b.png")
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [

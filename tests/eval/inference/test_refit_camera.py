@@ -123,14 +123,14 @@ def test_what_is_not_sure_is_refused(skope: Any, tmp_path: Path) -> None:
     other = write(tmp_path / "other.png", cv2.resize(read_image(DOCS / "own_road.jpg"), (640, 360)))
     aside = write(tmp_path / "aside.png", picture(OLD, aside_m=1.5))
     small = write(tmp_path / "small.png", cv2.resize(picture(OLD), (320, 180)))
-    sized = write(tmp_path / "sized.png", cv2.resize(picture(OLD), (320, 180)))
+    flat = write(tmp_path / "flat.png", cv2.resize(picture(OLD), (640, 300)))
     bare = {key: value for key, value in document.items() if key != "covariance"}
     Path("bare.json").write_text(json.dumps(bare))
     cases = [
         ((other, old, "--camera", "old.json"), "too little of one picture is found in the other"),
         ((aside, old, "--camera", "old.json"), "mark points in the new picture"),
         ((small, old, "--camera", "old.json"), "is 320x180, but"),
-        ((small, sized, "--camera", "old.json"), "but the camera is 640x360"),
+        ((flat, flat, "--camera", "old.json"), "old.json: image size: expected the aspect ratio of"),
         ((old, old, "--camera", "bare.json"), "bare.json: covariance: missing"),
         ((old, old), "--refit: needs --picture, and either --points or --camera"),
         ((old, tmp_path / "none.png", "--camera", "old.json"), "no such file or folder"),
@@ -144,6 +144,22 @@ def test_what_is_not_sure_is_refused(skope: Any, tmp_path: Path) -> None:
     assert not Path("c.json").exists()
     code, _, error = skope("eval", "camera", "--picture", old, "--points", "p.csv", "--size", "640x360")
     assert (code, "are for --refit" in error) == (2, True)
+
+
+def test_an_old_camera_of_another_image_size_is_scaled(skope: Any, tmp_path: Path) -> None:
+    known = calibrate(evidence(np.random.default_rng(3)))
+    large = known.camera.resized((1280, 720))
+    document = {"width": 1280, "height": 720, **large.to_dict(), "covariance": known.covariance_dict()}
+    Path("old.json").write_text(json.dumps(document))
+    old, new = (write(tmp_path / f"{k}.png", picture(c)) for k, c in enumerate((OLD, turned_camera(OLD, 20, 6, 0.01))))
+    code, out, error = skope(
+        *("eval", "camera", "--refit", new, "--picture", old, "--camera", "old.json", "--out", "new.json")
+    )
+    assert code == 0, error
+    assert "old.json: camera of 1280x720, scaled to the 640x360 of" in out
+    found = read_camera(Path("new.json"))[0]
+    assert (found.width, found.height) == (640, 360)
+    assert found.K[0, 0] == pytest.approx(known.camera.K[0, 0])
 
 
 def test_of_a_video_the_frame_at_rest_is_taken(skope: Any, tmp_path: Path) -> None:

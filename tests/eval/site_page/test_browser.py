@@ -2,6 +2,7 @@
 
 import json
 import re
+import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -11,9 +12,11 @@ import cv2
 import numpy as np
 import pytest
 
+from skope.camera.calibrate import SiteCalibration, calibrate
+from skope.camera.evidence import Evidence
 from skope.eval.site_page.frames import SiteFrames
 from skope.eval.site_page.overlays import overlays
-from skope.site.site_file import read_site
+from skope.site.site_file import SiteFile, read_site
 from tests.eval.site_page.conftest import CAMERA, PLACES, SIZE, Served, SitePage, marked_points, pixels_of, road_picture
 
 HOSTILE = "<img src=x onerror=alert(1)>\"'&"
@@ -39,7 +42,7 @@ def mark_all(page: SitePage, count: int = 6) -> None:
 
 def test_by_mouse_from_the_first_point_to_a_saved_site(open_page: Open) -> None:
     page = open_page()
-    assert page.text("#message").startswith("Mark four points")
+    assert "mark points with known positions" in page.text("#steps")
     mark_all(page)
     assert page.text("#message") == ""
     assert page.text("#hint").startswith("Where grid and boxes lie on the road")
@@ -180,6 +183,7 @@ def test_by_keyboard_alone(open_page: Open) -> None:
 def test_by_touch_at_the_width_of_a_phone(open_page: Open) -> None:
     page = open_page(None, 390, 844)
     assert page.browser.run("document.documentElement.scrollWidth") <= 390
+    page.tool("points")
     for i, (pixel, place) in enumerate(zip(pixels_of(PLACES), PLACES, strict=True)):
         # A finger comes down beside the place, and is moved onto it under the loupe.
         x, y = page.screen(pixel + [-20, 10])
@@ -445,6 +449,122 @@ def test_latitude_and_longitude_are_pasted(open_page: Open) -> None:
     world = read_site(page.served.path).world
     assert world is not None
     assert world["origin"]["latitude"] == pytest.approx(50, abs=0.001)
+
+
+def saved(page: SitePage) -> SiteFile:
+    """Save, and read what was saved."""
+    page.browser.run("document.getElementById('save').click()")
+    page.browser.until("document.getElementById('state').textContent === 'saved'")
+    return read_site(page.served.path)
+
+
+def test_gates_are_drawn_and_saved_before_anything_is_calibrated(
+    serve: Callable[..., Served], open_page: Open, image: Path, tmp_path: Path
+) -> None:
+    footage = tmp_path / "frames"
+    footage.mkdir()
+    for name in ("a.png", "b.png"):
+        (footage / name).write_bytes(image.read_bytes())
+    page = open_page(serve(SiteFrames.of_footage(str(footage))))
+    assert page.text("#steps").startswith("Draw gates")
+    assert "No calibration is needed" in page.text("#hint")
+    assert page.text("#solving") == ""
+    begin, end = [100.0, 300.0], [500.0, 250.0]
+    page.click(begin)  # the tool is chosen already
+    page.click(end)
+    page.settle()
+    assert page.count(".gates circle.handle") == 2
+    page.fill("gates:0:name", "main")
+    page.fill("gates:0:directions.0", "towards us")
+    page.fill("gates:0:directions.1", "away")
+    page.settle()
+    assert page.text("#drawing .gates").split() == ["main", "1:", "towards", "us", "2:", "away"]
+    assert page.text("#road .warnings, #road .bad") == ""
+    site = saved(page)
+    (gate,) = site.gates
+    assert np.abs(np.array(gate.pixels) - [begin, end]).max() < 0.6
+    assert "calibration" not in page.served.path.read_text()
+    assert (gate.size, gate.line, gate.directions, site.camera) == (SIZE, (), ("towards us", "away"), None)
+    assert page.text("#then").endswith(f"skope eval traffic {footage} --site {page.served.path}")
+    # An end is moved in the image, and typed.
+    page.tool("select")
+    page.drag(page.screen(end), page.screen([520.0, 270.0]))
+    page.settle()
+    page.fill("gates:0:pixels.0.0", "110.5")
+    page.settle()
+    assert np.abs(np.array(saved(page).gates[0].pixels) - [[110.5, 300], [520, 270]]).max() < 0.6
+    page.browser.run(
+        "[...document.querySelectorAll('#road button')].find((b) => b.innerText.startsWith('Swap')).click()"
+    )
+    page.settle()
+    assert np.abs(np.array(saved(page).gates[0].pixels) - [[520, 270], [110.5, 300]]).max() < 0.6
+    # Zones are in metres: they still need a camera.
+    page.tool("zones")
+    assert page.text("#hint") == "Zones and lanes are in metres: calibrate the camera first."
+    again = open_page(page.served)
+    assert again.count(".gates circle.handle") == 2
+    assert again.text("#state") == "saved"
+
+
+def test_a_gate_in_the_image_has_a_line_where_the_camera_is_known_until_it_is_moved_on_the_road(
+    serve: Callable[..., Served], open_page: Open
+) -> None:
+    page = open_page(serve(points=marked_points()))
+    page.settle()
+    page.tool("gates")
+    ends = pixels_of([[2, 15], [9, 18]])
+    for pixel in ends:
+        page.click(pixel)
+    page.settle()
+    (gate,) = saved(page).gates
+    assert np.abs(np.array(gate.pixels) - ends).max() < 0.6
+    assert np.abs(np.array(gate.line) - [[2, 15], [9, 18]]).max() < 0.3
+    page.browser.run("document.querySelector('[data-view=above]').click()")
+    page.browser.until("document.querySelector('[data-view=above]').getAttribute('aria-pressed') === 'true'")
+    page.tool("select")
+    at = gate_pixels(page)
+    assert at.shape == (2, 2)
+    page.drag(page.screen(at[1]), page.screen(at[1] + [40, 0]))
+    page.settle()
+    (moved,) = saved(page).gates
+    assert (moved.pixels, moved.size) == ((), None)
+    assert moved.line[0] == pytest.approx(gate.line[0])
+    assert moved.line[1][0] > gate.line[1][0] + 0.5
+    assert moved.line[1][1] == pytest.approx(gate.line[1][1], abs=0.01)
+
+
+def test_the_page_shows_that_the_camera_is_being_solved(
+    serve: Callable[..., Served], open_page: Open, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    page = open_page(serve(points=marked_points()))
+    assert page.text("#solving") == ""
+    before = page.text("#figures-summary")
+    held = threading.Event()
+
+    def slowly(evidence: Evidence) -> SiteCalibration:
+        assert held.wait(20)
+        return calibrate(evidence)
+
+    monkeypatch.setattr("skope.eval.site_page.solved_page.calibrate", slowly)
+    page.browser.run("document.querySelectorAll('#marks .choose')[0].click()")
+    page.fill("points:0:place.2", "0.5")
+    page.browser.until("document.getElementById('solving').textContent === 'Solving the camera…'")
+    time.sleep(0.3)  # the server has been asked
+    shade = "getComputedStyle(document.getElementById('figures-details')).opacity"
+    assert page.browser.run("document.getElementById('solving').getAttribute('aria-live')") == "polite"
+    assert (page.text("#figures-summary"), page.browser.run(shade)) == (before, "0.35")
+    # What is drawn meanwhile changes nothing in the camera, and the answer is still awaited.
+    page.tool("gates")
+    for pixel in ([100, 300], [500, 250]):
+        page.click(pixel)
+    assert page.text("#solving") == "Solving the camera…"
+    held.set()
+    page.browser.until("document.getElementById('solving').textContent === ''")
+    assert page.browser.run(shade) == "1"
+    assert page.count(".gates circle.handle") == 2
+    # A gate leaves the camera as it is.
+    page.browser.run("document.getElementById('undo').click()")
+    assert page.text("#solving") == ""
 
 
 def test_when_the_footage_was_taken(open_page: Open) -> None:

@@ -40,6 +40,21 @@ def test_marks_of_images_of_another_size_are_refused(skope: Any, image: Path) ->
     assert "calibration.size: 800x600 was marked, but the images are 640x360" in error
 
 
+def test_a_camera_of_another_image_size_is_scaled_or_rejected(skope: Any, image: Path) -> None:
+    site = image.parent / "site.toml"
+    camera = {"fov_deg": 60.0, "position": [0.0, 0.0, 6.0], "yaw_deg": 90.0, "pitch_deg": 20.0}
+    save_site(site, {"camera": {"size": [1280, 1000], **camera}}, None)
+    code, out, error = skope("eval", "site", image, "--site", site, "-q")
+    assert (code, out) == (2, "")
+    assert "site.toml: camera: image size: expected the aspect ratio of the footage, 640x360, got 1280x1000" in error
+    site.unlink()
+    save_site(site, {"camera": {"size": [1280, 720], **camera}}, None)
+    process, line = begun("eval", "site", str(image), "--site", str(site))
+    assert line == f"{site}: camera: camera of 1280x720, scaled to the 640x360 of road.png\n"
+    process.send_signal(signal.SIGINT)
+    process.communicate(timeout=30)
+
+
 def test_ctrl_c_ends_it_and_nothing_is_written(image: Path) -> None:
     site = image.parent / "new.toml"
     process, line = begun("eval", "site", str(image), "--site", str(site))

@@ -89,7 +89,7 @@ def test_gates_are_warned_of() -> None:
 
 
 def test_the_two_ways_across_a_gate_are_from_left_to_right_and_back() -> None:
-    drawings, problems = read_drawings(empty_document(gates=[{"name": "g", "line": [[-4, 20], [4, 20]]}]))
+    drawings, problems = read_drawings(empty_document(gates=[{"name": "g", "line": [[-4, 20], [4, 20]]}]), SIZE)
     assert problems == []
     (shown,) = shapes(drawings, LEVEL, None)
     (a, b), (c, d) = np.array(shown["ways"])
@@ -98,24 +98,44 @@ def test_the_two_ways_across_a_gate_are_from_left_to_right_and_back() -> None:
     assert (d - c).tolist() == pytest.approx([0, 3])
 
 
+def test_a_gate_in_the_image_has_its_directions_on_the_screen_and_warnings_with_metres_alone() -> None:
+    edge = [{"name": "g", "pixels": [[100, 355], [500, 355]], "size": list(SIZE)}]
+    drawings, problems = read_drawings(empty_document(gates=edge), SIZE)
+    assert problems == []
+    (shown,) = shapes(drawings, None, None)
+    assert (shown["warnings"], shown["corners"]) == ([], [[100, 355], [500, 355]])
+    # Drawn from left to right its left is above: from its left to its right is downwards in the image.
+    ((one,),), ((two,),) = ([arrow] for arrow in shown["arrows"])
+    assert [one[1][k] - one[0][k] for k in (0, 1)] == pytest.approx([0, 40])
+    assert [two[1][k] - two[0][k] for k in (0, 1)] == pytest.approx([0, -40])
+    (shown,) = shapes(drawings, LEVEL, None)
+    assert "on its right" in "; ".join(shown["warnings"])  # the image ends there
+    (a, b), _ = np.array(shown["ways"])
+    assert b[1] < a[1]  # downwards in the image is towards the camera, in the south
+
+
 def test_what_is_wrong_with_drawings_is_said_by_field() -> None:
     document = empty_document(
         gates=[
             {"name": "a", "line": [[0, 0], [0, 0]]},
             {"name": "a", "line": [[0, 0], [1, 0]], "directions": ["in", ""]},
             {"name": "b\n", "line": [[0, 0], ["x", 0]]},
+            {"name": "c", "pixels": [[5, 5], [5, 5]], "size": list(SIZE)},
+            {"name": "d", "pixels": [[5, 5], [5]], "size": list(SIZE)},
         ],
         zones=[{"name": "z", "polygon": [[0, 0], [1, 1], [1, 0], [0, 1]]}, {"name": "", "polygon": [[0, 0]]}],
         lanes=[{"name": "l", "line": [[0, 0], [9, 0]], "width": 0}],
         occluders=[{"polygon": [[0, 0], [9, 0], [9, 9]], "foot": None}],
     )
-    good, problems = read_drawings(document)
+    good, problems = read_drawings(document, SIZE)
     assert [(one.kind, one.index, one.field) for one in problems] == [
         ("gates", 0, "line"),
         ("gates", 1, "name"),
         ("gates", 1, "directions.1"),
         ("gates", 2, "name"),
         ("gates", 2, "line"),
+        ("gates", 3, "pixels"),
+        ("gates", 4, "pixels"),
         ("zones", 0, "polygon"),
         ("zones", 1, "name"),
         ("zones", 1, "polygon"),

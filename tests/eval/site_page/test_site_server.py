@@ -17,7 +17,7 @@ from skope.errors import UserError
 from skope.eval.site_page.frames import SiteFrames
 from skope.eval.site_page.map_places import map_places
 from skope.eval.site_page.solved_page import SolvedPage
-from skope.site.site_file import read_site
+from skope.site.site_file import SiteFile, read_site
 from tests.eval.site_page.conftest import CAMERA, PLACES, SIZE, Served, empty_document, marked_points, pixels_of
 
 Serve = Callable[..., Served]
@@ -136,7 +136,7 @@ def moved_places(way: Callable[[float, float], tuple[float, float]]) -> list[dic
 
 def test_what_is_missing_is_said_point_by_point() -> None:
     points = marked_points(4)
-    assert look_at([])["message"].startswith("Mark four points or more")
+    assert look_at([])["message"].startswith("Mark at least four points")
     assert look_at(points[:1])["message"].startswith("1 of 4 points have their places. Mark three more")
     assert "Mark one more" in look_at(points[:3])["message"]
     points[1]["place"] = [None, None, 0]
@@ -155,6 +155,18 @@ def test_a_mirrored_plan_is_said_and_has_no_camera(way: Any) -> None:
     assert answer["camera"] is None
     assert answer["mend"] == "mirrored"
     assert "mirrored" in answer["message"]
+
+
+def test_a_camera_that_no_road_camera_is_is_rejected() -> None:
+    """Lines that are not parallel on the road, on real footage: the solver gave a focal length of 4 763 140 px."""
+    lines = [[[105, 336], [109, 242]], [[233, 307], [198, 233]], [[408, 354], [322, 200]], [[547, 356], [405, 232]]]
+    look = look_at(
+        [],
+        parallels=[{"name": "lines", "lines": lines}],
+        lengths=[{"name": "length", "pixels": [[233, 307], [211, 262]], "metres": 6.0}],
+    )
+    assert look["camera"] is None
+    assert "which is not plausible" in look["message"]
 
 
 def test_degrees_in_place_of_metres_are_said_and_taken_as_metres(serve: Serve) -> None:
@@ -350,6 +362,103 @@ def test_saving_keeps_what_the_page_does_not_know(serve: Serve, tmp_path: Path) 
     assert again["document"]["gates"] == document["gates"]
 
 
+GATES = f"""
+[[gates]]
+name = "drawn"
+pixels = [[100, 300], [500, 250]]
+size = [{SIZE[0]}, {SIZE[1]}]
+edges = ["a", "b"]
+
+[[gates]]
+name = "survey"
+line = [[2, 15], [9, 18]]
+"""
+
+
+def saved_again(served: Served, **changes: Any) -> SiteFile:
+    """Open the page's document, change lists of it, save it, and read the file."""
+    begun = json.loads(ask(served, "/begin.json")[2])
+    sent = {"document": begun["document"] | changes, "revision": begun["revision"]}
+    status, _, data = ask(served, "/save", sent)
+    assert status == 200, data
+    return read_site(served.path)
+
+
+def test_gates_in_the_image_get_a_line_from_the_camera_and_keep_their_pixels(serve: Serve, tmp_path: Path) -> None:
+    path = tmp_path / "site.toml"
+    path.write_text(GATES)
+    served = serve(path=path)
+    assert [bool(gate.line) for gate in saved_again(served).gates] == [False, True]
+    drawn, survey = saved_again(served, points=marked_points()).gates
+    assert np.array(drawn.pixels).tolist() == [[100, 300], [500, 250]]
+    assert list(drawn.edges or ()) == ["a", "b"]
+    assert np.abs(pixels_of(drawn.line) - drawn.pixels).max() < 2
+    assert np.array(survey.line).tolist() == [[2, 15], [9, 18]]
+    assert (len(survey.pixels), survey.size) == (0, None)
+    # The camera is calibrated again: all places were counted from 3 m farther west.
+    moved = [point | {"place": [point["place"][0] + 3, *point["place"][1:]]} for point in marked_points()]
+    again, same = saved_again(served, points=moved).gates
+    assert again.pixels == drawn.pixels
+    assert np.array(again.line) == pytest.approx(np.array(drawn.line) + [3, 0], abs=0.02)
+    assert same.line == survey.line
+    # An end above the horizon is nowhere on the road: the gate counts in the image alone.
+    document = json.loads(ask(served, "/begin.json")[2])["document"]
+    document["gates"][0]["pixels"][1] = [500, 2]
+    (warned,) = json.loads(ask(served, "/look", document)[2])["shapes"][0]["warnings"]
+    assert "above the horizon" in warned
+    assert saved_again(served, gates=document["gates"]).gates[0].line == ()
+
+
+def test_a_gate_in_the_image_has_its_line_where_the_camera_is_written_by_hand(tmp_path: Path) -> None:
+    path = tmp_path / "site.toml"
+    pixels = (2 * pixels_of([[2, 15], [9, 18]])).round(2).tolist()
+    gate = f'[[gates]]\nname = "g"\npixels = {pixels}\nsize = [{2 * SIZE[0]}, {2 * SIZE[1]}]\n'
+    camera = {"width": SIZE[0], "height": SIZE[1], **CAMERA.to_dict()}
+    (tmp_path / "camera.json").write_text(json.dumps(camera))
+    path.write_text(gate)
+    assert read_site(path).gates[0].line == ()
+    path.write_text(gate + '[camera]\nfile = "camera.json"\n')
+    assert np.array(read_site(path).gates[0].line) == pytest.approx(np.array([[2, 15], [9, 18]]), abs=0.01)
+    path.write_text(path.read_text().replace(f"{2 * SIZE[1]}]", "960]"))  # of another aspect ratio: nowhere
+    assert read_site(path).gates[0].line == ()
+
+
+@pytest.mark.parametrize("size", [(1280, 720), (320, 181)])
+def test_gates_of_another_image_size_are_scaled(serve: Serve, tmp_path: Path, size: tuple[int, int]) -> None:
+    path = tmp_path / "site.toml"
+    x, y = size[0] / SIZE[0], size[1] / SIZE[1]
+    path.write_text(
+        f'[[gates]]\nname = "g"\npixels = [[{100 * x}, {300 * y}], [{500 * x}, {250 * y}]]\nsize = {list(size)}\n'
+    )
+    gate = saved_again(serve(path=path)).gates[0]
+    assert gate.size == SIZE
+    assert np.array(gate.pixels) == pytest.approx(np.array([[100, 300], [500, 250]]))
+
+
+def test_gates_of_another_aspect_ratio_are_a_problem_and_not_drawn(serve: Serve, tmp_path: Path) -> None:
+    path = tmp_path / "site.toml"
+    path.write_text('[[gates]]\nname = "g"\npixels = [[100, 300], [500, 250]]\nsize = [640, 480]\n')
+    served, before = serve(path=path), path.read_bytes()
+    begun = json.loads(ask(served, "/begin.json")[2])
+    look = json.loads(ask(served, "/look", begun["document"])[2])
+    (problem,) = look["problems"]
+    assert (problem["kind"], problem["field"]) == ("gates", "pixels")
+    assert problem["text"] == "was drawn in an image of 640x480; this footage is 640x360: delete it and draw it again"
+    assert look["shapes"] == []
+    assert ask(served, "/save", {"document": begun["document"], "revision": begun["revision"]})[0] == 422
+    assert path.read_bytes() == before
+
+
+def test_a_renamed_gate_in_the_image_keeps_its_other_keys(serve: Serve, tmp_path: Path) -> None:
+    path = tmp_path / "site.toml"
+    path.write_text(GATES)
+    served = serve(path=path)
+    gates = json.loads(ask(served, "/begin.json")[2])["document"]["gates"]
+    gates[0]["name"] = "renamed"
+    gate = saved_again(served, gates=gates).gates[0]
+    assert (gate.name, gate.edges) == ("renamed", ("a", "b"))
+
+
 def test_a_second_windows_save_is_refused_and_can_be_joined(serve: Serve) -> None:
     served = serve()
     base = json.loads(ask(served, "/begin.json")[2])["document"]
@@ -394,6 +503,15 @@ def test_files_that_are_loaded_are_named_as_the_user_does(serve: Serve) -> None:
     look = json.loads(ask(served, "/look", empty_document(camera=found["camera"]))[2])
     assert look["camera"]["figures"][1]["value"] == 6.5
     assert look["errors"] is None  # the file does not say how well it is known
+    assert found["said"] == ""
+    large = CAMERA.resized((1280, 720))
+    camera = {"width": 1280, "height": 720, **large.to_dict()}
+    found = json.loads(ask(served, "/read", {"name": "c.json", "text": json.dumps(camera)})[2])
+    assert found["said"] == "c.json: camera of 1280x720, scaled to the 640x360 of the footage"
+    status, _, data = ask(served, "/read", {"name": "c.json", "text": json.dumps(camera | {"height": 900})})
+    assert (status, data.decode()) == (
+        400, "c.json: image size: expected the aspect ratio of the footage, 640x360, got 1280x900"
+    )  # fmt: skip
 
 
 def test_an_empty_canvas_has_no_pictures(serve: Serve) -> None:
