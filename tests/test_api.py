@@ -150,7 +150,7 @@ def test_without_a_known_ground_size_tells_the_distance() -> None:
 
 def test_a_camera_of_another_shape_is_refused() -> None:
     detections, _ = frames(2)[1]
-    with pytest.raises(UserError, match="which a camera of"):
+    with pytest.raises(UserError, match=r"expected the aspect ratio of the camera, 1920x1080, got 400x400"):
         door.locate(replace(detections, size=(400, 400)), CAMERA)
 
 

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from skope.traffic.trajectories import Trajectory
 
 from skope.errors import UserError
 from skope.site.site_file import parse_site
 from skope.site.traffic_settings import PCE_FACTORS, TrafficSettings
+from skope.tracks.track import Track
 from skope.traffic.measure import measure
 from skope.traffic.observation import Observation
 from skope.traffic.page.page import traffic_page
@@ -26,10 +26,10 @@ TWO_GATES = ONE_GATE + '[[gates]]\nname = "h"\nline = [[20, -5], [20, 5]]\n'
 QUARTER_S = 900.0
 
 
-def cars(numbers: Sequence[int], *, end_m: float = 10.0, **others: str) -> list[Trajectory]:
+def cars(numbers: Sequence[int], *, end_m: float = 10.0, **others: str) -> list[Track]:
     """As many cars in each quarter of an hour, which cross x = 0 one second after they begin at x = -10."""
     seconds = (end_m + 10.0) / 10.0
-    tracks: list[Trajectory] = []
+    tracks: list[Track] = []
     for quarter, number in enumerate(numbers):
         for k in range(number):
             begin_s = quarter * QUARTER_S + 10.0 + 20.0 * k
@@ -38,7 +38,7 @@ def cars(numbers: Sequence[int], *, end_m: float = 10.0, **others: str) -> list[
 
 
 def counted(
-    tracks: Sequence[Trajectory],
+    tracks: Sequence[Track],
     hours: float,
     settings: str = "",
     gates: str = ONE_GATE,

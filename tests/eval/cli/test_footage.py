@@ -36,6 +36,7 @@ from skope.eval.pose.shape_model import fleet_shapes
 from skope.files.json_files import write_json
 from skope.files.progress import Progress
 from skope.schema import Annotation, AnnotationFile, Box3D, Result
+from skope.traffic.observation import read_observation
 from tests.eval.inference import streams
 from tests.eval.pose.test_estimate_pose import drawn
 from tests.eval.sightings import CAMERA, drive, scene
@@ -802,21 +803,28 @@ def test_a_calibration_ends_where_the_camera_moves(skope: Any) -> None:
     assert (code, error) == (2, "skope: bad: info.view_changes: expected objects with time_s\n")
 
 
-def test_the_cameras_uncertainty_goes_on_to_tracks(skope: Any) -> None:
+def test_the_cameras_error_is_carried_once_beside_the_tracks(skope: Any) -> None:
+    """All road users share it: no track's covariance holds it, and footage.json has it whole."""
     coco.write(Path("road.json"), drive(2, 5, speeds=(9.0, 3.0, -6.0)))
     camera = {"width": CAMERA.width, "height": CAMERA.height, **CAMERA.to_dict()}
-    told = {}
-    for name, sigma in (("sure", {}), ("unsure", {"sigma": {"distance": 0.05}})):
-        Path(f"{name}.json").write_text(json.dumps({**camera, **sigma}))
-        call = ("--annotations", "road.json", "--noise", 1, "--camera", f"{name}.json", "--out", name)
+    covariance = {"of": ["z", "pitch"], "matrix": [[0.09, 0.001], [0.001, 1e-4]]}
+    for name, known in (("sure", {}), ("unsure", {"covariance": covariance})):
+        Path(f"{name}.json").write_text(json.dumps({**camera, **known}))
+        call = ("--annotations", "road.json", "--noise", 1, "--camera", f"{name}.json", "--ground", 0, "--out", name)
         code, out, error = skope("eval", "track", *call)
         assert code == 0, error
-        assert ("may be off by 10%" in out) == (name == "unsure")
-        told[name] = list(csv.DictReader(Path(f"{name}/tracks.csv").read_text().splitlines()))
-    for one, other in zip(told["sure"], told["unsure"], strict=True):
-        wider = math.hypot(float(one["sigma_speed"]), 0.05 * float(one["speed"]))
-        assert float(other["sigma_speed"]) == pytest.approx(wider, abs=2e-3)
-        assert float(other["sigma_position"]) > float(one["sigma_position"])
+        assert ("all distances and speeds may be off by" in out) == (name == "unsure")
+    assert Path("sure/tracks.csv").read_bytes() == Path("unsure/tracks.csv").read_bytes()
+    sure, unsure = (read_observation(Path(name)) for name in ("sure", "unsure"))
+    assert sure.uncertainty is None
+    assert sure.common_sigma is None
+    assert unsure.uncertainty is not None
+    assert unsure.uncertainty.covariance_dict() == covariance
+    assert unsure.common_sigma == pytest.approx(unsure.uncertainty.ways_sigma())
+    for one in (sure, unsure):
+        assert one.camera is not None
+        assert one.camera.to_dict() == CAMERA.to_dict()
+        assert one.ground == Ground()
 
 
 def test_the_cameras_covariance_goes_on_to_poses_and_frames(skope: Any, random_run: Path, tmp_path: Path) -> None:
