@@ -38,6 +38,10 @@ class Ground:
         """Whether the plane is horizontal."""
         return self.slope == (0.0, 0.0)
 
+    def heights(self, xy: Array) -> Array:
+        """(...,) z of the plane at positions (..., 2), metres."""
+        return np.asarray(self.height + (xy - np.asarray(self.about)) @ np.asarray(self.slope))
+
     @property
     def T_world_level(self) -> Array:  # noqa: N802 (poses are called so)
         """(4, 4) from a frame in which the plane is z = 0 and `about` the origin; its x is world x along the plane."""

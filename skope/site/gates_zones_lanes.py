@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 from shapely import Polygon
 
-from skope.camera.ground_plane import ground_places
+from skope.camera.ground_plane import Ground, ground_places
 from skope.camera.model import Camera, same_aspect
 from skope.errors import UserError
 from skope.site.mark_limits import FARTHEST, LONGEST_NAME
@@ -89,17 +89,19 @@ def gate_at_size(gate: Gate, size: tuple[int, int]) -> Gate:
     return replace(gate, pixels=tuple((u * x, v * y) for u, v in gate.pixels), size=size)
 
 
-def line_on_road(camera: Camera, pixels: Array) -> Outline:
-    """Ends on the road z = 0 of a gate that is drawn in the image.
+def line_on_road(camera: Camera, pixels: Array, ground: Ground | None = None) -> Outline:
+    """Ends on the road of a gate that is drawn in the image.
 
     Args:
         camera: The camera.
         pixels: (2, 2) ends of the gate in an image of the camera's size.
+        ground: The road; None: z = 0.
 
     Returns:
         World x and y of both ends, metres, to a millimetre; empty if one lies on or above the horizon.
     """
-    ends = np.round(ground_places(camera, pixels)[:, :2], 3)
+    road = ground or Ground()
+    ends = np.round(ground_places(camera, pixels, road.height, slope=road.slope, about=road.about)[:, :2], 3)
     if not np.isfinite(ends).all() or (ends[0] == ends[1]).all():
         return ()
     return tuple((float(x), float(y)) for x, y in ends)

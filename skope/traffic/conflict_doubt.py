@@ -80,6 +80,7 @@ def hardest_needed(
     seconds: Array,
     settings: TrafficSettings,
     rng: np.random.Generator,
+    common_sigma: float = 0.0,
 ) -> tuple[float, float, float]:
     """The largest deceleration that avoids a collision.
 
@@ -90,6 +91,7 @@ def hardest_needed(
         seconds: (K,) times to the collision then.
         settings: How far ahead is looked.
         rng: Draws places and speeds.
+        common_sigma: Relative standard deviation that the camera gives all distances and speeds alike.
 
     Returns:
         m/s², and the low and high end of the interval that holds 90%; all NaN where there is no collision.
@@ -100,7 +102,9 @@ def hardest_needed(
     k = int(drac.argmax())
     index, doubt = _drawn(one, other, (int(rows[0][k]), int(rows[1][k])), rng, _FEWER)
     ahead = times_to_collision(one, other, index, _farthest_s(settings), doubt)
-    return float(drac[k]), *_middle(deceleration_to_avoid(one, other, index, ahead, doubt))
+    # The camera's error is one for both: it stretches distances and speeds alike, so that times stay.
+    scale = np.maximum(0.0, 1 + common_sigma * rng.standard_normal(_FEWER)) if common_sigma else 1.0
+    return float(drac[k]), *_middle(scale * deceleration_to_avoid(one, other, index, ahead, doubt))
 
 
 def surely_encroaches(one: FootprintPath, other: FootprintPath, i: int, j: int, most_s: float) -> bool:

@@ -78,6 +78,7 @@ def conflicts(
     settings: TrafficSettings,
     rng: np.random.Generator,
     zones: Sequence[Zone] = (),
+    common_sigma: float = 0.0,
 ) -> ConflictSearch:
     """Find all pairs with a time to collision up to `settings.ttc_s`, or whose ways cross within `settings.pet_s`.
 
@@ -86,6 +87,8 @@ def conflicts(
         settings: Limits of the two times.
         rng: Draws places and speeds, for how uncertain a conflict is.
         zones: Give the conflicts in them a name.
+        common_sigma: Relative standard deviation that the camera gives all distances and speeds alike. It cancels in
+            times, and widens the intervals of decelerations.
 
     Returns:
         The conflicts by time, and how many pairs were left out.
@@ -104,7 +107,7 @@ def conflicts(
         elif meeting.ttc_s <= 0:
             overlapping += 1
         else:
-            found.append(_conflict(meeting, settings, rng, zones))
+            found.append(_conflict(meeting, settings, rng, zones, common_sigma))
     found.sort(key=lambda conflict: conflict.time_s)
     return ConflictSearch(conflicts=tuple(found), overlapping=overlapping, unsteady=unsteady)
 
@@ -132,13 +135,21 @@ def _overlapping(one: FootprintPath, other: FootprintPath) -> bool:
     return bool(overlap(*shrunk).any())
 
 
-def _conflict(meeting: Meeting, settings: TrafficSettings, rng: np.random.Generator, zones: Sequence[Zone]) -> Conflict:
+def _conflict(
+    meeting: Meeting,
+    settings: TrafficSettings,
+    rng: np.random.Generator,
+    zones: Sequence[Zone],
+    common_sigma: float,
+) -> Conflict:
     """The conflict of two who meet, with how uncertain it is."""
     one, other, reached, (i, j) = meeting.one, meeting.other, meeting.reached, meeting.moment
     angle = float(angle_deg(one.facing[i], other.facing[j])) if meeting.close else meeting.ways_deg
     area = by_area(one, other, float(one.times_s[i])) if meeting.ways_deg >= REAR_END_DEG else None
     told = ttc_doubt(one, other, (i, j), settings, rng) if meeting.close else (math.nan,) * 3
-    hardest, drac_low, drac_high = hardest_needed(one, other, meeting.rows, meeting.seconds, settings, rng)
+    hardest, drac_low, drac_high = hardest_needed(
+        one, other, meeting.rows, meeting.seconds, settings, rng, common_sigma
+    )
     (first, first_s), (second, second_s) = meeting.in_order()
     middle = (one.place[i] + other.place[j]) / 2
     return Conflict(

@@ -1,41 +1,47 @@
-"""Interval of a true number: each event that was counted is more or less sure, and some were missed.
+"""Interval of a true number around a count, from the two ways in which a count is wrong.
 
-How many of the events happened is a Poisson binomial number: a sum of trials that each have a probability of their own
-(Hong, "On computing the distribution function for the Poisson binomial distribution", 2013). How many happened besides
-that nothing saw is, where each is seen with probability d and nothing else is known of their number, negative binomial;
-d itself is known as a Beta distribution.
+A count may hold false ones (F), and may lack others (A): the true number is count - F + A. F is a sum of trials, each
+with its own probability (a Poisson binomial number; Hong, "On computing the distribution function for the Poisson
+binomial distribution", 2013). A has three parts: crossings that are seen and not counted, tracks that were lost near
+the gate, and road users that nothing saw. Of the last, if a share m of all is missed, a negative binomial number is
+missing beside those that were counted; m itself is known as a Beta distribution.
+
+The interval lies between the count less the 95% quantile of F and the count plus the 95% quantile of A. The true number
+lies below it, or above it, with a probability of at most 5% each, and the count itself is always inside.
 """
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from typing import Final
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from functools import reduce
+from typing import Final, TypeAlias
 
 import numpy as np
-from scipy.special import betainc
+from scipy.special import betaln, gammaln
 from scipy.stats import betabinom
 
-from skope.traffic.gate_shares import Beta, LearntShares, chances_at, share_at
 from skope.traffic.normal_distribution import COUNT_INTERVAL_LEVEL
 from skope.types import Array
 
-_NODES: Final = 24
-"""So many values stand for the distribution of a share."""
-_QUANTILES: Final = (np.arange(_NODES) + 0.5) / _NODES
-DRAWS: Final = 20_000
-_TAIL: Final = 1e-6
-"""Probabilities of a Poisson binomial number that are left out at either end."""
+Beta: TypeAlias = tuple[float, float]
+"""Parameters a and b of a Beta distribution of a share; (0, 1): the share is 0."""
+_SIDE_LEVEL: Final = 1 - (1 - COUNT_INTERVAL_LEVEL) / 2
+"""Level of each of the two quantiles."""
+_MASS: Final = 0.9999
+"""Share of a distribution's probability that is computed; the rest is put at its last number."""
+_LONGEST: Final = 2**20
+"""Largest number that is computed."""
 
 
 @dataclass(frozen=True)
 class CountInterval:
-    """The numbers between which the truth lies with `COUNT_INTERVAL_LEVEL`, both included."""
+    """Inclusive bounds of a true number at `COUNT_INTERVAL_LEVEL` (90%)."""
 
     low: int
     high: int
 
 
 def in_words(expected: CountInterval | None) -> str:
-    """The numbers, as people read them."""
+    """The bounds, as people read them."""
     return "not known" if expected is None else f"{expected.low} to {expected.high}"
 
 
@@ -49,101 +55,109 @@ def in_json(expected: CountInterval | None) -> dict[str, int]:
     return {} if expected is None else {"low": expected.low, "high": expected.high}
 
 
+@dataclass(frozen=True)
+class CountErrors:
+    """What may be wrong with a count of road users that share one miss rate."""
+
+    false: Sequence[float] = ()
+    """Probability of each that was counted to be none, or none of those asked for."""
+    uncounted: Sequence[float] = ()
+    """Probability of each that was seen and not counted to be one."""
+    possible: int = 0
+    """Number of tracks that were lost near the gate and may have crossed it."""
+    came: Beta = (1.0, 1.0)
+    """Share of `possible` that did cross."""
+    missed: Beta = (0.0, 1.0)
+    """Share of all that nothing sees."""
+
+    def false_pmf(self) -> Array:
+        """(F + 1,) probabilities of how many of the counted ones are false."""
+        return poisson_binomial(self.false)
+
+    def added_pmf(self) -> Array:
+        """(A + 1,) probabilities of how many there were beside the counted ones."""
+        lost = betabinom.pmf(np.arange(self.possible + 1), self.possible, *self.came) if self.possible else np.ones(1)
+        return _sum_pmf([poisson_binomial(self.uncounted), lost, missed_pmf(len(self.false), self.missed)])
+
+
 def poisson_binomial(probabilities: Sequence[float]) -> Array:
-    """(N + 1,) probabilities that so many of N independent events happen that have these probabilities (N,)."""
+    """(N + 1,) probabilities that 0 to N of N independent events happen, which have probabilities (N,)."""
     out = np.ones(1)
     for p in probabilities:
         out = np.convolve(out, [1 - p, p])
     return out
 
 
+def missed_pmf(counted: int, missed: Beta) -> Array:
+    """(M + 1,) probabilities of the number that nothing saw, beside a number that was counted.
+
+    A beta negative binomial distribution: failures before `counted` + 1 successes, each event being seen with a
+    probability of Beta(b, a). The 1 stands for a true number of which nothing else is known.
+    """
+    if missed[0] == 0:
+        return np.ones(1)
+    seen, unseen, successes = missed[1], missed[0], counted + 1.0
+    size = 64
+    while True:
+        k = np.arange(size, dtype=np.float64)
+        log = gammaln(successes + k) - gammaln(k + 1) - gammaln(successes)
+        pmf = np.exp(log + betaln(seen + successes, unseen + k) - betaln(seen, unseen))
+        if pmf.sum() >= _MASS or size >= _LONGEST:
+            pmf[-1] += max(0.0, 1 - pmf.sum())
+            return np.asarray(pmf)
+        size *= 2
+
+
 @dataclass(frozen=True)
-class Group:
-    """Counted events of road users that are missed alike."""
+class CountDistribution:
+    """A count, and how many of it may be false and missing."""
 
-    probabilities: Sequence[float]
-    """Of each event that was seen, how probable it is that it happened and is counted once."""
-    missed: Beta
-    """The share of what happens that nothing sees, as a Beta distribution's two parameters; (0, 1): nothing is."""
-    real: Beta | None = None
-    """The share of the events that are one, common to all of them, as a Beta distribution whose mean is in the
-    probabilities; None: each is one or not by itself."""
-    possible: int = 0
-    """Number of further ones that there may have been."""
-    came: Beta = (1.0, 1.0)
-    """The share of these that there were, as a Beta distribution; (1, 1): any number is as probable as any other."""
-    learnt: LearntShares | None = None
-    """These shares as a hand count tells them, in place of the distributions over all gates; None: there is none."""
+    count: int
+    errors: Sequence[CountErrors]
+    """What may be wrong, by groups of road users that share one miss rate."""
+    shifts: Sequence[int] = field(default_factory=tuple)
+    """Differences of the count under equally probable other cameras, where the camera's error moves the gate."""
 
-    def with_came(self, came: Beta) -> "Group":
-        """The group where of those who may have been there as many came as a Beta distribution says."""
-        learnt = None if self.learnt is None else self.learnt.with_came(came)
-        return replace(self, came=came, learnt=learnt)
+    def interval(self) -> CountInterval:
+        """The 90% interval of the true number; it holds the count."""
+        false, added = self._pmfs()
+        return CountInterval(max(0, self.count - _quantile(false)), self.count + _quantile(added))
 
-    def happened(self) -> tuple[Array, Array]:
-        """(K,) numbers of events that were seen or possible and happened, and (K,) their probabilities."""
-        seen = poisson_binomial(self.probabilities)
-        if self.real is not None:
-            chances = chances_at(self.real, np.asarray(self.probabilities), _QUANTILES)
-            seen = np.mean([poisson_binomial(row) for row in chances.tolist()], axis=0)
-        every = np.convolve(seen, betabinom.pmf(np.arange(self.possible + 1), self.possible, *self.came))
-        kept = np.flatnonzero(every > _TAIL * every.max())
-        return kept.astype(np.float64), every[kept] / every[kept].sum()
+    def number_pmf(self) -> tuple[int, Array]:
+        """The least true number with a probability, and (N,) the probabilities from there on."""
+        false, added = self._pmfs()
+        return self.count - len(false) + 1, np.convolve(false[::-1], added)
 
-    def drawn(self, rng: np.random.Generator) -> Array:
-        """(`DRAWS`,) numbers that there may have been, in no order."""
-        if self.learnt is not None:
-            repeats = DRAWS // len(self.learnt.missed)
-            return self.learnt.drawn(self.real, np.asarray(self.probabilities), self.possible, repeats, rng)
-        numbers, weights = self.happened()
-        happened = rng.choice(numbers, DRAWS, p=weights)
-        if self.missed[0] == 0:
-            return np.asarray(happened)
-        shares = (rng.permutation(DRAWS) + 0.5) / DRAWS
-        return np.asarray(happened + rng.negative_binomial(happened + 1, 1 - share_at(self.missed, shares)))
+    def _pmfs(self) -> tuple[Array, Array]:
+        shifts = np.asarray(self.shifts or (0,), dtype=np.int64)
+        fewer, more = (np.bincount(np.maximum(0, sign * shifts)) / len(shifts) for sign in (-1, 1))
+        false = _sum_pmf([fewer, *(one.false_pmf() for one in self.errors)])
+        return false, _sum_pmf([more, *(one.added_pmf() for one in self.errors)])
 
 
-def count_interval(probabilities: Sequence[float], missed: tuple[float, float]) -> CountInterval:
-    """The interval of how many there were of one `Group`."""
-    return joint_interval([Group(probabilities, missed)])
+def count_interval(probabilities: Sequence[float], missed: Beta) -> CountInterval:
+    """The interval around a count of events that are real with these probabilities.
+
+    Args:
+        probabilities: (N,) of the N that were counted.
+        missed: Share of all that nothing sees.
+    """
+    return CountDistribution(
+        len(probabilities), [CountErrors([1 - p for p in probabilities], missed=missed)]
+    ).interval()
 
 
-def joint_draws(groups: Sequence[Group]) -> Array:
-    """(`DRAWS`,) numbers that there may have been of all groups together, always the same of the same groups."""
-    rng = np.random.default_rng(0)
-    return np.asarray(np.sum([one.drawn(rng) for one in groups], axis=0))
+def hull(intervals: Iterable[CountInterval]) -> CountInterval:
+    """The smallest interval around several."""
+    rows = list(intervals)
+    return CountInterval(min(one.low for one in rows), max(one.high for one in rows))
 
 
-def joint_interval(groups: Sequence[Group]) -> CountInterval:
-    """The interval of how many there were of all groups together; of several, from draws that are always the same."""
-    told = [one for one in groups if len(one.probabilities) or one.possible]
-    told = told or [max(groups, key=lambda one: one.missed[0] / sum(one.missed))]
-    tail = (1 - COUNT_INTERVAL_LEVEL) / 2
-    if len(told) > 1 or told[0].learnt is not None:
-        low, high = np.quantile(joint_draws(told), (tail, 1 - tail), method="inverted_cdf")
-        return CountInterval(int(low), int(high))
-    (one,) = told
-    kept, weights = one.happened()
-    if one.missed[0] == 0:
-        below = np.cumsum(weights)
-        return CountInterval(*(int(kept[np.searchsorted(below, q)]) for q in (tail, 1 - tail)))
-    seen = 1 - share_at(one.missed, _QUANTILES)
-
-    def at_most(number: int) -> float:
-        besides = number - kept[:, None]
-        # Of a negative binomial number of failures before k + 1 successes.
-        chance = betainc(kept[:, None] + 1.0, np.maximum(besides, 0) + 1.0, seen)
-        return float((weights[:, None] * np.where(besides >= 0, chance, 0.0)).sum() / _NODES)
-
-    return CountInterval(_quantile(at_most, tail, int(kept[-1])), _quantile(at_most, 1 - tail, int(kept[-1])))
+def _sum_pmf(pmfs: Iterable[Array]) -> Array:
+    """Probabilities of a sum of independent numbers."""
+    return reduce(np.convolve, pmfs, np.ones(1))
 
 
-def _quantile(at_most: Callable[[int], float], share: float, begin: int) -> int:
-    """The least whole number up to which there is at least `share` of the distribution function `at_most`."""
-    low, high = -1, begin
-    while at_most(high) < share:
-        low, high = high, 2 * high + 1
-    while high - low > 1:
-        middle = (low + high) // 2
-        low, high = (low, middle) if at_most(middle) >= share else (middle, high)
-    return high
+def _quantile(pmf: Array) -> int:
+    """The least number up to which there is at least `_SIDE_LEVEL` of the probability."""
+    return int(np.searchsorted(np.cumsum(pmf), _SIDE_LEVEL - 1e-12))

@@ -8,9 +8,9 @@ from typing import Final
 from skope.schema import VEHICLE
 from skope.site.gates_zones_lanes import Gate
 from skope.site.traffic_settings import OF_VEHICLES, UNKNOWN, TrafficSettings
-from skope.traffic.count_uncertainty import CountInterval, Group, joint_interval
+from skope.traffic.count_uncertainty import CountDistribution, CountErrors, CountInterval, hull
 from skope.traffic.counting_intervals import ClockInterval
-from skope.traffic.event_probability import SeenAlike
+from skope.traffic.event_probability import MissRateGroup
 from skope.traffic.gates import GateCrossing, direction_names
 from skope.traffic.missed_crossings import Unseen
 from skope.traffic.observation import Observation
@@ -37,8 +37,8 @@ class Count:
     count: int | None
     """None: nothing was observed."""
     expected: CountInterval | None
-    """Between which numbers the truth is, of what was observed; None where nothing was, where nobody was ever seen near
-    the gate, where more vehicles are lost at it than cross it, or of the class unknown, which nobody is in truth."""
+    """90% interval of the true number in the observed time. None if nothing was observed, no road user was ever seen
+    near the gate, more vehicles are lost at it than cross it, or for class `unknown`."""
     pce: float | None = None
     """Passenger-car equivalents of those counted. None for rows of one class or of vehicles, if nothing was observed,
     or if too few vehicles at the gate have a known class."""
@@ -103,9 +103,8 @@ def interval_counts(
                 for lane, class_name in _kinds(used, settings, by_class=by_class):
                     told = None
                     if observed_s > 0 and gate.name not in unseen.gates:
-                        most = partial(unseen.most, gate.name, k, interval)
-                        kinds = unseen.kinds_at(gate.name, k)
-                        told = expected([*own, *perhaps], kinds, most, lane, classes_of(class_name, settings))
+                        classes = classes_of(class_name, settings)
+                        told = row_interval([*own, *perhaps], unseen, (gate.name, k), interval, lane, classes)
                     pce = None
                     if observed_s > 0 and class_name == ALL:
                         in_lane = [one for one in own if lane in (ALL, one.lane)]
@@ -155,66 +154,103 @@ def _number(crossings: Sequence[GateCrossing], lane: str, classes: Collection[st
     return sum(lane in (ALL, one.lane) and one.trajectory.class_name in classes for one in crossings)
 
 
-def expected(
+def is_in_row(crossing: GateCrossing, lane: str, classes: Collection[str]) -> bool:
+    """Whether a crossing is counted in a row of a lane (or `ALL`) and classes."""
+    return crossing.counts and lane in (ALL, crossing.lane) and crossing.trajectory.class_name in classes
+
+
+def row_interval(
     crossings: Sequence[GateCrossing],
-    kinds: Sequence[SeenAlike],
-    most: Callable[[Collection[str]], int],
+    unseen: Unseen,
+    side: tuple[str, int],
+    interval: ClockInterval,
     lane: str,
     classes: Collection[str],
 ) -> CountInterval | None:
-    """The interval of how many there were, of classes, in a lane or in all.
-
-    Who is counted in another lane or class may be of these: each counts with the probability that it is.
+    """The interval of the true number of a row at a gate, with all that is known of what may have been missed.
 
     Args:
-        crossings: Of the gate, direction and interval: those that are counted, and doubtful ones.
-        kinds: What is missed at the gate, of whom.
-        most: How many more may have crossed, of the classes that it is called with.
+        crossings: Of the gate, direction and interval, also those that are not counted.
+        unseen: Road users that may have been missed.
+        side: Name of the gate, and direction.
+        interval: The interval.
         lane: Name of a lane, or `ALL`.
-        classes: The classes that are asked for.
+        classes: The classes of the row.
 
     Returns:
-        The interval; None: nobody is of the class in truth, or the gate sees so few of them that nothing can be said.
+        The interval; None as in `expected`.
     """
-    groups = []
-    for kind in kinds:
-        group = group_of(kind, crossings, most, lane, classes)
-        if group is None:
-            continue
-        crossed = sum(one.counts and one.trajectory.class_name in kind.classes for one in crossings)
-        if kind.loses(crossed, most(kind.classes)):
-            return None
-        groups.append(group)
-    return joint_interval(groups) if groups else None
+    most = partial(unseen.most, *side, interval)
+    count = sum(is_in_row(one, lane, classes) for one in crossings)
+    shifts = [
+        sum(
+            (one.gate, one.direction) == side
+            and interval.begin_s <= one.time_s < interval.end_s
+            and is_in_row(one, lane, classes)
+            for one in other
+        )
+        - count
+        for other in unseen.other_cameras.get(side[0], ())
+    ]
+    found = [expected(crossings, kinds, most, lane, classes, shifts) for kinds in unseen.kind_sets(*side)]
+    known = [one for one in found if one is not None]
+    return hull(known) if len(known) == len(found) else None
 
 
-def group_of(
-    kind: SeenAlike,
+def expected(
     crossings: Sequence[GateCrossing],
+    kinds: Sequence[MissRateGroup],
     most: Callable[[Collection[str]], int],
     lane: str,
     classes: Collection[str],
-) -> Group | None:
-    """Those of a kind who may have been of one of the classes, and in the lane.
+    shifts: Sequence[int] = (),
+) -> CountInterval | None:
+    """The interval of the true number of a row, of classes, in a lane or in all.
 
     Args:
-        kind: Road users that are missed alike.
-        crossings: Of the gate, direction and interval: those that are counted, and doubtful ones.
-        most: How many more may have crossed, of the classes that it is called with.
+        crossings: Of the gate, direction and interval, also those that are not counted.
+        kinds: The miss rates at the gate.
+        most: Maps classes to the number of lost tracks of them that may have crossed.
         lane: Name of a lane, or `ALL`.
-        classes: The classes that are asked for.
+        classes: The classes of the row.
+        shifts: Differences of the row's count under other cameras (`CountDistribution.shifts`).
 
     Returns:
-        Their probabilities, and what is missed; None where the kind has none of the classes.
+        The interval; None: no road user is of the class in truth, or the gate sees too few of them.
     """
-    named = kind.classes - {UNKNOWN}
-    if not named & set(classes):
-        return None
-    whole = named <= set(classes)
-    own = [one for one in crossings if one.trajectory.class_name in kind.classes]
-    chances = [one.probability * _in_lane(one, lane) * (1.0 if whole else _of_classes(one, classes)) for one in own]
-    possible = most(kind.classes if whole else kind.classes & {*classes, UNKNOWN})
-    return kind.group([p for p in chances if p > 0], possible)
+    distribution = distribution_of(crossings, kinds, most, lane, classes, shifts)
+    return None if distribution is None else distribution.interval()
+
+
+def distribution_of(
+    crossings: Sequence[GateCrossing],
+    kinds: Sequence[MissRateGroup],
+    most: Callable[[Collection[str]], int],
+    lane: str,
+    classes: Collection[str],
+    shifts: Sequence[int] = (),
+) -> CountDistribution | None:
+    """The count of a row with its errors; arguments and None as in `expected`."""
+    errors, count = [], 0
+    for kind in kinds:
+        named = kind.classes - {UNKNOWN}
+        if not named & set(classes):
+            continue
+        own = [one for one in crossings if one.trajectory.class_name in kind.classes]
+        if kind.loses(sum(one.counts for one in own), most(kind.classes)):
+            return None
+        whole = named <= set(classes)
+        false, uncounted = [], []
+        for one in own:
+            chance = kind.real * one.probability * _in_lane(one, lane) * (1.0 if whole else _of_classes(one, classes))
+            if is_in_row(one, lane, kind.classes if whole else classes):
+                false.append(1 - chance)
+            elif chance > 0:
+                uncounted.append(chance)
+        possible = most(kind.classes if whole else kind.classes & {*classes, UNKNOWN})
+        errors.append(CountErrors(false, uncounted, possible, kind.came, kind.missed))
+        count += len(false)
+    return CountDistribution(count, errors, shifts) if errors else None
 
 
 def _in_lane(crossing: GateCrossing, lane: str) -> float:
@@ -222,7 +258,7 @@ def _in_lane(crossing: GateCrossing, lane: str) -> float:
         return 1.0
     if crossing.lane == lane:
         return crossing.lane_probability
-    # Who is not in the lane that it is counted in is in one beside it, or in none: each has a half.
+    # Outside its lane it is in the one on either side, or in none: each has half of the rest.
     return (1 - crossing.lane_probability) / 2 if crossing.lane else 0.0
 
 

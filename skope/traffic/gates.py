@@ -8,15 +8,24 @@ from typing import Final
 
 import numpy as np
 
-from skope.site.gates_zones_lanes import Gate
+from skope.camera.ground_plane import Ground, ground_places
+from skope.camera.model import Camera, same_aspect
+from skope.camera.uncertain_camera import moved_camera
+from skope.site.gates_zones_lanes import Gate, Outline, gate_at_size, line_on_road
 from skope.site.traffic_settings import TrafficSettings
 from skope.tracks.track import VEHICLE_LENGTH_SIGMA_M, Track, is_in_traffic
-from skope.traffic.event_probability import COUNTED_FROM, crossing_probability, event_probability, usual_step
+from skope.traffic.event_probability import MIN_COUNTED_PROBABILITY, crossing_probability, usual_step
 from skope.traffic.lanes import LaneMap
 from skope.traffic.normal_distribution import at_most
+from skope.traffic.observation import Observation
 from skope.traffic.passages import Passage, passages
 from skope.types import Array
 
+_CAMERA_DRAWS: Final = 24
+"""Number of other cameras under which surveyed gates are counted again."""
+_GATE_SPOTS: Final = 9
+"""Number of points of a surveyed gate that are projected."""
+_SEED: Final = 0
 _SLOWEST: Final = 0.05
 """Speed along the normal, m/s, under which a place says nothing more of the time."""
 
@@ -78,9 +87,72 @@ def direction_names(gate: Gate) -> tuple[str, str]:
     return gate.directions or ("1", "2")
 
 
-def gates_on_road(gates: Sequence[Gate]) -> tuple[Gate, ...]:
-    """The gates that have a `line` on the road."""
-    return tuple(gate for gate in gates if gate.line)
+def gates_on_road(gates: Sequence[Gate], observation: Observation | None = None) -> tuple[Gate, ...]:
+    """The gates with their lines among positions in metres; gates without one are left out.
+
+    A gate that was drawn in the image keeps its pixels: its line is where the recording's own camera sees them on the
+    road. The camera's error then moves tracks and line alike, and decides no crossing. Else the line is the gate's own.
+
+    Args:
+        gates: The gates of the site.
+        observation: The recording, with its camera and road; None: every gate keeps its line.
+    """
+    lines = ((gate, _drawn_line(gate, observation) or gate.line) for gate in gates)
+    return tuple(replace(gate, line=line) for gate, line in lines if line)
+
+
+def _drawn_line(gate: Gate, observation: Observation | None) -> Outline:
+    """The line of a gate's pixels on the road; empty where they, or the camera, are not known."""
+    if not gate.pixels or observation is None or observation.camera is None:
+        return ()
+    camera = observation.camera
+    size = (camera.width, camera.height)
+    if not same_aspect(gate.size or size, size):
+        return ()
+    ground = observation.ground or Ground()
+    return line_on_road(camera, np.array(gate_at_size(gate, size).pixels), ground)
+
+
+def gates_of_other_cameras(gates: Sequence[Gate], observation: Observation) -> list[tuple[Gate, ...]]:
+    """The surveyed gates as they would lie among the tracks under other cameras that are equally probable.
+
+    A surveyed line is exact, and all tracks have the camera's error in common: the gate lies elsewhere among them, by
+    one shift for all road users.
+
+    Args:
+        gates: The gates, with lines in metres.
+        observation: The recording, with its camera and how well it is known.
+
+    Returns:
+        `_CAMERA_DRAWS` times the gates that have no pixels; nothing where there are none, or the camera's error is not
+        known.
+    """
+    surveyed = [gate for gate in gates if gate.line and not gate.pixels]
+    known = observation.uncertainty
+    if not surveyed or known is None or not known.covariance.any():
+        return []
+    ground = observation.ground or Ground()
+    rng = np.random.default_rng(_SEED)
+    steps = rng.multivariate_normal(np.zeros(len(known.parameters)), known.covariance, _CAMERA_DRAWS)
+    cameras = [moved_camera(known.camera, dict(zip(known.parameters, row, strict=True))) for row in steps.tolist()]
+    return [tuple(_seen_by(gate, true, known.camera, ground) for gate in surveyed) for true in cameras]
+
+
+def _seen_by(gate: Gate, true: Camera, used: Camera, ground: Ground) -> Gate:
+    """The gate where tracks that were made with the camera `used` have it, if the camera `true` took the images.
+
+    Where one of its ends is not in view, it moves as the nearest point of the gate that is.
+    """
+    ends = np.array(gate.line)
+    spots = ends[0] + np.linspace(0, 1, _GATE_SPOTS)[:, None] * (ends[1] - ends[0])
+    pixels, _, valid = true.project(np.column_stack([spots, ground.heights(spots)]))
+    found = ground_places(used, np.where(valid[:, None], pixels, 0.0), ground.height, slope=ground.slope,
+                          about=ground.about)[:, :2]  # fmt: skip
+    seen = np.flatnonzero(valid & np.isfinite(found).all(axis=1))
+    if not len(seen):
+        return gate
+    moved = [ends[k] + found[i] - spots[i] for k, i in ((0, seen[0]), (1, seen[-1]))]
+    return replace(gate, line=tuple((float(x), float(y)) for x, y in moved))
 
 
 def gates_in_image(gates: Sequence[Gate]) -> tuple[Gate, ...]:
@@ -100,6 +172,7 @@ def gate_crossings(
     settings: TrafficSettings,
     *,
     metres: bool = True,
+    step_s: float | None = None,
 ) -> list[GateCrossing]:
     """All crossings of all gates, in order of time; tracks that are not confirmed, or never moved, have none.
 
@@ -108,16 +181,16 @@ def gate_crossings(
         gates: All gates.
         lanes: The lanes; in which one crosses is said.
         settings: The classes that are counted, and how far somebody has to be seen on either side.
-        metres: Places are in metres, with how certain they are, which tells how probable a crossing is; in pixels
-            nothing does.
+        metres: Whether positions are in metres; else in pixels.
+        step_s: Usual time between positions in the footage, seconds. Default: that of `trajectories`.
     """
-    step_s = usual_step(trajectories) if metres else None
+    step_s = usual_step(trajectories) if step_s is None else step_s
     found = [
         crossing
         for trajectory in trajectories
         if may_count(trajectory, settings)
         for gate in gates
-        for crossing in _of_one(trajectory, gate, lanes, settings, step_s)
+        for crossing in _of_one(trajectory, gate, lanes, settings, step_s, metres)
     ]
     return sorted(found, key=lambda one: (one.time_s, one.trajectory.number, one.gate))
 
@@ -139,9 +212,11 @@ def signed_distances(gate: Gate, places: Array) -> tuple[Array, Array]:
 
 
 def _of_one(
-    trajectory: Track, gate: Gate, lanes: LaneMap, settings: TrafficSettings, step_s: float | None
+    trajectory: Track, gate: Gate, lanes: LaneMap, settings: TrafficSettings, step_s: float, metres: bool
 ) -> list[GateCrossing]:
     signed, along = signed_distances(gate, trajectory.xy)
+    if (signed > 0).all() or (signed < 0).all():
+        return []
     length = math.dist(*gate.line)
     rule = _rule(trajectory, gate, signed, settings)
     found = []
@@ -150,16 +225,19 @@ def _of_one(
         # Half-open along the gate too: of two gates that share an end, one counts.
         inside = 0 <= at < length
         between = float(inside)
-        if step_s is not None:
+        if metres:
             sigma = _sigma(_axis(gate)[1], trajectory.at(trajectory.total_covariance, passage.time_s))
             between = at_most(at / sigma) - at_most((at - length) / sigma) if sigma > 0 else between
         if inside or between > _BESIDE:
-            found.append(_crossing(trajectory, gate, passage, lanes, rule, step_s, inside, between))
+            found.append(_crossing(trajectory, gate, passage, lanes, rule, (inside, between), step_s, metres))
     return found
 
 
 def _rule(trajectory: Track, gate: Gate, signed: Array, settings: TrafficSettings) -> dict[str, float]:
-    """Distances that it has to be seen on the other side, and to move: more where places are less certain."""
+    """Distances that it has to be seen on the other side, and to move: more where positions are noisier.
+
+    Only noise lets a standing road user jitter across the line: what shifts the whole track does not.
+    """
     near = trajectory.covariance[np.abs(signed) < _NEAR_M]
     normal = normal_of(gate)
     spread = float(np.median(np.einsum("i,mij,j->m", normal, near, normal))) if len(near) else 0.0
@@ -184,10 +262,12 @@ def _crossing(
     passage: Passage,
     lanes: LaneMap,
     rule: dict[str, float],
-    step_s: float | None,
-    inside: bool,
-    between: float,
+    ends: tuple[bool, float],
+    step_s: float,
+    metres: bool,
 ) -> GateCrossing:
+    """A crossing; `ends` says whether it is between the gate's ends, and how probably."""
+    inside, between = ends
     time_s = passage.time_s
     normal = normal_of(gate)
     velocity = trajectory.at(trajectory.velocity, time_s)
@@ -197,7 +277,7 @@ def _crossing(
     place = trajectory.at(trajectory.xy, time_s)
     lane, lane_probability = lanes.lane_at(place, covariance)
     sure = at_most(passage.depth / sigma_m) if sigma_m > 0 else 1.0
-    real = event_probability(trajectory) if step_s is None else crossing_probability(trajectory, time_s, step_s)
+    real = crossing_probability(trajectory, time_s, step_s, metres=metres)
     doubts = {"begins": passage.begins, "ends": passage.ends, "beside": between < 1 - _BESIDE}
     return GateCrossing(
         trajectory=trajectory,
@@ -205,9 +285,7 @@ def _crossing(
         direction=0 if passage.came_from > 0 else 1,
         direction_name=direction_names(gate)[0 if passage.came_from > 0 else 1],
         time_s=time_s,
-        sigma_s=math.hypot(
-            sigma_m / across, passage.spread_s, _along_s(trajectory, velocity, metres=step_s is not None)
-        ),
+        sigma_s=math.hypot(sigma_m / across, passage.spread_s, _along_s(trajectory, velocity, metres=metres)),
         front_s=_end_time(trajectory, gate, trajectory.front, passage, rule),
         rear_s=_end_time(trajectory, gate, trajectory.rear, passage, rule),
         place=place,
@@ -217,7 +295,7 @@ def _crossing(
         lane_probability=lane_probability,
         probability=real * sure * between,
         doubt=" ".join(word for word, holds in doubts.items() if holds),
-        counts=inside and real >= COUNTED_FROM,
+        counts=inside and real >= MIN_COUNTED_PROBABILITY,
     )
 
 

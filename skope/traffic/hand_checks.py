@@ -8,17 +8,22 @@ from functools import partial
 from typing import Final
 
 import numpy as np
+from scipy.special import ndtr
 
 from skope.site.gates_zones_lanes import Gate
 from skope.site.traffic_settings import TrafficSettings
-from skope.traffic.count_uncertainty import CountInterval, Group, in_words, joint_draws
-from skope.traffic.gate_counts import ALL, expected, group_of
+from skope.traffic.count_uncertainty import CountDistribution, CountErrors, CountInterval, in_words
+from skope.traffic.event_probability import MissRateGroup
+from skope.traffic.gate_counts import ALL, distribution_of
 from skope.traffic.gates import GateCrossing
 from skope.traffic.hand_count_file import HandCount
-from skope.traffic.learn_shares import CountEvidence, hand_sigma, learnt_shares
+from skope.traffic.learn_miss_rates import CountEvidence, learnt_miss_rates
 from skope.traffic.missed_crossings import Unseen
 
 _HOUR_S: Final = 3600.0
+_END_VARIANCE: Final = 0.2
+_SLIPS: Final = 0.02
+"""Variance of a manual count's error at the ends of its period, and its relative error (chosen, not measured)."""
 _CONTRADICTS: Final = 0.001
 """A hand count as far from what is expected as fewer than this share of them would be contradicts it."""
 
@@ -61,15 +66,14 @@ def hand_checks(
     for one in hands:
         near = one.gate not in unseen.gates
         own = _seen(one, crossings, unseen)
-        kinds, most = unseen.kinds_at(one.gate, one.direction), _most(one, unseen)
-        groups = _groups(one, own, unseen, settings)
+        found = _distribution(one, own, unseen, settings) if near else None
         out.append(
             HandCheck(
                 hand=one,
                 count=sum(each.counts and each.trajectory.class_name in one.classes for each in own),
                 near=near,
-                expected=expected(own, kinds, most, ALL, one.classes) if near else None,
-                contradicts=near and _contradicts(one.number, list(groups.values())),
+                expected=None if found is None else found.interval(),
+                contradicts=found is not None and _contradicts(one.number, found),
             )
         )
     return out
@@ -113,21 +117,26 @@ def counts_adjusted_by_hand(
         `unseen` with what is learnt of each gate and direction; counts at gates that nobody was ever seen near teach
         nothing.
     """
-    told = [one for one in checks if one.near]
     evidence = [
         CountEvidence(
             side=(one.hand.gate, one.hand.direction),
-            groups=_groups(one.hand, _seen(one.hand, crossings, unseen), unseen, settings),
+            errors=_errors(one.hand, _seen(one.hand, crossings, unseen), unseen, settings),
             number=one.hand.number,
         )
-        for one in told
+        for one in checks
+        if one.near and not one.contradicts
     ]
-    doubted = frozenset(k for k, one in enumerate(told) if one.contradicts)
     sides = [(gate.name, direction) for gate in gates for direction in (0, 1)]
-    return replace(
-        unseen,
-        learnt=learnt_shares(evidence, {side: unseen.kinds_at(*side) for side in sides}, doubted) if evidence else {},
-    )
+    kinds = {side: unseen.kinds_at(*side) for side in sides}
+    doubted = [one for one in checks if one.contradicts]
+    learnt = learnt_miss_rates(evidence, kinds) if evidence else dict[tuple[str, int], tuple[MissRateGroup, ...]]()
+    for one in doubted:
+        # At this gate alone the contradicting count is believed too, beside what was seen.
+        side = (one.hand.gate, one.hand.direction)
+        own = _errors(one.hand, _seen(one.hand, crossings, unseen), unseen, settings)
+        believed = learnt_miss_rates([CountEvidence(side=side, errors=own, number=one.hand.number)], kinds)
+        learnt |= {other: rates for other, rates in believed.items() if other[0] == side[0]}
+    return replace(unseen, learnt=learnt, contradicted=frozenset(one.hand.gate for one in doubted))
 
 
 def _seen(hand: HandCount, crossings: Sequence[GateCrossing], unseen: Unseen) -> list[GateCrossing]:
@@ -145,20 +154,32 @@ def _most(hand: HandCount, unseen: Unseen) -> Callable[[Collection[str]], int]:
     return partial(unseen.most, hand.gate, hand.direction, hand.interval)
 
 
-def _groups(
+def _errors(
     hand: HandCount, own: Sequence[GateCrossing], unseen: Unseen, settings: TrafficSettings
-) -> dict[int, Group]:
-    """Crossings (`own`) while somebody counted, by which of the gate's kinds they are."""
-    found = {
-        k: group_of(kind, own, _most(hand, unseen), ALL, hand.classes)
-        for k, kind in enumerate(unseen.kinds_at(hand.gate, hand.direction))
-        if kind.classes & set(settings.classes)
-    }
-    return {k: group for k, group in found.items() if group is not None}
+) -> dict[int, CountErrors]:
+    """What may be wrong with the count beside a manual one, by the gate's miss-rate groups."""
+    out = {}
+    for k, kind in enumerate(unseen.kinds_at(hand.gate, hand.direction)):
+        counted = hand.classes & set(settings.classes)
+        whole = replace(kind, rejects_losing_gates=False, too_small=False)
+        found = distribution_of(own, [whole], _most(hand, unseen), ALL, counted)
+        if found is not None:
+            (out[k],) = found.errors
+    return out
 
 
-def _contradicts(number: int, groups: Sequence[Group]) -> bool:
-    """Whether hardly any hand count would be as far away, by what was seen alone."""
-    draws = joint_draws(groups)
-    counted = draws + hand_sigma(number) * np.random.default_rng(1).standard_normal(len(draws))
-    return bool(2 * min(np.mean(counted <= number + 0.5), np.mean(counted >= number - 0.5)) < _CONTRADICTS)
+def _distribution(
+    hand: HandCount, own: Sequence[GateCrossing], unseen: Unseen, settings: TrafficSettings
+) -> CountDistribution | None:
+    """skope's count beside a manual one, with its errors; None where counts have no interval either."""
+    kinds = unseen.kinds_at(hand.gate, hand.direction)
+    return distribution_of(own, kinds, _most(hand, unseen), ALL, hand.classes & set(settings.classes))
+
+
+def _contradicts(number: int, found: CountDistribution) -> bool:
+    """Whether hardly any manual count would be as far away, by what was seen alone."""
+    first, pmf = found.number_pmf()
+    true = first + np.arange(len(pmf))
+    sigma = np.hypot(math.sqrt(_END_VARIANCE), _SLIPS * true)
+    fewer, more = (float(pmf @ ndtr(sign * (number - true + sign * 0.5) / sigma)) for sign in (1, -1))
+    return 2 * min(fewer, more) < _CONTRADICTS

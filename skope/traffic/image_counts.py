@@ -11,7 +11,7 @@ from skope.site.traffic_settings import TrafficSettings
 from skope.tracks.track import Track
 from skope.traffic.conflicts import ConflictSearch
 from skope.traffic.counting_intervals import clock_intervals, local_start
-from skope.traffic.event_probability import SEEN_IN_PIXELS
+from skope.traffic.event_probability import image_miss_rate_groups, usual_step
 from skope.traffic.gate_counts import interval_counts
 from skope.traffic.gates import gate_crossings, gates_in_image
 from skope.traffic.hand_checks import counts_adjusted_by_hand, hand_checks
@@ -58,15 +58,18 @@ def count_in_image(
     begin = local_start(site) if start is None else start
     whole = whole_footage(observation)
     intervals = clock_intervals(begin, max(0.0, whole.begin_s), whole.end_s, settings.interval_minutes)
+    step_s = usual_step(tracks)
     every = sorted(
         (
             crossing
             for track in tracks
-            for crossing in gate_crossings([track], gates, LaneMap(()), _in_pixels(track, settings), metres=False)
+            for crossing in gate_crossings(
+                [track], gates, LaneMap(()), _in_pixels(track, settings), metres=False, step_s=step_s
+            )
         ),
         key=lambda one: one.time_s,
     )
-    missed = unseen(tracks, gates, every, observation, settings, _NEAR_PX, SEEN_IN_PIXELS)
+    missed = unseen(tracks, gates, every, observation, settings, _NEAR_PX, image_miss_rate_groups())
     crossed = [one for one in every if one.counts]
     checks = hand_checks(hand_counts, crossed, missed, settings)
     missed = counts_adjusted_by_hand(checks, crossed, missed, gates, settings)

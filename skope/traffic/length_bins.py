@@ -7,7 +7,7 @@ is mistaken for another one.
 """
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Final
@@ -18,7 +18,7 @@ from skope.schema import VEHICLE
 from skope.site.gates_zones_lanes import Gate
 from skope.site.traffic_settings import OF_VEHICLES, TrafficSettings
 from skope.tracks.track import Track
-from skope.traffic.count_uncertainty import CountInterval, joint_interval
+from skope.traffic.count_uncertainty import CountDistribution, CountErrors, CountInterval
 from skope.traffic.counting_intervals import ClockInterval
 from skope.traffic.gate_counts import observed_word
 from skope.traffic.gates import GateCrossing, direction_names
@@ -160,7 +160,7 @@ def length_counts(
             for k, direction in enumerate(direction_names(gate)):
                 own = [one for one in there if (one.gate, one.direction) == (gate.name, k)]
                 known = observed_s > 0 and gate.name not in unseen.gates
-                between = _between(own, chances, (gate.name, k), interval, limits, unseen) if known else _NONE
+                between = _between(own, chances, names, (gate.name, k), interval, limits, unseen) if known else _NONE
                 for name, bounds, expected in zip(
                     (*LENGTH_BINS, UNTOLD), (*bounds_m(limits), None), between, strict=True
                 ):
@@ -188,6 +188,7 @@ Chances = dict[GateCrossing | Vanished, Array]
 def _between(
     own: Sequence[GateCrossing],
     chances: Chances,
+    names: Mapping[GateCrossing, str],
     side: tuple[str, int],
     interval: ClockInterval,
     limits_m: Sequence[float],
@@ -205,9 +206,12 @@ def _between(
         for k, (shortest, _) in enumerate(bounds_m(limits_m)):
             may = tuple(one for one in here if one in chances and chances[one][k] >= _MAY)
             lost = replace(unseen, vanished=may).most(*side, interval, kind.classes)
-            each = [one.probability * float(chances[one][k]) for one in own]
-            group = kind.group([p for p in each if p > 0], lost)
-            yield None if shortest >= LONGEST_M else joint_interval([group])
+            each = {one: kind.real * one.probability * float(chances[one][k]) for one in own}
+            inside = {one for one in own if one.counts and names[one] == LENGTH_BINS[k]}
+            false = [1 - each[one] for one in own if one in inside]
+            uncounted = [each[one] for one in own if one not in inside and each[one] > 0]
+            errors = CountErrors(false, uncounted, lost, kind.came, kind.missed)
+            yield None if shortest >= LONGEST_M else CountDistribution(len(false), [errors]).interval()
 
     return (*told(), None)
 

@@ -15,7 +15,7 @@ from skope.traffic.conflicts import conflicts
 from skope.traffic.counting_intervals import ClockInterval, clock_intervals, local_start
 from skope.traffic.event_probability import usual_step
 from skope.traffic.gate_counts import Count, interval_counts
-from skope.traffic.gates import GateCrossing, gate_crossings, gates_on_road
+from skope.traffic.gates import GateCrossing, gate_crossings, gates_of_other_cameras, gates_on_road
 from skope.traffic.hand_checks import counts_adjusted_by_hand, hand_checks
 from skope.traffic.hand_count_file import HandCount
 from skope.traffic.headways import headways, occupancies
@@ -65,18 +65,21 @@ def measure(
     begin = local_start(site) if start is None else start
     confirmed = [one for one in tracks if one.confirmed]
     trajectories = join_trajectories(confirmed) if broken else confirmed
-    lanes, gates = LaneMap(site.lanes), gates_on_road(site.gates)
+    lanes, gates = LaneMap(site.lanes), gates_on_road(site.gates, (*observation.parts, observation)[0])
     whole = whole_footage(observation)
     intervals = clock_intervals(begin, max(0.0, whole.begin_s), whole.end_s, settings.interval_minutes)
-    every = gate_crossings(trajectories, gates, lanes, settings)
-    missed = unseen(trajectories, gates, every, observation, settings)
+    step_s = usual_step(trajectories)
+    every, others = _crossings(trajectories, site, observation, lanes, step_s)
+    missed = unseen(trajectories, gates, every, observation, settings, other_cameras=others)
     crossed = [one for one in every if one.counts]
     checks = hand_checks(hand_counts, crossed, missed, settings)
     missed = counts_adjusted_by_hand(checks, crossed, missed, gates, settings)
-    moved = movements(crossed, settings, usual_step(trajectories) if broken else None)
+    moved = movements(crossed, settings, step_s if broken else None)
     sections = section_passes(moved)
     speeds = speed_groups(crossed, sections, intervals, observation)
-    search = conflicts(trajectories, settings, np.random.default_rng(_SEED), site.zones)
+    search = conflicts(
+        trajectories, settings, np.random.default_rng(_SEED), site.zones, observation.common_sigma or 0.0
+    )
     late = delays(sections, speeds, settings)
     names = [lane.name for lane in site.lanes]
     report = TrafficReport(
@@ -109,6 +112,26 @@ def measure(
         recordings=tuple(recordings),
     )
     return replace(report, refused=tuple(remarks(report)))
+
+
+def _crossings(
+    tracks: Sequence[Track], site: "SiteParts", observation: Observation, lanes: LaneMap, step_s: float
+) -> tuple[list[GateCrossing], dict[str, list[list[GateCrossing]]]]:
+    """All crossings by the camera of each recording; and of surveyed gates, by gate, those under other cameras."""
+    every: list[GateCrossing] = []
+    others: dict[str, list[list[GateCrossing]]] = {}
+    for number, recording in enumerate(observation.parts or (observation,), start=1):
+        own = [one for one in tracks if observation.recording_at(float(one.times_s[0])) == number]
+        gates = gates_on_road(site.gates, recording)
+        every += gate_crossings(own, gates, lanes, site.traffic, step_s=step_s)
+        for k, moved in enumerate(gates_of_other_cameras(gates, recording)):
+            found = gate_crossings(own, moved, lanes, site.traffic, step_s=step_s)
+            for gate in moved:
+                draws = others.setdefault(gate.name, [])
+                if len(draws) <= k:
+                    draws.append([])
+                draws[k] += [one for one in found if one.gate == gate.name]
+    return sorted(every, key=lambda one: (one.time_s, one.trajectory.number, one.gate)), others
 
 
 def total_counts(

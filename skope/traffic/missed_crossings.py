@@ -15,7 +15,7 @@ from skope.site.gates_zones_lanes import Gate
 from skope.site.traffic_settings import TrafficSettings
 from skope.tracks.track import Track
 from skope.traffic.counting_intervals import ClockInterval
-from skope.traffic.event_probability import SEEN_IN_METRES, SeenAlike, seen_in_metres
+from skope.traffic.event_probability import MissRateGroup, miss_rate_groups
 from skope.traffic.gates import GateCrossing, may_count, signed_distances
 from skope.traffic.observation import Observation
 
@@ -49,16 +49,28 @@ class Unseen:
     vanished: tuple[Vanished, ...] = ()
     doubtful: tuple[GateCrossing, ...] = ()
     """Crossings that are not counted: more probably none than one, or just beside the gate."""
-    kinds: Mapping[str, tuple[SeenAlike, ...]] = field(default_factory=dict)
-    """Kinds of road users missed besides at each gate; at a gate that is not named, `SEEN_IN_METRES`."""
+    kinds: Mapping[str, tuple[MissRateGroup, ...]] = field(default_factory=dict)
+    """Miss rates at each gate; at a gate that is not named, those of `miss_rate_groups(None)`."""
     gates: frozenset[str] = frozenset()
     """Names of gates near which nobody was ever seen: whether somebody crossed them is not known."""
-    learnt: Mapping[tuple[str, int], tuple[SeenAlike, ...]] = field(default_factory=dict)
-    """Of gates and directions, their kinds with what hand counts tell of them there."""
+    learnt: Mapping[tuple[str, int], tuple[MissRateGroup, ...]] = field(default_factory=dict)
+    """By gate and direction, the miss rates that manual counts lead to."""
+    contradicted: frozenset[str] = frozenset()
+    """Names of gates at which a manual count contradicts what was seen."""
+    other_cameras: Mapping[str, Sequence[Sequence[GateCrossing]]] = field(default_factory=dict)
+    """By surveyed gate, its crossings under each of several other cameras that are equally probable."""
 
-    def kinds_at(self, gate: str, direction: int) -> tuple[SeenAlike, ...]:
-        """Kinds of road users missed at a gate, in a direction."""
-        return self.learnt.get((gate, direction)) or self.kinds.get(gate, SEEN_IN_METRES)
+    def kinds_at(self, gate: str, direction: int) -> tuple[MissRateGroup, ...]:
+        """Miss rates at a gate, in a direction."""
+        return self.learnt.get((gate, direction)) or self._prior(gate)
+
+    def kind_sets(self, gate: str, direction: int) -> list[tuple[MissRateGroup, ...]]:
+        """Miss rates that are all possible: with and without manual counts, where these contradict what was seen."""
+        found = [self.kinds_at(gate, direction)]
+        return [*found, self._prior(gate)] if gate in self.contradicted else found
+
+    def _prior(self, gate: str) -> tuple[MissRateGroup, ...]:
+        return self.kinds.get(gate) or miss_rate_groups(None)
 
     def most(self, gate: str, direction: int, interval: ClockInterval, classes: Collection[str]) -> int:
         """Count how many more may have crossed a gate.
@@ -89,7 +101,8 @@ def unseen(
     observation: Observation,
     settings: TrafficSettings,
     near: float = NEAR_M,
-    kinds: tuple[SeenAlike, ...] | None = None,
+    kinds: tuple[MissRateGroup, ...] | None = None,
+    other_cameras: Mapping[str, Sequence[Sequence[GateCrossing]]] | None = None,
 ) -> Unseen:
     """Gather who may have crossed gates without being counted.
 
@@ -100,7 +113,8 @@ def unseen(
         observation: When was observed, and how many pixels a metre is.
         settings: The classes that are counted.
         near: A gate is seen near where somebody was so far from it, in the unit of places.
-        kinds: What is missed at all gates alike; None: by how many pixels a metre is at each.
+        kinds: Miss rates at all gates alike; None: by how many pixels a metre is at each.
+        other_cameras: As in `Unseen`.
     """
     crossed = {(one.trajectory.number, one.gate) for one in crossings}
     found = [
@@ -118,10 +132,11 @@ def unseen(
         vanished=tuple(sorted(found, key=lambda one: one.time_s)),
         doubtful=tuple(one for one in crossings if not one.counts),
         kinds={
-            gate.name: kinds or seen_in_metres(observation.pixels_per_metre(np.mean(gate.line, axis=0)))
+            gate.name: kinds or miss_rate_groups(observation.pixels_per_metre(np.mean(gate.line, axis=0)))
             for gate in gates
         },
         gates=frozenset(blind),
+        other_cameras=other_cameras or {},
     )
 
 

@@ -3,7 +3,7 @@
 import itertools
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from datetime import datetime
 from functools import cached_property
 from pathlib import Path
@@ -19,6 +19,7 @@ from skope.errors import UserError
 from skope.field_checks import is_number
 from skope.files.json_files import check_version, read_json
 from skope.tracks.csv_file import TRACKS_CSV
+from skope.tracks.track import Track
 from skope.traffic.counting_intervals import time_of
 from skope.types import Array
 
@@ -124,6 +125,33 @@ class Observation:
         if self.camera is None:
             return None
         return float(self.camera.K[0, 0]) / max(1.0, math.dist(self.camera.position, (*map(float, place), 0.0)))
+
+    def total_sigma(self, sigma: float, value: float) -> float:
+        """Standard deviation of one speed or length by itself: with the error that the camera gives all alike.
+
+        Args:
+            sigma: Standard deviation for a known camera.
+            value: The speed or length, in the unit of `sigma`.
+        """
+        return math.hypot(sigma, (self.common_sigma or 0.0) * value)
+
+    def with_camera_error(self, track: Track) -> Track:
+        """The track with the camera's error in its covariance and speed errors: to show one track by itself.
+
+        Never for measuring traffic: there the camera's error is one for all tracks.
+        """
+        recording = self.parts[self.recording_at(float(track.times_s[0])) - 1] if self.parts else self
+        speed_sigma = np.hypot(track.speed_sigma, (self.common_sigma or 0.0) * track.speed)
+        known = recording.uncertainty
+        if known is None:
+            return replace(track, speed_sigma=speed_sigma)
+        slope = recording.ground.slope if recording.ground else (0.0, 0.0)
+        found = known.covariance_at(track.position, slope)
+        visible = np.asarray(np.isfinite(found).all(axis=(1, 2)))
+        away = np.linalg.norm(track.xy - known.camera.position[:2], axis=1)
+        unseen = ((self.common_sigma or 0.0) * away)[:, None, None] ** 2 * np.eye(2)
+        added = np.where(visible[:, None, None], found, unseen)
+        return replace(track, covariance=track.covariance + added, speed_sigma=speed_sigma)
 
     def to_dict(self) -> dict[str, Any]:
         """Content of `footage.json`."""

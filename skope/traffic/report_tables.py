@@ -10,6 +10,8 @@ from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from typing import Any, Final
 
+import numpy as np
+
 from skope.tracks.track import KMH, Track
 from skope.traffic.count_uncertainty import in_cells
 from skope.traffic.counting_intervals import ClockInterval
@@ -88,7 +90,8 @@ def _events(report: TrafficReport) -> ReportTable:
     def rows() -> Iterator[tuple[float, TableRow]]:
         for one in report.crossings:
             place = one.place.tolist() if report.metres else [one.place[0], -one.place[1]]
-            ends = (one.speed * KMH, one.speed_sigma * KMH, one.front_s, one.rear_s)
+            speed_sigma = report.observation.total_sigma(one.speed_sigma, one.speed)
+            ends = (one.speed * KMH, speed_sigma * KMH, one.front_s, one.rear_s)
             tail = (*place, *(ends if report.metres else (None,) * 4), None, one.probability, one.doubt)
             tail = (*tail, *_length(report, one.trajectory))
             who = ("gate", one.sigma_s, *_who(one.trajectory), one.gate, one.direction_name, one.lane)
@@ -106,7 +109,8 @@ def _events(report: TrafficReport) -> ReportTable:
             where = (*lanes, *place, *(None,) * 5, change.probability, None, *_NO_LENGTH)
             yield change.time_s, ("lane change", None, *_who(change.trajectory), *where)
         for brake in report.brakings:
-            told = f"{brake.deceleration:.1f} m/s2 (sigma {brake.sigma:.1f})"
+            sigma = report.observation.total_sigma(brake.sigma, brake.deceleration)
+            told = f"{brake.deceleration:.1f} m/s2 (sigma {sigma:.1f})"
             where = (None, None, None, *brake.place.tolist(), *(None,) * 5, brake.probability, told, *_NO_LENGTH)
             yield brake.time_s, ("hard braking", None, *_who(brake.trajectory), *where)
 
@@ -136,15 +140,15 @@ def _trajectories(report: TrafficReport) -> ReportTable:
 
     def rows() -> Iterator[TableRow]:
         for one in report.trajectories:
-            for i in thinned(one, step):
-                heading = math.degrees(one.heading[i])
+            shown = report.observation.with_camera_error(one.during(np.array(thinned(one, step))))
+            for i, time_s in enumerate(shown.times_s.tolist()):
                 yield (
-                    *(one.number, one.class_name, float(one.times_s[i]), clock(report, float(one.times_s[i]))),
-                    *(*one.xy[i].tolist(), heading, float(one.speed[i]) * KMH),
-                    *(float(one.position_sigma[i]), float(one.speed_sigma[i]) * KMH),
-                    *(one.length, one.width, int(one.located[i])),
+                    *(one.number, one.class_name, time_s, clock(report, time_s)),
+                    *(*shown.xy[i].tolist(), math.degrees(shown.heading[i]), float(shown.speed[i]) * KMH),
+                    *(float(shown.position_sigma[i]), float(shown.speed_sigma[i]) * KMH),
+                    *(one.length, one.width, int(shown.located[i])),
                     *(" ".join(map(str, one.joined)), one.joined_probability, " ".join(one.flags)),
-                    *_recording(report, float(one.times_s[i])),
+                    *_recording(report, time_s),
                 )
 
     return _table(
@@ -329,7 +333,7 @@ def _delays(report: TrafficReport) -> ReportTable:
             yield (
                 *(first.time_s, clock(report, first.time_s), first.trajectory.number, first.trajectory.class_name),
                 *(section.name, section.length_m, section.seconds, section.seconds_sigma),
-                *(section.speed * KMH, section.speed_sigma * KMH),
+                *(section.speed * KMH, report.observation.total_sigma(section.speed_sigma, section.speed) * KMH),
                 *(one.stops, *in_cells(one.stops_between), one.stopped_s, one.delay_s, one.sigma_s),
             )
 

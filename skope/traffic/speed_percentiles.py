@@ -46,16 +46,16 @@ def speed_percentiles(
 
     Args:
         speeds: As measured, m/s.
-        sigmas: Standard deviation of each, m/s, with what is common to all.
-        common_sigma: Relative standard deviation that all speeds share; None: not known, and not in the intervals.
+        sigmas: Standard deviation of each for a known camera, m/s.
+        common_sigma: Relative standard deviation that the camera gives all speeds alike; None: not known, and not in
+            the intervals.
     """
     values = np.sort(np.asarray(speeds, dtype=np.float64))
     n = len(values)
     if n == 0:
         return {name: _refused("no vehicle") for name in PERCENTILES}
     shared = 0.0 if common_sigma is None else common_sigma
-    own = np.maximum(0.0, np.square(np.asarray(sigmas)) - np.square(shared * np.asarray(speeds)))
-    noise, spread = float(own.mean()), float(values.var(ddof=1)) if n > 1 else 0.0
+    noise, spread = float(np.square(np.asarray(sigmas)).mean()), float(values.var(ddof=1)) if n > 1 else 0.0
     ratio = 1.0 if noise == 0 else 1 - noise / spread if spread > 0 else -1.0
     middle = float(np.median(values))
     out = {}

@@ -14,9 +14,9 @@ from skope.schema import PEDESTRIAN
 from skope.site.gates_zones_lanes import Gate
 from skope.site.traffic_settings import TrafficSettings
 from skope.tracks.track import Track
-from skope.traffic.count_uncertainty import CountInterval, Group, joint_interval
+from skope.traffic.count_uncertainty import CountDistribution, CountErrors, CountInterval
 from skope.traffic.counting_intervals import ClockInterval
-from skope.traffic.event_probability import COUNTED_FROM, SeenAlike, same_probability
+from skope.traffic.event_probability import MIN_COUNTED_PROBABILITY, MissRateGroup, same_probability
 from skope.traffic.gate_counts import classes_of, row_classes
 from skope.traffic.gates import GateCrossing, direction_names
 from skope.traffic.missed_crossings import Unseen
@@ -126,7 +126,7 @@ def _between(before: GateCrossing | None, after: GateCrossing | None, step_s: fl
     if before is None or after is None or step_s is None:
         return [Movement(origin=before, destination=after)]
     same = same_probability(before.trajectory, before.time_s, after.time_s, step_s)
-    if same >= COUNTED_FROM:
+    if same >= MIN_COUNTED_PROBABILITY:
         return [Movement(origin=before, destination=after, same=same)]
     return [Movement(origin=before, destination=None), Movement(origin=None, destination=after)]
 
@@ -183,7 +183,7 @@ def turning_counts(
     return out
 
 
-def _missed_more(origin: Sequence[SeenAlike], destination: Sequence[SeenAlike]) -> list[SeenAlike]:
+def _missed_more(origin: Sequence[MissRateGroup], destination: Sequence[MissRateGroup]) -> list[MissRateGroup]:
     """The kinds as the one of two gates misses them that misses more of them."""
     pairs = zip(origin, destination, strict=True)
     return [max(alike, key=lambda kind: (kind.too_small, kind.mean_missed)) for alike in pairs]
@@ -192,7 +192,7 @@ def _missed_more(origin: Sequence[SeenAlike], destination: Sequence[SeenAlike]) 
 def _expected(
     members: Sequence[Movement],
     pair: tuple[GateDirection, GateDirection],
-    kinds: Sequence[SeenAlike],
+    kinds: Sequence[MissRateGroup],
     classes: Collection[str],
 ) -> CountInterval | None:
     """Interval of a count. Road users that were lost after the first gate may have gone this way: nearly none of them,
@@ -202,16 +202,16 @@ def _expected(
     """
     if any(on_foot(one) and (one.sides[0] == pair[0] or one.sides[1] == pair[1]) for one in members):
         return None
-    groups = []
+    errors = []
     for kind in kinds:
         own = [one for one in members if one.trajectory.class_name in kind.classes]
         if kind.classes.isdisjoint(classes):
             continue
         if kind.too_small:
             return None
-        went = [one.probability for one in own if one.sides == pair]
+        false = [1 - kind.real * one.probability for one in own if one.sides == pair]
         lost = sum(one.sides == (pair[0], NOWHERE) for one in own)
-        # Where lost ones alone may have gone this way, nobody is missed besides: that is told by those who are seen.
-        group = Group((), _NOBODY, possible=lost) if lost and not went else kind.group(went, lost)
-        groups.append(group.with_came(_LOST))
-    return joint_interval(groups)
+        # Where only lost ones may have gone this way, none is missed in addition: those who are seen tell that.
+        missed = kind.missed if false or not lost else _NOBODY
+        errors.append(CountErrors(false, possible=lost, came=_LOST, missed=missed))
+    return CountDistribution(sum(len(one.false) for one in errors), errors).interval()

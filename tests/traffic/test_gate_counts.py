@@ -6,15 +6,13 @@ from datetime import datetime, timedelta
 from zoneinfo import ZoneInfo
 
 import numpy as np
-import pytest
 from numpy.typing import NDArray
 
 from skope.site.gates_zones_lanes import Gate
 from skope.site.traffic_settings import TrafficSettings
 from skope.tracks.track import Track
-from skope.traffic.count_uncertainty import Group, count_interval, joint_interval, poisson_binomial
 from skope.traffic.counting_intervals import clock_intervals
-from skope.traffic.event_probability import SEEN_IN_METRES, usual_step
+from skope.traffic.event_probability import usual_step
 from skope.traffic.gate_counts import ALL, interval_counts
 from skope.traffic.gates import gate_crossings
 from skope.traffic.lanes import LaneMap
@@ -25,75 +23,6 @@ from tests.traffic.drives import GATE, drive, straight, watched
 
 BERLIN = ZoneInfo("Europe/Berlin")
 NO_LANES = LaneMap(())
-
-
-def test_poisson_binomial_equals_counting_all_outcomes() -> None:
-    chances = [0.1, 0.5, 0.9, 0.99, 0.3, 0.0, 1.0]
-    expected = np.zeros(len(chances) + 1)
-    for outcome in itertools.product((0, 1), repeat=len(chances)):
-        expected[sum(outcome)] += np.prod([p if one else 1 - p for p, one in zip(chances, outcome, strict=True)])
-    assert poisson_binomial(chances) == pytest.approx(expected)
-    assert poisson_binomial([]) == pytest.approx([1.0])
-
-
-def test_nothing_counted_is_not_nothing_there() -> None:
-    """Some may have been missed, who are missed often, unless nothing ever is.
-
-    More than n were there with the mean of the missed share's power n + 1, a product for a Beta distribution.
-    """
-    for missed in [kind.missed for kind in SEEN_IN_METRES]:
-        powers = np.cumprod([(missed[0] + i) / (sum(missed) + i) for i in range(20)])
-        found = count_interval([], missed)
-        assert (found.low, found.high) == (0, int((powers > 0.05).sum()))
-    both = joint_interval([Group([], kind.missed) for kind in SEEN_IN_METRES])
-    assert both == count_interval([], SEEN_IN_METRES[1].missed)
-    assert (count_interval([], (0.0, 1.0)).low, count_interval([], (0.0, 1.0)).high) == (0, 0)
-    large = count_interval([0.97] * 3000, SEEN_IN_METRES[0].missed)
-    assert large.low < 3000 < large.high < 5000
-
-
-@pytest.mark.parametrize("missed", [kind.missed for kind in SEEN_IN_METRES[:2]])
-def test_count_intervals_hold_the_truth_as_often_as_they_say(missed: tuple[float, float]) -> None:
-    """The truth is drawn, then what is seen of it, and what is seen in error."""
-    rng = np.random.default_rng(0)
-    held = 0
-    for _ in range(400):
-        true = int(rng.integers(0, 80))
-        seen = rng.binomial(true, 1 - rng.beta(*missed))
-        chances = rng.uniform(0.8, 1.0, 200)
-        # So many events that as many of them happened as were seen.
-        happened = np.cumsum(rng.random(200) < chances)
-        number = int(np.searchsorted(happened, seen)) if seen else 0
-        found = count_interval(chances[:number].tolist(), missed)
-        held += found.low <= true <= found.high
-    assert 0.86 < held / 400 <= 0.97
-
-
-def test_groups_together_are_their_sum() -> None:
-    """Against draws of each of them; and who may have been there is there in any number."""
-    rng = np.random.default_rng(1)
-    groups = [Group([0.9] * 30, SEEN_IN_METRES[0].missed), Group([0.6] * 8, SEEN_IN_METRES[1].missed, possible=5)]
-    total = sum(
-        (rng.random((9000, len(one.probabilities))) < one.probabilities).sum(axis=1)
-        + rng.integers(0, one.possible + 1, 9000)
-        for one in groups
-    )
-    nothing_missed = joint_interval([replace(one, missed=(0.0, 1.0)) for one in groups])
-    assert (nothing_missed.low, nothing_missed.high) == pytest.approx(np.quantile(total, (0.05, 0.95)), abs=1)
-    told = joint_interval(groups)
-    assert told.low <= nothing_missed.low + 3
-    assert told.high > nothing_missed.high
-    alone = joint_interval([Group([], (0.0, 1.0), possible=9)])
-    assert (alone.low, alone.high) == (0, 9)
-
-
-def test_where_gates_differ_in_what_is_real_none_or_all_may_be() -> None:
-    """Against draws: a share for the gate, then each event."""
-    rng = np.random.default_rng(2)
-    mean = 1.3 / (1.3 + 0.81)
-    true = rng.binomial(20, rng.beta(1.3, 0.81, 20000))
-    told = joint_interval([Group([mean] * 20, (0.0, 1.0), (1.3, 0.81))])
-    assert (told.low, told.high) == pytest.approx(np.quantile(true, (0.05, 0.95)), abs=1)
 
 
 def test_days_with_a_change_of_the_clock() -> None:

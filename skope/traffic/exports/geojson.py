@@ -104,7 +104,9 @@ def _of_track(report: TrafficReport, one: Track, rows: Sequence[int]) -> dict[st
         "begin": _moment(report, float(one.times_s[0])),
         "times_s": np.round(one.times_s[rows], 3).tolist(),
         "speed_kmh": np.round(one.speed[rows] * KMH, 2).tolist(),
-        "speed_sigma_kmh": np.round(one.speed_sigma[rows] * KMH, 2).tolist(),
+        "speed_sigma_kmh": np.round(
+            report.observation.with_camera_error(one.during(np.array(rows))).speed_sigma * KMH, 2
+        ).tolist(),
     }
 
 

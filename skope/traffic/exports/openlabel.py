@@ -47,7 +47,8 @@ def write_openlabel(folder: Path, report: TrafficReport) -> list[Path]:
         file.write(b',\n"frames":{')
         live: list[Track] = []
         for frame, time_s in enumerate(times.tolist()):
-            live = [one for one in (*live, *begun.get(frame, ())) if spans[one.number][1] > frame]
+            beginning = map(report.observation.with_camera_error, begun.get(frame, ()))
+            live = [one for one in (*live, *beginning) if spans[one.number][1] > frame]
             file.write(b",\n" if frame else b"\n")
             file.write(f'"{frame}":'.encode() + json_bytes(_frame(report, live, time_s)).strip())
         file.write(b"\n}}}\n")
