@@ -165,7 +165,7 @@ RUNS: Final[Sequence[Run]] = (
     ),
     Run("research/track_rates.py", "{road} --fps 10", says="  10    0/0"),
     Run("research/fit_lengths.py", "{out}", says="no clips that were tracked", code=2),
-    Run("research/fit_events.py", "{out}", says="no clips that were tracked", code=2),
+    Run("research/gate_coverage.py", "{clips}/t06_plaza_opening_day --true-keypoints", says="busy gate-minutes"),
     Run("research/traffic_clips.py", "score {clips} --true-keypoints --only t06_plaza_opening_day", says=" holds"),
     Run(
         "research/traffic_clips.py",

@@ -18,14 +18,13 @@ from typing import Final
 import numpy as np
 from scipy.optimize import minimize
 from scipy.stats import norm
-from skope.traffic.read_track_folder import TRACKS_CSV, read_trajectories
 from traffic_truth import TRUTH, read_truth
 
 from skope.schema import VEHICLE
+from skope.tracks.csv_file import TRACKS_CSV, read_tracks
 from skope.tracks.track import Track, is_in_traffic
 from skope.traffic.length_bins import bin_probabilities
 from skope.traffic.normal_distribution import INTERVAL_SIGMAS
-from skope.traffic.observation import read_observation
 from skope.types import Array
 
 TRACKS: Final = "found/tracks"
@@ -54,7 +53,7 @@ def pairs_of(folder: Path) -> Iterator[Pair]:
     for k, one in enumerate(truth):
         for time_s, place in zip(one.times_s, one.xy, strict=True):
             at[round(float(time_s), 3)].append((k, place))
-    for track in read_trajectories(tracks, read_observation(tracks)):
+    for track in read_tracks(tracks / TRACKS_CSV):
         if track.category != VEHICLE or not is_in_traffic(track) or len(track.times_s) < FEWEST:
             continue
         votes, moments = Counter[int](), 0

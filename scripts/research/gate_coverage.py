@@ -10,6 +10,7 @@ pixel is visible within half a second of the crossing. Coverage has a bootstrap 
 """
 
 import argparse
+import itertools
 import math
 import subprocess
 import sys
@@ -148,7 +149,7 @@ def rows_of(folder: Path, *, true_keypoints: bool) -> Iterator[Row]:
                 true = sum((one.gate, one.direction) == (gate.name, k) for one in real)
                 yield {
                     "clip": folder.name,
-                    "site": read_json(folder / "clip.json")["site"],
+                    "site": read_json(folder / "clip.json").get("site", folder.name),
                     "way": way,
                     "side": f"{gate.name} {name}",
                     "minutes": report.observation.observed_s / 60,
@@ -174,7 +175,7 @@ def rows_of(folder: Path, *, true_keypoints: bool) -> Iterator[Row]:
 
 
 def fitted(rows: Sequence[Row], kind: str) -> dict[str, Any]:
-    """Rates of the rows of a kind (image, or metres): real crossings by doubts, missed and lost as Beta distributions."""
+    """Rates of one kind of rows (image, or metres): real crossings by doubts; missed and lost as Beta distributions."""
     own = [row for row in rows if ("image" in row["way"]) == (kind == "image")]
     real = [[0, 0] for _ in range(3)]
     for row in own:
@@ -230,15 +231,16 @@ def print_coverage(rows: Sequence[Row]) -> None:
         minutes = sum(row["minutes"] for row in own if row["truth"] >= 5)
         out = sum(not row["low"] <= row["count"] <= row["high"] for row in own)
         off = sum(abs(row["count"] - row["truth"]) for row in own)
+        low, high = np.quantile(drawn, (0.05, 0.95))
+        counted, true = (sum(row[name] for row in own) for name in ("count", "truth"))
         print(
-            f"{way:28} sides {len(own):4} held {np.mean(every):.3f} ({np.quantile(drawn, 0.05):.3f} to "
-            f"{np.quantile(drawn, 0.95):.3f}) counted {sum(r['count'] for r in own)} of {sum(r['truth'] for r in own)}, "
+            f"{way:28} sides {len(own):4} held {np.mean(every):.3f} ({low:.3f} to {high:.3f}) counted {counted} of {true}, "
             f"off by {off}; width/count {width:.2f}; busy gate-minutes {minutes:.0f}; count outside {out}"
         )
     print("probability of a crossing: said, real, number")
     every_crossing = [one for row in rows for one in row["crossings"]]
     bounds = (0.0, 0.3, 0.5, 0.7, 0.9, 0.97, 1.01)
-    for low, high in zip(bounds[:-1], bounds[1:], strict=True):
+    for low, high in itertools.pairwise(bounds):
         there = [one for one in every_crossing if low <= one["probability"] < high]
         if there:
             said, real = (float(np.mean([one[name] for one in there])) for name in ("probability", "real"))

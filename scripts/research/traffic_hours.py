@@ -30,9 +30,10 @@ from typing import Final
 
 import numpy as np
 
+from skope.camera.model import Camera
 from skope.files.json_files import write_json
+from skope.tracks.csv_file import COLUMNS, TRACKS_CSV
 from skope.traffic.observation import FOOTAGE, Observation
-from skope.traffic.read_track_folder import TRACKS_CSV
 from skope.types import Array
 
 PER_HOUR: Final = 800
@@ -46,10 +47,6 @@ CLEAR_S: Final = 0.5
 HEADWAY_S: Final = 1.8
 SIZES: Final = {"car": (4.4, 1.8), "van": (5.4, 2.0), "lorry": (9.0, 2.5), "bus": (12.0, 2.5)}
 SHARES: Final = (0.75, 0.12, 0.09, 0.04)
-COLUMNS: Final = (
-    "track", "time_s", "x", "y", "z", "heading_deg", "vx", "vy", "located", "sigma_position", "sigma_speed", "length",
-    "width", "class", "class_confidence", "flags",
-)  # fmt: skip
 BEGINS: Final = datetime(2026, 11, 26, 5, tzinfo=UTC)
 CLOCKS_CHANGE: Final = datetime.fromisoformat("2026-10-25T00:30:00+02:00")
 """An hour and a half before the hour that comes twice."""
@@ -114,11 +111,11 @@ def make_tracks(
     blind = [(share * end_s, until * end_s) for share, until in (GAPS if broken else ())]
     moved_s = MOVED_FROM * end_s if broken else math.inf
     with (folder / TRACKS_CSV).open("w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(COLUMNS)
+        writer = csv.DictWriter(file, COLUMNS, restval="0", lineterminator="\n")
+        writer.writeheader()
         for begin_s, arm in arrivals(rng, hours * 3600):
             way = list(drive(rng, number + 1, begin_s, arm, fps))
-            first_s, last_s = float(str(way[0][1])), float(str(way[-1][1]))
+            first_s, last_s = float(way[0]["time_s"]), float(way[-1]["time_s"])
             if any(first_s <= at <= last_s for at in clear_s) or last_s >= moved_s:
                 continue
             if any(first_s <= until and since <= last_s for since, until in blind):
@@ -138,8 +135,7 @@ def write_footage(folder: Path, times: Array, begins: datetime, moved_s: float =
         moved_s=times[times >= moved_s],
         source=f"{folder.name}.mp4",
         common_sigma=0.01,
-        eye=(0.0, -90.0, 25.0),
-        road_sigma_m=0.04,
+        camera=Camera.looking([0.0, -90.0, 25.0], yaw=math.pi / 2, pitch_down=0.3, size=(1280, 720)),
         begins=begins,
     )
     write_json(folder / FOOTAGE, watched.to_dict())
@@ -172,7 +168,7 @@ def arrivals(rng: np.random.Generator, seconds: float) -> Iterator[tuple[float, 
         yield from sorted(came)
 
 
-def drive(rng: np.random.Generator, number: int, begin_s: float, arm: int, fps: float) -> Iterator[list[object]]:
+def drive(rng: np.random.Generator, number: int, begin_s: float, arm: int, fps: float) -> Iterator[dict[str, str]]:
     """The rows of somebody who drives straight on, or turns right, with errors of some centimetres."""
     name = str(rng.choice(list(SIZES), p=SHARES))
     speed = float(rng.normal(12, 0.3))
@@ -186,10 +182,30 @@ def drive(rng: np.random.Generator, number: int, begin_s: float, arm: int, fps: 
     length, width = SIZES[name]
     first = math.ceil(begin_s * fps)
     for i in range(len(way)):
-        yield [
-            number, f"{(first + i) / fps:.4f}", *(f"{v:.3f}" for v in place[i]), "0.000", f"{heading[i]:.2f}",
-            *(f"{v:.3f}" for v in velocity[i]), int(i % 5 != 3), "0.080", "0.150", length, width, name, "0.92", "",
-        ]  # fmt: skip
+        yield {
+            "track": str(number),
+            "category": "vehicle",
+            "class": name,
+            "class_confidence": "0.92",
+            "body_type": "",
+            "frame": str(first + i),
+            "time_s": f"{(first + i) / fps:.4f}",
+            "detected": "1",
+            "located": str(int(i % 5 != 3)),
+            **{axis: f"{v:.3f}" for axis, v in zip("xy", place[i], strict=True)},
+            "heading_deg": f"{heading[i]:.2f}",
+            **{axis: f"{v:.3f}" for axis, v in zip(("vx", "vy"), velocity[i], strict=True)},
+            "ax": "",
+            "ay": "",
+            "sigma_speed": "0.150",
+            "sigma_xx": "0.006400",
+            "sigma_xy": "0.000000",
+            "sigma_yy": "0.006400",
+            "length": str(length),
+            "width": str(width),
+            "height": "",
+            "flags": "",
+        }
 
 
 def straight_on(speed: float, fps: float) -> Array:
