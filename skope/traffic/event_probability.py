@@ -147,8 +147,8 @@ def crossing_probability(track: Track, time_s: float, step_s: float, *, metres: 
 def crossing_doubts(track: Track, time_s: float, step_s: float) -> int:
     """Number of reasons to doubt a crossing, 0 to 2.
 
-    The reasons: the track was located for less than 0.5 s before or after it; and it has a gap near the crossing, longer
-    than the usual step by 0.5 s, so that footage with few frames, or key frames, is not doubted for that.
+    The reasons: the track was located for less than 0.5 s before or after it; and it has a gap near the crossing,
+    longer than the usual step by 0.5 s: footage with few frames, or key frames, is not doubted for that.
 
     Args:
         track: The track that crosses.
