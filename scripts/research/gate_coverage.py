@@ -235,7 +235,8 @@ def print_coverage(rows: Sequence[Row]) -> None:
         counted, true = (sum(row[name] for row in own) for name in ("count", "truth"))
         print(
             f"{way:28} sides {len(own):4} held {np.mean(every):.3f} ({low:.3f} to {high:.3f}) "
-            f"counted {counted} of {true}, off by {off}; width/count {width:.2f}; busy gate-minutes {minutes:.0f}; count outside {out}"
+            f"counted {counted} of {true}, off by {off}; width/count {width:.2f}; "
+            f"busy gate-minutes {minutes:.0f}; count outside {out}"
         )
     print("probability of a crossing: said, real, number")
     every_crossing = [one for row in rows for one in row["crossings"]]

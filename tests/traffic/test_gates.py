@@ -4,18 +4,26 @@ Most cases are what other programs have got wrong, as their users tell.
 """
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
+from skope.camera.ground_plane import Ground, ground_places
+from skope.camera.model import Camera
+from skope.camera.uncertain_camera import UncertainCamera
 from skope.site.gates_zones_lanes import Gate, Lane
 from skope.site.traffic_settings import TrafficSettings
 from skope.tracks.track import Track
-from skope.traffic.gates import GateCrossing, gate_crossings
+from skope.traffic.gate_counts import Count
+from skope.traffic.gates import GateCrossing, gate_crossings, gates_of_other_cameras
 from skope.traffic.join_broken_tracks import join_trajectories
 from skope.traffic.lanes import LaneMap, lane_changes
-from tests.traffic.drives import GATE, along_x, drive, straight
+from skope.traffic.measure import measure
+from skope.traffic.observation import Observation
+from tests.traffic.drives import GATE, along_x, drive, straight, then, watched
+from tests.traffic.test_missed_crossings import SITE
 
 NO_LANES = LaneMap(())
 
@@ -188,3 +196,95 @@ def test_lanes_and_their_changes() -> None:
     weaving = drive(2, np.stack([10 * t - 30, -0.25 + 0.2 * np.sin(9 * t)], axis=1))
     assert not lane_changes([weaving], lanes, 0.3)
     assert lanes.lane_at(np.array([0.0, 20.0]), np.eye(2))[0] == ""
+
+
+# --------------------------------------------------------------------------------------------- the camera's error
+
+CAMERA = Camera.looking((0.0, 0.0, 8.0), yaw=0.0, pitch_down=0.25, size=(1280, 720), fov=math.radians(60))
+"""Looks along x, 8 m over the road."""
+
+
+def seen_by(camera: Camera, share: float | None, seconds: float = 60.0) -> Observation:
+    """Footage of a camera whose distances are off by a common share, one standard deviation; None: not known."""
+    known = None if share is None else UncertainCamera.of_distances(camera, share)
+    return replace(watched(seconds, common=share), camera=camera, uncertainty=known, ground=Ground())
+
+
+def drawn_across(camera: Camera, x: float) -> tuple[tuple[float, float], ...]:
+    """Pixels of a line across the road at x; the camera looks from its left to its right."""
+    pixels, _, _ = camera.project([[x, -6.0, 0.0], [x, 6.0, 0.0]])
+    return tuple((float(u), float(v)) for u, v in pixels)
+
+
+def counted(tracks: list[Track], gate: Gate, observation: Observation) -> Count:
+    report = measure(tracks, observation, replace(SITE, gates=(gate,)))
+    (one,) = (c for c in report.counts_total if c.class_name == "vehicle" and c.direction == "away")
+    return one
+
+
+@pytest.mark.parametrize("share", [None, 0.0, 0.02, 0.12])
+def test_the_cameras_error_decides_no_crossing_of_a_gate_that_was_drawn(share: float | None) -> None:
+    """Slow vehicles 40 m away, of which a third stop 1 m before the gate, a third 1 m behind it."""
+    ends = [39.0] * 5 + [41.0] * 5 + [70.0] * 5
+    tracks = [
+        straight(k, (20.0, -2.0), (4.0, 0.0), (end - 20) / 4, begin_s=2.0 * k) for k, end in enumerate(ends, start=1)
+    ]
+    pixels = drawn_across(CAMERA, 40.0)
+    gate = Gate(name="drawn", pixels=pixels, size=(1280, 720), directions=("away", "back"))
+    one = counted(tracks, gate, seen_by(CAMERA, share))
+    assert one.count == 10
+    assert one.expected == counted(tracks, gate, seen_by(CAMERA, None)).expected
+    # The line in the site file is that of another calibration: pixels win, at any size of the image.
+    stale = replace(gate, line=((55.0, -6.0), (55.0, 6.0)), size=(2560, 1440),
+                    pixels=tuple((2 * u, 2 * v) for u, v in pixels))  # fmt: skip
+    assert counted(tracks, stale, seen_by(CAMERA, share)).count == 10
+
+
+def test_metre_gates_and_image_gates_count_alike_under_any_camera() -> None:
+    """The same pixels of tracks and gate, taken for metres by cameras that are wrong by up to a quarter."""
+    rng = np.random.default_rng(5)
+    true = [straight(k, (15.0, rng.uniform(-5, 5)), (rng.uniform(3, 9), 0.0), 4.0, begin_s=2.5 * k) for k in range(20)]
+    pixels = drawn_across(CAMERA, 36.0)
+    gate = Gate(name="g", pixels=pixels, size=(1280, 720), directions=("away", "back"))
+    expected = sum(one.xy[-1, 0] > 36.0 for one in true)
+    assert 5 < expected < 20
+    for height, pitch in ((8.0, 0.25), (6.0, 0.25), (10.0, 0.25), (8.0, 0.22), (7.0, 0.29)):
+        wrong = Camera.looking((0.0, 0.0, height), yaw=0.1, pitch_down=pitch, size=(1280, 720), fov=math.radians(63))
+        moved = []
+        for one in true:
+            seen, _, _ = CAMERA.project(one.position)
+            moved.append(drive(one.number, ground_places(wrong, seen)[:, :2], one.times_s))
+        assert counted(moved, gate, seen_by(wrong, 0.2)).count == expected, (height, pitch)
+
+
+def test_the_cameras_error_is_one_for_all_at_a_surveyed_gate() -> None:
+    """Ten vehicles stop 1 m before the gate, 50 m away: under some of the cameras all have crossed, else none."""
+    drives = [straight(k, (20.0, -2.0), (4.0, 0.0), 29 / 4, begin_s=4.0 * k) for k in range(10)]
+    tracks = [then(one, (0.0, 0.0), 5.0) for one in drives]
+    gate = Gate(name="surveyed", line=((50.0, -6.0), (50.0, 6.0)), directions=("away", "back"))
+    sure, unsure = (counted(tracks, gate, seen_by(CAMERA, share)) for share in (0.0, 0.05))
+    assert (sure.count, unsure.count) == (0, 0)
+    assert sure.expected is not None
+    assert unsure.expected is not None
+    assert sure.expected.high <= 2
+    assert unsure.expected.high >= 10, "all may have crossed, and not by chance one or two of them"
+    far = [straight(k, (20.0, -2.0), (8.0, 0.0), 7.0, begin_s=5.0 * k) for k in range(10)]
+    told = counted(far, gate, seen_by(CAMERA, 0.03)).expected
+    assert told == counted(far, gate, seen_by(CAMERA, 0.0)).expected, "who drives on crosses under any camera"
+
+
+def test_a_surveyed_gate_lies_elsewhere_among_the_tracks_of_a_wrong_camera() -> None:
+    """A camera taken to hang 10% too high puts everything 10% farther away: so must the gate be, under the true one."""
+    known = UncertainCamera.of_distances(CAMERA, 0.1)
+    gate = Gate(name="g", line=((40.0, 6.0), (40.0, -6.0)))
+    draws = gates_of_other_cameras((gate,), seen_by(CAMERA, 0.1))
+    assert len(draws) == 24
+    ratios = np.array([one.line[0][0] / 40.0 for (one,) in draws])
+    assert ratios.std() == pytest.approx(0.1, rel=0.35)
+    for (one,) in draws:
+        (ax, ay), (bx, by) = one.line
+        assert ay / ax == pytest.approx(6 / 40, abs=1e-6), "along the rays from the camera's foot"
+        assert (bx, by) == pytest.approx((ax, -ay), abs=1e-6)
+    assert gates_of_other_cameras((replace(gate, pixels=((1.0, 2.0), (3.0, 4.0))),), seen_by(CAMERA, 0.1)) == []
+    assert gates_of_other_cameras((gate,), seen_by(CAMERA, None)) == []
+    assert known.covariance.any()
