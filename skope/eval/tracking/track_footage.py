@@ -20,7 +20,7 @@ from skope.eval.tracking import birdseye, birdseye_video, track_overlay
 from skope.eval.tracking.empty_road import empty_road
 from skope.eval.tracking.ground_points import sights_of
 from skope.eval.tracking.pedestrian_and_cycle_tracks import follow_road_users, of_body
-from skope.eval.tracking.track_errors import with_body_error, with_camera_error
+from skope.eval.tracking.track_errors import with_body_error
 from skope.eval.tracking.track_flags import flagged
 from skope.eval.tracking.tracker_inputs import Detection, detection_from_dict, detection_to_dict, detections_of
 from skope.eval.tracking.vehicle_tracker import follow
@@ -79,9 +79,10 @@ def follow_footage(job: TrackJob, console: Console) -> Iterator[str]:
     write_tracks(job.out / TRACKS_CSV, every, index)
     write_mot(job.out / "mot.txt", [track for track in every if track.category == VEHICLE])
     write_fcd(job.out / "fcd.xml", every, times)
-    write_bytes(job.out / FOOTAGE, json_bytes(observation_of(scene, times, begins).to_dict()))
+    observation = observation_of(scene, times, begins)
+    write_bytes(job.out / FOOTAGE, json_bytes(observation.to_dict()))
     written = [TRACKS_CSV, "mot.txt", "fcd.xml", FOOTAGE, "birdseye.png"]
-    shown = _with_all_errors(scene, every)
+    shown = [observation.with_camera_error(track) for track in every]  # each by itself
     tracks = [track for track in shown if track.category == VEHICLE]
     road_users = [track for track in shown if track.category != VEHICLE]
     road = _road(job, camera, console)
@@ -161,14 +162,6 @@ def followed(
         eye, sigma_m = scene.camera_of(scene.file.images[0]).position, scene.ground.height_sigma
         tracks = [with_body_error(track, eye, sigma_m) for track in tracks]
     return [as_written(track) for track in (*tracks, *road_users)]
-
-
-def _with_all_errors(scene: Scene, tracks: Sequence[Track]) -> list[Track]:
-    """The tracks with the camera's error in theirs: for pictures that show each by itself."""
-    known = scene.known_in(scene.file.images[0])
-    ground = scene.road_in(scene.file.images[0])
-    slope = ground.slope if ground else (0.0, 0.0)
-    return [with_camera_error(track, known, slope) for track in tracks] if known else list(tracks)
 
 
 def observation_of(scene: Scene, times: Sequence[float], begins: datetime | None) -> Observation:

@@ -8,11 +8,11 @@ import pytest
 
 from skope.camera.model import Camera
 from skope.camera.uncertain_camera import UncertainCamera
-from skope.eval.tracking.track_errors import with_camera_error
 from skope.eval.tracking.track_flags import flagged
 from skope.eval.tracking.vehicle_classes import VEHICLE_CLASS_NAMES, vehicle_class
 from skope.schema import VEHICLE_TYPES
 from skope.tracks.track import Track
+from skope.traffic.observation import Observation
 
 
 def track(number: int, xy: Any, *, seconds: float = 6.0, poses: int | None = None) -> Track:
@@ -132,7 +132,9 @@ def test_the_cameras_error_widens_what_a_track_says() -> None:
     """All distances from the camera's foot off by 5%, as where its height is."""
     one = track(1, along(0, 12, count=40))
     camera = Camera.looking([-10.0, 0.0, 8.0], yaw=0.0, pitch_down=0.3)
-    wide = with_camera_error(one, UncertainCamera.of_distances(camera, 0.05))
+    known = UncertainCamera.of_distances(camera, 0.05)
+    observed = Observation(times_s=one.times_s, camera=camera, uncertainty=known, common_sigma=known.ways_sigma())
+    wide = observed.with_camera_error(one)
     assert wide.speed_sigma == pytest.approx(np.hypot(0.2, 0.05 * one.speed))
     away = np.linalg.norm(one.position[:, :2] - [-10, 0], axis=1)
     assert wide.position_sigma == pytest.approx(np.hypot(0.1, 0.05 * away))
