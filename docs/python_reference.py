@@ -14,13 +14,13 @@ from skope.detections import RoadUserDetections
 from skope.eval.camera_fit.fit_camera import CameraEstimate
 from skope.eval.pose.estimate_pose import Poses
 from skope.eval.pose.pose_records import Located
-from skope.eval.tracking.track_list import TrackedVehicle, Tracks
+from skope.eval.tracking.track_list import TrackedRoadUser, Tracks
 from skope.eval.tracking.tracks import Track
 from skope.traffic.gate_counts import Count
 from skope.traffic.traffic_report import TrafficReport
 
 GIVEN: Final = (
-    *(Dataset, LabelledImage, RoadUserDetections, Located, Poses, Track, Tracks, TrackedVehicle),
+    *(Dataset, LabelledImage, RoadUserDetections, Located, Poses, Track, Tracks, TrackedRoadUser),
     *(Count, TrafficReport, SiteCalibration, CameraEstimate),
 )
 """Classes that nobody makes by hand, but that functions give."""

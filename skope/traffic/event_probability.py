@@ -102,8 +102,13 @@ def miss_rate_groups(pixels_per_metre: float | None) -> tuple[MissRateGroup, ...
         large, small = by_size["large_px_per_m"], by_size["small_px_per_m"]
         size = "large" if pixels_per_metre >= large else "tiny" if pixels_per_metre < small else "unknown"
     missed, came = (_beta(by_size[size][name]) for name in ("missed", "came"))
+    vehicle = metres["vehicle"]
     vehicles = MissRateGroup(
-        OF_VEHICLES, _beta(metres["vehicle"]["missed"]), _beta(metres["vehicle"]["came"]), rejects_losing_gates=True
+        OF_VEHICLES,
+        _beta(vehicle["missed"]),
+        _beta(vehicle["came"]),
+        rejects_losing_gates=True,
+        too_small=pixels_per_metre is not None and pixels_per_metre < vehicle["small_px_per_m"],
     )
     others = (_TWO_WHEELED, frozenset({PEDESTRIAN}))
     return vehicles, *(MissRateGroup(one, missed, came, too_small=size == "tiny") for one in others)

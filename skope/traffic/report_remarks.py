@@ -58,12 +58,18 @@ def remarks_on_counts(report: "TrafficReport") -> Iterator[str]:
     for one in report.counts_total:
         if one.expected is not None or not one.observed_s or one.gate in missed.gates:
             continue
-        if one.class_name == VEHICLE:
+        kinds = missed.kinds.get(one.gate, ())
+        if one.class_name == VEHICLE and kinds and kinds[0].too_small:
+            yield (
+                f"gate {one.gate!r} ({one.direction}): vehicles are so small in the image there that few are "
+                "detected: how many crossed it is not known; draw it nearer to the camera"
+            )
+        elif one.class_name == VEHICLE:
             yield (
                 f"gate {one.gate!r} ({one.direction}): more vehicles are lost before it, or found behind it, than "
                 "cross it: how many did is not known; move it to where they are seen on both sides"
             )
-        elif any(kind.too_small for kind in missed.kinds.get(one.gate, ())):
+        elif any(kind.too_small for kind in kinds) and not kinds[0].too_small:
             yield (
                 f"gate {one.gate!r} ({one.direction}): people and two-wheelers are so small in the image there that "
                 "few are seen: how many crossed it is known of vehicles alone"

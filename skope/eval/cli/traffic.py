@@ -248,12 +248,13 @@ def _written(
     from skope.traffic.road_picture import read_road_picture
     from skope.traffic.write_report import write_traffic_report
 
+    # The camera that made the tracks, at the size of the footage; several recordings may have several.
+    camera = report.observation.camera or (site.camera.camera if site.camera else None)
     for name, folder in further.items():
-        for path in write_format(name, folder, report, site.camera.camera if site.camera else None):
+        for path in write_format(name, folder, report, camera):
             yield f"wrote {path}"
     road = None if tracks is None else read_road_picture(tracks)
     view = view if tracks is None else read_empty_road_picture(tracks)
-    camera = site.camera.camera if site.camera else None
     said = ", ".join([source] if isinstance(source, str) else source)
     for path in (
         write_page(out, report, tracks=said, road=road, camera=camera, view=view),
