@@ -97,14 +97,14 @@ def gates_on_road(gates: Sequence[Gate], observation: Observation | None = None)
         gates: The gates of the site.
         observation: The recording, with its camera and road; None: every gate keeps its line.
     """
-    lines = ((gate, _drawn_line(gate, observation) or gate.line) for gate in gates)
+    lines = ((gate, _line_of(gate, observation)) for gate in gates)
     return tuple(replace(gate, line=line) for gate, line in lines if line)
 
 
-def _drawn_line(gate: Gate, observation: Observation | None) -> Outline:
-    """The line of a gate's pixels on the road; empty where they, or the camera, are not known."""
+def _line_of(gate: Gate, observation: Observation | None) -> Outline:
+    """The line of a gate on the road; empty where it has none, as where its pixels lie above the horizon."""
     if not gate.pixels or observation is None or observation.camera is None:
-        return ()
+        return gate.line
     camera = observation.camera
     size = (camera.width, camera.height)
     if not same_aspect(gate.size or size, size):

@@ -53,6 +53,15 @@ def remarks(report: "TrafficReport") -> Iterator[str]:
 def remarks_on_counts(report: "TrafficReport") -> Iterator[str]:
     """The gates whose counts are not known, what is not counted, and what was counted by hand."""
     missed = report.unseen
+    counted = {gate.name for gate in report.gates}
+    for gate in report.site.gates:
+        if gate.name not in counted:
+            why = (
+                "its pixels do not lie on the road: on or above the camera's horizon, or in an image of another shape"
+                if report.metres and gate.pixels
+                else f"it has no {'line on the road' if report.metres else 'pixels'}"
+            )
+            yield f"gate {gate.name!r}: not counted: {why}"
     for name in sorted(missed.gates):
         yield f"gate {name!r}: nobody was ever seen near it: nobody crossed it, or nobody can be seen there"
     for one in report.counts_total:

@@ -288,3 +288,13 @@ def test_a_surveyed_gate_lies_elsewhere_among_the_tracks_of_a_wrong_camera() -> 
     assert gates_of_other_cameras((replace(gate, pixels=((1.0, 2.0), (3.0, 4.0))),), seen_by(CAMERA, 0.1)) == []
     assert gates_of_other_cameras((gate,), seen_by(CAMERA, None)) == []
     assert known.covariance.any()
+
+
+def test_a_gate_whose_pixels_do_not_lie_on_the_road_is_named_and_not_counted_elsewhere() -> None:
+    """Its old line, of another calibration, does not take their place."""
+    above = Gate(name="sky", pixels=((100.0, 20.0), (900.0, 20.0)), line=((40.0, -6.0), (40.0, 6.0)))
+    wide = Gate(name="wide", pixels=drawn_across(CAMERA, 40.0), size=(640, 480), line=above.line)
+    report = measure([straight(1, (20, 0), (10, 0), 6.0)], seen_by(CAMERA, None), replace(SITE, gates=(above, wide)))
+    assert not report.counts
+    named = [line for line in report.refused if "not counted: its pixels do not lie on the road" in line]
+    assert [line.split(":")[0] for line in named] == ["gate 'sky'", "gate 'wide'"]
