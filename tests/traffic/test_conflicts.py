@@ -133,6 +133,12 @@ def test_two_tracks_of_one_vehicle_are_no_conflict() -> None:
     assert (len(search.conflicts), search.overlapping) == (0, 1)
 
 
+def test_an_implausible_speed_is_in_no_conflict() -> None:
+    first, second = crossing(1.0)
+    assert found(first, second)
+    assert not found(first, replace(second, flags=("implausible_speed",)))
+
+
 @pytest.mark.parametrize("wrong", ["gap", "end", "few", "vague"])
 def test_who_is_hardly_followed_is_in_no_conflict(wrong: str) -> None:
     first, second = crossing(1.0)

@@ -128,6 +128,65 @@ def test_who_drives_against_the_traffic_is_as_looking_at_all_pairs_says() -> Non
     assert {5, 18, 40} <= told
 
 
+def later(one: Track, begin_s: float) -> Track:
+    """The track, begun at another time."""
+    return replace(one, times_s=one.times_s + begin_s)
+
+
+def lane(speed: float, number: int, *, every_s: float = 3.0, first: int = 100, y: float = 0.0) -> list[Track]:
+    """Tracks that follow each other along x with speeds within 5% of `speed`, m/s."""
+    rng = np.random.default_rng(3)
+    speeds = speed * rng.uniform(0.95, 1.05, number)
+    offsets = y + rng.normal(0, 0.3, number)
+    made = zip(speeds.tolist(), offsets.tolist(), strict=True)
+    return [later(track(first + k, along(side, v)), every_s * k) for k, (v, side) in enumerate(made)]
+
+
+def implausible(*tracks: Track) -> list[int]:
+    """Numbers of those with the flag; all begin at different times and are numbered by their order here."""
+    ordered = [replace(one, frames=one.frames + 1000 * k) for k, one in enumerate(tracks)]
+    return [k for k, one in enumerate(flagged(ordered)) if "implausible_speed" in one.flags]
+
+
+@pytest.mark.parametrize(("speed", "told"), [(12.0, True), (1.0, True), (18.0, False), (46.0, True), (30.0, False)])
+def test_a_speed_that_the_flow_around_contradicts_is_implausible(speed: float, told: bool) -> None:
+    odd = later(track(1, along(0.5, speed)), 10.0)
+    assert implausible(odd, *lane(25, 12)) == ([0] if told else [])
+
+
+def test_a_slow_track_is_compared_whatever_its_direction() -> None:
+    """A jumping pose has no direction: here it creeps back against a fast lane."""
+    assert implausible(later(track(1, along(0.0, 1.5)[::-1] + [40.0, 0.0]), 10.0), *lane(25, 12)) == [0]
+
+
+@pytest.mark.parametrize(
+    "others",
+    [
+        lane(25, 4),  # too few
+        [later(one, 200.0) for one in lane(25, 12)],  # at another time
+        lane(25, 12, y=7.0),  # in another lane
+        [replace(one, position=one.position[::-1], velocity=-one.velocity) for one in lane(25, 12)],  # the other way
+    ],
+)
+def test_a_speed_without_a_flow_around_is_plausible(others: list[Track]) -> None:
+    assert implausible(later(track(1, along(0.0, 8)), 10.0), *others) == []
+
+
+def test_a_queue_is_no_implausible_speed() -> None:
+    """A platoon at 5 m/s within a flow at 20 m/s: the tracks nearest in time are slow too."""
+    before, queue, after = lane(20, 12, first=1), lane(5, 12, first=50), lane(20, 12, first=150)
+    tracks = [*before, *(later(one, 38.0) for one in queue), *(later(one, 80.0) for one in after)]
+    assert implausible(*tracks) == []
+
+
+def test_one_that_waits_at_a_light_is_plausible() -> None:
+    """It brakes from 14 m/s at 2 m/s^2, stands for 20 s and drives on; all others pass at green."""
+    t = np.linspace(0, 40, 400)
+    speed = np.clip(np.maximum(14 - 2 * np.maximum(t - 2, 0), 2 * (t - 29)), 0, 14)
+    waits = track(1, np.column_stack([np.cumsum(speed) * 0.1, np.zeros(400)]), seconds=40.0)
+    assert implausible(later(waits, 5.0), *lane(14, 14, every_s=4.0)) == []
+
+
 def test_the_cameras_error_widens_what_a_track_says() -> None:
     """All distances from the camera's foot off by 5%, as where its height is."""
     one = track(1, along(0, 12, count=40))
