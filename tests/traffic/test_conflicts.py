@@ -191,5 +191,7 @@ def test_a_parked_car_stays_parked_when_its_tracks_are_joined() -> None:
     """And one that waits and then drives has moved."""
     parked = [straight(k, (5, 5), (0, 0), 6, begin_s=7.0 * k, flags=("never_moved",)) for k in range(2)]
     assert [one.flags for one in join_trajectories(parked)] == [("never_moved",)]
+    drums = [replace(one, category="bicycle", class_name="bicycle") for one in parked]
+    assert len(join_trajectories(drums)) == 2, "of another category it is an object, which is joined to nobody"
     leaves = drive(3, [(5 + 0.02 * max(0, k - 5) ** 2, 5) for k in range(60)], 13.2 + 0.1 * np.arange(60))
     assert [one.flags for one in join_trajectories([parked[1], leaves])] == [()]

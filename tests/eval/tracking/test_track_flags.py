@@ -9,7 +9,7 @@ import pytest
 from skope.camera.model import Camera
 from skope.camera.uncertain_camera import UncertainCamera
 from skope.eval.tracking.track_errors import with_camera_error
-from skope.eval.tracking.track_flags import flagged
+from skope.eval.tracking.track_flags import box_never_moved, flagged
 from skope.eval.tracking.vehicle_classes import VEHICLE_CLASS_NAMES, vehicle_class
 from skope.schema import VEHICLE_TYPES
 from skope.tracks.track import Track
@@ -71,6 +71,44 @@ def test_two_poses_and_standing_still_are_told() -> None:
         ("never_moved",),
         (),
     ]
+
+
+def boxes_at(middles: np.ndarray, size: float = 20.0, jitter_px: float = 0.8) -> np.ndarray:
+    """(M, 4) upright boxes around (M, 2) middles; position and size jitter as a detector's do."""
+    rng = np.random.default_rng(1)
+    edges = np.array([0.7, 1.4]) * size + rng.normal(0, jitter_px, (len(middles), 2))
+    return np.hstack([middles - edges / 2 + rng.normal(0, jitter_px, (len(middles), 2)), edges])
+
+
+def test_a_box_that_stays_in_its_place_never_moved() -> None:
+    """A traffic drum that is taken for a bicycle, with an outlier now and then; with few frames it may be a queue."""
+    drum = np.tile([300.0, 200.0], (255, 1))
+    drum[40:250:60] += 15
+    times = np.arange(255) * 0.1
+    assert box_never_moved(boxes_at(drum), times)
+    assert not box_never_moved(boxes_at(drum[:40]), times[:40])
+    assert not box_never_moved(np.zeros((0, 4)), np.zeros(0))
+
+
+@pytest.mark.parametrize("goes", ["comes", "leaves"])
+def test_a_cyclist_who_waits_at_a_light_moves(goes: str) -> None:
+    """For 90 s in one place; riding is 2% of the track."""
+    rides = np.column_stack([np.linspace(4, 45, 18) ** 1.1, np.zeros(18)])
+    waits = np.zeros((900, 2))
+    middles = np.concatenate([rides[::-1], waits] if goes == "comes" else [waits, rides])
+    assert not box_never_moved(boxes_at(middles + 300), np.arange(918) * 0.1)
+
+
+def test_a_box_that_grows_in_its_place_moved() -> None:
+    """It comes along the line of sight, at the vanishing point."""
+    grown = np.hstack([boxes_at(np.full((60, 2), 300.0), size) for size in (10.0, 20.0)]).reshape(60, 2, 4)
+    share = np.linspace(0, 1, 60)[:, None]
+    assert not box_never_moved(grown[:, 0] * (1 - share) + grown[:, 1] * share, np.arange(60) * 0.1)
+
+
+def test_a_vehicle_that_waits_for_long_and_then_drives_off_moved() -> None:
+    queue = np.concatenate([np.zeros((960, 2)), along(0, 5, 40) * 0.5])
+    assert flags(track(1, queue, seconds=100.0)) == [()]
 
 
 def test_who_turns_round_on_the_spot_is_two_vehicles() -> None:
