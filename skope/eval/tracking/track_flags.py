@@ -13,9 +13,14 @@ from skope.tracks.track import Track
 from skope.types import Array
 
 TRACK_FLAGS: Final = ("two_poses", "never_moved", "impossible_motion", "against_traffic", "implausible_speed")
-"""Only two poses tell of it; it never moved, and may be a sign as well as a parked car; it was cut out of a track that
-moves as nothing on wheels does, as where two vehicles have one track; all others drive the other way where it does; the
-others that pass the same spots are much faster or slower."""
+"""Reasons to distrust a track, in the order in which files have them:
+
+- `two_poses`: no more than two poses show the vehicle.
+- `never_moved`: it may be a parked car, or an object that is taken for a road user.
+- `impossible_motion`: it was cut out of a track that moves as nothing on wheels does: two vehicles in one track.
+- `against_traffic`: all others at its positions drive the other way.
+- `implausible_speed`: the vehicles around it are much faster or slower.
+"""
 
 _FEW: Final = 2
 """Poses of a track that tell little."""
