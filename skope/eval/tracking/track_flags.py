@@ -118,6 +118,9 @@ def box_never_moved(boxes: Array, times_s: Array) -> bool:
     Args:
         boxes: (M, 4) x, y, width and height of one track, pixels.
         times_s: (M,) seconds, rising.
+
+    Returns:
+        True if the boxes stay in one place, with one size, for at least 5 s; False for no boxes.
     """
     if not len(boxes):
         return False
