@@ -246,3 +246,8 @@ def concatenated(first: Track, second: Track) -> dict[str, Any]:
 def is_in_traffic(track: Track) -> bool:
     """Whether a track is that of a road user in traffic: confirmed, and not of something that never moved."""
     return track.confirmed and "never_moved" not in track.flags
+
+
+def has_plausible_speed(track: Track) -> bool:
+    """Whether the speed of a track can be used: the traffic around it does not contradict it."""
+    return "implausible_speed" not in track.flags

@@ -9,7 +9,7 @@ import numpy as np
 
 from skope.schema import PEDESTRIAN
 from skope.site.traffic_settings import TrafficSettings
-from skope.tracks.track import Track, is_in_traffic
+from skope.tracks.track import Track, has_plausible_speed, is_in_traffic
 from skope.traffic.normal_distribution import at_most
 from skope.types import Array
 
@@ -37,10 +37,13 @@ class HardBraking:
 
 
 def hard_brakings(trajectories: Sequence[Track], settings: TrafficSettings) -> list[HardBraking]:
-    """The hardest braking of each vehicle that brakes harder than `settings.hard_braking_ms2`, in order of time."""
+    """The hardest braking of each vehicle that brakes harder than `settings.hard_braking_ms2`, in order of time.
+
+    Tracks with the flag `implausible_speed` are left out.
+    """
     found = []
     for trajectory in trajectories:
-        if is_in_traffic(trajectory) and trajectory.category != PEDESTRIAN:
+        if is_in_traffic(trajectory) and has_plausible_speed(trajectory) and trajectory.category != PEDESTRIAN:
             hardest = _hardest(trajectory, settings.hard_braking_ms2)
             if hardest is not None and hardest.probability > _LEAST:
                 found.append(hardest)

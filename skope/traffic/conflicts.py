@@ -10,7 +10,7 @@ import numpy as np
 from skope.schema import PEDESTRIAN
 from skope.site.gates_zones_lanes import Zone
 from skope.site.traffic_settings import TrafficSettings
-from skope.tracks.track import Track, is_in_traffic
+from skope.tracks.track import Track, has_plausible_speed, is_in_traffic
 from skope.traffic.collision import REAR_END_DEG, angle_deg
 from skope.traffic.conflict_doubt import STEP_S, hardest_needed, is_followed, pet_sigma, ttc_doubt
 from skope.traffic.encounters import Meeting, meeting_of, rows_together
@@ -83,7 +83,7 @@ def conflicts(
     """Find all pairs with a time to collision up to `settings.ttc_s`, or whose ways cross within `settings.pet_s`.
 
     Args:
-        trajectories: All tracks, in metres.
+        trajectories: All tracks, in metres. Those with the flag `implausible_speed` are in no conflict.
         settings: Limits of the two times.
         rng: Draws places and speeds, for how uncertain a conflict is.
         zones: Give the conflicts in them a name.
@@ -93,7 +93,8 @@ def conflicts(
     Returns:
         The conflicts by time, and how many pairs were left out.
     """
-    made = footprint_paths([one for one in trajectories if is_in_traffic(one)], STEP_S)
+    followed = [one for one in trajectories if is_in_traffic(one) and has_plausible_speed(one)]
+    made = footprint_paths(followed, STEP_S)
     found, overlapping, unsteady = [], 0, 0
     for one, other in _pairs(made, settings.pet_s):
         if not near(one, other, max(settings.pet_s, settings.ttc_s)):

@@ -13,6 +13,7 @@ from typing import Final
 
 import numpy as np
 
+from skope.schema import VEHICLE
 from skope.tracks.track import Track, concatenated, worst_sigma
 
 _LONGEST_S: Final = 8.0
@@ -76,6 +77,8 @@ def _likelihood(before: Track, after: Track) -> float:
     """Density, per square metre, with which the one who ends as `before` begins as `after`; 0: it cannot be."""
     if before.category != after.category or "impossible_motion" in {*before.flags, *after.flags}:
         return 0.0
+    if before.category != VEHICLE and "never_moved" in {*before.flags, *after.flags}:
+        return 0.0  # an object that a detector takes for somebody: who passes it is another
     kept = _until(before, float(after.times_s[0]))
     if kept is None or kept.times_s[-1] < before.times_s[-1] - _OVERLAP_S:
         return 0.0

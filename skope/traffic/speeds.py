@@ -9,7 +9,7 @@ import numpy as np
 
 from skope.schema import PEDESTRIAN
 from skope.site.traffic_settings import CLASSES
-from skope.tracks.track import Track
+from skope.tracks.track import Track, has_plausible_speed
 from skope.traffic.counting_intervals import ClockInterval
 from skope.traffic.gates import GateCrossing
 from skope.traffic.observation import Observation
@@ -117,6 +117,8 @@ def speed_groups(
 ) -> list[SpeedGroup]:
     """Percentiles of the speeds of the whole footage by class, and of motor vehicles by interval too.
 
+    Tracks with the flag `implausible_speed` are left out.
+
     Args:
         crossings: The crossings, whose speeds are those at a spot.
         sections: Everyone who was seen at two gates.
@@ -124,6 +126,8 @@ def speed_groups(
         observation: How uncertain the camera leaves all speeds.
     """
     known = observation.common_sigma
+    crossings = [one for one in crossings if has_plausible_speed(one.trajectory)]
+    sections = [one for one in sections if has_plausible_speed(one.movement.trajectory)]
 
     def grouped(
         kind: str,

@@ -133,6 +133,12 @@ def test_two_tracks_of_one_vehicle_are_no_conflict() -> None:
     assert (len(search.conflicts), search.overlapping) == (0, 1)
 
 
+def test_an_implausible_speed_is_in_no_conflict() -> None:
+    first, second = crossing(1.0)
+    assert found(first, second)
+    assert not found(first, replace(second, flags=("implausible_speed",)))
+
+
 @pytest.mark.parametrize("wrong", ["gap", "end", "few", "vague"])
 def test_who_is_hardly_followed_is_in_no_conflict(wrong: str) -> None:
     first, second = crossing(1.0)
@@ -185,5 +191,7 @@ def test_a_parked_car_stays_parked_when_its_tracks_are_joined() -> None:
     """And one that waits and then drives has moved."""
     parked = [straight(k, (5, 5), (0, 0), 6, begin_s=7.0 * k, flags=("never_moved",)) for k in range(2)]
     assert [one.flags for one in join_trajectories(parked)] == [("never_moved",)]
+    drums = [replace(one, category="bicycle", class_name="bicycle") for one in parked]
+    assert len(join_trajectories(drums)) == 2, "of another category it is an object, which is joined to nobody"
     leaves = drive(3, [(5 + 0.02 * max(0, k - 5) ** 2, 5) for k in range(60)], 13.2 + 0.1 * np.arange(60))
     assert [one.flags for one in join_trajectories([parked[1], leaves])] == [()]

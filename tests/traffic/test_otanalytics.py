@@ -109,15 +109,15 @@ def test_the_command_writes_what_it_counted(skope: Skope, tracks: Any) -> None: 
     code, out, err = skope("eval", "traffic", "t", "--out", "r", "--also", "otanalytics")
     assert code == 0, err
     assert "wrote r/otanalytics/plan.ottrk" in out
-    names = {"plan.ottrk", "plan.otflow", "work.json"}
-    assert {path.name for path in Path("r/otanalytics").iterdir()} == names, "the site has no camera"
+    names = {"plan.ottrk", "plan.otflow", "image.ottrk", "image.otflow", "work.json"}
+    assert {path.name for path in Path("r/otanalytics").iterdir()} == names, "the tracks know their camera"
 
-    camera = {"size": [CAMERA.width, CAMERA.height], "K": CAMERA.K.tolist()}
+    camera = {"size": [CAMERA.width, CAMERA.height], "K": (2 * CAMERA.K).tolist()}
     camera["T_camera_world"] = CAMERA.T_camera_world.tolist()
     text = "\n".join(["[camera]", *(f"{key} = {value}" for key, value in camera.items())])
     where.write_text(f"{where.read_text()}{text}\n")
     assert skope("eval", "traffic", "t", "--out", "q", "--also", "otanalytics", "-q")[0] == 0
-    assert {path.name for path in Path("q/otanalytics").iterdir()} == {*names, "image.ottrk", "image.otflow"}
+    assert {path.name for path in Path("q/otanalytics").iterdir()} == names
     document = read_ottrk(Path("q/otanalytics/image.ottrk"))
     rows = document["data"]["detections"]
     with Path("t/tracks.csv").open(newline="") as file:

@@ -113,6 +113,18 @@ def test_free_flow_is_the_sections_own_85th_percentile() -> None:
     assert [one.delay_s for one in late] == pytest.approx(60 / speeds - 60 / v85, abs=0.02)
 
 
+def test_an_implausible_speed_is_in_no_percentile_and_no_braking_but_counts() -> None:
+    plain = [straight(k, (-20, 0), (15.0 + 0.1 * k, 0), 6, begin_s=10.0 * k) for k in range(5)]
+    odd = replace(straight(9, (-20, 0), (4.0, 0), 25, begin_s=60.0), flags=("implausible_speed",))
+    crossed = gate_crossings([*plain, odd], [GATE, FAR_GATE], NO_LANES, SETTINGS)
+    assert sum(one.counts for one in crossed) == 12
+    groups = speed_groups(crossed, section_passes(movements(crossed, SETTINGS)), [], watched(100))
+    assert {(one.kind, one.number) for one in groups if one.class_name == "motor"} == {("spot", 5), ("section", 5)}
+    x = np.cumsum(np.clip(15 - 6 * np.clip(np.arange(0, 6, 0.1) - 2, 0, None), 0, None)) * 0.1
+    assert len(hard_brakings([along_x(1, x)], SETTINGS)) == 1
+    assert not hard_brakings([along_x(1, x, flags=("implausible_speed",))], SETTINGS)
+
+
 def test_headways_and_gaps_are_those_that_were_driven() -> None:
     """Five cars of 4 m at 12 m/s, 24 m apart; the fourth one passes while nothing is observed before it."""
     cars = [straight(k, (-30 - 24 * k, 0), (12, 0), 20) for k in range(5)]

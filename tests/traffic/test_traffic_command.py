@@ -218,6 +218,12 @@ def test_without_a_camera_gates_in_the_image_count_and_nothing_else(skope: Skope
     code, out, err = skope("eval", "traffic", "seen", "--out", "r")
     assert code == 0, err
     assert "no metres: nothing calibrates the camera" in out
+    assert "classes of vehicles: not available at gates in the image" in out
+    counts = {row["class"]: row for row in rows_of("r/counts.csv") if row["direction"] == "right"}
+    assert list(counts) == ["all", "vehicle", "unknown", "motorcycle", "bicycle", "pedestrian"]
+    assert [(counts[name]["count"], bool(counts[name]["high"])) for name in ("vehicle", "unknown", "bicycle")] == [
+        ("2", True), ("2", False), ("0", True)
+    ]  # fmt: skip
     assert sorted(path.name for path in Path("r").iterdir()) == [
         "counts.csv", "events.csv", "report.html", "sight.csv", "summary.json", "turning.csv", "work.json"
     ]  # fmt: skip

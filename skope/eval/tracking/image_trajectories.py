@@ -11,6 +11,7 @@ from skope.dataset import coco
 from skope.dataset.folder import BEGINS, CHANGES, FRAMES, PREDICTIONS, SIGHT_FIELD
 from skope.errors import UserError
 from skope.eval.tracking.duplicate_boxes import FOOT, INSIDE, inside_and_apart
+from skope.eval.tracking.track_flags import box_never_moved
 from skope.metrics.read_inputs import read_all_results
 from skope.schema import CATEGORIES, VEHICLE
 from skope.site.traffic_settings import UNKNOWN
@@ -111,4 +112,5 @@ def _trajectory(number: int, category_id: int, rows: Array) -> Track:
         speed_sigma=np.full(len(times), np.nan),
         located=np.ones(len(times), dtype=bool),
         confirmed=len(times) >= _FEWEST_BOXES and bool(times[-1] - times[0] >= _SHORTEST_S),
+        flags=("never_moved",) if box_never_moved(_boxes(rows), times) else (),
     )

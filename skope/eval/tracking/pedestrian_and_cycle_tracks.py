@@ -18,6 +18,7 @@ from skope.eval.tracking import kalman
 from skope.eval.tracking.ground_points import GroundPoint, Sight
 from skope.eval.tracking.kalman import GATE, State
 from skope.eval.tracking.track_errors import with_body_error
+from skope.eval.tracking.track_flags import box_never_moved
 from skope.schema import CATEGORIES, PEDESTRIAN
 from skope.tracks.track import Track
 from skope.types import Array
@@ -153,6 +154,7 @@ class _Open:
         if located.sum() < _FEWEST_PLACES or times[-1] - times[0] < _SHORTEST_S:
             return None
         category = self.category(float(np.median(np.hypot(*velocity[located].T))))
+        detected = np.isfinite(rows[:, 15])
         return Track(
             number=0,
             category=category,
@@ -166,9 +168,10 @@ class _Open:
             covariance=rows[:, [[6, 7], [7, 8]]],
             speed_sigma=speed_sigma,
             located=located,
-            detected=np.isfinite(rows[:, 15]),
+            detected=detected,
             boxes=rows[:, 11:15],
             scores=rows[:, 15],
+            flags=("never_moved",) if box_never_moved(rows[detected, 11:15], times[detected]) else (),
         )
 
 

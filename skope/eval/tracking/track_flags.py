@@ -12,16 +12,30 @@ from skope.eval.tracking.tracks import is_confirmed
 from skope.tracks.track import Track
 from skope.types import Array
 
-TRACK_FLAGS: Final = ("two_poses", "never_moved", "impossible_motion", "against_traffic")
-"""Only two poses tell of it; it never moved, and may be a sign as well as a parked car; it was cut out of a track that
-moves as nothing on wheels does, as where two vehicles have one track; all others drive the other way where it does."""
+TRACK_FLAGS: Final = ("two_poses", "never_moved", "impossible_motion", "against_traffic", "implausible_speed")
+"""Reasons to distrust a track, in the order in which files have them:
+
+- `two_poses`: no more than two poses show the vehicle.
+- `never_moved`: it may be a parked car, or an object that is taken for a road user.
+- `impossible_motion`: it was cut out of a track that moves as nothing on wheels does: two vehicles in one track.
+- `against_traffic`: all others at its positions drive the other way.
+- `implausible_speed`: the vehicles around it are much faster or slower.
+"""
 
 _FEW: Final = 2
 """Poses of a track that tell little."""
 _STANDS_M: Final = 1.5
 """A track that stays nearer than this to its median place in 95% of its frames never moved, metres."""
+_STANDS_SIZES: Final = 0.25
+"""The same for boxes in the image, in square roots of the box's area. In footage of two junctions the 20
+vehicles that stood stayed within 0.16 of these, and all people on foot moved by more than 0.5."""
+_STANDS_GROWTH: Final = 1.3
+"""A box whose size changes by more than this factor, between its 5th and 95th percentiles, moved towards the camera or
+away."""
 _STANDS_S: Final = 5.0
-"""And was seen for so long, seconds."""
+"""A track that never moved was seen for this long at least, seconds."""
+_END_ROWS: Final = 3
+"""Number of rows at the begin and end of a track whose median says whether it came from elsewhere, or left."""
 _FORCE: Final = 9.0
 """Acceleration, along or across, that no vehicle reaches, m/s^2."""
 _FORCE_S: Final = 0.5
@@ -35,6 +49,22 @@ _FEWEST_OTHERS: Final = 5
 _OPPOSITE: Final = math.radians(150)
 _LOOKED_AT: Final = 128
 """So many of those who pass near are looked at first."""
+_FLOW_S: Final = 60.0
+"""Other tracks within this time of a track at a spot are the flow around it, seconds."""
+_FLOW_TRACKS: Final = 10
+"""Maximum number of tracks in that flow: those nearest in time, so that a queue is compared with itself."""
+_FLOW_ROWS: Final = 64
+"""Maximum number of rows of a cell, nearest in time before and after, in which these tracks are looked for."""
+_FLOW_SPOTS: Final = 16
+"""Maximum number of spots of a track at which its speed is compared."""
+_FLOW_ANGLE: Final = math.radians(45)
+"""Largest difference of direction from tracks in the same flow; tracks slower than `_DIRECTION_MPS` have none."""
+_FLOW_FACTOR: Final = 1.8
+"""A speed is implausible if it differs from the median of the flow by this factor at least."""
+_FLOW_SIGMAS: Final = 3.0
+"""It also differs by this many standard deviations of the flow and of the track's own speed."""
+_MAD_SIGMA: Final = 1.4826
+"""Standard deviation of a normal distribution in units of its median absolute deviation."""
 
 
 def flagged(tracks: Sequence[Track]) -> list[Track]:
@@ -46,13 +76,16 @@ def flagged(tracks: Sequence[Track]) -> list[Track]:
     parts.sort(key=lambda track: int(track.frames[0]))
     parts = [replace(part, number=number) for number, part in enumerate(parts, start=1)]
     against = _against_traffic(parts)
+    never_moved = {track.number for track in parts if _never_moved(track)}
+    implausible = _implausible_speeds([track for track in parts if track.number not in never_moved])
     out = []
     for track in parts:
         holds = {
             "two_poses": int(track.located.sum()) <= _FEW,
-            "never_moved": _never_moved(track),
+            "never_moved": track.number in never_moved,
             "impossible_motion": "impossible_motion" in track.flags,
             "against_traffic": track.number in against,
+            "implausible_speed": track.number in implausible,
         }
         out.append(replace(track, flags=tuple(name for name in TRACK_FLAGS if holds[name])))
     return out
@@ -74,9 +107,36 @@ def _runs(holds: NDArray[np.bool_]) -> list[NDArray[np.intp]]:
 
 
 def _never_moved(track: Track) -> bool:
-    middle = np.median(track.xy, axis=0)
-    farthest = np.percentile(np.linalg.norm(track.xy - middle, axis=1), 95)
-    return bool(track.times_s[-1] - track.times_s[0] >= _STANDS_S and farthest < _STANDS_M)
+    return _stays(track.xy, track.times_s, _STANDS_M)
+
+
+def box_never_moved(boxes: Array, times_s: Array) -> bool:
+    """Whether boxes in the image are those of something that never moved, whatever its category.
+
+    A road user that waits has moved if its track shows how it came or left.
+
+    Args:
+        boxes: (M, 4) x, y, width and height of one track, pixels.
+        times_s: (M,) seconds, rising.
+
+    Returns:
+        True if the boxes stay in one place, with one size, for at least 5 s; False for no boxes.
+    """
+    if not len(boxes):
+        return False
+    sizes = np.sqrt(boxes[:, 2] * boxes[:, 3])
+    small, large = np.percentile(sizes, [5, 95])
+    middles = boxes[:, :2] + boxes[:, 2:] / 2
+    return bool(large <= _STANDS_GROWTH * small) and _stays(middles, times_s, _STANDS_SIZES * float(np.median(sizes)))
+
+
+def _stays(places: Array, times_s: Array, reach: float) -> bool:
+    """Whether places (M, 2) stay within `reach` of their median for some time, also at the begin and at the end."""
+    middle = np.median(places, axis=0)
+    farthest = np.percentile(np.linalg.norm(places - middle, axis=1), 95)
+    ends = [np.median(rows, axis=0) for rows in (places[:_END_ROWS], places[-_END_ROWS:])]
+    came_or_left = max(float(np.linalg.norm(end - middle)) for end in ends) > reach
+    return bool(times_s[-1] - times_s[0] >= _STANDS_S and farthest < reach and not came_or_left)
 
 
 def _impossible(track: Track) -> NDArray[np.bool_]:
@@ -109,6 +169,61 @@ def _against_traffic(tracks: Sequence[Track]) -> set[int]:
             opposite = np.unique(owner[others[cosine < math.cos(_OPPOSITE)]])
             alone[i] = len(opposite) >= _FEWEST_OTHERS and not (cosine > 0).any()
     return {track.number for k, (track, _) in enumerate(moving) if alone[owner == k].mean() > 0.5}
+
+
+def _implausible_speeds(tracks: Sequence[Track]) -> set[int]:
+    """Numbers of tracks whose speed the flow contradicts at most of the spots that they pass.
+
+    Spots are counted and not moments: a vehicle that waits at a light has the speed of the flow along most of its way.
+    """
+    if len(tracks) <= _FEWEST_OTHERS:
+        return set()
+    rows = [_spots(track) for track in tracks]
+    places = np.concatenate([track.xy[own] for track, own in zip(tracks, rows, strict=True)])
+    times = np.concatenate([track.times_s[own] for track, own in zip(tracks, rows, strict=True)])
+    speeds = np.concatenate([track.speed[own] for track, own in zip(tracks, rows, strict=True)])
+    sigmas = np.concatenate([track.speed_sigma[own] for track, own in zip(tracks, rows, strict=True)])
+    velocities = np.concatenate([track.velocity[own] for track, own in zip(tracks, rows, strict=True)])
+    slow = speeds < _DIRECTION_MPS  # headings of such tracks are often wrong, by 180 degrees too
+    ahead = velocities / np.maximum(speeds, _DIRECTION_MPS)[:, None]
+    owner = np.repeat(np.arange(len(tracks)), [len(own) for own in rows])
+    compared = np.concatenate([_spread_evenly(len(own), _FLOW_SPOTS) for own in rows])
+    contradicted = np.zeros(len(places), dtype=bool)
+    for here, near in _by_cell(places):
+        near = near[np.argsort(times[near], kind="stable")]
+        at = np.searchsorted(times[near], times[here])
+        for i, middle in zip(here[compared[here]].tolist(), at[compared[here]].tolist(), strict=True):
+            window = near[max(0, middle - _FLOW_ROWS) : middle + _FLOW_ROWS]
+            apart_s = np.abs(times[window] - times[i])
+            flow = (owner[window] != owner[i]) & (apart_s <= _FLOW_S)
+            flow &= slow[i] | slow[window] | (ahead[window] @ ahead[i] > math.cos(_FLOW_ANGLE))
+            nearest = window[flow][np.argsort(apart_s[flow], kind="stable")]
+            _, first = np.unique(owner[nearest], return_index=True)
+            others = speeds[nearest[np.sort(first)[:_FLOW_TRACKS]]]
+            contradicted[i] = len(others) >= _FEWEST_OTHERS and _contradicts(others, float(speeds[i]), float(sigmas[i]))
+    return {track.number for k, track in enumerate(tracks) if contradicted[compared & (owner == k)].mean() > 0.5}
+
+
+def _contradicts(others: Array, speed: float, sigma: float) -> bool:
+    """Whether the speeds of a flow (N,) contradict a speed that has the standard deviation `sigma`, m/s."""
+    median = float(np.median(others))
+    spread = _MAD_SIGMA * float(np.median(np.abs(others - median)))
+    slower, faster = sorted((speed, median))
+    return faster > _FLOW_FACTOR * slower and faster - slower > _FLOW_SIGMAS * math.hypot(spread, sigma)
+
+
+def _spots(track: Track) -> NDArray[np.intp]:
+    """The middle row of each stay of a track in a square of `_BESIDE_M`."""
+    cells = np.floor(track.xy / _BESIDE_M)
+    change = np.flatnonzero((np.diff(cells, axis=0) != 0).any(axis=1)) + 1
+    return np.array([run[len(run) // 2] for run in np.split(np.arange(len(cells)), change)])
+
+
+def _spread_evenly(count: int, most: int) -> NDArray[np.bool_]:
+    """(count,) truth values of which up to `most` are true, evenly spread."""
+    chosen = np.zeros(count, dtype=bool)
+    chosen[np.linspace(0, count - 1, min(count, most)).astype(int)] = True
+    return chosen
 
 
 def _by_cell(places: Array) -> Iterator[tuple[NDArray[np.intp], NDArray[np.intp]]]:

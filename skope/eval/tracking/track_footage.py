@@ -118,7 +118,7 @@ def follow_footage(job: TrackJob, console: Console) -> Iterator[str]:
     seconds = times[-1] - times[0]
     yield f"{counted(len(tracks), 'track')} over {seconds:.1f} s"
     yield from _road_user_words(job, road_users)
-    doubtful = Counter(flag for track in tracks for flag in track.flags)
+    doubtful = Counter(flag for track in (*tracks, *road_users) for flag in track.flags)
     if doubtful:
         yield f"of these: {', '.join(f'{number} {flag}' for flag, number in sorted(doubtful.items()))}"
     if refused.total():

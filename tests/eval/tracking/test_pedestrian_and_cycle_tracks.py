@@ -169,6 +169,23 @@ def test_who_stands_has_no_heading() -> None:
     assert track.speed.max() < 0.5
 
 
+def test_an_object_that_is_taken_for_a_bicycle_never_moved() -> None:
+    """It stays in its place in the image; a cyclist who waits for as long and then rides moves there."""
+    times = (np.arange(120) / 10).tolist()
+    rng = np.random.default_rng(2)
+    images = []
+    for k in range(len(times)):
+        ridden = 0.4 * max(0, k - 80)
+        stands, rides = sight(np.array([0.0, 0.0]), BICYCLE), sight(np.array([9.0 + ridden, 0.0]), BICYCLE)
+        images.append(
+            [
+                replace(one, bbox=np.array([x, 50.0, 20.0, 40.0]) + rng.normal(0, 0.5, 4))
+                for one, x in ((stands, 100.0), (rides, 200.0 + 8 * ridden))
+            ]
+        )
+    assert [one.flags for one in follow_road_users(images, times)] == [("never_moved",), ()]
+
+
 def test_who_is_gone_for_long_comes_back_as_somebody_else_and_for_short_does_not() -> None:
     times = np.arange(0, 6, 0.1).tolist()
     for gap, count in ((0.8, 1), (2.0, 2)):

@@ -8,7 +8,7 @@ import pytest
 
 from skope.camera.model import Camera
 from skope.camera.uncertain_camera import UncertainCamera
-from skope.eval.tracking.track_flags import flagged
+from skope.eval.tracking.track_flags import box_never_moved, flagged
 from skope.eval.tracking.vehicle_classes import VEHICLE_CLASS_NAMES, vehicle_class
 from skope.schema import VEHICLE_TYPES
 from skope.tracks.track import Track
@@ -73,6 +73,44 @@ def test_two_poses_and_standing_still_are_told() -> None:
     ]
 
 
+def boxes_at(middles: np.ndarray, size: float = 20.0, jitter_px: float = 0.8) -> np.ndarray:
+    """(M, 4) upright boxes around (M, 2) middles; position and size jitter as a detector's do."""
+    rng = np.random.default_rng(1)
+    edges = np.array([0.7, 1.4]) * size + rng.normal(0, jitter_px, (len(middles), 2))
+    return np.hstack([middles - edges / 2 + rng.normal(0, jitter_px, (len(middles), 2)), edges])
+
+
+def test_a_box_that_stays_in_its_place_never_moved() -> None:
+    """A traffic drum that is taken for a bicycle, with an outlier now and then; with few frames it may be a queue."""
+    drum = np.tile([300.0, 200.0], (255, 1))
+    drum[40:250:60] += 15
+    times = np.arange(255) * 0.1
+    assert box_never_moved(boxes_at(drum), times)
+    assert not box_never_moved(boxes_at(drum[:40]), times[:40])
+    assert not box_never_moved(np.zeros((0, 4)), np.zeros(0))
+
+
+@pytest.mark.parametrize("goes", ["comes", "leaves"])
+def test_a_cyclist_who_waits_at_a_light_moves(goes: str) -> None:
+    """For 90 s in one place; riding is 2% of the track."""
+    rides = np.column_stack([np.linspace(4, 45, 18) ** 1.1, np.zeros(18)])
+    waits = np.zeros((900, 2))
+    middles = np.concatenate([rides[::-1], waits] if goes == "comes" else [waits, rides])
+    assert not box_never_moved(boxes_at(middles + 300), np.arange(918) * 0.1)
+
+
+def test_a_box_that_grows_in_its_place_moved() -> None:
+    """It comes along the line of sight, at the vanishing point."""
+    grown = np.hstack([boxes_at(np.full((60, 2), 300.0), size) for size in (10.0, 20.0)]).reshape(60, 2, 4)
+    share = np.linspace(0, 1, 60)[:, None]
+    assert not box_never_moved(grown[:, 0] * (1 - share) + grown[:, 1] * share, np.arange(60) * 0.1)
+
+
+def test_a_vehicle_that_waits_for_long_and_then_drives_off_moved() -> None:
+    queue = np.concatenate([np.zeros((960, 2)), along(0, 5, 40) * 0.5])
+    assert flags(track(1, queue, seconds=100.0)) == [()]
+
+
 def test_who_turns_round_on_the_spot_is_two_vehicles() -> None:
     times = np.linspace(0, 6, 60)
     x = np.cumsum(np.clip(24 * (3 - times), -20, 20)) * 0.1
@@ -126,6 +164,65 @@ def test_who_drives_against_the_traffic_is_as_looking_at_all_pairs_says() -> Non
         alone[i] = opposite >= 5 and not (away > 0).any()
     assert told == {k for k in range(90) if alone[owner == k].mean() > 0.5}
     assert {5, 18, 40} <= told
+
+
+def later(one: Track, begin_s: float) -> Track:
+    """The track, begun at another time."""
+    return replace(one, times_s=one.times_s + begin_s)
+
+
+def lane(speed: float, number: int, *, every_s: float = 3.0, first: int = 100, y: float = 0.0) -> list[Track]:
+    """Tracks that follow each other along x with speeds within 5% of `speed`, m/s."""
+    rng = np.random.default_rng(3)
+    speeds = speed * rng.uniform(0.95, 1.05, number)
+    offsets = y + rng.normal(0, 0.3, number)
+    made = zip(speeds.tolist(), offsets.tolist(), strict=True)
+    return [later(track(first + k, along(side, v)), every_s * k) for k, (v, side) in enumerate(made)]
+
+
+def implausible(*tracks: Track) -> list[int]:
+    """Numbers of those with the flag; all begin at different times and are numbered by their order here."""
+    ordered = [replace(one, frames=one.frames + 1000 * k) for k, one in enumerate(tracks)]
+    return [k for k, one in enumerate(flagged(ordered)) if "implausible_speed" in one.flags]
+
+
+@pytest.mark.parametrize(("speed", "told"), [(12.0, True), (1.0, True), (18.0, False), (46.0, True), (30.0, False)])
+def test_a_speed_that_the_flow_around_contradicts_is_implausible(speed: float, told: bool) -> None:
+    odd = later(track(1, along(0.5, speed)), 10.0)
+    assert implausible(odd, *lane(25, 12)) == ([0] if told else [])
+
+
+def test_a_slow_track_is_compared_whatever_its_direction() -> None:
+    """A jumping pose has no direction: here it creeps back against a fast lane."""
+    assert implausible(later(track(1, along(0.0, 1.5)[::-1] + [40.0, 0.0]), 10.0), *lane(25, 12)) == [0]
+
+
+@pytest.mark.parametrize(
+    "others",
+    [
+        lane(25, 4),  # too few
+        [later(one, 200.0) for one in lane(25, 12)],  # at another time
+        lane(25, 12, y=7.0),  # in another lane
+        [replace(one, position=one.position[::-1], velocity=-one.velocity) for one in lane(25, 12)],  # the other way
+    ],
+)
+def test_a_speed_without_a_flow_around_is_plausible(others: list[Track]) -> None:
+    assert implausible(later(track(1, along(0.0, 8)), 10.0), *others) == []
+
+
+def test_a_queue_is_no_implausible_speed() -> None:
+    """A platoon at 5 m/s within a flow at 20 m/s: the tracks nearest in time are slow too."""
+    before, queue, after = lane(20, 12, first=1), lane(5, 12, first=50), lane(20, 12, first=150)
+    tracks = [*before, *(later(one, 38.0) for one in queue), *(later(one, 80.0) for one in after)]
+    assert implausible(*tracks) == []
+
+
+def test_one_that_waits_at_a_light_is_plausible() -> None:
+    """It brakes from 14 m/s at 2 m/s^2, stands for 20 s and drives on; all others pass at green."""
+    t = np.linspace(0, 40, 400)
+    speed = np.clip(np.maximum(14 - 2 * np.maximum(t - 2, 0), 2 * (t - 29)), 0, 14)
+    waits = track(1, np.column_stack([np.cumsum(speed) * 0.1, np.zeros(400)]), seconds=40.0)
+    assert implausible(later(waits, 5.0), *lane(14, 14, every_s=4.0)) == []
 
 
 def test_the_cameras_error_widens_what_a_track_says() -> None:
