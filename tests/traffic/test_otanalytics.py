@@ -112,7 +112,8 @@ def test_the_command_writes_what_it_counted(skope: Skope, tracks: Any) -> None: 
     names = {"plan.ottrk", "plan.otflow", "image.ottrk", "image.otflow", "work.json"}
     assert {path.name for path in Path("r/otanalytics").iterdir()} == names, "the tracks know their camera"
 
-    camera = {"size": [CAMERA.width, CAMERA.height], "K": (2 * CAMERA.K).tolist()}
+    other = CAMERA.K * [[1.5], [1.5], [1.0]]  # that of the site is not the one that the tracks were made with
+    camera = {"size": [CAMERA.width, CAMERA.height], "K": other.tolist()}
     camera["T_camera_world"] = CAMERA.T_camera_world.tolist()
     text = "\n".join(["[camera]", *(f"{key} = {value}" for key, value in camera.items())])
     where.write_text(f"{where.read_text()}{text}\n")
