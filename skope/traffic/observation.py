@@ -65,6 +65,7 @@ class Observation:
         """(S, 2) begin and end of the times without a gap, seconds.
 
         A frame stands for a usual step from its time on, so that a footage lasts as long as its frames are shown.
+        Frames of a moved camera are a gap, however short.
         """
         if self.parts:
             return np.concatenate([part.spans for part in self.parts])
@@ -72,7 +73,8 @@ class Observation:
             return np.zeros((0, 2))
         steps = np.diff(self.times_s)
         usual = _usual_step(self.times_s)
-        cuts = np.flatnonzero(steps > max(_GAP_S, _GAP_STEPS * usual))
+        moved = np.diff(np.searchsorted(self.moved_s, self.times_s)) > 0
+        cuts = np.flatnonzero((steps > max(_GAP_S, _GAP_STEPS * usual)) | moved)
         begins = self.times_s[np.concatenate([[0], cuts + 1]).astype(int)]
         ends = self.times_s[np.concatenate([cuts, [len(self.times_s) - 1]]).astype(int)]
         return np.stack([begins, ends + usual], axis=1)

@@ -9,6 +9,7 @@ from typing import Any, Final
 import numpy as np
 
 from skope.eval.inference.frame_sources import FOUND_AT, Cut, open_footage
+from skope.eval.known_views import read_views, view_numbers
 from skope.schema import AnnotationFile
 from skope.types import Pixels
 
@@ -25,6 +26,8 @@ _ROUNDING_S: Final = 0.01
 def empty_road(folder: Path, file: AnnotationFile) -> Pixels | None:
     """(H, W, 3) the median of frames of the footage: vehicles that drive are gone, those that stand remain.
 
+    Frames are taken of the view that the first image shows.
+
     Args:
         folder: Where the file of frames lies.
         file: The frames; `info` says where their footage is.
@@ -38,7 +41,9 @@ def empty_road(folder: Path, file: AnnotationFile) -> Pixels | None:
     source = footage_of(folder, file.info)
     if source is None:
         return None
-    times = [image.time_s for image in file.images if image.time_s is not None] or [0.0, math.inf]
+    times = [image.time_s for image in file.images if image.time_s is not None]
+    shown = view_numbers(read_views(file.name, file.info), times).tolist()
+    times = [time_s for time_s, view in zip(times, shown, strict=True) if view == shown[0]] or [0.0, math.inf]
     span = Cut(start_s=times[0], end_s=min(times[-1], times[0] + _SECONDS) + _ROUNDING_S)
     footage = open_footage(str(source), span)
     footage.cut = replace(span, every=max(1, len(footage) // _FRAMES))

@@ -233,7 +233,7 @@ def _road_user_words(job: TrackJob, tracks: list[Track]) -> Iterator[str]:
 def _road(job: TrackJob, camera: Camera, console: Console) -> NDArray[np.uint8] | None:
     """The empty road as `camera` shows it; None where the footage is not at hand: tracks do without."""
     try:
-        road = empty_road(job.place, job.scene.file)
+        road = empty_road(job.place, job.scene.calibrated_part().file)
     except UserError as error:
         console.say(f"birdseye.png does without a picture of the road: {error}")
         return None
