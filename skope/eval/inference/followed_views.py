@@ -13,8 +13,8 @@ from skope.errors import UserError
 from skope.eval.image_shift import MOVED_SHARE, ImageMotion, ReferencePicture, SmallPicture
 from skope.eval.inference.frame_sources import Cut, Footage
 from skope.eval.inference.view_changes import ViewChange
-from skope.eval.tracking.empty_road import median_of
 from skope.eval.view_registration import ViewHomography, register, transformed
+from skope.pictures.median import median_of
 from skope.types import Pixels
 
 _PICTURE_S: Final = 20.0
