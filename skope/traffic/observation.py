@@ -53,6 +53,8 @@ class Observation:
     """The road that positions were computed on; None: not known."""
     moved_s: Array = field(default_factory=lambda: np.zeros(0))
     """(M,) seconds of the frames after the camera had been moved, rising: they are not among `times_s`."""
+    turned: tuple[tuple[float, Camera], ...] = ()
+    """Cameras that `camera` was turned to in this footage, each with the time from which on, seconds, rising."""
     sight: Array = field(default_factory=lambda: np.zeros((0, 3)))
     """(L, 3) times (s), rising, brightness (0 to 1) and contrast of pictures of the footage; empty: not measured."""
     begins: datetime | None = None
@@ -137,9 +139,14 @@ class Observation:
             "common_sigma": self.common_sigma,
             "camera": None if self.camera is None else _camera_dict(self.camera, self.uncertainty),
             "ground": None if self.ground is None else asdict(self.ground),
+            **({"turned": [self._turned_dict(*one) for one in self.turned]} if self.turned else {}),
             "sight": self.sight.tolist(),
             **({} if self.begins is None else {"begins": self.begins.isoformat()}),
         }
+
+    @staticmethod
+    def _turned_dict(from_s: float, camera: Camera) -> dict[str, Any]:
+        return {"from_s": round(from_s, 4), **_camera_dict(camera, None)}
 
 
 def held_s(times_s: Array, begin_s: float, end_s: float, further_s: Sequence[float] | Array = ()) -> Array:
@@ -200,6 +207,7 @@ def read_observation(folder: Path) -> Observation:
         uncertainty=uncertainty,
         ground=_read_ground(path, document.get("ground")),
         moved_s=np.unique(_numbers(path, document, "moved_times_s")) if "moved_times_s" in document else np.zeros(0),
+        turned=_read_turned(path, document.get("turned", [])),
         sight=checked_sight(document.get("sight"), f"{path}: sight"),
         begins=None if document.get("begins") is None else read_begins(document["begins"], f"{path}: begins"),
     )
@@ -221,6 +229,14 @@ def _read_camera(path: Path, value: Any) -> tuple[Camera | None, UncertainCamera
         return camera, uncertain_of_json(path, value, camera)
     except UserError as error:
         raise UserError(f"{path}: camera: {str(error).removeprefix(f'{path}: ')}") from None
+
+
+def _read_turned(path: Path, value: Any) -> tuple[tuple[float, Camera], ...]:
+    """The turned cameras of `footage.json`."""
+    if not isinstance(value, list) or not all(isinstance(one, dict) and is_number(one.get("from_s")) for one in value):
+        raise UserError(f"{path}: turned: expected cameras, each with from_s")
+    cameras = [_read_camera(path, one)[0] for one in value]
+    return tuple((float(one["from_s"]), camera) for one, camera in zip(value, cameras, strict=True) if camera)
 
 
 def _read_ground(path: Path, value: Any) -> Ground | None:

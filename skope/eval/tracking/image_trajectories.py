@@ -33,6 +33,8 @@ _TOGETHER_SHARE: Final = 0.5
 _LEAST_VISIBLE: Final = 0.9
 """A view is observed if it shows this share of each gate."""
 _POINTS_ON_GATE: Final = 200
+_MOVING_S: Final = 1.0
+"""A camera is advised to be counted apart this long after a change of view whose end is not known, seconds."""
 MotRow = tuple[float, float, float, float, float]
 """Time (s), column and row of the middle of a box's lower edge, and the box's width and height, pixels."""
 
@@ -89,7 +91,7 @@ def _followed_views(file: AnnotationFile, gates: Sequence[Gate]) -> tuple[list[K
     views, notes = read_views(file.name, file.info), list[str]()
     size = (file.images[0].width, file.images[0].height) if file.images else (1, 1)
     for k, view in enumerate(views[1:], start=1):
-        why = "it is not surely known where the gates lie in its view"
+        why, start_s = "it is not surely known where the gates lie in its view", view.begin_s + _MOVING_S
         if view.from_first is not None:
             shares = {gate.name: _visible_share(np.array(gate.pixels), view.from_first.matrix, size) for gate in gates}
             hidden = [name for name, share in shares.items() if share < _LEAST_VISIBLE]
@@ -100,11 +102,12 @@ def _followed_views(file: AnnotationFile, gates: Sequence[Gate]) -> tuple[list[K
                 )
                 continue
             why = f"its view does not show all of gate {hidden[0]!r} ({shares[hidden[0]]:.0%})"
+            start_s = view.settled_s
             views[k] = replace(view, from_first=None)
         notes.append(
             f"the camera was moved at {view.begin_s:.1f} s: {why}, and nothing is counted in it. Draw the gates in "
             f"the new view in a second site file, and count it apart: `skope eval predict VIDEO --start "
-            f"{view.settled_s:.1f} --out second`, then `skope eval traffic second --site second.toml`"
+            f"{start_s:.1f} --out second`, then `skope eval traffic second --site second.toml`"
         )
     return views, notes
 

@@ -19,7 +19,7 @@ import pytest
 import sumolib
 from numpy.typing import NDArray
 
-from skope.camera.ground_plane import Ground
+from skope.camera.ground_plane import Ground, ground_places
 from skope.camera.model import Camera
 from skope.camera.uncertain_camera import UncertainCamera
 from skope.dataset import coco
@@ -862,6 +862,21 @@ def test_a_turned_camera_goes_on_to_give_metres(skope: Any) -> None:
     ]
     assert np.median(off) < 0.1
     assert max(off) < 0.4
+    ((from_s, camera_after),) = watched["turned"].turned
+    assert from_s == pytest.approx(2.2)
+    assert camera_after.T_camera_world == pytest.approx(after.T_camera_world, abs=1e-4)
+    assert watched["lost"].turned == ()
+    # What is at the image's right edge leaves it by the turn; what is in its middle does not.
+    gates = ""
+    for gate, column in (("edge", CAMERA.width - 20.0), ("middle", CAMERA.width / 2)):
+        line = ground_places(CAMERA, np.array([[column, 0.6 * CAMERA.height], [column, 0.9 * CAMERA.height]]))[:, :2]
+        gates += f'[[gates]]\nname = "{gate}"\nline = {line.tolist()}\n'
+    Path("site.toml").write_text(gates)
+    for name in files:
+        code, out, error = skope("eval", "traffic", name, "--out", f"{name}_report")
+        assert code == 0, error
+        assert ("gate 'edge': the camera was turned, and from 2.2 s on it shows 0%" in out) == (name == "turned")
+        assert "gate 'middle': the camera was turned" not in out
     still, turned = watched["still"].uncertainty, watched["turned"].uncertainty
     assert still is not None
     assert turned is not None

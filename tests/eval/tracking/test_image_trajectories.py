@@ -69,7 +69,7 @@ def test_all_vehicles_are_counted_before_and_after_a_knock(skope: Skope) -> None
         rows = list(csv.DictReader(Path(f"{name}_report/events.csv").read_text().splitlines()))
         events[name] = {row["track"]: row for row in rows}
         if name == "lost":
-            assert "skope eval predict VIDEO --start 6.0 --out second" in " ".join(out.split())
+            assert "skope eval predict VIDEO --start 7.0 --out second" in " ".join(out.split())
     assert len(events["still"]) == 12
     assert len(events["knocked"]) == 12
     assert len(events["lost"]) == 5
