@@ -13,7 +13,10 @@ from skope.eval.inference.followed_views import with_homographies
 from skope.eval.inference.frame_sources import open_footage
 from skope.eval.inference.view_changes import ViewChange
 from skope.eval.known_views import MOVING, read_views, view_numbers
-from skope.eval.view_registration import transformed
+from skope.eval.tracking.empty_road import empty_road
+from skope.eval.view_registration import register, transformed
+from skope.keypoints import SKOPE33
+from skope.schema import AnnotationFile, Image
 from tests.eval.test_image_shift import SIZE, picture, with_traffic
 from tests.eval.test_view_registration import CORNERS, turned_and_zoomed
 
@@ -90,3 +93,17 @@ def test_predict_says_where_the_first_view_lies(skope: Any, random_run: Path, tm
     off = transformed(second.from_first.matrix, CORNERS) - transformed(KNOCKED, CORNERS)
     assert np.abs(off).max() < 0.5
     assert (second.begin_s, second.settled_s) == pytest.approx((3.6, 4.2))
+
+
+def test_the_empty_road_is_of_one_view(tmp_path: Path) -> None:
+    """Also where most of the footage shows another one."""
+    views = [(np.eye(3), "noon.jpg")] * 10 + [(KNOCKED, "noon.jpg")] * 30
+    write_video(tmp_path / "a.avi", views)
+    images = tuple(Image(id=k + 1, file_name=f"{k}", width=640, height=360, time_s=k / FPS) for k in range(40))
+    info = {"found_at": "a.avi", "view_changes": [{"time_s": 1.0, "cut": False, "shift": 0.03}]}
+    file = AnnotationFile(images=images, annotations=(), info=info, name="a", scheme=SKOPE33)
+    road = empty_road(tmp_path, file)
+    assert road is not None
+    found = register(road, with_traffic(picture(np.eye(3)), np.random.default_rng(0), 0))
+    assert found is not None
+    assert transformed(found.matrix, CORNERS) == pytest.approx(CORNERS, abs=0.5)
