@@ -846,8 +846,8 @@ def test_a_turned_camera_goes_on_to_give_metres(skope: Any) -> None:
     rows, watched = {}, {}
     for name, of_name in files.items():
         coco.write(Path(f"{name}.json"), of_name)
-        call = ("--annotations", f"{name}.json", "--noise", 0.5, "--camera", "camera.json", "--ground", 0)
-        code, out, error = skope("eval", "track", *call, "--out", name)
+        call = ("--annotations", f"{name}.json", "--noise", 0.5, "--camera", "camera.json", "--out", name)
+        code, out, error = skope("eval", "track", *call)
         assert code == 0, error
         assert ("from 2.1 s on the camera is turned (0.0" in out) == (name == "turned")
         rows[name] = {(row["track"], row["time_s"]): row for row in rows_of(Path(f"{name}/tracks.csv"))}
