@@ -93,7 +93,8 @@ SHARED = (
 """What lies at the top of skope/."""
 EVAL = (
     {"least_cost_pairs", "image_shift"},
-    {"box_links"},
+    {"box_links", "view_registration"},
+    {"known_views"},
     {"pose", "report"},
     {"camera_fit"},
     {"inference"},

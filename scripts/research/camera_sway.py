@@ -127,7 +127,7 @@ def shaken(file: AnnotationFile, pictures: "Pictures", sway_px: float, bump_px: 
         if not a.ignored and (made := labelled(a, wide, turn)) is not None
     ]
     info = {
-        **({CHANGES: [vars(change) for change in changes]} if changes else {}),
+        **({CHANGES: [change.to_dict() for change in changes]} if changes else {}),
         **({MOTION: motion.to_dict()} if motion else {}),
     }
     said = f"{motion.median_px:.2f} px" if motion else "still"

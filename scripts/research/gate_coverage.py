@@ -83,7 +83,7 @@ def reports(folder: Path, *, true_keypoints: bool) -> Iterator[tuple[str, Traffi
     ways = [("keypoints", ["--annotations", labels, "--noise", NOISE_PX])] if true_keypoints else []
     seen = [] if true_keypoints else sorted(path.parent for path in folder.glob("seen*/predictions.json"))
     for detections in seen:
-        tracks, observation = read_image_trajectories(detections)
+        tracks, observation, _ = read_image_trajectories(detections)
         yield f"{detections.name} image", count_in_image(tracks, observation, site)
         found = folder / f"camera_{detections.name}.json"
         if found.is_file() or run_skope("eval", "camera", str(detections), "--out", str(found)):

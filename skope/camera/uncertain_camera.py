@@ -91,6 +91,15 @@ class UncertainCamera:
         """The same uncertainty of a camera that is another one's at another size of the image."""
         return UncertainCamera(camera, self.parameters, self.covariance)
 
+    def widened(self, added: Mapping[tuple[str, ...], Array]) -> "UncertainCamera":
+        """The camera with further, independent errors: covariances by the names of the parameters that they are of."""
+        names = tuple(name for name in PARAMETERS if any(name in part for part in (self.parameters, *added)))
+        covariance = np.zeros((len(names), len(names)))
+        for part, of_part in ((self.parameters, self.covariance), *added.items()):
+            at = [names.index(name) for name in part]
+            covariance[np.ix_(at, at)] += of_part
+        return UncertainCamera(self.camera, names, covariance)
+
     # ---------------------------------------------------------------------------------------------------------- places
 
     def places(self, pixels: ArrayLike, height: float = 0.0) -> Array:

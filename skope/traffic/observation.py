@@ -54,6 +54,8 @@ class Observation:
     """The road that positions were computed on; None: not known."""
     moved_s: Array = field(default_factory=lambda: np.zeros(0))
     """(M,) seconds of the frames after the camera had been moved, rising: they are not among `times_s`."""
+    turned: tuple[tuple[float, Camera], ...] = ()
+    """Cameras that `camera` was turned to in this footage, each with the time from which on, seconds, rising."""
     sight: Array = field(default_factory=lambda: np.zeros((0, 3)))
     """(L, 3) times (s), rising, brightness (0 to 1) and contrast of pictures of the footage; empty: not measured."""
     begins: datetime | None = None
@@ -66,6 +68,7 @@ class Observation:
         """(S, 2) begin and end of the times without a gap, seconds.
 
         A frame stands for a usual step from its time on, so that a footage lasts as long as its frames are shown.
+        Frames of a moved camera are a gap, however short.
         """
         if self.parts:
             return np.concatenate([part.spans for part in self.parts])
@@ -73,7 +76,8 @@ class Observation:
             return np.zeros((0, 2))
         steps = np.diff(self.times_s)
         usual = _usual_step(self.times_s)
-        cuts = np.flatnonzero(steps > max(_GAP_S, _GAP_STEPS * usual))
+        moved = np.diff(np.searchsorted(self.moved_s, self.times_s)) > 0
+        cuts = np.flatnonzero((steps > max(_GAP_S, _GAP_STEPS * usual)) | moved)
         begins = self.times_s[np.concatenate([[0], cuts + 1]).astype(int)]
         ends = self.times_s[np.concatenate([cuts, [len(self.times_s) - 1]]).astype(int)]
         return np.stack([begins, ends + usual], axis=1)
@@ -163,9 +167,14 @@ class Observation:
             "common_sigma": self.common_sigma,
             "camera": None if self.camera is None else _camera_dict(self.camera, self.uncertainty),
             "ground": None if self.ground is None else asdict(self.ground),
+            **({"turned": [self._turned_dict(*one) for one in self.turned]} if self.turned else {}),
             "sight": self.sight.tolist(),
             **({} if self.begins is None else {"begins": self.begins.isoformat()}),
         }
+
+    @staticmethod
+    def _turned_dict(from_s: float, camera: Camera) -> dict[str, Any]:
+        return {"from_s": round(from_s, 4), **_camera_dict(camera, None)}
 
 
 def held_s(times_s: Array, begin_s: float, end_s: float, further_s: Sequence[float] | Array = ()) -> Array:
@@ -226,6 +235,7 @@ def read_observation(folder: Path) -> Observation:
         uncertainty=uncertainty,
         ground=_read_ground(path, document.get("ground")),
         moved_s=np.unique(_numbers(path, document, "moved_times_s")) if "moved_times_s" in document else np.zeros(0),
+        turned=_read_turned(path, document.get("turned", [])),
         sight=checked_sight(document.get("sight"), f"{path}: sight"),
         begins=None if document.get("begins") is None else read_begins(document["begins"], f"{path}: begins"),
     )
@@ -247,6 +257,14 @@ def _read_camera(path: Path, value: Any) -> tuple[Camera | None, UncertainCamera
         return camera, uncertain_of_json(path, value, camera)
     except UserError as error:
         raise UserError(f"{path}: camera: {str(error).removeprefix(f'{path}: ')}") from None
+
+
+def _read_turned(path: Path, value: Any) -> tuple[tuple[float, Camera], ...]:
+    """The turned cameras of `footage.json`."""
+    if not isinstance(value, list) or not all(isinstance(one, dict) and is_number(one.get("from_s")) for one in value):
+        raise UserError(f"{path}: turned: expected cameras, each with from_s")
+    cameras = [_read_camera(path, one)[0] for one in value]
+    return tuple((float(one["from_s"]), camera) for one, camera in zip(value, cameras, strict=True) if camera)
 
 
 def _read_ground(path: Path, value: Any) -> Ground | None:

@@ -269,6 +269,7 @@ def _in_report(observation: Observation, begin_s: float) -> Observation:
         observation,
         times_s=_at(observation.times_s, begin_s),
         moved_s=_at(observation.moved_s, begin_s),
+        turned=tuple((from_s + begin_s, camera) for from_s, camera in observation.turned),
         sight=sight,
         begins=None,
     )

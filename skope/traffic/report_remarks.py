@@ -6,14 +6,17 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from skope.camera.model import Camera
 from skope.schema import VEHICLE
 from skope.site.gates_zones_lanes import Gate
 from skope.tracks.track import is_in_traffic
 from skope.traffic.gates import signed_distances
 from skope.traffic.hand_checks import hand_lines
+from skope.traffic.observation import Observation
 from skope.traffic.poor_sight import sight_lines
 from skope.traffic.recordings import recording_lines
 from skope.traffic.turning_movements import NOWHERE, on_foot
+from skope.types import Array, Mask
 
 if TYPE_CHECKING:
     from skope.traffic.traffic_report import TrafficReport
@@ -25,6 +28,9 @@ _BESIDE_M: Final = 2.0
 _MANY: Final = 0.1
 """So many of them, as a share of its crossings, are worth a warning; and `_FEW` at least."""
 _FEW: Final = 3
+_LEAST_VISIBLE: Final = 0.9
+"""Smallest share of a gate that a turned camera must show, of what it showed before, without a warning."""
+_POINTS_ON_GATE: Final = 100
 
 
 def remarks(report: "TrafficReport") -> Iterator[str]:
@@ -48,6 +54,7 @@ def remarks(report: "TrafficReport") -> Iterator[str]:
     yield from remarks_on_counts(report)
     for gate in report.gates:
         yield from _of_gate(gate, report)
+        yield from _of_turned_cameras(gate, observation)
 
 
 def remarks_on_counts(report: "TrafficReport") -> Iterator[str]:
@@ -107,6 +114,29 @@ def _of_conflicts(report: "TrafficReport") -> Iterator[str]:
             f"conflicts: {search.unsteady} pairs are left out of which one is not followed well enough where they meet "
             "(without a gap of 0.6 s, known to 0.5 m): there may be conflicts among them, most are none"
         )
+
+
+def _of_turned_cameras(gate: Gate, observation: Observation) -> Iterator[str]:
+    """Warnings where a camera was turned so that it shows less of a gate than before."""
+    for part in observation.parts or (observation,):
+        height = part.ground.height if part.ground else 0.0
+        line = np.linspace(gate.line[0], gate.line[1], _POINTS_ON_GATE)
+        places = np.column_stack([line, np.full(_POINTS_ON_GATE, height)])
+        before = None if part.camera is None else _shows(part.camera, places)
+        for from_s, camera in part.turned:
+            if before is not None and before.any():
+                share = float(_shows(camera, places)[before].mean())
+                if share < _LEAST_VISIBLE:
+                    yield (
+                        f"gate {gate.name!r}: the camera was turned, and from {from_s:.1f} s on it shows {share:.0%} "
+                        "of what it showed of the gate: counts from then on are too low"
+                    )
+
+
+def _shows(camera: Camera, places: Array) -> Mask:
+    """(N,) whether a camera shows places (N, 3)."""
+    pixels, _, valid = camera.project(places)
+    return np.asarray(valid & camera.inside(pixels), dtype=bool)
 
 
 def _of_gate(gate: Gate, report: "TrafficReport") -> Iterator[str]:

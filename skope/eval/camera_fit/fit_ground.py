@@ -76,7 +76,8 @@ def with_fitted_ground(
             raise UserError("--ground fit: needs a camera whose pose is known; `skope eval camera` finds both")
         return scene, None
     asking: dict[str, Any] = {"score": score, "noise": noise, "sigma_px": sigma_px}
-    cameras = _images_of_cameras(scene)
+    calibrated = scene.calibrated_part()  # a camera that was turned sees the same road
+    cameras = _images_of_cameras(calibrated)
     if len(cameras) > 1:
         if asked == "fit":
             raise UserError(
@@ -84,7 +85,7 @@ def with_fitted_ground(
             )
         return _with_roads(scene, cameras, asking)
     try:
-        fit = _fit(scene, asked, **asking)
+        fit = _fit(calibrated, asked, **asking)
     except UserError as error:
         if asked == "fit":
             raise UserError(f"--ground fit: {error}") from None

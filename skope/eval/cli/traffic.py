@@ -320,14 +320,16 @@ def _counted_in_image(
     from skope.traffic.recordings import begin_of
 
     formats = checked_formats(also, site, metres=False)
-    tracks, observation = read_image_trajectories(folder)
+    gates = gates_in_image(site.gates)
+    tracks, observation, notes = read_image_trajectories(folder, gates)
     begin = begin_of(start, observation, site)
-    counted = _counted_by_hand(hand_count, site, gates_in_image(site.gates), begin, observation)
+    counted = _counted_by_hand(hand_count, site, gates, begin, observation)
     inputs = [folder / FRAMES, folder / PREDICTIONS, site.path]
     if claim:
         claim_output(out, _COMMAND, inputs, options)
     further = _claimed(out, inputs, options, site, formats)
     report = _with_skipped(count_in_image(tracks, observation, site, begin, counted), skipped_lines(folder))
+    report = replace(report, refused=(*report.refused, *notes))
     try:
         road = empty_road(folder, coco.read(folder / FRAMES))
         view = None if road is None else empty_road_picture(road, observation.times_s)

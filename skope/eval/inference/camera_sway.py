@@ -109,6 +109,9 @@ class SwayRecord:
         """The camera's sway around its rest in each of its views; None: it stands still."""
         part = np.searchsorted([change.time_s for change in view_changes], self.times_s, side="right")
         values = self._values
+        for change in view_changes:
+            if change.settled_s is not None:  # the movement to another view is no sway
+                values[(self.times_s >= change.time_s) & (self.times_s < change.settled_s)] = np.nan
         known = np.isfinite(values[:, 0])
         for k in np.unique(part):
             rows = (part == k) & known
@@ -123,7 +126,7 @@ class SwayRecord:
         frames = {
             number: replace(motion, x=float(row[0]), y=float(row[1]), turn=float(row[2]))
             for number, motion, row in zip(self.numbers, self.motions, values, strict=True)
-            if motion is not None
+            if motion is not None and np.isfinite(row).all()
         }
         x, y, turn = np.sqrt((values[known] ** 2).mean(axis=0)).tolist()
         return CameraMotion(frames, (x, y, turn))
@@ -141,15 +144,21 @@ class SwayRecord:
         return int(np.isfinite(self._values[soon, 0]).sum()) < _FEWEST_FRAMES
 
     def _moves(self) -> list[ViewChange]:
-        """Changes of the view: times from which on the mean place of the image, over some seconds, is another one."""
+        """Changes of the view: times from which on the mean place of the image, over some seconds, is another one.
+
+        Turns and zooms count by how far they move the image's left and right edge.
+        """
         known = np.isfinite(self._values[:, 0])
-        places, times = self._values[known, :2], self.times_s[known]
+        half = self.width / 2
+        measured = [motion for motion in self.motions if motion is not None]
+        rows = [(one.x, one.y, half * one.turn, half * one.growth) for one in measured]
+        places, times = np.array(rows, dtype=np.float64).reshape(-1, 4), self.times_s[known]
         if not len(times):
             return []
         ends = np.searchsorted(times, times + _AROUND_S)
         # Windows that the footage cuts short say less.
         whole = (ends - np.arange(len(times)) >= _FEWEST_FRAMES) & (times + _AROUND_S <= times[-1] + 1e-6)
-        sums = np.concatenate([np.zeros((1, 2)), np.cumsum(places, axis=0)])
+        sums = np.concatenate([np.zeros((1, 4)), np.cumsum(places, axis=0)])
         means = (sums[ends] - sums[: len(times)]) / np.maximum(ends - np.arange(len(times)), 1)[:, None]
         out, begin = list[ViewChange](), 0
         while begin < len(times) and whole[begin]:
@@ -168,7 +177,7 @@ class SwayRecord:
 
 
 def _split(places: Array) -> int:
-    """Index at which places (N, 2) fall into two parts that lie each around a mean, with the least squares."""
+    """Index at which places (N, 4) fall into two parts that lie each around a mean, with the least squares."""
     count = np.arange(1, len(places))[:, None]
     sums = np.cumsum(places, axis=0)
     before, after = sums[:-1], sums[-1] - sums[:-1]

@@ -6,7 +6,7 @@ import threading
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from datetime import datetime
 from functools import partial
 from pathlib import Path
@@ -34,6 +34,7 @@ from skope.eval.box_links import FARTHEST_S
 from skope.eval.image_shift import ImageMotion
 from skope.eval.inference.camera_sway import SwayWatch, motion_of_row, motion_to_row, record_of
 from skope.eval.inference.confirmation import Confirmation
+from skope.eval.inference.followed_views import with_homographies
 from skope.eval.inference.frame_contrast import sight_rows
 from skope.eval.inference.frame_sources import Footage
 from skope.eval.inference.key_frames import with_frames_between
@@ -199,9 +200,11 @@ class Prediction:
         coco.write_result_rows(written[0], (seen.noted(result) for row in progress.rows() for result in kept(row)))
         record, looked = record_of(images, self._motions, images[0].width), self._looks
         changed = record.view_changes(looked) if job.footage.clip else []
+        if changed:
+            changed = with_homographies(job.footage, changed, images[-1].time_s or 0.0)
         sways = record.motion(changed) if job.footage.clip else None
         for change in changed:
-            console.result(f"{job.footage.name}: {change}; its parts count apart")
+            console.result(f"{job.footage.name}: {change}")
         if sways:
             console.result(f"{job.footage.name}: {sways}")
         frames_file = AnnotationFile(
@@ -256,7 +259,7 @@ def _info(
     if looked:
         info[SIGHT_FIELD] = sight_rows(looked)
     if changed:
-        info[CHANGES] = [asdict(change) for change in changed]
+        info[CHANGES] = [change.to_dict() for change in changed]
     if sways:
         info[MOTION] = sways.to_dict()
     return info

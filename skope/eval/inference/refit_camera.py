@@ -20,7 +20,7 @@ from skope.camera.camera_json import read_uncertain_camera
 from skope.camera.evidence import Evidence
 from skope.camera.ground_plane import ground_places
 from skope.camera.model import Camera
-from skope.camera.uncertain_camera import PARAMETERS, UncertainCamera, moved_camera
+from skope.camera.uncertain_camera import UncertainCamera, moved_camera
 from skope.dataset.camera_of_file import fitted_camera, read_camera
 from skope.errors import UserError
 from skope.eval.camera_fit.camera_from_marks import evidence_of, place_errors
@@ -28,7 +28,7 @@ from skope.eval.camera_fit.write_camera import write_camera
 from skope.eval.image_shift import FollowedCorners, ImageMotion, ReferencePicture, SmallPicture
 from skope.eval.inference.camera_sway import SwayWatch
 from skope.eval.inference.frame_sources import Cut, open_footage
-from skope.eval.pose.camera_motion import covariance_of_turns, turned_camera
+from skope.eval.pose.camera_motion import TURNS, covariance_of_turns, turned_camera
 from skope.terminal.console import counted
 from skope.types import Array, Pixels
 
@@ -251,21 +251,13 @@ def moved_evidence(evidence: Evidence, camera: Camera, registered: Registration)
 
 def turned_known(known: UncertainCamera, registered: Registration) -> UncertainCamera:
     """The turned camera, as uncertain as the old one and its turn are, and as a move that corners hide."""
-    turns, moves = ("pitch", "roll", "yaw"), ("x", "y", "z")
-    names = tuple(name for name in PARAMETERS if name in (*known.parameters, *turns, *moves))
-    covariance = np.zeros((len(names), len(names)))
     motion = registered.motion
     sigmas = (motion.sigma_px, motion.sigma_px, motion.sigma_turn)
     # A camera that is moved by so much sees corners near by as far off as they are.
     hidden = registered.off_px * registered.near_m / float(known.camera.K[0, 0])
-    for part, added in (
-        (known.parameters, known.covariance),
-        (turns, covariance_of_turns(registered.camera, sigmas)),
-        (moves, hidden**2 * np.eye(3)),
-    ):
-        at = [names.index(name) for name in part]
-        covariance[np.ix_(at, at)] += added
-    return UncertainCamera(registered.camera, names, covariance)
+    return known.of_camera(registered.camera).widened(
+        {TURNS: covariance_of_turns(registered.camera, sigmas), ("x", "y", "z"): hidden**2 * np.eye(3)}
+    )
 
 
 def _known(path: Path | None, shape: tuple[int, int], picture: str) -> tuple[UncertainCamera, str]:

@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 
 from skope.eval.image_shift import MOVED_SHARE, coarse_shift, edges, small_grey
+from skope.eval.view_registration import ViewHomography
 from skope.schema import Image
 from skope.types import Array, Pixels
 
@@ -33,10 +34,36 @@ class ViewChange:
     """Whether nothing of the view before is seen; else the camera was turned."""
     shift: float
     """Distance by which the view has moved, as a share of the image's width; 0 for a cut."""
+    settled_s: float | None = None
+    """Time from which the camera stands still in the new view, where `from_first` is known, seconds."""
+    from_first: ViewHomography | None = None
+    """Where pixels of the first view lie in this one; None: not surely known."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """The change as `info` of frames has it: pixels to 0.0001."""
+        row: dict[str, Any] = {"time_s": self.time_s, "cut": self.cut, "shift": self.shift}
+        if self.from_first is None:
+            return row
+        return row | {
+            "settled_s": self.settled_s,
+            "homography": self.from_first.matrix.tolist(),
+            "residual_px": round(self.from_first.residual_px, 4),
+            "corner_error_px": round(self.from_first.corner_error_px, 4),
+        }
 
     def __str__(self) -> str:
         what = "cuts to another view" if self.cut else f"moves by {self.shift:.1%} of its width"
-        return f"the view {what} at {self.time_s:.1f} s"
+        return f"the view {what} at {self.time_s:.1f} s{self._followed}"
+
+    @property
+    def _followed(self) -> str:
+        """Whether the view is followed, in words that end a sentence."""
+        if self.from_first is None or self.settled_s is None:
+            return "; it is not surely known where the first view lies in it"
+        return (
+            f"; it is followed from {self.settled_s:.1f} s on ({self.from_first.residual_px:.2f} px root mean square, "
+            f"{self.from_first.corner_error_px:.2f} px at the corners)"
+        )
 
 
 class Looks:

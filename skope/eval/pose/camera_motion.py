@@ -24,7 +24,8 @@ MOTION: Final = "camera_motion"
 """Under this name the `info` of frames says how the camera swayed: what `CameraMotion.to_dict` makes."""
 MOVED_REASON: Final = "camera_moved"
 """Reason for a vehicle without a place: the camera was moved after it had been calibrated."""
-_TURNS: Final = ("pitch", "roll", "yaw")
+TURNS: Final = ("pitch", "roll", "yaw")
+"""Parameters of a camera that a turn changes."""
 _DIFFERENCE_STEPS: Final = np.array([0.5, 0.5, 1e-3])
 """Steps of numeric derivatives by x and y (pixels) and turn (radians)."""
 
@@ -88,19 +89,12 @@ class CameraMotion:
         """Remaining uncertainty of the camera in a frame: from frame to frame another error."""
         motion = self.frames.get(image_id)
         sigmas = self.sway if motion is None else (motion.sigma_px, motion.sigma_px, motion.sigma_turn)
-        return UncertainCamera(self.camera_in(camera, image_id), _TURNS, covariance_of_turns(camera, sigmas))
+        return UncertainCamera(self.camera_in(camera, image_id), TURNS, covariance_of_turns(camera, sigmas))
 
     def at_rest(self, camera: Camera, known: UncertainCamera | None) -> UncertainCamera:
         """Uncertainty of the camera at rest, which was calibrated somewhere in its sway."""
-        names = known.parameters if known else ()
-        whole = tuple(name for name in PARAMETERS if name in names or name in _TURNS)
-        covariance = np.zeros((len(whole), len(whole)))
-        if known:
-            at = [whole.index(name) for name in names]
-            covariance[np.ix_(at, at)] += known.covariance
-        at = [whole.index(name) for name in _TURNS]
-        covariance[np.ix_(at, at)] += covariance_of_turns(camera, self.sway)
-        return UncertainCamera(camera, whole, covariance)
+        known = known or UncertainCamera(camera, (), np.zeros((0, 0)))
+        return known.of_camera(camera).widened({TURNS: covariance_of_turns(camera, self.sway)})
 
     def to_dict(self) -> dict[str, Any]:
         """The sway as `from_dict` reads it: pixels to 0.0001, angles to 1e-7 radians."""
@@ -162,7 +156,7 @@ def turned_camera(camera: Camera, x: float, y: float, turn: float) -> Camera:
 
 def covariance_of_turns(camera: Camera, sigmas: tuple[float, float, float]) -> Array:
     """(3, 3) covariance of pitch, roll and yaw, by standard deviations of x, y (pixels) and turn (radians)."""
-    which = [PARAMETERS.index(name) for name in _TURNS]
+    which = [PARAMETERS.index(name) for name in TURNS]
     columns = []
     for step in np.diag(_DIFFERENCE_STEPS):
         ahead, behind = (values_of(turned_camera(camera, *(sign * step).tolist()))[which] for sign in (1, -1))

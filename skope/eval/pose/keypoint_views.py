@@ -1,7 +1,7 @@
 """Vehicles' keypoints image by image, with the camera of each: what poses and tracks are worked out from."""
 
 import itertools
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -16,12 +16,14 @@ from skope.camera.model import Camera
 from skope.camera.uncertain_camera import UncertainCamera
 from skope.dataset import coco
 from skope.dataset.camera_of_file import read_camera, sized
-from skope.dataset.folder import CHANGES, FRAMES, PREDICTIONS
+from skope.dataset.folder import FRAMES, PREDICTIONS
 from skope.dataset.image_selection import part as part_of
 from skope.errors import UserError
+from skope.eval.known_views import MOVING, KnownView, read_views, view_numbers
 from skope.eval.pose.camera_error import CALIBRATED_FIELD, calibrated_seconds, camera_of_info
-from skope.eval.pose.camera_motion import CameraMotion, motion_of_info
+from skope.eval.pose.camera_motion import TURNS, CameraMotion, motion_of_info
 from skope.eval.pose.shape_model import Shapes, fleet_shapes
+from skope.eval.pose.turned_view import TurnedView, turned_view
 from skope.metrics import read_inputs
 from skope.metrics.match import match
 from skope.schema import Annotation, AnnotationFile, Image, Result, RoadUserResult
@@ -92,6 +94,8 @@ class Scene:
     """Sway of the camera around where it is calibrated; None: it stands still, as far as is known."""
     moved: frozenset[int] = frozenset()
     """Ids of images that another view than the calibrated one shows: they have no places in metres."""
+    turned: Mapping[int, Camera] = field(default_factory=dict)
+    """Cameras of images, by their ids, that a turn of the calibrated camera took: they have places in metres."""
 
     @property
     def shapes(self) -> Shapes:
@@ -105,7 +109,7 @@ class Scene:
 
     def camera_of(self, image: Image) -> Camera:
         """The camera of an image, at the image's size. Raises UserError where neither scene nor image has one."""
-        camera = self.camera or image.camera
+        camera = self.turned.get(image.id) or self.camera or image.camera
         if camera is None:
             raise UserError(
                 f"{self.file.name}: {image.file_name} has no camera; give one with --camera "
@@ -136,10 +140,10 @@ class Scene:
 
     def calibrated_part(self) -> "Scene":
         """The scene without the images of which the calibration does not hold."""
-        if not self.moved:
+        if not self.moved and not self.turned:
             return self
-        kept = (image for image in self.file.images if not self.moved_in(image))
-        return replace(self, file=part_of(self.file, kept), moved=frozenset())
+        kept = (image for image in self.file.images if not self.moved_in(image) and image.id not in self.turned)
+        return replace(self, file=part_of(self.file, kept), moved=frozenset(), turned={})
 
     def stilled(self, view: View) -> View:
         """A view with its keypoints where they would be if the camera did not sway."""
@@ -300,67 +304,117 @@ def read_scene(
     else:
         read, posed = read_camera(camera, _size(file))
         shown, known, seconds = read, read_uncertain_camera(camera), calibrated_seconds(camera)
-    moved, left_out = _after_move(file, seconds)
+    other_views = _other_views(file, seconds, shown if posed else None)
+    if known is not None:
+        known = known.widened(other_views.added)
     if motion is not None:
         known = motion.at_rest(shown, known)
     road = Ground(height=ground) if posed and ground is not None else None
-    return Scene(file, results, read, road, left_out, users, known=known, motion=motion, moved=moved)
+    return Scene(
+        file,
+        results,
+        read,
+        road,
+        other_views.words,
+        users,
+        known=known,
+        motion=motion,
+        moved=other_views.lost,
+        turned=other_views.turned,
+    )
 
 
-def _parts(file: AnnotationFile) -> NDArray[np.intp] | None:
-    """(N,) which of the views of a video each image shows, in order of time; None: all show one, as far as is known."""
-    changes = file.info.get(CHANGES)
-    times = [image.time_s for image in file.images]
-    if not isinstance(changes, list) or not changes or None in times:
-        return None
-    try:
-        begins = [float(change["time_s"]) for change in changes]
-    except (KeyError, TypeError, ValueError):
-        raise UserError(f"{file.name}: info.{CHANGES}: expected objects with time_s") from None
-    return np.asarray(np.searchsorted(begins, np.array(times, dtype=np.float64), side="right"))
+def _parts(file: AnnotationFile, views: Sequence[KnownView]) -> NDArray[np.intp] | None:
+    """(N,) index in `views` of the view that each image shows, or `MOVING`; None: all show one, as far as is known."""
+    times = [image.time_s for image in file.images if image.time_s is not None]
+    return view_numbers(views, times) if len(views) > 1 and len(times) == len(file.images) > 0 else None
 
 
 def _longest_view(file: AnnotationFile) -> tuple[AnnotationFile, str | None]:
     """The images of the longest part of a video that shows one view, and what was left out, in words."""
-    part = _parts(file)
+    views = read_views(file.name, file.info)
+    part = _parts(file, views)
     if part is None:
         return file, None
-    kept = np.flatnonzero(part == int(np.bincount(part).argmax()))
+    kept = np.flatnonzero(part == int(np.bincount(part[part != MOVING]).argmax()))
     begin, end = (file.images[i].time_s for i in (kept[0], kept[-1]))
     words = (
-        f"{file.name}: the view changes ({counted(len(file.info[CHANGES]), 'time')}); taken is the longest part, "
+        f"{file.name}: the view changes ({counted(len(views) - 1, 'time')}); taken is the longest part, "
         f"from {begin:.1f} to {end:.1f} s"
     )
     return part_of(file, (file.images[i] for i in kept)), words
 
 
-def _after_move(file: AnnotationFile, calibrated: object) -> tuple[frozenset[int], str | None]:
-    """Ids of the images of which a calibration does not hold, as they show another view, and that in words.
+@dataclass(frozen=True, eq=False)
+class _OtherViews:
+    """The images that show other views than the calibrated one."""
+
+    lost: frozenset[int] = frozenset()
+    """Ids of those that have no metres."""
+    turned: Mapping[int, Camera] = field(default_factory=dict)
+    """Cameras of the others, by the ids of their images."""
+    added: Mapping[tuple[str, ...], Array] = field(default_factory=dict)
+    """Covariances that finding the least certain of the turns adds to the camera's."""
+    words: str | None = None
+
+
+def _other_views(file: AnnotationFile, calibrated: object, camera: Camera | None) -> _OtherViews:
+    """Find the images of which a calibration does not hold, and the cameras of those to which it can be turned.
 
     It is one of the view with which the footage begins, unless it says (`source`, `seconds`) that it is of another.
+    `camera` is None where nothing says where it hung: then it cannot be turned.
     """
-    part = _parts(file)
+    views = read_views(file.name, file.info)
+    part = _parts(file, views)
     if part is None:
-        return frozenset(), None
-    valid = part[0]
+        return _OtherViews()
+    first = 0
     if isinstance(calibrated, Mapping) and calibrated.get("source") == file.info.get("source"):
         try:
             middle = float(np.mean([float(second) for second in calibrated["seconds"]]))
         except (TypeError, ValueError):
             raise UserError(f"{file.name}: calibrated.seconds: expected two numbers") from None
-        valid = part[
-            int(np.searchsorted([image.time_s or 0.0 for image in file.images], middle).clip(0, len(part) - 1))
-        ]
-    lost = frozenset(image.id for image, k in zip(file.images, part, strict=True) if k != valid)
-    if not lost:
-        return frozenset(), None
-    begin, end = ([change["time_s"] for change in [{"time_s": 0.0}, *file.info[CHANGES]]] + [None])[valid : valid + 2]
-    return lost, (
-        f"{file.name}: the view changes ({counted(len(file.info[CHANGES]), 'time')}): the camera's calibration holds "
-        f"from {begin:.1f} s {'on' if end is None else f'to {end:.1f} s'}; {counted(len(lost), 'other image')} "
-        f"{'has' if len(lost) == 1 else 'have'} no metres (`skope eval camera --refit` finds a moved camera's pose)"
+        times = [image.time_s or 0.0 for image in file.images]
+        first = int(np.searchsorted(times, middle).clip(0, len(part) - 1))
+    valid = int(next((k for k in part[first:] if k != MOVING), 0))
+    if (part == valid).all():
+        return _OtherViews()
+    found = {} if camera is None else _turned_views(views, valid, sized(camera, _shape(file), file.name))
+    of_image = dict(zip([image.id for image in file.images], part.tolist(), strict=True))
+    turned = {number: found[k].camera for number, k in of_image.items() if k in found}
+    lost = frozenset(number for number, k in of_image.items() if k != valid and k not in found)
+    begin, end = ([0.0, *(view.begin_s for view in views[1:])] + [None])[valid : valid + 2]
+    words = (
+        f"{file.name}: the view changes ({counted(len(views) - 1, 'time')}): the camera's calibration holds "
+        f"from {begin:.1f} s {'on' if end is None else f'to {end:.1f} s'}"
     )
+    for k, view in found.items():
+        zoom = "" if view.zoom == 1 else f" and zoomed by {view.zoom:.3f}"
+        words += f"; from {views[k].settled_s:.1f} s on the camera is turned{zoom} ({view.off_px:.2f} px off)"
+    if lost:
+        words += (
+            f"; {counted(len(lost), 'other image')} {'has' if len(lost) == 1 else 'have'} no metres "
+            "(`skope eval camera --refit` finds a moved camera's pose)"
+        )
+    vaguest = max(found.values(), key=lambda view: float(np.trace(view.added[TURNS])), default=None)
+    return _OtherViews(lost, turned, vaguest.added if vaguest else {}, words)
+
+
+def _turned_views(views: Sequence[KnownView], valid: int, camera: Camera) -> dict[int, TurnedView]:
+    """The views, by their index, to which the camera of view `valid` was surely turned."""
+    calibrated = views[valid].from_first
+    found = dict[int, TurnedView]()
+    for k, view in enumerate(views):
+        if k != valid and view.from_first is not None and calibrated is not None:
+            turned = turned_view(camera, calibrated.inverse().then(view.from_first))
+            if turned is not None:
+                found[k] = turned
+    return found
+
+
+def _shape(file: AnnotationFile) -> tuple[int, int]:
+    return file.images[0].width, file.images[0].height
 
 
 def _size(file: AnnotationFile) -> tuple[int, int] | None:
-    return (file.images[0].width, file.images[0].height) if file.images else None
+    return _shape(file) if file.images else None

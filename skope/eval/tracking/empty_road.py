@@ -1,21 +1,19 @@
 """A picture of the road without its traffic, from the footage that was tracked."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
-import numpy as np
-
 from skope.eval.inference.frame_sources import FOUND_AT, Cut, open_footage
+from skope.eval.known_views import read_views, view_numbers
+from skope.pictures.median import median_of
 from skope.schema import AnnotationFile
 from skope.types import Pixels
 
 _FRAMES: Final = 25
 """Frames that the picture is made of."""
-_BLOCK_ROWS: Final = 64
-"""Rows of the picture that are worked out together."""
 _SECONDS: Final = 120.0
 """They are taken of so much footage: reading on through hours would take minutes."""
 _ROUNDING_S: Final = 0.01
@@ -24,6 +22,8 @@ _ROUNDING_S: Final = 0.01
 
 def empty_road(folder: Path, file: AnnotationFile) -> Pixels | None:
     """(H, W, 3) the median of frames of the footage: vehicles that drive are gone, those that stand remain.
+
+    Frames are taken of the view that the first image shows.
 
     Args:
         folder: Where the file of frames lies.
@@ -38,26 +38,14 @@ def empty_road(folder: Path, file: AnnotationFile) -> Pixels | None:
     source = footage_of(folder, file.info)
     if source is None:
         return None
-    times = [image.time_s for image in file.images if image.time_s is not None] or [0.0, math.inf]
+    times = [image.time_s for image in file.images if image.time_s is not None]
+    shown = view_numbers(read_views(file.name, file.info), times).tolist()
+    times = [time_s for time_s, view in zip(times, shown, strict=True) if view == shown[0]] or [0.0, math.inf]
     span = Cut(start_s=times[0], end_s=min(times[-1], times[0] + _SECONDS) + _ROUNDING_S)
     footage = open_footage(str(source), span)
     footage.cut = replace(span, every=max(1, len(footage) // _FRAMES))
     frames = [pixels for _, pixels in footage.frames()]
     return median_of(frames) if frames else None
-
-
-def median_of(frames: Sequence[Pixels]) -> Pixels:
-    """(H, W, 3) the median of frames of one size, of two in the middle the upper one.
-
-    It is worked out by blocks of rows: sorted copies of all frames would take gigabytes at 4K.
-    """
-    road = np.empty_like(frames[0])
-    for first in range(0, len(road), _BLOCK_ROWS):
-        rows = slice(first, first + _BLOCK_ROWS)
-        block = np.stack([pixels[rows] for pixels in frames])
-        block.sort(axis=0)  # np.median is slower, of floats
-        road[rows] = block[len(frames) // 2]
-    return road
 
 
 def footage_of(folder: Path, info: Mapping[str, Any]) -> Path | None:

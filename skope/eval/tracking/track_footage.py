@@ -176,6 +176,10 @@ def observation_of(scene: Scene, times: Sequence[float], begins: datetime | None
     known = scene.known_in(scene.file.images[0])
     camera = scene.camera_of(scene.file.images[0])
     seconds = np.round(np.array(times), 4)  # as tracks.csv has them
+    turned = dict[int, tuple[float, Camera]]()
+    for image, time_s in zip(scene.file.images, seconds.tolist(), strict=True):
+        if image.id in scene.turned:
+            turned.setdefault(id(scene.turned[image.id]), (time_s, scene.turned[image.id]))
     return Observation(
         times_s=seconds[~moved],
         source=str(scene.file.info.get("source", scene.file.name)),
@@ -184,6 +188,7 @@ def observation_of(scene: Scene, times: Sequence[float], begins: datetime | None
         uncertainty=known,
         ground=scene.ground,
         moved_s=seconds[moved],
+        turned=tuple(turned.values()),
         sight=checked_sight(scene.file.info.get(SIGHT_FIELD), f"{scene.file.name}: info.{SIGHT_FIELD}"),
         begins=begins,
     )
@@ -226,7 +231,7 @@ def _road_user_words(job: TrackJob, tracks: list[Track]) -> Iterator[str]:
 def _road(job: TrackJob, camera: Camera, console: Console) -> NDArray[np.uint8] | None:
     """The empty road as `camera` shows it; None where the footage is not at hand: tracks do without."""
     try:
-        road = empty_road(job.place, job.scene.file)
+        road = empty_road(job.place, job.scene.calibrated_part().file)
     except UserError as error:
         console.say(f"birdseye.png does without a picture of the road: {error}")
         return None

@@ -17,8 +17,9 @@ import cv2
 import numpy as np
 import pytest
 import sumolib
+from numpy.typing import NDArray
 
-from skope.camera.ground_plane import Ground
+from skope.camera.ground_plane import Ground, ground_places
 from skope.camera.model import Camera
 from skope.camera.uncertain_camera import UncertainCamera
 from skope.dataset import coco
@@ -31,6 +32,7 @@ from skope.eval.inference import stream
 from skope.eval.inference.anonymize import blurred
 from skope.eval.inference.frame_sources import Cut, open_footage
 from skope.eval.pose import pose_errors, pose_footage
+from skope.eval.pose.camera_motion import turned_camera
 from skope.eval.pose.keypoint_views import Scene, read_scene
 from skope.eval.pose.shape_model import fleet_shapes
 from skope.files.json_files import write_json
@@ -800,7 +802,89 @@ def test_a_calibration_ends_where_the_camera_moves(skope: Any) -> None:
     assert {pose["refused"] for pose in poses if pose["time_s"] < 2.5} == {"camera_moved"}
     coco.write(Path("bad.json"), replace(file, info={**file.info, CHANGES: [{"cut": True}]}))
     code, _, error = skope("eval", "track", "--annotations", "bad.json", "--out", "u")
-    assert (code, error) == (2, "skope: bad: info.view_changes: expected objects with time_s\n")
+    assert (code, error.count("\n")) == (2, 1)
+    assert error.startswith("skope: bad: info.view_changes: expected objects with time_s")
+
+
+def turned_file(file: AnnotationFile, begin_s: float, after: Camera) -> AnnotationFile:
+    """The labelled keypoints and boxes of images from a time on as a turned camera sees them."""
+
+    def seen(pixels: NDArray[np.float64]) -> NDArray[np.float64]:
+        rays, _ = CAMERA.rays(pixels)
+        return after.project(rays @ CAMERA.T_camera_world[:3, :3] + CAMERA.position)[0]
+
+    later = {image.id for image in file.images if image.time_s is not None and image.time_s >= begin_s}
+    annotations = []
+    for one in file.annotations:
+        if one.image_id in later:
+            points = one.keypoints.copy()
+            points[:, :2] = np.where(points[:, 2:] > 0, seen(points[:, :2]), 0.0)
+            low, high = (seen(corner) for corner in (one.bbox[:2], one.bbox[:2] + one.bbox[2:]))
+            one = replace(one, keypoints=points, bbox=np.concatenate([low, high - low]))
+        annotations.append(one)
+    return replace(file, annotations=tuple(annotations))
+
+
+def test_a_turned_camera_goes_on_to_give_metres(skope: Any) -> None:
+    """Positions and speeds after a turn are those of a camera that was not turned, by the homography of both views."""
+    file = drive(4, 5, speeds=(8.0, 3.0))
+    after = turned_camera(CAMERA, 40.0, 8.0, 0.03)
+    at = np.random.default_rng(0).uniform([0, 0], [CAMERA.width, CAMERA.height], (200, 2))
+    rays, _ = CAMERA.rays(at)
+    there = after.project(rays @ CAMERA.T_camera_world[:3, :3] + CAMERA.position)[0]
+    matrix = cv2.findHomography(at, there, 0)[0]
+    change = {"time_s": 1.8, "cut": False, "shift": 0.03}
+    followed = {"settled_s": 2.1, "homography": matrix.tolist(), "residual_px": 0.1, "corner_error_px": 0.2}
+    covariance = {"of": ["z"], "matrix": [[1e-4]]}
+    camera = {"width": CAMERA.width, "height": CAMERA.height, **CAMERA.to_dict(), "covariance": covariance}
+    Path("camera.json").write_text(json.dumps(camera))
+    files = {
+        "still": file,
+        "turned": replace(turned_file(file, 2.0, after), info={**file.info, CHANGES: [change | followed]}),
+        "lost": replace(turned_file(file, 2.0, after), info={**file.info, CHANGES: [change]}),
+    }
+    rows, watched = {}, {}
+    for name, of_name in files.items():
+        coco.write(Path(f"{name}.json"), of_name)
+        call = ("--annotations", f"{name}.json", "--noise", 0.5, "--camera", "camera.json", "--out", name)
+        code, out, error = skope("eval", "track", *call)
+        assert code == 0, error
+        assert ("from 2.1 s on the camera is turned (0.0" in out) == (name == "turned")
+        rows[name] = {(row["track"], row["time_s"]): row for row in rows_of(Path(f"{name}/tracks.csv"))}
+        watched[name] = read_observation(Path(name))
+    assert watched["turned"].moved_s == pytest.approx([1.8, 2.0])
+    assert len(watched["turned"].spans) == 2
+    assert watched["lost"].observed_s == pytest.approx(1.8)
+    later = {key: row for key, row in rows["still"].items() if float(row["time_s"]) > 2.1}
+    assert len(later) > 10
+    places = {
+        name: np.array([[float(rows[name][key][axis]) for axis in "xy"] for key in later])
+        for name in ("still", "turned")
+    }
+    off = np.linalg.norm(places["turned"] - places["still"], axis=1)
+    assert np.median(off) < 0.1
+    assert off.max() < 0.4
+    ((from_s, camera_after),) = watched["turned"].turned
+    assert from_s == pytest.approx(2.2)
+    assert camera_after.T_camera_world == pytest.approx(after.T_camera_world, abs=1e-4)
+    assert watched["lost"].turned == ()
+    # What is at the image's right edge leaves it by the turn; what is in its middle does not.
+    gates = ""
+    for gate, column in (("edge", CAMERA.width - 20.0), ("middle", CAMERA.width / 2)):
+        line = ground_places(CAMERA, np.array([[column, 0.6 * CAMERA.height], [column, 0.9 * CAMERA.height]]))[:, :2]
+        gates += f'[[gates]]\nname = "{gate}"\nline = {line.tolist()}\n'
+    Path("site.toml").write_text(gates)
+    for name in files:
+        code, out, error = skope("eval", "traffic", name, "--out", f"{name}_report")
+        assert code == 0, error
+        assert ("gate 'edge': the camera was turned, and from 2.2 s on it shows 0%" in out) == (name == "turned")
+        assert "gate 'middle': the camera was turned" not in out
+    still, turned = watched["still"].uncertainty, watched["turned"].uncertainty
+    assert still is not None
+    assert turned is not None
+    assert set(turned.parameters) > set(still.parameters)
+    place = np.array([CAMERA.width / 2, 0.7 * CAMERA.height])
+    assert float(turned.place_error(place)) > float(still.place_error(place))
 
 
 def test_the_cameras_error_is_carried_once_beside_the_tracks(skope: Any) -> None:

@@ -169,6 +169,25 @@ def test_a_bump_is_told_to_the_frame_and_each_part_has_its_own_rest() -> None:
     assert motion.largest_px < 5
 
 
+@pytest.mark.parametrize(("turn", "growth"), [(0.03, 0.0), (0.0, 0.03)])
+def test_a_turn_or_zoom_about_the_middle_is_another_view(turn: float, growth: float) -> None:
+    """The image's edges move by 9.6 px, its middle does not."""
+    still, moved = ImageMotion(0, 0, 0, 0.1, 1e-4), ImageMotion(0, 0, turn, 0.1, 1e-4, growth=growth)
+    record = SwayRecord(tuple(range(80)), np.arange(80) / FPS, (still,) * 40 + (moved,) * 40, SIZE[0])
+    (change,) = record.view_changes([])
+    assert change.time_s == pytest.approx(4.0)
+    assert change.shift * SIZE[0] == pytest.approx(9.6)
+
+
+def test_the_movement_to_another_view_is_no_sway() -> None:
+    shifts = [0.0] * 40 + [20.0, 40.0, 30.0, 50.0, 45.0] + [40.0] * 35
+    motions = tuple(ImageMotion(x, 0, 0, 0.1, 1e-4) for x in shifts)
+    record = SwayRecord(tuple(range(80)), np.arange(80) / FPS, motions, SIZE[0])
+    change = ViewChange(4.0, cut=False, shift=40 / SIZE[0])
+    assert record.motion([change]) is not None
+    assert record.motion([replace(change, settled_s=4.5)]) is None
+
+
 def test_frames_that_cannot_be_told_have_none() -> None:
     record = SwayRecord((1, 2, 3), np.arange(3.0), (None, None, None), 640)
     assert record.motion([]) is None

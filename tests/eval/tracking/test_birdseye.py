@@ -16,8 +16,9 @@ from skope.camera.model import Camera
 from skope.dataset import coco
 from skope.dataset.folder import read_image
 from skope.eval.tracking import birdseye, birdseye_video, map_signs
-from skope.eval.tracking.empty_road import empty_road, median_of
+from skope.eval.tracking.empty_road import empty_road
 from skope.eval.tracking.ground_view import GroundView
+from skope.pictures.median import median_of
 from skope.pictures.video import write_video
 from skope.schema import AnnotationFile
 from skope.tracks.track import Track

@@ -1,0 +1,60 @@
+"""Tracks in the image: positions, categories and what never moved."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from skope.dataset import coco
+from skope.dataset.folder import FRAMES, PREDICTIONS
+from skope.eval.tracking.image_trajectories import read_image_trajectories
+from skope.schema import AnnotationFile, Result, RoadUserResult
+from skope.tracks.track import is_in_traffic
+from tests.eval.sightings import drive
+
+BICYCLE = 2
+
+
+def seen_folder(folder: Path, of_vehicles: dict[int, np.ndarray], of_bicycles: dict[int, np.ndarray]) -> Path:
+    """Write boxes (M, 4) by number, 10 frames a second, as `skope eval predict` does."""
+    file = drive(5.0, 1.0, speeds=(0.0,))
+    count = max(map(len, (*of_vehicles.values(), *of_bicycles.values())))
+    images = tuple(replace(file.images[0], id=k + 1, time_s=k / 10, frame_index=k) for k in range(count))
+    rows: list[Result | RoadUserResult] = []
+    for k, image in enumerate(images):
+        rows += [
+            Result(image_id=image.id, score=0.9, bbox=own[k], keypoints=np.zeros((33, 3)), track_id=number)
+            for number, own in of_vehicles.items()
+        ]
+        rows += [
+            RoadUserResult(image_id=image.id, score=0.9, bbox=own[k], category_id=BICYCLE, track_id=number)
+            for number, own in of_bicycles.items()
+        ]
+    folder.mkdir()
+    bare = AnnotationFile(images=images, annotations=(), info={"source": "a.mp4"}, name="a.mp4", scheme=file.scheme)
+    coco.write(folder / FRAMES, bare)
+    coco.write_results(folder / PREDICTIONS, rows)
+    return folder
+
+
+def boxes(x: np.ndarray, y: float, width: float, height: float) -> np.ndarray:
+    rng = np.random.default_rng(0)
+    return np.column_stack([x, np.full(len(x), y), np.full(len(x), width), np.full(len(x), height)]) + rng.normal(
+        0, 0.5, (len(x), 4)
+    )
+
+
+@pytest.fixture(autouse=True)
+def _in_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+
+
+def test_what_never_moves_is_not_in_traffic_whatever_its_category() -> None:
+    still, waits = np.full(90, 100.0), 300 + 4.0 * np.maximum(0, np.arange(90) - 70)
+    vehicles = {1: boxes(still, 100, 60, 40), 2: boxes(waits, 200, 60, 40)}
+    bicycles = {1: boxes(still + 100, 100, 20, 30), 2: boxes(waits, 300, 20, 30)}
+    tracks, *_ = read_image_trajectories(seen_folder(Path("seen"), vehicles, bicycles))
+    assert sorted((one.category, int(one.position[0, 0]) > 250, is_in_traffic(one)) for one in tracks) == [
+        ("bicycle", False, False), ("bicycle", True, True), ("vehicle", False, False), ("vehicle", True, True)
+    ]  # fmt: skip
