@@ -11,11 +11,13 @@ pixel is visible within half a second of the crossing. Coverage has a bootstrap 
 
 import argparse
 import itertools
+import json
 import math
+import re
 import subprocess
 import sys
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
@@ -29,6 +31,7 @@ from traffic_truth import read_truth
 
 from skope.dataset import coco
 from skope.eval.tracking.image_trajectories import read_image_trajectories
+from skope.files.atomic import write_text
 from skope.files.json_files import read_json, write_json
 from skope.schema import VEHICLE
 from skope.site.gates_zones_lanes import Gate
@@ -46,10 +49,10 @@ from skope.types import Array
 
 VISIBLE_S: Final = 0.5
 """A true crossing counts if a pixel of the road user is visible within this time of it, seconds."""
-SAME_S: Final = 1.0
+SAME_S: Final = 2.0
 """A counted crossing is the true one of its gate and direction that is nearest in time, within this, seconds."""
-PRIOR: Final = 0.02
-"""Weight of a wide prior on the logarithms of Beta parameters."""
+PRIOR_SIGMA: Final = 1.0
+"""The parameters of Beta distributions are known to this before, in logarithms, around those of the rates' file."""
 DRAWS: Final = 2000
 EVER: Final = ClockInterval(begin_s=-math.inf, end_s=math.inf, begin=None, end=None)
 Row = dict[str, Any]
@@ -174,10 +177,21 @@ def rows_of(folder: Path, *, true_keypoints: bool) -> Iterator[Row]:
 # ------------------------------------------------------------------------------------------------------------ fitting
 
 
-def fitted(rows: Sequence[Row], kind: str) -> dict[str, Any]:
-    """Rates of one kind of rows (image, or metres): real crossings by doubts; missed and lost as Beta distributions."""
+def fitted(rows: Sequence[Row], kind: str, counted: Sequence[int], prior: Mapping[str, Any]) -> dict[str, Any]:
+    """Rates of one kind of gates, from prior ones and what came out.
+
+    Args:
+        rows: The rows of the clips.
+        kind: "image" or "metres".
+        counted: Manual counts of real footage, of which nothing was missed and nothing counted wrongly.
+        prior: `real` (by doubts, as trials), `missed` and `came` before.
+
+    Returns:
+        The same after.
+    """
     own = [row for row in rows if ("image" in row["way"]) == (kind == "image")]
-    real = [[0, 0] for _ in range(3)]
+    real = [list(trials) for trials in prior["real"]]
+    real[0] = [real[0][0] + sum(counted), real[0][1] + sum(counted)]
     for row in own:
         for one in row["crossings"]:
             if not one["flags"]:
@@ -186,18 +200,21 @@ def fitted(rows: Sequence[Row], kind: str) -> dict[str, Any]:
     sides = [
         (row["truth"], max(0, row["truth"] - sum(one["real"] for one in row["crossings"])), row["lost"])
         for row in own
-        if row["lost"] <= max(2, row["count"])
+        if row["high"] is not None
     ]
-    missed, came = beta_binomials(sides)
+    sides += [(number, 0, 0) for number in counted]
+    missed, came = beta_binomials(sides, (*prior["missed"], *prior["came"]))
     return {"real": real, "missed": missed, "came": came}
 
 
-def beta_binomials(sides: Sequence[tuple[int, int, int]]) -> tuple[list[float], list[float]]:
-    """The Beta distributions of what is missed without a trace, and of the lost that did cross, by maximum likelihood.
+def beta_binomials(sides: Sequence[tuple[int, int, int]], prior: Sequence[float]) -> tuple[list[float], list[float]]:
+    """The Beta distributions of what is missed without a trace, and of the lost that did cross.
 
     Args:
         sides: By gate and direction: true number, those that no crossing tells, tracks that were lost there.
+        prior: The four parameters before.
     """
+    middle = np.log(np.asarray(prior))
 
     def log_pmf(k: Array, n: int, a: float, b: float) -> Array:
         return np.asarray(
@@ -206,22 +223,32 @@ def beta_binomials(sides: Sequence[tuple[int, int, int]]) -> tuple[list[float], 
 
     def loss(logs: Array) -> float:
         a, b, c, d = np.exp(logs)
-        total = PRIOR * float((logs**2).sum())
+        total = 0.5 * float((((logs - middle) / PRIOR_SIGMA) ** 2).sum())
         for true, untold, lost in sides:
             k = np.arange(min(untold, lost) + 1, dtype=float)
             both = log_pmf(k, lost, c, d) + np.array([float(log_pmf(untold - one, true - int(one), a, b)) for one in k])
             total -= float(np.logaddexp.reduce(both))
         return total
 
-    best = np.exp(minimize(loss, np.log([0.3, 5.0, 0.3, 1.0]), method="Nelder-Mead", options={"maxiter": 4000}).x)
+    best = np.exp(minimize(loss, middle, method="Nelder-Mead", options={"maxiter": 4000}).x)
     return [round(float(v), 3) for v in best[:2]], [round(float(v), 3) for v in best[2:]]
+
+
+def compact(document: Mapping[str, Any]) -> str:
+    """JSON with lists of numbers in one line each."""
+    lists = re.compile(r"\[\s+([^\[\]]*?)\s+\]")
+    text = json.dumps(document, indent=1)
+    return lists.sub(lambda found: f"[{', '.join(part.strip() for part in found[1].split(','))}]", text) + "\n"
 
 
 def print_coverage(rows: Sequence[Row]) -> None:
     """Coverage by way, with a bootstrap over clips; and the reliability of the crossing probability."""
     rng = np.random.default_rng(0)
     for way in sorted({row["way"] for row in rows}):
-        own = [row for row in rows if row["way"] == way and row["high"] is not None]
+        every_side = [row for row in rows if row["way"] == way]
+        own = [row for row in every_side if row["high"] is not None]
+        if not own:
+            continue
         clips = sorted({row["clip"] for row in own})
         inside = {c: [row["low"] <= row["truth"] <= row["high"] for row in own if row["clip"] == c] for c in clips}
         every = [v for c in clips for v in inside[c]]
@@ -234,7 +261,7 @@ def print_coverage(rows: Sequence[Row]) -> None:
         low, high = np.quantile(drawn, (0.05, 0.95))
         counted, true = (sum(row[name] for row in own) for name in ("count", "truth"))
         print(
-            f"{way:28} sides {len(own):4} held {np.mean(every):.3f} ({low:.3f} to {high:.3f}) "
+            f"{way:28} sides {len(own):4} of {len(every_side):4} held {np.mean(every):.3f} ({low:.3f} to {high:.3f}) "
             f"counted {counted} of {true}, off by {off}; width/count {width:.2f}; "
             f"busy gate-minutes {minutes:.0f}; count outside {out}"
         )
@@ -258,8 +285,16 @@ def main() -> None:
     options = parser.parse_args()
     if options.fit:
         rows = [row for path in options.fit for row in read_json(path)["rows"]]
+        rates = read_json(options.rates)
         for kind in ("metres", "image"):
-            print(kind, fitted(rows, kind))
+            place = rates["metres"]["vehicle"] if kind == "metres" else rates["image"]
+            prior = rates["provenance"]["prior"][kind]
+            found = fitted(rows, kind, rates["provenance"]["manual_counts"][kind], prior)
+            rates[kind]["real"]["vehicle"] = found["real"]
+            place["missed"], place["came"] = found["missed"], found["came"]
+            print(kind, found)
+        rates["provenance"]["fitted_on"] = sorted({row["clip"] for row in rows})
+        write_text(options.rates, compact(rates))
         print_coverage(rows)
         return
     folders = [path for path in options.clips if (path / "clip.json").is_file()]

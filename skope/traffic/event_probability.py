@@ -114,10 +114,20 @@ def miss_rate_groups(pixels_per_metre: float | None) -> tuple[MissRateGroup, ...
     return vehicles, *(MissRateGroup(one, missed, came, too_small=size == "tiny") for one in others)
 
 
-def image_miss_rate_groups() -> tuple[MissRateGroup, ...]:
-    """The one group at a gate in the image."""
+def image_miss_rate_groups(vehicle_px: float | None) -> tuple[MissRateGroup, ...]:
+    """The one group at a gate in the image.
+
+    Args:
+        vehicle_px: Usual height of a vehicle's box at the gate, pixels; None: not known.
+    """
     image = rates()["image"]
-    return (MissRateGroup(frozenset(CLASSES), _beta(image["missed"]), _beta(image["came"])),)
+    small = vehicle_px is not None and vehicle_px < image["small_px"]
+    return (MissRateGroup(frozenset(CLASSES), _beta(image["missed"]), _beta(image["came"]), too_small=small),)
+
+
+def queue_miss_rate() -> Beta:
+    """Share of the vehicles in a queue that nothing sees."""
+    return _beta(rates()["metres"]["queue"]["missed"])
 
 
 def _beta(values: Sequence[float]) -> Beta:

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from skope.schema import VEHICLE
+from skope.site.gates_zones_lanes import Gate
 from skope.site.traffic_settings import VEHICLE_CLASSES, TrafficSettings
 from skope.tracks.track import Track
 from skope.traffic.conflicts import ConflictSearch
@@ -29,6 +31,10 @@ if TYPE_CHECKING:
 
 _HYSTERESIS: Final = 3.0
 """In standard deviations of where a box stands."""
+_ROW_GROUPS: Final = 12
+"""Number of groups of boxes, by the row of their foot, whose median heights tell how large vehicles are in a row."""
+_FEWEST_BOXES: Final = 5 * _ROW_GROUPS
+"""Number of boxes below which they do not tell it."""
 _NEAR_PX: Final = 50.0
 """A gate is seen near where somebody is this near to it, pixels."""
 _WHY: Final = (
@@ -75,7 +81,8 @@ def count_in_image(
         ),
         key=lambda one: one.time_s,
     )
-    missed = unseen(tracks, gates, every, observation, settings, _NEAR_PX, image_miss_rate_groups())
+    kinds = {gate.name: image_miss_rate_groups(_vehicle_px(tracks, gate)) for gate in gates}
+    missed = unseen(tracks, gates, every, observation, settings, _NEAR_PX, kinds)
     crossed = [one for one in every if one.counts]
     checks = hand_checks(hand_counts, crossed, missed, settings)
     missed = counts_adjusted_by_hand(checks, crossed, missed, gates, settings)
@@ -115,6 +122,24 @@ def count_in_image(
     )
     why = (_WHY,) if len(known) == len(counts) else (_WHY, _NO_CLASSES)
     return replace(report, refused=(*why, *remarks_on_counts(report)))
+
+
+def _vehicle_px(tracks: Sequence[Track], gate: Gate) -> float | None:
+    """Height that vehicles have at a gate, pixels; None if too few boxes tell it.
+
+    On a road the height of boxes grows evenly with the row of their foot: a line through medians, which also holds in
+    rows where vehicles are too small to be detected.
+    """
+    vehicles = [one for one in tracks if one.category == VEHICLE]
+    rows = np.concatenate([np.zeros(0), *(-one.xy[:, 1] for one in vehicles)])
+    heights = np.concatenate([np.zeros(0), *(one.boxes[:, 3] for one in vehicles)])
+    rows, heights = rows[np.isfinite(heights)], heights[np.isfinite(heights)]
+    if len(rows) < _FEWEST_BOXES or np.ptp(rows) == 0:
+        return None
+    groups = np.array_split(np.argsort(rows, kind="stable"), _ROW_GROUPS)
+    medians = np.array([(np.median(rows[own]), np.median(heights[own])) for own in groups])
+    slope, constant = np.polyfit(medians[:, 0], medians[:, 1], 1)
+    return float(constant + slope * -np.mean(gate.line, axis=0)[1])
 
 
 def _in_pixels(track: Track, settings: TrafficSettings) -> TrafficSettings:

@@ -21,7 +21,7 @@ _SAME_SITE: Final = 0.05
 """Weights of a manual count at the same gate and direction, in the other direction, and at other gates."""
 _MOST_TRIALS: Final = 150.0
 """Number of trials that manual counts are worth at most: rates change with light and weather."""
-_REAL_TRIALS: Final = 20.0
+_REAL_TRIALS: Final = 8.0
 """Number of trials that the usual share of real crossings is worth."""
 
 

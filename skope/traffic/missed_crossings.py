@@ -10,6 +10,7 @@ from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from skope.site.gates_zones_lanes import Gate
 from skope.site.traffic_settings import TrafficSettings
@@ -101,7 +102,7 @@ def unseen(
     observation: Observation,
     settings: TrafficSettings,
     near: float = NEAR_M,
-    kinds: tuple[MissRateGroup, ...] | None = None,
+    kinds: Mapping[str, tuple[MissRateGroup, ...]] | None = None,
     other_cameras: Mapping[str, Sequence[Sequence[GateCrossing]]] | None = None,
 ) -> Unseen:
     """Gather who may have crossed gates without being counted.
@@ -113,7 +114,7 @@ def unseen(
         observation: When was observed, and how many pixels a metre is.
         settings: The classes that are counted.
         near: A gate is seen near where somebody was so far from it, in the unit of places.
-        kinds: Miss rates at all gates alike; None: by how many pixels a metre is at each.
+        kinds: Miss rates by gate; None: by how many pixels a metre is at each.
         other_cameras: As in `Unseen`.
     """
     crossed = {(one.trajectory.number, one.gate) for one in crossings}
@@ -127,14 +128,12 @@ def unseen(
         for direction, time_s in _would_cross(one, gate, begins, observation)
     ]
     confirmed = [one for one in trajectories if one.confirmed]
-    blind = {gate.name for gate in gates if not any(_is_near(gate, one, near) for one in confirmed)}
+    blind = {gate.name for gate in gates if not any(near_gate(gate, one, near).any() for one in confirmed)}
     return Unseen(
         vanished=tuple(sorted(found, key=lambda one: one.time_s)),
         doubtful=tuple(one for one in crossings if not one.counts),
-        kinds={
-            gate.name: kinds or miss_rate_groups(observation.pixels_per_metre(np.mean(gate.line, axis=0)))
-            for gate in gates
-        },
+        kinds=kinds
+        or {gate.name: miss_rate_groups(observation.pixels_per_metre(np.mean(gate.line, axis=0))) for gate in gates},
         gates=frozenset(blind),
         other_cameras=other_cameras or {},
     )
@@ -160,8 +159,9 @@ def _would_cross(trajectory: Track, gate: Gate, begins: bool, observation: Obser
     return [(0 if across < 0 else 1, end_s + after_s)] if 0 <= at < length else []
 
 
-def _is_near(gate: Gate, trajectory: Track, near: float) -> bool:
+def near_gate(gate: Gate, trajectory: Track, near: float) -> NDArray[np.bool_]:
+    """(M,) at which moments a track is within a distance of a gate, in the unit of positions."""
     signed, along = signed_distances(gate, trajectory.xy)
     length = math.dist(*gate.line)
     beside = np.maximum(0.0, np.maximum(-along, along - length))
-    return bool((np.hypot(signed, beside) < near).any())
+    return np.asarray(np.hypot(signed, beside) < near)

@@ -19,7 +19,7 @@ from skope.site.traffic_settings import TrafficSettings
 from skope.tracks.track import KMH, Track, worst_sigma
 from skope.traffic.count_uncertainty import CountInterval, count_interval
 from skope.traffic.counting_intervals import ClockInterval
-from skope.traffic.event_probability import event_probability, miss_rate_groups
+from skope.traffic.event_probability import event_probability, queue_miss_rate
 from skope.traffic.lanes import LaneMap
 from skope.traffic.normal_distribution import INTERVAL_SIGMAS
 from skope.traffic.observation import Observation
@@ -166,8 +166,8 @@ def queues(
 
 @cache
 def _between(chances: tuple[float, ...]) -> CountInterval:
-    """Interval of the number in a queue of vehicles that are so probable, if as many are missed as at gates."""
-    return count_interval(chances, miss_rate_groups(None)[0].missed)
+    """Interval of the number in a queue of vehicles that are so probable, with those that the queue hides."""
+    return count_interval(chances, queue_miss_rate())
 
 
 def _in_lane(

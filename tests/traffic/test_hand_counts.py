@@ -148,7 +148,7 @@ def test_counts_stay_and_their_intervals_move() -> None:
     assert (check.count, check.hand.number, check.contradicts) == (100, 115, False)
     # 594 and 683 vehicles an hour: GEH is of flows an hour, whatever the time that was counted.
     assert check.geh == pytest.approx(np.sqrt(2 * (594.06 - 683.17) ** 2 / (594.06 + 683.17)), abs=0.01)
-    assert [between(one, "h", "west").low for one in (plain, few)] == [100, 100]
+    assert between(plain, "h", "west").low == between(few, "h", "west").low >= 95
     assert between(few, "h", "west").high > between(plain, "h", "west").high, "other gates of the site may miss as much"
 
 

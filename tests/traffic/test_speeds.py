@@ -14,7 +14,7 @@ from skope.tracks.track import Track
 from skope.traffic.braking import hard_brakings
 from skope.traffic.count_uncertainty import count_interval
 from skope.traffic.counting_intervals import ClockInterval
-from skope.traffic.event_probability import event_probability, miss_rate_groups
+from skope.traffic.event_probability import event_probability, queue_miss_rate
 from skope.traffic.gates import gate_crossings
 from skope.traffic.headways import headways, occupancies
 from skope.traffic.lanes import LaneMap
@@ -27,7 +27,7 @@ from skope.traffic.zones import visits
 from tests.traffic.drives import GATE, along_x, drive, straight, watched
 
 NO_LANES = LaneMap(())
-MISSED = miss_rate_groups(None)[0].missed
+MISSED = queue_miss_rate()
 SETTINGS = TrafficSettings()
 FAR_GATE = Gate(name="far", line=((60.0, -5.0), (60.0, 5.0)))
 WHOLE = ClockInterval(begin_s=0.0, end_s=900.0, begin=None, end=None)

@@ -183,6 +183,7 @@ def _trajectory(number: int, category_id: int, rows: Array) -> Track:
         covariance=sigma[:, None, None] ** 2 * np.eye(2),
         speed_sigma=np.full(len(times), np.nan),
         located=np.ones(len(times), dtype=bool),
+        boxes=_boxes(rows),
         confirmed=len(times) >= _FEWEST_BOXES and bool(times[-1] - times[0] >= _SHORTEST_S),
         flags=("never_moved",) if box_never_moved(_boxes(rows), times) else (),
     )

@@ -15,6 +15,7 @@ from skope.dataset import coco
 from skope.errors import UserError
 from skope.eval.image_shift import ImageMotion
 from skope.eval.pose.camera_motion import CameraMotion, turned_camera
+from skope.traffic.observation import read_observation
 from tests.eval.sightings import CAMERA, drive
 
 BENT = Camera.looking(
@@ -111,4 +112,7 @@ def test_places_and_speeds_are_those_of_a_camera_that_stands_still(skope: Any) -
     assert off("untold") > 0.15
     for a, b in zip(tracks["still"], tracks["shaken"], strict=True):
         assert float(b["speed"]) == pytest.approx(float(a["speed"]), abs=0.05)
-        assert float(b["sigma_position"]) > float(a["sigma_position"])
+    still, shaken = (read_observation(Path(name)) for name in ("still", "shaken"))
+    assert still.uncertainty is None
+    assert shaken.uncertainty is not None, "of the shake, one error of all frames"
+    assert shaken.uncertainty.covariance.any()
