@@ -13,7 +13,7 @@ from skope.dataset import coco
 from skope.dataset.folder import BEGINS, FRAMES, PREDICTIONS, SIGHT_FIELD
 from skope.errors import UserError
 from skope.eval.known_views import KnownView, read_views, view_numbers
-from skope.eval.tracking.duplicate_boxes import FOOT, INSIDE, inside_and_apart
+from skope.eval.tracking.duplicate_boxes import FOOT, INSIDE, feet, inside_and_apart
 from skope.eval.tracking.track_flags import box_never_moved
 from skope.eval.view_registration import is_inside, transformed
 from skope.metrics.read_inputs import read_all_results
@@ -36,6 +36,8 @@ _LEAST_VISIBLE: Final = 0.9
 _POINTS_ON_GATE: Final = 200
 _MOVING_S: Final = 1.0
 """A camera is advised to be counted apart this long after a change of view whose end is not known, seconds."""
+_DRIFT: Final = 0.3
+"""Largest change of the distance between the feet of two boxes of one road user, in sizes of the larger one."""
 MotRow = tuple[float, float, float, float, float]
 """Time (s), column and row of the middle of a box's lower edge, and the box's width and height, pixels."""
 
@@ -155,8 +157,12 @@ def _is_double(rows: Array, longer: Array) -> bool:
     _, own, other = np.intersect1d(rows[:, 0], longer[:, 0], return_indices=True)
     if len(own) < max(1.0, _TOGETHER_SHARE * len(rows)):
         return False
-    inside, apart = inside_and_apart(_boxes(rows[own]), _boxes(longer[other]))
-    return bool(np.median(inside) >= INSIDE and np.median(apart) <= FOOT)
+    first, second = _boxes(rows[own]), _boxes(longer[other])
+    inside, apart = inside_and_apart(first, second)
+    # Two boxes of one vehicle keep their places in it; a car passes along the lorry that its box lies in.
+    offset = (feet(first) - feet(second)) / np.maximum(first[:, 2:], second[:, 2:])
+    drift = np.ptp(np.percentile(offset, (10, 90), axis=0), axis=0).max()
+    return bool(np.median(inside) >= INSIDE and np.median(apart) <= FOOT and drift <= _DRIFT)
 
 
 def _boxes(rows: Array) -> Array:

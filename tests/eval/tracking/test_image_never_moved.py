@@ -1,4 +1,4 @@
-"""Tracks in the image: positions, categories and what never moved."""
+"""Tracks in the image: what never moved, and which boxes are of one vehicle."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -26,10 +26,12 @@ def seen_folder(folder: Path, of_vehicles: dict[int, np.ndarray], of_bicycles: d
         rows += [
             Result(image_id=image.id, score=0.9, bbox=own[k], keypoints=np.zeros((33, 3)), track_id=number)
             for number, own in of_vehicles.items()
+            if k < len(own)
         ]
         rows += [
             RoadUserResult(image_id=image.id, score=0.9, bbox=own[k], category_id=BICYCLE, track_id=number)
             for number, own in of_bicycles.items()
+            if k < len(own)
         ]
     folder.mkdir()
     bare = AnnotationFile(images=images, annotations=(), info={"source": "a.mp4"}, name="a.mp4", scheme=file.scheme)
@@ -58,3 +60,19 @@ def test_what_never_moves_is_not_in_traffic_whatever_its_category() -> None:
     assert sorted((one.category, int(one.position[0, 0]) > 250, is_in_traffic(one)) for one in tracks) == [
         ("bicycle", False, False), ("bicycle", True, True), ("vehicle", False, False), ("vehicle", True, True)
     ]  # fmt: skip
+
+
+def test_a_car_that_passes_along_a_lorry_is_not_the_lorry() -> None:
+    """Its box lies in that of the lorry for two seconds, and it is followed for longer."""
+    at = np.arange(60)
+    lorry = boxes(100 + 2.0 * at[:25], 100, 160, 140)
+    car = boxes(90 + 6.0 * at, 190, 70, 50)
+    tracks, *_ = read_image_trajectories(seen_folder(Path("passing"), {1: lorry, 2: car}, {}))
+    assert len(tracks) == 2
+
+
+def test_a_vehicle_that_is_seen_as_its_front_and_as_a_whole_is_one() -> None:
+    at = np.arange(60)
+    whole, front = boxes(100 + 4.0 * at, 100, 160, 140), boxes(180 + 4.0 * at, 150, 80, 88)
+    tracks, *_ = read_image_trajectories(seen_folder(Path("twice"), {1: whole, 2: front}, {}))
+    assert len(tracks) == 1
