@@ -89,7 +89,7 @@ export function fieldsOf(kind, entry) {
   if (kind === "verticals") return [name, { way: ["metres"], name: "metres", words: "height, metres (if known)", wide: true }, ...corner("pixels", ["foot", "top"])];
   if (kind === "parallels") return [name, ...entry.lines.flatMap((line, i) => line.flatMap((_, j) => at(["lines", i, j], "lines", `line ${i + 1}, end ${j + 1},`, ", px")))];
   if (kind === "gates") {
-    const ways = ["1: from its left to its right", "2: from its right to its left"];
+    const ways = ["1, along arrow 1", "2, along arrow 2"];
     const directions = ways.map((words, i) => ({ way: ["directions", i], name: "directions." + i, words: "Direction " + words, text: true, wide: true }));
     return [name, ...directions, ...(inImage(kind, entry) ? corner("pixels", ["end 1", "end 2"]) : corners("line", "end"))];
   }

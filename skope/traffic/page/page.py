@@ -1,6 +1,7 @@
 """The page of a traffic report: one HTML file with nothing outside it, to read and to print."""
 
 import math
+import re
 from collections.abc import Iterator, Sequence
 from html import escape
 from pathlib import Path
@@ -13,6 +14,7 @@ from skope.files.atomic import write_text
 from skope.page import html_document
 from skope.page.html_pieces import details, table, tag
 from skope.schema import VEHICLE
+from skope.terminal.console import counted
 from skope.tracks.track import KMH
 from skope.traffic.count_uncertainty import in_words
 from skope.traffic.empty_road_picture import EmptyRoadPicture
@@ -41,6 +43,9 @@ from skope.version import __version__
 
 REPORT_FILE: Final = "report.html"
 _CONFLICTS: Final = 20
+_SECONDS_TO_MINUTES: Final = 2.0
+"""Observations shorter than this are stated in seconds, minutes."""
+_CODE: Final = re.compile(r"`([^`]+)`")
 _HOURS_FROM_MINUTES: Final = 120
 """Longer observations are given in hours."""
 _MAX_LEFT_OUT: Final = 30
@@ -117,11 +122,18 @@ def traffic_page(
 
 
 def _what(report: TrafficReport) -> str:
-    """Sentence on the number of road users, and on the time that was observed."""
+    """Sentences on what was counted, and on the time that was observed."""
     spans = report.observation.spans
     minutes = report.observation.observed_s / 60
     duration = f"{minutes:.1f} minutes" if minutes < _HOURS_FROM_MINUTES else f"{minutes / 60:.1f} hours"
-    told = f"{len(report.trajectories)} road users in {duration} of observation"
+    if minutes < _SECONDS_TO_MINUTES:
+        duration = f"{60 * minutes:.0f} s"
+    gates = (
+        f"{counted(len(report.crossings), 'crossing')} of {counted(len(report.gates), 'gate')}, "
+        if report.gates
+        else ""
+    )
+    told = f"{gates}{counted(len(report.trajectories), 'track')} in {duration} of observation"
     begin = clock(report, float(spans[0, 0])) if len(spans) else None
     end = clock(report, float(spans[-1, 1])) if len(spans) else None
     if begin is None or end is None:
@@ -202,8 +214,9 @@ def _left_out(report: TrafficReport) -> list[str]:
     parts = [
         tag(
             "p",
-            "At these gates many tracks cross, or may have crossed, and are not counted. They widen the 90% interval. "
-            "Tracks that were never confirmed, or never moved, are not listed.",
+            "Crossings that were seen and not counted, and tracks that may have crossed unseen. They widen the 90% "
+            "intervals. Gates with fewer than three of them are left out, and so are tracks that were never confirmed "
+            "or never moved. Before a gate and behind it are meant in the direction of travel.",
         )
     ]
     for side, left_out in found.items():
@@ -286,4 +299,4 @@ def _remarks(report: TrafficReport) -> str:
 
 
 def _list(lines: Sequence[str]) -> str:
-    return tag("ul", *(tag("li", escape(line)) for line in lines)) if lines else ""
+    return tag("ul", *(tag("li", _CODE.sub(r"<code>\1</code>", escape(line))) for line in lines)) if lines else ""
