@@ -23,8 +23,8 @@ def report_lines(report: TrafficReport) -> Iterator[str]:
     if report.hand_checks:
         head = ["gate", "direction", "class", "by hand", "count", "there were, by what is seen alone", "GEH"]
         yield from text_table(head, _by_hand(report), "lll")
-    if report.turning:
-        yield from text_table(["from", "to", "class", "count", "there were"], _movements(report), "lll")
+    if movements := list(_movements(report)):
+        yield from text_table(["from", "to", "class", "count", "there were"], movements, "lll")
     if not report.metres:
         return
     likely = [one for one in report.conflicts.conflicts if one.ttc_s <= report.site.traffic.ttc_s]
