@@ -4,9 +4,9 @@
     python scripts/research/gate_coverage.py clips/* --out coverage.json --true-keypoints
     python scripts/research/gate_coverage.py --fit coverage.json --rates skope/traffic/crossing_rates.json
 
-Each clip is measured in several ways: gates in metres and in the image, the true camera and the one that its vehicles
-give, and every folder of detections (seen*) that it has. The truth is the simulation's; of it those count of whom a
-pixel is visible within half a second of the crossing. Coverage has a bootstrap over clips.
+Each clip is measured in several ways: gates in metres and in the image, a camera from eight marked points and one
+from vehicles, and every folder of detections (seen*) of the clip. The truth is the simulation's. A true crossing
+counts if a pixel of the vehicle is visible within half a second of it. Coverage has a bootstrap over clips.
 """
 
 import argparse
@@ -16,6 +16,7 @@ import math
 import re
 import subprocess
 import sys
+import zlib
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -25,11 +26,13 @@ from typing import Any, Final
 import numpy as np
 from scipy.optimize import minimize
 from scipy.special import betaln, gammaln
+from site_calibration import points
 from traffic_evidence import LABELS, NOISE_PX
 from traffic_gates import SITE
 from traffic_truth import read_truth
 
 from skope.dataset import coco
+from skope.errors import UserError
 from skope.eval.tracking.image_trajectories import read_image_trajectories
 from skope.files.atomic import write_text
 from skope.files.json_files import read_json, write_json
@@ -51,6 +54,8 @@ VISIBLE_S: Final = 0.5
 """A true crossing counts if a pixel of the road user is visible within this time of it, seconds."""
 SAME_S: Final = 2.0
 """A counted crossing is the true one of its gate and direction that is nearest in time, within this, seconds."""
+MARKED: Final = 8
+"""Points that are marked for a camera from points, each with the errors of `site_calibration.points`."""
 PRIOR_SIGMA: Final = 1.0
 """The parameters of Beta distributions are known to this before, in logarithms, around those of the rates' file."""
 DRAWS: Final = 2000
@@ -79,6 +84,21 @@ def drawn_site(folder: Path) -> SiteFile:
     return replace(site, gates=tuple(map(drawn, site.gates)))
 
 
+def camera_from_points(folder: Path) -> Path | None:
+    """The camera file that `MARKED` points of the road give, marked with errors; None if it is rejected."""
+    found, table = folder / "camera_points.json", folder / "points.csv"
+    if not found.is_file():
+        camera = coco.read(folder / LABELS).images[0].camera
+        assert camera is not None
+        marks = points(camera, MARKED, np.random.default_rng(zlib.crc32(folder.name.encode())))
+        rows = [",".join(f"{value:.3f}" for value in (*mark.pixel, *mark.place)) for mark in marks]
+        write_text(table, "\n".join(["column,row,x,y,z", *rows]) + "\n")
+        size = f"{camera.width}x{camera.height}"
+        if not run_skope("eval", "camera", "--points", str(table), "--size", size, "--out", str(found)):
+            return None
+    return found
+
+
 def reports(folder: Path, *, true_keypoints: bool) -> Iterator[tuple[str, TrafficReport]]:
     """The clip's traffic, measured in every way that there is for it, each with a name."""
     site, labels = drawn_site(folder), str(folder / LABELS)
@@ -86,12 +106,17 @@ def reports(folder: Path, *, true_keypoints: bool) -> Iterator[tuple[str, Traffi
     ways = [("keypoints", ["--annotations", labels, "--noise", NOISE_PX])] if true_keypoints else []
     seen = [] if true_keypoints else sorted(path.parent for path in folder.glob("seen*/predictions.json"))
     for detections in seen:
-        tracks, observation, _ = read_image_trajectories(detections)
-        yield f"{detections.name} image", count_in_image(tracks, observation, site)
+        try:
+            tracks, observation, _ = read_image_trajectories(detections)
+            yield f"{detections.name} image", count_in_image(tracks, observation, site)
+        except UserError as error:  # footage of few frames a second has no tracks in the image
+            print(error)
         found = folder / f"camera_{detections.name}.json"
         if found.is_file() or run_skope("eval", "camera", str(detections), "--out", str(found)):
             ways.append((f"{detections.name} vehicles", [str(detections), "--camera", str(found)]))
-        ways.append((detections.name, [str(detections), "--camera", labels]))
+        marked = camera_from_points(folder)
+        if marked:
+            ways.append((f"{detections.name} points", [str(detections), "--camera", str(marked)]))
     for name, words in ways:
         out = folder / "tracks" / name.replace(" ", "_")
         if not (out / FOOTAGE).is_file() and not run_skope("eval", "track", *words, "--ground", "0", "--out", str(out)):
