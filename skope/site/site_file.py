@@ -26,6 +26,7 @@ from skope.site.gates_zones_lanes import (
     read_occluder,
     read_zone,
 )
+from skope.site.local_times import clock_doubt, year_doubt
 from skope.site.plan_picture import PlanPicture, read_plan
 from skope.site.site_camera import OwnCamera, read_site_camera
 from skope.site.toml_table import TomlTable
@@ -160,4 +161,10 @@ def _start(table: TomlTable, zone: ZoneInfo | None) -> datetime | None:
     start = table.value("start")
     if not isinstance(start, datetime) or (start.tzinfo is None and zone is None):
         raise table.wrong("start", "expected a time with its zone, like 2026-11-26T10:00:00+01:00, or time_zone too")
-    return start.replace(tzinfo=zone) if start.tzinfo is None else start
+    if start.tzinfo is not None or zone is None:
+        doubt, located = year_doubt(start), start
+    else:
+        doubt, located = clock_doubt(start, zone), start.replace(tzinfo=zone)
+    if doubt:
+        raise table.wrong("start", doubt)
+    return located

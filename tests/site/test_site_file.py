@@ -2,7 +2,7 @@
 
 import math
 import threading
-from datetime import datetime, timedelta
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import numpy as np
@@ -191,6 +191,48 @@ def test_what_is_wrong_is_told_in_one_line(site: Path, old: str, new: str, said:
     assert "\n" not in line
     assert len(line) < len(str(site)) + 400
     assert all(word in line for word in said), line
+
+
+@pytest.mark.parametrize(
+    ("zone", "start", "said"),
+    [
+        ("Europe/Berlin", "2026-03-29T02:30:00", ["there is no such time in Europe/Berlin"]),
+        ("America/New_York", "2026-03-08T02:00:00", ["there is no such time in America/New_York"]),
+        ("Europe/Berlin", "2026-10-25T02:30:00", ["twice", "02:30:00+02:00 or 2026-10-25 02:30:00+01:00"]),
+        ("America/New_York", "2026-11-01T01:59:59", ["twice", "01:59:59-04:00 or 2026-11-01 01:59:59-05:00"]),
+        ("Europe/Berlin", "0001-01-01T00:00:00", ["year from 1900 to 2899"]),
+        ("Europe/Berlin", "0001-01-01T00:00:00+01:00", ["year from 1900 to 2899"]),
+    ],
+)
+def test_a_start_that_clocks_never_show_or_show_twice_is_rejected(
+    site: Path, zone: str, start: str, said: list[str]
+) -> None:
+    """`--begins` rejects the same times for the same reason."""
+    site.write_text(f'time_zone = "{zone}"\nstart = {start}\n')
+    with pytest.raises(UserError) as error:
+        read_site(site)
+    line = str(error.value)
+    assert line.startswith(f"{site}: start: ")
+    assert "\n" not in line
+    assert all(word in line for word in said), line
+
+
+@pytest.mark.parametrize(
+    ("zone", "start", "utc"),
+    [
+        ("Europe/Berlin", "2026-03-29T01:59:59", "2026-03-29T00:59:59+00:00"),
+        ("Europe/Berlin", "2026-03-29T03:00:00", "2026-03-29T01:00:00+00:00"),
+        ("Europe/Berlin", "2026-10-25 02:30:00+01:00", "2026-10-25T01:30:00+00:00"),
+        ("America/New_York", "2026-11-01T02:00:00", "2026-11-01T07:00:00+00:00"),
+        ("America/New_York", "2026-11-01 01:30:00-04:00", "2026-11-01T05:30:00+00:00"),
+        ("Asia/Tokyo", "2026-03-29T02:30:00", "2026-03-28T17:30:00+00:00"),
+    ],
+)
+def test_a_start_near_a_change_of_clocks(site: Path, zone: str, start: str, utc: str) -> None:
+    site.write_text(f'time_zone = "{zone}"\nstart = {start}\n')
+    read = read_site(site)
+    assert read.start is not None
+    assert read.start.astimezone(UTC).isoformat() == utc
 
 
 def test_a_gate_has_a_line_or_pixels_or_both(site: Path) -> None:

@@ -7,7 +7,7 @@ from typing import Any, Final
 from zoneinfo import ZoneInfo
 
 from skope.eval.site_page.marks import Problem
-from skope.traffic.counting_intervals import clock_doubt
+from skope.site.local_times import clock_doubt
 
 FIELDS: Final = ("time_zone", "start")
 
