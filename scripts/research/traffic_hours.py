@@ -294,7 +294,7 @@ def measured(tracks: Sequence[Path], site: Path, out: Path) -> tuple[dict[str, b
 
 def counted(report: dict[str, bytes]) -> dict[str, int]:
     """The counts of a report's gates and directions."""
-    rows = csv.DictReader(report["counts.csv"].decode().splitlines())
+    rows = csv.DictReader(report["counts.csv"].decode("utf-8-sig").splitlines())
     found = Counter[str]()
     for row in rows:
         if row["class"] == row["lane"] == "all":

@@ -1,6 +1,5 @@
 """A file of what was counted by hand: CSV with the columns gate, direction, class, begin, end, count."""
 
-import csv
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, date, datetime, time, timedelta
@@ -8,7 +7,7 @@ from pathlib import Path
 from typing import Final
 
 from skope.errors import UserError
-from skope.files.reading import read_text
+from skope.files.csv_files import read_csv
 from skope.site.gates_zones_lanes import Gate
 from skope.site.traffic_settings import CLASSES, UNKNOWN, TrafficSettings
 from skope.traffic.counting_intervals import ClockInterval
@@ -64,11 +63,7 @@ def read_hand_counts(
     Raises:
         UserError: The file cannot be read, or a value is wrong; the message names file, line and column.
     """
-    try:
-        reader = csv.DictReader(read_text(path).splitlines())
-        names, rows = list(reader.fieldnames or ()), list(reader)
-    except csv.Error as error:
-        raise UserError(f"{path}: not CSV: {error}") from None
+    names, rows = read_csv(path)
     if missing := [name for name in _COLUMNS if name not in names]:
         raise UserError(f"{path}: column {missing[0]}: missing; expected {','.join(_COLUMNS)}")
     found: list[HandCount] = []

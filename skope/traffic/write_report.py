@@ -3,20 +3,18 @@
 Cells are empty where there is nothing to say.
 """
 
-import csv
 import math
-from datetime import datetime
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
-from skope.files.atomic import replacing
+from skope.files.csv_files import write_csv
 from skope.files.json_files import write_json
 from skope.traffic.count_uncertainty import count_interval, in_json
 from skope.traffic.normal_distribution import COUNT_INTERVAL_LEVEL
 from skope.traffic.peak_hour import peak_hours_in_json
-from skope.traffic.report_tables import ReportTable, report_tables
+from skope.traffic.report_tables import report_tables
 from skope.traffic.traffic_report import TrafficReport
 from skope.version import __version__
 
@@ -42,27 +40,9 @@ def write_traffic_report(
     written = []
     for name, table in report_tables(report).items():
         written.append(out / f"{name}.csv")
-        _write(written[-1], table)
+        write_csv(written[-1], table.columns, table.rows, digits=_TABLE_DIGITS)
     write_json(out / SUMMARY, report_summary(report, tracks=tracks, revision=revision))
     return [*written, out / SUMMARY]
-
-
-def _write(path: Path, table: ReportTable) -> None:
-    with replacing(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(table.columns)
-        for row in table.rows:
-            writer.writerow([_cell(value) for value in row])
-
-
-def _cell(value: Any) -> str:
-    if value is None or (isinstance(value, float) and not math.isfinite(value)):
-        return ""
-    if isinstance(value, float):
-        return f"{value:.{_TABLE_DIGITS}f}"
-    if isinstance(value, datetime):
-        return value.isoformat(timespec="milliseconds" if value.microsecond else "seconds")
-    return str(value)
 
 
 def _recordings(report: TrafficReport) -> list[dict[str, Any]]:

@@ -1,6 +1,6 @@
 """A count by hand in the page: keys beside a playing video, kept over a reload, and taken back by --hand-count."""
 
-import csv
+import codecs
 import json
 import re
 import time
@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 
 from skope.camera.model import Camera
+from skope.files.csv_files import read_csv
 from skope.files.json_files import write_json
 from skope.site.gates_zones_lanes import Gate
 from skope.site.site_file import parse_site
@@ -36,7 +37,7 @@ from tests.traffic.test_exports import HEAD, junction_report, report_of
 
 Pages = Callable[[], AbstractContextManager[Browser]]
 Skope = Callable[..., tuple[int, str, str]]
-HOSTILE = '<img src=x onerror="document.title=1">, "</script>'
+HOSTILE = '=<img src=x onerror="document.title=1">, "</script>'
 STEP_S = 0.2
 SECONDS = 8.0
 CROSSED_S = (1.5, 2.7, 4.3, 6.1)
@@ -216,6 +217,8 @@ def test_a_clip_counted_with_keys_is_read_back_by_the_command(
             [f"{HOSTILE} (west)", "1", "1", "0 (0 %)", "0.0"],
         ]  # fmt: skip
         path = downloaded(browser, tmp_path)
+        assert path.read_bytes().startswith(codecs.BOM_UTF8), "Excel knows by it that the file is UTF-8"
+        assert "'=<img" in path.read_text(), "no spreadsheet takes the name for a formula"
         # A second count of the same, in part, would count somebody twice.
         click(browser, "back")
         click(browser, "begin")
@@ -231,8 +234,7 @@ def test_a_clip_counted_with_keys_is_read_back_by_the_command(
         "eval", "traffic", counted / "tracks", *where, "--hand-count", path, "--out", tmp_path / "again", "-q"
     )
     assert code == 0, err
-    with (tmp_path / "again/hand_count.csv").open(newline="") as file:
-        checks = list(csv.DictReader(file))
+    _, checks = read_csv(tmp_path / "again/hand_count.csv")
     assert [[f"{row['gate']} ({row['direction']})", row["by_hand"], row["count"]] for row in checks] == [
         row[:3] for row in rows
     ]

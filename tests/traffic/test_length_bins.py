@@ -110,7 +110,7 @@ def test_intervals_hold_the_truth_of_draws() -> None:
 def test_the_files_say_it(tmp_path: Path) -> None:
     report = report_of([(4.4, "car"), (9.0, "bus"), (16.0, "lorry")])
     write_traffic_report(tmp_path, report, tracks="t", revision=None)
-    with (tmp_path / "lengths.csv").open(newline="") as file:
+    with (tmp_path / "lengths.csv").open(encoding="utf-8-sig", newline="") as file:
         rows = [row for row in csv.DictReader(file) if row["direction"] == "west"]
     assert [(row["length_bin"], row["from_m"], row["to_m"], row["count"]) for row in rows] == [
         ("short", "0.000", "6.550", "1"),
@@ -120,13 +120,13 @@ def test_the_files_say_it(tmp_path: Path) -> None:
     ]
     assert [row["remark"] for row in rows] == ["", "", WHY_NOT, ""]
     assert [bool(row["low"]) for row in rows] == [True, True, False, False]
-    with (tmp_path / "events.csv").open(newline="") as file:
+    with (tmp_path / "events.csv").open(encoding="utf-8-sig", newline="") as file:
         events = {row["track"]: row for row in csv.DictReader(file) if row["event"] == "gate"}
     assert [events[k]["otc_class"] for k in ("1", "2", "3", "999")] == ["car", "bus", "truck", "pedestrian"]
     assert [events[k]["length_bin"] for k in ("1", "2", "3", "999")] == ["short", "medium", "long", ""]
     assert float(events["1"]["length_bin_probability"]) > 0.99
     assert (events["1"]["length_m"], events["999"]["length_m"]) == ("4.400", "")
-    with (tmp_path / "counts.csv").open(newline="") as file:
+    with (tmp_path / "counts.csv").open(encoding="utf-8-sig", newline="") as file:
         names = {row["class"]: row["otc_class"] for row in csv.DictReader(file)}
     assert names == {**OTC_CLASSES, "all": "", "vehicle": ""}
     assert set(OTC_CLASSES) == set(CLASSES)

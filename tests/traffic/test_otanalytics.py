@@ -321,7 +321,7 @@ def counted_by(python: Path, tracks_file: Path, minutes: int) -> tuple[list[dict
     assert (out / f"x.counts_{minutes}min.csv").is_file(), done.stdout[-2000:] + done.stderr[-2000:]
 
     def rows(name: str) -> list[dict[str, str]]:
-        with (out / name).open(newline="") as file:
+        with (out / name).open(encoding="utf-8-sig", newline="") as file:
             return list(csv.DictReader(file))
 
     counts = Counter[Any]()

@@ -62,7 +62,7 @@ def test_the_report_marks_its_intervals(tmp_path: Path) -> None:
     write_traffic_report(tmp_path, report, tracks="t", revision=None)
     tables = {}
     for name in ("sight", "counts"):
-        with (tmp_path / f"{name}.csv").open(newline="") as file:
+        with (tmp_path / f"{name}.csv").open(encoding="utf-8-sig", newline="") as file:
             tables[name] = list(csv.DictReader(file))
     assert [(row["begin_s"], row["dark_s"], row["flat_s"]) for row in tables["sight"]] == [
         ("0.000", "", ""), ("60.000", "5.000", "3.000")

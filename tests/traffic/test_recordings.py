@@ -97,7 +97,7 @@ def cells(report: Any, table: str, *without: str) -> list[tuple[Any, ...]]:
 
 
 def rows_of(path: str) -> list[dict[str, str]]:
-    with Path(path).open(newline="") as file:
+    with Path(path).open(encoding="utf-8-sig", newline="") as file:
         return list(csv.DictReader(file))
 
 

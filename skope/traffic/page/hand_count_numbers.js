@@ -76,16 +76,18 @@ const overlapOf = (data, counts) => {
   return null;
 };
 
-// The file that --hand-count reads: whole seconds of the footage.
+// The file that --hand-count reads: whole seconds of the footage. As in skope/files/csv_files.py, a text that a spreadsheet
+// would run as a formula has an apostrophe before it, and the file begins with a byte order mark.
 const csvOf = (data, counts) => {
+  const safe = (value) => (typeof value === "string" && /^'*[=+\-@\t\r\n\uff1d\uff0b\uff0d\uff20]/.test(value) ? `'${value}` : String(value));
   const cell = (text) => (/[",\n\r]/.test(text) ? `"${text.replaceAll('"', '""')}"` : text);
   const lines = ["gate,direction,class,begin,end,count"];
   for (const count of counts.filter((one) => one.what === "crossings"))
     for (const k of count.sides) {
       const side = data.sides[k], number = within(count).filter((one) => one.side === k).length;
-      lines.push([side.gate, side.direction, count.kind, count.begin, count.end, number].map((one) => cell(String(one))).join(","));
+      lines.push([side.gate, side.direction, count.kind, count.begin, count.end, number].map((one) => cell(safe(one))).join(","));
     }
-  return lines.join("\n") + "\n";
+  return "\ufeff" + lines.join("\n") + "\n";
 };
 
 // What was kept, if it is what this page keeps; else nothing.

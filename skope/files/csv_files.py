@@ -1,0 +1,100 @@
+"""CSV files that people open in a spreadsheet: the one writer, and the reader that restores their text.
+
+A spreadsheet runs a cell that begins with =, +, -, @, a tab or a line break as a formula, and a name in a site file can
+begin so. The writer puts an apostrophe before such text (OWASP, "CSV Injection"). Numbers are not text and stay as they
+are, also negative ones.
+"""
+
+import csv
+import io
+import math
+import re
+from collections.abc import Iterable, Sequence
+from datetime import datetime
+from pathlib import Path
+from typing import IO, Any, Final
+
+from skope.errors import UserError
+from skope.files.atomic import replacing
+from skope.files.reading import read_text
+
+_FORMULA: Final = re.compile("'*[=+\\-@\t\r\n\uff1d\uff0b\uff0d\uff20]")
+"""Beginning of a text that a spreadsheet may run. Apostrophes before it count too, or else reading would drop them; the
+last four are =, +, - and @ in full width."""
+
+
+def write_csv(
+    path: Path,
+    columns: Sequence[str],
+    rows: Iterable[Sequence[Any]],
+    *,
+    digits: int | None = None,
+    byte_order_mark: bool = True,
+) -> None:
+    """Write a table as CSV in UTF-8; it is put in place when all of it is written.
+
+    Args:
+        path: The file.
+        columns: Names of the columns.
+        rows: Cells of each row: text, numbers, times. None and numbers that are not finite are empty cells.
+        digits: Number of decimals of floats. Default: as many as they have.
+        byte_order_mark: Whether the file begins with a byte order mark, by which Excel knows that it is UTF-8. Useful
+            for files that people open; leave it out of files that programs read.
+
+    Raises:
+        UserError: The file cannot be written.
+    """
+    encoding = "utf-8-sig" if byte_order_mark else "utf-8"
+    with replacing(path) as temporary, temporary.open("w", encoding=encoding, newline="") as file:
+        # With this line terminator, csv puts a carriage return within a text in quotes.
+        writer = csv.writer(_UnixLines(file), lineterminator="\r\n")
+        writer.writerow(columns)
+        writer.writerows([_cell(value, digits) for value in row] for row in rows)
+
+
+class _UnixLines:
+    """A file whose lines, each written at once, end in a line feed alone."""
+
+    def __init__(self, file: IO[str]) -> None:
+        self._file = file
+
+    def write(self, line: str) -> None:
+        self._file.write(line.removesuffix("\r\n") + "\n")
+
+
+def _cell(value: Any, digits: int | None) -> str:
+    if isinstance(value, str):
+        return f"'{value}" if _FORMULA.match(value) else value
+    if value is None or (isinstance(value, float) and not math.isfinite(value)):
+        return ""
+    if isinstance(value, float):
+        return str(value) if digits is None else f"{value:.{digits}f}"
+    if isinstance(value, datetime):
+        return value.isoformat(timespec="milliseconds" if value.microsecond else "seconds")
+    return str(value)
+
+
+def read_csv(path: Path) -> tuple[list[str], list[dict[str | None, Any]]]:
+    """Read a table, from `write_csv` or of a user's own, with or without a byte order mark.
+
+    Args:
+        path: The file.
+
+    Returns:
+        The names of the columns, and the cells of each row by column. As with `csv.DictReader`, a cell that is missing
+        is None, and what goes beyond the columns is a list under None.
+
+    Raises:
+        UserError: The file cannot be read; the message names it.
+    """
+    try:
+        reader = csv.DictReader(io.StringIO(read_text(path), newline=""))
+        names, rows = list(reader.fieldnames or ()), list(reader)
+    except csv.Error as error:
+        raise UserError(f"{path}: not CSV: {error}") from None
+    return names, [{name: _text(cell) for name, cell in row.items()} for row in rows]
+
+
+def _text(cell: Any) -> Any:
+    """The text of a cell without the apostrophe that `write_csv` put before it."""
+    return cell[1:] if isinstance(cell, str) and cell.startswith("'") and _FORMULA.match(cell) else cell
