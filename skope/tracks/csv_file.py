@@ -127,7 +127,7 @@ def read_tracks(path: Path) -> list[Track]:
 def _groups(path: Path) -> Iterator[list[CsvRow]]:
     """The rows of each track, each with its line under "line"."""
     try:
-        with path.open(encoding="utf-8", newline="") as file:
+        with path.open(encoding="utf-8-sig", newline="") as file:
             reader = csv.DictReader(file)
             missing = [name for name in COLUMNS if name not in (reader.fieldnames or ()) and name not in _DERIVED]
             if missing:

@@ -1,5 +1,6 @@
 """tracks.csv: what is read equals what was written, and what is wrong is named with line and column."""
 
+import codecs
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
@@ -73,6 +74,17 @@ def test_a_frame_has_the_number_that_it_has_in_its_video(tmp_path: Path) -> None
     track = replace(drive(1, [[k, 0.0] for k in range(3)]), frames=np.array([0, 1, 2]))
     write_tracks(tmp_path / "a.csv", [track], [10, 15, 20])
     assert read_tracks(tmp_path / "a.csv")[0].frames.tolist() == [10, 15, 20]
+
+
+def test_a_byte_order_mark_is_not_part_of_the_first_column(tmp_path: Path) -> None:
+    """As a spreadsheet puts it before a file that it saves; the file as written has none, since programs read it."""
+    path = tmp_path / "t.csv"
+    track = any_track(3, np.random.default_rng(0))
+    write_tracks(path, [track])
+    assert path.read_bytes().startswith(b"track,")
+    path.write_bytes(codecs.BOM_UTF8 + path.read_bytes())
+    (back,) = read_tracks(path)
+    assert_same(as_written(track), back)
 
 
 def test_no_track_is_a_file_with_a_head(tmp_path: Path) -> None:

@@ -1,6 +1,5 @@
 """Vehicles in the world, one record each, and the files that hold them: JSON Lines and CSV."""
 
-import csv
 import itertools
 import json
 from collections.abc import Callable, Iterable, Iterator
@@ -17,6 +16,7 @@ from skope.eval.pose.camera_motion import MOVED_REASON
 from skope.eval.pose.estimate_pose import Poses, locate
 from skope.eval.pose.keypoint_views import Scene, View
 from skope.files.atomic import replacing
+from skope.files.csv_files import write_csv
 from skope.keypoints import WHEELS
 from skope.types import Array
 
@@ -123,10 +123,7 @@ def write_poses(folder: Path, rows: Callable[[], Iterable[dict[str, Any]]]) -> l
     paths = [folder / "poses.jsonl", folder / "poses.csv"]
     with replacing(paths[0]) as temporary, temporary.open("w", encoding="utf-8") as file:
         file.writelines(json.dumps(row, allow_nan=False) + "\n" for row in rows())
-    with replacing(paths[1]) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(_CSV_COLUMNS)
-        writer.writerows(_cells(row) for row in rows())
+    write_csv(paths[1], _CSV_COLUMNS, map(_cells, rows()), byte_order_mark=False)
     return paths
 
 
