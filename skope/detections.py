@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from skope import boxes, keypoints
 from skope.dataset import coco
 from skope.errors import UserError
+from skope.field_checks import image_pixels
 from skope.keypoints import SKOPE33, Scheme
 from skope.pictures import draw
 from skope.schema import AnyResult, Result, RoadUserResult
@@ -118,10 +119,14 @@ class Detections:
 
         Returns:
             (scale H, scale W, 3) RGB pixels; `draw.write` writes them.
+
+        Raises:
+            UserError: The pixels are of another shape or type, or the image is of another size.
         """
+        image = image_pixels("image", image)
         if image.shape[:2] != self.size[::-1]:
             width, height = self.size
-            raise ValueError(f"image: expected ({height}, {width}, 3) as it was seen, got {image.shape}")
+            raise UserError(f"image: expected ({height}, {width}, 3) as it was seen, got {image.shape}")
         return draw.results(image, self.to_results(1), self.road_users.to_results(1), scale=scale, scheme=self.scheme)
 
     def save(self, path: str | Path, *, image_id: int = 1) -> None:

@@ -6,7 +6,7 @@ from typing import Any, TypeGuard
 import numpy as np
 
 from skope.errors import UserError, one_of
-from skope.types import Array
+from skope.types import Array, Pixels
 
 
 def is_number(value: Any) -> TypeGuard[float]:
@@ -95,3 +95,30 @@ def probability(name: str, value: Any) -> None:
     """Raise a UserError unless `value` is a number from 0 to 1."""
     if not is_number(value) or not 0 <= value <= 1:
         raise UserError(f"{name}: expected a number from 0 to 1, got {value!r}")
+
+
+def image_pixels(name: str, value: Any) -> Pixels:
+    """Check an image that a caller gives as an array.
+
+    Args:
+        name: The argument, with which the message begins.
+        value: (H, W, 3) RGB pixels of type uint8, in any order of memory, as `bgr[..., ::-1]` has another one.
+
+    Returns:
+        The same pixels, row by row in memory; a copy only where they were not.
+
+    Raises:
+        UserError: It is no array, or one of another shape or type, or has no pixel.
+    """
+    expected = f"{name}: expected (H, W, 3) RGB pixels of type uint8"
+    if not isinstance(value, np.ndarray):
+        raise UserError(f"{expected}, got {'None' if value is None else type(value).__name__}")
+    got = f"{expected}, got {value.shape} of type {value.dtype}"
+    if value.ndim == 3 and value.shape[2] == 3:
+        if value.dtype.kind == "f":
+            raise UserError(f"{got}: for values from 0 to 1, give (255 * {name}).round().astype(numpy.uint8)")
+        if not value.size:
+            raise UserError(f"{got}: it is empty")
+    if value.ndim != 3 or value.shape[2] != 3 or value.dtype != np.uint8:
+        raise UserError(got)
+    return np.ascontiguousarray(value)

@@ -113,6 +113,32 @@ def test_a_detector_answers_as_its_model(random_run: Path, dataset: Path) -> Non
         door.load_detector("nowhere")
 
 
+@pytest.mark.filterwarnings("error")
+def test_a_detector_takes_images_in_any_order_of_memory(random_run: Path, dataset: Path) -> None:
+    detector = door.load_detector(random_run, device="cpu", backend="torch", precision="float32")
+    rgb = next(iter(door.open_dataset(dataset))).pixels()
+    locked = rgb.copy()
+    locked.flags.writeable = False
+    for view in (rgb[..., ::-1], np.flipud(rgb), rgb[:, ::-1], rgb[::2, ::3], np.asfortranarray(rgb), locked):
+        found, expected = detector(view), detector(view.copy(order="C"))
+        np.testing.assert_array_equal(found.scores, expected.scores)
+        np.testing.assert_array_equal(found.keypoints, expected.keypoints)
+        (own,) = detect(load_weights(detector.checkpoint, "cpu")[0], [view], "cpu")
+        np.testing.assert_array_equal(own.scores, expected.scores)
+
+
+def test_a_detector_rejects_other_arrays_in_one_line(random_run: Path, dataset: Path) -> None:
+    detector = door.load_detector(random_run, device="cpu", backend="torch", precision="float32")
+    rgb = next(iter(door.open_dataset(dataset))).pixels()
+    wrong: list[Any] = [rgb[:0], rgb[:, :0], rgb[..., 0], np.dstack([rgb, rgb[..., :1]]), rgb / 255.0, None]
+    for image in wrong:
+        with pytest.raises(UserError, match=r"^image: expected \(H, W, 3\) RGB pixels of type uint8.*, got ") as error:
+            detector(image)
+        assert "\n" not in str(error.value)
+        with pytest.raises(UserError, match=r"^images\[1\]: expected \(H, W, 3\) RGB pixels of type uint8.*, got "):
+            detector.many([rgb, image])
+
+
 def frames(count: int = 20) -> list[tuple[Detections, float]]:
     """What a perfect detector finds of two sedans, at 10 frames a second."""
     file = drive(count / 10, 10.0)

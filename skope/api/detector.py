@@ -2,10 +2,9 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING
-
-import numpy as np
 
 from skope.api.checks import in_range
 from skope.api.footage import RoadHeight, Video, open_video
@@ -13,6 +12,7 @@ from skope.camera.model import Camera
 from skope.dataset import folder
 from skope.detector import weights
 from skope.errors import one_of
+from skope.field_checks import image_pixels
 from skope.types import Pixels
 
 if TYPE_CHECKING:
@@ -40,7 +40,8 @@ class Detector:
         """Find the vehicles in an image.
 
         Args:
-            image: (H, W, 3) RGB pixels of type uint8, or the path of an image file. OpenCV reads BGR: turn it round.
+            image: (H, W, 3) RGB pixels of type uint8, or the path of an image file. OpenCV reads BGR: give
+                `bgr[..., ::-1]`.
 
         Returns:
             Detections with `boxes_xyxy` (N, 4), `scores` (N,) and `keypoints` (N, 33, 3), in pixels of the image and
@@ -48,10 +49,9 @@ class Detector:
             them, `road_users` has boxes, scores and categories of people on foot and on two wheels.
 
         Raises:
-            UserError: The file cannot be read.
-            ValueError: The pixels are of another shape or type.
+            UserError: The file cannot be read, or the pixels are of another shape or type.
         """
-        return self.many([image])[0]
+        return self._found([_pixels("image", image)])[0]
 
     def many(self, images: Sequence[Pixels | str | Path]) -> "list[Detections]":
         """Find the vehicles in several images, which go through the network together where they have one size.
@@ -63,13 +63,11 @@ class Detector:
             The detections of each image, in their order.
 
         Raises:
-            UserError: A file cannot be read.
-            ValueError: Pixels are of another shape or type.
+            UserError: A file cannot be read, or pixels are of another shape or type.
         """
-        pixels = [one if isinstance(one, np.ndarray) else folder.read_image(Path(one)) for one in images]
-        for one in pixels:
-            if one.ndim != 3 or one.shape[2] != 3 or one.dtype != np.uint8:
-                raise ValueError(f"expected (H, W, 3) pixels of type uint8, got {one.shape} of type {one.dtype}")
+        return self._found([_pixels(f"images[{i}]", image) for i, image in enumerate(images)])
+
+    def _found(self, pixels: Sequence[Pixels]) -> "list[Detections]":
         scheme = self._predictor.scheme
         return [replace(found, scheme=scheme) for found in self._predictor.detections(pixels)]
 
@@ -119,6 +117,11 @@ class Detector:
             every_frame=every_frame,
             fps=fps,
         )
+
+
+def _pixels(name: str, image: Pixels | str | Path) -> Pixels:
+    """The pixels of an argument, which may be the path of an image file."""
+    return folder.read_image(Path(image)) if isinstance(image, str | PathLike) else image_pixels(name, image)
 
 
 def load_detector(

@@ -236,7 +236,9 @@ def _lock_of(model: KeypointRCNN) -> threading.RLock:
 
 def as_tensor(image: NDArray[np.uint8], device: torch.device | str) -> torch.Tensor:
     """An image as torchvision's detectors take it: (H, W, 3) 0..255 -> (3, H, W) float32 0..1."""
-    return torch.as_tensor(image, device=device).permute(2, 0, 1).float() / 255
+    # torch takes neither negative strides nor arrays that cannot be written to; others are not copied.
+    plain = np.require(image, requirements=("C", "W"))
+    return torch.as_tensor(plain, device=device).permute(2, 0, 1).float() / 255
 
 
 def _with_probability(points: torch.Tensor, scale: torch.Tensor) -> NDArray[np.float64]:

@@ -1,15 +1,21 @@
 import os
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
 import pytest
 
 from skope import keypoints
+from skope.camera.model import Camera
 from skope.dataset.folder import read_image
+from skope.detections import detections_of_results
 from skope.errors import UserError
+from skope.eval.tracking.track_list import Tracks
 from skope.pictures import draw
 from skope.schema import Annotation, Result
+from skope.traffic.observation import Observation
 from tests.samples import make_annotation
 
 GREY = np.full((360, 640, 3), 100, dtype=np.uint8)
@@ -155,3 +161,55 @@ def test_a_path_need_not_be_utf_8(tmp_path: Path) -> None:
     path = tmp_path / os.fsdecode(b"\xff") / "a.png"
     draw.write(path, GREY)
     assert np.array_equal(read_image(path), GREY)
+
+
+VEHICLES = [only(0, 120.5, 130.5, 2)]
+DRAWN: dict[str, Callable[[Any], draw.Pixels]] = {
+    "annotations": lambda image: draw.annotations(image, VEHICLES),
+    "annotations, enlarged": lambda image: draw.annotations(image, VEHICLES, scale=2),
+    "numbered": lambda image: draw.numbered(image, VEHICLES),
+    "results": lambda image: draw.results(image, [prediction(0.9)]),
+    "boxes_3d": lambda image: draw.boxes_3d(image, VEHICLES, Camera.looking([0, 0, 6], yaw=0, pitch_down=0.3)),
+    "masks": lambda image: draw.masks(image, VEHICLES),
+    "occlusion": lambda image: draw.occlusion(image, VEHICLES),
+    "caption": lambda image: draw.caption(image, "caption"),
+    "contact_sheet": lambda image: draw.contact_sheet([image, image], 2),
+    "Detections.draw": lambda image: detections_of_results([prediction(0.9)], (640, 360)).draw(image),
+    "Tracks.draw": lambda image: Tracks([], Observation(times_s=np.zeros(1))).draw(image, 0),
+}
+"""Each public function that draws on an image."""
+
+
+@pytest.mark.parametrize("name", DRAWN)
+@pytest.mark.parametrize(
+    "view",
+    [lambda image: image[..., ::-1], np.flipud, lambda image: image[:, ::-1], np.asfortranarray],
+    ids=["BGR", "upside down", "mirrored", "column order"],
+)
+def test_an_image_is_drawn_on_in_any_order_of_memory(name: str, view: Callable[[draw.Pixels], draw.Pixels]) -> None:
+    image = view(np.random.default_rng(0).integers(0, 256, GREY.shape).astype(np.uint8))
+    np.testing.assert_array_equal(DRAWN[name](image), DRAWN[name](image.copy(order="C")))
+
+
+@pytest.mark.parametrize("image", [GREY[..., 0], GREY[:0], GREY / 255.0, None], ids=["grey", "empty", "float", "None"])
+@pytest.mark.parametrize("name", DRAWN)
+def test_no_image_is_drawn_on(name: str, image: Any) -> None:
+    with pytest.raises(UserError, match=r"^image(s\[0\])?: expected \(H, W, 3\) RGB pixels of type uint8.*, got "):
+        DRAWN[name](image)
+
+
+def test_only_images_are_written(tmp_path: Path) -> None:
+    draw.write(tmp_path / "a.png", np.flipud(GREY)[..., ::-1])
+    assert np.array_equal(read_image(tmp_path / "a.png"), GREY)
+    for image in (GREY[..., 0], GREY[:0], GREY / 255.0):
+        with pytest.raises(UserError, match=r"^image: expected \(H, W, 3\) RGB pixels"):
+            draw.write(tmp_path / "b.png", image)
+    assert not (tmp_path / "b.png").exists()
+
+
+def test_only_depths_are_coloured() -> None:
+    metres = np.linspace(4, 80, 48, dtype=np.float32).reshape(6, 8)
+    np.testing.assert_array_equal(draw.depth(metres[::-1]), draw.depth(metres)[::-1])
+    for wrong in (metres[:0], metres[None], np.ones((6, 8), dtype=np.int64)):
+        with pytest.raises(UserError, match=r"^metres: expected \(H, W\) numbers of a floating type, got \("):
+            draw.depth(wrong)

@@ -8,6 +8,7 @@ import numpy as np
 
 from skope.boxes import xywh_to_xyxy
 from skope.eval.tracking import track_overlay
+from skope.field_checks import image_pixels
 from skope.tracks.csv_file import write_tracks
 from skope.tracks.track import Track
 from skope.traffic.observation import Observation
@@ -65,7 +66,12 @@ class Tracks(list[Track]):
         return tuple(_state(track, i) for track in self if (i := _row(track, frame)) is not None)
 
     def draw(self, image: Pixels, frame: int) -> Pixels:
-        """A copy of a frame, (H, W, 3) RGB, with box, number, class and speed of each detected road user."""
+        """A copy of a frame, (H, W, 3) RGB, with box, number, class and speed of each detected road user.
+
+        Raises:
+            UserError: The pixels are of another shape or type.
+        """
+        image = image_pixels("image", image)
         rows = ((track, _row(track, frame)) for track in self)
         return track_overlay.with_tracks_drawn(
             image, [(track, i) for track, i in rows if i is not None and np.isfinite(track.scores[i])]
