@@ -38,7 +38,6 @@ from skope.detections import MIN_SCORE, apart, results_of
 from skope.detector.checkpoint import load_weights
 from skope.detector.detect import as_tensor
 from skope.eval.inference.confirmation import WEAK, Confirmation
-from skope.eval.inference.frame_sources import Cut, Footage, open_footage
 from skope.eval.inference.network_settings import Settings
 from skope.eval.inference.predict_footage import found_in
 from skope.eval.inference.predict_job import PredictJob
@@ -46,6 +45,7 @@ from skope.eval.inference.predictor import Predictor
 from skope.schema import AnnotationFile, Image, Result
 from skope.terminal.console import Console
 from skope.types import Pixels
+from skope.video.footage import Cut, Footage, open_footage
 
 SCORE: Final = 0.5
 WAYS: Final = {

@@ -21,12 +21,12 @@ from numpy.typing import NDArray
 
 from skope.dataset.folder import open_dataset, read_image
 from skope.errors import UserError
-from skope.eval.inference.frame_sources import open_footage
 from skope.files.atomic import write_text
 from skope.files.json_files import read_json
 from skope.page import html_document
 from skope.page.html_pieces import percent_text, table, tag
 from skope.pictures import draw
+from skope.video.footage import open_footage
 
 IOU = "0.6"
 SPLIT = "extra"

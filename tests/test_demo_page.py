@@ -13,8 +13,8 @@ import pytest
 
 from skope.dataset import coco
 from skope.pictures import draw
-from skope.pictures.video import write_video
 from skope.schema import Result
+from skope.video.write import write_video
 from tests.samples import make_dataset
 
 SCRIPTS = Path(__file__).parents[1] / "scripts"

@@ -83,7 +83,7 @@ SHARED = (
     {"camera", "terminal"},
     {"schema", "site"},
     {"dataset", "pictures", "tracks"},
-    {"detections"},
+    {"detections", "video"},
     {"detector", "metrics", "page"},
     {"traffic", "viewer"},
     {"gen", "train", "eval"},

@@ -22,11 +22,11 @@ from skope.types import Pixels
 
 if TYPE_CHECKING:
     from skope.eval.camera_fit.fit_camera import CameraEstimate
-    from skope.eval.inference.frame_sources import Footage
     from skope.eval.inference.predict_job import PredictJob
     from skope.eval.inference.predictor import Predictor
     from skope.eval.pose.keypoint_views import Scene
     from skope.eval.tracking.track_list import TrackedRoadUser, Tracks
+    from skope.video.footage import Footage
 
 RoadHeight = float | Literal["auto", "fit"] | None
 """Height of the level road in the camera's world, metres, or how it is found: see `Detector.video`."""
@@ -276,12 +276,13 @@ def open_video(
         every: Take every so many-th frame, from 1.
         seconds: Begin and end in the footage, seconds; None as end: its end.
         every_frame: Run the detector on every frame; else on a CPU it runs twice a second.
-        fps: Images a second of image files, which carry no times; None: the files' own times, if any.
+        fps: Frames per second of image files, or of a video file whose time stamps are missing or wrong; None: their
+            own times, if any.
     """
     from skope.dataset.camera_of_file import fitted_camera, read_camera
-    from skope.eval.inference.frame_sources import Cut, open_footage
     from skope.eval.inference.predict_job import PredictJob
     from skope.eval.pose.camera_error import camera_info
+    from skope.video.footage import Cut, open_footage
 
     in_range("score", score, 0.0, 1.0)
     in_range("every", every, 1, math.inf)
@@ -295,7 +296,12 @@ def open_video(
         in_range("ground", ground, -_HIGHEST_M, _HIGHEST_M)
     if fps is not None:
         in_range("fps", fps, 0.001, 1000.0)
-    footage = open_footage(str(source), Cut(every=every, start_s=start_s, end_s=math.inf if end_s is None else end_s))
+    cut = Cut(every=every, start_s=start_s, end_s=math.inf if end_s is None else end_s)
+    footage = open_footage(str(source), cut)
+    if fps is not None and footage.clip is not None:
+        footage = open_footage(str(source), cut, fps=fps)
+    for note in footage.notes:
+        warnings.warn(note, stacklevel=3)
     name, known = "camera", dict[str, Any]()
     size = None if camera is None else footage.frame_size()
     if isinstance(camera, str | Path):
@@ -316,5 +322,8 @@ def open_video(
         every_frame=every_frame,
     )
     return Video(
-        job, predictor.reporting(job.least_score, batch_size=1 if footage.live else None), ground=ground, image_fps=fps
+        job,
+        predictor.reporting(job.least_score, batch_size=1 if footage.live else None),
+        ground=ground,
+        image_fps=fps if footage.clip is None else None,
     )

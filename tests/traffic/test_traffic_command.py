@@ -23,7 +23,6 @@ from skope.eval.tracking.track_errors import with_body_error
 from skope.eval.tracking.track_list import Tracks
 from skope.eval.tracking.vehicle_tracker import follow
 from skope.files.json_files import write_json
-from skope.pictures.video import write_video
 from skope.schema import AnnotationFile, Result, RoadUserResult
 from skope.site.site_file import parse_site, read_site
 from skope.site.traffic_settings import TrafficSettings
@@ -32,6 +31,7 @@ from skope.tracks.csv_file import TRACKS_CSV, read_tracks, write_tracks
 from skope.traffic.measure import measure
 from skope.traffic.observation import FOOTAGE, Observation
 from skope.traffic.report_tables import report_tables
+from skope.video.write import write_video
 from tests.eval.cli.test_footage import numbered_video
 from tests.eval.sightings import CAMERA, drive
 from tests.traffic.drives import straight
@@ -53,7 +53,7 @@ def site_of(file: AnnotationFile, name: str = "site.toml", head: str = HEAD) -> 
 
 
 def rows_of(path: str) -> list[dict[str, str]]:
-    with Path(path).open(newline="") as file:
+    with Path(path).open(encoding="utf-8-sig", newline="") as file:
         return list(csv.DictReader(file))
 
 

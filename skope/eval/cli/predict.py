@@ -36,6 +36,13 @@ def predict(
     every: Annotated[int, data_option(help="Take every so many-th frame.")] = 1,
     start: Annotated[float, data_option(help="Begin at this second of a video.")] = 0.0,
     end: Annotated[float | None, data_option(help="End at this second of a video.", show_default="its end")] = None,
+    fps: Annotated[
+        float | None,
+        data_option(
+            help="Frames per second of a video whose time stamps are missing or wrong.",
+            show_default="its time stamps",
+        ),
+    ] = None,
     tiles: Annotated[
         str,
         counts(choices=TILES, help="auto: look at parts too where the image is larger than in the network."),
@@ -52,6 +59,9 @@ def predict(
             "on the vehicles are followed between.",
         ),
     ] = False,
+    strict: Annotated[
+        bool, output("--strict", help="Exit with code 1 where a part of the footage could not be read.")
+    ] = False,
     overlay: Annotated[bool, output("--overlay", help="Draw what was found: a video, or images.")] = False,
     blur: Annotated[bool, output("--blur", help="Blur plates, glass and heads in the overlay.")] = False,
     out: Annotated[
@@ -63,10 +73,10 @@ def predict(
 ) -> None:
     """Run a detector on footage: COCO results, and overlays. The same command goes on where a stopped one was."""
     from skope.dataset.camera_of_file import fitted_camera, read_camera
-    from skope.eval.inference.frame_sources import Cut, open_footage
+    from skope.video.footage import Cut, open_footage
 
     check_probability("--score", score)
-    footage = open_footage(source, Cut(every=every, start_s=start, end_s=math.inf if end is None else end))
+    footage = open_footage(source, Cut(every=every, start_s=start, end_s=math.inf if end is None else end), fps=fps)
     if blur and not overlay:
         raise UserError("--blur is for the overlay: give --overlay too")
     if overlay and footage.live:
@@ -103,7 +113,7 @@ def predict(
         console.result(f"wrote {path}")
     for reason in footage.skipped:
         typer.echo(f"skope: skipped: {reason}", err=True)
-    if footage.skipped:
+    if footage.broken_off or (strict and footage.skipped):
         raise typer.Exit(1)
     here = shlex.quote(str(out))
     if fixed:

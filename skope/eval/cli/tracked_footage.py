@@ -13,8 +13,8 @@ from skope.files.output_folders import claim_output
 from skope.terminal.console import Console
 
 if TYPE_CHECKING:
-    from skope.eval.inference.frame_sources import Footage
     from skope.site.site_file import SiteFile
+    from skope.video.footage import Footage
 
 _CAMERA_NAME: Final = "camera.json"
 SEEN_NAME: Final = "seen"
@@ -29,7 +29,7 @@ def recorded_video(source: str) -> "Footage":
     Raises:
         UserError: It cannot be read, is a live stream, or holds images without times.
     """
-    from skope.eval.inference.frame_sources import Cut, open_footage
+    from skope.video.footage import Cut, open_footage
 
     footage = open_footage(source, Cut())
     if footage.clip is None:

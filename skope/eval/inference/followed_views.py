@@ -11,11 +11,11 @@ import numpy as np
 
 from skope.errors import UserError
 from skope.eval.image_shift import MOVED_SHARE, ImageMotion, ReferencePicture, SmallPicture
-from skope.eval.inference.frame_sources import Cut, Footage
 from skope.eval.inference.view_changes import ViewChange
 from skope.eval.view_registration import ViewHomography, register, transformed
 from skope.pictures.median import median_of
 from skope.types import Pixels
+from skope.video.footage import Cut, Footage
 
 _PICTURE_S: Final = 20.0
 """Longest part of a view that its picture is made of, seconds."""

@@ -36,7 +36,6 @@ from skope.eval.inference.camera_sway import SwayWatch, motion_of_row, motion_to
 from skope.eval.inference.confirmation import Confirmation
 from skope.eval.inference.followed_views import with_homographies
 from skope.eval.inference.frame_contrast import sight_rows
-from skope.eval.inference.frame_sources import Footage
 from skope.eval.inference.key_frames import with_frames_between
 from skope.eval.inference.live_choice import FrameDetector, LiveChoice
 from skope.eval.inference.network_settings import Settings
@@ -50,6 +49,7 @@ from skope.files.progress import Progress
 from skope.schema import CATEGORIES, AnnotationFile, AnyResult, Image
 from skope.terminal.console import Console, counted
 from skope.types import Pixels
+from skope.video.footage import Footage
 
 _SWAY_PROCESSES: Final = 4
 """Processes that measure the camera's sway beside a detector that sees every frame, at most, and one for so many
@@ -95,16 +95,26 @@ def predict(job: PredictJob, console: Console) -> list[Path]:
     elif done:
         console.say(f"{job.footage.name}: going on after frame {done}")
     bars = console.bar(total=len(job.footage) or None, unit="image", label=job.footage.name)
+    told = _tell_notes(job.footage, 0, console)
     with bars as bar, _ended_by_terminate(job.footage):
         bar.update(done)
         try:
             for image, _ in prediction.frames():
                 bar.update(image.id - bar.n)
+                told = _tell_notes(job.footage, told, console)
         except KeyboardInterrupt:
             if not job.footage.live:
                 raise
             console.say(f"{job.footage.name}: stopped after {len(prediction.images)} images")
+    _tell_notes(job.footage, told, console)
     return prediction.write(console)
+
+
+def _tell_notes(footage: Footage, told: int, console: Console) -> int:
+    """Report the notes on the footage from number `told` on; returns the number of notes."""
+    for note in footage.notes[told:]:
+        console.warn(note)
+    return len(footage.notes)
 
 
 def _loaded(job: PredictJob, settings: Settings, console: Console) -> Predictor | LiveChoice:

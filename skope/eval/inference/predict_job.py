@@ -13,12 +13,12 @@ from skope.camera.model import Camera
 from skope.detector.device import choose_device
 from skope.eval.box_links import FARTHEST_S
 from skope.eval.inference.confirmation import WEAK
-from skope.eval.inference.frame_sources import FOUND_AT, Footage
 from skope.eval.inference.key_frames import INTERVAL_S
 from skope.eval.inference.network_settings import Settings
 from skope.files.json_files import read_json
 from skope.files.output_folders import WORK, claim_output
 from skope.files.reading import sha256_of
+from skope.video.footage import FOUND_AT, Footage
 
 PROGRESS_FILE: Final = ".predict.jsonl"
 """A row for each frame that was looked at, until the results are written."""
@@ -80,6 +80,7 @@ def claim(job: PredictJob, files: Sequence[Path]) -> None:
     options = {
         "source": _killed_source(job) or content_of(job.footage),
         "every": cut.every,
+        "fps": job.footage.clip.given_fps if job.footage.clip else None,
         "start": cut.start_s,
         "end": cut.end_s if math.isfinite(cut.end_s) else None,
         "score": job.score,
@@ -108,7 +109,7 @@ def content_of(footage: Footage) -> str:
     """Identity of the frames: checksums of their files; for a live stream, which comes once, the time it began."""
     if footage.live:
         return f"{footage.name} of {datetime.now(UTC).isoformat()}"
-    if footage.clip and "://" in footage.clip.address:
+    if footage.clip and footage.clip.on_server:
         return footage.clip.address
     files = [Path(footage.clip.address)] if footage.clip else footage.images
     digest = hashlib.sha256(" ".join(map(sha256_of, files)).encode()).hexdigest()

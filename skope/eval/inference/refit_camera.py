@@ -27,10 +27,10 @@ from skope.eval.camera_fit.camera_from_marks import evidence_of, place_errors
 from skope.eval.camera_fit.write_camera import write_camera
 from skope.eval.image_shift import FollowedCorners, ImageMotion, ReferencePicture, SmallPicture
 from skope.eval.inference.camera_sway import SwayWatch
-from skope.eval.inference.frame_sources import Cut, open_footage
 from skope.eval.pose.camera_motion import TURNS, covariance_of_turns, turned_camera
 from skope.terminal.console import counted
 from skope.types import Array, Pixels
+from skope.video.footage import Cut, open_footage
 
 _MATCHED_WIDTH_PX: Final = 1280
 """Corners are followed in pictures that are so wide at most, pixels."""

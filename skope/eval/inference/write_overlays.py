@@ -13,10 +13,10 @@ from skope.files.atomic import replacing
 from skope.files.progress import Progress
 from skope.keypoints import Scheme
 from skope.pictures import draw
-from skope.pictures.video import write_video
 from skope.schema import Image
 from skope.terminal.console import Console
 from skope.types import Pixels
+from skope.video.write import write_video
 
 OVERLAY_VIDEO: Final = "overlay.mp4"
 OVERLAY_FOLDER: Final = "overlays"

@@ -9,11 +9,11 @@ import numpy as np
 
 from skope.dataset.folder import read_image
 from skope.errors import UserError
-from skope.eval.inference.frame_sources import open_footage
-from skope.eval.view.video_frames import VideoFrames
 from skope.schema import Image
 from skope.types import Pixels
-from skope.viewer.pictures import Picture, read_picture
+from skope.video.footage import open_footage
+from skope.video.frame_cache import FrameCache
+from skope.viewer.pictures import Picture, encoded, read_picture
 
 _LOOKED_AT: Final = 7
 """So many frames are compared for the clearest one."""
@@ -48,10 +48,10 @@ class SiteFrames:
             paths = footage.images
             size = _size(read_image(paths[0]))
             return cls(Path(source).name or source, len(paths), size, lambda i: read_picture(paths[i]), source)
-        frames, count = VideoFrames(Path(source)), max(1, len(footage))
+        frames, count = FrameCache(Path(source), encoded), max(1, len(footage))
 
         def picture(number: int) -> Picture:
-            return frames.picture(Image(id=1, file_name=footage.name, width=1, height=1, frame_index=number))
+            return frames.frame(Image(id=1, file_name=footage.name, width=1, height=1, frame_index=number))
 
         return cls(Path(source).name, count, _size(decoded_frame(picture(0))), picture, source)
 

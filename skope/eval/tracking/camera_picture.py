@@ -13,12 +13,12 @@ import numpy as np
 
 from skope.camera.model import Camera
 from skope.errors import UserError
-from skope.eval.inference.frame_sources import Cut, open_footage
 from skope.eval.pose.keypoint_views import Scene, View
 from skope.eval.pose.pose_records import corners_of, locate_view
 from skope.eval.tracking.birdseye_video import put_text
 from skope.eval.tracking.empty_road import footage_of
 from skope.types import Array, Pixels
+from skope.video.footage import Cut, open_footage
 
 _GRID_M: Final = (1, 2, 5, 10, 20, 50)
 """Distances of the grid's lines."""

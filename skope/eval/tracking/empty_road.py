@@ -6,11 +6,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
-from skope.eval.inference.frame_sources import FOUND_AT, Cut, open_footage
 from skope.eval.known_views import read_views, view_numbers
 from skope.pictures.median import median_of
 from skope.schema import AnnotationFile
 from skope.types import Pixels
+from skope.video.footage import FOUND_AT, Cut, open_footage
 
 _FRAMES: Final = 25
 """Frames that the picture is made of."""

@@ -27,7 +27,6 @@ from skope.eval.tracking.vehicle_tracker import follow
 from skope.files.atomic import replacing, write_bytes, write_text
 from skope.files.json_files import json_bytes
 from skope.files.progress import Progress
-from skope.pictures.video import write_video
 from skope.schema import CATEGORIES, VEHICLE, Labelled
 from skope.terminal.console import Console, counted
 from skope.tracks.csv_file import TRACKS_CSV, as_written, write_tracks
@@ -36,6 +35,7 @@ from skope.tracks.track import Track
 from skope.traffic.empty_road_picture import empty_road_picture, write_empty_road_picture
 from skope.traffic.observation import FOOTAGE, Observation, checked_sight, read_begins
 from skope.traffic.road_picture import write_road_picture
+from skope.video.write import write_video
 
 _PROGRESS_NAME: Final = ".poses.jsonl"
 

@@ -8,7 +8,6 @@ import cv2
 import numpy as np
 
 from skope.errors import UserError
-from skope.eval.inference.frame_sources import open_footage
 from skope.eval.tracking import map_signs
 from skope.eval.tracking.birdseye_video import put_text
 from skope.eval.tracking.empty_road import footage_of
@@ -16,6 +15,7 @@ from skope.pictures.draw import PALETTE
 from skope.schema import AnnotationFile
 from skope.tracks.track import Track
 from skope.types import Pixels
+from skope.video.footage import open_footage
 
 _LABELLED: Final = 0.05
 """Boxes that are longer than this share of the picture's width have words beside them: far ones lie close together."""

@@ -10,15 +10,15 @@ from skope.dataset import coco
 from skope.dataset.folder import FRAMES, PREDICTIONS
 from skope.detections import apart
 from skope.errors import UserError
-from skope.eval.inference.frame_sources import FOUND_AT
-from skope.eval.view.video_frames import VideoFrames
 from skope.files.json_files import read_json
 from skope.files.output_folders import WORK
 from skope.metrics import read_inputs
 from skope.metrics.keypoint_outcomes import Options
 from skope.schema import Image, RoadUser, RoadUserResult
+from skope.video.footage import FOUND_AT
+from skope.video.frame_cache import FrameCache
 from skope.viewer.collection import Collection, ShownSplit
-from skope.viewer.pictures import Picture, read_picture
+from skope.viewer.pictures import Picture, encoded, read_picture
 
 
 def footage_collection(folder: Path) -> Collection:
@@ -61,7 +61,7 @@ def _pictures(folder: Path, found_at: Any) -> Callable[[Image], Picture]:
     """Make a reader of the frames' pictures: those of the files or the video that the folder says it is of."""
     source = folder / found_at if isinstance(found_at, str) else None
     if source and source.is_file():
-        return VideoFrames(source).picture
+        return FrameCache(source, encoded).frame
 
     def picture(image: Image) -> Picture:
         if source is None:

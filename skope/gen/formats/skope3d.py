@@ -24,17 +24,17 @@ from skope.errors import UserError
 from skope.files.atomic import write_text
 from skope.files.json_files import read_json, write_json
 from skope.files.reading import read_text
-from skope.files.safe_names import for_opencv
 from skope.files.safe_names import name as check_name
 from skope.gen.formats.archive import opened, zipped
 from skope.gen.formats.dataset_builder import finish_dataset, frame_rate, labelled_frame, licence_beside
 from skope.gen.formats.skope3d_scenes import VIDEO, ArchiveScene, ArchiveVehicle, archives, scene_of
 from skope.gen.output.writers import FolderWriter
 from skope.keypoints import PUBLISHED, SKOPE33, K
-from skope.pictures.video import write_video
 from skope.schema import Annotation, AnnotationFile, Image
 from skope.terminal.console import Console
 from skope.types import Array
+from skope.video.footage import open_footage
+from skope.video.write import write_video
 
 LICENCE: Final = "CC BY-NC-SA 4.0 (as its users state it)"
 SCENES: Final = "scenes.csv"
@@ -132,7 +132,7 @@ def _add_scene(
                 frame_index=frame,
                 time_s=time_s,
             )
-            done, data = cv2.imencode(".jpg", pixels, [cv2.IMWRITE_JPEG_QUALITY, 95])
+            done, data = cv2.imencode(".jpg", cv2.cvtColor(pixels, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, 95])
             assert done
             own = [_annotation(vehicle, width, height, names) for vehicle in scene.vehicles(frame)]
             vehicles = [vehicle for vehicle in own if vehicle is not None]
@@ -143,25 +143,26 @@ def _add_scene(
 
 
 def _pictures(scene: ArchiveScene, video: Path) -> Iterator[tuple[int, float | None, NDArray[np.uint8]]]:
-    """Annotated frames with their time and BGR pixels."""
-    where = f"{scene.archive.path}: {scene.name}/{VIDEO}"
-    capture = cv2.VideoCapture(for_opencv(video), cv2.CAP_FFMPEG)
+    """Annotated frames with their time and (H, W, 3) RGB pixels."""
+    where, last = f"{scene.archive.path}: {scene.name}/{VIDEO}", max(scene.frames)
     try:
-        if not capture.isOpened():
-            raise UserError(f"{where}: not a video that can be decoded")
-        fps, count = capture.get(cv2.CAP_PROP_FPS), round(capture.get(cv2.CAP_PROP_FRAME_COUNT))
-        # Whether the first frame is 0 or 1 is not documented: a number just past the last one tells.
-        first = 1 if 0 not in scene.frames and max(scene.frames) == count else 0
-        for number in range(first, max(scene.frames) + 1):
-            wanted = number in scene.frames
-            good, pixels = capture.read() if wanted else (capture.grab(), None)
-            if not good:
-                raise UserError(f"{where}: frame {number} cannot be decoded; the annotations go to {max(scene.frames)}")
-            if pixels is not None:
-                time_s = round((number - first) / fps, 4) if fps > 0 else None
-                yield number, time_s, np.asarray(pixels, dtype=np.uint8)
-    finally:
-        capture.release()
+        footage = open_footage(str(video))
+    except UserError:
+        raise UserError(f"{where}: not a video that can be decoded") from None
+    assert footage.clip is not None
+    # Whether the first frame is 0 or 1 is not documented. A last number just past the end shows that it is 1.
+    first = 1 if 0 not in scene.frames and last == footage.clip.count else 0
+    left = sorted(scene.frames)
+    for image, pixels in footage.frames():
+        number = first + (image.frame_index or 0)
+        if number > left[0]:
+            break
+        if number == left[0]:
+            left.pop(0)
+            yield number, None if image.time_s is None else round(image.time_s, 4), pixels
+            if not left:
+                return
+    raise UserError(f"{where}: frame {left[0]} cannot be decoded; the annotations go to {last}")
 
 
 def _annotation(vehicle: ArchiveVehicle, width: int, height: int, names: Mapping[int, int] | None) -> Annotation | None:

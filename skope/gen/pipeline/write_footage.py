@@ -26,9 +26,9 @@ from skope.gen.render.frame import Renderer
 from skope.gen.scene.recording import Recording, RecordingPlan
 from skope.gen.simulation.simulate import simulate
 from skope.pictures import draw
-from skope.pictures.video import VideoFile, create_video
 from skope.schema import CATEGORIES, VEHICLE_ALONE, Annotation, AnnotationFile, Image, RoadUser
 from skope.terminal.console import Console
+from skope.video.write import VideoFile, create_video
 
 FPS: Final = (5, 8, 10, 12.5, 20, 25, 40, 50)
 """Frames a second that a video can have: SUMO's steps are whole milliseconds and must divide a frame's time."""

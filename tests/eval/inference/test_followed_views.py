@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 
 from skope.dataset import coco
 from skope.eval.inference.followed_views import with_homographies
-from skope.eval.inference.frame_sources import open_footage
 from skope.eval.inference.view_changes import ViewChange
 from skope.eval.known_views import MOVING, read_views, view_numbers
 from skope.eval.tracking.empty_road import empty_road
 from skope.eval.view_registration import register, transformed
 from skope.keypoints import SKOPE33
 from skope.schema import AnnotationFile, Image
+from skope.video.footage import open_footage
 from tests.eval.test_image_shift import SIZE, picture, with_traffic
 from tests.eval.test_view_registration import CORNERS, turned_and_zoomed
 

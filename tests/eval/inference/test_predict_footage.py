@@ -10,9 +10,9 @@ from PIL import Image as Picture
 
 from skope.dataset import coco
 from skope.errors import UserError
-from skope.eval.inference.frame_sources import open_footage
 from skope.files import progress
 from skope.files.progress import Progress
+from skope.video.footage import open_footage
 
 
 def picture(path: Path, shape: tuple[int, ...] = (60, 80, 3)) -> Path:
@@ -63,7 +63,7 @@ def test_what_could_not_be_read_is_remembered_by_the_next_run(call: Any, stops_a
     Path("in/a.jpg").write_bytes(b"\xff\xd8 no picture")
     with stops_after(3):
         assert call("in", "--out", "parts")[0] == 130
-    stopped, whole = call("in", "--out", "parts"), call("in", "--out", "whole")
+    stopped, whole = call("in", "--out", "parts", "--strict"), call("in", "--out", "whole", "--strict")
     assert stopped[0] == whole[0] == 1
     assert "a.jpg" in stopped[2]
     assert stopped[2] == whole[2]

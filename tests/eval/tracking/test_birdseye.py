@@ -19,9 +19,9 @@ from skope.eval.tracking import birdseye, birdseye_video, map_signs
 from skope.eval.tracking.empty_road import empty_road
 from skope.eval.tracking.ground_view import GroundView
 from skope.pictures.median import median_of
-from skope.pictures.video import write_video
 from skope.schema import AnnotationFile
 from skope.tracks.track import Track
+from skope.video.write import write_video
 from tests.eval.sightings import drive
 from tests.samples import make_image
 

@@ -13,13 +13,13 @@ import pytest
 from skope.dataset import coco
 from skope.dataset.image_selection import take
 from skope.errors import UserError
-from skope.eval.inference.frame_sources import FOUND_AT
-from skope.eval.view import video_frames
 from skope.eval.view.results_folder import read_results_folder
 from skope.files.json_files import write_json
-from skope.pictures.video import write_video
 from skope.schema import AnnotationFile, Image, Result, RoadUserResult
 from skope.terminal.console import Console
+from skope.video import frame_cache
+from skope.video.footage import FOUND_AT
+from skope.video.write import write_video
 from skope.viewer.collection import Collection
 from skope.viewer.documents import Documents
 from tests.eval.report.test_page import detector_of
@@ -195,8 +195,8 @@ def test_images_of_footage_come_from_their_folder(tmp_path: Path) -> None:
 
 
 def test_frames_of_a_video_are_decoded_in_any_order(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    for name, value in (("_KEPT_PICTURES", 3), ("_BEFORE", 1), ("_SEEK_FRAMES", 2)):
-        monkeypatch.setattr(video_frames, name, value)
+    for name, value in (("_KEPT_FRAMES", 3), ("_KEPT_BEFORE", 1), ("SEEK_FRAMES", 2)):
+        monkeypatch.setattr(frame_cache, name, value)
     write_video(tmp_path / "bridge.mp4", frames(10), 10)
     seen = collection(predicted(tmp_path / "out", records(10), "../bridge.mp4"))
     images = seen.splits[0].file.images

@@ -17,7 +17,7 @@ from skope.dataset.folder import open_dataset
 from skope.files.json_files import read_json, write_json
 from skope.gen.formats import archive
 from skope.gen.inspect.check import check
-from skope.pictures.video import write_video
+from skope.video.write import write_video
 from tests.samples import make_dataset
 
 POINTS = [(4.25 * i - 2, 1.5 * i + 0.5, i % 3 != 1) for i in range(33)]
@@ -172,7 +172,7 @@ K0, M0 = "scene_5/1/keypoint_0.csv", "scene_5/1/metadata_0.csv"
         (drop(K0), "scene_5/1: vehicle 0 has no keypoint file"),
         (put("scene_6/original.avi", b""), "expected one folder with original.avi and frames, got 2"),
         (put("scene_5/original.avi", b"RIFF"), "scene_5/original.avi: not a video that can be decoded"),
-        (put("scene_5/9/", ""), "frame 3 cannot be decoded; the annotations go to 9"),
+        (put("scene_5/9/", ""), "frame 9 cannot be decoded; the annotations go to 9"),
         (put(K0, KEYPOINT.rsplit("\n", 1)[0]), f"{K0}: expected 36 rows, got 35"),
         (put(K0, KEYPOINT + "\n1,2,1"), f"{K0}: expected 36 rows, got 37"),
         (put(K0, line(KEYPOINT, 5, "1,2")), f"{K0}: line 5: expected 3 values, got '1,2'"),

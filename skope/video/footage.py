@@ -8,33 +8,35 @@ import math
 import os
 from abc import ABC, abstractmethod
 from collections import deque
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Generator, Iterator, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
-from typing import Final
-
-import cv2
-import numpy as np
-from numpy.typing import NDArray
+from typing import TYPE_CHECKING, Final
 
 from skope.dataset.folder import read_image
 from skope.dataset.picture_headers import read_header
 from skope.errors import UserError
-from skope.eval.inference import stream
 from skope.files import safe_names
 from skope.schema import Image
 from skope.types import Pixels
+from skope.video import live
+from skope.video.container import Clip, open_clip, opened
+from skope.video.decode import decode_frames, fitted, rgb_of, shown_size
+from skope.video.live import StreamRecord
+
+if TYPE_CHECKING:
+    from av.video.frame import VideoFrame
 
 IMAGE_SUFFIXES: Final = (".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp", ".ppm", ".pgm")
 _GLOB_CHARS: Final = frozenset("*?[")
 _SAME_S: Final = 5e-4
 """Times that differ by less are the same: containers count in thousandths of a second, or finer."""
-_SQUARE_WITHIN: Final = 0.005
-"""Pixels count as square whose width and height differ by less, as a share."""
 SEEK_FRAMES: Final = 50
-"""So many frames are as soon decoded as jumped over."""
-
+"""Decoding this many frames takes as long as seeking past them."""
+_MOST_FPS: Final = 1000.0
+_ROUNDED_S: Final = 0.5
+"""Containers may list this much more than they hold, seconds."""
 
 FOUND_AT: Final = "found_at"
 """Field of `info` in the file of frames: the way from its folder to the video, or to the folder of the images."""
@@ -56,33 +58,6 @@ class Cut:
             raise UserError(f"--start, --end: expected 0 <= start < end, got {self.start_s:g} and {self.end_s:g}")
 
 
-@dataclass(frozen=True)
-class Clip:
-    """A video file or stream, opened once to see what it says of itself: a camera may not like to be asked often."""
-
-    address: str
-    count: float
-    """Frames as the container says, 0 or less where it does not."""
-    rate: float
-    """Mean number of frames a second."""
-    times_s: tuple[float, ...] = ()
-    """Times of all frames of a file on this machine, since the first one. Empty for other files and for streams, whose
-    frames tell their times when they are read."""
-    pixel_width: float = 1.0
-    """Width of a pixel as it is to be shown, in its heights, as the container says: 1 where it does not."""
-
-    @property
-    def square(self) -> bool:
-        """Whether its pixels are as wide as high."""
-        return abs(self.pixel_width - 1) < _SQUARE_WITHIN
-
-    @property
-    def live(self) -> bool:
-        """Whether its frames come when they come, and only once."""
-        scheme, found, _ = self.address.partition("://")
-        return bool(found) and (scheme not in ("http", "https") or self.count <= 0)
-
-
 @dataclass
 class Footage(ABC):
     """A source of frames. Going over it again gives the same frames, unless it is a live stream."""
@@ -91,10 +66,14 @@ class Footage(ABC):
     cut: Cut = field(default_factory=Cut)
     skipped: list[str] = field(default_factory=list)
     """Lines on images that could not be read."""
+    notes: list[str] = field(default_factory=list)
+    """Lines on assumptions, and on what happened to a live stream."""
+    broken_off: str = ""
+    """Why a live stream ended before `cut`; empty where it did not."""
     images: tuple[Path, ...] = ()
     """Image files, in order; empty for a video or stream."""
     clip: Clip | None = None
-    """The video or stream as it describes itself; None for image files."""
+    """What the video or stream says about itself; None for image files."""
     begins: datetime | None = None
     """Time of second 0 of a live stream, by this computer's clock, once its first frame has come; else None."""
 
@@ -189,7 +168,7 @@ class VideoFootage(Footage):
 
     @property
     def place(self) -> Path | None:
-        return None if "://" in self.clip.address else Path(self.clip.address)
+        return None if self.clip.on_server else Path(self.clip.address)
 
     @property
     def fps(self) -> float | None:
@@ -200,19 +179,9 @@ class VideoFootage(Footage):
         last = min(count, self.cut.end_s * fps)
         return max(0, math.ceil((last - math.ceil(self.cut.start_s * fps)) / self.cut.every)) if count > 0 else 0
 
-    def _frame(self, number: int, at: int, time_s: float, bgr: NDArray[np.generic]) -> tuple[Image, Pixels]:
-        pixels = np.asarray(cv2.cvtColor(_three_channels(bgr), cv2.COLOR_BGR2RGB), dtype=np.uint8)
-        return _image(number, f"{self.name}/{at:06d}", pixels, at, time_s), pixels
 
-    def _note_missing(self, count: int) -> None:
-        """Say that a file ends early: containers round their counts, but not by half a second."""
-        clip = self.clip
-        if count < clip.count - max(2.0, clip.rate / 2):
-            self._skip(f"{clip.address}: frame {count} of {clip.count:.0f} cannot be decoded")
-
-
-class IndexedVideo(VideoFootage):
-    """A file of which the times of all frames are known beforehand, so that frames are jumped to."""
+class RecordedVideo(VideoFootage):
+    """A video file on this machine: the times of all frames are known beforehand."""
 
     def __len__(self) -> int:
         return len(self._wanted)
@@ -229,44 +198,60 @@ class IndexedVideo(VideoFootage):
         left = deque(enumerate(self._wanted[first:], start=first + 1))
         if not left:
             return
-        with contextlib.closing(_decoded(clip, left[0][1])) as decoded:
-            for at, retrieve in decoded:
-                while left and left[0][1] < at:  # the decoder has left it out
-                    self._skip(f"{clip.address}: frame {left[0][1]} of {len(clip.times_s)} cannot be decoded")
-                    left.popleft()
+        size = clip.size
+        with contextlib.closing(_numbered(clip, left[0][1])) as decoded:
+            for at, frame in decoded:
+                missing = []
+                while left and left[0][1] < at:
+                    missing.append(left.popleft()[1])
+                self._note_missing(missing)
                 if left and left[0][1] == at:
-                    yield self._frame(left.popleft()[0], at, clip.times_s[at], retrieve())
+                    size = size or shown_size(frame)
+                    pixels = fitted(rgb_of(frame), size)
+                    number, _ = left.popleft()
+                    if pixels is None:
+                        now = "x".join(map(str, shown_size(frame)))
+                        self._skip(f"{clip.address}: frames of {now} are left out; the first is {size[0]}x{size[1]}")
+                    else:
+                        yield _image(number, f"{self.name}/{at:06d}", pixels, at, clip.times_s[at]), pixels
                 if not left:
                     break
-        if left:
-            self._skip(f"{clip.address}: frame {left[0][1]} of {len(clip.times_s)} cannot be decoded")
-        elif self.cut.end_s > clip.times_s[-1]:
-            self._note_missing(len(clip.times_s))
+        self._note_missing([at for _, at in left])
+        if clip.lost > clip.rate * _ROUNDED_S and self.cut.end_s > clip.times_s[-1]:
+            there = len(clip.times_s)
+            self._skip(f"{clip.address}: ends after {there} of {there + clip.lost} frames that it lists")
+
+    def _note_missing(self, missing: Sequence[int]) -> None:
+        if not missing:
+            return
+        total = len(self.clip.times_s)
+        which = f"frame {missing[0]}" if len(missing) == 1 else f"frames {missing[0]} to {missing[-1]}"
+        self._skip(f"{self.clip.address}: {which} of {total} cannot be decoded")
 
 
-class SequentialVideo(VideoFootage):
-    """A file on a server, or one without an index: it comes once from its begin, and each frame says its time."""
+class ServerVideo(VideoFootage):
+    """A video file on a server: it comes once from its begin, and each frame carries its time."""
 
     def frames(self, first: int = 0) -> Iterator[tuple[Image, Pixels]]:
-        clip = self.clip
-        with _opened(clip.address) as capture:
-            number, at, begin, time_s = 0, 0, 0, -1 / clip.rate
-            while capture.grab():
-                reported_s = capture.get(cv2.CAP_PROP_POS_MSEC) / 1000
-                time_s = reported_s if reported_s > time_s else time_s + 1 / clip.rate
+        clip, number, begin, time_s = self.clip, 0, 0, -1 / self.clip.rate
+        size: tuple[int, int] | None = None
+        origin_s: float | None = None
+        with opened(clip.address) as (container, stream):
+            for at, frame in enumerate(decode_frames(container, stream)):
+                stamp_s = math.nan if frame.time is None else frame.time
+                origin_s = stamp_s if origin_s is None else origin_s
+                time_s = stamp_s - origin_s if stamp_s - origin_s > time_s else time_s + 1 / clip.rate
                 if time_s >= self.cut.end_s - _SAME_S:
                     return
                 if time_s < self.cut.start_s - _SAME_S:
                     begin = at + 1
                 elif (at - begin) % self.cut.every == 0:
                     number += 1
+                    size = size or shown_size(frame)
                     if number > first:
-                        good, bgr = capture.retrieve()
-                        if not good:
-                            break
-                        yield self._frame(number, at, time_s, bgr)
-                at += 1
-            self._note_missing(at)
+                        pixels = fitted(rgb_of(frame), size)
+                        if pixels is not None:
+                            yield _image(number, f"{self.name}/{at:06d}", pixels, at, time_s), pixels
 
 
 class LiveStream(VideoFootage):
@@ -281,51 +266,67 @@ class LiveStream(VideoFootage):
         return None
 
     def frames(self, first: int = 0) -> Iterator[tuple[Image, Pixels]]:
-        clip = self.clip
-        frames = stream.stream_frames(
-            lambda: _opened(clip.address), self.cut.every, camera_clock=clip.address.startswith("rtsp")
-        )
-        with contextlib.closing(frames):
-            wanted = (f for f in frames if f.time_s >= self.cut.start_s)
+        clip, record = self.clip, StreamRecord()
+        told = 0
+        with contextlib.closing(live.stream_frames(clip.address, self.cut.every, record)) as frames:
+            wanted = (frame for frame in frames if frame.time_s >= self.cut.start_s)
             try:
-                for number, (at, time_s, bgr) in enumerate(wanted, start=1):
-                    if time_s >= self.cut.end_s:
-                        return
+                for number, frame in enumerate(wanted, start=1):
+                    if frame.time_s >= self.cut.end_s:
+                        break
                     if self.begins is None:
-                        self.begins = datetime.now(UTC) - timedelta(seconds=time_s)
-                    yield self._frame(number, at, time_s, bgr)
-            except stream.BrokenOffError as error:
-                self._skip(f"{clip.address}: {error}")
+                        self.begins = datetime.now(UTC) - timedelta(seconds=frame.time_s)
+                    told = self._tell(record, told)
+                    name = f"{self.name}/{frame.number:06d}"
+                    yield _image(number, name, frame.pixels, frame.number, frame.time_s), frame.pixels
+            except live.BrokenOffError as error:
+                self.broken_off = f"{clip.address}: {error}"
+                self._skip(self.broken_off)
+            finally:
+                self._tell(record, told)
+                self.notes.append(f"{clip.address}: {record}")
+
+    def _tell(self, record: StreamRecord, told: int) -> int:
+        """Add the events from number `told` on to the notes; returns the number of events."""
+        self.notes += [f"{self.clip.address}: {event}" for event in record.events[told:]]
+        return len(record.events)
 
 
 def _of_clip(name: str, cut: Cut, clip: Clip) -> VideoFootage:
     """The footage of a video file or stream."""
+    notes = [f"{clip.address} {note}" for note in clip.notes]
     if clip.live:
-        return LiveStream(name, cut, clip=clip)
-    return IndexedVideo(name, cut, clip=clip) if clip.times_s else SequentialVideo(name, cut, clip=clip)
+        return LiveStream(name, cut, clip=clip, notes=notes)
+    kind = ServerVideo if clip.on_server else RecordedVideo
+    return kind(name, cut, clip=clip, notes=notes)
 
 
-def open_footage(source: str, cut: Cut | None = None) -> Footage:
+def open_footage(source: str, cut: Cut | None = None, *, fps: float | None = None) -> Footage:
     """Open a source of frames.
 
     Args:
         source: An image, a folder of images, a glob, a video file, or the address of a stream.
-        cut: Which frames are wanted; None: all.
+        cut: The frames that are wanted; None: all.
+        fps: Frame rate of a video file whose time stamps are missing or wrong; None: its time stamps count.
 
     Raises:
-        UserError: `source` is none of these, or cannot be opened.
+        UserError: `source` is none of these, or cannot be opened; or `fps` does not fit it.
     """
     cut = cut or Cut()
+    if fps is not None and not 0 < fps <= _MOST_FPS:
+        raise UserError(f"--fps: expected frames per second up to {_MOST_FPS:g}, got {fps:g}")
     if "://" in source:
-        return _of_clip("stream", cut, _open_clip(source))
-    footage = _on_this_machine(source, cut)
+        return _of_clip("stream", cut, open_clip(source, fps))
+    footage = _on_this_machine(source, cut, fps)
+    if fps is not None and footage.clip is None:
+        raise UserError(f"--fps: {source} is no video; images have no times")
     for image, name in zip(footage.images, footage.names, strict=True):
         if not safe_names.is_relative(name):
             raise UserError(f"{str(image)!r}: no name for a dataset (control characters, backslashes)")
     return footage
 
 
-def _on_this_machine(source: str, cut: Cut) -> Footage:
+def _on_this_machine(source: str, cut: Cut, fps: float | None) -> Footage:
     path = Path(source)
     if path.is_dir():
         images = (p for p in path.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES and not p.name.startswith("."))
@@ -343,88 +344,33 @@ def _on_this_machine(source: str, cut: Cut) -> Footage:
         raise UserError(f"{source}: no such file or folder")
     if path.suffix.lower() in IMAGE_SUFFIXES:
         return ImageFiles(path.stem, cut, images=(path,))
-    return _of_clip(path.stem, cut, _open_clip(source))
+    return _of_clip(path.stem, cut, open_clip(source, fps))
 
 
-def _open_clip(video: str) -> Clip:
-    with _opened(video) as capture:
-        count, rate, pixel_width = capture.get(cv2.CAP_PROP_FRAME_COUNT), _rate(capture), _pixel_width(capture)
-    if "://" in video:
-        return Clip(video, count, rate, pixel_width=pixel_width)
-    times_s = _times(video)
-    if len(times_s) >= 2:
-        rate = (len(times_s) - 1) / times_s[-1]
-    return Clip(video, count, rate, times_s, pixel_width)
+def _numbered(clip: Clip, first: int) -> Generator[tuple[int, "VideoFrame"]]:
+    """Frames of a file with their numbers, from number `first` on or somewhat before."""
+    if clip.stamps and first >= SEEK_FRAMES:
+        with opened(clip.address) as (container, stream):
+            # Two frames more, which the filter for interlaced ones looks back at.
+            container.seek(clip.stamps[first - 2], stream=stream)
+            frames = _by_stamp(clip, decode_frames(container, stream))
+            reached = next(frames, None)
+            if reached and reached[0] <= first - 2:
+                yield reached
+                yield from frames
+                return
+    with opened(clip.address) as (container, stream):
+        decoded = decode_frames(container, stream)
+        yield from _by_stamp(clip, decoded) if clip.stamps else enumerate(itertools.islice(decoded, clip.count))
 
 
-def _pixel_width(capture: cv2.VideoCapture) -> float:
-    width, height = capture.get(cv2.CAP_PROP_SAR_NUM), capture.get(cv2.CAP_PROP_SAR_DEN)
-    return width / height if width > 0 and height > 0 else 1.0
-
-
-def _times(video: str) -> tuple[float, ...]:
-    """Times at which each frame of a file is shown, from the first: as its packets say, none of which is decoded.
-
-    Empty where they do not say it, or two frames at once.
-    """
-    capture = cv2.VideoCapture(safe_names.for_opencv(video), cv2.CAP_FFMPEG, [cv2.CAP_PROP_FORMAT, -1])
-    try:
-        times = []
-        while capture.grab():
-            times.append(capture.get(cv2.CAP_PROP_POS_MSEC) / 1000)
-    finally:
-        capture.release()
-    times.sort()  # packets come in the order in which they are decoded
-    rises = all(b - a > _SAME_S for a, b in itertools.pairwise(times))
-    return tuple(time_s - times[0] for time_s in times) if rises else ()
-
-
-def _decoded(clip: Clip, first: int) -> Generator[tuple[int, Callable[[], NDArray[np.generic]]]]:
-    """Numbers of the frames of a file from `first` on or somewhat before, each with what gives its pixels."""
-    with _opened(clip.address) as capture:
-        at = -1
-        if first >= SEEK_FRAMES and capture.set(cv2.CAP_PROP_POS_FRAMES, first):
-            at = _number(clip, capture) if capture.grab() else len(clip.times_s)
-            if at > first:  # where frames last differently long, the decoder can only guess
-                capture.release()
-                capture.open(clip.address)
-                at = -1
-            else:
-                yield at, lambda: capture.retrieve()[1]
-        while capture.grab():
-            at = max(at + 1, _number(clip, capture))
-            yield at, lambda: capture.retrieve()[1]
-
-
-def _number(clip: Clip, capture: cv2.VideoCapture) -> int:
-    """Number of the frame that was read last, from 0, by its time."""
-    time_s = capture.get(cv2.CAP_PROP_POS_MSEC) / 1000
-    after = bisect.bisect_left(clip.times_s, time_s)
-    around = range(max(0, after - 1), min(len(clip.times_s), after + 1))
-    return min(around, key=lambda i: abs(clip.times_s[i] - time_s))
-
-
-@contextlib.contextmanager
-def _opened(video: str) -> Iterator[cv2.VideoCapture]:
-    capture = cv2.VideoCapture(safe_names.for_opencv(video))
-    try:
-        if not capture.isOpened():
-            raise UserError(f"{video}: neither an image nor a video that can be opened")
-        yield capture
-    finally:
-        capture.release()
-
-
-def _rate(capture: cv2.VideoCapture) -> float:
-    fps = capture.get(cv2.CAP_PROP_FPS)
-    return fps if math.isfinite(fps) and 0 < fps <= 1000 else 25.0
-
-
-def _three_channels(pixels: NDArray[np.generic]) -> Pixels:
-    """Grey or 16-bit frames as 8-bit of three channels."""
-    shifted = pixels >> 8 if pixels.dtype == np.uint16 else pixels  # type: ignore[operator]
-    eight = shifted.astype(np.uint8, copy=False)
-    return np.repeat(eight[..., None], 3, axis=-1) if eight.ndim == 2 else eight
+def _by_stamp(clip: Clip, frames: Iterator["VideoFrame"]) -> Iterator[tuple[int, "VideoFrame"]]:
+    """Frames with their numbers by their time stamps. Frames with unknown ones are left out."""
+    numbers = {stamp: number for number, stamp in enumerate(clip.stamps)}
+    for frame in frames:
+        number = numbers.get(frame.pts) if frame.pts is not None else None
+        if number is not None:
+            yield number, frame
 
 
 def _image(number: int, name: str, pixels: Pixels, index: int, time_s: float | None) -> Image:

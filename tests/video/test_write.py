@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from skope.errors import UserError
 from skope.files.atomic import replacing
-from skope.pictures.video import create_video, write_video
+from skope.video.write import create_video, write_video
 from tests.chromium import Browser
 
 COLORS = ((200, 30, 40), (30, 160, 60), (40, 60, 210), (128, 128, 128), (250, 250, 250))

@@ -1,0 +1,221 @@
+"""A video file or stream as PyAV opens it: which stream is read, when its frames are shown, how its pixels lie."""
+
+import itertools
+import math
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import TYPE_CHECKING, Any, Final
+
+from skope.errors import UserError
+from skope.files.safe_names import for_ffmpeg
+from skope.video.decode import decode_frames, packets, shown_size
+
+if TYPE_CHECKING:
+    from av.container import InputContainer
+    from av.video.stream import VideoStream
+
+ASSUMED_FPS: Final = 25.0
+"""Frame rate of a video that states none."""
+MOST_USUAL_FPS: Final = 120.0
+"""Frame rates above this are reported: containers often state the unit of their clock instead of a frame rate."""
+SILENCE_S: Final = 5.0
+"""A server that sends nothing for this long counts as broken off, seconds."""
+_SQUARE_WITHIN: Final = 0.005
+_SAME_S: Final = 5e-4
+_LISTS_FRAMES: Final = ("avi", "mov,")
+"""Beginnings of FFmpeg's names of containers which list all their frames; others state estimates."""
+_DEFAULT_STREAM_PIXELS: Final = 5_000_000
+"""A stream that its container marks as the default one counts as this many pixels larger, as in FFmpeg."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Clip:
+    """What a video file or stream says about itself. It is opened once for this."""
+
+    address: str
+    """Path of a file on this machine, or address on a server."""
+    live: bool = False
+    """Whether its frames come as they are recorded, and only once."""
+    count: int = 0
+    """Number of frames; of a file on a server as its container states it. 0: unknown."""
+    lost: int = 0
+    """Number of frames that a file on this machine lists, and that it ends without."""
+    given_fps: float | None = None
+    """Frame rate that the user gave in place of the time stamps, frames per second."""
+    rate: float = ASSUMED_FPS
+    """Mean frame rate, frames per second."""
+    times_s: tuple[float, ...] = ()
+    """Time of each frame since the first one, seconds, of a file on this machine; empty for others."""
+    stamps: tuple[int, ...] = ()
+    """Time stamp of each frame, in the stream's unit; empty where frames have no reliable ones and are counted."""
+    size: tuple[int, int] | None = None
+    """Width and height of the first frame of a file on this machine, upright, pixels; None for others."""
+    pixel_width: float = 1.0
+    """Width of a stored pixel as it is to be shown, divided by its height."""
+    notes: tuple[str, ...] = ()
+    """Assumptions that a user must know of, a line each."""
+
+    @property
+    def square(self) -> bool:
+        """Whether its pixels are as wide as high."""
+        return abs(self.pixel_width - 1) < _SQUARE_WITHIN
+
+    @property
+    def on_server(self) -> bool:
+        """Whether it is read from a server."""
+        return "://" in self.address
+
+
+@contextmanager
+def opened(address: str) -> Iterator[tuple["InputContainer", "VideoStream"]]:
+    """Open a video, and choose the stream that players show.
+
+    Args:
+        address: Path of a file, or an address on a server.
+
+    Raises:
+        UserError: It is no video, its server does not answer, or FFmpeg cannot decode it.
+    """
+    import av
+    from av.error import FFmpegError
+
+    server = "://" in address
+    options = {"rtsp_transport": "tcp"} if address.startswith("rtsp") else {}
+    # Named as a file: FFmpeg takes a name with a colon for an address.
+    name = address if server else f"file:{for_ffmpeg(address)}"
+    try:
+        container = av.open(name, options=options, timeout=(SILENCE_S, SILENCE_S) if server else None)
+    except (FFmpegError, ValueError) as error:
+        raise UserError(f"{address}: neither an image nor a video that can be opened ({_reason(error)})") from None
+    with container:
+        streams = _video_streams(container)
+        if not streams:
+            raise UserError(f"{address}: neither an image nor a video that can be opened (no video stream)")
+        stream = streams[0]
+        # Frame threads delay each frame of a live stream by several others.
+        stream.thread_type = "SLICE" if server else "AUTO"
+        yield container, stream
+
+
+def _reason(error: Exception) -> str:
+    return str(getattr(error, "strerror", None) or error)
+
+
+def _video_streams(container: "InputContainer") -> list["VideoStream"]:
+    """The streams of pictures, without covers; first the one that FFmpeg and players show."""
+    from av.stream import Disposition
+
+    streams = [s for s in container.streams.video if not s.disposition & Disposition.attached_pic]
+
+    def size(stream: "VideoStream") -> int:
+        default = _DEFAULT_STREAM_PIXELS if stream.disposition & Disposition.default else 0
+        return stream.width * stream.height + default
+
+    return sorted(streams, key=size, reverse=True)  # equals stay in their order
+
+
+def open_clip(address: str, fps: float | None = None) -> Clip:
+    """Open a video to see what it says about itself.
+
+    Args:
+        address: Path of a file, or address on a server.
+        fps: The frame rate of a file whose own time stamps are missing or wrong; None: its time stamps count.
+
+    Raises:
+        UserError: It cannot be opened, or `fps` is given for what is on a server.
+    """
+    with opened(address) as (container, stream):
+        several = [f"{s.width}x{s.height}" for s in _video_streams(container)]
+        notes = []
+        if len(several) > 1:
+            notes.append(f"has {len(several)} video streams ({', '.join(several)}); the first of these is read")
+        pixel_width = _pixel_width(stream)
+        rate = _stated_rate(stream)
+        if "://" in address:
+            if fps is not None:
+                raise UserError(f"--fps: {address} is on a server, whose frames have their own times")
+            count = stream.frames or (round(container.duration / 1e6 * rate) if container.duration else 0)
+            scheme = address.partition("://")[0]
+            live = scheme not in ("http", "https") or not count
+            return Clip(
+                address=address,
+                live=live,
+                count=0 if live else count,
+                rate=rate,
+                pixel_width=pixel_width,
+                notes=tuple(notes),
+            )
+        seen = _look_through(container, stream)
+    with opened(address) as (container, stream):
+        size = next(map(shown_size, decode_frames(container, stream)), None)
+    times, count = seen.times_s, len(seen.times_s) or seen.count
+    if fps is not None:
+        times = tuple(k / fps for k in range(count))
+    elif not times:
+        notes.append(f"has no time stamps; {seen.rate:g} frames per second are assumed (--fps sets another rate)")
+        times = tuple(k / seen.rate for k in range(count))
+    if len(times) > 1:
+        rate = (len(times) - 1) / times[-1]
+    if fps is None and seen.times_s and rate > MOST_USUAL_FPS:
+        notes.append(
+            f"has {rate:.4g} frames per second by its time stamps. If the camera recorded fewer, all speeds are wrong; "
+            "--fps sets the rate"
+        )
+    return Clip(
+        address=address,
+        count=count,
+        lost=seen.lost,
+        given_fps=fps,
+        rate=rate,
+        times_s=times,
+        stamps=seen.stamps,
+        size=size,
+        pixel_width=pixel_width,
+        notes=tuple(notes),
+    )
+
+
+@dataclass(frozen=True)
+class _Packets:
+    """What the packets of a file say about its frames; none of them is decoded."""
+
+    times_s: tuple[float, ...]
+    """Times of the shown frames since the first one, seconds; empty where some are missing or two are alike."""
+    stamps: tuple[int, ...]
+    """As in `Clip`."""
+    count: int
+    """Number of frames."""
+    lost: int
+    """As in `Clip`."""
+    rate: float
+    """Frame rate to assume where there are no times, frames per second."""
+
+
+def _look_through(container: "InputContainer", stream: "VideoStream") -> _Packets:
+    """Read all packets of a file. Those that an edit list hides are not counted."""
+    found = [packet for packet in packets(container, stream) if packet.size]
+    shown = [packet.pts for packet in found if not packet.is_discard]
+    unit = stream.time_base or Fraction(1, 1)
+    stamps = sorted(stamp for stamp in shown if stamp is not None)
+    steps = [(later - earlier) * unit for earlier, later in itertools.pairwise(stamps)]
+    complete = len(stamps) == len(shown) and all(step > _SAME_S for step in steps)
+    times = tuple(float((stamp - stamps[0]) * unit) for stamp in stamps) if complete else ()
+    # AVI numbers frames as they are decoded, not as they are shown.
+    reliable = complete and not (container.format.name == "avi" and stream.codec_context.has_b_frames)
+    rate = float(stream.guessed_rate or ASSUMED_FPS)
+    lost = max(0, stream.frames - len(found)) if container.format.name.startswith(_LISTS_FRAMES) else 0
+    return _Packets(times, tuple(stamps) if reliable else (), len(shown), lost, rate)
+
+
+def _stated_rate(stream: "VideoStream") -> float:
+    for rate in (stream.average_rate, stream.guessed_rate, stream.base_rate):
+        if rate and math.isfinite(float(rate)) and 0 < rate <= 1000:
+            return float(rate)
+    return ASSUMED_FPS
+
+
+def _pixel_width(stream: "VideoStream") -> float:
+    ratio: Any = stream.sample_aspect_ratio
+    return float(ratio) if ratio and ratio > 0 else 1.0

@@ -1,0 +1,161 @@
+"""Decoded frames of a video, in the order in which they are shown: RGB, upright, progressive, without broken ones."""
+
+import itertools
+from collections import deque
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any, Final
+
+import cv2
+import numpy as np
+
+from skope.types import Pixels
+
+if TYPE_CHECKING:
+    from av.container import InputContainer
+    from av.packet import Packet
+    from av.video.frame import VideoFrame
+    from av.video.stream import VideoStream
+
+
+_DEMUX_RETRIES: Final = 20
+"""Consecutive read errors after which a file counts as ended."""
+
+
+def packets(
+    container: "InputContainer", stream: "VideoStream", retries: int = _DEMUX_RETRIES
+) -> Iterator["Packet[VideoStream]"]:
+    """Packets of a stream up to its end, the empty one that ends it included.
+
+    Args:
+        container: The opened file or stream.
+        stream: The stream that is read.
+        retries: Number of consecutive read errors that end it.
+    """
+    from av.error import FFmpegError
+
+    failed = 0
+    while failed < retries:
+        try:
+            for packet in container.demux(stream):
+                failed = 0
+                yield packet
+            return
+        except FFmpegError:
+            failed += 1
+
+
+def decode_frames(container: "InputContainer", stream: "VideoStream") -> Iterator["VideoFrame"]:
+    """Decode frames from where the container is. Interlaced ones are made progressive; damaged ones are left out."""
+    fields = Deinterlacer()
+    for packet in itertools.chain(packets(container, stream), [None]):
+        for frame in decode_packet(stream, packet)[0]:
+            yield from fields.add(frame)
+    yield from fields.end()
+
+
+def decode_packet(stream: "VideoStream", packet: "Packet[VideoStream] | None") -> tuple[list["VideoFrame"], int]:
+    """The undamaged frames that a packet completes, and the number of damaged ones. None: the end of the stream."""
+    from av.error import EOFError as EndError
+    from av.error import FFmpegError
+
+    try:
+        frames = stream.decode(packet)
+    except EndError:  # it was told before
+        return [], 0
+    except FFmpegError:
+        return [], 1
+    whole = [frame for frame in frames if not frame.is_corrupt]
+    return whole, len(frames) - len(whole)
+
+
+class Deinterlacer:
+    """Makes interlaced frames progressive (FFmpeg's bwdif), from the first interlaced frame on.
+
+    Frames come out in their order and with their time stamps. The filter keeps a frame until the next one has come.
+    """
+
+    def __init__(self) -> None:
+        self._graph: Any = None
+        self._form: tuple[int, int, str] | None = None
+        self._waiting: deque[VideoFrame] = deque()
+
+    def add(self, frame: "VideoFrame") -> Iterator["VideoFrame"]:
+        """Put a frame in; yields those that are ready."""
+        form = (frame.width, frame.height, frame.format.name)
+        if self._graph is not None and form != self._form:
+            yield from self.end()
+        if self._graph is None:
+            if not frame.interlaced_frame:
+                yield frame
+                return
+            self._graph, self._form = _filter(frame), form
+        self._waiting.append(frame)
+        self._graph.push(frame)
+        yield from self._ready()
+
+    def end(self) -> Iterator["VideoFrame"]:
+        """Yield the frames that are still in the filter, and forget it."""
+        if self._graph is not None:
+            self._graph.push(None)
+            yield from self._ready()
+            self._graph, self._form = None, None
+            self._waiting.clear()
+
+    def _ready(self) -> Iterator["VideoFrame"]:
+        from av.error import BlockingIOError as NotYetError
+        from av.error import EOFError as EndError
+
+        while True:
+            try:
+                made = self._graph.pull()
+            except (NotYetError, EndError):
+                return
+            if not self._waiting:
+                return
+            before = self._waiting.popleft()
+            made.pts, made.time_base = before.pts, before.time_base
+            yield made
+
+
+def _filter(frame: "VideoFrame") -> Any:
+    from av.filter import Graph
+
+    graph = Graph()
+    source = graph.add_buffer(width=frame.width, height=frame.height, format=frame.format, time_base=frame.time_base)
+    bwdif, sink = graph.add("bwdif", "mode=send_frame:deint=interlaced"), graph.add("buffersink")
+    source.link_to(bwdif)
+    bwdif.link_to(sink)
+    graph.configure()
+    return graph
+
+
+def rgb_of(frame: "VideoFrame") -> Pixels:
+    """(H, W, 3) RGB of a frame, turned upright by whole quarters as its container says."""
+    pixels = frame.to_ndarray(format="rgb24")
+    quarters = _quarters(frame)
+    return np.ascontiguousarray(np.rot90(pixels, quarters)) if quarters else np.asarray(pixels, dtype=np.uint8)
+
+
+def shown_size(frame: "VideoFrame") -> tuple[int, int]:
+    """Width and height of a frame when it is upright, pixels."""
+    return (frame.height, frame.width) if _quarters(frame) % 2 else (frame.width, frame.height)
+
+
+def _quarters(frame: "VideoFrame") -> int:
+    return round(frame.rotation / 90) % 4
+
+
+def same_shape(size: tuple[int, int], other: tuple[int, int]) -> bool:
+    """Whether two sizes (width, height) have one aspect ratio, within a pixel of the smaller one."""
+    return abs(size[0] * other[1] - size[1] * other[0]) <= max(*size, *other)
+
+
+def fitted(pixels: Pixels, size: tuple[int, int]) -> Pixels | None:
+    """Pixels scaled to a size (width, height) of the same shape; None where the shape is another."""
+    height, width = pixels.shape[:2]
+    if (width, height) == size:
+        return pixels
+    if not same_shape((width, height), size):
+        return None
+    how = cv2.INTER_AREA if width > size[0] else cv2.INTER_LINEAR
+    return np.asarray(cv2.resize(pixels, size, interpolation=how), dtype=np.uint8)

@@ -1,0 +1,71 @@
+"""Frames of a video in any order, though most are asked for one after another."""
+
+import threading
+from collections import OrderedDict
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Final, Generic, TypeVar
+
+from skope.errors import UserError
+from skope.schema import Image
+from skope.types import Pixels
+from skope.video.footage import SEEK_FRAMES, open_footage
+
+Encoded = TypeVar("Encoded")
+
+_KEPT_FRAMES: Final = 32
+"""Number of frames that are kept."""
+_KEPT_BEFORE: Final = 8
+"""This many frames before one that is jumped to are kept too: going back meets them next, and a jump is slow."""
+
+
+class FrameCache(Generic[Encoded]):
+    """Frames of a video file as `encode` makes them; several threads may ask at a time."""
+
+    def __init__(self, path: Path, encode: Callable[[Pixels], Encoded]) -> None:
+        """`encode` turns (H, W, 3) RGB into what is kept of a frame.
+
+        Raises:
+            UserError: The file cannot be opened.
+        """
+        self._path, self._encode = path, encode
+        self._footage = open_footage(str(path))
+        self._frames: Iterator[tuple[Image, Pixels]] = iter(())
+        self._next = -1
+        """Index of the frame that comes next; -1 where none has been decoded."""
+        self._kept: OrderedDict[int, Encoded] = OrderedDict()
+        self._lock = threading.Lock()
+
+    def frame(self, image: Image) -> Encoded:
+        """The frame with the image's `frame_index`.
+
+        Raises:
+            UserError: It cannot be decoded, or the image has no index.
+        """
+        index = image.frame_index
+        if index is None:
+            raise UserError(f"{image.file_name}: frame_index: is missing")
+        with self._lock:
+            if index not in self._kept:
+                self._decode(index)
+            self._kept.move_to_end(index)
+            return self._kept[index]
+
+    def _decode(self, index: int) -> None:
+        """Keep a frame, and those shortly before it that are decoded on the way."""
+        if not 0 <= self._next <= index <= self._next + SEEK_FRAMES:
+            begin = max(0, index - _KEPT_BEFORE)
+            self._frames, self._next = self._footage.frames(begin), begin
+        for frame, pixels in self._frames:
+            assert frame.frame_index is not None
+            self._next = frame.frame_index + 1
+            if frame.frame_index >= index - _KEPT_BEFORE:
+                self._kept[frame.frame_index] = self._encode(pixels)
+            while len(self._kept) > _KEPT_FRAMES:
+                self._kept.popitem(last=False)
+            if frame.frame_index == index:
+                return
+            if frame.frame_index > index:
+                break
+        self._next = -1
+        raise UserError(f"{self._path}: frame {index} cannot be decoded")
