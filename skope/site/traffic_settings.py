@@ -39,7 +39,8 @@ class TrafficSettings:
     hysteresis_m: float = 0.5
     """A gate is crossed, a zone entered, when the road user is seen so far on the other side."""
     least_travel_m: float = 1.0
-    """And when so much of its way lies along the gate's normal."""
+    """And when so much of its way lies along the gate's normal. To be counted there and back, a vehicle goes twice this
+    far from the line in between, others once."""
     ttc_s: float = 1.5
     """A time to collision up to this is a conflict."""
     pet_s: float = 5.0

@@ -5,6 +5,10 @@ the line belongs to the side that it is about to reach, whichever that is (a hal
 line has crossed it, and a track that begins on it had crossed it before. The other side counts when it is reached by
 the hysteresis at two consecutive moments, so that a flicker of one frame is none, and not left again at once, as where
 a box jumps back and forth.
+
+Positions of a standing road user swing slowly, at times beyond their stated error. A stay between two passages is
+therefore none where the road user neither left the line nor came back elsewhere along it: `leave` says how far. Its two
+passages cancel each other, so that the net number of passages remains.
 """
 
 import itertools
@@ -41,7 +45,15 @@ class Passage:
     """Distance from the line on the side that is in doubt, in the distance's unit; infinite without doubt."""
 
 
-def passages(signed: Array, times_s: Array, *, hysteresis: float, least_travel: float = 0.0) -> list[Passage]:
+def passages(
+    signed: Array,
+    times_s: Array,
+    *,
+    hysteresis: float,
+    least_travel: float = 0.0,
+    leave: float = 0.0,
+    places: Array | None = None,
+) -> list[Passage]:
     """All passages of a signed distance (M,) at times (M,) from one sign to the other, in order.
 
     Args:
@@ -49,11 +61,14 @@ def passages(signed: Array, times_s: Array, *, hysteresis: float, least_travel: 
         times_s: Seconds, rising.
         hysteresis: How far on the other side it has to be for a passage to count.
         least_travel: How far it has to go from the farthest place before to the farthest place after, together.
+        leave: How far it has to go between there and back for both to count: away from the line, or from its last
+            place before there to its first place after back.
+        places: (M, 2) places, for the second of these. Default: only the distance from the line counts.
     """
     sign = _sides(signed)
     if (sign == sign[0]).all():
         return []
-    turns = list(_turns(signed, sign, times_s, hysteresis))
+    turns = list(_turns(signed, sign, times_s, hysteresis, leave, places))
     out = []
     for k, (a, b, came_from) in enumerate(turns):
         since = turns[k - 1][1] if k else 0
@@ -89,7 +104,9 @@ def _sides(signed: Array) -> NDArray[np.int64]:
     return np.where(sign == 0, before, sign)
 
 
-def _turns(signed: Array, sign: NDArray[np.int64], times_s: Array, hysteresis: float) -> Iterator[tuple[int, int, int]]:
+def _turns(
+    signed: Array, sign: NDArray[np.int64], times_s: Array, hysteresis: float, leave: float, places: Array | None
+) -> Iterator[tuple[int, int, int]]:
     """For each passage the last moment before and the first moment after that are sure, and the sign before."""
     sure = np.where((np.abs(signed) >= hysteresis) & (signed != 0), sign, 0)
     beside = np.concatenate([[0], sure, [0]])
@@ -102,13 +119,43 @@ def _turns(signed: Array, sign: NDArray[np.int64], times_s: Array, hysteresis: f
     elif sides[0] != sign[0]:
         moments, sides = np.concatenate([[0], moments]), np.concatenate([sign[:1], sides])
     moments, sides = _without_jumps(moments, sides, times_s)
-    for k in np.flatnonzero(np.diff(sides)):
-        yield int(moments[k]), int(moments[k + 1]), int(sides[k])
-    end, side = int(moments[-1]), int(sides[-1])
-    # The track ends in doubt: having come to the line counts, unless it has gone back by the hysteresis since.
-    tail = sign[end:]
-    if (tail == -side).any() and side * signed[last] < hysteresis:
-        yield end, last, side
+    stays = _stays(moments, sides)
+    end, side = stays[-1].last, stays[-1].side
+    kept = _without_standing(stays, signed, leave, places)
+    # The track ends in doubt: having come to the line counts, unless it has gone back by the hysteresis since. Who
+    # stands on the line at the end does not go back over it.
+    if (sign[end:] == -side).any() and side * signed[last] < hysteresis:
+        returned = _without_standing([*stays, _Stay(-side, last, last)], signed, leave, places)
+        kept = returned if stays[-1] in returned else kept
+    for before, after in itertools.pairwise(kept):
+        if before.side != after.side:
+            yield before.last, after.first, before.side
+
+
+@dataclass(frozen=True)
+class _Stay:
+    """A stay on one side, from its first to its last sure moment."""
+
+    side: int
+    first: int
+    last: int
+
+
+def _stays(moments: NDArray[np.intp], sides: NDArray[np.int64]) -> list[_Stay]:
+    bounds = [0, *(np.flatnonzero(np.diff(sides)) + 1).tolist(), len(sides)]
+    return [_Stay(int(sides[a]), int(moments[a]), int(moments[b - 1])) for a, b in itertools.pairwise(bounds)]
+
+
+def _without_standing(stays: list[_Stay], signed: Array, leave: float, places: Array | None) -> list[_Stay]:
+    """Stays without those in which the road user stood on the line, neither the first stay nor the last one."""
+    kept = stays[:1]
+    for before, stay, after in zip(stays, stays[1:], stays[2:], strict=False):
+        away = float((stay.side * signed[before.last : after.first + 1]).max())
+        if places is not None:
+            away = max(away, float(np.linalg.norm(places[after.first] - places[before.last])))
+        if away >= leave:
+            kept.append(stay)
+    return [*kept, *stays[1:][-1:]]
 
 
 def _without_jumps(

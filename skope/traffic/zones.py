@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from skope.site.gates_zones_lanes import Zone
 from skope.site.traffic_settings import TrafficSettings
 from skope.tracks.track import Track
+from skope.traffic.gates import leaving_distance
 from skope.traffic.passages import passages
 from skope.types import Array
 
@@ -76,19 +77,22 @@ def visits(trajectories: Sequence[Track], zones: Sequence[Zone], settings: Traff
         for trajectory in trajectories
         if trajectory.confirmed and trajectory.class_name in settings.classes
         for zone in zones
-        for visit in _of_one(trajectory, zone, settings.hysteresis_m)
+        for visit in _of_one(trajectory, zone, settings)
     ]
     return sorted(found, key=lambda one: (one.seen_s[0], one.trajectory.number, one.zone))
 
 
-def _of_one(trajectory: Track, zone: Zone, hysteresis_m: float) -> list[ZoneVisit]:
+def _of_one(trajectory: Track, zone: Zone, settings: TrafficSettings) -> list[ZoneVisit]:
     signed = depth_in_polygon(np.array(zone.polygon), trajectory.xy)
     times = trajectory.times_s
     if (signed < 0).all():
         return []
-    changes = passages(signed, times, hysteresis=hysteresis_m)
+    leave = leaving_distance(trajectory, settings.least_travel_m)
+    changes = passages(signed, times, hysteresis=settings.hysteresis_m, leave=leave, places=trajectory.xy)
     first = float(times[0]), float(times[-1])
-    begins_inside = changes[0].came_from > 0 if changes else bool(signed[0] >= 0 and signed.max() >= hysteresis_m)
+    begins_inside = (
+        changes[0].came_from > 0 if changes else bool(signed[0] >= 0 and signed.max() >= settings.hysteresis_m)
+    )
     enters = [math.nan] if begins_inside else []
     enters += [one.time_s for one in changes if one.came_from < 0]
     leaves = [one.time_s for one in changes if one.came_from > 0]
