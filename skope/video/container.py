@@ -22,6 +22,8 @@ MOST_USUAL_FPS: Final = 120.0
 """Frame rates above this are reported: containers often state the unit of their clock instead of a frame rate."""
 SILENCE_S: Final = 5.0
 """A server that sends nothing for this long counts as broken off, seconds."""
+_RTSP_OPTIONS: Final = {"rtsp_transport": "tcp", "fpsprobesize": "0", "fflags": "nobuffer"}
+"""Options of FFmpeg for cameras: no lost packets, and no seconds spent on guessing the frame rate."""
 _SQUARE_WITHIN: Final = 0.005
 _SAME_S: Final = 5e-4
 _LISTS_FRAMES: Final = ("avi", "mov,")
@@ -82,7 +84,7 @@ def opened(address: str) -> Iterator[tuple["InputContainer", "VideoStream"]]:
     from av.error import FFmpegError
 
     server = "://" in address
-    options = {"rtsp_transport": "tcp"} if address.startswith("rtsp") else {}
+    options = _RTSP_OPTIONS if address.startswith("rtsp") else {}
     # Named as a file: FFmpeg takes a name with a colon for an address.
     name = address if server else f"file:{for_ffmpeg(address)}"
     try:

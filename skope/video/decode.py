@@ -1,6 +1,5 @@
 """Decoded frames of a video, in the order in which they are shown: RGB, upright, progressive, without broken ones."""
 
-import itertools
 from collections import deque
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any, Final
@@ -19,6 +18,8 @@ if TYPE_CHECKING:
 
 _DEMUX_RETRIES: Final = 20
 """Consecutive read errors after which a file counts as ended."""
+_MOST_BETWEEN_KEY_FRAMES: Final = 300
+"""Frames are used again this many frames after damage, also where no key frame came: some cameras send none."""
 
 
 def packets(
@@ -46,26 +47,61 @@ def packets(
 
 def decode_frames(container: "InputContainer", stream: "VideoStream") -> Iterator["VideoFrame"]:
     """Decode frames from where the container is. Interlaced ones are made progressive; damaged ones are left out."""
-    fields = Deinterlacer()
-    for packet in itertools.chain(packets(container, stream), [None]):
-        for frame in decode_packet(stream, packet)[0]:
-            yield from fields.add(frame)
-    yield from fields.end()
+    decoder = Decoder(stream)
+    for packet in packets(container, stream):
+        yield from decoder.frames_of(packet)
+    yield from decoder.frames_of(None)
 
 
-def decode_packet(stream: "VideoStream", packet: "Packet[VideoStream] | None") -> tuple[list["VideoFrame"], int]:
-    """The undamaged frames that a packet completes, and the number of damaged ones. None: the end of the stream."""
-    from av.error import EOFError as EndError
-    from av.error import FFmpegError
+class Decoder:
+    """Decodes the packets of a stream to progressive frames without damage.
 
-    try:
-        frames = stream.decode(packet)
-    except EndError:  # it was told before
-        return [], 0
-    except FFmpegError:
-        return [], 1
-    whole = [frame for frame in frames if not frame.is_corrupt]
-    return whole, len(frames) - len(whole)
+    A frame that is damaged, or whose packet cannot be decoded, is left out. So are the frames after it up to the next
+    key frame: they are made from it.
+    """
+
+    def __init__(self, stream: "VideoStream") -> None:
+        """`stream` must not have been decoded yet."""
+        self.damaged = 0
+        """Number of frames that were left out."""
+        self._stream, self._fields = stream, Deinterlacer()
+        self._since_damage: int | None = None
+        # Damage is reported in place of a frame that was patched up.
+        stream.codec_context.options = {"err_detect": "explode"}
+
+    def frames_of(self, packet: "Packet[VideoStream] | None") -> Iterator["VideoFrame"]:
+        """Yield the frames that a packet completes; None: those that are left at the end of the stream."""
+        from av.error import EOFError as EndError
+        from av.error import FFmpegError
+
+        if packet is not None and packet.is_corrupt:
+            self._note_damage()
+        try:
+            frames = self._stream.decode(packet)
+        except EndError:  # it was told before
+            frames = []
+        except FFmpegError:
+            frames = []
+            self._note_damage()
+        for frame in filter(self._is_whole, frames):
+            yield from self._fields.add(frame)
+        if packet is None:
+            yield from self._fields.end()
+
+    def _note_damage(self) -> None:
+        self.damaged += 1
+        self._since_damage = 0
+
+    def _is_whole(self, frame: "VideoFrame") -> bool:
+        if frame.is_corrupt:
+            self._note_damage()
+            return False
+        if self._since_damage is None or frame.key_frame or self._since_damage >= _MOST_BETWEEN_KEY_FRAMES:
+            self._since_damage = None
+            return True
+        self.damaged += 1
+        self._since_damage += 1
+        return False
 
 
 class Deinterlacer:

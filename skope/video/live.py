@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 from skope.errors import UserError
 from skope.types import Pixels
 from skope.video.container import opened
-from skope.video.decode import Deinterlacer, decode_packet, fitted, packets, rgb_of, same_shape, shown_size
+from skope.video.decode import Decoder, fitted, packets, rgb_of, same_shape, shown_size
 
 if TYPE_CHECKING:
     from av.video.frame import VideoFrame
@@ -252,14 +252,13 @@ class _Reader:
             self._clock.restart()
             # Time stamps of images over HTTP are invented by the reader.
             unit = stream.time_base if self._address.startswith("rtsp") else None
-            fields = Deinterlacer()
+            decoder = Decoder(stream)
+            damaged_before = self._record.damaged
             for packet in itertools.chain(packets(container, stream, retries=1), [None]):
                 if self._newest.ended:
                     return
                 arrived = time.monotonic()
-                frames, damaged = decode_packet(stream, packet)
-                self._record.damaged += damaged
-                for frame in itertools.chain.from_iterable(map(fields.add, frames)):
+                for frame in decoder.frames_of(packet):
                     if not self._record.received:
                         self._begun_s = arrived
                     if came_back:
@@ -268,6 +267,7 @@ class _Reader:
                         came_back = False
                     stamp_s = float(frame.pts * unit) if unit and frame.pts is not None else None
                     self._pass_on(frame, stamp_s, arrived - self._begun_s)
+                self._record.damaged = damaged_before + decoder.damaged
 
     def _pass_on(self, frame: "VideoFrame", stamp_s: float | None, arrived_s: float) -> None:
         record, steps = self._record, len(self._clock.steps)
