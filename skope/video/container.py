@@ -2,11 +2,13 @@
 
 import itertools
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
 
 from skope.errors import UserError
 from skope.files.safe_names import for_ffmpeg
@@ -26,6 +28,12 @@ _RTSP_OPTIONS: Final = {"rtsp_transport": "tcp", "fpsprobesize": "0", "fflags": 
 """Options of FFmpeg for cameras: no lost packets, and no seconds spent on guessing the frame rate."""
 _SQUARE_WITHIN: Final = 0.005
 _SAME_S: Final = 5e-4
+_GAP_S: Final = 1.0
+"""A time without frames is reported from this length on, seconds."""
+_GAP_FRAMES: Final = 5.0
+"""It is also longer than this many frames last."""
+_MOST_GAPS: Final = 3
+"""Number of gaps that are reported."""
 _LISTS_FRAMES: Final = ("avi", "mov,")
 """Beginnings of FFmpeg's names of containers which list all their frames; others state estimates."""
 _DEFAULT_STREAM_PIXELS: Final = 5_000_000
@@ -165,6 +173,7 @@ def open_clip(address: str, fps: float | None = None) -> Clip:
             f"has {rate:.4g} frames per second by its time stamps. If the camera recorded fewer, all speeds are wrong; "
             "--fps sets the rate"
         )
+    notes += [f"has no frames from {begin:.1f} to {end:.1f} s" for begin, end in _gaps(times)]
     return Clip(
         address=address,
         count=count,
@@ -209,6 +218,16 @@ def _look_through(container: "InputContainer", stream: "VideoStream") -> _Packet
     rate = float(stream.guessed_rate or ASSUMED_FPS)
     lost = max(0, stream.frames - len(found)) if container.format.name.startswith(_LISTS_FRAMES) else 0
     return _Packets(times, tuple(stamps) if reliable else (), len(shown), lost, rate)
+
+
+def _gaps(times_s: Sequence[float]) -> list[tuple[float, float]]:
+    """Begin and end of the longest times without frames, seconds, in their order."""
+    steps = np.diff(times_s)
+    if not len(steps):
+        return []
+    found = np.flatnonzero(steps > max(_GAP_S, _GAP_FRAMES * float(np.median(steps))))
+    longest = sorted(found[np.argsort(-steps[found], kind="stable")][:_MOST_GAPS].tolist())
+    return [(times_s[k], times_s[k + 1]) for k in longest]
 
 
 def _stated_rate(stream: "VideoStream") -> float:

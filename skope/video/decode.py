@@ -66,6 +66,8 @@ class Decoder:
         """Number of frames that were left out."""
         self._stream, self._fields = stream, Deinterlacer()
         self._since_damage: int | None = None
+        self._suspect: int | None = None
+        """Time stamp of the newest packet of which a part was lost on the way."""
         # Damage is reported in place of a frame that was patched up.
         stream.codec_context.options = {"err_detect": "explode"}
 
@@ -75,7 +77,7 @@ class Decoder:
         from av.error import FFmpegError
 
         if packet is not None and packet.is_corrupt:
-            self._note_damage()
+            self._suspect = packet.pts
         try:
             frames = self._stream.decode(packet)
         except EndError:  # it was told before
@@ -93,7 +95,8 @@ class Decoder:
         self._since_damage = 0
 
     def _is_whole(self, frame: "VideoFrame") -> bool:
-        if frame.is_corrupt:
+        if frame.is_corrupt or (self._suspect is not None and frame.pts == self._suspect):
+            self._suspect = None
             self._note_damage()
             return False
         if self._since_damage is None or frame.key_frame or self._since_damage >= _MOST_BETWEEN_KEY_FRAMES:

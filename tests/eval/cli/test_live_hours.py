@@ -90,7 +90,7 @@ def test_hours_of_a_stream_make_one_report(skope: Skope, random_run: Path) -> No
     ]
     assert [one["guessed"] for one in summary["recordings"]] == [False, False]
     assert len(summary["observed_spans_s"]) == 2, "nothing was observed between the two"
-    with Path("reports/1/counts.csv").open(newline="") as file:
+    with Path("reports/1/counts.csv").open(encoding="utf-8-sig", newline="") as file:
         assert datetime.fromisoformat(next(csv.DictReader(file))["begin"]).tzinfo
     code, _, err = skope("eval", "traffic", "tracks/0", "tracks/1", "--site", "site.toml", "--out", "reports/0")
     assert (code, "other work" in err) == (2, True), "the report of all is another folder"
