@@ -36,7 +36,7 @@ SEEK_FRAMES: Final = 50
 """Decoding this many frames takes as long as seeking past them."""
 _MOST_FPS: Final = 1000.0
 _ROUNDED_S: Final = 0.5
-"""Containers may list this much more than they hold, seconds."""
+"""Containers may list this much more than they hold, and packets be this many more than frames, seconds."""
 
 FOUND_AT: Final = "found_at"
 """Field of `info` in the file of frames: the way from its folder to the video, or to the folder of the images."""
@@ -216,7 +216,9 @@ class RecordedVideo(VideoFootage):
                         yield _image(number, f"{self.name}/{at:06d}", pixels, at, clip.times_s[at]), pixels
                 if not left:
                     break
-        self._note_missing([at for _, at in left])
+        # Counted frames may be fewer than packets: some encoders write packets of frames that repeat the one before.
+        if clip.stamps or len(left) * self.cut.every > clip.rate * _ROUNDED_S:
+            self._note_missing([at for _, at in left])
         if clip.lost > clip.rate * _ROUNDED_S and self.cut.end_s > clip.times_s[-1]:
             there = len(clip.times_s)
             self._skip(f"{clip.address}: ends after {there} of {there + clip.lost} frames that it lists")
