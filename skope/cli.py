@@ -1,14 +1,16 @@
 """The command line: mounts the three groups and turns users' errors into one line and exit code 2."""
 
 import sys
-from typing import Any, Final
+import warnings
+from typing import Any, Final, TextIO
 
 import typer
 
-from skope.errors import UserError
+from skope.errors import AssumptionWarning, UserError
 from skope.eval.cli.app import app as eval_app
 from skope.gen.cli.app import app as gen_app
 from skope.terminal.command_options import CommandGroup, Commands
+from skope.terminal.console import Console
 from skope.train.cli import app as train_app
 
 
@@ -58,6 +60,24 @@ for name, group, holds in (
     app.add_typer(group, name=name, short_help=holds)
 
 
+_show_any_warning: Final = warnings.showwarning
+
+
+def _show_warning(
+    message: Warning | str,
+    category: type[Warning],
+    filename: str,
+    lineno: int,
+    file: TextIO | None = None,
+    line: str | None = None,
+) -> None:
+    """Print a warning; what is assumed of a user's file, without a place in the program."""
+    if issubclass(category, AssumptionWarning):
+        Console().warn(str(message))
+    else:
+        _show_any_warning(message, category, filename, lineno, file, line)
+
+
 @app.callback()
 def _root() -> None:
     pass
@@ -65,6 +85,7 @@ def _root() -> None:
 
 def main() -> None:
     """Entry point of the `skope` command."""
+    warnings.showwarning = _show_warning
     try:
         app()
     except UserError as error:

@@ -1,4 +1,4 @@
-"""The one exception that means "the user can mend this"."""
+"""The one exception that means "the user can mend this", and the one warning."""
 
 from typing import Any
 
@@ -8,6 +8,13 @@ class UserError(ValueError):
 
     The command line prints it without a traceback and exits with code 2. Anything else that escapes is a defect of
     skope and keeps its traceback.
+    """
+
+
+class AssumptionWarning(UserWarning):
+    """What is assumed where a user's file leaves something open; one line that names file and field.
+
+    The command line prints it without a place in the program and goes on.
     """
 
 

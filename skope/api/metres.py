@@ -20,13 +20,15 @@ def read_camera(path: str | Path) -> Camera:
 
     Args:
         path: What `skope eval camera` or `save_camera` wrote, OpenCV's .yml or .xml, a TUMTraf or Rope3D calibration,
-            or an annotation file, of which the first image's camera is taken.
+            or an annotation file, of which the first image's camera is taken. `distortion_model` of a .yml names the
+            lens, as equidistant (fisheye) or plumb_bob (Brown's).
 
     Returns:
-        The camera: `project` takes (N, 3) places in metres to pixels, `position` (3,) is where it hangs.
+        The camera: `project` takes (N, 3) places in metres to pixels, `position` (3,) is where it hangs. Four
+        coefficients of a lens whose model the file does not name are taken for Brown's, with an `AssumptionWarning`.
 
     Raises:
-        UserError: The file cannot be read, or does not say where the camera hangs.
+        UserError: The file cannot be read, its lens model is not known, or it does not say where the camera hangs.
     """
     from skope.dataset import camera_of_file
 

@@ -1,10 +1,13 @@
-"""Camera calibrations from the files of others: OpenCV's FileStorage, TUMTraf's JSON, Rope3D's text files.
+"""Camera calibrations from the files of others: OpenCV's FileStorage, ROS's and Kalibr's YAML, TUMTraf's JSON, Rope3D's
+text files.
 
 These count the centre of a pixel as (col, row), `skope.camera.model` as (col + 0.5, row + 0.5): half a pixel is added
 to their principal points. Poses take world points to the camera, x_camera = R x_world + t, metres.
 """
 
 import math
+import re
+import textwrap
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,19 +17,26 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike
 
+from skope.camera import lens_models
 from skope.camera.model import Distortion
 from skope.errors import UserError
 from skope.files.json_files import read_json
-from skope.files.reading import read_bytes, read_text
+from skope.files.reading import decoded, read_bytes, read_text
 from skope.files.safe_names import for_opencv
 from skope.types import Array
 
+_OPENCV_BEGINS: Final = (b"%YAML", b"<?xml", b"{")
+"""How the files begin that OpenCV reads as they are."""
+_COMMENT: Final = re.compile(r"(^|\s)#[^\"']*$")
+"""A comment in YAML; a # in quotes begins none."""
 CAMERA_FORMATS: Final = ("opencv", "tumtraf", "rope3d")
 _K_NAMES: Final = ("camera_matrix", "cameraMatrix", "K", "intrinsic_matrix", "M1")
-_DISTORTION_NAMES: Final = ("distortion_coefficients", "distCoeffs", "dist_coeffs", "D", "D1")
+_DISTORTION_NAMES: Final = (
+    *("distortion_coefficients", "distCoeffs", "dist_coeffs", "D", "D1"),
+    *("distortion_coeffs", "distortion_vector"),
+)
 _ROTATION_NAMES: Final = ("rvec", "R", "rotation_matrix", "rotation")
 _TRANSLATION_NAMES: Final = ("tvec", "t", "T", "translation_vector", "translation")
-_FISHEYE_NAMES: Final = ("fisheye", "equidistant")
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,8 +53,8 @@ class CameraCalibration:
 
 
 def read_calibration(path: Path, *, raw: bool = False) -> CameraCalibration:
-    """The calibration in a file whose format its name tells: .yml, .yaml and .xml are OpenCV's, .json TUMTraf's,
-    .txt Rope3D's. Raises UserError naming file and field."""
+    """The calibration in a file whose format its name tells: .yml, .yaml and .xml are OpenCV's, ROS's or Kalibr's,
+    .json TUMTraf's, .txt Rope3D's. Raises UserError naming file and field."""
     suffix = path.suffix.lower()
     if suffix in (".yml", ".yaml", ".xml"):
         return read_opencv(path)
@@ -52,60 +62,101 @@ def read_calibration(path: Path, *, raw: bool = False) -> CameraCalibration:
         return read_tumtraf(path, raw=raw)
     if suffix == ".txt":
         return read_rope3d(path)
-    raise UserError(f"{path}: expected .yml, .yaml or .xml (OpenCV), .json (TUMTraf) or .txt (Rope3D)")
+    raise UserError(f"{path}: expected .yml, .yaml or .xml (OpenCV, ROS, Kalibr), .json (TUMTraf) or .txt (Rope3D)")
 
 
 # --------------------------------------------------------------------------------------------------------------- opencv
 
 
 def read_opencv(path: Path) -> CameraCalibration:
-    """A file of `cv2.FileStorage`, as OpenCV's calibration program writes it.
+    """A file of `cv2.FileStorage`, as OpenCV's calibration program writes it, or YAML of ROS or Kalibr.
 
-    Read are the intrinsic matrix (`camera_matrix`, `cameraMatrix` or `K`), `distortion_coefficients` (`distCoeffs`,
-    `D`), the size (`image_width` and `image_height`, or `image_size`) and, where they stand there, rotation (`rvec` or
-    `R`) and translation (`tvec`, `t` or `T`). `fisheye_model: 1` or `distortion_model: fisheye` (or `equidistant`)
-    names OpenCV's fisheye model.
+    Read are the intrinsic matrix (`camera_matrix`, `cameraMatrix` or `K`; Kalibr's `intrinsics`),
+    `distortion_coefficients` (`distCoeffs`, `D`), the size (`image_width` and `image_height`, or `image_size`) and,
+    where they stand there, rotation (`rvec` or `R`) and translation (`tvec`, `t` or `T`). `distortion_model`,
+    `fisheye_model` or `camera_model` names the lens model: see `skope.camera.lens_models`.
     """
-    read_bytes(path)  # a missing file is a user's error; OpenCV only logs it
-    address = for_opencv(path)
-    try:
-        storage = cv2.FileStorage(address, cv2.FILE_STORAGE_READ)
-        root = storage.root()
-        values = {key: _node(root.getNode(key)) for key in root.keys()}  # noqa: SIM118
-    except (cv2.error, SystemError):
-        raise UserError(f"{path}: not a readable cv2.FileStorage file") from None
+    values = _one_camera(path, _storage(path))
+    lens_models.lens_model(path, values)  # a model that is not known may have other intrinsics
     K = _first(values, _K_NAMES)
+    focal_and_center = values.get("intrinsics")
+    if K is None and focal_and_center is not None:
+        fx, fy, cx, cy = _sized(path, "intrinsics", focal_and_center, 4)
+        K = [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]
     if K is None:
         raise UserError(f"{path}: {_K_NAMES[0]}: missing")
-    name = str(values.get("distortion_model", ""))
-    fisheye = name in _FISHEYE_NAMES or values.get("fisheye_model") == 1
     coefficients = _first(values, _DISTORTION_NAMES)
-    size = _first(values, ("image_size", "image_Size"))
+    size = _first(values, ("image_size", "image_Size", "resolution"))
     if size is None and {"image_width", "image_height"} <= values.keys():
         size = [values["image_width"], values["image_height"]]
     rotation, translation = _first(values, _ROTATION_NAMES), _first(values, _TRANSLATION_NAMES)
     pose = None
     if rotation is not None and translation is not None:
-        turn = np.asarray(rotation, dtype=np.float64)
+        turn = _array(path, "rotation", rotation)
         R = cv2.Rodrigues(turn.reshape(3))[0] if turn.size == 3 else turn
         pose = _pose(path, R, translation)
+    intrinsics, width_height = _intrinsics(path, "camera_matrix", K), _size(path, size)
+    given = () if coefficients is None else coefficients
     return CameraCalibration(
-        _intrinsics(path, "camera_matrix", K),
-        _distortion(path, () if coefficients is None else coefficients, fisheye=fisheye),
-        _size(path, size),
-        pose,
+        intrinsics, _distortion(path, given, values, K=intrinsics, size=width_height), width_height, pose
     )
 
 
+def _storage(path: Path) -> dict[str, Any]:
+    """Keys and values of a file. Raises UserError where OpenCV cannot read it."""
+    data = read_bytes(path)  # a missing file is a user's error; OpenCV only logs it
+    address, flags = for_opencv(path), cv2.FILE_STORAGE_READ
+    try:
+        if not data.startswith(_OPENCV_BEGINS):
+            address, flags = _as_opencv_yaml(decoded(data)), flags | cv2.FILE_STORAGE_MEMORY
+        storage = cv2.FileStorage(address, flags)  # its nodes end with it
+        root = storage.root()
+        return {key: _node(root.getNode(key)) for key in root.keys()}  # noqa: SIM118
+    except (cv2.error, SystemError, ValueError):
+        raise UserError(f"{path}: not a readable file of cv2.FileStorage, ROS or Kalibr") from None
+
+
+def _as_opencv_yaml(text: str) -> str:
+    """YAML of other programs as OpenCV's reader takes it: with its header, without comments, lists further in than
+    their keys. Raises ValueError where the first key is further in than another one, at which OpenCV never ends."""
+    lines = [_COMMENT.sub("", line).rstrip() for line in text.splitlines() if not line.startswith(("%", "---"))]
+    body = textwrap.dedent("\n".join(re.sub(r"^( *)- ", r"\1  - ", line) for line in lines if line))
+    if body[:1].isspace():
+        raise ValueError("not YAML")
+    return f"%YAML:1.0\n---\n{body}\n"
+
+
 def _node(node: Any) -> Any:
-    """The value of a node of a FileStorage: a number, a text, an array, or None for what else there is."""
+    """The value of a node of a FileStorage: a number, text, list, matrix or dict; None for others."""
     if node.isInt() or node.isReal():
         return node.real()
     if node.isString():
         return node.string()
     if node.isMap():
-        return node.mat()
+        values = {key: _node(node.getNode(key)) for key in node.keys()}  # noqa: SIM118
+        return _matrix(values) if {"rows", "cols", "data"} <= values.keys() else values.get("data", values)
     return [_node(node.at(i)) for i in range(node.size())] if node.isSeq() else None
+
+
+def _matrix(values: Mapping[str, Any]) -> Any:
+    """A matrix of OpenCV or ROS; its data alone where that does not fill rows and columns.
+
+    OpenCV's own `mat` writes beyond its memory where a file says wrong sizes.
+    """
+    try:
+        return np.reshape(values["data"], (int(values["rows"]), int(values["cols"])))
+    except (TypeError, ValueError, OverflowError):
+        return values["data"]
+
+
+def _one_camera(path: Path, values: dict[str, Any]) -> dict[str, Any]:
+    """The camera of a file; in Kalibr's it has a name. Raises UserError where there are several."""
+    cameras = {key: value for key, value in values.items() if isinstance(value, dict) and "intrinsics" in value}
+    if not cameras or _first(values, _K_NAMES) is not None:
+        return values
+    if len(cameras) > 1:
+        raise UserError(f"{path}: expected one camera, got {', '.join(cameras)}")
+    return next(iter(cameras.values()))
 
 
 # -------------------------------------------------------------------------------------------------------------- tumtraf
@@ -129,12 +180,13 @@ def read_tumtraf(path: Path, *, raw: bool = False) -> CameraCalibration:
     R, t = values.get("rotation_matrix"), values.get("translation_matrix")
     has_pose = R is not None and t is not None and not (np.asarray(R) == -1).all()
     width, height = values.get("image_width"), values.get("image_height")
-    return CameraCalibration(
-        _intrinsics(path, name, values[name]),
-        Distortion() if undistorted else _distortion(path, values.get("dist_coefficients", ()), fisheye=False),
-        _size(path, None if width is None else [width, height]),
-        _pose(path, R, t) if has_pose else None,
-    )
+    K, size = _intrinsics(path, name, values[name]), _size(path, None if width is None else [width, height])
+    lens = Distortion()
+    if not undistorted:
+        # The dataset's own files name no model: it is Brown's.
+        named = {"distortion_model": "brown"} if lens_models.lens_model(path, values) is None else values
+        lens = _distortion(path, values.get("dist_coefficients", ()), named, K=K, size=size)
+    return CameraCalibration(K, lens, size, _pose(path, R, t) if has_pose else None)
 
 
 # --------------------------------------------------------------------------------------------------------------- rope3d
@@ -228,24 +280,27 @@ def _array(path: Path, name: str, value: Any) -> Array:
 
 def _intrinsics(path: Path, name: str, value: Any) -> Array:
     K: Array = _array(path, name, value)
-    if K.ndim != 2 or K.shape not in ((3, 3), (3, 4)) or K[2, 2] == 0:
+    if K.shape == (9,):
+        K = K.reshape(3, 3)
+    if K.ndim != 2 or K.shape not in ((3, 3), (3, 4)) or np.linalg.det(K[:, :3]) == 0 or K[2, 2] == 0:
         raise UserError(f"{path}: {name}: expected a 3x3 matrix, not singular")
     K = np.asarray(K[:, :3] / K[2, 2])
     K[:2, 2] += 0.5
     return K
 
 
-def _distortion(path: Path, value: Any, *, fisheye: bool) -> Distortion:
+def _distortion(
+    path: Path, value: Any, values: Mapping[str, Any], *, K: Array, size: tuple[int, int] | None
+) -> Distortion:
     coefficients = _array(path, "distortion coefficients", value).ravel()
-    # OpenCV writes a tilted sensor's two angles too; without tilt they are zero.
-    if len(coefficients) == 14 and not coefficients[12:].any():
-        coefficients = coefficients[:12]
-    if not coefficients.any():
-        return Distortion()
-    try:
-        return Distortion("fisheye" if fisheye else "brown", tuple(coefficients.tolist()))
-    except UserError as error:
-        raise UserError(f"{path}: {error}") from None
+    return lens_models.distortion(path, coefficients, values, K=K, size=size)
+
+
+def _sized(path: Path, name: str, value: Any, count: int) -> Array:
+    numbers = _array(path, name, value).ravel()
+    if len(numbers) != count:
+        raise UserError(f"{path}: {name}: expected {count} numbers, got {len(numbers)}")
+    return numbers
 
 
 def _size(path: Path, value: Any) -> tuple[int, int] | None:

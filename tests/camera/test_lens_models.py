@@ -3,6 +3,7 @@
 Pixels are compared with those of `cv2.projectPoints` and `cv2.fisheye.projectPoints`.
 """
 
+import contextlib
 import json
 import warnings
 from pathlib import Path
@@ -190,7 +191,16 @@ def test_files_of_ros_and_kalibr(
 
 
 def test_yaml_that_is_no_calibration_is_named(tmp_path: Path) -> None:
-    for text in ("camera_matrix: [1, 2\n", "camera_matrix:\n", "\0", "hello", "- 1\n- 2\n", "a: 1", "cam0: {a: 1}"):
+    for text in (
+        "camera_matrix: [1, 2\n",
+        "camera_matrix:\n",
+        "\0",
+        "hello",
+        "- 1\n- 2\n",
+        "a: 1",
+        "cam0: {a: 1}",
+        "  a: 1\nb: 2\n",
+    ):
         (tmp_path / "camera.yaml").write_text(text)
         with pytest.raises(
             UserError, match=r"camera\.yaml: (not a readable file|camera_matrix: (missing|not a matrix))"
@@ -199,6 +209,13 @@ def test_yaml_that_is_no_calibration_is_named(tmp_path: Path) -> None:
     (tmp_path / "camera.yaml").write_text(ROS.format(model="radtan", count=4, coefficients=[0.1]))
     with pytest.raises(UserError, match="distortion coefficients: brown takes 4 or 5 or 8 or 12 numbers, got 1"):
         read_calibration(tmp_path / "camera.yaml")
+    # OpenCV's own reading of such matrices corrupts memory.
+    file_storage(tmp_path / "camera.yaml", BROWN, ("camera_matrix", "D"), distortion_model="radtan")
+    text = (tmp_path / "camera.yaml").read_text()
+    for line in ("   cols: 3\n", "   dt: d\n", "   rows: 3\n"):
+        (tmp_path / "camera.yaml").write_text(text.replace(line, line.replace("3", "300") if "rows" in line else ""))
+        with contextlib.suppress(UserError):
+            assert read_calibration(tmp_path / "camera.yaml").K.shape == (3, 3)
     (tmp_path / "camera.yaml").write_text("K: [0, 0, 1, 0, 0, 1, 0, 0, 1]\nD: [0.1, 0.1, 0.1, 0.1]\n")
     with pytest.raises(UserError, match="expected a 3x3 matrix, not singular"):
         read_calibration(tmp_path / "camera.yaml")

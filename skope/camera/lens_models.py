@@ -1,0 +1,140 @@
+"""Names of lens models in the calibration files of other programs, and which of skope's models each is."""
+
+import re
+import warnings
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from skope.camera.model import Distortion
+from skope.errors import AssumptionWarning, UserError
+from skope.types import Array
+
+_FISHEYE: Final = ("fisheye", "equidistant", "kannala_brandt", "opencv_fisheye")
+_BROWN: Final = ("plumb_bob", "radtan", "brown", "opencv", "rational_polynomial")
+_MODEL_OF: Final = {
+    **dict.fromkeys((*_FISHEYE, "kannala_brandt4", "kannala_brandt8", "kb4", "kb8"), "fisheye"),
+    **dict.fromkeys((*_BROWN, "brown_conrady", "radial_tangential", "full_opencv"), "brown"),
+    **dict.fromkeys(("none", "no_distortion"), "none"),
+}
+"""Each name with its model: ROS's, Kalibr's, OpenCV's, COLMAP's, ORB-SLAM's and RealSense's."""
+_MODEL_OF_LETTERS: Final = {name.replace("_", ""): model for name, model in _MODEL_OF.items()}
+_PROJECTIONS: Final = ("", "pinhole", "simplepinhole", "perspective")
+"""Names that leave the distortion open, without underscores."""
+_KEYS: Final = ("distortion_model", "fisheye_model", "camera_model", "model")
+_DEVICE_KEY: Final = "model"
+"""Key that may also hold the name of the device."""
+_AMBIGUOUS: Final = 4
+"""Number of coefficients that both models take."""
+
+
+def lens_model(path: Path, values: Mapping[str, Any]) -> str | None:
+    """Find the lens model that a calibration file names.
+
+    Args:
+        path: The file, for messages.
+        values: Its keys and values.
+
+    Returns:
+        "fisheye", "brown" or "none"; None where the file names no model.
+
+    Raises:
+        UserError: A name is not known, or two names contradict each other.
+    """
+    found: dict[str, str] = {}
+    unknown = []
+    for key in _KEYS:
+        value = values.get(key)
+        model = _model_of(key, value)
+        if model:
+            found[key] = model
+        elif model is None:
+            unknown.append(key)
+    if found:
+        unknown = [key for key in unknown if key != _DEVICE_KEY]
+    if unknown:
+        raise UserError(
+            f"{path}: {unknown[0]}: {_shown(values[unknown[0]])} is no lens model that skope reads: expected one of "
+            f"{', '.join(_FISHEYE)} (fisheye) or {', '.join(_BROWN)} (Brown)"
+        )
+    for key, other in zip(found, list(found)[1:], strict=False):
+        if found[key] != found[other]:
+            raise UserError(
+                f"{path}: {key}: {_shown(values[key])} contradicts {other}: {_shown(values[other])}; expected one model"
+            )
+    return next(iter(found.values()), None)
+
+
+def distortion(
+    path: Path, coefficients: Array, values: Mapping[str, Any], *, K: Array, size: tuple[int, int] | None
+) -> Distortion:
+    """Lens distortion of a calibration file by the model that it names.
+
+    OpenCV's own files name no model: more than four coefficients can only be Brown's. Four are taken for Brown's too,
+    with an `AssumptionWarning`.
+
+    Args:
+        path: The file, for messages.
+        coefficients: (N,) in OpenCV's order; none: N is 0.
+        values: Its keys and values.
+        K: (3, 3) intrinsic matrix in skope's pixels.
+        size: Width and height of the image, pixels; None: twice the principal point.
+
+    Raises:
+        UserError: The model is not known, it takes another number of coefficients, or it is not named and the four
+            coefficients are clearly a fisheye lens's.
+    """
+    model = lens_model(path, values)
+    # OpenCV writes a tilted sensor's two angles too; without tilt they are zero.
+    if len(coefficients) == 14 and not coefficients[12:].any():
+        coefficients = coefficients[:12]
+    if not coefficients.any() and model != "fisheye":
+        return Distortion()
+    if model == "none":
+        key = next(key for key in _KEYS if _model_of(key, values.get(key)) == "none")
+        raise UserError(f"{path}: distortion coefficients: expected none, as {key} is {_shown(values[key])}")
+    if model is None and len(coefficients) == _AMBIGUOUS:
+        _assume_brown(path, coefficients, K, size)
+    try:
+        return Distortion(model or "brown", tuple(coefficients.tolist()))
+    except UserError as error:
+        text = str(error).replace("distortion.coefficients", "distortion coefficients")
+        raise UserError(f"{path}: {text}") from None
+
+
+def _assume_brown(path: Path, coefficients: Array, K: Array, size: tuple[int, int] | None) -> None:
+    """Warn that four coefficients are taken for Brown's; UserError where only a fisheye lens can have them."""
+    width, height = size or (2 * K[0, 2], 2 * K[1, 2])
+    x, y = np.meshgrid([0.0, width / 2, width], [0.0, height / 2, height])
+    border = np.linalg.solve(K, np.stack([x.ravel(), y.ravel(), np.ones(x.size)]))[:2].T
+    fits = {
+        model: bool(Distortion(model, tuple(coefficients.tolist())).undistort(border)[1].all())
+        for model in ("brown", "fisheye")
+    }
+    if fits["fisheye"] and not fits["brown"]:
+        raise UserError(
+            f"{path}: distortion coefficients: four without distortion_model fold the image as those of plumb_bob; "
+            "add distortion_model: equidistant for a fisheye lens, else plumb_bob"
+        )
+    warnings.warn(
+        f"{path}: distortion coefficients: four without distortion_model are read as k1, k2, p1, p2 of plumb_bob; "
+        "for a fisheye lens add distortion_model: equidistant",
+        AssumptionWarning,
+        stacklevel=2,
+    )
+
+
+def _model_of(key: str, value: Any) -> str | None:
+    """The model that a key names; "" where it names none, None where the name is not known."""
+    if value is None:
+        return ""
+    if key == "fisheye_model" and isinstance(value, int | float):
+        return "fisheye" if value else "brown"
+    letters = re.sub(r"[-_\s]", "", value).lower() if isinstance(value, str) else "?"
+    return "" if letters in _PROJECTIONS else _MODEL_OF_LETTERS.get(letters)
+
+
+def _shown(value: Any) -> str:
+    return f"{value:g}" if isinstance(value, int | float) else f"{value!r:.60}"
