@@ -139,10 +139,8 @@ def _node(node: Any) -> Any:
 
 
 def _matrix(values: Mapping[str, Any]) -> Any:
-    """A matrix of OpenCV or ROS; its data alone where that does not fill rows and columns.
-
-    OpenCV's own `mat` writes beyond its memory where a file says wrong sizes.
-    """
+    """A matrix of OpenCV or ROS; its data alone where that does not fill rows and columns."""
+    # FileNode.mat() of OpenCV writes beyond its memory where a file gives wrong sizes.
     try:
         return np.reshape(values["data"], (int(values["rows"]), int(values["cols"])))
     except (TypeError, ValueError, OverflowError):
