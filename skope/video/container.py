@@ -28,6 +28,10 @@ _RTSP_OPTIONS: Final = {"rtsp_transport": "tcp", "fpsprobesize": "0", "fflags": 
 """Options of FFmpeg for cameras: no lost packets, and no seconds spent on guessing the frame rate."""
 _SQUARE_WITHIN: Final = 0.005
 _SAME_S: Final = 5e-4
+_RAW_FORMATS: Final = frozenset(
+    ("h264", "hevc", "vvc", "mjpeg", "mpegvideo", "m4v", "h263", "vc1", "obu", "dirac", "cavsvideo", "rawvideo")
+)
+"""FFmpeg's names of formats that are nothing but coded frames, without times."""
 _GAP_S: Final = 1.0
 """A time without frames is reported from this length on, seconds."""
 _GAP_FRAMES: Final = 5.0
@@ -206,17 +210,21 @@ class _Packets:
 
 def _look_through(container: "InputContainer", stream: "VideoStream") -> _Packets:
     """Read all packets of a file. Those that an edit list hides are not counted."""
-    found = [packet for packet in packets(container, stream) if packet.size]
-    shown = [packet.pts for packet in found if not packet.is_discard]
+    # Of each packet only this: a file may be larger than the memory.
+    found = [(packet.pts, packet.is_discard) for packet in packets(container, stream) if packet.size]
+    shown = [stamp for stamp, hidden in found if not hidden]
     unit = stream.time_base or Fraction(1, 1)
     stamps = sorted(stamp for stamp in shown if stamp is not None)
     steps = [(later - earlier) * unit for earlier, later in itertools.pairwise(stamps)]
     complete = len(stamps) == len(shown) and all(step > _SAME_S for step in steps)
+    name = container.format.name
+    if name in _RAW_FORMATS or name.endswith("_pipe"):  # whose reader invents time stamps
+        complete = False
     times = tuple(float((stamp - stamps[0]) * unit) for stamp in stamps) if complete else ()
     # AVI numbers frames as they are decoded, not as they are shown.
-    reliable = complete and not (container.format.name == "avi" and stream.codec_context.has_b_frames)
+    reliable = complete and not (name == "avi" and stream.codec_context.has_b_frames)
     rate = float(stream.guessed_rate or ASSUMED_FPS)
-    lost = max(0, stream.frames - len(found)) if container.format.name.startswith(_LISTS_FRAMES) else 0
+    lost = max(0, stream.frames - len(found)) if name.startswith(_LISTS_FRAMES) else 0
     return _Packets(times, tuple(stamps) if reliable else (), len(shown), lost, rate)
 
 

@@ -179,6 +179,11 @@ class VideoFootage(Footage):
         last = min(count, self.cut.end_s * fps)
         return max(0, math.ceil((last - math.ceil(self.cut.start_s * fps)) / self.cut.every)) if count > 0 else 0
 
+    def _skip_shape(self, frame: "VideoFrame", size: tuple[int, int]) -> None:
+        """Note that frames have another aspect ratio than the first one, of a size (width, height)."""
+        width, height = shown_size(frame)
+        self._skip(f"{self.clip.address}: frames of {width}x{height} are left out; the first is {size[0]}x{size[1]}")
+
 
 class RecordedVideo(VideoFootage):
     """A video file on this machine: the times of all frames are known beforehand."""
@@ -210,8 +215,7 @@ class RecordedVideo(VideoFootage):
                     pixels = fitted(rgb_of(frame), size)
                     number, _ = left.popleft()
                     if pixels is None:
-                        now = "x".join(map(str, shown_size(frame)))
-                        self._skip(f"{clip.address}: frames of {now} are left out; the first is {size[0]}x{size[1]}")
+                        self._skip_shape(frame, size)
                     else:
                         yield _image(number, f"{self.name}/{at:06d}", pixels, at, clip.times_s[at]), pixels
                 if not left:
@@ -252,7 +256,9 @@ class ServerVideo(VideoFootage):
                     size = size or shown_size(frame)
                     if number > first:
                         pixels = fitted(rgb_of(frame), size)
-                        if pixels is not None:
+                        if pixels is None:
+                            self._skip_shape(frame, size)
+                        else:
                             yield _image(number, f"{self.name}/{at:06d}", pixels, at, time_s), pixels
 
 

@@ -131,10 +131,15 @@ def test_frames_of_varying_length_keep_their_times(suffix: str, tmp_path: Path) 
     assert (footage.skipped, footage.notes) == ([], [])
 
 
-def test_a_raw_stream_states_the_assumed_rate_and_takes_another(skope: Skope, random_run: Path, tmp_path: Path) -> None:
-    path = written(tmp_path / "raw.h264", [flat(k) for k in range(12)], container="h264")
+@pytest.mark.parametrize(("suffix", "codec"), [("h264", "libx264"), ("hevc", "libx265"), ("mjpeg", "mjpeg")])
+def test_a_raw_stream_states_the_assumed_rate_and_takes_another(
+    suffix: str, codec: str, skope: Skope, random_run: Path, tmp_path: Path
+) -> None:
+    options = {"x265-params": "log-level=none"} if codec == "libx265" else {}
+    images = [flat(k) for k in range(12)]
+    path = written(tmp_path / f"raw.{suffix}", images, codec=codec, options=options, container=suffix)
     footage = open_footage(str(path))
-    assert re.search(r"raw\.h264 has no time stamps; \d+ frames per second are assumed", footage.notes[0])
+    assert re.search(rf"raw\.{suffix} has no time stamps; \d+ frames per second are assumed", footage.notes[0])
     given = open_footage(str(path), fps=4.0)
     assert given.notes == []
     frames = list(given.frames())

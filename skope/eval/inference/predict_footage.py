@@ -4,8 +4,8 @@ import math
 import signal
 import threading
 from collections import Counter, defaultdict
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Generator, Iterator, Sequence
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, field, replace
 from datetime import datetime
 from functools import partial
@@ -99,9 +99,10 @@ def predict(job: PredictJob, console: Console) -> list[Path]:
     with bars as bar, _ended_by_terminate(job.footage):
         bar.update(done)
         try:
-            for image, _ in prediction.frames():
-                bar.update(image.id - bar.n)
-                told = _tell_notes(job.footage, told, console)
+            with closing(prediction.frames()) as frames:
+                for image, _ in frames:
+                    bar.update(image.id - bar.n)
+                    told = _tell_notes(job.footage, told, console)
         except KeyboardInterrupt:
             if not job.footage.live:
                 raise
@@ -157,7 +158,7 @@ class Prediction:
         """Number of the last frame that was looked at, from 1; 0: none."""
         return self.images[-1].id if self.images else 0
 
-    def frames(self, watched: Sequence["Watcher"] = ()) -> Iterator[tuple[Image, list[AnyResult]]]:
+    def frames(self, watched: Sequence["Watcher"] = ()) -> Generator[tuple[Image, list[AnyResult]]]:
         """The frames that are left, each with all that is found in it, also what `write` will drop.
 
         `watched` see the frames with their pixels before the detector does.
