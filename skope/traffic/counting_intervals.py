@@ -6,12 +6,11 @@ from typing import TYPE_CHECKING, Any, Final
 from zoneinfo import ZoneInfo
 
 from skope.errors import UserError
+from skope.site.local_times import year_doubt
 
 if TYPE_CHECKING:
     from skope.site.site_file import SiteParts
 
-_YEARS: Final = range(1900, 2900)
-"""In which footage may begin."""
 _PRECISE: Final = timedelta(seconds=1)
 """Precision to which a change of clocks is found; they change at whole seconds."""
 
@@ -52,20 +51,9 @@ def time_of(text: Any, where: str, like: str = "2026-11-26T10:00:00") -> datetim
         time = datetime.fromisoformat(text)
     except (TypeError, ValueError):
         time = datetime.min
-    if time.year not in _YEARS:
+    if year_doubt(time):
         raise UserError(f"{where}: expected a time like {like}, got {text!r:.40}")
     return time
-
-
-def clock_doubt(time: datetime, zone: ZoneInfo) -> str:
-    """Fault of a time without an offset by the clocks of a zone, where they are put forward or back; empty: none."""
-    first, second = (time.replace(tzinfo=zone, fold=fold) for fold in (0, 1))
-    if first.astimezone(UTC).astimezone(zone).replace(tzinfo=None) != time:
-        return f"there is no such time in {zone.key}: clocks are put forward then"
-    if first.utcoffset() != second.utcoffset():
-        ways = " or ".join(f"{one.isoformat(sep=' ')}" for one in (first, second))
-        return f"clocks show this twice, as they are put back: type {ways}"
-    return ""
 
 
 def clock_intervals(start: datetime | None, begin_s: float, end_s: float, minutes: int) -> list[ClockInterval]:

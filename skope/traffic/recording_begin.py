@@ -6,7 +6,8 @@ from typing import TYPE_CHECKING, Final
 from zoneinfo import ZoneInfo
 
 from skope.errors import UserError
-from skope.traffic.counting_intervals import clock_doubt, local_time, time_of
+from skope.site.local_times import clock_doubt
+from skope.traffic.counting_intervals import local_time, time_of
 
 if TYPE_CHECKING:
     from skope.site.site_file import SiteFile
