@@ -98,7 +98,8 @@ class Detector:
             end_s: End before this second of a video; None: at its end.
             every_frame: Run the detector on every frame of a video. By default, as `skope eval predict` does, on a CPU
                 it runs twice a second, and points on the vehicles are followed between.
-            fps: Images a second of image files, which carry no times.
+            fps: Frames per second of image files, which carry no times, or of a video whose time stamps are missing or
+                wrong.
 
         Returns:
             The footage: a for loop goes through its frames.
