@@ -170,6 +170,12 @@ def test_image_files_need_to_be_told_their_times(detector: door.Detector, tmp_pa
     assert [frame.time_s for frame in video] == [k / (FPS / 3) for k in range(FRAMES // 3)]
 
 
+def test_a_given_rate_replaces_the_times_of_a_video(detector: door.Detector, seen: Path) -> None:
+    video = detector.video(seen / "v.mp4", fps=2 * FPS, every_frame=True)
+    assert video.fps == pytest.approx(2 * FPS)
+    assert [frame.time_s for frame in video] == pytest.approx([k / (2 * FPS) for k in range(FRAMES)])
+
+
 def test_without_a_camera_there_are_no_tracks(detector: door.Detector, seen: Path) -> None:
     with pytest.raises(door.UserError, match=r"tracks need a camera: video\(source, camera=\.\.\.\)"):
         detector.video(seen / "v.mp4").tracks()
