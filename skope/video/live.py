@@ -30,6 +30,8 @@ _DRIFT_WINDOW_S: Final = 20.0
 """If all frames of this time arrive late, the camera's clock is slow, seconds."""
 _STEADY_FRAMES: Final = 5
 """Consecutive frames whose time stamps agree with each other, but not with the clock so far: the clock was set."""
+_STAMP_ROUND_S: Final = 2**32 / 90_000
+"""Time stamps of video over RTP begin anew after this time, seconds (RFC 3551: 32 bits, 90 kHz)."""
 _LEAST_STEP_S: Final = 1e-3
 """Times of two frames differ by at least this, seconds."""
 
@@ -119,7 +121,8 @@ class CameraClock:
         pairs = list(itertools.pairwise(recent))
         steady = all(b[0] > a[0] and abs((b[0] - a[0]) - (b[1] - a[1])) < _AGREE_S for a, b in pairs)
         if len(recent) == _STEADY_FRAMES and steady:
-            self.steps.append((arrived_s, -delay_s))
+            # FFmpeg takes a step back for the rest of a round forward.
+            self.steps.append((arrived_s, (-delay_s + _STAMP_ROUND_S / 2) % _STAMP_ROUND_S - _STAMP_ROUND_S / 2))
             self.strays += len(self._doubted) - _STEADY_FRAMES
             self.restart()
             self._anchor(stamp_s, arrived_s)
