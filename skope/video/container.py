@@ -2,6 +2,7 @@
 
 import itertools
 import math
+import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -26,6 +27,7 @@ SILENCE_S: Final = 5.0
 """A server that sends nothing for this long counts as broken off, seconds."""
 _RTSP_OPTIONS: Final = {"rtsp_transport": "tcp", "fpsprobesize": "0", "fflags": "nobuffer"}
 """Options of FFmpeg for cameras: no lost packets, and no seconds spent on guessing the frame rate."""
+_CREDENTIALS: Final = re.compile(r"^(\w+://)[^/]*@")
 _SQUARE_WITHIN: Final = 0.005
 _SAME_S: Final = 5e-4
 _RAW_FORMATS: Final = frozenset(
@@ -102,15 +104,24 @@ def opened(address: str) -> Iterator[tuple["InputContainer", "VideoStream"]]:
     try:
         container = av.open(name, options=options, timeout=(SILENCE_S, SILENCE_S) if server else None)
     except (FFmpegError, ValueError) as error:
-        raise UserError(f"{address}: neither an image nor a video that can be opened ({_reason(error)})") from None
+        raise UserError(
+            f"{shown_address(address)}: neither an image nor a video that can be opened ({_reason(error)})"
+        ) from None
     with container:
         streams = _video_streams(container)
         if not streams:
-            raise UserError(f"{address}: neither an image nor a video that can be opened (no video stream)")
+            raise UserError(
+                f"{shown_address(address)}: neither an image nor a video that can be opened (no video stream)"
+            )
         stream = streams[0]
         # Frame threads delay each frame of a live stream by several others.
         stream.thread_type = "SLICE" if server else "AUTO"
         yield container, stream
+
+
+def shown_address(address: str) -> str:
+    """An address for messages: without the user and password that it may hold. Paths of files stay as they are."""
+    return _CREDENTIALS.sub(r"\1", address) if "://" in address else address
 
 
 def _reason(error: Exception) -> str:
@@ -149,7 +160,7 @@ def open_clip(address: str, fps: float | None = None) -> Clip:
         rate = _stated_rate(stream)
         if "://" in address:
             if fps is not None:
-                raise UserError(f"--fps: {address} is on a server, whose frames have their own times")
+                raise UserError(f"--fps: {shown_address(address)} is on a server, whose frames have their own times")
             count = stream.frames or (round(container.duration / 1e6 * rate) if container.duration else 0)
             scheme = address.partition("://")[0]
             live = scheme not in ("http", "https") or not count

@@ -21,7 +21,7 @@ from skope.files import safe_names
 from skope.schema import Image
 from skope.types import Pixels
 from skope.video import live
-from skope.video.container import Clip, open_clip, opened
+from skope.video.container import Clip, open_clip, opened, shown_address
 from skope.video.decode import decode_frames, fitted, rgb_of, shown_size
 from skope.video.live import StreamRecord
 
@@ -181,8 +181,8 @@ class VideoFootage(Footage):
 
     def _skip_shape(self, frame: "VideoFrame", size: tuple[int, int]) -> None:
         """Note that frames have another aspect ratio than the first one, of a size (width, height)."""
-        width, height = shown_size(frame)
-        self._skip(f"{self.clip.address}: frames of {width}x{height} are left out; the first is {size[0]}x{size[1]}")
+        left_out, first = ("x".join(map(str, one)) for one in (shown_size(frame), size))
+        self._skip(f"{shown_address(self.clip.address)}: frames of {left_out} are left out; the first is {first}")
 
 
 class RecordedVideo(VideoFootage):
@@ -288,21 +288,21 @@ class LiveStream(VideoFootage):
                     name = f"{self.name}/{frame.number:06d}"
                     yield _image(number, name, frame.pixels, frame.number, frame.time_s), frame.pixels
             except live.BrokenOffError as error:
-                self.broken_off = f"{clip.address}: {error}"
+                self.broken_off = f"{self.name}: {error}"
                 self._skip(self.broken_off)
             finally:
                 self._tell(record, told)
-                self.notes.append(f"{clip.address}: {record}")
+                self.notes.append(f"{self.name}: {record}")
 
     def _tell(self, record: StreamRecord, told: int) -> int:
         """Add the events from number `told` on to the notes; returns the number of events."""
-        self.notes += [f"{self.clip.address}: {event}" for event in record.events[told:]]
+        self.notes += [f"{self.name}: {event}" for event in record.events[told:]]
         return len(record.events)
 
 
 def _of_clip(name: str, cut: Cut, clip: Clip) -> VideoFootage:
     """The footage of a video file or stream."""
-    notes = [f"{clip.address} {note}" for note in clip.notes]
+    notes = [f"{shown_address(clip.address)} {note}" for note in clip.notes]
     if clip.live:
         return LiveStream(name, cut, clip=clip, notes=notes)
     kind = ServerVideo if clip.on_server else RecordedVideo

@@ -154,7 +154,7 @@ def test_a_camera_that_falls_silent_is_noticed_and_what_arrived_is_counted() -> 
     assert time.monotonic() - begun < 9
     assert images
     assert "did not come back" in footage.broken_off
-    line = footage.notes[-1].partition("camera.mjpg: ")[2]
+    line = footage.notes[-1].removeprefix("stream: ")
     words = line.replace(",", "").split()
     received, analysed, passed = int(words[0]), int(words[3]), int(words[5])
     assert received == analysed + passed
@@ -167,6 +167,18 @@ def test_an_address_that_answers_nothing_gets_one_line() -> None:
         UserError, match=r"^rtsp://127\.0\.0\.1:9/x: neither an image nor a video .*\(Connection refused"
     ):
         open_footage("rtsp://127.0.0.1:9/x")
+
+
+@pytest.mark.usefixtures("quick")
+def test_no_message_holds_the_password() -> None:
+    with pytest.raises(UserError, match=r"^rtsp://127\.0\.0\.1:9/x: neither") as error:
+        open_footage("rtsp://who:se@cret@127.0.0.1:9/x")
+    assert "cret" not in str(error.value)
+    web = Web([LOOK, [(0.03, WIDE)] * 10])
+    footage = open_footage(web.address.replace("://", "://who:secret@"))
+    list(footage.frames())
+    assert footage.broken_off.startswith("stream: broke off after ")
+    assert "secret" not in "\n".join([*footage.notes, *footage.skipped])
 
 
 def test_a_live_stream_has_no_rate_to_give() -> None:

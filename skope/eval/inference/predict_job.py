@@ -106,11 +106,11 @@ def _killed_source(job: PredictJob) -> str | None:
 
 
 def content_of(footage: Footage) -> str:
-    """Identity of the frames: checksums of their files; for a live stream, which comes once, the time it began."""
+    """Identity of the frames: checksums of files, or of an address, which may hold a password; a live stream's time."""
     if footage.live:
         return f"{footage.name} of {datetime.now(UTC).isoformat()}"
     if footage.clip and footage.clip.on_server:
-        return footage.clip.address
+        return f"{footage.name}, {hashlib.sha256(footage.clip.address.encode()).hexdigest()[:16]}"
     files = [Path(footage.clip.address)] if footage.clip else footage.images
     digest = hashlib.sha256(" ".join(map(sha256_of, files)).encode()).hexdigest()
     return f"{footage.name}, {len(files)} files, {digest[:16]}" if footage.images else f"{footage.name}, {digest[:16]}"
