@@ -285,6 +285,7 @@ class LiveStream(VideoFootage):
                     if self.begins is None:
                         self.begins = datetime.now(UTC) - timedelta(seconds=frame.time_s)
                     told = self._tell(record, told)
+                    record.taken += 1
                     name = f"{self.name}/{frame.number:06d}"
                     yield _image(number, name, frame.pixels, frame.number, frame.time_s), frame.pixels
             except live.BrokenOffError as error:

@@ -139,7 +139,7 @@ class StreamRecord:
     received: int = 0
     """Frames that arrived whole."""
     taken: int = 0
-    """Frames that were analysed; the others were passed over."""
+    """Frames that were analysed, as the caller counts them; the others were passed over."""
     damaged: int = 0
     """Frames that arrived damaged, and were dropped."""
     strays: int = 0
@@ -205,7 +205,6 @@ def stream_frames(address: str, every: int, record: StreamRecord) -> Generator[F
     reader.start()
     try:
         while arrived := newest.take():
-            record.taken += 1
             pixels = fitted(rgb_of(arrived.frame), arrived.size)
             assert pixels is not None
             yield Frame(arrived.number, arrived.time_s, pixels)
