@@ -12,9 +12,9 @@ class UserError(ValueError):
 
 
 class AssumptionWarning(UserWarning):
-    """What is assumed where a user's file leaves something open; one line that names file and field.
+    """An assumption about a user's file that leaves something open; one line that names file and field.
 
-    The command line prints it without a place in the program and goes on.
+    The command line prints the line alone, without the place in the code.
     """
 
 

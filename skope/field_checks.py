@@ -102,7 +102,7 @@ def image_pixels(name: str, value: Any) -> Pixels:
 
     Args:
         name: The argument, with which the message begins.
-        value: (H, W, 3) RGB pixels of type uint8, in any order of memory, as `bgr[..., ::-1]` has another one.
+        value: (H, W, 3) RGB pixels of type uint8, with any strides; `bgr[..., ::-1]` has negative ones.
 
     Returns:
         The same pixels, row by row in memory; a copy only where they were not.

@@ -20,7 +20,7 @@ def read_camera(path: str | Path) -> Camera:
 
     Args:
         path: What `skope eval camera` or `save_camera` wrote, OpenCV's .yml or .xml, a TUMTraf or Rope3D calibration,
-            or an annotation file, of which the first image's camera is taken. `distortion_model` of a .yml names the
+            or an annotation file (the camera of its first image). `distortion_model` of a .yml names the
             lens, as equidistant (fisheye) or plumb_bob (Brown's).
 
     Returns:

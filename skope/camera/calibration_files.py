@@ -117,8 +117,10 @@ def _storage(path: Path) -> dict[str, Any]:
 
 
 def _as_opencv_yaml(text: str) -> str:
-    """YAML of other programs as OpenCV's reader takes it: with its header, without comments, lists further in than
-    their keys. Raises ValueError where the first key is further in than another one, at which OpenCV never ends."""
+    """Convert YAML of other programs for OpenCV's reader: with its header, without comments, with indented lists.
+
+    Raises ValueError where the first key is indented more than another one: OpenCV's reader never ends there.
+    """
     lines = [_COMMENT.sub("", line).rstrip() for line in text.splitlines() if not line.startswith(("%", "---"))]
     body = textwrap.dedent("\n".join(re.sub(r"^( *)- ", r"\1  - ", line) for line in lines if line))
     if body[:1].isspace():
