@@ -29,7 +29,8 @@ _RTSP_OPTIONS: Final = {"rtsp_transport": "tcp", "fpsprobesize": "0", "fflags": 
 """Options of FFmpeg for cameras: no lost packets, and no seconds spent on guessing the frame rate."""
 _CREDENTIALS: Final = re.compile(r"^(\w+://)[^/]*@")
 _SQUARE_WITHIN: Final = 0.005
-_SAME_S: Final = 5e-4
+SAME_S: Final = 5e-4
+"""Times that differ by less are the same, seconds: containers count in thousandths of a second, or finer."""
 _RAW_FORMATS: Final = frozenset(
     ("h264", "hevc", "vvc", "mjpeg", "mpegvideo", "m4v", "h263", "vc1", "obu", "dirac", "cavsvideo", "rawvideo")
 )
@@ -227,7 +228,7 @@ def _look_through(container: "InputContainer", stream: "VideoStream") -> _Packet
     unit = stream.time_base or Fraction(1, 1)
     stamps = sorted(stamp for stamp in shown if stamp is not None)
     steps = [(later - earlier) * unit for earlier, later in itertools.pairwise(stamps)]
-    complete = len(stamps) == len(shown) and all(step > _SAME_S for step in steps)
+    complete = len(stamps) == len(shown) and all(step > SAME_S for step in steps)
     name = container.format.name
     if name in _RAW_FORMATS or name.endswith("_pipe"):  # whose reader invents time stamps
         complete = False

@@ -21,7 +21,7 @@ from skope.files import safe_names
 from skope.schema import Image
 from skope.types import Pixels
 from skope.video import live
-from skope.video.container import Clip, open_clip, opened, shown_address
+from skope.video.container import SAME_S, Clip, open_clip, opened, shown_address
 from skope.video.decode import decode_frames, fitted, rgb_of, shown_size
 from skope.video.live import StreamRecord
 
@@ -30,8 +30,6 @@ if TYPE_CHECKING:
 
 IMAGE_SUFFIXES: Final = (".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp", ".ppm", ".pgm")
 _GLOB_CHARS: Final = frozenset("*?[")
-_SAME_S: Final = 5e-4
-"""Times that differ by less are the same: containers count in thousandths of a second, or finer."""
 SEEK_FRAMES: Final = 50
 """Decoding this many frames takes as long as seeking past them."""
 _MOST_FPS: Final = 1000.0
@@ -47,7 +45,7 @@ class Cut:
     """The part of a source that is wanted."""
 
     every: int = 1
-    """Every so many-th frame is taken."""
+    """Step between the frames that are taken."""
     start_s: float = 0.0
     end_s: float = math.inf
 
@@ -117,6 +115,8 @@ class Footage(ABC):
         """Width and height of the first frame, pixels; None for a live stream, and where no frame can be read."""
         if self.live:
             return None
+        if self.clip is not None and self.clip.size is not None:
+            return self.clip.size
         for image, _ in self.frames():
             return image.width, image.height
         return None
@@ -194,7 +194,7 @@ class RecordedVideo(VideoFootage):
     @property
     def _wanted(self) -> range:
         """Numbers of the frames that are wanted."""
-        edges = (self.cut.start_s - _SAME_S, self.cut.end_s - _SAME_S)
+        edges = (self.cut.start_s - SAME_S, self.cut.end_s - SAME_S)
         first, last = (bisect.bisect_left(self.clip.times_s, edge) for edge in edges)
         return range(first, last, self.cut.every)
 
@@ -247,9 +247,9 @@ class ServerVideo(VideoFootage):
                 stamp_s = math.nan if frame.time is None else frame.time
                 origin_s = stamp_s if origin_s is None else origin_s
                 time_s = stamp_s - origin_s if stamp_s - origin_s > time_s else time_s + 1 / clip.rate
-                if time_s >= self.cut.end_s - _SAME_S:
+                if time_s >= self.cut.end_s - SAME_S:
                     return
-                if time_s < self.cut.start_s - _SAME_S:
+                if time_s < self.cut.start_s - SAME_S:
                     begin = at + 1
                 elif (at - begin) % self.cut.every == 0:
                     number += 1
