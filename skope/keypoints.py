@@ -31,8 +31,9 @@ NAMES: Final[tuple[str, ...]] = (
 )  # fmt: skip
 """Names in file order; right and left are the vehicle's own.
 
-The roof's are where windscreen and rear window meet the roof. A bus has a strip of its body above them: there they are
-the upper corners of the windscreen's frame and of the rear window, 0.3 and 0.5 m below the top.
+The roof's front ones are where the windscreen meets the roof, the rear ones on the roof's rounded rear edge.
+A bus has a strip of its body above them: there they are the upper corners of the windscreen's frame and of the rear
+window, 0.3 and 0.5 m below the top.
 """
 
 K: Final = len(NAMES)

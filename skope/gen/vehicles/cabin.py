@@ -32,6 +32,9 @@ _GLASS_ROWS: Final = (0.0, _GLASS_LOW - _SURROUND_SHARE, _GLASS_LOW, 0.38, 0.68,
 """Panes end at rows, where they need not split any triangle."""
 _EDGE_ROWS: Final = ((1.3, 0.015, 0.015), (1.65, 0.042, 0.027))
 """Rows of the edge between pillars and roof: how far in, and how far up, metres."""
+_ROOF_CORNER_ROW: Final = _EDGE_ROWS[0][0]
+"""Row of the roof's rear corners: on the rounded edge, which is visible from the front as from the rear. The rear
+window's corners lie lower on the rear face, where the roof hides them from the front."""
 _ROOF_ROWS: Final = ((2.0, 0.84), (2.3, 0.55), (CENTER, 0.0))
 """Rows of the roof: share of the way from its spine to its edge."""
 _CROWN: Final = 0.052
@@ -137,7 +140,7 @@ class Greenhouse:
         self.points |= {
             "roof_front": glass.place((screen, screen_high), ROWS)[0],
             "windscreen_base": glass.place((screen, _GLASS_LOW), ROWS)[0],
-            "roof_rear": glass.place((total - rear, high), ROWS)[0],
+            "roof_rear": glass.corner(_ROOF_CORNER_ROW, rear=True),
             "rear_window_base": glass.place((total - rear, low), ROWS)[0],
         }
         self._draw_wipers(screen, total - rear, low, high)

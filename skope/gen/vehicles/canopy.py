@@ -7,7 +7,7 @@ from skope.gen.vehicles.body_axes import LEFT_AXIS
 from skope.gen.vehicles.lofted_surfaces import SIDE, WRAP, Plan
 from skope.gen.vehicles.panels import rectangle_outline
 from skope.gen.vehicles.shape import Shape
-from skope.gen.vehicles.upright_shells import Tower
+from skope.gen.vehicles.upright_shells import ROOF_CORNER_ROW, Tower
 from skope.types import Array
 
 _BED_GAP_M: Final = 0.07
@@ -36,7 +36,7 @@ def canopy(s: Shape) -> tuple[Mesh, dict[str, Array]]:
     shell.paint(rectangle_outline(corner, end + 0.1, base, top + 0.03), WRAP, "glass_tinted")
     shell.draw(rectangle_outline(end - 0.15, end + 0.1, top + 0.08, top + 0.11), WRAP, "brake_light", layer=2)
     points = {
-        "roof_rear": shell.place((corner, top + 0.03), WRAP)[0],
+        "roof_rear": shell.corner(ROOF_CORNER_ROW, rear=True),
         "rear_window_base": shell.place((corner, base), WRAP)[0],
     }
     return shell.half, points

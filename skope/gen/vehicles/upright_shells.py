@@ -13,6 +13,8 @@ ARCH_RADIUS_WHEELS = 1.13
 """Radius of a wheel arch, in radii of its wheel."""
 _ROOF_EDGE_ROWS = ((1.3, 0.14, 0.5), (1.65, 0.45, 0.84), (2.0, 1.0, 1.0))
 """Rows of the edge between wall and roof: shares of its radius inwards and up."""
+ROOF_CORNER_ROW = _ROOF_EDGE_ROWS[0][0]
+"""Row of the edge where a roof's corners are marked: visible from both ends."""
 
 
 @dataclass(frozen=True)

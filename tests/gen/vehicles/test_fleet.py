@@ -53,6 +53,18 @@ def test_corners_of_bumpers_lie_farthest_out(model: str) -> None:
         assert beyond[under].max(initial=-1.0) < 0, name
 
 
+@pytest.mark.parametrize("model", [name for name in MODELS if parametric(name).style.family == "car"])
+@pytest.mark.parametrize(("azimuth_deg", "elevation_deg"), [(25, 25), (155, 15)])
+def test_rear_corners_of_roofs_are_visible_from_both_ends(model: str, azimuth_deg: float, elevation_deg: float) -> None:
+    """People mark them from the front too, where the roof hides what lies below its edge on the rear face."""
+    vehicle = parametric(model)
+    marker = vehicle.points[keypoints.INDEX["roof_rear_left"]]
+    azimuth, elevation = np.radians([azimuth_deg, elevation_deg])
+    to_camera = np.array([np.cos(azimuth) * np.cos(elevation), np.sin(azimuth) * np.cos(elevation), np.sin(elevation)])
+    reach, _ = first_hits(straight_mesh(vehicle), -to_camera, marker[None])
+    assert marker @ -to_camera - reach.item() < 0.05
+
+
 @pytest.mark.parametrize("model", MODELS)
 def test_keypoints_are_mirror_images(model: str) -> None:
     points = fleet()[model].vehicle.points
