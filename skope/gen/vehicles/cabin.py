@@ -23,6 +23,7 @@ from skope.gen.vehicles.lofted_surfaces import (
 from skope.gen.vehicles.panels import rectangle_outline
 from skope.gen.vehicles.roof_loads import antenna, roof_load
 from skope.gen.vehicles.shape import Shape, VehicleStyle
+from skope.gen.vehicles.taillights import draw_taillight
 from skope.types import Array
 
 _GLASS_LOW, _GLASS_HIGH = 0.1, 0.93
@@ -40,6 +41,7 @@ _ROOF_ROWS: Final = ((2.0, 0.84), (2.3, 0.55), (CENTER, 0.0))
 _CROWN: Final = 0.052
 """Height of the roof's spine over its edge, metres."""
 _SCREEN_HIGH: Final = 0.985
+_PILLAR_LAMP_WIDTH_M: Final = 0.17
 _SUNK: Final = 0.012
 """Depth of the pillars' foot in the lower body."""
 
@@ -53,10 +55,14 @@ class Greenhouse:
         self.hatch = shape.deck_length < 0.3
         self.points: dict[str, Array] = {}
         self.parts: list[Mesh] = []
+        self._rear_pane_w = 0.0
+        """W of the rear window's edge."""
         self.pillar_x = 0.0
         """x of the B-pillar at the belt."""
         self.surface = self._build_shell(deck)
         self._draw_panes()
+        if style.taillight == "pillar":
+            self._draw_pillar_lamp()
         self._add_parts()
 
     def foot(self, inset: float) -> Array:
@@ -136,7 +142,8 @@ class Greenhouse:
         high = 0.95 if not self.hatch else 0.9
         if style.glazed < 1:
             low, high, rear = 0.3, 0.84, rear - 0.08
-        self._draw_screen(total - rear, total + 0.2, low, high, "glass_tinted" if style.tinted else "glass")
+        self._rear_pane_w = total - rear
+        self._draw_screen(self._rear_pane_w, total + 0.2, low, high, "glass_tinted" if style.tinted else "glass")
         self.points |= {
             "roof_front": glass.place((screen, screen_high), ROWS)[0],
             "windscreen_base": glass.place((screen, _GLASS_LOW), ROWS)[0],
@@ -186,6 +193,17 @@ class Greenhouse:
             rectangle_outline(a, b, low - _SURROUND_SHARE, min(high + _SURROUND_SHARE, 1.0)), ROWS, "trim"
         )
         self.surface.paint(rectangle_outline(start, end, low, high), ROWS, material)
+
+    def _draw_pillar_lamp(self) -> None:
+        """A tail lamp on the pillar beside the rear window, as tall as one below the window would be."""
+        s, last = self.shape, len(self._w) - 1
+        pane = self._rear_pane_w - _SURROUND_SHARE
+        outer = float(self._w[last - SIDE_START + 1])
+        along = outer, max(min(outer + _PILLAR_LAMP_WIDTH_M, pane - 0.02), outer + 0.06)
+        low = s.deck_height + 0.06
+        under_roof = float(self.roof_edge(np.array([s.backlight_x + s.backlight_run])).item()) - 0.1
+        up = low, min(low + s.taillight_high - s.taillight_low, under_roof)
+        draw_taillight(self.surface, "pillar", along, up, self.points)
 
     def _draw_wipers(self, screen: float, rear: float, low: float, high: float) -> None:
         """Wipers, and the brake light behind the rear window."""

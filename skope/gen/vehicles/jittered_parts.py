@@ -100,7 +100,7 @@ DETAILS: Final[dict[str, Detail]] = {
             "taillight",
             {
                 "wide": 1, "tall": 1, "band": 0.8, "hook": 0.8, "bar": 1.4, "column": 1.1, "slim": 1, "rings": 0.5,
-                "blade": 1, "clear": 0.7, "block": 0.8,
+                "blade": 1, "clear": 0.7, "block": 0.8, "pillar": 8,
             },
         ),
         _is_car,
@@ -176,9 +176,10 @@ class _Rare(NamedTuple):
 _RARE: Final = {
     "decal": _Rare(slice(1, None), 0.15, lambda style, _: style.palette != "private"),
     "sills": _Rare(slice(1, 2), 0.2, lambda _, kind: kind in ("suv", "pickup", "van", "wagon")),
+    "taillight": _Rare(slice(-1, None), 0, lambda _, kind: kind == "van"),
     "roof_load": _Rare(slice(3, 4), 0.15, lambda _, kind: kind == "van"),
 }
-"""The options among `DETAILS` that are rare on most vehicles, by the detail's name."""
+"""The options among `DETAILS` that are rare on most vehicles, or on vans alone, by the detail's name."""
 _DIRTY: Final = 0.45
 """Share of vehicles that are not clean."""
 

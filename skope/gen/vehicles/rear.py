@@ -29,7 +29,8 @@ def draw_rear(shell: Surface, w: Array, s: Shape, style: VehicleStyle, points: P
         _draw_plate(shell, end, plate, style.rear_plate)
         place = shell.place((end, badge + 0.215), WRAP)[0] * [1, 0, 1]
         out.append(parts.badge(place, 0.04 * style.badge_size, -1.0, style.badge))
-    draw_taillight(shell, style.taillight, (outer, inner), (low, high), points)
+    if style.family != "car" or style.taillight != "pillar":
+        draw_taillight(shell, style.taillight, (outer, inner), (low, high), points)
     if style.family != "car":
         return out
     out += _draw_bumper(shell, s, style, float(w[last - FRONT_END]), end)

@@ -205,7 +205,8 @@ class VehicleStyle:
     """"swept", "hook", "slim", "drop", "box", "twin", "round", "ring", "narrow", "blade", "tall", "pixel" or
     "split"."""
     taillight: str = "wide"
-    """"wide", "tall", "band", "hook", "round", "bar", "column", "slim", "rings", "blade", "clear" or "block"."""
+    """"wide", "tall", "band", "hook", "round", "bar", "column", "slim", "rings", "blade", "clear" or "block"; of cars
+    also "pillar" for a column beside the rear window."""
     exhausts: str = ""
     """Exhausts between the rear bumper's corners: "pipes", "blend", "fins", "middle", or none."""
     chrome: bool = False

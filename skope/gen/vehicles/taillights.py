@@ -44,6 +44,11 @@ _PANES: Final = {
         "indicator_left": (0.15, 0.85, 0.22, 0.42),
         "reverse_light": (0.15, 0.85, 0.04, 0.18),
     },
+    "pillar": {
+        "brake_light": (0.12, 0.88, 0.5, 0.97),
+        "indicator_left": (0.12, 0.88, 0.27, 0.47),
+        "reverse_light": (0.12, 0.88, 0.04, 0.23),
+    },
     "slim": {
         "brake_light": (0.05, 0.95, 0.5, 0.9),
         "indicator_left": (0.05, 0.5, 0.1, 0.42),

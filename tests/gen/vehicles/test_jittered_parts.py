@@ -76,6 +76,39 @@ def test_each_option_keeps_the_keypoints_on_the_surface(name: str, number: int) 
     assert_details_keep_the_keypoints(CARS[OPTIONS.index((name, number)) % len(CARS)], {name: float(number)})
 
 
+VANS = [name for name in CARS if parametric(name).vehicle_type == "van"]
+
+
+@pytest.mark.parametrize("model", VANS)
+def test_tail_lamps_of_vans_may_stand_beside_the_rear_window(model: str) -> None:
+    numbers = [i for i, (_, option) in enumerate(DETAILS["taillight"].options) if option.get("taillight") == "pillar"]
+    vehicle = with_details(model, taillight=float(numbers[0]))
+    assert_details_keep_the_keypoints(model, {"taillight": float(numbers[0])})
+    outer, inner, base = (
+        vehicle.points[keypoints.INDEX[f"{stem}_left"]]
+        for stem in ("taillight_outer", "taillight_inner", "rear_window_base")
+    )
+    assert vehicle.shape.deck_height + 0.1 < outer[2] < vehicle.points[keypoints.INDEX["roof_rear_left"], 2] - 0.15
+    assert base[1] < inner[1] < outer[1] - 0.03
+    # Outside of the pane at its own height, which leans inwards.
+    mesh = vehicle.mesh
+    panes = np.isin(mesh.material, [k for k, name in enumerate(mesh.materials) if name in ("glass", "glass_tinted")])
+    glass = mesh.vertices[np.unique(mesh.triangles[panes])]
+    rear = glass[(glass[:, 0] < outer[0]) & (np.abs(glass[:, 2] - outer[2]) < 0.2)]
+    assert 0 < rear[:, 1].max() < inner[1]
+
+
+def test_tail_lamps_beside_the_rear_window_are_of_vans_alone() -> None:
+    rng = np.random.default_rng(4)
+    drawn = Counter(
+        (vehicle_type, styled(style, Shape(**shape)).taillight == "pillar")
+        for model, vehicle_type in (("van", "van"), ("suv", "suv"), ("sedan", "sedan"))
+        for style, shape in ((parametric(model).style, dict(jittered(model, rng))) for _ in range(60))
+    )
+    assert {kind for kind, pillar in drawn if pillar} == {"van"}
+    assert 0.25 < drawn["van", True] / 60 < 0.6
+
+
 def test_each_option_is_drawn() -> None:
     rng = np.random.default_rng(0)
     seen: Counter[tuple[str, float]] = Counter()
