@@ -13,6 +13,7 @@ from skope.gen.vehicles.liveries import draw_graphics
 from skope.gen.vehicles.lofted_surfaces import SIDE, WRAP, Surface
 from skope.gen.vehicles.panels import disc, rectangle_outline
 from skope.gen.vehicles.shape import Shape, VehicleStyle
+from skope.gen.vehicles.upright_shells import ROOF_CORNER_ROW
 from skope.types import Array
 
 CITY: Final = BusLayout(
@@ -97,7 +98,7 @@ class StepVanBody(LaidOutBus):
             shell.line([(edge, z), (end + 0.1, z)], WRAP, width=0.014, layer=3)
         shell.draw(rectangle_outline(edge + 0.2, end + 0.1, high + 0.08, high + 0.13), WRAP, "brake_light", layer=2)
         self.points |= {
-            "roof_rear": shell.place((edge, high), WRAP)[0],
+            "roof_rear": shell.corner(ROOF_CORNER_ROW, rear=True),
             "rear_window_base": shell.place((edge, low + 0.02), WRAP)[0],
         }
 

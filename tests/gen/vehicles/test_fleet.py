@@ -53,7 +53,7 @@ def test_corners_of_bumpers_lie_farthest_out(model: str) -> None:
         assert beyond[under].max(initial=-1.0) < 0, name
 
 
-@pytest.mark.parametrize("model", [name for name in MODELS if parametric(name).style.family == "car"])
+@pytest.mark.parametrize("model", [name for name in MODELS if parametric(name).style.family in ("car", "step_van")])
 @pytest.mark.parametrize(("azimuth_deg", "elevation_deg"), [(25, 25), (155, 15)])
 def test_rear_corners_of_roofs_are_visible_from_both_ends(model: str, azimuth_deg: float, elevation_deg: float) -> None:
     """People mark them from the front too, where the roof hides what lies below its edge on the rear face."""
