@@ -58,6 +58,7 @@ class DatasetRequest:
             raise UserError(f"--fov: expected degrees from 5 to 150, got {p.fov_deg}")
         step_for(p.interval_s)
         check_settings(p.variation.settings)
+        check_settings(p.variation.night)
         camera_sampling.check_ranges(p.variation.cameras)
         self._check_lens()
         for flag, asked, known in (
@@ -263,6 +264,8 @@ def from_preset(
     for name in ("traffic", "distractors"):
         values[name] = tuple(row[name]) if name in row else None
     values["settings"] = range_pairs(row.get("settings", {})) | dict(settings or {})
+    at_night = range_pairs(row.get("night", {}))
+    values["night"] = {name: pair for name, pair in at_night.items() if name not in (settings or {})}
     values["cameras"] = range_pairs(row.get("cameras", {}) | (tables()["camera_jitter"] if camera_jitter else {}))
     if frames is not None:
         values["frames"] = dict.fromkeys(row["frames"], frames)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from skope.gen.render.frame import RenderedFrame, Renderer
 from skope.gen.render.lens import Lens
 from skope.gen.render.lens_dirt import LensDirt
+from skope.gen.render.night.sensor_noise import denoised
 from skope.gen.render.rain import Rain
 from skope.gen.render.screen_graphics import ScreenGraphics
 from skope.gen.render.snowfall import Snowfall
@@ -57,9 +58,13 @@ class Sensor:
         rgb = self._dirt.soil(self._snowfall.fall(self._rain.fall(view.rgb, frame), frame))
         if grey(conditions):
             rgb = np.asarray(cv2.cvtColor(cv2.cvtColor(rgb, cv2.COLOR_RGB2GRAY), cv2.COLOR_GRAY2RGB), dtype=np.uint8)
-        rgb = self._graphics.draw(with_noise(rgb, self._recording, frame))
-        rgb = streamed(rgb, self._recording, frame)
-        return replace(view, rgb=rgb, contrast=view.contrast / hidden_below(conditions))
+        if view.noise is None:
+            rgb, hidden = with_noise(rgb, self._recording, frame), hidden_below(conditions)
+        else:
+            rgb = denoised(with_metered_noise(rgb, view.noise, self._recording, frame), view.noise, conditions)
+            hidden = hidden_below(conditions, sigma=float(np.median(view.noise)))
+        rgb = streamed(self._graphics.draw(rgb), self._recording, frame)
+        return replace(view, rgb=rgb, contrast=view.contrast / hidden)
 
 
 def grey(conditions: Conditions) -> bool:
@@ -72,8 +77,8 @@ def sigma_of(conditions: Conditions) -> float:
     return float(conditions.noise * 10 ** (conditions.gain_db / 60))
 
 
-def hidden_below(conditions: Conditions) -> float:
-    """Difference that noise and compression hide, of 255.
+def hidden_below(conditions: Conditions, sigma: float | None = None) -> float:
+    """Difference that noise and compression hide, of 255; `sigma` is the noise's, None for that of the conditions.
 
     The standard deviation of the noise, or the step in which JPEG rounds the mean of a block of 8 x 8 pixels (16 / 8 at
     quality 50, by libjpeg's scale at others), whichever is more; the step is one of the picture that is compressed,
@@ -82,7 +87,7 @@ def hidden_below(conditions: Conditions) -> float:
     quality, step = conditions.compression_quality, 0.0
     if quality < 100:
         step = 2 * (50 / quality if quality < 50 else 2 - quality / 50) / conditions.contrast
-    return max(sigma_of(conditions), LEAST_NOISE, step)
+    return max(sigma_of(conditions) if sigma is None else sigma, LEAST_NOISE, step)
 
 
 @lru_cache(maxsize=2)
@@ -126,3 +131,18 @@ def with_noise(clean: NDArray[np.uint8], recording: Recording, frame: int) -> ND
     more, less = field[:, y : y + height, x : x + width]
     noisy = cv2.add(clean, more)
     return np.asarray(cv2.subtract(noisy, less, dst=noisy), dtype=np.uint8)
+
+
+def with_metered_noise(
+    clean: NDArray[np.uint8], noise: NDArray[np.float32], recording: Recording, frame: int
+) -> NDArray[np.uint8]:
+    """(H, W, 3) with noise of this frame whose standard deviation, (256,), follows from each pixel's value."""
+    y, x = recording.rng(Stream.SENSOR_NOISE, frame).integers(0, _TABLE_SLACK, 2)
+    height, width = clean.shape[:2]
+    field = _standard_noise(height, width, 1 if grey(recording.conditions) else 3)
+    own = field[y : y + height, x : x + width]
+    if own.shape[2] == 3:
+        # Most of it is common to the channels, as each is worked out from pixels of all colours.
+        own = 0.6 * own + 0.4 * own.sum(axis=-1, keepdims=True)
+    sigma = cv2.LUT(clean, noise)
+    return np.asarray(cv2.add(clean, sigma * own, dtype=cv2.CV_8U), dtype=np.uint8)

@@ -45,6 +45,9 @@ class RenderedFrame:
     """(N,) mean absolute difference over the visible pixels between the frame with and without the vehicle, before
     noise; 0 without visible pixels. Of 255 in what a renderer draws, in standard deviations of the noise in what the
     camera's sensor makes of it."""
+    noise: NDArray[np.float32] | None = None
+    """(256,) standard deviation of the camera's noise at each value of `rgb`, of 255, where it was metered; None where
+    conditions alone give it."""
 
 
 class Renderer(Protocol):

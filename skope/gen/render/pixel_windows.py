@@ -94,7 +94,7 @@ def _around(corners: Array) -> Array:
 
 
 def beam_corners(reach: float) -> Array:
-    """(4, 2) of the ground that headlights may light up to so far ahead of the bumper, vehicle axes."""
+    """(4, 2) corners of the ground that lamps may light up to `reach` ahead of the bumper, behind it if negative."""
     return np.array([[0.0, -4.0], [reach, -14.0], [reach, 14.0], [0.0, 4.0]])
 
 
@@ -105,9 +105,9 @@ def beam_hull_of(vehicle: Body, T_world_chassis: Array, camera: Camera, reach: f
         vehicle: The body.
         T_world_chassis: (4, 4) its pose, metres.
         camera: The image's camera.
-        reach: How far the headlights reach ahead of the bumper, metres.
+        reach: How far the lamps reach ahead of the bumper, metres; negative: behind the rear one.
     """
-    ahead = beam_corners(reach) + [vehicle.size_lwh[0] / 2, 0]
+    ahead = beam_corners(reach) + [np.copysign(vehicle.size_lwh[0] / 2, reach), 0]
     points = np.concatenate([np.column_stack([ahead, np.full(4, z)]) for z in (0.0, 1.5)])
     return _projected_hull(points @ T_world_chassis[:3, :3].T + T_world_chassis[:3, 3], camera)
 

@@ -71,3 +71,18 @@ def light_signals(
                 cv2.LINE_AA,
                 SUBPIXEL_BITS,
             )
+
+
+def light_signals_linear(
+    light: NDArray[np.float32],
+    depth: NDArray[np.floating[Any]],
+    camera: Camera,
+    moment: Moment,
+    signals: tuple[Signal, ...],
+    radiance: float,
+) -> None:
+    """Draw the lamps into linear light (H, W, 4), in place, with `radiance` of the brightest channel."""
+    shown = np.zeros((*light.shape[:2], 3), dtype=np.uint8)
+    light_signals(shown, depth, camera, moment, signals)
+    rows, columns = np.nonzero(shown.any(axis=-1))
+    light[rows, columns, :3] += radiance * (shown[rows, columns] / np.float32(255)) ** 2.2

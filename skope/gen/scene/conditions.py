@@ -88,6 +88,13 @@ class Conditions:
     """Spray behind vehicles on a wet road; 1 for that of a closed film of water."""
     screen_graphics: float = 0.0
     """Number of logos, letters, clocks, arrows and the like that are drawn into the picture."""
+    short_exposure: float = 0.0
+    """Share at night of a second, short exposure in the picture, which shows moving vehicles sharp at the end of their
+    smear; 0 for a camera that takes one exposure."""
+    denoising: float = 0.0
+    """Strength at night of the camera's denoising, from 0 (none) to 1 (texture is gone)."""
+    auto_white_balance: float = 0.0
+    """Share at night of the street lights' colour that the camera takes out of the road; 1 or more: all of it."""
     lens_dirt: float = 0.0
     """Dirt and dried drops on the glass before the lens, from 0 (clean) to 1 (much of the picture is soft)."""
 
@@ -159,6 +166,9 @@ CONDITION_LIMITS: Final[Mapping[str, Range]] = {
     "snow_cover": (0.0, 1.0),
     "spray": (0.0, 2.0),
     "screen_graphics": (0.0, 8.0),
+    "short_exposure": (0.0, 0.8),
+    "denoising": (0.0, 1.0),
+    "auto_white_balance": (0.0, 2.0),
     "lens_dirt": (0.0, 1.0),
 }
 """Least and greatest value of each condition that can be set."""
@@ -192,6 +202,9 @@ _CAMERA_RANGES: Final[Mapping[str, Range]] = {
     "sharpening": (0.0, 0.0),
     "glare": (1.0, 1.0),
     "screen_graphics": (0.0, 0.0),
+    "short_exposure": (0.0, 0.0),
+    "denoising": (0.0, 0.0),
+    "auto_white_balance": (0.0, 0.0),
     "lens_dirt": (0.0, 0.0),
 }
 _DRY: Final[Mapping[str, Range]] = {"rain_mm_h": (0.0, 0.0), "wetness": (0.0, 0.0), "puddles": (0.0, 0.0)}
@@ -230,8 +243,11 @@ _DAY: Final[Mapping[str, Range]] = {
 }
 _TWILIGHT: Final[Mapping[str, Range]] = {
     "white_balance_k": (5200.0, 7200.0),
-    "shutter_s": (0.004, 0.01),
-    "gain_db": (6.0, 15.0),
+    "shutter_s": (0.01, 0.04),
+    "gain_db": (15.0, 30.0),
+    "denoising": (0.2, 0.8),
+    "short_exposure": (0.0, 0.5),
+    "auto_white_balance": (0.4, 1.6),
 }
 _HOUR: Final[Mapping[str, Mapping[str, Range]]] = {
     "noon": {**_DAY, "hour": (11.0, 13.0), "sun_elevation_deg": (45.0, 62.0), "sun_azimuth_deg": (225.0, 315.0)},
@@ -242,9 +258,16 @@ _HOUR: Final[Mapping[str, Mapping[str, Range]]] = {
         "hour": (21.0, 24.0),
         "sun_elevation_deg": (-40.0, -14.0),
         "sun_azimuth_deg": (30.0, 150.0),
-        "white_balance_k": (3600.0, 5000.0),
-        "shutter_s": (0.008, 0.02),
-        "gain_db": (12.0, 24.0),
+        "white_balance_k": (4500.0, 6500.0),
+        "shutter_s": (0.02, 0.05),
+        "gain_db": (27.0, 40.0),
+        "contrast": (0.9, 1.15),
+        "black_level": (4.0, 26.0),
+        "sharpening": (0.2, 1.0),
+        "compression_quality": (62.0, 88.0),
+        "short_exposure": (0.0, 0.65),
+        "denoising": (0.4, 1.0),
+        "auto_white_balance": (0.4, 1.6),
     },
 }
 TIMES_OF_DAY: Final = tuple(_HOUR)

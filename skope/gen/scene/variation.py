@@ -16,6 +16,8 @@ class Variation:
 
     settings: Mapping[str, Range] = field(default_factory=dict)
     """Ranges of conditions that `--set` or the preset gives; the others follow each site's weather and hour."""
+    night: Mapping[str, Range] = field(default_factory=dict)
+    """Ranges of conditions that the preset gives at night in place of those of `settings`; `--set` goes before both."""
     cameras: Mapping[str, Range] = field(default_factory=dict)
     """Ranges that each recording's camera is drawn from, by the names of
     `skope.gen.scene.camera_sampling.CAMERA_LIMITS`; empty to use the sites' own cameras."""

@@ -196,8 +196,9 @@ def _walkers(plan: RecordingPlan, paths: Sequence[Array], parked: Sequence[Polyg
 
 
 def _conditions(plan: RecordingPlan) -> Conditions:
-    site = plan.site
-    spans = ranges(site.weather, site.time_of_day, {**site.conditions, **plan.variation.settings})
+    site, variation = plan.site, plan.variation
+    at_night = variation.night if site.time_of_day == "night" else {}
+    spans = ranges(site.weather, site.time_of_day, {**site.conditions, **variation.settings, **at_night})
     return Conditions.drawn(spans, plan.rng(Stream.CONDITIONS))
 
 

@@ -29,7 +29,14 @@ class Moving:
     """(N, 2) convex polygon around all pixels that it may blur into."""
 
 
-def moving(placed: Iterable[PlacedVehicle], velocity: Array, shutter_s: float, camera: Camera) -> list[Moving]:
+def moving(
+    placed: Iterable[PlacedVehicle],
+    velocity: Array,
+    shutter_s: float,
+    camera: Camera,
+    before: float = 0.5,
+    after: float = -0.5,
+) -> list[Moving]:
     """The vehicles that move visibly while the shutter is open.
 
     What is nearer than its own length is left sharp: its parts move in all directions.
@@ -39,6 +46,8 @@ def moving(placed: Iterable[PlacedVehicle], velocity: Array, shutter_s: float, c
         velocity: (N, 3) of all vehicles in the frame, m/s.
         shutter_s: How long the shutter is open, seconds.
         camera: The image's camera.
+        before: The shutter opens this much before the moment that is labelled, as a share of `shutter_s`.
+        after: It closes this much before it; negative if after it.
     """
     out = []
     for one in placed:
@@ -48,7 +57,7 @@ def moving(placed: Iterable[PlacedVehicle], velocity: Array, shutter_s: float, c
         pixels, depth, valid = camera.project(np.stack([middle - step, middle + step]))
         way = pixels[1] - pixels[0]
         if valid.all() and depth.min() > length and way @ way > LEAST_BLUR_PX**2:
-            swept = cv2.convexHull(np.concatenate([one.hull - 0.5 * way, one.hull + 0.5 * way]).astype(np.float32))
+            swept = cv2.convexHull(np.concatenate([one.hull - before * way, one.hull - after * way]).astype(np.float32))
             # A trailer's end is a whole length away from where the vehicle is; others reach half of theirs.
             reach = (0.6 if one.vehicle.trailer is None else 1.0) * length
             out.append(Moving(one, way, float(depth.min()) - reach, swept[:, 0].astype(np.float64)))

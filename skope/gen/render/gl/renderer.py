@@ -24,6 +24,8 @@ from skope.gen.render.gl.placed_vehicles import PARTS_DEFINITION, PlacedVehicle,
 from skope.gen.render.gl.reflections import Reflections
 from skope.gen.render.gl.street_lights import MAP_RADIUS
 from skope.gen.render.glare import Glare
+from skope.gen.render.night.exposure import DAY_UNITS
+from skope.gen.render.night.night_camera import NightCamera
 from skope.gen.render.pixel_windows import (
     CONTACT,
     Window,
@@ -36,7 +38,7 @@ from skope.gen.render.pixel_windows import (
     union,
 )
 from skope.gen.render.spray import Spray
-from skope.gen.render.traffic_lights import light_signals
+from skope.gen.render.traffic_lights import light_signals, light_signals_linear
 from skope.gen.scene.recording import Recording
 from skope.gen.scenery.build import scenery
 from skope.gen.vehicles.model import TRAILER_PART
@@ -50,6 +52,16 @@ SHADOWED_WITHIN_M: Final = 60.0
 """Vehicles nearer to the middle of the view than this throw shadows, metres."""
 HAZE_EXTINCTION: Final = 1e-3
 """Extinction of the air, 1/m, from which on it shows before vehicles' shadows."""
+_PULSES_HZ: Final = 220.0
+"""Frequency at which LED lamps are switched, about (dashed trails of real vehicles)."""
+_PULSING_SHARE: Final = 0.4
+"""Share of the vehicles whose lamps are."""
+_GOLDEN: Final = (5**0.5 - 1) / 2
+_SIGNAL_LIGHT: Final = 40.0
+"""Light of traffic lights' lamps, as exposed."""
+_BURNT_OUT: Final = 245
+"""Value from which a pixel shows a lamp, of 255."""
+_ALL_LIGHT: Final = 6e4
 CONTACT_MAP: Final = 1024
 """Texels of the map of the sky that vehicles take from the road, over the same area."""
 
@@ -69,9 +81,11 @@ class GLRenderer:
         self._image: Window = (0, 0, *size)
         self._project = projection(camera.K, self._image)
         self._geometry = self._device.target(size, ["4f4"])
-        self._color = self._device.target((SCALE * size[0], SCALE * size[1]), ["4f1"])
-        self._behind = self._device.target(size, ["4f1"])
-        self._display = self._device.target(size, ["4f1"], depth=False)
+        # At night the picture stays linear light until the camera develops it.
+        self._kind = "f2" if self._background.daylight.dark else "f1"
+        self._color = self._device.target((SCALE * size[0], SCALE * size[1]), [f"4{self._kind}"])
+        self._behind = self._device.target(size, [f"4{self._kind}"])
+        self._display = self._device.target(size, [f"4{self._kind}"], depth=False)
         self._sun_map = self._device.shadow_map(SHADOW_MAP)
         self._open = self._device.target((CONTACT_MAP, CONTACT_MAP), ["1f1"], depth=False)
         # The average of a pixel's samples is a look-up half way between them.
@@ -96,13 +110,16 @@ class GLRenderer:
         background, middle = self._background, camera.position + self._background.focus
         self._beams = self._reflections = None
         if background.daylight.dark:
-            self._options = ("LAMPS",)
+            self._options = ("LAMPS", "LINEAR")
             self._beams = Beams(self._device, middle, SHADOWED_WITHIN_M, background.daylight.exposure)
             self._uniforms |= {
                 **self._beams.uniforms,
                 "u_lamp_vectors_at": 0.5 - background.focus[:2] / (2 * MAP_RADIUS),
                 "u_lamp_vectors_scale": 0.5 / MAP_RADIUS,
                 "u_plane": background.road.uniform,
+                "u_lamp_radiance": DAY_UNITS,
+                "u_full": 1.0,
+                "u_short": (0.0, 1.0),
             }
         if recording.conditions.snow_cover > 0:
             self._options += ("SNOW",)
@@ -113,7 +130,16 @@ class GLRenderer:
         self._glare = Glare(camera, recording.conditions, scenery(recording.town), background.depth)
         self._spray = Spray(camera, recording.conditions)
         self._compose_picture([self._image])
-        self._plain = self._read_display()
+        self._night: NightCamera | None = None
+        if background.daylight.dark:
+            light = self._read_light()
+            self._night = NightCamera(light[..., :3], background.depth, recording.conditions, background.daylight)
+            self._uniforms |= self._night.uniforms
+            self._compose_picture([self._image])
+            self._plain_light = self._read_light()
+            self._plain = self._night.without_glare(self._plain_light)
+        else:
+            self._plain = self._read_display()
 
     # --------------------------------------------------------------------------------------------------------- frames
 
@@ -125,23 +151,40 @@ class GLRenderer:
         depth, slope, ids = empty.depth.copy(), empty.slope.copy(), empty.ids.copy()
         silhouettes = [Silhouette(0, 0, np.zeros((0, 0), dtype=bool))] * len(moment.vehicles)
         contrast = np.zeros(len(moment.vehicles))
-        rgb = self._plain.copy()
+        night, light, rgb = self._night, None, self._plain.copy()
+        if night:
+            light = self._plain_light.copy()
         if placed:
-            drawn = self._draw_frame(placed, moving(reversed(placed), moment.velocity, shutter_s, camera))
+            before, after = (1.0, 0.0) if night and night.exposure.short_share else (0.5, -0.5)
+            blurred = moving(reversed(placed), moment.velocity, shutter_s, camera, before, after)
+            drawn = self._draw_frame(placed, blurred, (before, after))
             x0, y0, x1, y1 = drawn.picture.window
-            picture = cv2.cvtColor(drawn.picture.pixels, cv2.COLOR_RGBA2RGB)
-            cv2.copyTo(picture, tile_mask(drawn.changed, drawn.picture.window), rgb[y0:y1, x0:x1])
+            mask = tile_mask(drawn.changed, drawn.picture.window)
+            if night and light is not None:
+                part = drawn.picture.pixels.astype(np.float32)
+                cv2.copyTo(part, mask, light[y0:y1, x0:x1])
+                picture = night.without_glare(part)
+            else:
+                picture = np.asarray(cv2.cvtColor(drawn.picture.pixels, cv2.COLOR_RGBA2RGB), dtype=np.uint8)
+            cv2.copyTo(picture, mask, rgb[y0:y1, x0:x1])
             for vehicle, layer in zip(placed, drawn.layers, strict=True):
                 own = _put_vehicle(layer, vehicle.number, depth, slope, ids)
                 silhouettes[vehicle.index] = Silhouette(*vehicle.window[:2], drawn.masks[vehicle.index])
                 contrast[vehicle.index] = self._contrast(vehicle, own, rgb, drawn)
-        light_signals(rgb, depth, camera, moment, scenery(self._recording.town).signals)
+        signals = scenery(self._recording.town).signals
+        if night and light is not None:
+            light_signals_linear(light, depth, camera, moment, signals, _SIGNAL_LIGHT / night.gain)
+            rgb = self._spray.drift(night.develop(light), depth, moment, frame)
+            return RenderedFrame(rgb, depth, slope, ids, tuple(silhouettes), contrast, night.noise)
+        light_signals(rgb, depth, camera, moment, signals)
         rgb = self._spray.drift(rgb, depth, moment, frame)
         rgb = self._glare.spread(rgb, depth, ids, moment)
         return RenderedFrame(rgb, depth, slope, ids, tuple(silhouettes), contrast)
 
-    def _draw_frame(self, placed: Sequence[PlacedVehicle], blurred: Sequence[Moving]) -> "_Drawn":
-        """Draw all of a frame, and wait for it once."""
+    def _draw_frame(
+        self, placed: Sequence[PlacedVehicle], blurred: Sequence[Moving], open_during: tuple[float, float]
+    ) -> "_Drawn":
+        """Draw all of a frame, and wait for it once; `open_during` is that of `moving`."""
         camera, pixels = self._camera, self._pixels
         pixels.forget()
         windows = [inside_image(vehicle.window, camera) for vehicle in placed]
@@ -152,14 +195,14 @@ class GLRenderer:
         apart = [v for v, window in zip(placed, windows, strict=True) if v.window != window or v in crowd]
         for vehicle in apart:
             self._draw_silhouette(vehicle)
-        changed = self._draw_color(placed, blurred)
+        changed = self._draw_color(placed, blurred, open_during)
         # A window may touch the image though its hull does not.
         shown = union(tile_runs(changed, (camera.width, camera.height)) or [(0, 0, 1, 1)])
-        pixels.ask(self._display, shown, "f1")
+        pixels.ask(self._display, shown, self._kind)
         if crowd:
             self._draw_behind(crowd)
             around = union([inside_image(vehicle.window, camera) for vehicle in crowd])
-            pixels.ask(self._behind, around, "f1")
+            pixels.ask(self._behind, around, self._kind)
         fetched = iter(pixels.fetch())
         layers = [_Layer(window, next(fetched)) for window in windows]
         masks = {vehicle.index: next(fetched)[..., 0] > 0 for vehicle in apart}
@@ -202,7 +245,9 @@ class GLRenderer:
 
     # ---------------------------------------------------------------------------------------------------------- colour
 
-    def _draw_color(self, placed: Sequence[PlacedVehicle], blurred: Sequence[Moving]) -> NDArray[np.bool_]:
+    def _draw_color(
+        self, placed: Sequence[PlacedVehicle], blurred: Sequence[Moving], open_during: tuple[float, float]
+    ) -> NDArray[np.bool_]:
         """Draw the vehicles, their shadows, their lamps' light and their mirror images; returns in which tiles."""
         camera, sun = self._camera, self._background.daylight.sun_direction
         size = (camera.width, camera.height)
@@ -225,7 +270,13 @@ class GLRenderer:
             self._compose_picture(tile_runs(covered & there, size), "SHADOWS", "VEHICLES", *more)
         more = ("REFLECTIONS",) if self._reflections else ()
         for one, places in zip(blurred, swept, strict=True):
-            way = {"u_way": one.way, "u_id": float(one.vehicle.number), "u_nearest": one.nearest}
+            way = {
+                "u_way": one.way,
+                "u_open_during": open_during,
+                "u_id": float(one.vehicle.number),
+                "u_nearest": one.nearest,
+                "u_pulses": self._pulses(one.vehicle.look["u_plate"]),
+            }
             self._compose_picture(tile_runs(places, size), "SHADOWS", "VEHICLES", "BLUR", *more, uniforms=way)
         return covered | shaded | mirrored
 
@@ -326,6 +377,17 @@ class GLRenderer:
             texture.use(unit)
         return {name: unit for unit, name in enumerate(textures, start=first)}
 
+    def _pulses(self, track_id: int) -> float:
+        """Pulses of a vehicle's lamps while the shutter is open: LED lamps are dimmed by switching; 0 for others."""
+        share = track_id * _GOLDEN % 1.0
+        return 0.0 if share > _PULSING_SHARE else self._recording.conditions.shutter_s * _PULSES_HZ * (0.8 + share)
+
+    def _read_light(self) -> NDArray[np.float32]:
+        """(H, W, 4) linear light of the picture, and the light at which its exposures are full."""
+        self._pixels.ask(self._display, self._image, "f2")
+        (picture,) = self._pixels.fetch()
+        return picture.astype(np.float32)
+
     def _read_display(self) -> NDArray[np.uint8]:
         self._pixels.ask(self._display, self._image, "f1")
         (picture,) = self._pixels.fetch()
@@ -344,8 +406,17 @@ class GLRenderer:
         picture: NDArray[Any] = self._plain[y0:y1, x0:x1]
         if drawn.behind and placed in drawn.crowd:
             behind = drawn.behind.crop(window)
-            picture = cv2.copyTo(behind[..., :3], behind[..., 3], picture.copy())
-        difference = cv2.mean(cv2.absdiff(rgb[y0:y1, x0:x1], picture), own.view(np.uint8))
+            there: NDArray[Any] = behind[..., 3]
+            if self._night:
+                full = np.full_like(there, _ALL_LIGHT)
+                behind = self._night.without_glare(np.dstack([behind[..., :3], full]).astype(np.float32))
+                there = (there > 0).astype(np.uint8)
+            picture = cv2.copyTo(np.ascontiguousarray(behind[..., :3]), there, picture.copy())
+        shown = rgb[y0:y1, x0:x1]
+        if self._night:
+            # A body is seen by its own contrast; lamps alone do not show it.
+            own = own & (shown.min(axis=-1) < _BURNT_OUT)
+        difference = cv2.mean(cv2.absdiff(shown, picture), own.view(np.uint8))
         return sum(difference) / 3
 
 

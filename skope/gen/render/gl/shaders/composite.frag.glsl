@@ -1,6 +1,7 @@
 // The picture: scenery, in the vehicles' shadow where SHADOWS, with vehicles over it where VEHICLES; LAMPS when it is
 // dark, WET when the road mirrors, REFLECTIONS where it mirrors vehicles; BLUR around a vehicle that
-// moves; HAZE when the air between shows within the reach of vehicles' shadows.
+// moves; HAZE when the air between shows within the reach of vehicles' shadows; LINEAR for a night picture, which stays
+// linear light: red, green and blue of two blended exposures, and in alpha the light at which their blend is full.
 #version 430
 #include "display.glsl"
 in vec2 v_pixel;
@@ -19,12 +20,14 @@ uniform float u_eye_height;       // metres above the road
 uniform float u_texel;            // of the vehicles' sun map, per 4 cm
 out vec4 out_color;
 #ifdef LAMPS
-uniform sampler2D u_beams;        // irradiance of the road by headlights
+uniform sampler2D u_beams;        // irradiance of the road by headlights; by rear lamps
 uniform vec3 u_beam_light;        // their colour, exposed
+uniform vec3 u_wash_light;
 #endif
 #ifdef BLUR
 uniform sampler2D u_front;        // depth, slopes, id of the nearest vehicle
 uniform vec2 u_way;               // of this one while the shutter is open, pixels
+uniform vec2 u_open_during;       // that time: before the moment that is labelled, as shares of its length
 uniform float u_id;
 uniform float u_nearest;          // its least depth
 #endif
@@ -34,6 +37,20 @@ uniform sampler2D u_reflected;    // what the road mirrors of the scenery, expos
 uniform sampler2D u_reflections;  // the vehicles' mirror images and coverage, exposed, half as fine as the image
 #endif
 
+#ifdef LINEAR
+uniform float u_full;             // light at which the long exposure is full
+uniform vec2 u_short;             // share of the short exposure in the blend; how much more light fills it
+#ifdef BLUR
+uniform float u_pulses;           // pulses of this vehicle's lamps while the shutter is open; 0 for a steady light
+#endif
+
+float brightest(vec3 light) { return max(light.r, max(light.g, light.b)); }
+
+// The light at which the blend of both exposures is full, where they have this much of it.
+float full_at(vec3 long_exposed, vec3 short_exposed) {
+    return mix(min(brightest(long_exposed), u_full), min(brightest(short_exposed), u_full * u_short.y), u_short.x);
+}
+#endif
 const int TAPS = 3;
 
 // Share of a disc around a point that a shadow map leaves lit (Vogel's spiral).
@@ -70,8 +87,8 @@ void main() {
     ambient *= kept;
 #endif
 #ifdef LAMPS
-    float beam = (on_map ? texture(u_beams, open_at).r : 0.0) * (1.0 - above);
-    ambient += u_beam_light * (beam * scenery.a * through);
+    vec2 beams = (on_map ? texture(u_beams, open_at).rg : vec2(0.0)) * ((1.0 - above) * scenery.a * through);
+    ambient += u_beam_light * beams.x + u_wash_light * beams.y;
 #endif
 #endif
     vec3 light = ambient + sunlit;
@@ -86,23 +103,44 @@ void main() {
 #endif
     light += reflected.rgb;
 #endif
-    vec3 color = display(light);
+    vec3 color = shown(light);
+#ifdef LINEAR
+    vec3 short_exposed = color;
+#endif
 #ifdef VEHICLES
     vec4 front = texture(u_vehicles, (floor(v_pixel) + 0.5) / vec2(textureSize(u_ambient, 0)));
     vec3 still = color * (1.0 - front.a) + front.rgb;
+#ifdef LINEAR
+    short_exposed = still;
+#endif
 #ifdef BLUR
     if (depth <= 0.0 || depth > u_nearest) {
         vec3 behind = texelFetch(u_front, pixel, 0).a == u_id ? color : still, sum = vec3(0.0);
         float noise = fract(52.9829189 * fract(dot(floor(v_pixel), vec2(0.06711056, 0.00583715))));
-        for (int i = 0; i < 8; ++i) {
-            vec2 at = v_pixel + u_way * ((float(i) + noise) / 8.0 - 0.5);
+#ifdef LINEAR
+        int taps = int(clamp(0.4 * length(u_way), 8.0, 24.0));
+#else
+        const int taps = 8;
+#endif
+        for (int i = 0; i < taps; ++i) {
+            float when = (float(i) + noise) / float(taps);
+            vec2 at = v_pixel + u_way * mix(u_open_during.x, u_open_during.y, when);
             vec4 passing = texture(u_vehicles, (floor(at) + 0.5) / vec2(textureSize(u_ambient, 0)));
-            sum += texelFetch(u_front, ivec2(at), 0).a == u_id ? behind * (1.0 - passing.a) + passing.rgb : behind;
+            vec3 then = texelFetch(u_front, ivec2(at), 0).a == u_id ? behind * (1.0 - passing.a) + passing.rgb : behind;
+#ifdef LINEAR
+            // Only lamps are so bright: they pulse, bodies do not.
+            if (u_pulses > 0.0 && brightest(then) > 4.0 * u_full) then *= 2.0 * step(0.5, fract(when * u_pulses));
+#endif
+            sum += then;
         }
-        still = sum / 8.0;
+        still = sum / float(taps);
     }
 #endif
     color = still;
 #endif
+#ifdef LINEAR
+    out_color = vec4(mix(color, short_exposed, u_short.x), full_at(color, short_exposed));
+#else
     out_color = vec4(color, 1.0);
+#endif
 }

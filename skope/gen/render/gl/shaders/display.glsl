@@ -18,3 +18,10 @@ vec3 display(vec3 x) {
     vec3 curve = 0.83372982 * root + 0.29813085 * sqrt(root) - 0.05531277 * x - 0.07690884;
     return mix(12.92 * x, curve, step(0.0031308, x));
 }
+
+#ifdef LINEAR
+// The picture stays linear light: the camera's exposures and its curve follow on the processor.
+vec3 shown(vec3 light) { return light; }
+#else
+vec3 shown(vec3 light) { return display(light); }
+#endif

@@ -40,7 +40,7 @@ vec3 emission(vec3 p, vec3 n) {
     if (v_material == M_LUMINAIRE) {
         bool lit = u_all_lit;
         for (int i = 0; i < u_lamp_count && !lit; ++i) lit = distance(u_luminaires[i].xyz, p - u_eye) < 1.0;
-        return lit ? u_street_light * 0.35 : vec3(0.0);
+        return lit ? u_street_light * 9.0 : vec3(0.0);
     }
 #ifdef OTHERS
     bool shop = v_material == M_SHOP_WINDOW, cloth = v_material == M_CURTAIN || v_material == M_BLIND;

@@ -180,16 +180,21 @@ void main() {
     color += (f + metal * base) * ggx(n, view, toward, max(albedo.a, 0.12)) * direct * sun;
     // Reflectors behind red glass send light back.
     if (v_material == M_TAILLIGHT || v_material == M_BRAKE_LIGHT) color += base * 0.35 * u_ground;
+#ifdef LINEAR
+    // Lamps shine ahead; a camera above them gets a part of it.
+    color += glow(v_material, u_lamps) * u_lamp_radiance * mix(0.15, 1.0, pow(max(dot(n, view), 0.0), 6.0));
+#else
     color += glow(v_material, u_lamps) * u_lamp_radiance;
+#endif
 #endif
 #if defined(REFLECTION)
     out_color = vec4(exposed(color, metres, cosine), 1.0);
 #elif defined(PANES)
     // What a pane mirrors is screened over what it lets through.
-    vec3 seen = display(exposed(mirrored * f + (color - mirrored * f) * 0.4, metres, cosine));
-    float through = (v_material == M_GLASS_TINTED ? 0.35 : 0.72) * (1.0 - dot(seen, vec3(0.3, 0.5, 0.2)));
-    out_color = vec4(seen, 1.0 - through);
+    vec3 light = exposed(mirrored * f + (color - mirrored * f) * 0.4, metres, cosine);
+    float through = (v_material == M_GLASS_TINTED ? 0.35 : 0.72) * (1.0 - dot(display(light), vec3(0.3, 0.5, 0.2)));
+    out_color = vec4(shown(light), 1.0 - through);
 #else
-    out_color = vec4(display(exposed(color, metres, cosine)), 1.0);
+    out_color = vec4(shown(exposed(color, metres, cosine)), 1.0);
 #endif
 }

@@ -1,0 +1,62 @@
+"""Photon and read noise of a dark picture, and what denoising leaves of it.
+
+Noise variance in electrons is the signal's own plus the reading's (EMVA 1288). Cameras average it over frames, then
+smooth it within areas between edges (Tomasi and Manduchi, Bilateral filtering, 1998), which leaves blotches a few
+pixels wide and takes fine texture away too.
+"""
+
+from typing import Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from skope.gen.render.night.exposure import Exposure
+from skope.gen.scene.conditions import Conditions
+from skope.types import Array, Pixels
+
+_READ_ELECTRONS: Final = 2.5
+_USUAL_NOISE: Final = 1.75
+"""`Conditions.noise` of a usual sensor: others have more or less than the electrons say."""
+_OVER_FRAMES: Final = 0.93
+"""Share of the frames before in the average of the strongest denoising."""
+_EDGE_DEVIATIONS: Final = 4.0
+"""Differences of this many standard deviations of the noise are edges, which smoothing keeps."""
+_LEAST_EDGE: Final = 9.0
+"""Differences from which on they are edges for the strongest denoising, of 255, where noise is low."""
+_DETAIL_SHARE: Final = 0.5
+"""Fine detail that is taken away, as a share of the least edge."""
+
+
+def noise_by_value(conditions: Conditions, exposure: Exposure, light: Array, shown: Array) -> NDArray[np.float32]:
+    """(256,) standard deviation of the noise at each value of a picture, of 255, after averaging over frames.
+
+    Args:
+        conditions: `noise` and `denoising` are used.
+        exposure: How the picture is exposed.
+        light: (N,) rising amounts of light after the exposure's gains.
+        shown: (N,) values from 0 to 1 that the camera's curve shows them as.
+    """
+    rise = np.gradient(shown, light)
+    electrons = light * exposure.electrons
+    sigma = 255 * rise * np.sqrt(electrons + _READ_ELECTRONS**2) / exposure.electrons
+    before = _OVER_FRAMES * conditions.denoising
+    sigma *= conditions.noise / _USUAL_NOISE * np.sqrt((1 - before) / (1 + before))
+    return np.interp(np.arange(256) / 255, shown, sigma).astype(np.float32)
+
+
+def denoised(rgb: Pixels, noise: NDArray[np.float32], conditions: Conditions) -> Pixels:
+    """The picture (H, W, 3), smoothed between edges; `noise` is that of `noise_by_value`.
+
+    It is smoothed at half its resolution. What is finer is kept where it exceeds a threshold, lessened by that.
+    """
+    if conditions.denoising <= 0:
+        return rgb
+    height, width = rgb.shape[:2]
+    typical = float(np.median(noise[rgb[::16, ::16, 1]]))
+    edge = conditions.denoising * max(_EDGE_DEVIATIONS * typical, _LEAST_EDGE)
+    half = cv2.resize(rgb, (-(-width // 2), -(-height // 2)), interpolation=cv2.INTER_AREA)
+    smooth = cv2.resize(cv2.bilateralFilter(half, 5, edge, 2.0), (width, height), interpolation=cv2.INTER_LINEAR)
+    threshold = round(_DETAIL_SHARE * edge)
+    more, less = (np.minimum(cv2.subtract(*pair), threshold) for pair in ((rgb, smooth), (smooth, rgb)))
+    return np.asarray(cv2.add(cv2.subtract(rgb, more), less), dtype=np.uint8)
