@@ -34,6 +34,8 @@ class Stream(Enum):
     """Scenery of a simulation's town, where it is grown anew."""
     DISTRACTORS = auto()
     """Number of things around the cameras that resemble vehicles."""
+    LIT_OBJECTS = auto()
+    """Number of things around the cameras that burn or shine at night."""
     SEASON = auto()
     RANDOMISED = auto()
     """Whether ground and walls have random colours and patterns, and which."""
@@ -68,6 +70,7 @@ _STREAM_NUMBERS: Final[dict[Stream, tuple[int, ...]]] = {
     Stream.ROAD_USER: (),
     Stream.ASKED_LIGHT: (9,),
     Stream.DISTRACTORS: (14,),
+    Stream.LIT_OBJECTS: (22,),
     Stream.SEASON: (15,),
     Stream.RANDOMISED: (16,),
     Stream.RAIN: (11,),

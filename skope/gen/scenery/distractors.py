@@ -14,6 +14,7 @@ from shapely.ops import unary_union
 from skope.gen.mesh import Mesh
 from skope.gen.scenery.distractor_shapes import STANDING_OBJECTS, wall_panel
 from skope.gen.scenery.houses import House, covered
+from skope.gen.scenery.lit_objects import FACING_ROAD, LIT_OBJECTS, LitObject
 from skope.gen.towns.land_use import Layout
 from skope.gen.towns.regions import rectangle_polygon
 from skope.gen.towns.road_graph import beside, driven, right_of
@@ -35,6 +36,8 @@ ON_WALLS: Final = 0.4
 """Share of them that hangs on walls."""
 LARGEST_FALL_M: Final = 0.3
 """Largest fall of the ground under one, metres."""
+OVERHEAD_M: Final = 4.5
+"""Height from which parts of lit objects may hang over the road, metres."""
 _TRIES: Final = 40
 PLACE_SPACING_M: Final = 2.5
 """Distance between places along roads, metres."""
@@ -69,15 +72,52 @@ def distractors(
             continue
         made = kinds[int(rng.choice(len(kinds), p=shares / shares.sum()))](rng)
         for _ in range(_TRIES):
-            placed = along_roads.draw(view, made, rng)
-            if placed and room.take(*placed, made):
+            placed = along_roads.draw(view, made.vertices, rng)
+            if placed and room.take(*placed, made.vertices):
                 place, heading = placed
-                corners = np.array(
-                    rectangle_polygon(place, heading, *np.ptp(made.vertices[:, :2], axis=0)).exterior.coords
-                )
-                low = layout.ground.beside(corners).min() + layout.style.kerb
-                yield made.moved([*place, low], heading)
+                yield made.moved([*place, _foot(layout, place, heading, made.vertices)], heading)
                 break
+
+
+def lit_objects(
+    town: Town, layout: Layout, houses: Sequence[House], blocked: Any, standing: Mesh, rng: np.random.Generator
+) -> Iterator[LitObject]:
+    """Make and place the things of a town's variant that burn or shine at night; fewer where there is no room.
+
+    Args:
+        town: The town, whose variant says how many there are.
+        layout: Its regions and cameras.
+        houses: Its buildings.
+        blocked: Further area where nothing may stand.
+        standing: Everything that stands in the town; things keep clear of it.
+        rng: Draws.
+    """
+    if not town.variant or not layout.sites:
+        return
+    near = [house for house in houses if layout.camera_distance(house.center) < PLACED_WITHIN_M + max(house.size)]
+    room = _Room(layout, unary_union([blocked, covered(near).buffer(0.4)]), standing)
+    along_roads = _Roadside(
+        layout, [_View.of(mast, layout) for mast in town.variant.masts or map(_mast_at, sites_of(town))]
+    )
+    kinds, shares = list(LIT_OBJECTS), np.array(list(LIT_OBJECTS.values()))
+    for _ in range(town.variant.lit_objects):
+        view = int(rng.integers(along_roads.views))
+        make = kinds[int(rng.choice(len(kinds), p=shares / shares.sum()))]
+        made = make(rng)
+        points = made.mesh.vertices
+        standing_points = points[points[:, 2] < OVERHEAD_M]
+        for _ in range(_TRIES):
+            placed = along_roads.draw(view, standing_points, rng, facing_road=make.__name__ in FACING_ROAD)
+            if placed and room.take(*placed, standing_points, float(points[:, 2].max())):
+                place, heading = placed
+                yield made.moved([*place, _foot(layout, place, heading, standing_points)], heading)
+                break
+
+
+def _foot(layout: Layout, place: Array, heading: float, points: Array) -> float:
+    """Height at which a thing of points (N, 3) stands: the lowest ground under it."""
+    corners = np.array(rectangle_polygon(place, heading, *np.ptp(points[:, :2], axis=0)).exterior.coords)
+    return float(layout.ground.beside(corners).min() + layout.style.kerb)
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,11 +174,14 @@ class _Room:
         self._obstacles = shapely.STRtree(_plans_of_low_triangles(layout, standing))
         self._taken: list[Polygon] = []
 
-    def take(self, place: Array, heading: float, made: Mesh) -> bool:
-        """Whether a thing has room there on the ground; if so its place is taken."""
-        low, high = made.vertices.min(axis=0), made.vertices.max(axis=0)
+    def take(self, place: Array, heading: float, points: Array, top: float | None = None) -> bool:
+        """Whether a thing of points (N, 3) has room there on the ground; if so its place is taken.
+
+        `top` is its height where parts above the road are not among the points.
+        """
+        low, high = points.min(axis=0), points.max(axis=0)
         size, distance = high - low, self._layout.camera_distance(place)
-        if max(size[0], high[2]) > LARGEST_SHARE * distance:
+        if max(size[0], high[2] if top is None else top) > LARGEST_SHARE * distance:
             return False
         c, s = np.cos(heading), np.sin(heading)
         middle = (low + high)[:2] / 2 @ np.array([[c, s], [-s, c]]) + place
@@ -182,14 +225,28 @@ class _Roadside:
         self._seen = [np.flatnonzero(view.sees(beyond)) for view in views]
         self._near = [np.flatnonzero(np.hypot(*(beyond - view.place).T) < PLACED_WITHIN_M) for view in views]
 
-    def draw(self, view: int, made: Mesh, rng: np.random.Generator) -> tuple[Array, float] | None:
-        """A place beside the road and a heading for a thing before a camera; None where it is near no road."""
+    @property
+    def views(self) -> int:
+        """Number of cameras."""
+        return len(self._seen)
+
+    def draw(
+        self, view: int, points: Array, rng: np.random.Generator, *, facing_road: bool = False
+    ) -> tuple[Array, float] | None:
+        """A place beside the road and a heading for a thing of points (N, 3) before a camera; None far from roads.
+
+        With `facing_road` the thing stands close to the road, with its y axis towards it.
+        """
         among = self._near[view] if rng.random() < OUT_OF_VIEW else self._seen[view]
         if not len(among):
             return None
         i = int(rng.choice(among))
+        if facing_road:
+            offset = self._widths[i] + OBJECT_CLEARANCE_M + 0.05 + points[:, 1].max() + 2.0 * rng.random() ** 2
+            place = self._places[i] + right_of(self._headings[i]) * offset
+            return place, float(self._headings[i])
         along_road = rng.random() < 0.7
-        depth = np.ptp(made.vertices[:, 1 if along_road else 0])
+        depth = np.ptp(points[:, 1 if along_road else 0])
         offset = self._widths[i] + 0.3 + depth / 2 + OBJECT_CLEARANCE_M + 14.0 * rng.random() ** 2
         # Fronts look to the left of a heading, which is at the road.
         turned = rng.choice([0.0, 0.0, 0.0, np.pi]) if along_road else rng.choice([-np.pi / 2, np.pi / 2])

@@ -40,6 +40,7 @@ CRC, SPELT = [zlib.crc32(b"ab")], [97, 98]
         (Stream.ASKED_LIGHT, [7, *CRC, 2, 9]),
         (Stream.CAMERA, [7, *CRC, 2, 5]),
         (Stream.DISTRACTORS, [7, *CRC, 2, 14]),
+        (Stream.LIT_OBJECTS, [7, *CRC, 2, 22]),
         (Stream.SEASON, [7, *CRC, 2, 15]),
         (Stream.RANDOMISED, [7, *CRC, 2, 16]),
         (Stream.ROAD_USER, [7, *CRC, 2, zlib.crc32(b"v00007")]),

@@ -42,7 +42,16 @@ vec3 emission(vec3 p, vec3 n) {
         for (int i = 0; i < u_lamp_count && !lit; ++i) lit = distance(u_luminaires[i].xyz, p - u_eye) < 1.0;
         return lit ? u_street_light * 0.35 : vec3(0.0);
     }
+#ifdef LEAVES
+    // Lit from below: brightest on what looks down.
+    if (v_material == M_LEAVES_LIT) return u_albedo[v_material].rgb * 0.12 * leaf_tone(v_local) * smoothstep(1.0, -0.7, n.z);
+#endif
 #ifdef OTHERS
+    if (v_material >= M_SIGN_RED && v_material <= M_LIT_DIM) {
+        // Signs shine back what headlamps throw at them; boxes and dots are to be read; lamps burn out.
+        float radiance = v_material <= M_SIGN_GREEN ? 0.012 : v_material == M_LIT_DIM ? 0.02 : v_material >= M_LIT_WHITE ? 0.06 : 0.8;
+        return u_albedo[v_material].rgb * radiance;
+    }
     bool shop = v_material == M_SHOP_WINDOW, cloth = v_material == M_CURTAIN || v_material == M_BLIND;
     if (!shop && !cloth && v_material != M_WINDOW) return vec3(0.0);
     vec2 at = vec2(dot(p.xy, normalize(vec2(-n.y, n.x) + 1e-6)), p.z);
