@@ -44,7 +44,28 @@ vec3 mirror(vec3 d) {
     return textureLod(u_mirror, at * 0.5 + 0.5, 0.0).rgb;
 }
 
+// Light from inside a bus through its windows: bright above, with seats and some passengers before it on each deck.
+float lit_inside() {
+    float height = v_local.z > 2.75 ? v_local.z - 1.95 : v_local.z, row = v_local.x / 0.78;
+    float chance = fract(sin(floor(row) * 12.9898 + (height < v_local.z ? 3.7 : 0.0) + sign(v_local.y) * 78.233 + float(u_plate)) * 43758.5453);
+    vec2 from = vec2((fract(row) - 0.5) * 0.78, height - 1.62 - 0.12 * chance);
+    float head = smoothstep(1.1, 0.7, length(from / vec2(0.13, 0.19))), trunk = smoothstep(1.1, 0.8, length((from + vec2(0.0, 0.42)) / vec2(0.27, 0.32)));
+    float seats = 0.45 * smoothstep(1.55, 1.45, height) * step(fract(row), 0.62), strength = 0.35 + 0.65 * fract(float(u_plate) * 0.618);
+    return strength * (0.35 + 0.65 * smoothstep(1.1, 2.6, height)) * (1.0 - max(seats, 0.8 * step(0.45, chance) * min(head + trunk, 1.0)));
+}
+
 vec3 glow(int material, int lamps) {
+    if ((lamps & LAMP_LOW_BEAM) != 0) {
+        if (material == M_MARKER_WHITE) return vec3(1.3, 1.25, 1.15);
+        if (material == M_MARKER_AMBER) return vec3(1.2, 0.42, 0.03);
+        if (material == M_MARKER_RED) return vec3(1.2, 0.04, 0.025);
+        if (material == M_SIGN_TAXI_RED) return vec3(1.6, 0.05, 0.04);
+        if (material == M_SIGN_TAXI_GREEN) return vec3(0.08, 1.3, 0.32);
+        if (material == M_DISPLAY) return vec3(1.1, 0.52, 0.05);
+        if (material == M_CABIN_LIGHT) return vec3(0.95, 0.95, 0.9);
+        if (material == M_SEAT_LIT) return vec3(0.06, 0.06, 0.07);
+        if (material == M_GLASS_LIT) return vec3(0.36, 0.35, 0.31) * lit_inside();
+    }
     if (material == M_BRAKE_LIGHT && (lamps & LAMP_BRAKE) != 0) return vec3(1.5, 0.05, 0.03);
     if ((material == M_TAILLIGHT || material == M_BRAKE_LIGHT) && (lamps & LAMP_LOW_BEAM) != 0)
         return vec3(0.32, 0.01, 0.007);
@@ -53,7 +74,7 @@ vec3 glow(int material, int lamps) {
     if (material == M_REVERSE_LIGHT && (lamps & LAMP_REVERSE) != 0) return vec3(1.0, 0.98, 0.94);
     if (material == M_HEADLIGHT && (lamps & LAMP_LOW_BEAM) != 0) return vec3(1.6, 1.55, 1.45);
     if (material == M_DAYLIGHT) return vec3(0.55, 0.58, 0.6) * ((lamps & LAMP_LOW_BEAM) != 0 ? 1.0 : 0.3);
-    if (material == M_SIGN && (lamps & LAMP_LOW_BEAM) != 0) return vec3(0.7, 0.55, 0.2);
+    if (material == M_SIGN && (lamps & LAMP_LOW_BEAM) != 0) return vec3(1.2, 0.72, 0.14);
     return vec3(0.0);
 }
 
