@@ -47,6 +47,7 @@ CRC, SPELT = [zlib.crc32(b"ab")], [97, 98]
         (Stream.RAIN, [7, *SPELT, 2, 11]),
         (Stream.RAIN_IN_FRAME, [7, *SPELT, 2, 12, 4]),
         (Stream.DROPS_ON_GLASS, [7, *SPELT, 2, 13]),
+        (Stream.PLACE_NAMES, [7, *SPELT, 2, 23]),
         (Stream.SENSOR_NOISE, [7, *SPELT, 2, 4]),
     ],
 )
