@@ -16,7 +16,7 @@ from skope.gen.cache import cached, digest_of
 from skope.gen.mesh import Mesh, flat, lathe, merged, tube
 from skope.gen.scenery.backdrop import backdrop
 from skope.gen.scenery.bridges_and_barriers import structures
-from skope.gen.scenery.distractors import distractors, lit_objects
+from skope.gen.scenery.distractors import distractors, light_pools, lit_objects
 from skope.gen.scenery.gardens import gardens
 from skope.gen.scenery.ground import Beside, ground_meshes, ground_parts
 from skope.gen.scenery.horizon import horizon
@@ -76,6 +76,9 @@ class Scenery:
     """(N, 3) where street lights shine down from."""
     small_lamps: tuple[SmallLamp, ...] = ()
     """Further lamps beside the roads, which burn when it is dark."""
+    light_pools: Array = field(default_factory=lambda: np.zeros((0, 10)))
+    """(N, 10) patches of light on the road in the dark, from what is outside the picture: x, y and z of the middle, the
+    unit vector in which it fades, half of length and width, irradiance red, green and blue."""
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
         """Arrays to be stored in a file."""
@@ -93,6 +96,7 @@ class Scenery:
             "small_lamps": np.array(
                 [(*lamp.position, *lamp.color, lamp.intensity_cd, *lamp.facing) for lamp in self.small_lamps]
             ).reshape(-1, 10),
+            "light_pools": self.light_pools,
         }
 
     @classmethod
@@ -111,6 +115,7 @@ class Scenery:
                 SmallLamp((x, y, z), (red, green, blue), cd, (dx, dy, dz))
                 for x, y, z, red, green, blue, cd, dx, dy, dz in arrays["small_lamps"].tolist()
             ),
+            arrays["light_pools"],
         )
 
 
@@ -175,16 +180,18 @@ def _grow_scenery(town: Town) -> Scenery:
         blocked = unary_union([built, paved, walks, pits])
         meshes += distractors(town, layout, houses, blocked, merged(meshes[len(surfaces) :]), rng["distractors"])
     lit: list[LitObject] = []
+    pools = np.zeros((0, 10))
     if town.variant and town.variant.lit_objects:
         blocked = unary_union([built, paved, walks, pits])
         lit = list(lit_objects(town, layout, houses, blocked, merged(meshes[len(surfaces) :]), rng["lit_objects"]))
         meshes += [made.mesh for made in lit]
+        pools = light_pools(town, layout, rng["light_pools"])
     crowns = tuple((*tree.place.tolist(), tree.reach) for tree in trees)
     bays = (*lot_bays(lots), *drive_bays(houses), *along_kerbs)
     footprints = tuple(house.footprint for house in houses)
     lamps = lamp_positions([*furnished, *(made.mesh for made in lit)])
     small_lamps = tuple(lamp for made in lit for lamp in made.lamps)
-    grown = Scenery(merged(meshes), signals, footprints, crowns, bays, lamps, small_lamps)
+    grown = Scenery(merged(meshes), signals, footprints, crowns, bays, lamps, small_lamps, pools)
     return _out_of_mirror(grown) if layout.graph.mirrored else grown
 
 
@@ -224,6 +231,7 @@ def _out_of_mirror(seen: Scenery) -> Scenery:
         tuple(map(_bay_out_of_mirror, seen.bays)),
         seen.lamps * flip,
         tuple(map(_lamp_out_of_mirror, seen.small_lamps)),
+        seen.light_pools * [1, -1, 1, 1, -1, 1, 1, 1, 1, 1],
     )
 
 
@@ -239,6 +247,7 @@ _BUILD_PARTS = (
     "kerbside",
     "distractors",
     "lit_objects",
+    "light_pools",
 )
 
 

@@ -38,6 +38,10 @@ LARGEST_FALL_M: Final = 0.3
 """Largest fall of the ground under one, metres."""
 OVERHEAD_M: Final = 4.5
 """Height from which parts of lit objects may hang over the road, metres."""
+_POOL_COLORS: Final = ((1.1, 0.98, 0.8), (1.0, 1.0, 1.0), (0.85, 1.0, 1.2), (1.3, 0.45, 0.4))
+"""Colours of patches of light: of warm, white and cool headlamps, and of tail lamps."""
+_POOL_IRRADIANCE: Final = (0.04, 0.3)
+"""Range of their irradiance, in units of the renderer; a street light gives the road below it about 0.1."""
 _TRIES: Final = 40
 PLACE_SPACING_M: Final = 2.5
 """Distance between places along roads, metres."""
@@ -112,6 +116,25 @@ def lit_objects(
                 place, heading = placed
                 yield made.moved([*place, _foot(layout, place, heading, standing_points)], heading)
                 break
+
+
+def light_pools(town: Town, layout: Layout, rng: np.random.Generator) -> Array:
+    """Patches of light on the lanes that the cameras see, (N, 10) as `Scenery.light_pools`: some of a view each."""
+    views = [_View.of(mast, layout) for mast in (town.variant and town.variant.masts) or map(_mast_at, sites_of(town))]
+    along_roads, out = _Roadside(layout, views), []
+    for view in range(len(views)):
+        for _ in range(int(rng.integers(4))):
+            place = along_roads.draw_on_road(view, rng)
+            if place is None:
+                continue
+            at, heading = place
+            turned = heading + rng.choice([0.0, np.pi]) + rng.normal(0.0, 0.15)
+            half_length = rng.uniform(1.5, 5.0)
+            color = np.array(_POOL_COLORS[int(rng.integers(len(_POOL_COLORS)))])
+            size = (half_length, min(rng.uniform(0.9, 2.2), half_length))
+            light = rng.uniform(*_POOL_IRRADIANCE) * color
+            out.append([*at, layout.ground.road(at[None])[0], np.cos(turned), np.sin(turned), *size, *light])
+    return np.array(out).reshape(-1, 10)
 
 
 def _foot(layout: Layout, place: Array, heading: float, points: Array) -> float:
@@ -224,6 +247,13 @@ class _Roadside:
         beyond = self._places + outwards * (np.array(widths) + 3.0)[:, None]
         self._seen = [np.flatnonzero(view.sees(beyond)) for view in views]
         self._near = [np.flatnonzero(np.hypot(*(beyond - view.place).T) < PLACED_WITHIN_M) for view in views]
+
+    def draw_on_road(self, view: int, rng: np.random.Generator) -> tuple[Array, float] | None:
+        """A place in a lane beside the kerb that a camera may see, and the road's heading; None where it sees none."""
+        if not len(self._seen[view]):
+            return None
+        i = int(rng.choice(self._seen[view]))
+        return self._places[i] - right_of(self._headings[i]) * rng.uniform(1.2, 4.5), float(self._headings[i])
 
     @property
     def views(self) -> int:

@@ -7,8 +7,10 @@ import pytest
 import shapely
 
 from skope.camera.model import Camera
+from skope.gen.mesh import flat
 from skope.gen.render.choose_renderer import make_renderer
 from skope.gen.render.frame import RenderedFrame
+from skope.gen.render.gl import background, renderer
 from skope.gen.render.gl.light import GROUPS
 from skope.gen.render.materials import materials_between, own_color
 from skope.gen.scenery import build
@@ -137,3 +139,35 @@ def test_they_burn_at_night_and_have_no_labels() -> None:
     assert len(with_them.silhouettes) == 0
     gained = with_them.rgb.astype(int).max(axis=-1) - without.rgb.max(axis=-1)
     assert (gained > 120).sum() > 60
+
+
+def test_patches_of_light_lie_on_the_road(plain: Scenery, more: Scenery) -> None:
+    assert len(plain.light_pools) == 0
+    road = Layout.of(variant(25)).graph.road.buffer(0.5)
+    seeds = [scenery(Town("town01", variant=Variant(seed, (MAST,), lit_objects=1))).light_pools for seed in (1, 2, 3)]
+    pools = np.concatenate([more.light_pools, *seeds])
+    assert len(pools) >= 2
+    assert shapely.contains_xy(road, pools[:, :2]).mean() > 0.7
+    np.testing.assert_allclose(np.hypot(*pools[:, 3:5].T), 1.0)
+    assert (pools[:, 5:] > 0).all()
+    np.testing.assert_array_equal(Scenery.from_arrays(more.to_arrays()).light_pools, more.light_pools)
+
+
+@pytest.mark.parametrize(("height", "brighter"), [(-30.0, True), (55.0, False)])
+def test_a_patch_of_light_shows_in_the_dark_only(
+    height: float, brighter: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pool = np.array([[0.0, 0.0, 0.0, 1.0, 0.0, 4.0, 2.0, 0.3, 0.3, 0.3]])
+    ground = flat([[(-60, -60, 0), (60, -60, 0), (60, 60, 0), (-60, 60, 0)]], "asphalt")
+    camera = Camera.looking([0, -14, 6.5], yaw=np.pi / 2, pitch_down=0.42, size=(160, 90), fov=np.radians(60))
+    recording = replace(standing(camera, []), conditions=conditions(sun_elevation_deg=height, noise=0.0), signals=({},))
+    shown = []
+    for pools in (np.zeros((0, 10)), pool):
+        made = Scenery(ground, (), lamps=np.array([[0.0, 30.0, 9.0]]), light_pools=pools)
+        for module in (background, renderer):
+            monkeypatch.setattr(module, "scenery", lambda _, made=made: made)
+        shown.append(make_renderer("gl", recording).render(0))
+    gained = (shown[1].rgb.astype(int) - shown[0].rgb).max(axis=-1)
+    assert (gained[40:50, 70:90] > 25).any() == brighter
+    assert (np.abs(gained[80:]) < 4).all()
+    np.testing.assert_array_equal(shown[0].ids, shown[1].ids)
