@@ -14,7 +14,7 @@ from shapely.ops import unary_union
 from skope.gen.mesh import Mesh
 from skope.gen.scenery.distractor_shapes import STANDING_OBJECTS, wall_panel
 from skope.gen.scenery.houses import House, covered
-from skope.gen.scenery.lit_objects import FACING_ROAD, LIT_OBJECTS, LitObject
+from skope.gen.scenery.lit_objects import FACING_ROAD, LIT_OBJECTS, LitObject, lit_panel
 from skope.gen.towns.land_use import Layout
 from skope.gen.towns.regions import rectangle_polygon
 from skope.gen.towns.road_graph import beside, driven, right_of
@@ -34,6 +34,8 @@ OPEN_VIEW_M: Final = 24.0
 """Nothing stands in a camera's view of road that is nearer to it than this, metres."""
 ON_WALLS: Final = 0.4
 """Share of them that hangs on walls."""
+LIT_ON_WALLS: Final = 0.15
+"""Share of lit objects that hangs on walls, where they are signs."""
 LARGEST_FALL_M: Final = 0.3
 """Largest fall of the ground under one, metres."""
 OVERHEAD_M: Final = 4.5
@@ -100,19 +102,21 @@ def lit_objects(
         return
     near = [house for house in houses if layout.camera_distance(house.center) < PLACED_WITHIN_M + max(house.size)]
     room = _Room(layout, unary_union([blocked, covered(near).buffer(0.4)]), standing)
-    along_roads = _Roadside(
-        layout, [_View.of(mast, layout) for mast in town.variant.masts or map(_mast_at, sites_of(town))]
-    )
-    kinds, shares = list(LIT_OBJECTS), np.array(list(LIT_OBJECTS.values()))
+    views = [_View.of(mast, layout) for mast in town.variant.masts or map(_mast_at, sites_of(town))]
+    along_roads = _Roadside(layout, views)
+    walls, kinds, shares = _Walls(views, near), list(LIT_OBJECTS), np.array(list(LIT_OBJECTS.values()))
     for _ in range(town.variant.lit_objects):
-        view = int(rng.integers(along_roads.views))
+        view = int(rng.integers(len(views)))
+        if rng.random() < LIT_ON_WALLS and (panel := walls.draw(view, room, rng)):
+            yield LitObject(lit_panel(panel, rng))
+            continue
         make = kinds[int(rng.choice(len(kinds), p=shares / shares.sum()))]
         made = make(rng)
         points = made.mesh.vertices
         standing_points = points[points[:, 2] < OVERHEAD_M]
         for _ in range(_TRIES):
             placed = along_roads.draw(view, standing_points, rng, facing_road=make.__name__ in FACING_ROAD)
-            if placed and room.take(*placed, standing_points, float(points[:, 2].max())):
+            if placed and room.take(*placed, standing_points, points):
                 place, heading = placed
                 yield made.moved([*place, _foot(layout, place, heading, standing_points)], heading)
                 break
@@ -197,24 +201,23 @@ class _Room:
         self._obstacles = shapely.STRtree(_plans_of_low_triangles(layout, standing))
         self._taken: list[Polygon] = []
 
-    def take(self, place: Array, heading: float, points: Array, top: float | None = None) -> bool:
+    def take(self, place: Array, heading: float, points: Array, whole: Array | None = None) -> bool:
         """Whether a thing of points (N, 3) has room there on the ground; if so its place is taken.
 
-        `top` is its height where parts above the road are not among the points.
+        Where parts hang over the road, `whole` (M, 3) has their points too: they keep clear of other things only.
         """
+        whole = points if whole is None else whole
         low, high = points.min(axis=0), points.max(axis=0)
         size, distance = high - low, self._layout.camera_distance(place)
-        if max(size[0], high[2] if top is None else top) > LARGEST_SHARE * distance:
+        if max(size[0], whole[:, 2].max()) > LARGEST_SHARE * distance:
             return False
-        c, s = np.cos(heading), np.sin(heading)
-        middle = (low + high)[:2] / 2 @ np.array([[c, s], [-s, c]]) + place
-        footprint = rectangle_polygon(middle, heading, *size[:2])
+        footprint = _plan_of(place, heading, points)
         heights = self._layout.ground.beside(np.array(footprint.exterior.coords))
         if np.ptp(heights) > LARGEST_FALL_M or self._blocked.intersects(footprint):
             return False
         if len(self._obstacles.query(footprint.buffer(0.1), predicate="intersects")):
             return False
-        return self._keep(footprint, 0.4)
+        return self._keep(_plan_of(place, heading, whole), 0.4)
 
     def take_on_wall(self, footprint: Polygon) -> bool:
         """Whether a panel on a wall hangs clear of streets and of others; if so its place is taken."""
@@ -225,6 +228,14 @@ class _Room:
             return False
         self._taken.append(footprint)
         return True
+
+
+def _plan_of(place: Array, heading: float, points: Array) -> Polygon:
+    """The rectangle around a thing of points (N, 3) that stands at a place with a heading."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    c, s = np.cos(heading), np.sin(heading)
+    middle = (low + high)[:2] / 2 @ np.array([[c, s], [-s, c]]) + place
+    return rectangle_polygon(middle, heading, *(high - low)[:2])
 
 
 class _Roadside:
@@ -254,11 +265,6 @@ class _Roadside:
             return None
         i = int(rng.choice(self._seen[view]))
         return self._places[i] - right_of(self._headings[i]) * rng.uniform(1.2, 4.5), float(self._headings[i])
-
-    @property
-    def views(self) -> int:
-        """Number of cameras."""
-        return len(self._seen)
 
     def draw(
         self, view: int, points: Array, rng: np.random.Generator, *, facing_road: bool = False

@@ -231,6 +231,13 @@ def shop_sign(rng: np.random.Generator) -> LitObject:
     return LitObject(out.mesh())
 
 
+def lit_panel(panel: Mesh, rng: np.random.Generator) -> Mesh:
+    """A panel on a wall, see `wall_panel`, as a sign that is lit from inside: its ground burns, its print does not."""
+    lit = str(rng.choice(["lit_white", "lit_white", "lit_warm", "lit_red", "lit_green", "lit_blue"]))
+    _frame, *printed = panel.materials
+    return _recolored(panel, dict.fromkeys(printed[:1], lit))
+
+
 def cones(rng: np.random.Generator) -> LitObject:
     """A row of cones or drums whose bands shine back."""
     count, body = int(rng.integers(3, 7)), str(rng.choice(["#ff5511", "#ff5511", "#ee4411", "sign_red"]))

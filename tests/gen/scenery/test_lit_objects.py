@@ -15,8 +15,9 @@ from skope.gen.render.gl.light import GROUPS
 from skope.gen.render.materials import materials_between, own_color
 from skope.gen.scenery import build
 from skope.gen.scenery.build import Scenery, scenery
+from skope.gen.scenery.distractor_shapes import wall_panel
 from skope.gen.scenery.distractors import OBJECT_CLEARANCE_M, OVERHEAD_M
-from skope.gen.scenery.lit_objects import LIT_OBJECTS, MakeLit, SmallLamp
+from skope.gen.scenery.lit_objects import LIT_OBJECTS, MakeLit, SmallLamp, lit_panel
 from skope.gen.towns.land_use import Layout
 from skope.gen.towns.sites import site
 from skope.gen.towns.town import Mast, Town, Variant
@@ -171,3 +172,13 @@ def test_a_patch_of_light_shows_in_the_dark_only(
     assert (gained[40:50, 70:90] > 25).any() == brighter
     assert (np.abs(gained[80:]) < 4).all()
     np.testing.assert_array_equal(shown[0].ids, shown[1].ids)
+
+
+def test_a_lit_panel_is_a_panel_whose_ground_burns() -> None:
+    for seed in range(8):
+        panel = wall_panel(3.0, 1.0, np.random.default_rng(seed))
+        lit = lit_panel(panel, np.random.default_rng(seed))
+        np.testing.assert_array_equal(lit.material, panel.material)
+        changed = [new for new, old in zip(lit.materials, panel.materials, strict=True) if new != old]
+        assert len(changed) == 1
+        assert changed[0].startswith("lit_")
