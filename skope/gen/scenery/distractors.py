@@ -40,7 +40,7 @@ LARGEST_FALL_M: Final = 0.3
 """Largest fall of the ground under one, metres."""
 OVERHEAD_M: Final = 4.5
 """Height from which parts of lit objects may hang over the road, metres."""
-_POOL_COLORS: Final = ((1.1, 0.98, 0.8), (1.0, 1.0, 1.0), (0.85, 1.0, 1.2), (1.3, 0.45, 0.4))
+_POOL_COLORS: Final = ((1.1, 0.98, 0.8), (1.0, 1.0, 1.0), (0.85, 1.0, 1.2), (0.45, 0.2, 0.18))
 """Colours of patches of light: of warm, white and cool headlamps, and of tail lamps."""
 _POOL_IRRADIANCE: Final = (0.04, 0.3)
 """Range of their irradiance, in units of the renderer; a street light gives the road below it about 0.1."""
