@@ -30,7 +30,8 @@ class Variation:
     distractors: Range | None = None
     """Range of the number of things around the cameras that resemble vehicles and are none; None for none."""
     lit_objects: Range | None = None
-    """Range of the number of things around the cameras that burn or shine at night; None for none."""
+    """Range of the number of things around the cameras that burn or shine at night; None for none. Where there are any,
+    there are also patches of light and hatched areas on the roads."""
     seasons: bool = False
     """Whether grass and leaves have the colours of a season, drawn for each town that is drawn anew."""
     further_models: bool = False

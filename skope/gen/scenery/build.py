@@ -16,7 +16,7 @@ from skope.gen.cache import cached, digest_of
 from skope.gen.mesh import Mesh, flat, lathe, merged, tube
 from skope.gen.scenery.backdrop import backdrop
 from skope.gen.scenery.bridges_and_barriers import structures
-from skope.gen.scenery.distractors import distractors, light_pools, lit_objects
+from skope.gen.scenery.distractors import distractors, hatched_areas, light_pools, lit_objects
 from skope.gen.scenery.gardens import gardens
 from skope.gen.scenery.ground import Beside, ground_meshes, ground_parts
 from skope.gen.scenery.horizon import horizon
@@ -165,7 +165,10 @@ def _grow_scenery(town: Town) -> Scenery:
     footings = built.buffer(0.35, join_style="mitre")
     beside_road = Beside(unary_union([forecourts(houses), ways]), walks, drives, lots, lay_bys, footings, pits)
     furnished = list(furniture(layout, unary_union([built, paved, pits]), rng["furniture"]))
-    surfaces = list(ground_meshes(layout, ground_parts(layout, beside_road, rng["ground"])))
+    hatched: list[Polygon] = []
+    if town.variant and town.variant.lit_objects:
+        hatched = hatched_areas(town, layout, rng["hatching"])
+    surfaces = list(ground_meshes(layout, ground_parts(layout, beside_road, rng["ground"], hatched)))
     meshes = [
         *surfaces,
         *house_meshes(houses, rng["houses"]),
@@ -248,6 +251,7 @@ _BUILD_PARTS = (
     "distractors",
     "lit_objects",
     "light_pools",
+    "hatching",
 )
 
 

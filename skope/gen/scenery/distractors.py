@@ -15,6 +15,7 @@ from skope.gen.mesh import Mesh
 from skope.gen.scenery.distractor_shapes import STANDING_OBJECTS, wall_panel
 from skope.gen.scenery.houses import House, covered
 from skope.gen.scenery.lit_objects import FACING_ROAD, LIT_OBJECTS, LitObject, lit_panel
+from skope.gen.scenery.markings import hatching
 from skope.gen.towns.land_use import Layout
 from skope.gen.towns.regions import rectangle_polygon
 from skope.gen.towns.road_graph import beside, driven, right_of
@@ -123,22 +124,33 @@ def lit_objects(
 
 
 def light_pools(town: Town, layout: Layout, rng: np.random.Generator) -> Array:
-    """Patches of light on the lanes that the cameras see, (N, 10) as `Scenery.light_pools`: some of a view each."""
-    views = [_View.of(mast, layout) for mast in (town.variant and town.variant.masts) or map(_mast_at, sites_of(town))]
-    along_roads, out = _Roadside(layout, views), []
-    for view in range(len(views)):
-        for _ in range(int(rng.integers(4))):
-            place = along_roads.draw_on_road(view, rng)
-            if place is None:
-                continue
-            at, heading = place
-            turned = heading + rng.choice([0.0, np.pi]) + rng.normal(0.0, 0.15)
-            half_length = rng.uniform(1.5, 5.0)
-            color = np.array(_POOL_COLORS[int(rng.integers(len(_POOL_COLORS)))])
-            size = (half_length, min(rng.uniform(0.9, 2.2), half_length))
-            light = rng.uniform(*_POOL_IRRADIANCE) * color
-            out.append([*at, layout.ground.road(at[None])[0], np.cos(turned), np.sin(turned), *size, *light])
+    """Patches of light on the lanes that the cameras see, up to three each: (N, 10) as `Scenery.light_pools`."""
+    out = []
+    for kerb, heading in _seen_kerbs(town, layout, 3, rng):
+        at = kerb - right_of(heading) * rng.uniform(1.2, 4.5)
+        turned = heading + rng.choice([0.0, np.pi]) + rng.normal(0.0, 0.15)
+        half_length = rng.uniform(1.5, 5.0)
+        color = np.array(_POOL_COLORS[int(rng.integers(len(_POOL_COLORS)))])
+        size = (half_length, min(rng.uniform(0.9, 2.2), half_length))
+        light = rng.uniform(*_POOL_IRRADIANCE) * color
+        out.append([*at, layout.ground.road(at[None])[0], np.cos(turned), np.sin(turned), *size, *light])
     return np.array(out).reshape(-1, 10)
+
+
+def hatched_areas(town: Town, layout: Layout, rng: np.random.Generator) -> list[Polygon]:
+    """Stripes of hatched areas at the right edges of the roads that the cameras see, up to two areas each."""
+    kerbs = _seen_kerbs(town, layout, 2, rng)
+    return [part for kerb, heading in kerbs for part in hatching(kerb - 0.35 * right_of(heading), heading, rng)]
+
+
+def _seen_kerbs(town: Town, layout: Layout, most: int, rng: np.random.Generator) -> Iterator[tuple[Array, float]]:
+    """Places at kerbs that the cameras see, up to a number for each, with the headings of the roads."""
+    views = [_View.of(mast, layout) for mast in (town.variant and town.variant.masts) or map(_mast_at, sites_of(town))]
+    along_roads = _Roadside(layout, views)
+    for view in range(len(views)):
+        for _ in range(int(rng.integers(most + 1))):
+            if place := along_roads.draw_kerb(view, rng):
+                yield place
 
 
 def _foot(layout: Layout, place: Array, heading: float, points: Array) -> float:
@@ -259,12 +271,12 @@ class _Roadside:
         self._seen = [np.flatnonzero(view.sees(beyond)) for view in views]
         self._near = [np.flatnonzero(np.hypot(*(beyond - view.place).T) < PLACED_WITHIN_M) for view in views]
 
-    def draw_on_road(self, view: int, rng: np.random.Generator) -> tuple[Array, float] | None:
-        """A place in a lane beside the kerb that a camera may see, and the road's heading; None where it sees none."""
+    def draw_kerb(self, view: int, rng: np.random.Generator) -> tuple[Array, float] | None:
+        """A place at a kerb that a camera may see, and the road's heading; None where it sees none."""
         if not len(self._seen[view]):
             return None
         i = int(rng.choice(self._seen[view]))
-        return self._places[i] - right_of(self._headings[i]) * rng.uniform(1.2, 4.5), float(self._headings[i])
+        return self._places[i], float(self._headings[i])
 
     def draw(
         self, view: int, points: Array, rng: np.random.Generator, *, facing_road: bool = False

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import shapely
+from shapely.ops import unary_union
 
 from skope.camera.model import Camera
 from skope.gen.mesh import flat
@@ -12,12 +13,13 @@ from skope.gen.render.choose_renderer import make_renderer
 from skope.gen.render.frame import RenderedFrame
 from skope.gen.render.gl import background, renderer
 from skope.gen.render.gl.light import GROUPS
-from skope.gen.render.materials import materials_between, own_color
+from skope.gen.render.materials import GROUND, materials_between, own_color
 from skope.gen.scenery import build
 from skope.gen.scenery.build import Scenery, scenery
 from skope.gen.scenery.distractor_shapes import wall_panel
 from skope.gen.scenery.distractors import OBJECT_CLEARANCE_M, OVERHEAD_M
 from skope.gen.scenery.lit_objects import LIT_OBJECTS, MakeLit, SmallLamp, lit_panel
+from skope.gen.scenery.markings import hatching
 from skope.gen.towns.land_use import Layout
 from skope.gen.towns.sites import site
 from skope.gen.towns.town import Mast, Town, Variant
@@ -93,11 +95,32 @@ def test_globes_come_in_clusters() -> None:
     )
 
 
+def above_ground(seen: Scenery) -> np.ndarray:
+    """(T, 3, 3) corners of the triangles of what stands."""
+    is_ground = np.array([name in GROUND for name in seen.mesh.materials])[seen.mesh.material]
+    return np.asarray(seen.mesh.vertices[seen.mesh.triangles[~is_ground]])
+
+
+def test_hatched_areas_are_painted_on_the_road() -> None:
+    def areas(count: int) -> dict[str, float]:
+        mesh = scenery(Town("town01", variant=Variant(2, (MAST,), lit_objects=count))).mesh
+        parts = {name: part.vertices[part.triangles] for name, part in mesh.by_material().items() if name in GROUND}
+        return {name: float(shapely.area(shapely.polygons(at[..., :2])).sum()) for name, at in parts.items()}
+
+    bare, hatched = areas(0), areas(1)
+    assert sum(hatched.values()) == pytest.approx(sum(bare.values()), rel=1e-6)
+    assert hatched["marking"] > bare["marking"] + 5.0
+    rng = np.random.default_rng(3)
+    for parts in (hatching(np.array([5.0, 2.0]), 0.7, rng) for _ in range(10)):
+        assert all(part.is_valid and part.area > 0.05 for part in parts)
+        assert 3.0 < unary_union(parts).area < 30.0
+
+
 def test_they_stand_beside_the_road_and_leave_the_rest_as_it_is(plain: Scenery, more: Scenery) -> None:
-    layout, count = Layout.of(variant(25)), len(plain.mesh.triangles)
-    np.testing.assert_array_equal(more.mesh.vertices[: len(plain.mesh.vertices)], plain.mesh.vertices)
+    layout, before, after = Layout.of(variant(25)), above_ground(plain), above_ground(more)
+    np.testing.assert_array_equal(after[: len(before)], before)
     assert (more.bays, more.buildings, more.trees) == (plain.bays, plain.buildings, plain.trees)
-    corners = more.mesh.vertices[more.mesh.triangles[count:]]
+    corners = after[len(before) :]
     assert len(corners) > 1000
     height = corners[..., 2] - layout.ground.beside(corners.reshape(-1, 3)[:, :2]).reshape(corners.shape[:2])
     standing_ones = corners[(height < OVERHEAD_M).all(axis=1)]
