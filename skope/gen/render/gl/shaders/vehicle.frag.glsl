@@ -46,12 +46,11 @@ vec3 mirror(vec3 d) {
 
 // Light from inside a bus through its windows: bright above, with seats and some passengers before it on each deck.
 float lit_inside() {
-    float height = v_local.z > 2.75 ? v_local.z - 1.95 : v_local.z, row = v_local.x / 0.78;
-    float chance = fract(sin(floor(row) * 12.9898 + (height < v_local.z ? 3.7 : 0.0) + sign(v_local.y) * 78.233 + float(u_plate)) * 43758.5453);
-    vec2 from = vec2((fract(row) - 0.5) * 0.78, height - 1.62 - 0.12 * chance);
-    float head = smoothstep(1.1, 0.7, length(from / vec2(0.13, 0.19))), trunk = smoothstep(1.1, 0.8, length((from + vec2(0.0, 0.42)) / vec2(0.27, 0.32)));
-    float seats = 0.45 * smoothstep(1.55, 1.45, height) * step(fract(row), 0.62), strength = 0.35 + 0.65 * fract(float(u_plate) * 0.618);
-    return strength * (0.35 + 0.65 * smoothstep(1.1, 2.6, height)) * (1.0 - max(seats, 0.8 * step(0.45, chance) * min(head + trunk, 1.0)));
+    float upper = step(2.75, v_local.z), height = v_local.z - 1.95 * upper, row = v_local.x / 0.78, place = fract(row);
+    float taken = step(0.45, fract(0.618 * (row - place + float(u_plate) + 3.0 * upper) + 0.3 * step(0.0, v_local.y)));
+    vec2 from = vec2(3.2 * (place - 0.5), 2.4 * (height - 1.42));
+    float dark = max(0.45 * step(height, 1.5) * step(place, 0.62), 0.8 * taken * step(dot(from, from), 1.0));
+    return (0.35 + 0.65 * fract(0.618 * float(u_plate))) * clamp(0.45 * height - 0.15, 0.3, 1.0) * (1.0 - dark);
 }
 
 vec3 glow(int material, int lamps) {
