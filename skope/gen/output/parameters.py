@@ -202,13 +202,13 @@ _TEXT_BY_NAME: Final = _Kind("an object of texts", _object_of(_is_text))
 _COUNT_BY_NAME: Final = _Kind("an object of whole numbers", _object_of(_is_whole))
 _RANGE_BY_NAME: Final = _Kind("an object of pairs of numbers", _object_of(_is_range))
 
-_RANGES: Final = ("traffic", "distractors")
+_RANGES: Final = ("traffic", "distractors", "lit_objects")
 """Fields that hold a range or None."""
 _RANGES_BY_NAME: Final = ("settings", "cameras")
 """Fields that hold ranges by their names."""
 _NAMES: Final = ("weather", "time_of_day")
 """Fields that hold names that were asked for."""
-_ASKED: Final = ("vehicle_share", "further_models", "road_users", *_NAMES)
+_ASKED: Final = ("vehicle_share", "lit_objects", "further_models", "road_users", *_NAMES)
 """Fields that are written only where they were asked for: cards of other datasets stay as they are."""
 _FIELD_KINDS: Final[Mapping[str, _Kind]] = {
     "preset": _TEXT,
@@ -234,6 +234,7 @@ _FIELD_KINDS: Final[Mapping[str, _Kind]] = {
     "traffic": _RANGE_OR_NULL,
     "town_jitter": _SWITCH,
     "distractors": _RANGE_OR_NULL,
+    "lit_objects": _RANGE_OR_NULL,
     "seasons": _SWITCH,
     "further_models": _SWITCH,
     "road_users": _SWITCH,

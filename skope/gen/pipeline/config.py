@@ -261,7 +261,7 @@ def from_preset(
     if "recording_frames" in row and overrides.get("recordings") is None:
         longest = max(values["frames"].values()) if frames is None else frames
         values["recordings"] = max(1, math.ceil(longest / row["recording_frames"]))
-    for name in ("traffic", "distractors"):
+    for name in ("traffic", "distractors", "lit_objects"):
         values[name] = tuple(row[name]) if name in row else None
     values["settings"] = range_pairs(row.get("settings", {})) | dict(settings or {})
     at_night = range_pairs(row.get("night", {}))

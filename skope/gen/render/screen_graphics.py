@@ -1,8 +1,9 @@
-"""Graphics that operators draw into pictures besides date and name: logos, watermarks, clocks, letters, arrows,
-bars."""
+"""Graphics that operators draw into pictures besides date and name: logos, watermarks, clocks, letters, arrows, bars,
+names of places with arrows."""
 
 from collections.abc import Callable
-from typing import Final
+from dataclasses import dataclass
+from typing import Final, Self
 
 import cv2
 import numpy as np
@@ -17,6 +18,18 @@ _FONTS: Final = (cv2.FONT_HERSHEY_SIMPLEX, cv2.FONT_HERSHEY_DUPLEX, cv2.FONT_HER
 _LETTERS: Final = "ABCDEFGHJKLMNPRSTUVWXYZ0123456789"
 _LEAST_OPAQUE: Final = 0.25
 """Opacity of the faintest watermark."""
+_CAPTIONED: Final = 0.6
+"""Share of the recordings with graphics that also have names of places."""
+_SYLLABLES: Final = (
+    "AR", "BER", "CAS", "CHAN", "DEL", "EAST", "FOR", "GATE", "HA", "JU", "KAL", "LAN", "MER", "NOR", "O", "PAR",
+    "RONG", "SEN", "TON", "VAL", "WOOD", "YARD",
+)  # fmt: skip
+_ROADS: Final = ("", "", "", "", " RD", " AVE", " BRIDGE", " EXIT", " DR 12", " N", " CITY")
+_LEAST_SCALE: Final = 0.3
+"""Scale of OpenCV's letters below which a name cannot be read."""
+_CAPTION_INKS: Final = ((255, 255, 0), (255, 255, 0), (250, 250, 250), (255, 190, 30), (80, 255, 90))
+_POINTER: Final = np.array([(1.0, 0.0), (-0.75, 0.62), (-0.35, 0.0), (-0.75, -0.62)])
+"""Outline of an arrowhead that points to the right, from its middle to its tip 1 long."""
 
 
 class ScreenGraphics:
@@ -34,6 +47,9 @@ class ScreenGraphics:
                 draw(ink, mark, rng)
                 opaque = rng.choice([1.0, rng.uniform(_LEAST_OPAQUE, 1.0)])
                 cover = np.maximum(cover, (mark * np.float32(opaque)).astype(np.uint8))
+            own = recording.rng(Stream.PLACE_NAMES)
+            if own.random() < _CAPTIONED:
+                _place_names(ink, cover, own)
             covers = np.repeat(cover[..., None], 3, axis=-1)
             self._seen = np.asarray(cv2.bitwise_not(covers), dtype=np.uint8)
             self._ink = np.asarray(cv2.multiply(ink, covers, scale=1 / 255), dtype=np.uint8)
@@ -133,6 +149,111 @@ def _bar(ink: Pixels, mark: Pixels, rng: np.random.Generator) -> None:
     for canvas, color in ((ink, _color(rng)), (mark, (255, 255, 255))):
         cv2.rectangle(canvas, (0, y), (width, y + deep), color, -1)
     _text(ink, mark, _word(rng, 6, 20), (int(0.02 * width), y + int(0.8 * deep)), deep / 38, rng)
+
+
+@dataclass(frozen=True)
+class _CaptionStyle:
+    """Style of the captions of one operator: they look alike in a picture."""
+
+    ink: tuple[int, int, int]
+    scale: float
+    font: int
+    thickness: int
+    boxed: bool
+    """Whether they stand on black boxes; others have dark outlines."""
+    pointed: bool
+    """Whether an arrowhead beside each shows where the road leads."""
+
+    @classmethod
+    def drawn(cls, width: int, rng: np.random.Generator) -> Self:
+        """The style of an operator for pictures of a width."""
+        scale = max(width / 1920 * float(rng.choice([rng.uniform(0.75, 1.3), rng.uniform(1.2, 2.2)])), _LEAST_SCALE)
+        ink = _CAPTION_INKS[int(rng.integers(len(_CAPTION_INKS)))]
+        font = int(rng.choice([cv2.FONT_HERSHEY_SIMPLEX, cv2.FONT_HERSHEY_DUPLEX]))
+        thickness = max(1, round(scale * rng.uniform(1.8, 3.0)))
+        return cls(ink, scale, font, thickness, rng.random() < 0.6, rng.random() < 0.85)
+
+
+def _place_names(ink: Pixels, cover: Pixels, rng: np.random.Generator) -> None:
+    """Names of places over the road, one to four, and more often than not the operator's plate in a corner.
+
+    Args:
+        ink: (H, W, 3) colours, drawn over.
+        cover: (H, W) opacities, drawn over.
+        rng: Draws.
+    """
+    height, width = cover.shape
+    style = _CaptionStyle.drawn(width, rng)
+    if rng.random() < 0.6:
+        _plate(ink, cover, rng)
+    # Two draws lie about the middle more often than one; one name for each strip of the picture.
+    count = int(rng.integers(1, 5))
+    for k in rng.permutation(count):
+        name = "".join(rng.choice(_SYLLABLES, int(rng.integers(1, 4)))) + str(rng.choice(_ROADS))
+        lines = name.split(" ", 1) if rng.random() < 0.3 else [name]
+        x = width * (k + rng.uniform(0.1, 0.9)) / count
+        y = height * (rng.uniform(0.04, 0.96) + rng.uniform(0.04, 0.96)) / 2
+        _caption(ink, cover, lines, (int(x), int(y)), style, rng)
+
+
+def _caption(
+    ink: Pixels,
+    cover: Pixels,
+    lines: list[str],
+    middle: tuple[int, int],
+    style: _CaptionStyle,
+    rng: np.random.Generator,
+) -> None:
+    """Write lines around a middle, with an arrowhead beside them."""
+    sizes = [cv2.getTextSize(line, style.font, style.scale, style.thickness)[0] for line in lines]
+    pad = max(1, round(5 * style.scale))
+    step = max(size[1] for size in sizes) + 3 * pad
+    top = middle[1] - step * len(lines) // 2
+    for k, (line, (long, tall)) in enumerate(zip(lines, sizes, strict=True)):
+        left, base = middle[0] - long // 2, top + k * step + tall + pad
+        if style.boxed:
+            corners = (left - pad, base - tall - pad), (left + long + pad, base + 2 * pad)
+            cv2.rectangle(ink, *corners, (0, 0, 0), -1)
+            cv2.rectangle(cover, *corners, 255, -1)
+        else:
+            for canvas, color in ((ink, (10, 10, 10)), (cover, (255, 255, 255))):
+                around = style.thickness + 2 * max(1, pad // 2)
+                cv2.putText(canvas, line, (left, base), style.font, style.scale, color, around, cv2.LINE_AA)
+        cv2.putText(ink, line, (left, base), style.font, style.scale, style.ink, style.thickness, cv2.LINE_AA)
+        cv2.putText(cover, line, (left, base), style.font, style.scale, 255, style.thickness, cv2.LINE_AA)
+    if style.pointed:
+        reach, turn = 0.55 * step, float(rng.uniform(0.0, 2 * np.pi))
+        toward = np.array([np.cos(turn), np.sin(turn)])
+        half = np.array([max(size[0] for size in sizes) / 2 + pad, step * len(lines) / 2])
+        # From the middle to the frame of the lines, and on.
+        edge = toward * float((half / np.maximum(np.abs(toward), 1e-6)).min())
+        R = np.array([[toward[0], toward[1]], [-toward[1], toward[0]]])
+        outline = np.rint((np.array(middle) + edge + 1.1 * reach * toward) + reach * _POINTER @ R).astype(np.int32)
+        for canvas, color in ((ink, style.ink), (cover, (255, 255, 255))):
+            cv2.fillPoly(canvas, [outline], color, cv2.LINE_AA)
+        for canvas, color in ((ink, (10, 10, 10)), (cover, (255, 255, 255))):
+            cv2.polylines(canvas, [outline], True, color, max(1, round(1.5 * style.scale)), cv2.LINE_AA)
+
+
+def _plate(ink: Pixels, cover: Pixels, rng: np.random.Generator) -> None:
+    """The operator's plate in an upper corner: two words around an emblem on white."""
+    width = cover.shape[1]
+    scale = width / 1920 * float(rng.uniform(0.5, 0.8))
+    words = [_word(rng, 4, 9).capitalize() for _ in range(2)]
+    color = tuple(int(v) for v in rng.integers(20, 130, 3))
+    tall, gap = round(60 * scale), round(16 * scale)
+    sizes = [cv2.getTextSize(word, cv2.FONT_HERSHEY_COMPLEX, scale, 1)[0][0] for word in words]
+    long = sum(sizes) + tall + 4 * gap
+    left = 0 if rng.random() < 0.6 else width - long
+    cv2.rectangle(ink, (left, 0), (left + long, tall), (255, 255, 255), -1)
+    cv2.rectangle(cover, (left, 0), (left + long, tall), 255, -1)
+    x, base = left + gap, round(0.66 * tall)
+    cv2.putText(ink, words[0], (x, base), cv2.FONT_HERSHEY_COMPLEX, scale, color, 1, cv2.LINE_AA)
+    middle = (x + sizes[0] + gap + tall // 2, tall // 2)
+    cv2.circle(ink, middle, max(1, round(0.3 * tall)), color, max(1, round(5 * scale)), cv2.LINE_AA)
+    cv2.putText(
+        ink, words[1], (middle[0] + tall // 2 + gap, base), cv2.FONT_HERSHEY_COMPLEX, scale, color, 1, cv2.LINE_AA
+    )
 
 
 _GRAPHIC_KINDS: Final[tuple[_Draw, ...]] = (_letters, _boxed, _logo, _watermark, _arrow, _bar)

@@ -24,6 +24,11 @@ _LAMP_KINDS: Final = {
     "indicator_left": ("indicator_left", _AMBER, 0.5),
     "indicator_right": ("indicator_right", _AMBER, 0.5),
     "reverse_light": ("reverse", _WHITE_LIGHT, 0.25),
+    "marker_white": ("low_beam", _WHITE_LIGHT, 0.08),
+    "marker_red": ("low_beam", _RED, 0.08),
+    "sign": ("low_beam", _AMBER, 0.1),
+    "sign_taxi_red": ("low_beam", _RED, 0.15),
+    "sign_taxi_green": ("low_beam", (0.06, 1.0, 0.3), 0.15),
 }
 """Lamps by material: what lights them, their colour, their luminous intensity straight ahead."""
 _MIDDLE_WITHIN_M: Final = 0.12

@@ -34,6 +34,8 @@ class Stream(Enum):
     """Scenery of a simulation's town, where it is grown anew."""
     DISTRACTORS = auto()
     """Number of things around the cameras that resemble vehicles."""
+    LIT_OBJECTS = auto()
+    """Number of things around the cameras that burn or shine at night."""
     SEASON = auto()
     RANDOMISED = auto()
     """Whether ground and walls have random colours and patterns, and which."""
@@ -50,6 +52,8 @@ class Stream(Enum):
     DROPS_ON_GLASS = auto()
     LENS_DIRT = auto()
     SCREEN_GRAPHICS = auto()
+    PLACE_NAMES = auto()
+    """Names of places that an operator draws into the pictures."""
     SENSOR_NOISE = auto()
     """Takes the frame."""
 
@@ -68,6 +72,7 @@ _STREAM_NUMBERS: Final[dict[Stream, tuple[int, ...]]] = {
     Stream.ROAD_USER: (),
     Stream.ASKED_LIGHT: (9,),
     Stream.DISTRACTORS: (14,),
+    Stream.LIT_OBJECTS: (22,),
     Stream.SEASON: (15,),
     Stream.RANDOMISED: (16,),
     Stream.RAIN: (11,),
@@ -75,6 +80,7 @@ _STREAM_NUMBERS: Final[dict[Stream, tuple[int, ...]]] = {
     Stream.DROPS_ON_GLASS: (13,),
     Stream.LENS_DIRT: (17,),
     Stream.SCREEN_GRAPHICS: (18,),
+    Stream.PLACE_NAMES: (23,),
     Stream.CROWDS: (19,),
     Stream.RIDERS: (20,),
     Stream.SENSOR_NOISE: (),
@@ -85,6 +91,7 @@ _IN_PICTURES: Final = (
     Stream.DROPS_ON_GLASS,
     Stream.LENS_DIRT,
     Stream.SCREEN_GRAPHICS,
+    Stream.PLACE_NAMES,
     Stream.SENSOR_NOISE,
 )
 """Streams that are seeded with the letters of the site's name; the others are seeded with its CRC-32."""

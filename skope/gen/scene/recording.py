@@ -364,7 +364,7 @@ def _variant_of(row: Mapping[str, Any] | None) -> Variant | None:
         x, y, z = map(float, mast["position"])
         angles = {name: float(value) for name, value in mast.items() if name != "position"}
         masts.append(Mast((x, y, z), **angles))
-    drawn = {name: int(row.get(name, 0)) for name in ("distractors", "season", "randomised")}
+    drawn = {name: int(row.get(name, 0)) for name in ("distractors", "lit_objects", "season", "randomised")}
     return Variant(int(row["seed"]), tuple(masts), **drawn)
 
 

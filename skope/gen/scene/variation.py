@@ -31,6 +31,9 @@ class Variation:
     """Whether what stands along the roads is drawn anew; recordings that share their traffic share it too."""
     distractors: Range | None = None
     """Range of the number of things around the cameras that resemble vehicles and are none; None for none."""
+    lit_objects: Range | None = None
+    """Range of the number of things around the cameras that burn or shine at night; None for none. Where there are any,
+    there are also patches of light and hatched areas on the roads."""
     seasons: bool = False
     """Whether grass and leaves have the colours of a season, drawn for each town that is drawn anew."""
     further_models: bool = False

@@ -16,7 +16,7 @@ from skope.gen.cache import cached, digest_of
 from skope.gen.mesh import Mesh, flat, lathe, merged, tube
 from skope.gen.scenery.backdrop import backdrop
 from skope.gen.scenery.bridges_and_barriers import structures
-from skope.gen.scenery.distractors import distractors
+from skope.gen.scenery.distractors import distractors, hatched_areas, light_pools, lit_objects
 from skope.gen.scenery.gardens import gardens
 from skope.gen.scenery.ground import Beside, ground_meshes, ground_parts
 from skope.gen.scenery.horizon import horizon
@@ -30,6 +30,7 @@ from skope.gen.scenery.houses import (
     house_meshes,
     house_plots,
 )
+from skope.gen.scenery.lit_objects import LitObject, SmallLamp
 from skope.gen.scenery.markings import zebra_stripes
 from skope.gen.scenery.quads import Solid
 from skope.gen.scenery.street_furniture import furniture, lamp_positions
@@ -73,6 +74,11 @@ class Scenery:
     """Bays that vehicles may be parked in."""
     lamps: Array = field(default_factory=lambda: np.zeros((0, 3)))
     """(N, 3) where street lights shine down from."""
+    small_lamps: tuple[SmallLamp, ...] = ()
+    """Further lamps beside the roads, which burn when it is dark."""
+    light_pools: Array = field(default_factory=lambda: np.zeros((0, 10)))
+    """(N, 10) patches of light on the road in the dark, from what is outside the picture: x, y and z of the middle, the
+    unit vector in which it fades, half of length and width, irradiance red, green and blue."""
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
         """Arrays to be stored in a file."""
@@ -87,6 +93,10 @@ class Scenery:
             "trees": np.array(self.trees).reshape(-1, 3),
             "bays": np.array([(*bay.place, bay.heading) for bay in self.bays]).reshape(-1, 3),
             "lamps": self.lamps,
+            "small_lamps": np.array(
+                [(*lamp.position, *lamp.color, lamp.intensity_cd, *lamp.facing) for lamp in self.small_lamps]
+            ).reshape(-1, 10),
+            "light_pools": self.light_pools,
         }
 
     @classmethod
@@ -101,6 +111,11 @@ class Scenery:
             tuple((x, y, reach) for x, y, reach in arrays["trees"].tolist()),
             tuple(Bay((x, y), heading) for x, y, heading in arrays["bays"].tolist()),
             arrays["lamps"],
+            tuple(
+                SmallLamp((x, y, z), (red, green, blue), cd, (dx, dy, dz))
+                for x, y, z, red, green, blue, cd, dx, dy, dz in arrays["small_lamps"].tolist()
+            ),
+            arrays["light_pools"],
         )
 
 
@@ -150,7 +165,10 @@ def _grow_scenery(town: Town) -> Scenery:
     footings = built.buffer(0.35, join_style="mitre")
     beside_road = Beside(unary_union([forecourts(houses), ways]), walks, drives, lots, lay_bys, footings, pits)
     furnished = list(furniture(layout, unary_union([built, paved, pits]), rng["furniture"]))
-    surfaces = list(ground_meshes(layout, ground_parts(layout, beside_road, rng["ground"])))
+    hatched: list[Polygon] = []
+    if town.variant and town.variant.lit_objects:
+        hatched = hatched_areas(town, layout, rng["hatching"])
+    surfaces = list(ground_meshes(layout, ground_parts(layout, beside_road, rng["ground"], hatched)))
     meshes = [
         *surfaces,
         *house_meshes(houses, rng["houses"]),
@@ -164,10 +182,19 @@ def _grow_scenery(town: Town) -> Scenery:
     if town.variant and town.variant.distractors:
         blocked = unary_union([built, paved, walks, pits])
         meshes += distractors(town, layout, houses, blocked, merged(meshes[len(surfaces) :]), rng["distractors"])
+    lit: list[LitObject] = []
+    pools = np.zeros((0, 10))
+    if town.variant and town.variant.lit_objects:
+        blocked = unary_union([built, paved, walks, pits])
+        lit = list(lit_objects(town, layout, houses, blocked, merged(meshes[len(surfaces) :]), rng["lit_objects"]))
+        meshes += [made.mesh for made in lit]
+        pools = light_pools(town, layout, rng["light_pools"])
     crowns = tuple((*tree.place.tolist(), tree.reach) for tree in trees)
     bays = (*lot_bays(lots), *drive_bays(houses), *along_kerbs)
     footprints = tuple(house.footprint for house in houses)
-    grown = Scenery(merged(meshes), signals, footprints, crowns, bays, lamp_positions(furnished))
+    lamps = lamp_positions([*furnished, *(made.mesh for made in lit)])
+    small_lamps = tuple(lamp for made in lit for lamp in made.lamps)
+    grown = Scenery(merged(meshes), signals, footprints, crowns, bays, lamps, small_lamps, pools)
     return _out_of_mirror(grown) if layout.graph.mirrored else grown
 
 
@@ -191,6 +218,11 @@ def _bay_out_of_mirror(bay: Bay) -> Bay:
     return Bay((bay.place[0], -bay.place[1]), -bay.heading)
 
 
+def _lamp_out_of_mirror(lamp: SmallLamp) -> SmallLamp:
+    (x, y, z), (dx, dy, dz) = lamp.position, lamp.facing
+    return replace(lamp, position=(x, -y, z), facing=(dx, -dy, dz))
+
+
 def _out_of_mirror(seen: Scenery) -> Scenery:
     """Mirror scenery that was grown for the mirror image of a town with left-hand traffic."""
     flip = np.array([1.0, -1.0, 1.0])
@@ -201,6 +233,8 @@ def _out_of_mirror(seen: Scenery) -> Scenery:
         tuple((x, -y, reach) for x, y, reach in seen.trees),
         tuple(map(_bay_out_of_mirror, seen.bays)),
         seen.lamps * flip,
+        tuple(map(_lamp_out_of_mirror, seen.small_lamps)),
+        seen.light_pools * [1, -1, 1, 1, -1, 1, 1, 1, 1, 1],
     )
 
 
@@ -215,6 +249,9 @@ _BUILD_PARTS = (
     "horizon",
     "kerbside",
     "distractors",
+    "lit_objects",
+    "light_pools",
+    "hatching",
 )
 
 

@@ -14,6 +14,8 @@ from shapely.ops import unary_union
 from skope.gen.mesh import Mesh
 from skope.gen.scenery.distractor_shapes import STANDING_OBJECTS, wall_panel
 from skope.gen.scenery.houses import House, covered
+from skope.gen.scenery.lit_objects import FACING_ROAD, LIT_OBJECTS, LitObject, lit_panel
+from skope.gen.scenery.markings import hatching
 from skope.gen.towns.land_use import Layout
 from skope.gen.towns.regions import rectangle_polygon
 from skope.gen.towns.road_graph import beside, driven, right_of
@@ -33,8 +35,16 @@ OPEN_VIEW_M: Final = 24.0
 """Nothing stands in a camera's view of road that is nearer to it than this, metres."""
 ON_WALLS: Final = 0.4
 """Share of them that hangs on walls."""
+LIT_ON_WALLS: Final = 0.15
+"""Share of lit objects that hangs on walls, where they are signs."""
 LARGEST_FALL_M: Final = 0.3
 """Largest fall of the ground under one, metres."""
+OVERHEAD_M: Final = 4.5
+"""Height from which parts of lit objects may hang over the road, metres."""
+_POOL_COLORS: Final = ((1.1, 0.98, 0.8), (1.0, 1.0, 1.0), (0.85, 1.0, 1.2), (0.45, 0.2, 0.18))
+"""Colours of patches of light: of warm, white and cool headlamps, and of tail lamps."""
+_POOL_IRRADIANCE: Final = (0.04, 0.3)
+"""Range of their irradiance, in units of the renderer; a street light gives the road below it about 0.1."""
 _TRIES: Final = 40
 PLACE_SPACING_M: Final = 2.5
 """Distance between places along roads, metres."""
@@ -69,15 +79,84 @@ def distractors(
             continue
         made = kinds[int(rng.choice(len(kinds), p=shares / shares.sum()))](rng)
         for _ in range(_TRIES):
-            placed = along_roads.draw(view, made, rng)
-            if placed and room.take(*placed, made):
+            placed = along_roads.draw(view, made.vertices, rng)
+            if placed and room.take(*placed, made.vertices):
                 place, heading = placed
-                corners = np.array(
-                    rectangle_polygon(place, heading, *np.ptp(made.vertices[:, :2], axis=0)).exterior.coords
-                )
-                low = layout.ground.beside(corners).min() + layout.style.kerb
-                yield made.moved([*place, low], heading)
+                yield made.moved([*place, _foot(layout, place, heading, made.vertices)], heading)
                 break
+
+
+def lit_objects(
+    town: Town, layout: Layout, houses: Sequence[House], blocked: Any, standing: Mesh, rng: np.random.Generator
+) -> Iterator[LitObject]:
+    """Make and place the things of a town's variant that burn or shine at night; fewer where there is no room.
+
+    Args:
+        town: The town, whose variant says how many there are.
+        layout: Its regions and cameras.
+        houses: Its buildings.
+        blocked: Further area where nothing may stand.
+        standing: Everything that stands in the town; things keep clear of it.
+        rng: Draws.
+    """
+    if not town.variant or not layout.sites:
+        return
+    near = [house for house in houses if layout.camera_distance(house.center) < PLACED_WITHIN_M + max(house.size)]
+    room = _Room(layout, unary_union([blocked, covered(near).buffer(0.4)]), standing)
+    views = [_View.of(mast, layout) for mast in town.variant.masts or map(_mast_at, sites_of(town))]
+    along_roads = _Roadside(layout, views)
+    walls, kinds, shares = _Walls(views, near), list(LIT_OBJECTS), np.array(list(LIT_OBJECTS.values()))
+    for _ in range(town.variant.lit_objects):
+        view = int(rng.integers(len(views)))
+        if rng.random() < LIT_ON_WALLS and (panel := walls.draw(view, room, rng)):
+            yield LitObject(lit_panel(panel, rng))
+            continue
+        make = kinds[int(rng.choice(len(kinds), p=shares / shares.sum()))]
+        made = make(rng)
+        points = made.mesh.vertices
+        standing_points = points[points[:, 2] < OVERHEAD_M]
+        for _ in range(_TRIES):
+            placed = along_roads.draw(view, standing_points, rng, facing_road=make.__name__ in FACING_ROAD)
+            if placed and room.take(*placed, standing_points, points):
+                place, heading = placed
+                yield made.moved([*place, _foot(layout, place, heading, standing_points)], heading)
+                break
+
+
+def light_pools(town: Town, layout: Layout, rng: np.random.Generator) -> Array:
+    """Patches of light on the lanes that the cameras see, up to three each: (N, 10) as `Scenery.light_pools`."""
+    out = []
+    for kerb, heading in _seen_kerbs(town, layout, 3, rng):
+        at = kerb - right_of(heading) * rng.uniform(1.2, 4.5)
+        turned = heading + rng.choice([0.0, np.pi]) + rng.normal(0.0, 0.15)
+        half_length = rng.uniform(1.5, 5.0)
+        color = np.array(_POOL_COLORS[int(rng.integers(len(_POOL_COLORS)))])
+        size = (half_length, min(rng.uniform(0.9, 2.2), half_length))
+        light = rng.uniform(*_POOL_IRRADIANCE) * color
+        out.append([*at, layout.ground.road(at[None])[0], np.cos(turned), np.sin(turned), *size, *light])
+    return np.array(out).reshape(-1, 10)
+
+
+def hatched_areas(town: Town, layout: Layout, rng: np.random.Generator) -> list[Polygon]:
+    """Stripes of hatched areas at the right edges of the roads that the cameras see, up to two areas each."""
+    kerbs = _seen_kerbs(town, layout, 2, rng)
+    return [part for kerb, heading in kerbs for part in hatching(kerb - 0.35 * right_of(heading), heading, rng)]
+
+
+def _seen_kerbs(town: Town, layout: Layout, most: int, rng: np.random.Generator) -> Iterator[tuple[Array, float]]:
+    """Places at kerbs that the cameras see, up to a number for each, with the headings of the roads."""
+    views = [_View.of(mast, layout) for mast in (town.variant and town.variant.masts) or map(_mast_at, sites_of(town))]
+    along_roads = _Roadside(layout, views)
+    for view in range(len(views)):
+        for _ in range(int(rng.integers(most + 1))):
+            if place := along_roads.draw_kerb(view, rng):
+                yield place
+
+
+def _foot(layout: Layout, place: Array, heading: float, points: Array) -> float:
+    """Height at which a thing of points (N, 3) stands: the lowest ground under it."""
+    corners = np.array(rectangle_polygon(place, heading, *np.ptp(points[:, :2], axis=0)).exterior.coords)
+    return float(layout.ground.beside(corners).min() + layout.style.kerb)
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,21 +213,23 @@ class _Room:
         self._obstacles = shapely.STRtree(_plans_of_low_triangles(layout, standing))
         self._taken: list[Polygon] = []
 
-    def take(self, place: Array, heading: float, made: Mesh) -> bool:
-        """Whether a thing has room there on the ground; if so its place is taken."""
-        low, high = made.vertices.min(axis=0), made.vertices.max(axis=0)
+    def take(self, place: Array, heading: float, points: Array, whole: Array | None = None) -> bool:
+        """Whether a thing of points (N, 3) has room there on the ground; if so its place is taken.
+
+        Where parts hang over the road, `whole` (M, 3) has their points too: they keep clear of other things only.
+        """
+        whole = points if whole is None else whole
+        low, high = points.min(axis=0), points.max(axis=0)
         size, distance = high - low, self._layout.camera_distance(place)
-        if max(size[0], high[2]) > LARGEST_SHARE * distance:
+        if max(size[0], whole[:, 2].max()) > LARGEST_SHARE * distance:
             return False
-        c, s = np.cos(heading), np.sin(heading)
-        middle = (low + high)[:2] / 2 @ np.array([[c, s], [-s, c]]) + place
-        footprint = rectangle_polygon(middle, heading, *size[:2])
+        footprint = _plan_of(place, heading, points)
         heights = self._layout.ground.beside(np.array(footprint.exterior.coords))
         if np.ptp(heights) > LARGEST_FALL_M or self._blocked.intersects(footprint):
             return False
         if len(self._obstacles.query(footprint.buffer(0.1), predicate="intersects")):
             return False
-        return self._keep(footprint, 0.4)
+        return self._keep(_plan_of(place, heading, whole), 0.4)
 
     def take_on_wall(self, footprint: Polygon) -> bool:
         """Whether a panel on a wall hangs clear of streets and of others; if so its place is taken."""
@@ -159,6 +240,14 @@ class _Room:
             return False
         self._taken.append(footprint)
         return True
+
+
+def _plan_of(place: Array, heading: float, points: Array) -> Polygon:
+    """The rectangle around a thing of points (N, 3) that stands at a place with a heading."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    c, s = np.cos(heading), np.sin(heading)
+    middle = (low + high)[:2] / 2 @ np.array([[c, s], [-s, c]]) + place
+    return rectangle_polygon(middle, heading, *(high - low)[:2])
 
 
 class _Roadside:
@@ -182,14 +271,30 @@ class _Roadside:
         self._seen = [np.flatnonzero(view.sees(beyond)) for view in views]
         self._near = [np.flatnonzero(np.hypot(*(beyond - view.place).T) < PLACED_WITHIN_M) for view in views]
 
-    def draw(self, view: int, made: Mesh, rng: np.random.Generator) -> tuple[Array, float] | None:
-        """A place beside the road and a heading for a thing before a camera; None where it is near no road."""
+    def draw_kerb(self, view: int, rng: np.random.Generator) -> tuple[Array, float] | None:
+        """A place at a kerb that a camera may see, and the road's heading; None where it sees none."""
+        if not len(self._seen[view]):
+            return None
+        i = int(rng.choice(self._seen[view]))
+        return self._places[i], float(self._headings[i])
+
+    def draw(
+        self, view: int, points: Array, rng: np.random.Generator, *, facing_road: bool = False
+    ) -> tuple[Array, float] | None:
+        """A place beside the road and a heading for a thing of points (N, 3) before a camera; None far from roads.
+
+        With `facing_road` the thing stands close to the road, with its y axis towards it.
+        """
         among = self._near[view] if rng.random() < OUT_OF_VIEW else self._seen[view]
         if not len(among):
             return None
         i = int(rng.choice(among))
+        if facing_road:
+            offset = self._widths[i] + OBJECT_CLEARANCE_M + 0.05 + points[:, 1].max() + 2.0 * rng.random() ** 2
+            place = self._places[i] + right_of(self._headings[i]) * offset
+            return place, float(self._headings[i])
         along_road = rng.random() < 0.7
-        depth = np.ptp(made.vertices[:, 1 if along_road else 0])
+        depth = np.ptp(points[:, 1 if along_road else 0])
         offset = self._widths[i] + 0.3 + depth / 2 + OBJECT_CLEARANCE_M + 14.0 * rng.random() ** 2
         # Fronts look to the left of a heading, which is at the road.
         turned = rng.choice([0.0, 0.0, 0.0, np.pi]) if along_road else rng.choice([-np.pi / 2, np.pi / 2])

@@ -54,8 +54,13 @@ class Beside:
     """Bare soil around trees in the sidewalk."""
 
 
-def ground_parts(layout: Layout, beside_road: Beside, rng: np.random.Generator) -> list[Part]:
-    """All of the ground; what is beside the carriageway lies a kerb's height above it."""
+def ground_parts(
+    layout: Layout, beside_road: Beside, rng: np.random.Generator, hatched: Sequence[Polygon] = ()
+) -> list[Part]:
+    """All of the ground; what is beside the carriageway lies a kerb's height above it.
+
+    `hatched` are stripes that are painted on the carriageway besides its usual markings.
+    """
     graph = layout.graph
     road = shapely.set_precision(graph.ground_road, GRID)
     kerbed = layout.style.kerb > 0
@@ -66,7 +71,7 @@ def ground_parts(layout: Layout, beside_road: Beside, rng: np.random.Generator) 
         road,
         [
             ("cover", unary_union(list(covers(layout, rng)))),
-            ("marking", unary_union([*markings(graph), *zebra_stripes(graph)])),
+            ("marking", unary_union([*markings(graph), *zebra_stripes(graph), *hatched])),
             ("bitumen", seals),
             ("asphalt_patch", patches),
             ("asphalt_old", old),

@@ -143,6 +143,26 @@ def _arrow(ways: set[str]) -> Any:
     return unary_union(parts)
 
 
+def hatching(place: Array, heading: float, rng: np.random.Generator) -> list[Polygon]:
+    """A hatched area of chevrons or slanting stripes, as where lanes part and end; its right rim begins at a place.
+
+    Args:
+        place: (2,) where it begins.
+        heading: Direction in which it runs on, radians.
+        rng: Draws.
+    """
+    long, wide, thick = rng.uniform(8.0, 20.0), rng.uniform(1.2, 2.6), rng.uniform(0.3, 0.6)
+    step, lean = thick + rng.uniform(0.6, 1.4), rng.uniform(0.5, 1.2) * rng.choice([-1.0, 1.0])
+    shares = ((0.0, 0.0), (1.0, 0.5), (0.0, 1.0)) if rng.random() < 0.6 else ((0.0, 0.0), (1.0, 1.0))
+    out = []
+    for x in np.arange(1.2, long - 1.2 - thick, step).tolist():
+        near = [(x + lean * ahead, wide * across) for ahead, across in shares]
+        out.append(Polygon([*near, *((u + thick, v) for u, v in reversed(near))]))
+    out += [shapely.box(0.0, y - _LINE, long, y + _LINE) for y in (0.0, wide)]
+    turned = (shapely.affinity.rotate(part, heading, origin=(0, 0), use_radians=True) for part in out)
+    return [shapely.affinity.translate(part, *place) for part in turned]
+
+
 def zebra_stripes(graph: RoadGraph) -> Iterator[Polygon]:
     """Zebra stripes across the carriageway where edges with sidewalks lead to a signalled junction.
 

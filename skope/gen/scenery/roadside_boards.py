@@ -253,3 +253,112 @@ def phone_boxes(rng: np.random.Generator) -> Mesh:
         one.add(wall.placed((half * x, half * y, 0.0), ((-y, x, 0.0), (0.0, 0.0, 1.0), (x, y, 0.0))))
     count = int(rng.integers(1, 4))
     return merged(one.mesh().moved((1.15 * (k - (count - 1) / 2), 0.0, 0.0)) for k in range(count))
+
+
+def message_board(rng: np.random.Generator) -> Mesh:
+    """A black board on one post or two: lines of dots that burn amber or white, beside them a red ring or an arrow."""
+    x, rows, line = rng.uniform(1.0, 2.0), int(rng.integers(1, 4)), rng.uniform(0.3, 0.42)
+    low, dots = rng.uniform(1.6, 3.4), str(rng.choice(["lit_amber", "lit_amber", "lit_white"]))
+    side, ringed = rows * (line + 0.14) + 0.14, rng.random() < 0.4
+    out, front = Solid(), Solid()
+    for post in (0.0,) if rng.random() < 0.4 else (-0.6 * x, 0.6 * x):
+        out.box("zinc", (post - 0.09, -0.18, BELOW), (post + 0.09, 0.0, low + side - 0.1), without="-z")
+    out.box("fascia_black", (-x, 0.0, low), (x, 0.22, low + side))
+    left = -x + 0.15
+    if ringed:
+        radius, middle = min(0.42 * side, 0.4 * x), low + side / 2
+        filled(front, "lit_red", filled_disc(left + radius, middle, radius), LAYER)
+        filled(front, "fascia_black", filled_disc(left + radius, middle, 0.75 * radius), 2 * LAYER)
+        front.add(
+            letters(0.9 * radius, 0.7 * radius, rng, "lit_white"),
+            (left + 0.6 * radius, middle - 0.35 * radius, 3 * LAYER),
+        )
+        left += 2 * radius + 0.15
+    for k in range(rows):
+        word = letters((x - 0.1 - left) * rng.uniform(0.5, 1.0), line, rng, dots)
+        front.add(word, (left, low + 0.14 + k * (line + 0.14), LAYER))
+    out.add(front.placed((0.0, 0.22, 0.0), TOWARDS_ROAD))
+    return out.mesh()
+
+
+def sign_gantry(rng: np.random.Generator) -> Mesh:
+    """A post with an arm over the road, above what drives there, that carries one or two signs with lamps under them.
+
+    The signs look along the road, one way or the other; one of them may be a board of dots.
+    """
+    reach, low, count = rng.uniform(3.8, 6.5), rng.uniform(5.5, 5.9), int(rng.integers(1, 3))
+    way, high = int(rng.choice([-1, 1])), rng.uniform(1.0, 1.6)
+    # From the panel's frame: across the road, up, and along the road to where it looks.
+    axes = ((0.0, float(way), 0.0), (0.0, 0.0, 1.0), (float(way), 0.0, 0.0))
+    out = Solid()
+    out.box("zinc", (-0.2, -0.2, BELOW), (0.2, 0.2, low + high), without="-z")
+    for z in (low + 0.2, low + high - 0.3):
+        out.box("zinc", (-0.1, 0.2, z), (0.1, reach, z + 0.16))
+    wide = (reach - 0.5) / count - 0.2
+    for k in range(count):
+        middle = 0.6 + (k + 0.5) * (wide + 0.2)
+        x = (0.1, 0.16) if way > 0 else (-0.16, -0.1)
+        out.box("frame_dark", (x[0], middle - wide / 2, low), (x[1], middle + wide / 2, low + high))
+        face = Solid()
+        if rng.random() < 0.3:
+            for row in range(2):
+                word = letters(wide * rng.uniform(0.5, 0.85), 0.3 * high, rng, "lit_amber")
+                face.add(word, (-0.42 * wide, (0.14 + 0.42 * row) * high, LAYER))
+        else:
+            ground, ink = _SIGN_COLORS[int(rng.integers(3))]
+            face.pane(ink, (-wide / 2 + 0.02, wide / 2 - 0.02), (0.02, high - 0.02), LAYER)
+            face.pane(ground, (-wide / 2 + 0.07, wide / 2 - 0.07), (0.07, high - 0.07), 2 * LAYER)
+            for row in range(2):
+                word = letters(wide * rng.uniform(0.35, 0.6), 0.22 * high, rng, ink)
+                face.add(word, (-0.44 * wide, (0.16 + 0.36 * row) * high, 3 * LAYER))
+            _arrow(
+                face, ink, (0.3 * wide, high / 2), 0.5 * min(wide, high), rng.choice([-1, 1, 3]) * np.pi / 4, 3 * LAYER
+            )
+            lamp = (x[1], x[1] + 0.5) if way > 0 else (x[0] - 0.5, x[0])
+            out.box("pole", (lamp[0], middle - 0.35 * wide, low - 0.12), (lamp[1], middle + 0.35 * wide, low - 0.02))
+            glow = (lamp[1] - 0.2, lamp[1]) if way > 0 else (lamp[0], lamp[0] + 0.2)
+            out.box("lit_white", (glow[0], middle - 0.33 * wide, low - 0.02), (glow[1], middle + 0.33 * wide, low))
+        out.add(face.placed((x[1] if way > 0 else x[0], middle, low), axes))
+    return out.mesh()
+
+
+def gore_boards(rng: np.random.Generator) -> Mesh:
+    """Boards where roads part: chevrons under a blue disc, or a low wall with a long band of them."""
+    ground, mark = ("lit_yellow", "fascia_black") if rng.random() < 0.7 else ("lit_red", "lit_white")
+    out, front = Solid(), Solid()
+    if rng.random() < 0.5:
+        half, side = rng.uniform(0.3, 0.5), rng.uniform(0.5, 0.9)
+        out.box("zinc", (-0.05, -0.1, BELOW), (0.05, 0.0, 0.4 + side), without="-z")
+        out.box("frame_dark", (-half, 0.0, 0.4), (half, 0.03, 0.4 + side + 2.2 * half))
+        front.pane(ground, (-half, half), (0.4, 0.4 + side), LAYER)
+        for k in range(3):
+            foot, thick = 0.42 + side * (k + 0.1) / 3.4, side / 7
+            for sign in (-1, 1):
+                part = [
+                    (0.0, foot + 0.2 * half),
+                    (0.0, foot + 0.2 * half + thick),
+                    (sign * half, foot + thick),
+                    (sign * half, foot),
+                ]
+                filled(front, mark, part if sign < 0 else part[::-1], 2 * LAYER)
+        _blue_arrow(front, (0.0, 0.4 + side + 1.1 * half), half, rng.choice([-1, 1]))
+        out.add(front.placed((0.0, 0.03, 0.0), TOWARDS_ROAD))
+        return out.mesh()
+    long, low = rng.uniform(2.5, 7.5), rng.uniform(0.35, 0.7)
+    band, way = rng.uniform(0.2, 0.4), int(rng.choice([-1, 1]))
+    out.box("concrete", (-long / 2, -0.12, BELOW), (long / 2, 0.12, low + band + 0.1), without="-z")
+    front.pane(ground, (-long / 2, long / 2), (low, low + band), LAYER)
+    for at in np.arange(-long / 2 + band, long / 2 - band, rng.uniform(1.4, 2.6) * band).tolist():
+        for up in (0.0, 0.5):
+            lean = band * (0.5 if up == 0.0 else -0.5) * way
+            start = at if up == 0.0 else at + 0.5 * band * way
+            low_edge, high_edge = low + up * band, low + (up + 0.5) * band
+            corners = [
+                (start, low_edge),
+                (start + 0.3 * band, low_edge),
+                (start + 0.3 * band + lean, high_edge),
+                (start + lean, high_edge),
+            ]
+            filled(front, mark, corners, 2 * LAYER)
+    out.add(front.placed((0.0, 0.12, 0.0), TOWARDS_ROAD))
+    return out.mesh()

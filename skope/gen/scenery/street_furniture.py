@@ -164,8 +164,8 @@ def hydrant() -> Mesh:
         (0.7, 0.05),
         (0.72, 0.0),
     ]
-    body = lathe(profile, ["sign_red"] * 7, 8, "z")
-    return merged([body, box([-0.2, -0.06, 0.36], [0.2, 0.06, 0.48], "sign_red")])
+    body = lathe(profile, ["enamel_red"] * 7, 8, "z")
+    return merged([body, box([-0.2, -0.06, 0.36], [0.2, 0.06, 0.48], "enamel_red")])
 
 
 def planter() -> Mesh:
@@ -247,7 +247,7 @@ def litter_bin() -> Mesh:
 
 def pillar_box() -> Mesh:
     profile = [(0.0, 0.26), (0.12, 0.26), (0.13, 0.23), (1.25, 0.23), (1.28, 0.28), (1.36, 0.27), (1.45, 0.0)]
-    body = lathe(profile, ["iron", *["sign_red"] * 5], 12, "z")
+    body = lathe(profile, ["iron", *["enamel_red"] * 5], 12, "z")
     return merged([body, box([-0.12, 0.2, 1.08], [0.12, 0.25, 1.12], "iron")])
 
 

@@ -28,7 +28,7 @@ from skope.gen.traffic.sumo import Snapshot, Traffic, step_for
 from skope.gen.vehicles import user_models
 from skope.gen.vehicles.fleet import FleetEntry, fleet
 from skope.gen.vehicles.model import Vehicle
-from skope.types import Array
+from skope.types import Array, Range
 
 CROWD_REACH: Final = 90.0
 """People on sidewalks nearer to the camera than this are recorded, metres."""
@@ -213,12 +213,17 @@ def _variant(plan: RecordingPlan, masts: tuple[Mast, ...]) -> Variant:
         return int(plan.shared_rng(stream).integers(1, 2**31))
 
     variation = plan.variation
-    low, high = variation.distractors or (0, 0)
+
+    def count(stream: Stream, span: Range | None) -> int:
+        low, high = span or (0, 0)
+        return int(plan.shared_rng(stream).integers(int(low), int(high) + 1))
+
     randomised = plan.shared_rng(Stream.RANDOMISED).random() < variation.randomised
     return Variant(
         seed(Stream.VARIANT) if variation.town_jitter else 0,
         masts,
-        distractors=int(plan.shared_rng(Stream.DISTRACTORS).integers(int(low), int(high) + 1)),
+        distractors=count(Stream.DISTRACTORS, variation.distractors),
+        lit_objects=count(Stream.LIT_OBJECTS, variation.lit_objects),
         season=seed(Stream.SEASON) if variation.town_jitter and variation.seasons else 0,
         randomised=seed(Stream.RANDOMISED) if randomised else 0,
     )

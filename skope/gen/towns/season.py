@@ -91,4 +91,5 @@ def drawn_season(rng: np.random.Generator) -> Season:
         hue, saturation, value = drawn[name]
         turned = (hue + rng.uniform(-_SPREAD_DEG, _SPREAD_DEG)) / 360
         colors[material] = colorsys.hsv_to_rgb(turned, saturation, min(1.0, value * lighter))
+    colors["leaves_lit"] = colors["leaves_pale"]
     return Season(colors, float(rng.uniform(*kind.bare)))

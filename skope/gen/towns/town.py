@@ -34,6 +34,8 @@ class Variant:
     """Cameras whose views are kept clear, in place of those of the town's sites."""
     distractors: int = 0
     """Number of things around the masts that resemble vehicles or parts of them and are none."""
+    lit_objects: int = 0
+    """Number of things around the masts that burn or shine at night and are no vehicles."""
     season: int = 0
     """Seed by which the colours of plants and the bare trees are drawn; 0 for the usual summer."""
     randomised: int = 0

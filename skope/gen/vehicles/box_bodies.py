@@ -8,7 +8,7 @@ from skope.gen.mesh import Mesh, box
 from skope.gen.vehicles import parts
 from skope.gen.vehicles.body_axes import LEFT_AXIS
 from skope.gen.vehicles.cargo import Cargo, CargoSpace
-from skope.gen.vehicles.liveries import MARKER, TONES, draw_graphics
+from skope.gen.vehicles.liveries import MARKER, TONES, draw_graphics, draw_upper_markers
 from skope.gen.vehicles.lofted_surfaces import BOTTOM, ROWS, SIDE, WRAP, Plan, Surface
 from skope.gen.vehicles.panels import rectangle_outline
 from skope.gen.vehicles.solids import prism
@@ -29,8 +29,6 @@ def box_body(space: CargoSpace) -> Cargo:
     draw_graphics(shell, (space.end + 0.2, space.ahead - 0.2), (sill + 0.05, top), rng)
     for x in np.linspace(space.ahead - 0.04, space.end + 0.04, 2):
         shell.draw(rectangle_outline(x - 0.035, x + 0.035, sill, top + 0.04), SIDE, "rail", layer=3, facing=LEFT_AXIS)
-    for x in np.arange(space.end + 0.5, space.ahead - 0.4, 1.1).tolist():
-        shell.draw(rectangle_outline(x - 0.03, x + 0.03, sill - 0.085, sill - 0.055), SIDE, MARKER, layer=4)
     _rear(shell, space, end, shutter=rng.uniform() < _SHUTTER)
     out.parts.append(shell.half)
     if space.style.cooled:
@@ -69,7 +67,7 @@ def curtain_body(space: CargoSpace) -> Cargo:
 
 
 def _shell(space: CargoSpace, material: str) -> tuple[Surface, float]:
-    """The box, with rails along its upper and lower edges; W of the middle of its rear."""
+    """The box, with rails along its upper and lower edges, and marker lamps on these; W of the middle of its rear."""
     tower = Tower(
         Plan(space.half, space.ahead, space.end, 0.0, 0.0, 0.05, 0.035),
         space.floor,
@@ -84,6 +82,9 @@ def _shell(space: CargoSpace, material: str) -> tuple[Surface, float]:
     shell, w, _ = tower.surface(material)
     shell.draw(rectangle_outline(-1, 99, 0, space.floor + 0.09), WRAP, "rail")
     shell.draw(rectangle_outline(-1, 99, space.shape.height - 0.12, space.shape.height - 0.06), WRAP, "rail")
+    z = space.floor + 0.035
+    for x in np.arange(space.end + 0.5, space.ahead - 0.4, 1.1).tolist():
+        shell.draw(rectangle_outline(x - 0.03, x + 0.03, z, z + 0.03), SIDE, MARKER, layer=4)
     return shell, float(w[-1])
 
 
@@ -106,8 +107,7 @@ def _rear(shell: Surface, space: CargoSpace, end: float, *, shutter: bool) -> No
         for z in np.linspace(sill + 0.3, top - 0.3, 4):
             shell.draw(rectangle_outline(edge, edge + 0.1, z, z + 0.05), WRAP, "rail", layer=2)
     # Marker lamps, and the red and yellow plates of long and heavy lorries.
-    corner = end - space.half
-    shell.draw(rectangle_outline(corner + 0.03, corner + 0.1, top + 0.06, top + 0.1), WRAP, "taillight", layer=2)
+    draw_upper_markers(shell, space.half, top + 0.05, end)
     shell.draw(rectangle_outline(edge + 0.05, edge + 0.6, sill + 0.1, sill + 0.22), WRAP, TONES[6], layer=4)
     shell.draw(rectangle_outline(edge + 0.07, edge + 0.58, sill + 0.12, sill + 0.2), WRAP, TONES[0], layer=6)
 

@@ -1,14 +1,16 @@
 """City buses: an upright shell with large windows, doors on the right, a destination sign; or two, with bellows."""
 
+from dataclasses import replace
 from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
 
-from skope.gen.mesh import Mesh, from_triangles, grid, merged
+from skope.gen.mesh import Mesh, box, from_triangles, grid, merged
 from skope.gen.vehicles import front, parts, rear
 from skope.gen.vehicles.body_axes import LEFT_AXIS
 from skope.gen.vehicles.interior import interior, seats
+from skope.gen.vehicles.liveries import REAR_MARKER, draw_upper_markers
 from skope.gen.vehicles.lofted_surfaces import SIDE, WRAP, Plan, Surface
 from skope.gen.vehicles.panels import grown, rectangle_outline
 from skope.gen.vehicles.shape import Shape, VehicleStyle
@@ -47,12 +49,31 @@ class BusBody:
         """x of the front of what passengers sit in."""
         return self.shape.length / 2
 
+    @property
+    def lit_inside(self) -> bool:
+        """Whether the light inside burns at night; the width draws it, which both halves of a bus have in common."""
+        return int(self.shape.width * 1e4) % 4 != 1
+
+    def _window(self, material: str) -> str:
+        """Material of side windows and doors that are of a material where no light burns behind them."""
+        return "glass_lit" if self.lit_inside else material
+
     @cached_property
     def mesh(self) -> Mesh:
         return merged([self._left, self._right.mirrored()])
 
     @cached_property
     def interior(self) -> Mesh:
+        inside = self._seats()
+        if not self.lit_inside:
+            return inside
+        s = self.shape
+        low, high = (self.end + 1.0, -0.12, s.height - 0.32), (self.nose - 1.6, 0.12, s.height - 0.28)
+        names = tuple("seat_lit" if name == "seat" else name for name in inside.materials)
+        return merged([replace(inside, materials=names), box(low, high, "cabin_light")])
+
+    def _seats(self) -> Mesh:
+        """Seats, dashboard and driver."""
         s = self.shape
         rows = 5
         if not self.has_front:
@@ -170,6 +191,7 @@ class BusBody:
         shell.paint(rectangle_outline(-0.1, screen + 0.06, low - 0.13, band), WRAP, "trim")
         shell.paint(rectangle_outline(-0.1, screen, low - 0.08, high - 0.02), WRAP, "glass")
         shell.draw(rectangle_outline(-0.1, 0.75, high + 0.04, band - 0.04), WRAP, "grille")
+        draw_upper_markers(shell, s.width / 2 - 0.1, s.height - 0.25)
         for at in (0.05, 0.2, 0.29, 0.42, 0.55):
             shell.draw(rectangle_outline(at, at + 0.075, high + 0.075, band - 0.075), WRAP, "display", layer=2)
         for start, stop in ((0.06, 0.75), (0.35, screen - 0.05)):
@@ -188,7 +210,7 @@ class BusBody:
         shell.paint(band, SIDE, "trim", facing=LEFT_AXIS)
         posts = np.linspace(stop, start, round((start - stop) / 1.45) + 1)
         for a, b in pairwise(posts):
-            shell.paint(rectangle_outline(a + 0.03, b - 0.03, low, high), SIDE, "glass", facing=LEFT_AXIS)
+            shell.paint(rectangle_outline(a + 0.03, b - 0.03, low, high), SIDE, self._window("glass"), facing=LEFT_AXIS)
         post = posts[np.abs(posts - (start + stop) / 2).argmin()]
         if self.has_front:
             self.points["beltline"] = shell.place((post, low - 0.05), SIDE)[0]
@@ -200,6 +222,8 @@ class BusBody:
         shell.paint(rectangle_outline(end - glass - 0.05, end + 0.1, low - 0.05, high + 0.06), WRAP, "trim")
         shell.paint(rectangle_outline(end - glass, end + 0.1, low, high), WRAP, "glass")
         shell.draw(rectangle_outline(end - 0.16, end + 0.1, high + 0.1, high + 0.14), WRAP, "brake_light")
+        edge = corner + 0.12
+        shell.draw(rectangle_outline(edge, edge + 0.12, s.height - 0.28, s.height - 0.23), WRAP, REAR_MARKER, layer=3)
         vent = rectangle_outline(end - 0.8, end + 0.1, s.clearance + 0.62, s.belt_height + 0.2)
         shell.sink(vent, WRAP, 0.02, "grille_slats")
         for level in (s.clearance + 0.3, s.belt_height + 0.34):
@@ -217,7 +241,10 @@ class BusBody:
         shell.paint(whole, SIDE, "trim", facing=LEFT_AXIS)
         for a, b in ((x - half, x), (x, x + half)):
             shell.paint(
-                grown(rectangle_outline(a, b, low + 0.06, high - 0.04), -0.045), SIDE, "glass", facing=LEFT_AXIS
+                grown(rectangle_outline(a, b, low + 0.06, high - 0.04), -0.045),
+                SIDE,
+                self._window("glass"),
+                facing=LEFT_AXIS,
             )
 
 

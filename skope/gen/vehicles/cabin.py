@@ -42,6 +42,8 @@ _CROWN: Final = 0.052
 """Height of the roof's spine over its edge, metres."""
 _SCREEN_HIGH: Final = 0.985
 _PILLAR_LAMP_WIDTH_M: Final = 0.17
+_ROOF_SIGNS: Final = ("sign", "sign_taxi_red", "sign_taxi_green")
+"""Materials of lit signs on roofs, of which a vehicle's length draws one."""
 _SUNK: Final = 0.012
 """Depth of the pillars' foot in the lower body."""
 
@@ -226,7 +228,8 @@ class Greenhouse:
             top = float(self.roof_edge(np.array([rear])).item()) + _EDGE_ROWS[-1][2]
             self.parts.append(parts.spoiler(rear, top, half - 0.05, style.roof_tone or "paint"))
         if style.sign:
-            self.parts.append(parts.roof_sign(front - 0.4 * (front - rear), s.height))
+            tone = _ROOF_SIGNS[int(s.length * 1e4) % len(_ROOF_SIGNS)]
+            self.parts.append(parts.roof_sign(front - 0.4 * (front - rear), s.height, tone))
         if style.load:
             self.parts.append(roof_load(style.load, front, rear, half, s.height, self.roof_edge))
         if style.antenna:

@@ -10,7 +10,7 @@ from skope.gen.mesh import Mesh, merged
 from skope.gen.vehicles import front, rear
 from skope.gen.vehicles.body_axes import LEFT_AXIS
 from skope.gen.vehicles.bus import BusBody
-from skope.gen.vehicles.liveries import MARKER, draw_graphics
+from skope.gen.vehicles.liveries import MARKED_FROM_M, MARKER, draw_graphics, draw_upper_markers
 from skope.gen.vehicles.lofted_surfaces import SIDE, WRAP, Plan, Surface
 from skope.gen.vehicles.mirrors import arm_mirror
 from skope.gen.vehicles.panels import grown, rectangle_outline
@@ -58,6 +58,10 @@ class LaidOutBus(BusBody):
 
     def __init__(self, shape: Shape, style: VehicleStyle) -> None:
         super().__init__(replace(shape, height=shape.height - self.layout.pod), style)
+
+    @property
+    def lit_inside(self) -> bool:
+        return self.layout.sign and super().lit_inside
 
     def _carved_axles(self) -> tuple[float, ...]:
         s = self.shape
@@ -109,6 +113,8 @@ class LaidOutBus(BusBody):
         self._draw_rear_window(shell, corner_w(w, rear=True), end)
         out = self._draw_front(shell, w)
         out += rear.draw_rear(shell, w, s, replace(self.style, family="bus"), self.points)
+        if s.width > MARKED_FROM_M:
+            draw_upper_markers(shell, s.width / 2 - 0.1, s.height - 0.25, end)
         for at in np.arange(self.end + 1.2, self.nose - 1.2, 1.9).tolist():
             shell.draw(
                 rectangle_outline(at - 0.05, at + 0.05, s.clearance + 0.32, s.clearance + 0.37), SIDE, MARKER, layer=3
@@ -194,7 +200,7 @@ class LaidOutBus(BusBody):
             shell.paint(
                 rectangle_outline(stop - 0.06, start + 0.06, low - 0.05, high + 0.05), SIDE, "trim", facing=LEFT_AXIS
             )
-            glass = "glass_tinted" if k else layout.material
+            glass = self._window("glass_tinted" if k else layout.material)
             for a, b in pairwise(posts):
                 shell.paint(rectangle_outline(a + 0.03, b - 0.03, low, high), SIDE, glass, facing=LEFT_AXIS)
         post = posts[-2]
@@ -238,5 +244,8 @@ class LaidOutBus(BusBody):
         leaves = ((x - half, x), (x, x + half)) if width > 1 else ((x - half, x + half),)
         for a, b in leaves:
             shell.paint(
-                grown(rectangle_outline(a, b, low + 0.06, high - 0.04), -0.045), SIDE, "glass", facing=LEFT_AXIS
+                grown(rectangle_outline(a, b, low + 0.06, high - 0.04), -0.045),
+                SIDE,
+                self._window("glass"),
+                facing=LEFT_AXIS,
             )

@@ -6,7 +6,7 @@ import numpy as np
 
 from skope.gen.vehicles.body_axes import LEFT_AXIS
 from skope.gen.vehicles.decals import draw_letters
-from skope.gen.vehicles.lofted_surfaces import SIDE, Surface
+from skope.gen.vehicles.lofted_surfaces import SIDE, WRAP, Surface
 from skope.gen.vehicles.panels import disc, rectangle_outline
 
 TONES: Final = (
@@ -14,8 +14,12 @@ TONES: Final = (
     "#9aa0a6", "#274b3a",
 )  # fmt: skip
 """Colours of the graphics."""
-MARKER: Final = "#d8902a"
-"""Colour of marker lamps along the sides, which do not blink."""
+MARKER: Final = "marker_amber"
+"""Material of marker lamps along the sides, which burn with the headlights."""
+FRONT_MARKER: Final = "marker_white"
+REAR_MARKER: Final = "marker_red"
+"""Materials of the marker lamps at the upper edges of vehicles wider than `MARKED_FROM_M`, after UNECE R48."""
+MARKED_FROM_M: Final = 2.1
 _PLAIN: Final = 0.2
 """Share of bodies without graphics."""
 
@@ -61,6 +65,21 @@ def draw_graphics(
         draw_letters(
             shell, (start, start + 0.5 * length), (base, base + size), ink, int(rng.integers(1 << 30)), layer=6
         )
+
+
+def draw_upper_markers(shell: Surface, half: float, z: float, end: float | None = None) -> None:
+    """Draw marker lamps on the upper corners of a shell: white ahead and, where `end` is given, red behind.
+
+    Args:
+        shell: The shell, half as wide as `half`.
+        half: Half of its width, metres.
+        z: Height of the lamps' lower edge, metres.
+        end: W of the middle of its rear.
+    """
+    shell.draw(rectangle_outline(half - 0.24, half - 0.12, z, z + 0.05), WRAP, FRONT_MARKER, layer=3)
+    if end is not None:
+        corner = end - half
+        shell.draw(rectangle_outline(corner + 0.12, corner + 0.24, z, z + 0.05), WRAP, REAR_MARKER, layer=9)
 
 
 def _fill(shell: Surface, polygon: np.ndarray, tone: str, layer: float) -> None:

@@ -5,6 +5,7 @@ import numpy as np
 from skope.gen.mesh import Mesh, box
 from skope.gen.vehicles import rear
 from skope.gen.vehicles.body_axes import LEFT_AXIS
+from skope.gen.vehicles.liveries import MARKED_FROM_M, MARKER, draw_upper_markers
 from skope.gen.vehicles.lofted_surfaces import BOTTOM, ROWS, SIDE, TOP, WRAP, Plan, Surface
 from skope.gen.vehicles.panels import Points, rectangle_outline
 from skope.gen.vehicles.shape import Shape, VehicleStyle
@@ -19,6 +20,8 @@ _RIBS = {
     "container": (0, 0.0),
 }
 """Number and width of the ribs along each kind of cargo body's side."""
+_MARKER_STEP_M = 2.2
+"""Distance between marker lamps along the sides, metres."""
 _OPEN = {"flatbed": 0.5, "tipper": 1.25}
 """Height of the sides of bodies without a roof, metres."""
 
@@ -58,6 +61,11 @@ def cargo_body(s: Shape, kind: str, ahead: float, *, ribs: int = 0) -> tuple[Mes
     if closed:
         _draw_doors(shell, last, edge, sill, top)
         shell.draw(rectangle_outline(-1, 99, high - 0.12, high - 0.06), WRAP, frame_material)
+        if s.width > MARKED_FROM_M:
+            draw_upper_markers(shell, s.width / 2, high - 0.115, last)
+    if kind != "tipper":
+        for x in np.arange(end + 0.6, ahead - 0.3, _MARKER_STEP_M).tolist():
+            shell.draw(rectangle_outline(x - 0.05, x + 0.05, sill - 0.1, sill - 0.05), SIDE, MARKER, layer=4)
     count, wide = _RIBS[kind]
     for x in np.linspace(ahead - 0.25, end + 0.25, ribs or count):
         rib = rectangle_outline(x - wide / 2, x + wide / 2, sill, top + 0.04)
@@ -116,4 +124,8 @@ def side_guard(s: Shape, tank: float, behind: float, side: float) -> list[Mesh]:
         box((x - 0.03, side - 0.07, low), (x + 0.03, side - 0.041, s.box_height), "under")
         for x in np.linspace(behind + 0.1, tank - 0.2, 3)
     ]
-    return rails + posts
+    markers = [
+        box((x - 0.05, side - 0.01, high + 0.03), (x + 0.05, side + 0.006, high + 0.08), MARKER)
+        for x in np.arange(behind + 0.2, tank - 0.15, _MARKER_STEP_M)
+    ]
+    return rails + posts + markers

@@ -163,14 +163,14 @@ def deflector(front: float, rear: float, half_width: float, z: float, high: floa
     )
 
 
-def roof_sign(x: float, z: float) -> Mesh:
-    """The left half of a taxi's lit sign across the roof."""
+def roof_sign(x: float, z: float, material: str = "sign") -> Mesh:
+    """The left half of a lit sign across the roof, of a taxi or a delivery car."""
     low = np.array([(x + 0.075, 0.0, z), (x + 0.075, 0.26, z), (x - 0.075, 0.26, z), (x - 0.075, 0.0, z)])
     top = z + SIGN_HEIGHT
     high = np.array([(x + 0.045, 0.0, top), (x + 0.045, 0.21, top), (x - 0.045, 0.21, top), (x - 0.045, 0.0, top)])
     foot = box((x - 0.085, 0.0, z - 0.05), (x + 0.085, 0.27, z + 0.012), "trim")
     sides = [[low[i], low[i + 1], high[i + 1], high[i]] for i in range(3)]
-    return merged([quads(np.array([*sides, high]), "sign"), foot])
+    return merged([quads(np.array([*sides, high]), material), foot])
 
 
 def plate(x: float, z: float, tilt: float, sign: float, material: str = "plate") -> Mesh:

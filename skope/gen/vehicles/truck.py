@@ -11,7 +11,7 @@ from skope.gen.vehicles.body_axes import LEFT_AXIS
 from skope.gen.vehicles.cargo import CargoSpace
 from skope.gen.vehicles.cargo_bodies import CARGO_BODIES
 from skope.gen.vehicles.interior import interior
-from skope.gen.vehicles.liveries import MARKER
+from skope.gen.vehicles.liveries import FRONT_MARKER, MARKED_FROM_M, draw_upper_markers
 from skope.gen.vehicles.lofted_surfaces import SIDE, WRAP, Plan, Surface
 from skope.gen.vehicles.long_hood import exhaust_stack, long_hood
 from skope.gen.vehicles.lorry_parts import axle, cargo_body, side_guard, underrun_bar
@@ -98,13 +98,11 @@ class TruckBody:
         if self.style.face:
             # Under a high roof the windscreen ends where it would end under a low one.
             top = min(top, base + _SCREEN)
-            for at in (0.25, 0.6) if self.cab_height - top > 0.4 else ():
-                cab.draw(
-                    rectangle_outline(at - 0.06, at + 0.06, self.cab_height - 0.3, self.cab_height - 0.25),
-                    WRAP,
-                    MARKER,
-                    layer=3,
-                )
+        if s.width > MARKED_FROM_M and self.cab_height - top > 0.2:
+            z = self.cab_height - (0.3 if self.cab_height - top > 0.4 else 0.2)
+            draw_upper_markers(cab, s.width / 2 - 0.1, z)
+            if self.style.face:
+                cab.draw(rectangle_outline(0.19, 0.31, z, z + 0.05), WRAP, FRONT_MARKER, layer=3)
         if self.style.body == "tractor":  # over the windscreen there is room for a bed
             top = min(top, base + 1.05)
         screen = corner_w(w) - 0.05

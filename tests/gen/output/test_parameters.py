@@ -33,6 +33,7 @@ PARAMETERS = Parameters(
         cameras={"zoom_by": (0.9, 1.1)},
         shape_jitter=True,
         distractors=(0, 25),
+        lit_objects=(0, 18),
         seasons=True,
         further_models=True,
         randomised=0.25,
@@ -61,11 +62,11 @@ def test_what_is_written_is_read_again() -> None:
 
 def test_folders_of_before_lack_what_there_was_not() -> None:
     values = through_json(PARAMETERS.to_dict())
-    for name in ("distractors", "licence", "own", "randomised", "recordings", "seasons"):
+    for name in ("distractors", "licence", "lit_objects", "own", "randomised", "recordings", "seasons"):
         del values[name]
     made = Parameters.from_dict(values)
     varied = made.variation
-    assert (varied.distractors, varied.randomised, varied.seasons) == (None, 0.0, False)
+    assert (varied.distractors, varied.lit_objects, varied.randomised, varied.seasons) == (None, None, 0.0, False)
     del values["further_models"]
     assert not Parameters.from_dict(values).variation.further_models
     assert (made.licence, made.own, made.recordings) == ("CC BY 4.0", None, 1)
@@ -76,17 +77,17 @@ def test_every_field_is_written_in_one_object() -> None:
     variation = replace(PARAMETERS.variation, road_users=True)
     names = list(replace(PARAMETERS, variation=variation).to_dict())
     assert set(names) == {f.name for f in (*fields(Parameters), *fields(Variation))} - {"variation"}
-    assert names[11:28] == [
+    assert names[11:29] == [
         *("settings", "cameras", "keypoint_edition", "vehicles", "vehicle_share", "weather", "time_of_day"),
-        *("shape_jitter", "views", "traffic", "town_jitter", "distractors", "seasons", "further_models", "road_users"),
-        *("randomised", "own"),
+        *("shape_jitter", "views", "traffic", "town_jitter", "distractors", "lit_objects", "seasons", "further_models"),
+        *("road_users", "randomised", "own"),
     ]
 
 
 def test_what_was_not_asked_for_is_not_written() -> None:
     """Cards of datasets without these options are the bytes that they were before there were any."""
-    asked = {"vehicle_share", "further_models", "weather", "time_of_day"}
-    variation = replace(PARAMETERS.variation, further_models=False)
+    asked = {"vehicle_share", "lit_objects", "further_models", "weather", "time_of_day"}
+    variation = replace(PARAMETERS.variation, further_models=False, lit_objects=None)
     plain = replace(PARAMETERS, vehicle_share=None, variation=variation, weather=(), time_of_day=())
     assert PARAMETERS.to_dict().keys() - plain.to_dict().keys() == asked
     assert Parameters.from_dict(through_json(plain.to_dict())) == plain

@@ -88,6 +88,7 @@ OPTIONAL = {
     "further_models",
     "keypoint_edition",
     "licence",
+    "lit_objects",
     "randomised",
     "recordings",
     "seasons",

@@ -5,11 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from skope.gen.render import screen_graphics
 from skope.gen.render.frame import RenderedFrame
 from skope.gen.render.lit_street_lights import burning
-from skope.gen.render.screen_graphics import _GRAPHIC_KINDS
+from skope.gen.render.screen_graphics import _GRAPHIC_KINDS, ScreenGraphics
 from skope.gen.render.spray import Spray
 from skope.gen.scene.lamps import LAMPS
+from skope.gen.scene.random_streams import Stream
 from tests.gen.render.test_weather import CAMERA, SIZE, in_studio, luminance, scene, view
 from tests.gen.scenes import conditions
 
@@ -134,6 +136,35 @@ def test_every_kind_of_graphics_is_drawn_on_images_of_any_size() -> None:
             ink, mark = np.zeros((*size, 3), dtype=np.uint8), np.zeros(size, dtype=np.uint8)
             draw(ink, mark, np.random.default_rng(4))
             assert mark.any()
+
+
+def test_names_of_places_lie_over_what_else_is_drawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """They have draws of their own: logos and letters stay what they are, and no graphics means no names."""
+    grey = np.full((180, 320, 3), 120, dtype=np.uint8)
+    drawn = []
+    for share in (0.0, 1.0):
+        monkeypatch.setattr(screen_graphics, "_CAPTIONED", share)
+        drawn.append(ScreenGraphics(in_studio(screen_graphics=1.0)).draw(grey))
+        assert ScreenGraphics(in_studio()).draw(grey) is grey
+    plain, captioned = drawn
+    changed = (plain != captioned).any(axis=-1)
+    assert 0.001 < changed.mean() < 0.4
+    ink, cover = np.zeros_like(grey), np.zeros(grey.shape[:2], dtype=np.uint8)
+    own = in_studio().rng(Stream.PLACE_NAMES)
+    own.random()  # whether there are any
+    screen_graphics._place_names(ink, cover, own)
+    assert not changed[cover == 0].any()
+
+
+@pytest.mark.parametrize("size", [(180, 320), (64, 48), (1080, 1920)])
+def test_names_of_places_are_bright_on_images_of_any_size(size: tuple[int, int]) -> None:
+    for seed in range(6):
+        ink, cover = np.zeros((*size, 3), dtype=np.uint8), np.zeros(size, dtype=np.uint8)
+        screen_graphics._place_names(ink, cover, np.random.default_rng(seed))
+        assert ink[cover > 0].max() > 140
+        again = np.zeros_like(ink)
+        screen_graphics._place_names(again, np.zeros_like(cover), np.random.default_rng(seed))
+        np.testing.assert_array_equal(ink, again)
 
 
 def test_the_fallback_draws_them_too(day: RenderedFrame) -> None:

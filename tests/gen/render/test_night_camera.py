@@ -122,8 +122,9 @@ def test_glare_whitens_what_is_around_a_lamp() -> None:
     assert shown[90, 300].max() - shown[20, 20].max() <= 2
 
 
-def test_noise_is_that_of_counted_electrons(denoising: float = 0.6) -> None:
+def test_noise_is_that_of_counted_electrons() -> None:
     """Against frames of drawn electrons, averaged recursively as the camera does, and put through its curve."""
+    denoising = 0.6
     camera = night_camera(denoising=denoising, noise=1.75)
     rng = np.random.default_rng(0)
     for light in (0.05, 0.125, 0.4):

@@ -136,13 +136,14 @@ def test_a_town_is_grown_anew_by_its_seed() -> None:
 
 def test_what_a_variant_is_drawn_with_is_switched_by_itself() -> None:
     def drawn(**changes: object) -> Variant:
-        values = {"distractors": None, "seasons": False, "randomised": 0.0, **changes}
+        values = {"distractors": None, "lit_objects": None, "seasons": False, "randomised": 0.0, **changes}
         (plans,) = request(**values).simulations()
         return _variant(plans[0], ())
 
     plain = drawn()
-    assert (plain.distractors, plain.season, plain.randomised) == (0, 0, 0)
+    assert (plain.distractors, plain.lit_objects, plain.season, plain.randomised) == (0, 0, 0, 0)
     assert drawn(distractors=(7, 7)) == replace(plain, distractors=7)
+    assert drawn(lit_objects=(5, 5)) == replace(plain, lit_objects=5)
     assert drawn(seasons=True) == replace(plain, season=drawn(seasons=True).season) != plain
     assert drawn(randomised=1.0) == replace(plain, randomised=drawn(randomised=1.0).randomised) != plain
     assert drawn(seasons=True, town_jitter=False) == Variant(0)

@@ -173,4 +173,4 @@ def test_a_material_s_name_makes_a_lamp(tmp_path: Path) -> None:
         corners = mesh.vertices[mesh.triangles[mesh.material == mesh.materials.index(name)]]
         assert len(corners) == 12
         assert (np.sign(corners[..., 0]) == end).all()
-    assert set(LAMP_MATERIALS) == set(vehicle_lamps._LAMP_KINDS) == set(vehicle_checks.LAMP_PARTS)
+    assert set(LAMP_MATERIALS) == set(vehicle_checks.LAMP_PARTS) <= set(vehicle_lamps._LAMP_KINDS)

@@ -83,7 +83,7 @@ def light_the_scenery(device: Device, recording: Recording, on_light: Callable[[
         daylight = photograph.fitted(device, daylight, recording.town.road)
     size = (camera.width, camera.height)
     lamps = burning(town.lamps, conditions.street_lights_lit)
-    stage = Stage(device, town.mesh, camera, conditions, lamps, daylight, Palette.of(recording.town))
+    stage = Stage(device, town.mesh, camera, conditions, lamps, daylight, Palette.of(recording.town), town.light_pools)
     wet = conditions.wetness > 0
 
     geometry = device.target(size, ["4f4"])
@@ -212,7 +212,8 @@ def _mirror_texture(stage: Stage) -> Any:
 
 def _light_digest(device: Device, recording: Recording) -> str:
     """Names everything that the scenery's light depends on."""
-    mesh, lamps = scenery(recording.town).mesh, scenery(recording.town).lamps
+    town = scenery(recording.town)
+    mesh = town.mesh
     camera, palette = recording.camera, Palette.of(recording.town)
     parts = (
         digest_of("light"),
@@ -227,6 +228,6 @@ def _light_digest(device: Device, recording: Recording) -> str:
     )
     digest = hashlib.sha256("\n".join(parts).encode())
     colors = (albedo_table(palette), *pattern_tables(palette))
-    for array in (mesh.vertices, mesh.normals, mesh.triangles, mesh.material, *colors, lamps):
+    for array in (mesh.vertices, mesh.normals, mesh.triangles, mesh.material, *colors, town.lamps, town.light_pools):
         digest.update(array.tobytes())
     return digest.hexdigest()[:24]

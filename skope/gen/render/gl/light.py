@@ -69,8 +69,12 @@ class Stage:
         burning: Array | None = None,
         daylight: Daylight | None = None,
         palette: Palette = USUAL,
+        pools: Array | None = None,
     ) -> None:
-        """`burning` (N, 3) are the street lights, where there are any; `daylight` is that of the conditions if None."""
+        """`burning` (N, 3) are the street lights, where there are any; `daylight` is that of the conditions if None.
+
+        `pools` (N, 10) are patches of light on the road, as `Scenery.light_pools` has them.
+        """
         self.device, self._camera, self._mesh = device, camera, mesh
         self._size = (camera.width, camera.height)
         self.focus = _view_focus(camera)
@@ -86,6 +90,7 @@ class Stage:
         daylight = self.daylight
         self.options = (
             *(street_lights.OPTIONS if daylight.dark else ()),
+            *(street_lights.POOL_OPTIONS if daylight.dark and pools is not None and len(pools) else ()),
             *(("WET",) if conditions.wetness > 0 else ()),
             *(("PATTERNS",) if palette.patterns else ()),
             *(("SNOW",) if conditions.snow_cover > 0 else ()),
@@ -95,6 +100,8 @@ class Stage:
         self.noise.build_mipmaps()
         self.noise.filter = (device.gl.LINEAR_MIPMAP_LINEAR, device.gl.LINEAR)
         self.uniforms = {**_look_of(camera, conditions, daylight, palette), **self.street_lights.uniforms}
+        if pools is not None:
+            self.uniforms |= street_lights.pool_uniforms(pools, camera, self.focus)
         self.pixels: dict[str, Any] = {
             "u_size": list(self._size),
             "u_camera_from_pixel": np.linalg.inv(camera.K),

@@ -19,7 +19,7 @@ from skope.types import Array
 PARTS_DEFINITION: Final = "PARTS 8"
 """Definition for the shaders: a vehicle has up to eight parts, its body and four wheels, a trailer and two more wheels.
 """
-PANES: Final = ("glass", "glass_tinted")
+PANES: Final = ("glass", "glass_tinted", "glass_lit")
 """Materials that one can look through."""
 
 

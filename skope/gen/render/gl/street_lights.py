@@ -14,11 +14,14 @@ from skope.types import Array
 
 MOST_LAMPS: Final = 32
 """Lamps that light the scenery."""
+MOST_POOLS: Final = 4
+"""Patches of light on the road that a camera's view has at most."""
 CELLS: Final = 3
 """Shadow maps side by side in a texture, on each axis: the nearest lamps throw shadows."""
 CELL: Final = 1024
 """Texels of each, on each side."""
 OPTIONS: Final = ("LAMPS", f"MOST_LAMPS {MOST_LAMPS}", f"SHADOWED_LAMPS {CELLS**2}", f"LAMP_CELLS {CELLS}")
+POOL_OPTIONS: Final = ("POOLS", f"MOST_POOLS {MOST_POOLS}")
 LAMP_MAP_PX: Final = 256
 MAP_RADIUS: Final = 128.0
 """The map on the ground reaches so far from the middle of the view, metres."""
@@ -108,6 +111,26 @@ class StreetLights:
         ].astype(np.float64)
         own = self.own * 0.35 / 14.0**2 * np.ones(3)
         return np.asarray(self.intensity * upward.mean() + own)
+
+
+def pool_uniforms(pools: Array, camera: Camera, middle: Array) -> dict[str, Any]:
+    """Uniforms of the patches of light that are nearest to what a camera looks at.
+
+    Args:
+        pools: (N, 10) patches, as `Scenery.light_pools` has them.
+        camera: The camera.
+        middle: (3,) middle of its view, relative to it, metres.
+    """
+    from_camera = pools[:, :3] - camera.position
+    order = np.linalg.norm((from_camera - middle)[:, :2], axis=1).argsort(kind="stable")[:MOST_POOLS]
+    places, shapes, light = np.zeros((3, MOST_POOLS, 4))
+    shapes[:, :2] = 1.0
+    for k, i in enumerate(order.tolist()):
+        places[k] = *from_camera[i, :2], *pools[i, 3:5]
+        shapes[k, :3] = *pools[i, 5:7], from_camera[i, 2]
+        light[k, :3] = pools[i, 7:]
+    named = {"u_pools": places, "u_pool_shapes": shapes, "u_pool_light": light}
+    return {name: values.astype("f4").tobytes() for name, values in named.items()}
 
 
 _TEXTURE: Final = np.array([[0.5, 0, 0, 0.5], [0, 0.5, 0, 0.5], [0, 0, 0.5, 0.5], [0, 0, 0, 1.0]])

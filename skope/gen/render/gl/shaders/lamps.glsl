@@ -36,13 +36,45 @@ vec3 lamplight(vec3 at, vec3 n) {
     return u_street_light * sum + vec3(u_own_lamp * max(dot(n, -at) * inversesqrt(square), 0.0) / square);
 }
 
+#if defined(GROUND) && defined(POOLS)
+uniform vec4 u_pools[MOST_POOLS];        // patches of light on the road: middle, and the direction in which they fade
+uniform vec4 u_pool_shapes[MOST_POOLS];  // half length, half width, height
+uniform vec4 u_pool_light[MOST_POOLS];   // irradiance
+
+// Light of what is outside the picture: an edge that is sharp on the near side, and a long tail.
+vec3 pool_light(vec3 at) {
+    vec3 sum = vec3(0.0);
+    for (int i = 0; i < MOST_POOLS; ++i) {
+        vec2 from = at.xy - u_pools[i].xy, axis = u_pools[i].zw;
+        vec2 share = vec2(dot(from, axis), dot(from, vec2(-axis.y, axis.x))) / u_pool_shapes[i].xy;
+        float along = smoothstep(-1.0, -0.7, share.x) * smoothstep(1.0, -0.5, share.x), low = step(abs(at.z - u_pool_shapes[i].z), 1.5);
+        sum += u_pool_light[i].rgb * along * exp(-2.0 * share.y * share.y) * low;
+    }
+    return sum;
+}
+#endif
+
 vec3 emission(vec3 p, vec3 n) {
     if (v_material == M_LUMINAIRE) {
         bool lit = u_all_lit;
         for (int i = 0; i < u_lamp_count && !lit; ++i) lit = distance(u_luminaires[i].xyz, p - u_eye) < 1.0;
         return lit ? u_street_light * 9.0 : vec3(0.0);
     }
+#ifdef LEAVES
+    // Lit from below by lamps as strong as the town's: brightest on what looks down.
+    if (v_material == M_LEAVES_LIT) return u_albedo[v_material].rgb * u_street_light * 0.014 * leaf_tone(v_local) * smoothstep(1.0, -0.7, n.z);
+#endif
+#if defined(GROUND) && defined(POOLS)
+    return u_albedo[v_material].rgb * pool_light(p - u_eye) * max(n.z, 0.0) / PI;
+#endif
 #ifdef OTHERS
+    if (v_material >= M_SIGN_RED && v_material <= M_LIT_DIM) {
+        // Signs shine back what headlamps throw at them; boxes and dots are to be read; lamps burn out.
+        if (v_material >= M_LAMP_WHITE && v_material <= M_LAMP_RED) return u_albedo[v_material].rgb * 25.0;
+        float radiance = v_material <= M_SIGN_GREEN ? 0.012 : v_material == M_LIT_DIM ? 0.02 : 0.06;
+        // Boards are dimmed where the town is darker.
+        return u_albedo[v_material].rgb * radiance * min(0.25 + 0.09 * u_street_light.g, 1.2);
+    }
     bool shop = v_material == M_SHOP_WINDOW, cloth = v_material == M_CURTAIN || v_material == M_BLIND;
     if (!shop && !cloth && v_material != M_WINDOW) return vec3(0.0);
     vec2 at = vec2(dot(p.xy, normalize(vec2(-n.y, n.x) + 1e-6)), p.z);

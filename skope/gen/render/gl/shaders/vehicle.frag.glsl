@@ -44,7 +44,27 @@ vec3 mirror(vec3 d) {
     return textureLod(u_mirror, at * 0.5 + 0.5, 0.0).rgb;
 }
 
+// Light from inside a bus through its windows: bright above, with seats and some passengers before it on each deck.
+float lit_inside() {
+    float upper = step(2.75, v_local.z), height = v_local.z - 1.95 * upper, row = v_local.x / 0.78, place = fract(row);
+    float taken = step(0.45, fract(0.618 * (row - place + float(u_plate) + 3.0 * upper) + 0.3 * step(0.0, v_local.y)));
+    vec2 from = vec2(3.2 * (place - 0.5), 2.4 * (height - 1.42));
+    float dark = max(0.45 * step(height, 1.5) * step(place, 0.62), 0.8 * taken * step(dot(from, from), 1.0));
+    return (0.35 + 0.65 * fract(0.618 * float(u_plate))) * clamp(0.45 * height - 0.15, 0.3, 1.0) * (1.0 - dark);
+}
+
 vec3 glow(int material, int lamps) {
+    if ((lamps & LAMP_LOW_BEAM) != 0) {
+        if (material == M_MARKER_WHITE) return vec3(1.3, 1.25, 1.15);
+        if (material == M_MARKER_AMBER) return vec3(1.2, 0.42, 0.03);
+        if (material == M_MARKER_RED) return vec3(1.2, 0.04, 0.025);
+        if (material == M_SIGN_TAXI_RED) return vec3(1.6, 0.05, 0.04);
+        if (material == M_SIGN_TAXI_GREEN) return vec3(0.08, 1.3, 0.32);
+        if (material == M_DISPLAY) return vec3(1.1, 0.52, 0.05);
+        if (material == M_CABIN_LIGHT) return vec3(0.95, 0.95, 0.9);
+        if (material == M_SEAT_LIT) return vec3(0.06, 0.06, 0.07);
+        if (material == M_GLASS_LIT) return vec3(0.36, 0.35, 0.31) * lit_inside();
+    }
     if (material == M_BRAKE_LIGHT && (lamps & LAMP_BRAKE) != 0) return vec3(1.5, 0.05, 0.03);
     if ((material == M_TAILLIGHT || material == M_BRAKE_LIGHT) && (lamps & LAMP_LOW_BEAM) != 0)
         return vec3(0.32, 0.01, 0.007);
@@ -53,7 +73,7 @@ vec3 glow(int material, int lamps) {
     if (material == M_REVERSE_LIGHT && (lamps & LAMP_REVERSE) != 0) return vec3(1.0, 0.98, 0.94);
     if (material == M_HEADLIGHT && (lamps & LAMP_LOW_BEAM) != 0) return vec3(1.6, 1.55, 1.45);
     if (material == M_DAYLIGHT) return vec3(0.55, 0.58, 0.6) * ((lamps & LAMP_LOW_BEAM) != 0 ? 1.0 : 0.3);
-    if (material == M_SIGN && (lamps & LAMP_LOW_BEAM) != 0) return vec3(0.7, 0.55, 0.2);
+    if (material == M_SIGN && (lamps & LAMP_LOW_BEAM) != 0) return vec3(1.2, 0.72, 0.14);
     return vec3(0.0);
 }
 

@@ -1,0 +1,207 @@
+"""Things that burn at night are solid, stand beside the roads, list their lamps, and have no labels."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import shapely
+from shapely.ops import unary_union
+
+from skope.camera.model import Camera
+from skope.gen.mesh import flat
+from skope.gen.render.choose_renderer import make_renderer
+from skope.gen.render.frame import RenderedFrame
+from skope.gen.render.gl import background, renderer
+from skope.gen.render.gl.light import GROUPS
+from skope.gen.render.materials import GROUND, materials_between, own_color
+from skope.gen.scenery import build
+from skope.gen.scenery.build import Scenery, scenery
+from skope.gen.scenery.distractor_shapes import wall_panel
+from skope.gen.scenery.distractors import OBJECT_CLEARANCE_M, OVERHEAD_M
+from skope.gen.scenery.lit_objects import LIT_OBJECTS, MakeLit, SmallLamp, lit_panel
+from skope.gen.scenery.markings import hatching
+from skope.gen.towns.land_use import Layout
+from skope.gen.towns.sites import site
+from skope.gen.towns.town import Mast, Town, Variant
+from tests.gen.scenery.test_distractor_shapes import floating, sights
+from tests.gen.scenes import conditions, standing
+
+SITE = site("t01_main_west")
+MAST = Mast(SITE.position, SITE.yaw_deg, SITE.pitch_deg, 80.0)
+every_kind = pytest.mark.parametrize("make", LIT_OBJECTS, ids=lambda make: make.__name__)
+
+
+def variant(count: int, name: str = "town01") -> Town:
+    """A variant of a town with a number of lit objects before one camera."""
+    return Town(name, variant=Variant(4, (MAST,) if name == "town01" else (), lit_objects=count))
+
+
+@pytest.fixture(scope="module")
+def plain() -> Scenery:
+    return scenery(variant(0))
+
+
+@pytest.fixture(scope="module")
+def more() -> Scenery:
+    return scenery(variant(25))
+
+
+@every_kind
+def test_shapes_are_whole_and_look_outward(make: MakeLit) -> None:
+    drawn = {name for ends in GROUPS.values() for name in materials_between(*ends)}
+    met = []
+    for seed in range(12):
+        mesh = make(np.random.default_rng(seed)).mesh
+        assert np.isfinite(mesh.vertices).all()
+        assert all(name in drawn or own_color(name) for name in mesh.materials)
+        assert np.ptp(mesh.vertices, axis=0).max() < 11.0
+        assert mesh.vertices[:, 2].min() <= 0.0
+        assert floating(mesh) == 0, seed
+        met.append(sights(mesh, 80, np.random.default_rng(seed)))
+    cosines = np.concatenate(met)
+    assert (cosines != 0).sum() > 60
+    assert (cosines < -0.3).sum() <= 0.02 * (cosines != 0).sum()
+
+
+@every_kind
+def test_a_seed_gives_the_same_thing(make: MakeLit) -> None:
+    first, again = (make(np.random.default_rng(1)) for _ in range(2))
+    assert first.mesh.vertices.tobytes() == again.mesh.vertices.tobytes()
+    assert (first.mesh.materials, first.lamps) == (again.mesh.materials, again.lamps)
+
+
+@every_kind
+def test_lamps_are_in_their_object_and_shine(make: MakeLit) -> None:
+    for seed in range(12):
+        made = make(np.random.default_rng(seed))
+        low, high = made.mesh.vertices.min(axis=0) - 0.1, made.mesh.vertices.max(axis=0) + 0.1
+        for lamp in made.lamps:
+            assert lamp.intensity_cd > 0
+            assert max(lamp.color) == 1.0
+            assert ((low <= lamp.position) & (lamp.position <= high)).all()
+            assert np.linalg.norm(lamp.facing) == pytest.approx(1.0) or not any(lamp.facing)
+        turned = made.moved((1.0, 2.0, 3.0), np.pi / 2)
+        for before, after in zip(made.lamps, turned.lamps, strict=True):
+            x, y, z = before.position
+            assert after.position == pytest.approx((1.0 - y, 2.0 + x, 3.0 + z))
+
+
+def test_globes_come_in_clusters() -> None:
+    make = next(make for make in LIT_OBJECTS if make.__name__ == "globe_lamps")
+    made = [make(np.random.default_rng(seed)).lamps for seed in range(40)]
+    assert min(map(len, made)) >= 2
+    assert all(
+        sum(np.hypot(*np.subtract(a.position, lamps[0].position)[:2]) < 1.5 for a in lamps) >= 2 for lamps in made
+    )
+
+
+def above_ground(seen: Scenery) -> np.ndarray:
+    """(T, 3, 3) corners of the triangles of what stands."""
+    is_ground = np.array([name in GROUND for name in seen.mesh.materials])[seen.mesh.material]
+    return np.asarray(seen.mesh.vertices[seen.mesh.triangles[~is_ground]])
+
+
+def test_hatched_areas_are_painted_on_the_road() -> None:
+    def areas(count: int) -> dict[str, float]:
+        mesh = scenery(Town("town01", variant=Variant(2, (MAST,), lit_objects=count))).mesh
+        parts = {name: part.vertices[part.triangles] for name, part in mesh.by_material().items() if name in GROUND}
+        return {name: float(shapely.area(shapely.polygons(at[..., :2])).sum()) for name, at in parts.items()}
+
+    bare, hatched = areas(0), areas(1)
+    assert sum(hatched.values()) == pytest.approx(sum(bare.values()), rel=1e-6)
+    assert hatched["marking"] > bare["marking"] + 5.0
+    rng = np.random.default_rng(3)
+    for parts in (hatching(np.array([5.0, 2.0]), 0.7, rng) for _ in range(10)):
+        assert all(part.is_valid and part.area > 0.05 for part in parts)
+        assert 3.0 < unary_union(parts).area < 30.0
+
+
+def test_they_stand_beside_the_road_and_leave_the_rest_as_it_is(plain: Scenery, more: Scenery) -> None:
+    layout, before, after = Layout.of(variant(25)), above_ground(plain), above_ground(more)
+    np.testing.assert_array_equal(after[: len(before)], before)
+    assert (more.bays, more.buildings, more.trees) == (plain.bays, plain.buildings, plain.trees)
+    corners = after[len(before) :]
+    assert len(corners) > 1000
+    height = corners[..., 2] - layout.ground.beside(corners.reshape(-1, 3)[:, :2]).reshape(corners.shape[:2])
+    standing_ones = corners[(height < OVERHEAD_M).all(axis=1)]
+    road = layout.graph.road.buffer(OBJECT_CLEARANCE_M - 0.02)
+    shapely.prepare(road)
+    assert not shapely.intersects(road, shapely.linearrings(standing_ones[..., :2])).any()
+    assert len(more.lamps) > len(plain.lamps)
+    np.testing.assert_array_equal(more.lamps[: len(plain.lamps)], plain.lamps)
+
+
+def test_scenery_lists_small_lamps_and_keeps_them_in_files(plain: Scenery, more: Scenery) -> None:
+    assert plain.small_lamps == ()
+    assert len(more.small_lamps) > 5
+    again = Scenery.from_arrays(more.to_arrays())
+    assert again.small_lamps == more.small_lamps
+    assert build._grow_scenery(variant(25)).small_lamps == more.small_lamps
+    lamp = SmallLamp((1.0, 2.0, 3.0), (1.0, 0.5, 0.0), 7.0, (0.0, 1.0, 0.0))
+    assert build._lamp_out_of_mirror(lamp) == SmallLamp((1.0, -2.0, 3.0), (1.0, 0.5, 0.0), 7.0, (0.0, -1.0, 0.0))
+
+
+def seen(count: int, **light: float) -> RenderedFrame:
+    """What the camera shows of the variant, without vehicles."""
+    camera = Camera.looking(
+        list(SITE.position),
+        yaw=np.radians(SITE.yaw_deg),
+        pitch_down=np.radians(SITE.pitch_deg),
+        size=(320, 180),
+        fov=np.radians(80),
+    )
+    town = variant(count)
+    states = {signal.program: "r" * 40 for signal in scenery(town).signals}
+    recording = replace(standing(camera, []), town=town, conditions=conditions(**light), signals=(states,))
+    return make_renderer("gl", recording).render(0)
+
+
+def test_they_burn_at_night_and_have_no_labels() -> None:
+    """In place of what they hide they are bright at night; ids and silhouettes know nothing of them."""
+    without, with_them = (seen(count, sun_elevation_deg=-30.0, lit_windows=0.0, noise=0.0) for count in (0, 25))
+    assert with_them.ids.max() <= 0
+    assert len(with_them.silhouettes) == 0
+    gained = with_them.rgb.astype(int).max(axis=-1) - without.rgb.max(axis=-1)
+    assert (gained > 120).sum() > 60
+
+
+def test_patches_of_light_lie_on_the_road(plain: Scenery, more: Scenery) -> None:
+    assert len(plain.light_pools) == 0
+    road = Layout.of(variant(25)).graph.road.buffer(0.5)
+    seeds = [scenery(Town("town01", variant=Variant(seed, (MAST,), lit_objects=1))).light_pools for seed in (1, 2, 3)]
+    pools = np.concatenate([more.light_pools, *seeds])
+    assert len(pools) >= 2
+    assert shapely.contains_xy(road, pools[:, :2]).mean() > 0.7
+    np.testing.assert_allclose(np.hypot(*pools[:, 3:5].T), 1.0)
+    assert (pools[:, 5:] > 0).all()
+    np.testing.assert_array_equal(Scenery.from_arrays(more.to_arrays()).light_pools, more.light_pools)
+
+
+@pytest.mark.parametrize(("height", "brighter"), [(-30.0, True), (55.0, False)])
+def test_a_patch_of_light_shows_in_the_dark_only(
+    height: float, brighter: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pool = np.array([[0.0, 0.0, 0.0, 1.0, 0.0, 4.0, 2.0, 0.3, 0.3, 0.3]])
+    ground = flat([[(-60, -60, 0), (60, -60, 0), (60, 60, 0), (-60, 60, 0)]], "asphalt")
+    camera = Camera.looking([0, -14, 6.5], yaw=np.pi / 2, pitch_down=0.42, size=(160, 90), fov=np.radians(60))
+    recording = replace(standing(camera, []), conditions=conditions(sun_elevation_deg=height, noise=0.0), signals=({},))
+    shown = []
+    for pools in (np.zeros((0, 10)), pool):
+        made = Scenery(ground, (), lamps=np.array([[0.0, 30.0, 9.0]]), light_pools=pools)
+        for module in (background, renderer):
+            monkeypatch.setattr(module, "scenery", lambda _, made=made: made)
+        shown.append(make_renderer("gl", recording).render(0))
+    gained = (shown[1].rgb.astype(int) - shown[0].rgb).max(axis=-1)
+    assert (gained[40:50, 70:90] > 25).any() == brighter
+    assert (np.abs(gained[80:]) < 4).all()
+    np.testing.assert_array_equal(shown[0].ids, shown[1].ids)
+
+
+def test_a_lit_panel_is_a_panel_whose_ground_burns() -> None:
+    for seed in range(8):
+        panel = wall_panel(3.0, 1.0, np.random.default_rng(seed))
+        lit = lit_panel(panel, np.random.default_rng(seed))
+        np.testing.assert_array_equal(lit.material, panel.material)
+        changed = [new for new, old in zip(lit.materials, panel.materials, strict=True) if new != old]
+        assert len(changed) == 1
+        assert changed[0].startswith("lit_")
