@@ -23,7 +23,7 @@ from tests.gen.scenes import conditions, standing
 
 SIZE = (320, 180)
 CAMERA = Camera.looking([-13, -1.0, 4.0], yaw=0.05, pitch_down=0.22, size=SIZE, fov=np.radians(60))
-NIGHT = {"sun_elevation_deg": -30.0, "noise": 0.0}
+NIGHT = {"sun_elevation_deg": -30.0, "noise": 0.0, "shutter_s": 0.04, "gain_db": 36.0}
 WET = {"wetness": 1.0, "puddles": 0.3}
 
 
@@ -87,11 +87,10 @@ def redness(rgb: np.ndarray) -> np.ndarray:
     return rgb[..., 0].astype(float) - rgb[..., 1:].max(axis=-1)
 
 
-def test_night_is_darker_than_dusk_and_dusk_than_noon(noon: RenderedFrame, unlit: RenderedFrame) -> None:
-    dusk = view(scene(sun_elevation_deg=-2.0, sun_azimuth_deg=170.0))
-    assert luminance(noon) > luminance(dusk) + 10
-    assert luminance(dusk) > luminance(unlit) + 10
-    assert luminance(unlit) > 5
+def test_the_camera_lifts_a_lit_night_as_far_as_its_gain_goes(unlit: RenderedFrame) -> None:
+    weak = view(scene(**{**NIGHT, "gain_db": 6.0}))
+    assert luminance(weak) < luminance(unlit) - 20
+    assert 70 < np.median(unlit.rgb[60:]) < 150
 
 
 def test_tail_lamps_glow_red(unlit: RenderedFrame, lit: RenderedFrame) -> None:
@@ -103,11 +102,10 @@ def test_tail_lamps_glow_red(unlit: RenderedFrame, lit: RenderedFrame) -> None:
     pixels, _, valid = CAMERA.project(np.array(tail) @ T[:3, :3].T + T[:3, 3])
     assert valid.all()
     for column, row in pixels.astype(int):
-        window = np.s_[row - 2 : row + 3, column - 2 : column + 3]
-        assert redness(lit.rgb[window]).mean() > redness(unlit.rgb[window]).mean() + 40
-        # The lens spreads some of it beyond the lamp.
+        # The lamp itself burns out; the lens spreads its red light around it.
+        assert lit.rgb[row, column].min() > unlit.rgb[row, column].min() + 40
         around = np.s_[row - 9 : row - 5, column - 3 : column + 4]
-        assert (lit.rgb[around].astype(float) - unlit.rgb[around])[..., 0].mean() > 2
+        assert redness(lit.rgb[around]).mean() > redness(unlit.rgb[around]).mean() + 5
 
 
 def test_headlights_light_the_road_ahead(unlit: RenderedFrame, lit: RenderedFrame) -> None:

@@ -53,27 +53,38 @@ float lit_inside() {
     return (0.35 + 0.65 * fract(0.618 * float(u_plate))) * clamp(0.45 * height - 0.15, 0.3, 1.0) * (1.0 - dark);
 }
 
+// What a lamp shines in a picture that stays linear light, as a share of its colour in the table below, which for the
+// other pictures is made for the eye. Luminances in cd/m2, 10,000 for a share of 1: tail lamps 1500, brake lamps 6000,
+// marker lamps 600, signs 600, displays 1000, a bus's ceiling 2000 and what is seen of its inside 60.
+vec3 shining(vec3 color, float share) {
+#ifdef LINEAR
+    return color * share;
+#else
+    return color;
+#endif
+}
+
 vec3 glow(int material, int lamps) {
     if ((lamps & LAMP_LOW_BEAM) != 0) {
-        if (material == M_MARKER_WHITE) return vec3(1.3, 1.25, 1.15);
-        if (material == M_MARKER_AMBER) return vec3(1.2, 0.42, 0.03);
-        if (material == M_MARKER_RED) return vec3(1.2, 0.04, 0.025);
-        if (material == M_SIGN_TAXI_RED) return vec3(1.6, 0.05, 0.04);
-        if (material == M_SIGN_TAXI_GREEN) return vec3(0.08, 1.3, 0.32);
-        if (material == M_DISPLAY) return vec3(1.1, 0.52, 0.05);
-        if (material == M_CABIN_LIGHT) return vec3(0.95, 0.95, 0.9);
-        if (material == M_SEAT_LIT) return vec3(0.06, 0.06, 0.07);
-        if (material == M_GLASS_LIT) return vec3(0.36, 0.35, 0.31) * lit_inside();
+        if (material == M_MARKER_WHITE) return shining(vec3(1.3, 1.25, 1.15), 0.05);
+        if (material == M_MARKER_AMBER) return shining(vec3(1.2, 0.42, 0.03), 0.05);
+        if (material == M_MARKER_RED) return shining(vec3(1.2, 0.04, 0.025), 0.05);
+        if (material == M_SIGN_TAXI_RED) return shining(vec3(1.6, 0.05, 0.04), 0.05);
+        if (material == M_SIGN_TAXI_GREEN) return shining(vec3(0.08, 1.3, 0.32), 0.05);
+        if (material == M_DISPLAY) return shining(vec3(1.1, 0.52, 0.05), 0.1);
+        if (material == M_CABIN_LIGHT) return shining(vec3(0.95, 0.95, 0.9), 0.2);
+        if (material == M_SEAT_LIT) return shining(vec3(0.06, 0.06, 0.07), 0.05);
+        if (material == M_GLASS_LIT) return shining(vec3(0.36, 0.35, 0.31) * lit_inside(), 0.016);
     }
-    if (material == M_BRAKE_LIGHT && (lamps & LAMP_BRAKE) != 0) return vec3(1.5, 0.05, 0.03);
+    if (material == M_BRAKE_LIGHT && (lamps & LAMP_BRAKE) != 0) return shining(vec3(1.5, 0.05, 0.03), 0.4);
     if ((material == M_TAILLIGHT || material == M_BRAKE_LIGHT) && (lamps & LAMP_LOW_BEAM) != 0)
-        return vec3(0.32, 0.01, 0.007);
-    if (material == M_INDICATOR_LEFT && (lamps & LAMP_INDICATOR_LEFT) != 0) return vec3(1.5, 0.52, 0.03);
-    if (material == M_INDICATOR_RIGHT && (lamps & LAMP_INDICATOR_RIGHT) != 0) return vec3(1.5, 0.52, 0.03);
+        return shining(vec3(0.32, 0.01, 0.007), 0.5);
+    if (material == M_INDICATOR_LEFT && (lamps & LAMP_INDICATOR_LEFT) != 0) return shining(vec3(1.5, 0.52, 0.03), 0.5);
+    if (material == M_INDICATOR_RIGHT && (lamps & LAMP_INDICATOR_RIGHT) != 0) return shining(vec3(1.5, 0.52, 0.03), 0.5);
     if (material == M_REVERSE_LIGHT && (lamps & LAMP_REVERSE) != 0) return vec3(1.0, 0.98, 0.94);
     if (material == M_HEADLIGHT && (lamps & LAMP_LOW_BEAM) != 0) return vec3(1.6, 1.55, 1.45);
     if (material == M_DAYLIGHT) return vec3(0.55, 0.58, 0.6) * ((lamps & LAMP_LOW_BEAM) != 0 ? 1.0 : 0.3);
-    if (material == M_SIGN && (lamps & LAMP_LOW_BEAM) != 0) return vec3(1.2, 0.72, 0.14);
+    if (material == M_SIGN && (lamps & LAMP_LOW_BEAM) != 0) return shining(vec3(1.2, 0.72, 0.14), 0.05);
     return vec3(0.0);
 }
 
