@@ -30,7 +30,6 @@ from skope.gen.scenery.houses import (
     house_meshes,
     house_plots,
 )
-from skope.gen.scenery.lit_objects import LitObject, SmallLamp
 from skope.gen.scenery.markings import zebra_stripes
 from skope.gen.scenery.quads import Solid
 from skope.gen.scenery.street_furniture import furniture, lamp_positions
@@ -74,8 +73,6 @@ class Scenery:
     """Bays that vehicles may be parked in."""
     lamps: Array = field(default_factory=lambda: np.zeros((0, 3)))
     """(N, 3) where street lights shine down from."""
-    small_lamps: tuple[SmallLamp, ...] = ()
-    """Further lamps beside the roads, which burn when it is dark."""
     light_pools: Array = field(default_factory=lambda: np.zeros((0, 10)))
     """(N, 10) patches of light on the road in the dark, from what is outside the picture: x, y and z of the middle, the
     unit vector in which it fades, half of length and width, irradiance red, green and blue."""
@@ -93,9 +90,6 @@ class Scenery:
             "trees": np.array(self.trees).reshape(-1, 3),
             "bays": np.array([(*bay.place, bay.heading) for bay in self.bays]).reshape(-1, 3),
             "lamps": self.lamps,
-            "small_lamps": np.array(
-                [(*lamp.position, *lamp.color, lamp.intensity_cd, *lamp.facing) for lamp in self.small_lamps]
-            ).reshape(-1, 10),
             "light_pools": self.light_pools,
         }
 
@@ -111,10 +105,6 @@ class Scenery:
             tuple((x, y, reach) for x, y, reach in arrays["trees"].tolist()),
             tuple(Bay((x, y), heading) for x, y, heading in arrays["bays"].tolist()),
             arrays["lamps"],
-            tuple(
-                SmallLamp((x, y, z), (red, green, blue), cd, (dx, dy, dz))
-                for x, y, z, red, green, blue, cd, dx, dy, dz in arrays["small_lamps"].tolist()
-            ),
             arrays["light_pools"],
         )
 
@@ -182,19 +172,18 @@ def _grow_scenery(town: Town) -> Scenery:
     if town.variant and town.variant.distractors:
         blocked = unary_union([built, paved, walks, pits])
         meshes += distractors(town, layout, houses, blocked, merged(meshes[len(surfaces) :]), rng["distractors"])
-    lit: list[LitObject] = []
+    lit: list[Mesh] = []
     pools = np.zeros((0, 10))
     if town.variant and town.variant.lit_objects:
         blocked = unary_union([built, paved, walks, pits])
         lit = list(lit_objects(town, layout, houses, blocked, merged(meshes[len(surfaces) :]), rng["lit_objects"]))
-        meshes += [made.mesh for made in lit]
+        meshes += lit
         pools = light_pools(town, layout, rng["light_pools"])
     crowns = tuple((*tree.place.tolist(), tree.reach) for tree in trees)
     bays = (*lot_bays(lots), *drive_bays(houses), *along_kerbs)
     footprints = tuple(house.footprint for house in houses)
-    lamps = lamp_positions([*furnished, *(made.mesh for made in lit)])
-    small_lamps = tuple(lamp for made in lit for lamp in made.lamps)
-    grown = Scenery(merged(meshes), signals, footprints, crowns, bays, lamps, small_lamps, pools)
+    lamps = lamp_positions([*furnished, *lit])
+    grown = Scenery(merged(meshes), signals, footprints, crowns, bays, lamps, pools)
     return _out_of_mirror(grown) if layout.graph.mirrored else grown
 
 
@@ -218,11 +207,6 @@ def _bay_out_of_mirror(bay: Bay) -> Bay:
     return Bay((bay.place[0], -bay.place[1]), -bay.heading)
 
 
-def _lamp_out_of_mirror(lamp: SmallLamp) -> SmallLamp:
-    (x, y, z), (dx, dy, dz) = lamp.position, lamp.facing
-    return replace(lamp, position=(x, -y, z), facing=(dx, -dy, dz))
-
-
 def _out_of_mirror(seen: Scenery) -> Scenery:
     """Mirror scenery that was grown for the mirror image of a town with left-hand traffic."""
     flip = np.array([1.0, -1.0, 1.0])
@@ -233,7 +217,6 @@ def _out_of_mirror(seen: Scenery) -> Scenery:
         tuple((x, -y, reach) for x, y, reach in seen.trees),
         tuple(map(_bay_out_of_mirror, seen.bays)),
         seen.lamps * flip,
-        tuple(map(_lamp_out_of_mirror, seen.small_lamps)),
         seen.light_pools * [1, -1, 1, 1, -1, 1, 1, 1, 1, 1],
     )
 

@@ -14,7 +14,7 @@ from shapely.ops import unary_union
 from skope.gen.mesh import Mesh
 from skope.gen.scenery.distractor_shapes import STANDING_OBJECTS, wall_panel
 from skope.gen.scenery.houses import House, covered
-from skope.gen.scenery.lit_objects import FACING_ROAD, LIT_OBJECTS, LitObject, lit_panel
+from skope.gen.scenery.lit_objects import FACING_ROAD, LIT_OBJECTS, lit_panel
 from skope.gen.scenery.markings import hatching
 from skope.gen.towns.land_use import Layout
 from skope.gen.towns.regions import rectangle_polygon
@@ -88,7 +88,7 @@ def distractors(
 
 def lit_objects(
     town: Town, layout: Layout, houses: Sequence[House], blocked: Any, standing: Mesh, rng: np.random.Generator
-) -> Iterator[LitObject]:
+) -> Iterator[Mesh]:
     """Make and place the things of a town's variant that burn or shine at night; fewer where there is no room.
 
     Args:
@@ -109,11 +109,11 @@ def lit_objects(
     for _ in range(town.variant.lit_objects):
         view = int(rng.integers(len(views)))
         if rng.random() < LIT_ON_WALLS and (panel := walls.draw(view, room, rng)):
-            yield LitObject(lit_panel(panel, rng))
+            yield lit_panel(panel, rng)
             continue
         make = kinds[int(rng.choice(len(kinds), p=shares / shares.sum()))]
         made = make(rng)
-        points = made.mesh.vertices
+        points = made.vertices
         standing_points = points[points[:, 2] < OVERHEAD_M]
         for _ in range(_TRIES):
             placed = along_roads.draw(view, standing_points, rng, facing_road=make.__name__ in FACING_ROAD)

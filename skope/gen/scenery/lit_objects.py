@@ -4,11 +4,10 @@ x along the road, y towards it, z up, metres; they reach below the ground, which
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from skope.gen.mesh import Mesh, box, lathe, merged, tube
 from skope.gen.scenery.printed_pictures import LAYER, drawn_color, filled, filled_disc, letters
@@ -17,61 +16,10 @@ from skope.gen.scenery.roadside_boards import arrow_trailer, gore_boards, messag
 from skope.gen.scenery.street_furniture import bus_shelter
 from skope.gen.scenery.trees import bush
 
-LAMP_COLORS: Final[Mapping[str, tuple[float, float, float]]] = {
-    "lamp_white": (1.0, 0.96, 0.88),
-    "lamp_warm": (1.0, 0.72, 0.4),
-    "lamp_amber": (1.0, 0.45, 0.03),
-    "lamp_red": (1.0, 0.06, 0.03),
-}
-"""Colour of the light of each material of lamps, linear RGB with 1 for the strongest channel."""
-ALL_AROUND: Final = (0.0, 0.0, 0.0)
-"""Facing of a lamp that shines to all sides alike."""
-_GLOBE_CD: Final = 250.0
-_FLOODLIGHT_CD: Final = 6000.0
-_WORKS_LAMP_CD: Final = 100.0
-_GARDEN_LAMP_CD: Final = 150.0
 
-
-@dataclass(frozen=True)
-class SmallLamp:
-    """A lamp beside a road that is no street light. It burns when it is dark; its light on the road is left out."""
-
-    position: tuple[float, float, float]
-    """World x, y and z, metres."""
-    color: tuple[float, float, float]
-    """Linear RGB, 1 for the strongest channel."""
-    intensity_cd: float
-    """Luminous intensity where it shines most, candela."""
-    facing: tuple[float, float, float] = ALL_AROUND
-    """Unit vector into the direction in which it shines most."""
-
-
-@dataclass(frozen=True, eq=False)
-class LitObject:
-    """A thing with the lamps in it that glare."""
-
-    mesh: Mesh
-    lamps: tuple[SmallLamp, ...] = ()
-
-    def moved(self, offset: ArrayLike, yaw: float = 0.0) -> "LitObject":
-        """The object turned about z by `yaw` radians, then shifted."""
-        c, s = float(np.cos(yaw)), float(np.sin(yaw))
-        dx, dy, dz = np.asarray(offset, dtype=np.float64).tolist()
-
-        def turned(v: tuple[float, float, float]) -> tuple[float, float, float]:
-            return c * v[0] - s * v[1], s * v[0] + c * v[1], v[2]
-
-        lamps = []
-        for lamp in self.lamps:
-            x, y, z = turned(lamp.position)
-            lamps.append(replace(lamp, position=(x + dx, y + dy, z + dz), facing=turned(lamp.facing)))
-        return LitObject(self.mesh.moved(offset, yaw), tuple(lamps))
-
-
-def _in_row(one: LitObject, count: int, gap: float) -> LitObject:
+def _in_row(one: Mesh, count: int, gap: float) -> Mesh:
     """Copies of an object along x, their middle at the origin."""
-    copies = [one.moved((gap * (k - (count - 1) / 2), 0.0, 0.0)) for k in range(count)]
-    return LitObject(merged(copy.mesh for copy in copies), tuple(lamp for copy in copies for lamp in copy.lamps))
+    return merged(one.moved((gap * (k - (count - 1) / 2), 0.0, 0.0)) for k in range(count))
 
 
 def _recolored(mesh: Mesh, names: Mapping[str, str]) -> Mesh:
@@ -85,7 +33,7 @@ def _ball(center: tuple[float, float, float], radius: float, material: str) -> M
     return lathe(profile, [material] * 6, 9, "z").moved(center)
 
 
-def globe_lamps(rng: np.random.Generator) -> LitObject:
+def globe_lamps(rng: np.random.Generator) -> Mesh:
     """One to three posts, each with a cluster of two to five globes: pairs look like headlights."""
     globes, radius, high = int(rng.integers(2, 6)), float(rng.uniform(0.14, 0.28)), float(rng.uniform(2.6, 5.6))
     lamp = str(rng.choice(["lamp_white", "lamp_white", "lamp_warm"]))
@@ -108,16 +56,15 @@ def globe_lamps(rng: np.random.Generator) -> LitObject:
             lathe([(-0.06, 0.0), (-0.05, 0.5 * radius), (0.06, 0.45 * radius)], [post] * 2, 8, "z").moved((x, y, foot))
         )
         parts.append(_ball((x, y, z), radius, lamp))
-    lamps = tuple(SmallLamp(center, LAMP_COLORS[lamp], _GLOBE_CD) for center in centers)
-    return _in_row(LitObject(merged(parts), lamps), int(rng.integers(1, 4)), float(rng.uniform(3.5, 4.0)))
+    return _in_row(merged(parts), int(rng.integers(1, 4)), float(rng.uniform(3.5, 4.0)))
 
 
-def floodlights(rng: np.random.Generator) -> LitObject:
+def floodlights(rng: np.random.Generator) -> Mesh:
     """Floodlights on a column, in pairs and rows, that look across the road."""
     columns, rows, high = int(rng.integers(2, 5)), int(rng.integers(1, 3)), float(rng.uniform(4.5, 9.5))
     gap, lamp = float(rng.uniform(0.5, 0.8)), str(rng.choice(["lamp_white", "lamp_white", "lamp_warm"]))
     half = gap * (columns - 1) / 2
-    out, lamps = Solid(), []
+    out = Solid()
     for row in range(rows):
         z = high - 0.55 * row
         out.box("zinc", (-half - 0.1, -0.05, z - 0.05), (half + 0.1, 0.05, z + 0.05))
@@ -125,29 +72,26 @@ def floodlights(rng: np.random.Generator) -> LitObject:
             x = gap * k - half
             out.box("pole", (x - 0.2, 0.05, z - 0.16), (x + 0.2, 0.22, z + 0.16))
             out.box(lamp, (x - 0.17, 0.22, z - 0.13), (x + 0.17, 0.24, z + 0.13), without="-y")
-            lamps.append(SmallLamp((x, 0.24, z), LAMP_COLORS[lamp], _FLOODLIGHT_CD, (0.0, 1.0, 0.0)))
     column = lathe([(BELOW, 0.14), (high, 0.07), (high + 0.02, 0.0)], ["zinc"] * 2, 8, "z")
-    return LitObject(merged([column, out.mesh()]), tuple(lamps))
+    return merged([column, out.mesh()])
 
 
-def low_lamp(rng: np.random.Generator) -> LitObject:
+def low_lamp(rng: np.random.Generator) -> Mesh:
     """A street light so low that it throws a bright patch on the road; it belongs to the street lights."""
     high = float(rng.uniform(3.4, 5.4))
     reach = float(rng.uniform(2.0, 6.0)) if high > 4.6 else 0.3
     pole = lathe([(BELOW, 0.09), (high, 0.06), (high + 0.02, 0.0)], ["pole"] * 2, 7, "z")
     arm = tube([(0.0, 0.0, high - 0.05), (0.0, reach, high + 0.1)], [0.04] * 2, "pole", 5)
     head = box((-0.13, reach - 0.1, high + 0.06), (0.13, reach + 0.5, high + 0.18), "pole")
-    return LitObject(
-        merged([pole, arm, head, box((-0.1, reach, high + 0.04), (0.1, reach + 0.45, high + 0.07), "luminaire")])
-    )
+    return merged([pole, arm, head, box((-0.1, reach, high + 0.04), (0.1, reach + 0.45, high + 0.07), "luminaire")])
 
 
-def works_lamps(rng: np.random.Generator) -> LitObject:
+def works_lamps(rng: np.random.Generator) -> Mesh:
     """Beacons of road works on boards or posts, amber or red; of those that flash some are dark in a picture."""
     count, gap = int(rng.integers(2, 6)), float(rng.uniform(1.3, 1.8))
     lamp, pale = ("lamp_red", "#992222") if rng.random() < 0.35 else ("lamp_amber", "#cc8822")
     boarded, flashing, high = rng.random() < 0.5, rng.random() < 0.6, float(rng.uniform(0.9, 1.25))
-    out, lamps = Solid(), []
+    out = Solid()
     for k in range(count):
         x = gap * (k - (count - 1) / 2)
         out.box("tyre", (x - 0.2, -0.3, BELOW), (x + 0.2, 0.3, 0.1), without="-z")
@@ -159,21 +103,19 @@ def works_lamps(rng: np.random.Generator) -> LitObject:
         out.box("sign_yellow", (x - 0.09, -0.06, high), (x + 0.09, 0.06, high + 0.12))
         lit = not flashing or rng.random() < 0.6
         out.box(lamp if lit else pale, (x - 0.1, -0.05, high + 0.12), (x + 0.1, 0.05, high + 0.32))
-        if lit:
-            lamps.append(SmallLamp((x, 0.0, high + 0.22), LAMP_COLORS[lamp], _WORKS_LAMP_CD))
-    return LitObject(out.mesh(), tuple(lamps))
+    return out.mesh()
 
 
-def lit_arrow_trailer(rng: np.random.Generator) -> LitObject:
+def lit_arrow_trailer(rng: np.random.Generator) -> Mesh:
     """A trailer of road works whose arrow or beacons burn."""
     lamp = str(rng.choice(["lamp_amber", "lamp_amber", "lamp_white"]))
-    return LitObject(_recolored(arrow_trailer(rng), {"#ff9911": lamp, "luminaire": lamp}))
+    return _recolored(arrow_trailer(rng), {"#ff9911": lamp, "luminaire": lamp})
 
 
-def lit_plants(rng: np.random.Generator) -> LitObject:
+def lit_plants(rng: np.random.Generator) -> Mesh:
     """A row of bushes, or a small tree, lit by lamps at their feet or in their crowns."""
     lamp = str(rng.choice(["lamp_white", "lamp_white", "lamp_warm"]))
-    parts, lamps = [], []
+    parts = []
     if rng.random() < 0.5:
         count, radius = int(rng.integers(1, 5)), float(rng.uniform(0.5, 1.1))
         for k in range(count):
@@ -182,10 +124,7 @@ def lit_plants(rng: np.random.Generator) -> LitObject:
             parts.append(_recolored(plant, {"leaves": "leaves_lit"}).moved((x, 0.0, 0.0)))
             parts.append(box((x - 0.09, 1.2 * radius, BELOW), (x + 0.09, 1.2 * radius + 0.14, 0.12), "iron"))
             parts.append(box((x - 0.07, 1.2 * radius + 0.02, 0.12), (x + 0.07, 1.2 * radius + 0.12, 0.14), lamp))
-            lamps.append(
-                SmallLamp((x, 1.2 * radius + 0.07, 0.14), LAMP_COLORS[lamp], 0.3 * _GARDEN_LAMP_CD, (0.0, 0.0, 1.0))
-            )
-        return LitObject(merged(parts), tuple(lamps))
+        return merged(parts)
     bare, reach = float(rng.uniform(1.6, 2.6)), float(rng.uniform(1.0, 1.8))
     top = bare + 1.2 * reach
     parts.append(lathe([(BELOW, 0.14), (0.3, 0.1), (top, 0.05)], ["bark"] * 2, 6, "z"))
@@ -198,17 +137,16 @@ def lit_plants(rng: np.random.Generator) -> LitObject:
         parts.append((_recolored(leaves, {"leaves": "leaves_lit"}) if lit else leaves).moved(place))
     glow = (0.9 * reach * float(np.cos(inside)), 0.9 * reach * float(np.sin(inside)), bare + 0.2 * reach)
     parts += [_ball(glow, 0.12, lamp), tube([(0.0, 0.0, glow[2] - 0.2), glow], [0.02] * 2, "iron", 4)]
-    lamps.append(SmallLamp(glow, LAMP_COLORS[lamp], _GARDEN_LAMP_CD))
-    return LitObject(merged(parts), tuple(lamps))
+    return merged(parts)
 
 
-def lit_shelter(_: np.random.Generator) -> LitObject:
+def lit_shelter(_: np.random.Generator) -> Mesh:
     """A bus shelter with a lamp under its roof and a poster that is lit from behind."""
     lit = _recolored(bus_shelter(), {"sign_yellow": "lit_white", "balustrade": "lit_dim"})
-    return LitObject(merged([lit, box((-1.7, -0.1, 2.24), (1.7, 0.05, 2.3), "lamp_white")]))
+    return merged([lit, box((-1.7, -0.1, 2.24), (1.7, 0.05, 2.3), "lamp_white")])
 
 
-def shop_sign(rng: np.random.Generator) -> LitObject:
+def shop_sign(rng: np.random.Generator) -> Mesh:
     """A box on posts that is lit from inside, with words and prices, as shops and filling stations have it."""
     width, rows = float(rng.uniform(0.9, 2.6)), int(rng.integers(1, 5))
     row, low = float(rng.uniform(0.5, 0.9)), float(rng.uniform(0.2, 2.6))
@@ -228,7 +166,7 @@ def shop_sign(rng: np.random.Generator) -> LitObject:
     back = ((1.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, -1.0, 0.0))
     for y, axes in ((0.14, TOWARDS_ROAD), (-0.14, back)):
         out.add(face.placed((0.0, y, low), axes))
-    return LitObject(out.mesh())
+    return out.mesh()
 
 
 def lit_panel(panel: Mesh, rng: np.random.Generator) -> Mesh:
@@ -238,7 +176,7 @@ def lit_panel(panel: Mesh, rng: np.random.Generator) -> Mesh:
     return _recolored(panel, dict.fromkeys(printed[:1], lit))
 
 
-def cones(rng: np.random.Generator) -> LitObject:
+def cones(rng: np.random.Generator) -> Mesh:
     """A row of cones or drums whose bands shine back."""
     count, body = int(rng.integers(3, 7)), str(rng.choice(["#ff5511", "#ff5511", "#ee4411", "sign_red"]))
     band = str(rng.choice(["lit_dim", "sign_white"]))
@@ -255,10 +193,10 @@ def cones(rng: np.random.Generator) -> LitObject:
         base = lathe([(BELOW, 0.36), (0.05, 0.36), (0.06, 0.2)], ["tyre"] * 2, 10, "z")
         materials = [body, band, body, band, body, body]
     one = merged([base, lathe([*profile, (profile[-1][0] + 0.01, 0.0)], materials, 10, "z")])
-    return _in_row(LitObject(one), count, float(rng.uniform(1.0, 1.4)))
+    return _in_row(one, count, float(rng.uniform(1.0, 1.4)))
 
 
-def reflector_posts(rng: np.random.Generator) -> LitObject:
+def reflector_posts(rng: np.random.Generator) -> Mesh:
     """Marker posts in pairs whose reflectors shine back, as far from each other as a car's lamps."""
     reflector = str(rng.choice(["lit_white", "lit_amber", "lit_red", "lamp_white", "lamp_amber"]))
     body, high = str(rng.choice(["frame", "iron", "sign_yellow", "#ff6611"])), float(rng.uniform(0.7, 1.1))
@@ -273,20 +211,10 @@ def reflector_posts(rng: np.random.Generator) -> LitObject:
         out.box(body, (x - 0.06, -0.05, BELOW), (x + 0.06, 0.05, high), without="-z")
         for y, axes in ((0.05, TOWARDS_ROAD), (-0.05, back)):
             out.add(front.placed((x, y, 0.0), axes))
-    return _in_row(LitObject(out.mesh()), int(rng.integers(1, 3)), float(rng.uniform(2.5, 4.0)))
+    return _in_row(out.mesh(), int(rng.integers(1, 3)), float(rng.uniform(2.5, 4.0)))
 
 
-def _plain(make: Callable[[np.random.Generator], Mesh]) -> Callable[[np.random.Generator], LitObject]:
-    """A maker of boards as one of lit objects."""
-
-    def made(rng: np.random.Generator) -> LitObject:
-        return LitObject(make(rng))
-
-    made.__name__ = make.__name__
-    return made
-
-
-MakeLit = Callable[[np.random.Generator], LitObject]
+MakeLit = Callable[[np.random.Generator], Mesh]
 LIT_OBJECTS: Final[Mapping[MakeLit, float]] = {
     globe_lamps: 4.0,
     floodlights: 2.5,
@@ -298,9 +226,9 @@ LIT_OBJECTS: Final[Mapping[MakeLit, float]] = {
     shop_sign: 1.5,
     cones: 1.5,
     reflector_posts: 1.5,
-    _plain(message_board): 2.0,
-    _plain(sign_gantry): 2.0,
-    _plain(gore_boards): 2.0,
+    message_board: 2.0,
+    sign_gantry: 2.0,
+    gore_boards: 2.0,
 }
 """Objects that burn or shine at night, with their shares."""
 FACING_ROAD: Final = (

@@ -42,7 +42,7 @@ def noise_by_value(conditions: Conditions, exposure: Exposure, light: Array, sho
     sigma = 255 * rise * np.sqrt(electrons + _READ_ELECTRONS**2) / exposure.electrons
     before = _OVER_FRAMES * conditions.denoising
     sigma *= conditions.noise / _USUAL_NOISE * np.sqrt((1 - before) / (1 + before))
-    return np.interp(np.arange(256) / 255, shown, sigma).astype(np.float32)
+    return np.asarray(np.interp(np.arange(256) / 255, shown, sigma), dtype=np.float32)
 
 
 def denoised(rgb: Pixels, noise: NDArray[np.float32], conditions: Conditions) -> Pixels:
