@@ -144,11 +144,3 @@ class Daylight:
         light = float(self.ground_irradiance.mean())
         dim = min(light / _FULL_LIGHT, 1.0) ** _DIM
         return np.asarray(self.gains * dim * 0.19 / (0.18 * light / math.pi))
-
-    @property
-    def lamp_radiance(self) -> float:
-        """Factor on the radiance of vehicles' lamps, relative to that by day.
-
-        Lamps far brighter than the rest would saturate in the sensor and turn white; this factor keeps their colour.
-        """
-        return float((self.exposure.mean() / 0.33) ** -0.72) if self.dark else 1.0

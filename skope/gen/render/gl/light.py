@@ -31,6 +31,7 @@ from skope.gen.render.gl.context import (
 from skope.gen.render.gl.street_lights import StreetLights
 from skope.gen.render.gl.water import Plane, uniforms_of
 from skope.gen.render.materials import MATERIALS
+from skope.gen.render.night.exposure import DAY_UNITS
 from skope.gen.render.palette import USUAL, Palette
 from skope.gen.scene.conditions import Conditions
 from skope.types import Array
@@ -289,7 +290,7 @@ def _look_of(camera: Camera, conditions: Conditions, daylight: Daylight, palette
         "u_haze": daylight.haze,
         "u_haze_density": daylight.haze_density,
         "u_vignetting": daylight.vignetting,
-        "u_lamp_radiance": daylight.lamp_radiance,
+        "u_lamp_radiance": DAY_UNITS if daylight.dark else 1.0,
         "u_pixels": camera.width / 1920,
         "u_wetness": conditions.wetness,
         "u_puddles": conditions.puddles,

@@ -24,7 +24,6 @@ from skope.gen.render.gl.placed_vehicles import PARTS_DEFINITION, PlacedVehicle,
 from skope.gen.render.gl.reflections import Reflections
 from skope.gen.render.gl.street_lights import MAP_RADIUS
 from skope.gen.render.glare import Glare
-from skope.gen.render.night.exposure import DAY_UNITS
 from skope.gen.render.night.night_camera import NightCamera
 from skope.gen.render.pixel_windows import (
     CONTACT,
@@ -117,7 +116,6 @@ class GLRenderer:
                 "u_lamp_vectors_at": 0.5 - background.focus[:2] / (2 * MAP_RADIUS),
                 "u_lamp_vectors_scale": 0.5 / MAP_RADIUS,
                 "u_plane": background.road.uniform,
-                "u_lamp_radiance": DAY_UNITS,
                 "u_full": 1.0,
                 "u_short": (0.0, 1.0),
             }
