@@ -18,11 +18,11 @@ from skope.types import Array, Pixels
 _READ_ELECTRONS: Final = 2.5
 _USUAL_NOISE: Final = 1.75
 """`Conditions.noise` of a usual sensor: others have more or less than the electrons say."""
-_OVER_FRAMES: Final = 0.93
+_OVER_FRAMES: Final = 0.96
 """Share of the frames before in the average of the strongest denoising."""
 _EDGE_DEVIATIONS: Final = 4.0
 """Differences of this many standard deviations of the noise are edges, which smoothing keeps."""
-_LEAST_EDGE: Final = 9.0
+_LEAST_EDGE: Final = 12.0
 """Differences from which on they are edges for the strongest denoising, of 255, where noise is low."""
 _DETAIL_SHARE: Final = 0.5
 """Fine detail that is taken away, as a share of the least edge."""

@@ -13,12 +13,14 @@ from numpy.typing import NDArray
 
 from skope.gen.scene.conditions import Conditions
 
-_SPREADS_PX: Final = (1.2, 4.5, 13.0, 50.0)
+_SPREADS_PX: Final = (1.2, 3.0, 7.0, 16.0, 45.0)
 """Standard deviations in an image 1920 pixels wide."""
-_SHARES: Final = np.array([0.012, 0.010, 0.0035, 0.0006])
-"""Share of a lamp's light in each, for a glare of 1."""
-_COLORS: Final = np.array([[1.0, 0.9, 1.3], [1.0, 0.65, 1.9], [1.0, 0.75, 1.6], [1.0, 1.0, 1.0]], dtype=np.float32)
-"""(4, 3) factors on red, green and blue."""
+_SHARES: Final = np.array([0.006, 0.006, 0.006, 0.005, 0.002])
+"""Share of a lamp's light in each, for a glare of 1. Equal shares fall off with the square of the distance."""
+_COLORS: Final = np.array(
+    [[1.0, 0.9, 1.2], [1.0, 0.75, 1.5], [1.0, 0.65, 1.9], [1.0, 0.75, 1.6], [1.0, 1.0, 1.0]], dtype=np.float32
+)
+"""(5, 3) factors on red, green and blue."""
 _DIRT_SHARE: Final = 0.02
 """Share of light that the dirtiest glass spreads widest."""
 _FOG_SHARE: Final = 0.12
@@ -34,8 +36,8 @@ class VeilingGlare:
         self._scale = width / 1920
         fog = _FOG_SHARE * min(_FOG_M / conditions.visibility_m, 1.0)
         self._shares = conditions.glare * _SHARES
-        self._shares[2:] += 0.5 * fog
-        self._shares[3] += _DIRT_SHARE * conditions.lens_dirt
+        self._shares[-2:] += 0.5 * fog
+        self._shares[-1] += _DIRT_SHARE * conditions.lens_dirt
 
     def spread(self, excess: NDArray[np.float32]) -> NDArray[np.float32]:
         """(H, W, 3) light that is added everywhere by `excess` (H, W, 3), the light beyond what pixels hold."""
