@@ -163,6 +163,7 @@ RUNS: Final[Sequence[Run]] = (
         says="mean over the cameras",
         slow=True,
     ),
+    Run("research/night_statistics.py", "real={dataset} now={dataset}", says="luma_50"),
     Run("research/track_rates.py", "{road} --fps 10", says="  10    0/0"),
     Run("research/fit_lengths.py", "{out}", says="no clips that were tracked", code=2),
     Run("research/gate_coverage.py", "{clips}/t06_plaza_opening_day --true-keypoints", says="busy gate-minutes"),
