@@ -5,6 +5,7 @@ tails (McCann and Rizzi, The Art and Science of HDR Imaging, 2011, ch. 11). Blue
 lateral and axial colour errors show around small lamps.
 """
 
+from collections.abc import Sequence
 from typing import Final
 
 import cv2
@@ -39,21 +40,27 @@ class VeilingGlare:
         self._shares[-2:] += 0.5 * fog
         self._shares[-1] += _DIRT_SHARE * conditions.lens_dirt
 
-    def spread(self, excess: NDArray[np.float32]) -> NDArray[np.float32]:
-        """(H, W, 3) light that is added everywhere by `excess` (H, W, 3), the light beyond what pixels hold."""
-        height, width = excess.shape[:2]
-        total = np.zeros((-(-height // 2), -(-width // 2), 3), dtype=np.float32)
-        half = cv2.resize(excess, total.shape[1::-1], interpolation=cv2.INTER_AREA)
+    def spread(self, excess: Sequence[NDArray[np.float32]]) -> list[NDArray[np.float32]] | None:
+        """Three planes (H, W) of light that is added everywhere; None where there is none to spread.
+
+        Args:
+            excess: Three planes (H, W), red, green and blue, of the light beyond what pixels hold.
+        """
+        height, width = excess[0].shape
+        size = (-(-width // 2), -(-height // 2))
+        half = cv2.merge([cv2.resize(plane, size, interpolation=cv2.INTER_AREA) for plane in excess])
         if not half.any():
-            return np.zeros_like(excess)
+            return None
+        total = np.zeros((size[1], size[0], 3), dtype=np.float32)
         for spread_px, share, color in zip(_SPREADS_PX, self._shares, _COLORS, strict=True):
             sigma = spread_px * self._scale / 2
             # The wider it is, the coarser the grid that it is worked out on.
             step = max(1, 2 ** int(np.log2(max(sigma / 2, 1.0))))
-            size = (max(1, half.shape[1] // step), max(1, half.shape[0] // step))
-            small = half if step == 1 else cv2.resize(half, size, interpolation=cv2.INTER_AREA)
+            coarse = (max(1, size[0] // step), max(1, size[1] // step))
+            small = half if step == 1 else cv2.resize(half, coarse, interpolation=cv2.INTER_AREA)
             blurred = cv2.GaussianBlur(small, (0, 0), max(sigma / step, 0.5), borderType=cv2.BORDER_CONSTANT)
             if step > 1:
-                blurred = cv2.resize(blurred, total.shape[1::-1], interpolation=cv2.INTER_LINEAR)
+                blurred = cv2.resize(blurred, size, interpolation=cv2.INTER_LINEAR)
             total += blurred * (np.float32(share) * color)
-        return np.asarray(cv2.resize(total, (width, height), interpolation=cv2.INTER_LINEAR), dtype=np.float32)
+        planes = cv2.split(total)
+        return [np.asarray(cv2.resize(plane, (width, height), interpolation=cv2.INTER_LINEAR)) for plane in planes]
