@@ -13,7 +13,7 @@ from skope.gen.output.writers import DATASET_FORMATS
 from skope.gen.pipeline.planned_conditions import in_asked_light, in_its_light, in_its_split, varied
 from skope.gen.pipeline.presets import presets, range_pairs, tables
 from skope.gen.render.lens import pinhole_of
-from skope.gen.scene import camera_sampling
+from skope.gen.scene import camera_sampling, view_sampling
 from skope.gen.scene.conditions import TIMES_OF_DAY, check_settings
 from skope.gen.scene.random_streams import Stream
 from skope.gen.scene.recording import RecordingPlan
@@ -72,6 +72,8 @@ class DatasetRequest:
         self._check_vehicles()
         if not 0 <= (views := p.variation.views) <= 16:
             raise UserError(f"--views: expected a whole number from 0 to 16, got {views}")
+        if p.variation.largest_vehicle:
+            view_sampling.check_largest_vehicle(p.variation.largest_vehicle)
         if self.own:
             self._check_own(self.own)
 
@@ -261,7 +263,7 @@ def from_preset(
     if "recording_frames" in row and overrides.get("recordings") is None:
         longest = max(values["frames"].values()) if frames is None else frames
         values["recordings"] = max(1, math.ceil(longest / row["recording_frames"]))
-    for name in ("traffic", "distractors", "lit_objects"):
+    for name in ("traffic", "largest_vehicle", "distractors", "lit_objects"):
         values[name] = tuple(row[name]) if name in row else None
     values["settings"] = range_pairs(row.get("settings", {})) | dict(settings or {})
     at_night = range_pairs(row.get("night", {}))
