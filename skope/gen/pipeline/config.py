@@ -249,7 +249,9 @@ def from_preset(
     row = presets()[one_of("--preset", preset, tuple(presets()))]
     known = {f.name for f in (*fields(Parameters), *fields(Variation))}
     values = {name: value for name, value in row.items() if name in known}
-    values["sites"] = tuple(name for split in row["frames"] for name in sites() if site(name).split == split)
+    values["time_of_day"] = tuple(row.get("time_of_day", ()))
+    of_splits = (name for split in row["frames"] for name in sites() if site(name).split == split)
+    values["sites"] = tuple(row.get("sites", of_splits))
     if own is not None:
         own, camera = own.with_recordings(overrides.get("recordings") or row["recordings"]), own.road.camera
         values |= {

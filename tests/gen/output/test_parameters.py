@@ -64,7 +64,16 @@ def test_what_is_written_is_read_again() -> None:
 
 def test_folders_of_before_lack_what_there_was_not() -> None:
     values = through_json(PARAMETERS.to_dict())
-    for name in ("distractors", "largest_vehicle", "licence", "lit_objects", "night", "own", "randomised", "recordings"):
+    for name in (
+        "distractors",
+        "largest_vehicle",
+        "licence",
+        "lit_objects",
+        "night",
+        "own",
+        "randomised",
+        "recordings",
+    ):
         del values[name]
     del values["seasons"]
     made = Parameters.from_dict(values)
@@ -91,9 +100,7 @@ def test_every_field_is_written_in_one_object() -> None:
 def test_what_was_not_asked_for_is_not_written() -> None:
     """Cards of datasets without these options are the bytes that they were before there were any."""
     asked = {"night", "vehicle_share", "largest_vehicle", "lit_objects", "further_models", "weather", "time_of_day"}
-    variation = replace(
-        PARAMETERS.variation, night={}, largest_vehicle=None, further_models=False, lit_objects=None
-    )
+    variation = replace(PARAMETERS.variation, night={}, largest_vehicle=None, further_models=False, lit_objects=None)
     plain = replace(PARAMETERS, vehicle_share=None, variation=variation, weather=(), time_of_day=())
     assert PARAMETERS.to_dict().keys() - plain.to_dict().keys() == asked
     assert Parameters.from_dict(through_json(plain.to_dict())) == plain
