@@ -267,9 +267,11 @@ def from_preset(
         values["recordings"] = max(1, math.ceil(longest / row["recording_frames"]))
     for name in ("traffic", "largest_vehicle", "distractors", "lit_objects"):
         values[name] = tuple(row[name]) if name in row else None
-    values["settings"] = range_pairs(row.get("settings", {})) | dict(settings or {})
-    at_night = range_pairs(row.get("night", {}))
-    values["night"] = {name: pair for name, pair in at_night.items() if name not in (settings or {})}
+    by_day = range_pairs(row.get("settings", {}))
+    values["settings"] = by_day | dict(settings or {})
+    # The command on a card repeats the preset's settings: what is asked for as it is anyway leaves nights as they are.
+    changed = {name for name, pair in (settings or {}).items() if pair != by_day.get(name)}
+    values["night"] = {name: pair for name, pair in range_pairs(row.get("night", {})).items() if name not in changed}
     values["cameras"] = range_pairs(row.get("cameras", {}) | (tables()["camera_jitter"] if camera_jitter else {}))
     if frames is not None:
         values["frames"] = dict.fromkeys(row["frames"], frames)
