@@ -77,7 +77,7 @@ def generate(
 
     Args:
         out: The dataset's folder; a new one, or one that the same call began.
-        preset: What kind of dataset: "demo", "paper", "full", "extra", "varied", "world" or "conditions".
+        preset: What kind of dataset: "demo", "paper", "full", "extra", "varied", "world", "nights" or "conditions".
         sites: Names of camera sites in place of the preset's (`skope gen sites` lists them).
         site: One name in place of `sites`, or a site file of your own road and camera.
         frames: Images for each site.

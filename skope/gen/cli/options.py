@@ -37,9 +37,10 @@ class DatasetOptions:
     preset: Annotated[
         str,
         traffic(
-            choices=("demo", "paper", "extra", "full", "varied", "world", "conditions"),
+            choices=("demo", "paper", "extra", "full", "varied", "world", "nights", "conditions"),
             help="Which dataset to make. demo: small; paper: as SKoPe3D; full: all sites; extra: sites for tests; "
-            "varied: other cameras; world: other roads; conditions: splits by weather (docs/generating.md).",
+            "varied: other cameras; world: other roads; nights: wide roads in the dark; conditions: splits by weather "
+            "(docs/generating.md).",
         ),
     ] = "demo"
     seed: Annotated[int, traffic(help="Same seed, same dataset.", max=2**63 - 1)] = 0

@@ -21,7 +21,7 @@ from skope.gen.output.writers import categories_field
 from skope.gen.vehicles.fleet import fleet
 
 CROISSANT: Final = "croissant.json"
-_VARIED: Final = ("world", "conditions")
+_VARIED: Final = ("world", "nights", "conditions")
 """Presets that have views, jitter and labelled road users unless they are told otherwise."""
 PHOTOGRAPH: Final = "what is drawn: {}; the background is the user's photograph, whose rights are as they were"
 

@@ -132,7 +132,7 @@ class Parameters:
                 low, high = values[name]
                 made[name] = (low, high)
         for name in _RANGES_BY_NAME:
-            made[name] = {key: (low, high) for key, (low, high) in values[name].items()}
+            made[name] = {key: (low, high) for key, (low, high) in values.get(name, {}).items()}
         for name in ("sites", *_NAMES):
             made[name] = tuple(values.get(name, ()))
         varied = {f.name: made.pop(f.name) for f in fields(Variation) if f.name in made}
@@ -202,13 +202,13 @@ _TEXT_BY_NAME: Final = _Kind("an object of texts", _object_of(_is_text))
 _COUNT_BY_NAME: Final = _Kind("an object of whole numbers", _object_of(_is_whole))
 _RANGE_BY_NAME: Final = _Kind("an object of pairs of numbers", _object_of(_is_range))
 
-_RANGES: Final = ("traffic", "distractors", "lit_objects")
+_RANGES: Final = ("traffic", "largest_vehicle", "distractors", "lit_objects")
 """Fields that hold a range or None."""
-_RANGES_BY_NAME: Final = ("settings", "cameras")
+_RANGES_BY_NAME: Final = ("settings", "night", "cameras")
 """Fields that hold ranges by their names."""
 _NAMES: Final = ("weather", "time_of_day")
 """Fields that hold names that were asked for."""
-_ASKED: Final = ("vehicle_share", "lit_objects", "further_models", "road_users", *_NAMES)
+_ASKED: Final = ("night", "vehicle_share", "largest_vehicle", "lit_objects", "further_models", "road_users", *_NAMES)
 """Fields that are written only where they were asked for: cards of other datasets stay as they are."""
 _FIELD_KINDS: Final[Mapping[str, _Kind]] = {
     "preset": _TEXT,
@@ -223,6 +223,7 @@ _FIELD_KINDS: Final[Mapping[str, _Kind]] = {
     "driver": _TEXT,
     "rules": _OBJECT,
     "settings": _RANGE_BY_NAME,
+    "night": _RANGE_BY_NAME,
     "cameras": _RANGE_BY_NAME,
     "keypoint_edition": _WHOLE_NUMBER,
     "vehicles": _TEXT_BY_NAME,
@@ -231,6 +232,7 @@ _FIELD_KINDS: Final[Mapping[str, _Kind]] = {
     "time_of_day": _TEXTS,
     "shape_jitter": _SWITCH,
     "views": _WHOLE_NUMBER,
+    "largest_vehicle": _RANGE_OR_NULL,
     "traffic": _RANGE_OR_NULL,
     "town_jitter": _SWITCH,
     "distractors": _RANGE_OR_NULL,

@@ -13,7 +13,7 @@ from skope.gen.output.writers import DATASET_FORMATS
 from skope.gen.pipeline.planned_conditions import in_asked_light, in_its_light, in_its_split, varied
 from skope.gen.pipeline.presets import presets, range_pairs, tables
 from skope.gen.render.lens import pinhole_of
-from skope.gen.scene import camera_sampling
+from skope.gen.scene import camera_sampling, view_sampling
 from skope.gen.scene.conditions import TIMES_OF_DAY, check_settings
 from skope.gen.scene.random_streams import Stream
 from skope.gen.scene.recording import RecordingPlan
@@ -72,6 +72,8 @@ class DatasetRequest:
         self._check_vehicles()
         if not 0 <= (views := p.variation.views) <= 16:
             raise UserError(f"--views: expected a whole number from 0 to 16, got {views}")
+        if p.variation.largest_vehicle:
+            view_sampling.check_largest_vehicle(p.variation.largest_vehicle)
         if self.own:
             self._check_own(self.own)
 
@@ -247,7 +249,9 @@ def from_preset(
     row = presets()[one_of("--preset", preset, tuple(presets()))]
     known = {f.name for f in (*fields(Parameters), *fields(Variation))}
     values = {name: value for name, value in row.items() if name in known}
-    values["sites"] = tuple(name for split in row["frames"] for name in sites() if site(name).split == split)
+    values["time_of_day"] = tuple(row.get("time_of_day", ()))
+    of_splits = (name for split in row["frames"] for name in sites() if site(name).split == split)
+    values["sites"] = tuple(row.get("sites", of_splits))
     if own is not None:
         own, camera = own.with_recordings(overrides.get("recordings") or row["recordings"]), own.road.camera
         values |= {
@@ -261,11 +265,13 @@ def from_preset(
     if "recording_frames" in row and overrides.get("recordings") is None:
         longest = max(values["frames"].values()) if frames is None else frames
         values["recordings"] = max(1, math.ceil(longest / row["recording_frames"]))
-    for name in ("traffic", "distractors", "lit_objects"):
+    for name in ("traffic", "largest_vehicle", "distractors", "lit_objects"):
         values[name] = tuple(row[name]) if name in row else None
-    values["settings"] = range_pairs(row.get("settings", {})) | dict(settings or {})
-    at_night = range_pairs(row.get("night", {}))
-    values["night"] = {name: pair for name, pair in at_night.items() if name not in (settings or {})}
+    by_day = range_pairs(row.get("settings", {}))
+    values["settings"] = by_day | dict(settings or {})
+    # The command on a card repeats the preset's settings: what is asked for as it is anyway leaves nights as they are.
+    changed = {name for name, pair in (settings or {}).items() if pair != by_day.get(name)}
+    values["night"] = {name: pair for name, pair in range_pairs(row.get("night", {})).items() if name not in changed}
     values["cameras"] = range_pairs(row.get("cameras", {}) | (tables()["camera_jitter"] if camera_jitter else {}))
     if frames is not None:
         values["frames"] = dict.fromkeys(row["frames"], frames)

@@ -27,6 +27,9 @@ class Variation:
     """Number of recordings in a row that share one simulated traffic, each with a camera at another corner of the town;
     0 where cameras hang at their sites and each recording has its own traffic. Only sites for training have views:
     plans of other sites have 0 whatever the dataset has."""
+    largest_vehicle: Range | None = None
+    """Range of the height of the largest vehicle that a view's camera sees, as a share of the image's; None for
+    `skope.gen.scene.view_sampling.LARGEST_VEHICLE_SHARE`."""
     town_jitter: bool = False
     """Whether what stands along the roads is drawn anew; recordings that share their traffic share it too."""
     distractors: Range | None = None

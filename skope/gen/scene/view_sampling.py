@@ -23,7 +23,7 @@ from skope.gen.towns.land_use import Layout
 from skope.gen.towns.road_graph import driven, right_of
 from skope.gen.towns.sites import site_at, sites_of
 from skope.gen.towns.town import Mast, Town
-from skope.types import Array
+from skope.types import Array, Range
 
 CANDIDATES: Final = 100
 """Cameras that are drawn for each view."""
@@ -34,7 +34,8 @@ ENOUGH: Final = 20.0
 LEAST_VIEW_ROAD_M: Final = 8.0
 """Least length of lanes that a view must show, metres: a camera over a single vehicle sees little more."""
 LARGEST_VEHICLE_SHARE: Final = (0.1, 0.7)
-"""Range of the height of the largest vehicle in a frame, as a share of the image's; drawn evenly in its logarithm."""
+"""Default range of the height of the largest vehicle in a frame, as a share of the image's; drawn evenly in its
+logarithm. A preset may choose another (`Variation.largest_vehicle`)."""
 _CLOSE: Final = 0.3
 """Standard deviation of the logarithm of that height around what is wanted."""
 _AT_TARGET: Final = (0.5, 1.0)
@@ -59,6 +60,13 @@ _TESTED_M, _TESTED_DEG = 80.0, 75.0
 """Road belongs to a test site's camera up to this distance, and this angle to either side of where it looks."""
 _ABOVE_GROUND: Final = 2.5
 """Least height of a camera over the ground that its mast stands on, metres."""
+
+
+def check_largest_vehicle(span: Range) -> None:
+    """UserError where a range is none of shares of an image's height, above 0 and up to 1."""
+    low, high = span
+    if not 0 < low <= high <= 1:
+        raise UserError(f"largest_vehicle: expected a range of shares above 0, up to 1, got {low:g}..{high:g}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,19 +104,26 @@ class ViewSampler:
                     headings += [math.atan2(b[1] - a[1], b[0] - a[0])] * count
         return np.array(points), np.array(headings)
 
-    def draw(self, traffic: Array, ranges: CameraRanges, rng: np.random.Generator) -> PlacedCamera:
+    def draw(
+        self,
+        traffic: Array,
+        ranges: CameraRanges,
+        rng: np.random.Generator,
+        largest_vehicle: Range = LARGEST_VEHICLE_SHARE,
+    ) -> PlacedCamera:
         """Draw a view.
 
         Args:
             traffic: (F, V, 3) places of vehicles on the road in each frame, world; NaN where there is none.
             ranges: What cameras are drawn from.
             rng: Draws.
+            largest_vehicle: Range of the largest vehicle's height, as `LARGEST_VEHICLE_SHARE`.
 
         Raises:
             UserError: No camera was found that sees enough road and none of a test site's.
         """
         empty = rng.random() < EMPTY_SHARE
-        wanted = math.exp(rng.uniform(*np.log(LARGEST_VEHICLE_SHARE)))
+        wanted = math.exp(rng.uniform(*np.log(largest_vehicle)))
         vehicles = traffic[np.isfinite(traffic[..., 0])]
         found: list[tuple[PlacedCamera, float]] = []
         for _ in range(CANDIDATES):

@@ -13,7 +13,7 @@ from skope.gen.scene.camera_sampling import CameraRanges, sample_camera
 from skope.gen.scene.conditions import Conditions, ranges
 from skope.gen.scene.random_streams import Stream
 from skope.gen.scene.recording import Recording, RecordingPlan
-from skope.gen.scene.view_sampling import ViewSampler
+from skope.gen.scene.view_sampling import LARGEST_VEHICLE_SHARE, ViewSampler
 from skope.gen.scenery.build import bays_of
 from skope.gen.simulation.parked import MOST_PARKED, parked_vehicles
 from skope.gen.simulation.pedestrians import Riders, Walkers
@@ -150,7 +150,8 @@ class _Cameras:
         for plan, conditions, start in zip(self._plans, self._conditions, self._starts, strict=True):
             times = [start + k * self._stride for k in range(plan.frames)]
             traffic = _places([snapshots[k] for k in times])
-            view = sampler.draw(traffic, _camera_ranges(plan, conditions), plan.rng(Stream.CAMERA))
+            largest = plan.variation.largest_vehicle or LARGEST_VEHICLE_SHARE
+            view = sampler.draw(traffic, _camera_ranges(plan, conditions), plan.rng(Stream.CAMERA), largest)
             self._cameras.append(view.camera)
             fov = 2 * math.atan(view.camera.width / 2 / view.camera.K[0, 0])
             masts.append(replace(view.mast, fov_deg=round(math.degrees(fov), 3)))

@@ -156,6 +156,7 @@ def test_the_card_lists_further_models_where_they_may_be_seen() -> None:
         {"preset": "demo", "recordings": 4},
         {"preset": "varied", "format": "shards", "settings": {"noise": (1.0, 2.0)}},
         {"preset": "world"},
+        {"preset": "nights"},
         {"preset": "world", "views": 0, "town_jitter": False, "shape_jitter": False},
         {"preset": "demo", "weather": ("rain", "fog"), "time_of_day": ("night",)},
         {"preset": "demo", "vehicles": {"suv": "", "pickup": ""}, "vehicle_share": 0.25},

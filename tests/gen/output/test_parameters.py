@@ -30,8 +30,10 @@ PARAMETERS = Parameters(
     rules=Rules(occlusion="paper", min_box=10),
     variation=Variation(
         settings={"rain_mm_h": (2.0, 6)},
+        night={"contrast": (0.9, 1.1)},
         cameras={"zoom_by": (0.9, 1.1)},
         shape_jitter=True,
+        largest_vehicle=(0.05, 0.4),
         distractors=(0, 25),
         lit_objects=(0, 18),
         seasons=True,
@@ -62,12 +64,23 @@ def test_what_is_written_is_read_again() -> None:
 
 def test_folders_of_before_lack_what_there_was_not() -> None:
     values = through_json(PARAMETERS.to_dict())
-    for name in ("distractors", "licence", "lit_objects", "own", "randomised", "recordings", "seasons"):
+    for name in (
+        "distractors",
+        "largest_vehicle",
+        "licence",
+        "lit_objects",
+        "night",
+        "own",
+        "randomised",
+        "recordings",
+    ):
         del values[name]
+    del values["seasons"]
     made = Parameters.from_dict(values)
     varied = made.variation
     assert (varied.distractors, varied.lit_objects, varied.randomised, varied.seasons) == (None, None, 0.0, False)
     del values["further_models"]
+    assert (varied.largest_vehicle, varied.night) == (None, {})
     assert not Parameters.from_dict(values).variation.further_models
     assert (made.licence, made.own, made.recordings) == ("CC BY 4.0", None, 1)
 
@@ -77,17 +90,17 @@ def test_every_field_is_written_in_one_object() -> None:
     variation = replace(PARAMETERS.variation, road_users=True)
     names = list(replace(PARAMETERS, variation=variation).to_dict())
     assert set(names) == {f.name for f in (*fields(Parameters), *fields(Variation))} - {"variation"}
-    assert names[11:29] == [
-        *("settings", "cameras", "keypoint_edition", "vehicles", "vehicle_share", "weather", "time_of_day"),
-        *("shape_jitter", "views", "traffic", "town_jitter", "distractors", "lit_objects", "seasons", "further_models"),
-        *("road_users", "randomised", "own"),
+    assert names[11:31] == [
+        *("settings", "night", "cameras", "keypoint_edition", "vehicles", "vehicle_share", "weather", "time_of_day"),
+        *("shape_jitter", "views", "largest_vehicle", "traffic", "town_jitter", "distractors", "lit_objects"),
+        *("seasons", "further_models", "road_users", "randomised", "own"),
     ]
 
 
 def test_what_was_not_asked_for_is_not_written() -> None:
     """Cards of datasets without these options are the bytes that they were before there were any."""
-    asked = {"vehicle_share", "lit_objects", "further_models", "weather", "time_of_day"}
-    variation = replace(PARAMETERS.variation, further_models=False, lit_objects=None)
+    asked = {"night", "vehicle_share", "largest_vehicle", "lit_objects", "further_models", "weather", "time_of_day"}
+    variation = replace(PARAMETERS.variation, night={}, largest_vehicle=None, further_models=False, lit_objects=None)
     plain = replace(PARAMETERS, vehicle_share=None, variation=variation, weather=(), time_of_day=())
     assert PARAMETERS.to_dict().keys() - plain.to_dict().keys() == asked
     assert Parameters.from_dict(through_json(plain.to_dict())) == plain

@@ -94,17 +94,30 @@ def test_models_that_are_held_out_are_for_test_sites_only() -> None:
         asked(sites=("t01_main_west", "t01_mill_corner"), **changes)
 
 
-def test_further_models_belong_to_two_presets() -> None:
+def test_further_models_belong_to_three_presets() -> None:
     """Datasets of the others stay as they were."""
-    assert {name for name in presets() if asked(name).parameters.variation.further_models} == {"world", "conditions"}
+    with_them = {"world", "nights", "conditions"}
+    assert {name for name in presets() if asked(name).parameters.variation.further_models} == with_them
     for name in presets():
-        assert all(
-            plan.variation.further_models == (name in ("world", "conditions")) for plan in asked(name, frames=1).plans()
-        )
+        assert all(plan.variation.further_models == (name in with_them) for plan in asked(name, frames=1).plans())
     # There they drive by anyway; elsewhere they need not be given a share.
     with pytest.raises(UserError, match="--vehicles truck_mixer: is a model of the fleet, which drives by anyway"):
         asked("world", vehicles={"truck_mixer": ""})
     assert asked("varied", vehicles={"truck_mixer": ""}).parameters.vehicle_share is None
+
+
+@pytest.mark.parametrize("span", [(0.0, 0.3), (0.3, 0.2), (0.1, 1.5), (float("nan"), 0.3)])
+def test_the_range_of_the_largest_vehicle_is_checked(span: tuple[float, float]) -> None:
+    request = asked("nights", frames=1)
+    variation = replace(request.parameters.variation, largest_vehicle=span)
+    with pytest.raises(UserError, match=r"^largest_vehicle: expected a range of shares above 0, up to 1, got "):
+        replace(request, parameters=replace(request.parameters, variation=variation))
+
+
+def test_only_nights_chooses_how_large_vehicles_are() -> None:
+    chosen = {name: asked(name, frames=1).parameters.to_dict().get("largest_vehicle") for name in presets()}
+    assert {name for name, span in chosen.items() if span} == {"nights"}
+    assert chosen["nights"] == presets()["nights"]["largest_vehicle"]
 
 
 def test_a_photograph_has_one_light() -> None:

@@ -69,6 +69,14 @@ def test_a_third_of_world_is_dark_and_most_of_that_night() -> None:
     assert dark["night"] > dark["dusk"] + dark["dawn"]
 
 
+def test_nights_is_dark_throughout_and_most_of_it_night() -> None:
+    hours = Counter(plan.site.time_of_day for plan in asked("nights").plans())
+    assert set(hours) == {"night", "dusk"}
+    assert 0.75 < hours["night"] / hours.total() < 0.92
+    noon = asked("nights", time_of_day=("noon",)).plans()
+    assert {plan.site.time_of_day for plan in noon} == {"noon"}
+
+
 def test_what_varies_can_be_drawn_and_flags_win_over_it() -> None:
     for wide in tables()["varied_light"].values():
         for name, (low, high) in wide.items():
@@ -77,7 +85,7 @@ def test_what_varies_can_be_drawn_and_flags_win_over_it() -> None:
     spans = ranges(plan.site.weather, plan.site.time_of_day, {**plan.site.conditions, **plan.variation.settings})
     drawn = Conditions.drawn(spans, np.random.default_rng(0))
     assert drawn.glare == 2.0
-    assert spans["street_lights_lit"] == (0.3, 1)
+    assert spans["street_lights_lit"] == tuple(tables()["varied_light"]["night"]["street_lights_lit"])
 
 
 def test_paper_knows_nothing_of_what_varies() -> None:

@@ -192,10 +192,10 @@ def test_a_label_that_differs_is_told(made: Path, tmp_path: Path) -> None:
 # ------------------------------------------------------------------------------------------------------------- presets
 
 
-def test_only_two_presets_label_people() -> None:
+def test_only_three_presets_label_people() -> None:
     for name in presets():
         request = from_preset(name, seed=0, renderer="gl", driver="", rules=Rules(), frames=2)
-        on = name in ("world", "conditions")
+        on = name in ("world", "nights", "conditions")
         assert request.parameters.variation.road_users == on
         assert request.parameters.categories == (schema.CATEGORIES if on else ("vehicle",))
         assert all(plan.variation.road_users == on for plan in request.plans())

@@ -91,6 +91,17 @@ def test_views_without_vehicles_show_an_empty_road_and_no_walls(monkeypatch: pyt
             assert sum(clear) >= 8, (name, seed)
 
 
+def test_vehicles_are_as_large_as_is_asked_for() -> None:
+    town = Town("town04")
+    sampler, traffic = ViewSampler(town), queue(town, 1)
+    medians = []
+    for span in ((0.03, 0.06), view_sampling.LARGEST_VEHICLE_SHARE):
+        views = [sampler.draw(traffic, RANGES, np.random.default_rng(seed), span) for seed in range(8)]
+        shares = [sampler.vehicles_seen(view.camera, traffic)[1] for view in views]
+        medians.append(np.median([share for share in shares if share]))
+    assert 0.02 < medians[0] < 0.1 < medians[1]
+
+
 def test_where_no_camera_sees_road_one_line_says_so() -> None:
     blind = {"fov_deg": (5.0, 5.0), "height_m": (2.0, 2.0), "pitch_deg": (84.0, 84.0)}
     town = Town("town01")

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from skope.gen.pipeline.workers import simulate_job
 from skope.gen.scene import recording as recordings
 from skope.gen.scene.lamps import LAMPS
 from skope.gen.scene.recording import Recording, RecordingPlan
+from skope.gen.scene.view_sampling import LARGEST_VEHICLE_SHARE, PlacedCamera, ViewSampler
 from skope.gen.scenery import build
 from skope.gen.scenery.build import bays_of, scenery
 from skope.gen.simulation.simulate import _variant, lamps_on, simulate, simulate_together
@@ -147,6 +149,20 @@ def test_what_a_variant_is_drawn_with_is_switched_by_itself() -> None:
     assert drawn(seasons=True) == replace(plain, season=drawn(seasons=True).season) != plain
     assert drawn(randomised=1.0) == replace(plain, randomised=drawn(randomised=1.0).randomised) != plain
     assert drawn(seasons=True, town_jitter=False) == Variant(0)
+
+
+def test_views_are_drawn_with_the_size_of_vehicles_that_the_preset_wants(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = []
+    draw = ViewSampler.draw
+
+    def drawn(sampler: ViewSampler, *values: Any) -> PlacedCamera:
+        asked.append(values[3])
+        return draw(sampler, *values)
+
+    monkeypatch.setattr(ViewSampler, "draw", drawn)
+    for span in (None, (0.04, 0.2)):
+        simulate_together(request(largest_vehicle=span).simulations()[0])
+    assert asked == [LARGEST_VEHICLE_SHARE] * 4 + [(0.04, 0.2)] * 4
 
 
 def test_recordings_of_before_have_neither_distractors_nor_seasons() -> None:
