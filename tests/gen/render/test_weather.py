@@ -250,3 +250,15 @@ def test_edges_of_puddles_mirror_as_much_as_what_is_beside_them(standing: int) -
     np.testing.assert_allclose(np.abs(share), water.mean(axis=0), atol=2e-5)
     assert (share < 0).all() == (standing > 12)
     assert (share >= 0).all() == (standing <= 12)
+
+
+@pytest.mark.parametrize("wet", [{}, WET])
+def test_the_brightest_lamps_leave_no_pixel_without_a_value(wet: dict[str, float]) -> None:
+    """Light beyond half precision would be infinite, and without a value where it is weighted with 0."""
+    lamp = scenery(Town("town01")).lamps[0]
+    camera = Camera.looking((lamp - [9.0, 0.0, 1.5]).tolist(), yaw=0.0, pitch_down=0.0, size=SIZE, fov=np.radians(60))
+    recording = replace(scene(**wet, **NIGHT, street_lighting=4.0), camera=camera)
+    lamps = replace(recording.conditions, street_light_k=1800.0, exposure_ev=5.0, gain_db=10.0)
+    shown = view(replace(recording, conditions=lamps))
+    assert (shown.rgb.max(axis=-1) > 0).mean() > 0.99
+    assert shown.rgb.max() > 250

@@ -5,10 +5,14 @@ uniform vec3 u_haze;             // radiance of the air
 uniform float u_haze_density;    // 1 / m
 uniform float u_vignetting;      // light lost at 45 degrees off the axis, as a share
 
+// Far above what any exposure shows, and so that a sum of several fits into half precision: an infinite value would turn
+// into none at all where it is weighted with 0, and spread as glare.
+const float MOST_LIGHT = 1.5e4;
+
 // `cosine` is that of the angle off the axis.
 vec3 exposed(vec3 light, float metres, float cosine) {
     float shade = 1.0 - 2.0 * u_vignetting * (1.0 - cosine * cosine);
-    return mix(u_haze, light, exp(-metres * u_haze_density)) * u_exposure * shade;
+    return min(mix(u_haze, light, exp(-metres * u_haze_density)) * u_exposure * shade, vec3(MOST_LIGHT));
 }
 
 // Narkowicz' fit of the ACES filmic curve, then sRGB's own curve by square roots (error under 0.1 of 255).
