@@ -67,7 +67,7 @@ def test_the_greatest_gain_leaves_dark_roads_dark() -> None:
 
 
 def test_white_balance_takes_the_lamps_colour_out() -> None:
-    warm = even_light(0.2, 0.1, 0.05)
+    warm = even_light(0.16, 0.1, 0.07)
     full, none = (metered(warm, DEPTH, replace(NIGHT, auto_white_balance=share), DAYLIGHT) for share in (1.3, 0.0))
     np.testing.assert_allclose(warm[0, 0] * full.gains, (warm[0, 0] * full.gains).mean(), rtol=1e-5)
     np.testing.assert_allclose(none.gains, none.gains.mean())
@@ -135,7 +135,7 @@ def test_noise_is_that_of_counted_electrons() -> None:
     rng = np.random.default_rng(0)
     for light in (0.05, 0.125, 0.4):
         mean = light * camera.exposure.electrons
-        before, average = 0.93 * denoising, None
+        before, average = 0.96 * np.sqrt(denoising), None
         for _ in range(60):
             counted = rng.poisson(mean, 20_000) + 2.5 * rng.standard_normal(20_000)
             average = counted if average is None else before * average + (1 - before) * counted

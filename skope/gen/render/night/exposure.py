@@ -27,6 +27,8 @@ SHORT_EXPOSURE_RANGE: Final = 16.0
 """How much more light than the long exposure the short one takes."""
 SINGLE_EXPOSURE_RANGE: Final = 6.0
 """The same for the whole range of a camera that takes one exposure: its curve rolls off to white there."""
+_BALANCE: Final = (0.5, 2.0)
+"""Least and greatest factor of the white balance: cameras leave a part of sodium lamps' colour."""
 _METERED_FROM: Final = 1 / 3
 """Share of the rows above the part that is metered."""
 _LAMPS_FROM: Final = 0.95
@@ -81,5 +83,5 @@ def metered(
     greatest = electrons * 10 ** (conditions.gain_db / 20) / FULL_WELL_ELECTRONS
     gain = min(wanted, greatest)
     color = np.maximum(np.median(road, axis=0), 1e-6)
-    balance = (color.mean() / color) ** min(conditions.auto_white_balance, 1.0)
+    balance = np.clip((color.mean() / color) ** min(conditions.auto_white_balance, 1.0), *_BALANCE)
     return Exposure(gain * balance, float(electrons / gain), conditions.short_exposure)

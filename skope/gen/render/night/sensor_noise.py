@@ -40,7 +40,7 @@ def noise_by_value(conditions: Conditions, exposure: Exposure, light: Array, sho
     rise = np.gradient(shown, light)
     electrons = light * exposure.electrons
     sigma = 255 * rise * np.sqrt(electrons + _READ_ELECTRONS**2) / exposure.electrons
-    before = _OVER_FRAMES * conditions.denoising
+    before = _OVER_FRAMES * np.sqrt(conditions.denoising)
     sigma *= conditions.noise / _USUAL_NOISE * np.sqrt((1 - before) / (1 + before))
     return np.asarray(np.interp(np.arange(256) / 255, shown, sigma), dtype=np.float32)
 

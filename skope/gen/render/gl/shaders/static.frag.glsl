@@ -36,6 +36,8 @@ void main() {
     if (leaf_gap(v_local)) discard;
 #endif
     vec3 n = normalize(v_normal), view = normalize(u_viewer - v_world);
+    // Opposite normals of neighbouring corners cancel out half way.
+    if (!(dot(n, n) > 0.5)) n = view;
     if (dot(n, view) < 0.0) n = -n;
     float gloss;
     vec3 color = albedo(v_world + u_eye, n, gloss);

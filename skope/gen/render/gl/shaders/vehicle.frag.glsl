@@ -145,6 +145,8 @@ void main() {
 #ifdef REFLECTION
     view = normalize(u_viewer - v_world);
 #endif
+    // Opposite normals of neighbouring corners cancel out half way.
+    if (!(dot(n, n) > 0.5)) n = view;
     if (dot(n, view) < 0.0) n = -n;
     vec4 albedo = albedo_of(v_material);
     vec3 base = v_material == M_PAINT ? u_paint : v_material == M_LIVERY ? u_livery : albedo.rgb;
