@@ -81,7 +81,8 @@ def at_night(model: str, lamps: int) -> np.ndarray:
     """(H, W) brightest channel of a vehicle seen from its left side, in the dark."""
     camera = Camera.looking([0, 14, 5.0], yaw=-np.pi / 2, pitch_down=0.25, size=(320, 180), fov=np.radians(60))
     recording = standing(camera, [(model, 0.0, 0.0, 0.0)])
-    dark = conditions(sun_elevation_deg=-30.0, street_lighting=0.5, noise=0.0, exposure_ev=0.0)
+    night = {"sun_elevation_deg": -30.0, "street_lighting": 0.5, "shutter_s": 0.04, "gain_db": 30.0}
+    dark = conditions(**night, noise=0.0, exposure_ev=0.0)
     recording = replace(
         recording, town=Town("studio"), conditions=dark, lamps=np.array([lamps], dtype=np.uint8), signals=({},)
     )
