@@ -160,9 +160,9 @@ class _CaptionStyle:
     font: int
     thickness: int
     boxed: bool
-    """Whether they stand on black boxes; others have dark outlines."""
+    """Whether captions have a black box behind them. If not, they have a dark outline."""
     pointed: bool
-    """Whether an arrowhead beside each shows where the road leads."""
+    """Whether an arrowhead beside each caption points along the road."""
 
     @classmethod
     def drawn(cls, width: int, rng: np.random.Generator) -> Self:

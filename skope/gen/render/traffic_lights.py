@@ -82,6 +82,8 @@ def light_signals_linear(
     radiance: float,
 ) -> None:
     """Draw the lamps into linear light (H, W, 4), in place, with `radiance` of the brightest channel."""
+    if not signals:
+        return
     shown = np.zeros((*light.shape[:2], 3), dtype=np.uint8)
     light_signals(shown, depth, camera, moment, signals)
     rows, columns = np.nonzero(shown.any(axis=-1))

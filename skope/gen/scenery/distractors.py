@@ -67,10 +67,7 @@ def distractors(
     """
     if not town.variant or not layout.sites:
         return
-    near = [house for house in houses if layout.camera_distance(house.center) < PLACED_WITHIN_M + max(house.size)]
-    room = _Room(layout, unary_union([blocked, covered(near).buffer(0.4)]), standing)
-    views = [_View.of(mast, layout) for mast in town.variant.masts or map(_mast_at, sites_of(town))]
-    along_roads, walls = _Roadside(layout, views), _Walls(views, near)
+    room, views, along_roads, walls = _surroundings(town, layout, houses, blocked, standing)
     kinds, shares = list(STANDING_OBJECTS), np.array(list(STANDING_OBJECTS.values()))
     for _ in range(town.variant.distractors):
         view = int(rng.integers(len(views)))
@@ -84,6 +81,17 @@ def distractors(
                 place, heading = placed
                 yield made.moved([*place, _foot(layout, place, heading, made.vertices)], heading)
                 break
+
+
+def _surroundings(
+    town: Town, layout: Layout, houses: Sequence[House], blocked: Any, standing: Mesh
+) -> "tuple[_Room, list[_View], _Roadside, _Walls]":
+    """What things are placed in: free room, the cameras' views, roadsides and walls; see `distractors`."""
+    masts = town.variant.masts if town.variant else ()
+    near = [house for house in houses if layout.camera_distance(house.center) < PLACED_WITHIN_M + max(house.size)]
+    room = _Room(layout, unary_union([blocked, covered(near).buffer(0.4)]), standing)
+    views = [_View.of(mast, layout) for mast in masts or map(_mast_at, sites_of(town))]
+    return room, views, _Roadside(layout, views), _Walls(views, near)
 
 
 def lit_objects(
@@ -101,11 +109,8 @@ def lit_objects(
     """
     if not town.variant or not layout.sites:
         return
-    near = [house for house in houses if layout.camera_distance(house.center) < PLACED_WITHIN_M + max(house.size)]
-    room = _Room(layout, unary_union([blocked, covered(near).buffer(0.4)]), standing)
-    views = [_View.of(mast, layout) for mast in town.variant.masts or map(_mast_at, sites_of(town))]
-    along_roads = _Roadside(layout, views)
-    walls, kinds, shares = _Walls(views, near), list(LIT_OBJECTS), np.array(list(LIT_OBJECTS.values()))
+    room, views, along_roads, walls = _surroundings(town, layout, houses, blocked, standing)
+    kinds, shares = list(LIT_OBJECTS), np.array(list(LIT_OBJECTS.values()))
     for _ in range(town.variant.lit_objects):
         view = int(rng.integers(len(views)))
         if rng.random() < LIT_ON_WALLS and (panel := walls.draw(view, room, rng)):

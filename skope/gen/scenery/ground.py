@@ -59,7 +59,7 @@ def ground_parts(
 ) -> list[Part]:
     """All of the ground; what is beside the carriageway lies a kerb's height above it.
 
-    `hatched` are stripes that are painted on the carriageway besides its usual markings.
+    `hatched` are stripes that are painted on the carriageway in addition to its usual markings.
     """
     graph = layout.graph
     road = shapely.set_precision(graph.ground_road, GRID)

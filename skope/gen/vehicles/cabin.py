@@ -43,7 +43,7 @@ _CROWN: Final = 0.052
 _SCREEN_HIGH: Final = 0.985
 _PILLAR_LAMP_WIDTH_M: Final = 0.17
 _ROOF_SIGNS: Final = ("sign", "sign_taxi_red", "sign_taxi_green")
-"""Materials of lit signs on roofs, of which a vehicle's length draws one."""
+"""Materials of lit roof signs. The vehicle's length selects one."""
 _SUNK: Final = 0.012
 """Depth of the pillars' foot in the lower body."""
 

@@ -61,6 +61,7 @@ _SIGNAL_LIGHT: Final = 40.0
 _BURNT_OUT: Final = 245
 """Value from which a pixel shows a lamp, of 255."""
 _ALL_LIGHT: Final = 6e4
+"""Light that no exposure clips."""
 CONTACT_MAP: Final = 1024
 """Texels of the map of the sky that vehicles take from the road, over the same area."""
 
@@ -125,10 +126,10 @@ class GLRenderer:
             self._reflections = Reflections(
                 self._device, camera, background.road, background.mirrored_depth, *self._options
             )
-        self._glare = Glare(camera, recording.conditions, scenery(recording.town), background.depth)
         self._spray = Spray(camera, recording.conditions)
         self._compose_picture([self._image])
         self._night: NightCamera | None = None
+        self._glare: Glare | None = None
         if background.daylight.dark:
             light = self._read_light()
             self._night = NightCamera(light[..., :3], background.depth, recording.conditions, background.daylight)
@@ -137,6 +138,7 @@ class GLRenderer:
             self._plain_light = self._read_light()
             self._plain = self._night.without_glare(self._plain_light)
         else:
+            self._glare = Glare(camera, recording.conditions, scenery(recording.town), background.depth)
             self._plain = self._read_display()
 
     # --------------------------------------------------------------------------------------------------------- frames
@@ -176,7 +178,8 @@ class GLRenderer:
             return RenderedFrame(rgb, depth, slope, ids, tuple(silhouettes), contrast, night.noise)
         light_signals(rgb, depth, camera, moment, signals)
         rgb = self._spray.drift(rgb, depth, moment, frame)
-        rgb = self._glare.spread(rgb, depth, ids, moment)
+        if self._glare:
+            rgb = self._glare.spread(rgb, depth, ids, moment)
         return RenderedFrame(rgb, depth, slope, ids, tuple(silhouettes), contrast)
 
     def _draw_frame(

@@ -1,1 +1,1 @@
-"""What a camera makes of a night: metering, two exposures, veiling glare, noise, denoising and its curve."""
+"""The night camera: metering, two exposures, veiling glare, noise, denoising and the curve."""
