@@ -124,25 +124,28 @@ def with_noise(clean: NDArray[np.uint8], recording: Recording, frame: int) -> ND
     A window of one field, at a place of its own in each frame: drawing 6 million numbers a frame would take longer
     than rendering it.
     """
-    y, x = recording.rng(Stream.SENSOR_NOISE, frame).integers(0, _TABLE_SLACK, 2)
-    height, width = clean.shape[:2]
     conditions = recording.conditions
-    field = _noise_field(height, width, sigma_of(conditions), conditions.gain_db, grey(conditions))
-    more, less = field[:, y : y + height, x : x + width]
+    field = _noise_field(*clean.shape[:2], sigma_of(conditions), conditions.gain_db, grey(conditions))
+    more, less = field[:, *_noise_window(clean, recording, frame)]
     noisy = cv2.add(clean, more)
     return np.asarray(cv2.subtract(noisy, less, dst=noisy), dtype=np.uint8)
+
+
+def _noise_window(clean: NDArray[np.uint8], recording: Recording, frame: int) -> tuple[slice, slice]:
+    """Rows and columns of the noise that this frame has, in a field larger than the image."""
+    y, x = recording.rng(Stream.SENSOR_NOISE, frame).integers(0, _TABLE_SLACK, 2)
+    height, width = clean.shape[:2]
+    return slice(y, y + height), slice(x, x + width)
 
 
 def with_metered_noise(
     clean: NDArray[np.uint8], noise: NDArray[np.float32], recording: Recording, frame: int
 ) -> NDArray[np.uint8]:
     """(H, W, 3) with noise of this frame whose standard deviation, (256,), follows from each pixel's value."""
-    y, x = recording.rng(Stream.SENSOR_NOISE, frame).integers(0, _TABLE_SLACK, 2)
-    height, width = clean.shape[:2]
-    field = _standard_noise(height, width, 1 if grey(recording.conditions) else 3)
-    own = field[y : y + height, x : x + width]
+    field = _standard_noise(*clean.shape[:2], 1 if grey(recording.conditions) else 3)
+    own = field[_noise_window(clean, recording, frame)]
     if own.shape[2] == 3:
-        # Most of it is common to the channels, as each is worked out from pixels of all colours.
-        own = 0.6 * own + 0.4 * own.sum(axis=-1, keepdims=True)
+        # A part of it is common to the channels, as each is worked out from pixels of all colours.
+        own = (0.6 * own + 0.4 * own.sum(axis=-1, keepdims=True)) / np.float32(1.32**0.5)
     sigma = cv2.LUT(clean, noise)
     return np.asarray(cv2.add(clean, sigma * own, dtype=cv2.CV_8U), dtype=np.uint8)

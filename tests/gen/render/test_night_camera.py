@@ -6,6 +6,8 @@ import cv2
 import numpy as np
 import pytest
 
+from skope.camera.model import Camera
+from skope.gen.render.camera_effects import with_metered_noise
 from skope.gen.render.daylight import Daylight
 from skope.gen.render.night.exposure import (
     CANDELA_PER_UNIT,
@@ -17,11 +19,12 @@ from skope.gen.render.night.exposure import (
 from skope.gen.render.night.night_camera import NightCamera, curve
 from skope.gen.render.night.sensor_noise import denoised
 from skope.gen.render.night.veiling_glare import _COLORS, VeilingGlare
-from tests.gen.scenes import conditions
+from tests.gen.scenes import conditions, standing
 
 SIZE = (320, 180)
 NIGHT = conditions(sun_elevation_deg=-30.0, shutter_s=0.04, gain_db=48.0, glare=1.0)
 DAYLIGHT = replace(Daylight.of(NIGHT), lamplight=np.full(3, 0.05))
+CAMERA = Camera.looking([-13, -1.0, 4.0], yaw=0.05, pitch_down=0.22, size=SIZE, fov=np.radians(60))
 DEPTH = np.full(SIZE[::-1], 30.0, dtype=np.float32)
 
 
@@ -142,6 +145,14 @@ def test_noise_is_that_of_counted_electrons() -> None:
         shown = 255 * curve(np.maximum(average / camera.exposure.electrons, 0))
         value = round(255 * float(curve(np.array(light))))
         assert camera.noise[value] == pytest.approx(shown.std(), rel=0.06)
+
+
+@pytest.mark.parametrize("infrared", [0.0, 1.0])
+def test_pictures_have_the_noise_of_the_table(infrared: float) -> None:
+    recording = replace(standing(CAMERA, []), conditions=replace(NIGHT, infrared=infrared))
+    clean = np.full((*SIZE[::-1], 3), 120, dtype=np.uint8)
+    noisy = with_metered_noise(clean, np.full(256, 6.0, dtype=np.float32), recording, 0)
+    np.testing.assert_allclose(noisy.std(axis=(0, 1)), 6.0, rtol=0.03)
 
 
 def test_denoising_keeps_edges_and_takes_noise() -> None:
