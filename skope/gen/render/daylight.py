@@ -14,9 +14,14 @@ _OPTICAL_DEPTH: Final = np.array([0.12, 0.19, 0.34])
 25 km of visibility."""
 _TWILIGHT_DEG: Final = 4.5
 """Degrees that the sun must sink below the horizon for the sky to fade to a tenth."""
-_NIGHT_SKY: Final = 0.006
-"""The night sky's light as a share of the sky's at sunset. A true night's is less; but street lights here are brighter
-than true ones too, and after exposure only the ratio of the two shows."""
+_NIGHT_SKY: Final = 0.0004
+"""Light of the night sky as a share of the sky's at sunset."""
+_CITY_GLOW: Final = 0.000005
+"""Radiance of the air over a town for each unit of a street light's intensity: 0.003 to 0.04 cd/m2 at the horizon."""
+_BOUNCED: Final = 0.00016
+"""Mean radiance of walls, trees and road around a place for each unit of a street light's intensity."""
+_AIRLIGHT: Final = 0.06
+"""Share of the lamps' light on the road with which the air between them shines."""
 _DIM: Final = 0.24
 """Stops by which an automatic exposure leaves a picture darker than by day, for each stop that the scene is darker."""
 _SNOW_DIMS: Final = 1.4
@@ -64,6 +69,9 @@ class Daylight:
     """(3,) of the channels, for the white balance, times 2 to the power of the stops set over an automatic exposure."""
     vignetting: float
     """Share of the light lost 45 degrees off the axis."""
+    bounced: Array = field(default_factory=lambda: np.zeros(3))
+    """(3,) mean radiance of what street lights light around a place. It lights surfaces from all sides, as the sky
+    does, but is not seen in the sky's place."""
     lamplight: Array = field(default_factory=lambda: np.zeros(3))
     """(3,) mean irradiance on the road in view from lamps that do not move."""
 
@@ -91,8 +99,7 @@ class Daylight:
         overcast = conditions.clouds > OVERCAST
         dark = height < DARK_DEG
         street_light = float(dark) * conditions.street_lighting * 9.0 * temperature_color(conditions.street_light_k)
-        # A town's lamps light the air over it.
-        city = street_light * 0.00015 * np.array([1.0, 0.9, 0.8])
+        city = street_light * _CITY_GLOW * np.array([1.0, 0.9, 0.8])
         # It is at its strongest when the sun has just set.
         sunset = math.exp(-((height / 4.0) ** 2)) * max(dusk, 0.02) * (1 - closed)
         stops = 2**conditions.exposure_ev / (1 + _SNOW_DIMS * conditions.snow_cover)
@@ -110,20 +117,24 @@ class Daylight:
             haze_density=-math.log(0.05) / conditions.visibility_m,
             gains=stops * white / (white @ [0.2126, 0.7152, 0.0722]),
             vignetting=conditions.vignetting,
+            bounced=street_light * _BOUNCED,
         )
 
     def sky(self, direction: Array) -> Array:
-        """(3,) mean radiance of the sky in a direction, clouds spread evenly."""
+        """(3,) mean radiance from above in a direction, clouds spread evenly."""
         up = max(direction[2], 0.0)
         toward = float(0.5 + 0.5 * direction[:2] @ self.sunset) ** 2
         return np.asarray(
-            self.horizon + (self.zenith - self.horizon) * up**0.45 + self.afterglow * toward * math.exp(-5 * up)
+            self.bounced
+            + self.horizon
+            + (self.zenith - self.horizon) * up**0.45
+            + self.afterglow * toward * math.exp(-5 * up)
         )
 
     @property
     def ground_irradiance(self) -> Array:
         """(3,) on level ground under an open sky, lamps included."""
-        mean_sky = 0.35 * self.horizon + 0.65 * self.zenith
+        mean_sky = self.bounced + 0.35 * self.horizon + 0.65 * self.zenith
         return np.asarray(self.sun * self.sun_direction[2] + math.pi * mean_sky + self.lamplight)
 
     @property
@@ -134,7 +145,7 @@ class Daylight:
     @property
     def haze(self) -> Array:
         """(3,) radiance of the air, which lamps light too."""
-        return np.asarray(self.horizon + 0.12 * self.lamplight / math.pi)
+        return np.asarray(self.horizon + _AIRLIGHT * self.lamplight / math.pi)
 
     @property
     def exposure(self) -> Array:

@@ -92,13 +92,13 @@ class Lens:
             cv2.add(cv2.multiply(right, of_right), cv2.multiply(down, of_down))
             for of_right, of_down in zip(*self._jacobian, strict=True)
         ]
-        return RenderedFrame(
+        return replace(
+            view,
             rgb=self.bent(view.rgb),
             depth=np.asarray(moved),
             slope=np.asarray(cv2.merge(slope)),
             ids=self._sampled(view.ids),
             silhouettes=tuple(map(self._bend_silhouette, view.silhouettes)),
-            contrast=view.contrast,
         )
 
     def _sampled(self, values: NDArray[Any]) -> NDArray[Any]:

@@ -154,7 +154,8 @@ def _grow_scenery(town: Town) -> Scenery:
     pits = unary_union([tree.pit for tree in trees if tree.street])
     footings = built.buffer(0.35, join_style="mitre")
     beside_road = Beside(unary_union([forecourts(houses), ways]), walks, drives, lots, lay_bys, footings, pits)
-    furnished = list(furniture(layout, unary_union([built, paved, pits]), rng["furniture"]))
+    lit_roads = bool(town.variant and town.variant.lit_objects)
+    furnished = list(furniture(layout, unary_union([built, paved, pits]), rng["furniture"], lit_roads=lit_roads))
     hatched: list[Polygon] = []
     if town.variant and town.variant.lit_objects:
         hatched = hatched_areas(town, layout, rng["hatching"])

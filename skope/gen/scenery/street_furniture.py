@@ -20,16 +20,21 @@ FURNITURE_CLEARANCE_M: Final = 0.4
 """Least distance of street furniture from the carriageway, metres."""
 OVERHEAD: Final = 6.0
 """Height from which parts may hang over the road, metres."""
+LIT_ROAD_SPACING_M: Final = 32.0
+"""Distance between street lights on each side of roads that are lit throughout."""
 FURNITURE_VIEW_M: Final = 26.0
 """Furniture does not stand in a camera's view of road that is nearer to it than this, metres."""
 
 
-def furniture(layout: Layout, keep_clear: Any, rng: np.random.Generator) -> Iterator[Mesh]:
-    """Everything that stands on the sidewalks of a town but trees and signals."""
+def furniture(layout: Layout, keep_clear: Any, rng: np.random.Generator, *, lit_roads: bool = False) -> Iterator[Mesh]:
+    """Everything that stands beside the roads of a town but trees and signals.
+
+    With `lit_roads`, all roads have street lights, and no wider apart than `LIT_ROAD_SPACING_M`.
+    """
     blocked = unary_union([keep_clear, layout.sightlines(FURNITURE_VIEW_M)])
     spots = _Spots(layout, blocked)
     for edge in layout.graph.edges_of("ground"):
-        for offset, s, make in _furniture_along(layout, edge, rng):
+        for offset, s, make in _furniture_along(layout, edge, rng, lit_roads):
             place, heading = beside(edge, s, offset)
             if layout.camera_distance(place) > PLAIN_FROM_M:
                 continue
@@ -62,15 +67,16 @@ class _Spots:
 
 
 def _furniture_along(
-    layout: Layout, edge: Any, rng: np.random.Generator
+    layout: Layout, edge: Any, rng: np.random.Generator, lit_road: bool
 ) -> Iterator[tuple[float, float, Callable[[], Mesh]]]:
     """Furniture to place along an edge: distance from the kerb and along the edge, metres, and how to make it."""
     length, kind, style = driven(edge)[0].getLength(), layout.graph.kind(edge), layout.style
     first, back = (kind.shoulder + 1.1, kind.shoulder + 2.6) if not kind.sidewalk else (0.75, 0.92 * kind.sidewalk)
-    if kind.lights:
-        start = 0.25 * kind.lights if _number_of(edge.getID()) % 2 else 0.7 * kind.lights
+    spacing = min(kind.lights or LIT_ROAD_SPACING_M, LIT_ROAD_SPACING_M) if lit_road else kind.lights
+    if spacing:
+        start = 0.25 * spacing if _number_of(edge.getID()) % 2 else 0.7 * spacing
         reach = 2.0 if style.light == "curved" else 2.6
-        for s in np.arange(start, length, kind.lights):
+        for s in np.arange(start, length, spacing):
             yield back if style.light == "curved" else first, float(s), partial(street_light, style.light, reach)
     yield first, 10.0, lambda: sign("limit")
     if kind.sidewalk:

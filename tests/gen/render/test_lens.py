@@ -139,3 +139,11 @@ def test_the_inside_of_a_silhouette_is_not_warped_pixel_by_pixel(
     for one, other in zip(bent, lens.bend(view).silhouettes, strict=True):
         assert (one.x, one.y) == (other.x, other.y)
         np.testing.assert_array_equal(one.mask, other.mask)
+
+
+def test_a_lens_leaves_the_noise_of_the_sensor_as_it_is() -> None:
+    lens, noise = Lens(camera_of(BROWN)), np.linspace(0, 3, 256, dtype=np.float32)
+    shape = (lens.pinhole.height, lens.pinhole.width)
+    flat = (np.ones(shape, np.float32), np.zeros((*shape, 2), np.float32), np.zeros(shape, np.int32))
+    view = RenderedFrame(np.zeros((*shape, 3), np.uint8), *flat, (), np.zeros(0), noise)
+    assert lens.bend(view).noise is noise

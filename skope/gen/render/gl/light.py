@@ -282,6 +282,7 @@ def _look_of(camera: Camera, conditions: Conditions, daylight: Daylight, palette
         "u_afterglow": daylight.afterglow,
         "u_sunset": daylight.sunset,
         "u_ground": daylight.ground,
+        "u_bounced": daylight.bounced,
         "u_cloud": daylight.clouds,
         "u_albedo": albedo_table(palette),
         "u_pattern_first": first,

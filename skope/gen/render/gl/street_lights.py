@@ -12,7 +12,7 @@ from skope.gen.render.gl.context import FAR_PLANE_M, projection
 from skope.gen.scene.conditions import Conditions
 from skope.types import Array
 
-MOST_LAMPS: Final = 32
+MOST_LAMPS: Final = 64
 """Lamps that light the scenery."""
 MOST_POOLS: Final = 4
 """Patches of light on the road that a camera's view has at most."""
@@ -25,7 +25,7 @@ POOL_OPTIONS: Final = ("POOLS", f"MOST_POOLS {MOST_POOLS}")
 LAMP_MAP_PX: Final = 256
 MAP_RADIUS: Final = 128.0
 """The map on the ground reaches so far from the middle of the view, metres."""
-_LIT_WITHIN_M: Final = 110.0
+_LIT_WITHIN_M: Final = 240.0
 _OWN: Final = 22.0
 """Radiant intensity of a camera's infrared lamp."""
 _INFRARED_SHARE: Final = 0.35
@@ -99,8 +99,9 @@ class StreetLights:
             square = (to**2).sum(-1, keepdims=True)
             to /= np.sqrt(square)
             up = to[..., 2:]
-            share = np.clip((up - 0.26) / 0.24, 0, 1)
-            out[..., :3] += to * share * share * (3 - 2 * share) * (1.7 - up) / square
+            # As `luminaire` in lamps.glsl.
+            share = np.clip((up - 0.2) / 0.22, 0, 1)
+            out[..., :3] += to * share * share * (3 - 2 * share) * (2.1 - 1.6 * up) / square
         return out.astype(np.float16)
 
     def mean(self, vectors: NDArray[np.float16]) -> Array:

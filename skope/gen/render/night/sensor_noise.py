@@ -22,8 +22,10 @@ _OVER_FRAMES: Final = 0.96
 """Share of the frames before in the average of the strongest denoising."""
 _EDGE_DEVIATIONS: Final = 4.0
 """Differences of this many standard deviations of the noise are edges, which smoothing keeps."""
-_LEAST_EDGE: Final = 12.0
+_LEAST_EDGE: Final = 20.0
 """Differences from which on they are edges for the strongest denoising, of 255, where noise is low."""
+_SMOOTHED_PX: Final = (7, 3.0)
+"""Width of the window within which areas are smoothed, and the standard deviation, in pixels of half the resolution."""
 _DETAIL_SHARE: Final = 0.5
 """Fine detail that is taken away, as a share of the least edge."""
 
@@ -56,7 +58,9 @@ def denoised(rgb: Pixels, noise: NDArray[np.float32], conditions: Conditions) ->
     typical = float(np.median(noise[rgb[::16, ::16, 1]]))
     edge = conditions.denoising * max(_EDGE_DEVIATIONS * typical, _LEAST_EDGE)
     half = cv2.resize(rgb, (-(-width // 2), -(-height // 2)), interpolation=cv2.INTER_AREA)
-    smooth = cv2.resize(cv2.bilateralFilter(half, 5, edge, 2.0), (width, height), interpolation=cv2.INTER_LINEAR)
+    window, deviation = _SMOOTHED_PX
+    flat = cv2.bilateralFilter(half, window, edge, deviation)
+    smooth = cv2.resize(flat, (width, height), interpolation=cv2.INTER_LINEAR)
     threshold = round(_DETAIL_SHARE * edge)
     more, less = (np.minimum(cv2.subtract(*pair), threshold) for pair in ((rgb, smooth), (smooth, rgb)))
     return np.asarray(cv2.add(cv2.subtract(rgb, more), less), dtype=np.uint8)

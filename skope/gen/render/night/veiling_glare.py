@@ -16,10 +16,10 @@ from skope.gen.scene.conditions import Conditions
 
 _SPREADS_PX: Final = (1.2, 3.0, 7.0, 16.0, 45.0)
 """Standard deviations in an image 1920 pixels wide."""
-_SHARES: Final = np.array([0.006, 0.006, 0.006, 0.005, 0.002])
+_SHARES: Final = np.array([0.010, 0.010, 0.008, 0.0025, 0.0008])
 """Share of a lamp's light in each, for a glare of 1. Equal shares fall off with the square of the distance."""
 _COLORS: Final = np.array(
-    [[1.0, 0.9, 1.2], [1.0, 0.75, 1.5], [1.0, 0.65, 1.9], [1.0, 0.75, 1.6], [1.0, 1.0, 1.0]], dtype=np.float32
+    [[1.0, 0.95, 1.1], [1.0, 0.9, 1.25], [1.0, 0.88, 1.35], [1.0, 0.9, 1.2], [1.0, 1.0, 1.0]], dtype=np.float32
 )
 """(5, 3) factors on red, green and blue."""
 _DIRT_SHARE: Final = 0.02

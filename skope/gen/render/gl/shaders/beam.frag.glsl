@@ -24,6 +24,6 @@ float pool(vec2 at) {
 
 void main() {
     float beams = lamp(v_local, 0.75 * v_size.y) + lamp(v_local, -0.75 * v_size.y);
-    out_light = vec4(0.7 * beams + 0.6 * pool(v_local), 0.0, 0.0, 0.0);
+    out_light = vec4(0.55 * beams + 0.45 * pool(v_local), 0.0, 0.0, 0.0);
 }
 #endif

@@ -9,6 +9,7 @@ uniform vec3 u_horizon;        // sky radiance at the horizon
 uniform vec3 u_afterglow;      // what the horizon has more over the sun that has set
 uniform vec2 u_sunset;         // direction of that
 uniform vec3 u_ground;         // radiance of the ground seen from above
+uniform vec3 u_bounced;        // mean radiance of what street lights light around
 uniform float u_cloud;         // 0 clear sky .. 1 overcast
 uniform sampler2D u_noise;     // four independent value noises, tileable
 uniform vec4 u_albedo[MATERIAL_COUNT];  // linear colour; w: roughness

@@ -12,7 +12,8 @@ const float MOST_LIGHT = 1.5e4;
 // `cosine` is that of the angle off the axis.
 vec3 exposed(vec3 light, float metres, float cosine) {
     float shade = 1.0 - 2.0 * u_vignetting * (1.0 - cosine * cosine);
-    return min(mix(u_haze, light, exp(-metres * u_haze_density)) * u_exposure * shade, vec3(MOST_LIGHT));
+    // At thin edges, what is interpolated between corners may lie beyond them: light is not negative there.
+    return clamp(mix(u_haze, light, exp(-metres * u_haze_density)) * u_exposure * shade, 0.0, MOST_LIGHT);
 }
 
 // Narkowicz' fit of the ACES filmic curve, then sRGB's own curve by square roots (error under 0.1 of 255).

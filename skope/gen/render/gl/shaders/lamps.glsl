@@ -9,12 +9,16 @@ uniform sampler2DShadow u_lamp_maps;
 uniform float u_own_lamp;                // radiant intensity of the camera's
 uniform float u_lit_windows;
 
-// Irradiance of one lamp without shadows; luminaires throw their light to the sides and cut it off near the horizon.
+// Intensity of a street light towards a point: most at 65 degrees off straight down, so that the road is lit evenly, and
+// next to none above 75. `down` is the cosine of that angle.
+float luminaire(float down) { return smoothstep(0.2, 0.42, down) * (2.1 - 1.6 * down); }
+
+// Irradiance of one lamp without shadows.
 float from_lamp(vec3 lamp, vec3 at, vec3 n) {
     vec3 to = lamp - at;
     float square = max(dot(to, to), 0.05);
     vec3 l = to * inversesqrt(square);
-    float wide = smoothstep(0.26, 0.5, l.z) * (1.7 - l.z);
+    float wide = luminaire(l.z);
 #ifdef LEAVES
     return wide * 0.55 / square;
 #else
@@ -58,7 +62,9 @@ vec3 emission(vec3 p, vec3 n) {
     if (v_material == M_LUMINAIRE) {
         bool lit = u_all_lit;
         for (int i = 0; i < u_lamp_count && !lit; ++i) lit = distance(u_luminaires[i].xyz, p - u_eye) < 1.0;
-        return lit ? u_street_light * 9.0 : vec3(0.0);
+        // Its own faces and the arm scatter a little to all sides.
+        float down = normalize(p - u_eye).z;
+        return lit ? u_street_light * (0.3 + 4.0 * luminaire(down)) : vec3(0.0);
     }
 #ifdef LEAVES
     // Lit from below by lamps as strong as the town's: brightest on what looks down.
@@ -83,8 +89,8 @@ vec3 emission(vec3 p, vec3 n) {
     if (!shop && chance > u_lit_windows) return vec3(0.0);
     vec3 warm = mix(vec3(1.0, 0.56, 0.24), vec3(0.95, 0.88, 0.75), tint);
     float inside = 0.55 + 0.9 * texture(u_noise, floor(at / vec2(0.37, 0.52)) * 0.231).g;
-    if (shop) return mix(warm, vec3(1.0, 0.95, 0.85), 0.6) * inside * 0.015 * (0.35 + u_lit_windows);
-    return warm * (cloth ? 0.007 : 0.011 * inside) * (0.5 + tint);
+    if (shop) return mix(warm, vec3(1.0, 0.95, 0.85), 0.6) * inside * 0.008 * (0.35 + u_lit_windows);
+    return warm * (cloth ? 0.0025 : 0.005 * inside) * (0.5 + tint);
 #else
     return vec3(0.0);
 #endif

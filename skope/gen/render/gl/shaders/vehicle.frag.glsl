@@ -181,7 +181,7 @@ void main() {
 #endif
     float facing = max(dot(n, toward), 0.0);
     float open = v_open * (0.55 + 0.45 * clamp(n.z * 0.5 + 0.5, 0.0, 1.0));
-    vec3 ambient = open * mix(u_ground, 0.65 * u_zenith + 0.35 * u_horizon, clamp(0.5 + 0.5 * n.z, 0.0, 1.0));
+    vec3 ambient = open * mix(u_ground, u_bounced + 0.65 * u_zenith + 0.35 * u_horizon, clamp(0.5 + 0.5 * n.z, 0.0, 1.0));
 #ifdef LAMPS
     ambient += open * (0.10 * direct + vec3(0.2 * u_beam * v_lamps.w + u_own_lamp * max(dot(n, view), 0.0) / (PI * metres * metres)));
 #endif
