@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from skope.gen.render.frame import RenderedFrame, Renderer
 from skope.gen.render.lens import Lens
 from skope.gen.render.lens_dirt import LensDirt
-from skope.gen.render.night.sensor_noise import denoised
+from skope.gen.render.night.sensor_noise import BLOTCHES_PX, denoised
 from skope.gen.render.rain import Rain
 from skope.gen.render.screen_graphics import ScreenGraphics
 from skope.gen.render.snowfall import Snowfall
@@ -61,7 +61,7 @@ class Sensor:
         if view.noise is None:
             rgb, hidden = with_noise(rgb, self._recording, frame), hidden_below(conditions)
         else:
-            rgb = denoised(with_metered_noise(rgb, view.noise, self._recording, frame), view.noise, conditions)
+            rgb = with_metered_noise(denoised(rgb, view.noise, conditions), view.noise, self._recording, frame)
             hidden = hidden_below(conditions, sigma=float(np.median(view.noise)))
         rgb = streamed(self._graphics.draw(rgb), self._recording, frame)
         return replace(view, rgb=rgb, contrast=view.contrast / hidden)
@@ -97,6 +97,21 @@ def _standard_noise(height: int, width: int, channels: int) -> NDArray[np.float3
     return np.random.default_rng(5).standard_normal(
         (height + _TABLE_SLACK, width + _TABLE_SLACK, channels), dtype=np.float32
     )
+
+
+@lru_cache(maxsize=2)
+def _left_noise(height: int, width: int, mono: bool, blotches_px: float) -> NDArray[np.float32]:
+    """(height, width, 3) noise of standard deviation 1 that a night camera leaves, sized as `_standard_noise`.
+
+    It is smoothed by a Gaussian of `blotches_px`, 0 for none.
+    """
+    noise = _standard_noise(height, width, 1 if mono else 3)
+    if not mono:
+        # A part of it is common to the channels, as each is worked out from pixels of all colours.
+        noise = 0.6 * noise + 0.4 * noise.sum(axis=-1, keepdims=True)
+    if blotches_px:
+        noise = np.asarray(cv2.GaussianBlur(noise, (0, 0), blotches_px), dtype=np.float32).reshape(noise.shape)
+    return np.ascontiguousarray(np.broadcast_to(noise / noise.std(), (*noise.shape[:2], 3)), dtype=np.float32)
 
 
 @lru_cache(maxsize=2)
@@ -142,10 +157,8 @@ def with_metered_noise(
     clean: NDArray[np.uint8], noise: NDArray[np.float32], recording: Recording, frame: int
 ) -> NDArray[np.uint8]:
     """(H, W, 3) with noise of this frame whose standard deviation, (256,), follows from each pixel's value."""
-    field = _standard_noise(*clean.shape[:2], 1 if grey(recording.conditions) else 3)
-    own = field[_noise_window(clean, recording, frame)]
-    if own.shape[2] == 3:
-        # A part of it is common to the channels, as each is worked out from pixels of all colours.
-        own = (0.6 * own + 0.4 * own.sum(axis=-1, keepdims=True)) / np.float32(1.32**0.5)
-    sigma = cv2.LUT(clean, noise)
-    return np.asarray(cv2.add(clean, sigma * own, dtype=cv2.CV_8U), dtype=np.uint8)
+    conditions = recording.conditions
+    blotches_px = BLOTCHES_PX if conditions.denoising > 0 else 0.0
+    field = _left_noise(*clean.shape[:2], grey(conditions), blotches_px)
+    own = cv2.multiply(cv2.LUT(clean, noise), field[_noise_window(clean, recording, frame)])
+    return np.asarray(cv2.add(clean, own, dtype=cv2.CV_8U), dtype=np.uint8)

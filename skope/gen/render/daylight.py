@@ -18,7 +18,7 @@ _NIGHT_SKY: Final = 0.0004
 """Light of the night sky as a share of the sky's at sunset."""
 _CITY_GLOW: Final = 0.000005
 """Radiance of the air over a town for each unit of a street light's intensity: 0.003 to 0.04 cd/m2 at the horizon."""
-_BOUNCED: Final = 0.00016
+_BOUNCED: Final = 0.00024
 """Mean radiance of walls, trees and road around a place for each unit of a street light's intensity."""
 _AIRLIGHT: Final = 0.06
 """Share of the lamps' light on the road with which the air between them shines."""

@@ -261,7 +261,7 @@ _HOUR: Final[Mapping[str, Mapping[str, Range]]] = {
         "white_balance_k": (4500.0, 6500.0),
         "shutter_s": (0.02, 0.05),
         "gain_db": (27.0, 40.0),
-        "noise": (0.4, 1.6),
+        "noise": (0.8, 2.2),
         "contrast": (0.9, 1.15),
         "black_level": (4.0, 26.0),
         "sharpening": (0.2, 1.0),

@@ -82,10 +82,10 @@ class GLRenderer:
         self._project = projection(camera.K, self._image)
         self._geometry = self._device.target(size, ["4f4"])
         # At night the picture stays linear light until the camera develops it.
-        self._kind = "f2" if self._background.daylight.dark else "f1"
-        self._color = self._device.target((SCALE * size[0], SCALE * size[1]), [f"4{self._kind}"])
-        self._behind = self._device.target(size, [f"4{self._kind}"])
-        self._display = self._device.target(size, [f"4{self._kind}"], depth=False)
+        kind, self._read_as = ("f2", "f4") if self._background.daylight.dark else ("f1", "f1")
+        self._color = self._device.target((SCALE * size[0], SCALE * size[1]), [f"4{kind}"])
+        self._behind = self._device.target(size, [f"4{kind}"])
+        self._display = self._device.target(size, [f"4{kind}"], depth=False)
         self._sun_map = self._device.shadow_map(SHADOW_MAP)
         self._open = self._device.target((CONTACT_MAP, CONTACT_MAP), ["1f1"], depth=False)
         # The average of a pixel's samples is a look-up half way between them.
@@ -161,7 +161,7 @@ class GLRenderer:
             x0, y0, x1, y1 = drawn.picture.window
             mask = tile_mask(drawn.changed, drawn.picture.window)
             if night and light is not None:
-                part = drawn.picture.pixels.astype(np.float32)
+                part = drawn.picture.pixels
                 cv2.copyTo(part, mask, light[y0:y1, x0:x1])
                 picture = night.without_glare(part)
             else:
@@ -199,11 +199,11 @@ class GLRenderer:
         changed = self._draw_color(placed, blurred, open_during)
         # A window may touch the image though its hull does not.
         shown = union(tile_runs(changed, (camera.width, camera.height)) or [(0, 0, 1, 1)])
-        pixels.ask(self._display, shown, self._kind)
+        pixels.ask(self._display, shown, self._read_as)
         if crowd:
             self._draw_behind(crowd)
             around = union([inside_image(vehicle.window, camera) for vehicle in crowd])
-            pixels.ask(self._behind, around, self._kind)
+            pixels.ask(self._behind, around, self._read_as)
         fetched = iter(pixels.fetch())
         layers = [_Layer(window, next(fetched)) for window in windows]
         masks = {vehicle.index: next(fetched)[..., 0] > 0 for vehicle in apart}
@@ -385,9 +385,9 @@ class GLRenderer:
 
     def _read_light(self) -> NDArray[np.float32]:
         """(H, W, 4) linear light of the picture, and the light at which its exposures are full."""
-        self._pixels.ask(self._display, self._image, "f2")
+        self._pixels.ask(self._display, self._image, "f4")
         (picture,) = self._pixels.fetch()
-        return picture.astype(np.float32)
+        return np.asarray(picture)
 
     def _read_display(self) -> NDArray[np.uint8]:
         self._pixels.ask(self._display, self._image, "f1")
@@ -410,7 +410,7 @@ class GLRenderer:
             there: NDArray[Any] = behind[..., 3]
             if self._night:
                 full = np.full_like(there, _ALL_LIGHT)
-                behind = self._night.without_glare(np.dstack([behind[..., :3], full]).astype(np.float32))
+                behind = self._night.without_glare(np.dstack([behind[..., :3], full]))
                 there = (there > 0).astype(np.uint8)
             picture = cv2.copyTo(np.ascontiguousarray(behind[..., :3]), there, picture.copy())
         shown = rgb[y0:y1, x0:x1]

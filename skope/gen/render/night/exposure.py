@@ -19,8 +19,8 @@ CANDELA_PER_UNIT: Final = 200.0
 """Luminance at night of a radiance of 1 in the renderer's units, cd/m2: street lights then give 5 to 25 lux."""
 DAY_UNITS: Final = 50.0
 """How many times more luminance a radiance of 1 means by day (a sun of 100,000 lux has 10)."""
-ROAD_LEVEL: Final = 0.125
-"""Light, where the sensor's range ends at 1, that the road is exposed to at 0 EV: 117 of 255 after the curve."""
+ROAD_LEVEL: Final = 0.12
+"""Light, where the sensor's range ends at 1, that the road is exposed to at 0 EV: 112 of 255 after the curve."""
 ELECTRONS_PER_CANDELA_SECOND: Final = 20_000.0
 FULL_WELL_ELECTRONS: Final = 15_000.0
 SHORT_EXPOSURE_RANGE: Final = 16.0

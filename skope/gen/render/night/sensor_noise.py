@@ -1,8 +1,8 @@
 """Photon and read noise of a dark picture, and what denoising leaves of it.
 
-Noise variance in electrons is the signal's own plus the reading's (EMVA 1288). Cameras average it over frames, then
-smooth it within areas between edges (Tomasi and Manduchi, Bilateral filtering, 1998), which leaves blotches a few
-pixels wide and takes fine texture away too.
+Noise variance in electrons is the signal's own plus the reading's (EMVA 1288). Cameras average it over frames and
+smooth it within areas between edges (Tomasi and Manduchi, Bilateral filtering, 1998). That takes the road's texture
+away and leaves blotches of noise a few pixels wide.
 """
 
 from typing import Final
@@ -22,12 +22,14 @@ _OVER_FRAMES: Final = 0.96
 """Share of the frames before in the average of the strongest denoising."""
 _EDGE_DEVIATIONS: Final = 4.0
 """Differences of this many standard deviations of the noise are edges, which smoothing keeps."""
-_LEAST_EDGE: Final = 20.0
+_LEAST_EDGE: Final = 32.0
 """Differences from which on they are edges for the strongest denoising, of 255, where noise is low."""
-_SMOOTHED_PX: Final = (7, 3.0)
+_SMOOTHED_PX: Final = (9, 4.0)
 """Width of the window within which areas are smoothed, and the standard deviation, in pixels of half the resolution."""
 _DETAIL_SHARE: Final = 0.5
-"""Fine detail that is taken away, as a share of the least edge."""
+"""Finer differences than those of half the resolution are taken away up to this share of the least edge."""
+BLOTCHES_PX: Final = 1.0
+"""Standard deviation of the Gaussian that gives the noise that is left its blotches, pixels."""
 
 
 def noise_by_value(conditions: Conditions, exposure: Exposure, light: Array, shown: Array) -> NDArray[np.float32]:
@@ -48,9 +50,9 @@ def noise_by_value(conditions: Conditions, exposure: Exposure, light: Array, sho
 
 
 def denoised(rgb: Pixels, noise: NDArray[np.float32], conditions: Conditions) -> Pixels:
-    """The picture (H, W, 3), smoothed between edges; `noise` is that of `noise_by_value`.
+    """The picture (H, W, 3) without noise, smoothed between edges; `noise` is that of `noise_by_value`.
 
-    It is smoothed at half its resolution. What is finer is kept where it exceeds a threshold, lessened by that.
+    It is smoothed at half its resolution. Pixels that differ from that by more than a threshold stay as they are.
     """
     if conditions.denoising <= 0:
         return rgb
@@ -61,6 +63,6 @@ def denoised(rgb: Pixels, noise: NDArray[np.float32], conditions: Conditions) ->
     window, deviation = _SMOOTHED_PX
     flat = cv2.bilateralFilter(half, window, edge, deviation)
     smooth = cv2.resize(flat, (width, height), interpolation=cv2.INTER_LINEAR)
-    threshold = round(_DETAIL_SHARE * edge)
-    more, less = (np.minimum(cv2.subtract(*pair), threshold) for pair in ((rgb, smooth), (smooth, rgb)))
-    return np.asarray(cv2.add(cv2.subtract(rgb, more), less), dtype=np.uint8)
+    red, green, blue = cv2.split(cv2.absdiff(rgb, smooth))
+    kept = (cv2.max(cv2.max(red, green), blue) > _DETAIL_SHARE * edge).view(np.uint8)
+    return np.asarray(cv2.copyTo(rgb, kept, smooth), dtype=np.uint8)

@@ -64,7 +64,7 @@ vec3 emission(vec3 p, vec3 n) {
         for (int i = 0; i < u_lamp_count && !lit; ++i) lit = distance(u_luminaires[i].xyz, p - u_eye) < 1.0;
         // Its own faces and the arm scatter a little to all sides.
         float down = normalize(p - u_eye).z;
-        return lit ? u_street_light * (0.3 + 4.0 * luminaire(down)) : vec3(0.0);
+        return lit ? u_street_light * (1.0 + 4.0 * luminaire(down)) : vec3(0.0);
     }
 #ifdef LEAVES
     // Lit from below by lamps as strong as the town's: brightest on what looks down.
@@ -74,9 +74,16 @@ vec3 emission(vec3 p, vec3 n) {
     return u_albedo[v_material].rgb * pool_light(p - u_eye) * max(n.z, 0.0) / PI;
 #endif
 #ifdef OTHERS
+    if (v_material == M_WOODS) {
+        // Lamps of what lies far away, in one of 50 squares of 9 m.
+        vec2 square = floor(p.xy / 9.0);
+        vec4 luck = fract(sin(dot(square, vec2(12.9898, 78.233))) * vec4(43758.5453, 9137.31, 3517.7, 771.13));
+        bool lamp = luck.x < 0.02 && distance(p.xy, 9.0 * (square + 0.2 + 0.6 * luck.yz)) < 0.7;
+        return lamp ? mix(vec3(1.0, 0.55, 0.25), vec3(0.9, 0.95, 1.0), luck.w) * 6.0 : vec3(0.0);
+    }
     if (v_material >= M_SIGN_RED && v_material <= M_LIT_DIM) {
         // Signs shine back what headlamps throw at them; boxes and dots are to be read; lamps burn out.
-        if (v_material >= M_LAMP_WHITE && v_material <= M_LAMP_RED) return u_albedo[v_material].rgb * 25.0;
+        if (v_material >= M_LAMP_WHITE && v_material <= M_LAMP_RED) return u_albedo[v_material].rgb * 14.0;
         float radiance = v_material <= M_SIGN_GREEN ? 0.012 : v_material == M_LIT_DIM ? 0.02 : 0.06;
         // Boards are dimmed where the town is darker.
         return u_albedo[v_material].rgb * radiance * min(0.25 + 0.09 * u_street_light.g, 1.2);
