@@ -17,7 +17,8 @@ from skope.gen.scene.conditions import Conditions
 _SPREADS_PX: Final = (1.2, 3.0, 7.0, 16.0, 45.0)
 """Standard deviations in an image 1920 pixels wide."""
 _SHARES: Final = np.array([0.010, 0.010, 0.008, 0.0025, 0.0008])
-"""Share of a lamp's light in each, for a glare of 1. Equal shares fall off with the square of the distance."""
+"""Share of a lamp's light in each, for a glare of 1. Equal shares would fall off with the
+square of the distance; these fall off faster beyond 15 pixels."""
 _COLORS: Final = np.array(
     [[1.0, 0.95, 1.1], [1.0, 0.9, 1.25], [1.0, 0.88, 1.35], [1.0, 0.9, 1.2], [1.0, 1.0, 1.0]], dtype=np.float32
 )
