@@ -9,13 +9,13 @@ from typing import Any, Final
 
 import skope
 from skope.camera.calibrate import SiteCalibration
+from skope.camera.fit.fit_camera import CameraEstimate
 from skope.dataset.folder import Dataset, LabelledImage
 from skope.detections import RoadUserDetections
-from skope.eval.camera_fit.fit_camera import CameraEstimate
-from skope.eval.pose.estimate_pose import Poses
-from skope.eval.pose.pose_records import Located
-from skope.eval.tracking.track_list import TrackedRoadUser, Tracks
-from skope.eval.tracking.tracks import Track
+from skope.pose.estimate_pose import Poses
+from skope.pose.pose_records import Located
+from skope.tracking.track_list import TrackedRoadUser, Tracks
+from skope.tracking.tracks import Track
 from skope.traffic.gate_counts import Count
 from skope.traffic.traffic_report import TrafficReport
 

@@ -27,8 +27,8 @@ from skope.dataset.folder import open_dataset, read_image
 from skope.dataset.image_selection import take
 from skope.detector.checkpoint import find_checkpoint, load_weights
 from skope.detector.device import choose_device
-from skope.eval.inference.network_settings import Settings
-from skope.eval.inference.predictor import Predictor
+from skope.detector.network_settings import Settings
+from skope.detector.predictor import Predictor
 from skope.metrics.keypoint_outcomes import Options
 from skope.metrics.pck_precision_recall import score_split
 from skope.metrics.thresholds import IOU_THRESHOLDS

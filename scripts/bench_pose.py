@@ -14,8 +14,8 @@ import numpy as np
 from skope.camera.model import Camera
 from skope.dataset import coco
 from skope.errors import UserError
-from skope.eval.pose import estimate_pose
-from skope.eval.pose.shape_model import fleet_shapes
+from skope.pose import estimate_pose
+from skope.pose.shape_model import fleet_shapes
 
 NOISE = 2.0
 BANDS = ((0, 10), (10, 20), (20, 30), (30, 40), (40, 60))

@@ -37,11 +37,11 @@ from skope.dataset import coco
 from skope.detections import MIN_SCORE, apart, results_of
 from skope.detector.checkpoint import load_weights
 from skope.detector.detect import as_tensor
-from skope.eval.inference.confirmation import WEAK, Confirmation
-from skope.eval.inference.network_settings import Settings
-from skope.eval.inference.predict_footage import found_in
-from skope.eval.inference.predict_job import PredictJob
-from skope.eval.inference.predictor import Predictor
+from skope.detector.network_settings import Settings
+from skope.detector.predictor import Predictor
+from skope.footage.confirmation import WEAK, Confirmation
+from skope.footage.predict_footage import found_in
+from skope.footage.predict_job import PredictJob
 from skope.schema import AnnotationFile, Image, Result
 from skope.terminal.console import Console
 from skope.types import Pixels

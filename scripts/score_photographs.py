@@ -29,9 +29,9 @@ from numpy.typing import NDArray
 from skope import keypoints
 from skope.dataset import coco, image_selection
 from skope.dataset.folder import read_image
+from skope.detector.network_settings import BACKENDS, PRECISIONS, Settings
+from skope.detector.predictor import Predictor
 from skope.errors import UserError
-from skope.eval.inference.network_settings import BACKENDS, PRECISIONS, Settings
-from skope.eval.inference.predictor import Predictor
 from skope.files import safe_names
 from skope.files.json_files import read_json, write_json
 from skope.files.output_folders import claim_output

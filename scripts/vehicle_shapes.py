@@ -1,5 +1,5 @@
 """Work out the fleet's shape space for `skope eval pose`: of each body type the mean and principal directions of its
-33 keypoints and its dimensions. Writes skope/eval/pose/vehicle_shapes.json; takes two minutes. Run after the fleet
+33 keypoints and its dimensions. Writes skope/pose/vehicle_shapes.json; takes two minutes. Run after the fleet
 changes:
 
     python scripts/vehicle_shapes.py

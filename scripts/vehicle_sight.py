@@ -1,5 +1,5 @@
 """Work out from where each keypoint of a vehicle is seen past the vehicle's own body, for `skope eval pose`. Writes
-skope/eval/pose/keypoint_visibility.json; takes a minute. Run after the fleet changes:
+skope/pose/keypoint_visibility.json; takes a minute. Run after the fleet changes:
 
     python scripts/vehicle_sight.py
 

@@ -17,11 +17,11 @@ from skope.detections import Detections
 from skope.detector.checkpoint import load_weights
 from skope.detector.detect import detect
 from skope.errors import UserError
-from skope.eval.pose.pose_records import records
+from skope.pose.pose_records import records
 from skope.schema import Result, RoadUserResult
 from tests import hostile, road_users
-from tests.eval.sightings import CAMERA, drive
 from tests.samples import make_dataset
+from tests.sightings import CAMERA, drive
 
 
 @pytest.fixture(scope="module")

@@ -21,7 +21,7 @@ from typer.testing import CliRunner
 import skope as package
 from skope import cli, schema
 from skope.detector.backbones import BACKBONES
-from skope.eval.inference.network_settings import BACKENDS, PRECISIONS, TILES
+from skope.detector.network_settings import BACKENDS, PRECISIONS, TILES
 from skope.gen.formats.convert import READERS, WRITERS
 from skope.gen.labels.ignore_rules import OCCLUSION_RULES
 from skope.gen.labels.localize import LOCALIZERS

@@ -22,7 +22,7 @@ PROGRAM: Final = re.compile(
 )
 NOT_RUN: Final = {
     r"make |pip |uv |docker ": "set skope up, which has to be done before any test; CI begins with `make lint test`",
-    r"skope eval site ": "serves until it is stopped: tests/eval/site_page",
+    r"skope eval site ": "serves until it is stopped: tests/site/page",
     r"pytest |\.venv/bin/": "are how tests are run",
     r"python scripts/": "test_scripts.py runs every script",
     r"torchrun ": "several processes: train/test_distributed.py",
@@ -36,7 +36,7 @@ NOT_RUN: Final = {
     r"skope gen (convert (DATASET|SOURCE)|merge A )": "name what a reader puts there",
     r".*(skope3d|data/published|data/both)": "need the files of others: tests/gen/formats",
     r".* --scheme apollo24": "take results with other keypoints: test_keypoints.py has the maps",
-    r".* --backend torch --precision float32": "eval/inference/backends tests hold it against the others",
+    r".* --backend torch --precision float32": "footage/backends tests hold it against the others",
     r".*(\bnight\.toml|--data synthetic)": "name a reader's own files: tests/train",
     r"skope eval camera seen": "needs more footage than is drawn here: eval/test_guide.py",
     r"skope gen (vehicles (add|remove) |--vehicles )tow_truck": "name a reader's model; the example's is run",

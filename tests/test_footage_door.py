@@ -15,7 +15,7 @@ from skope.camera.model import Camera
 from skope.dataset import coco
 from skope.detections import Detections
 from skope.schema import AnnotationFile
-from tests.eval.sightings import drive
+from tests.sightings import drive
 from tests.train.conftest import shrink
 
 CAMERA = Camera.looking([3, -2, 7], yaw=0.4, pitch_down=0.26, size=(640, 360))
@@ -68,8 +68,8 @@ def detector(random_weights: Path) -> Iterator[door.Detector]:
 
     with pytest.MonkeyPatch.context() as patch:
         shrink(patch)
-        patch.setattr("skope.eval.inference.predictor.detect", detect)
-        patch.setattr("skope.eval.inference.network_settings.FASTEST", "torch")
+        patch.setattr("skope.detector.predictor.detect", detect)
+        patch.setattr("skope.detector.network_settings.FASTEST", "torch")
         yield door.load_detector(random_weights, device="cpu")
 
 

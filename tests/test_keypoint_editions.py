@@ -15,15 +15,15 @@ from skope.detector import weights
 from skope.detector.build import DetectorConfig
 from skope.detector.checkpoint import read_checkpoint
 from skope.errors import UserError
-from skope.eval.pose.estimate_pose import locate
-from skope.eval.pose.keypoint_views import read_scene
-from skope.eval.pose.shape_model import fleet_shapes
 from skope.files.json_files import read_json, write_json
 from skope.keypoints import SKOPE33, scheme_of
+from skope.pose.estimate_pose import locate
+from skope.pose.keypoint_views import read_scene
+from skope.pose.shape_model import fleet_shapes
 from skope.schema import AnnotationFile, Result
 from tests import hostile
-from tests.eval.sightings import CAMERA, scene
 from tests.samples import make_annotation, make_dataset, make_image
+from tests.sightings import CAMERA, scene
 
 FIRST = scheme_of("skope33", 1)
 

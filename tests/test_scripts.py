@@ -28,8 +28,8 @@ from skope.errors import UserError
 from skope.schema import AnnotationFile, Result
 from skope.train.recipe import choose_recipe
 from tests.eval.cli.test_footage import numbered_video
-from tests.eval.sightings import drive
 from tests.samples import make_dataset, make_image
+from tests.sightings import drive
 from tests.train.conftest import shrink
 
 ROOT: Final = Path(__file__).parents[1]

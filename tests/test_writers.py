@@ -22,14 +22,14 @@ from skope import cli
 from skope.dataset import coco
 from skope.detector.build import DetectorConfig, build
 from skope.detector.checkpoint import checkpoint_bytes, checkpoint_name, save_weights
-from skope.eval.inference.network_settings import Settings
-from skope.eval.inference.predictor import Predictor
+from skope.detector.network_settings import Settings
+from skope.detector.predictor import Predictor
 from skope.terminal.console import Console
 from tests import hostile
-from tests.eval.sightings import drive
 from tests.eval.test_evaluate import POINTS, scene
 from tests.gen.vehicles.test_marked_models import nodes, written
 from tests.samples import make_annotation, make_dataset
+from tests.sightings import drive
 from tests.train.conftest import shrink
 
 DOCS = Path(__file__).parent.parent / "docs/files.md"
@@ -230,7 +230,7 @@ READERS = {
     "eval compare",
 }
 """Commands that write nothing, or only with a flag that has a row above; what `remove` takes away is tested in
-tests/gen/vehicles/test_user_models.py, what the page of `site` saves in tests/eval/site_page."""
+tests/gen/vehicles/test_user_models.py, what the page of `site` saves in tests/site/page."""
 
 
 def commands(command: Any, name: str = "") -> Iterator[str]:

@@ -23,17 +23,17 @@ from pathlib import Path
 
 import numpy as np
 
+from skope.camera.fit.camera_doubts import sigma_of_ways, why_not
+from skope.camera.fit.camera_unknowns import FOCAL, HEIGHT, PITCH, on_road
+from skope.camera.fit.fit_camera import fit_camera_to_vehicles
+from skope.camera.fit.vehicle_sample import sample_vehicles
 from skope.camera.model import Camera
 from skope.dataset import coco
 from skope.dataset.image_selection import part
 from skope.errors import UserError
-from skope.eval.camera_fit.camera_doubts import sigma_of_ways, why_not
-from skope.eval.camera_fit.camera_unknowns import FOCAL, HEIGHT, PITCH, on_road
-from skope.eval.camera_fit.fit_camera import fit_camera_to_vehicles
-from skope.eval.camera_fit.vehicle_sample import sample_vehicles
-from skope.eval.inference.confirmation import Confirmation
-from skope.eval.pose.keypoint_views import Scene
+from skope.footage.confirmation import Confirmation
 from skope.keypoints import FLIP, OTHER_END
+from skope.pose.keypoint_views import Scene
 from skope.schema import AnnotationFile, Result
 from skope.types import Array
 

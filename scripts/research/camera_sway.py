@@ -23,18 +23,18 @@ import cv2
 import numpy as np
 
 from skope.camera.model import Camera
+from skope.camera.motion.camera_motion import MOTION, turned_camera
+from skope.camera.motion.camera_shake import SwayWatch, record_of
+from skope.camera.motion.view_changes import Looks
 from skope.camera.uncertain_camera import PLACE_SHARE, radius_of
 from skope.dataset import coco
 from skope.dataset.folder import CHANGES, read_image
-from skope.eval.inference.camera_sway import SwayWatch, record_of
-from skope.eval.inference.view_changes import Looks
-from skope.eval.pose.camera_error import with_camera_error
-from skope.eval.pose.camera_motion import MOTION, turned_camera
-from skope.eval.pose.keypoint_views import Scene, read_scene
-from skope.eval.pose.pose_records import locate_view
-from skope.eval.tracking.tracker_inputs import detections_of
-from skope.eval.tracking.vehicle_tracker import follow
+from skope.pose.camera_error import with_camera_error
+from skope.pose.keypoint_views import Scene, read_scene
+from skope.pose.pose_records import locate_view
 from skope.schema import Annotation, AnnotationFile, Image
+from skope.tracking.tracker_inputs import detections_of
+from skope.tracking.vehicle_tracker import follow
 from skope.types import Array
 
 SIZE = (640, 360)

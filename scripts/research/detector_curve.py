@@ -29,11 +29,11 @@ from track_rates import Row, measure
 from video_modes import Counts, count
 
 from skope.dataset import coco
-from skope.eval.inference.network_settings import Settings
-from skope.eval.inference.predict_footage import Prediction
-from skope.eval.inference.predict_job import PredictJob, claim
-from skope.eval.inference.predictor import Predictor
+from skope.detector.network_settings import Settings
+from skope.detector.predictor import Predictor
 from skope.files.json_files import read_json, write_json
+from skope.footage.predict_footage import Prediction
+from skope.footage.predict_job import PredictJob, claim
 from skope.terminal.console import Console
 from skope.video.footage import open_footage
 

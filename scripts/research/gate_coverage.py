@@ -33,13 +33,13 @@ from traffic_truth import read_truth
 
 from skope.dataset import coco
 from skope.errors import UserError
-from skope.eval.tracking.image_trajectories import read_image_trajectories
 from skope.files.atomic import write_text
 from skope.files.json_files import read_json, write_json
 from skope.schema import VEHICLE
 from skope.site.gates_zones_lanes import Gate
 from skope.site.site_file import SiteFile, read_site
 from skope.site.traffic_settings import OF_VEHICLES
+from skope.tracking.image_trajectories import read_image_trajectories
 from skope.tracks.csv_file import TRACKS_CSV, read_tracks
 from skope.traffic.counting_intervals import ClockInterval
 from skope.traffic.event_probability import crossing_doubts, usual_step

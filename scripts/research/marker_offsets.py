@@ -19,8 +19,8 @@ import numpy as np
 from skope import keypoints
 from skope.camera.model import Camera
 from skope.dataset import coco
-from skope.eval.pose.estimate_pose import Poses, locate
-from skope.eval.pose.shape_model import Shapes, fleet_shapes, read_shapes
+from skope.pose.estimate_pose import Poses, locate
+from skope.pose.shape_model import Shapes, fleet_shapes, read_shapes
 from skope.schema import Annotation, Image
 from skope.types import Array
 

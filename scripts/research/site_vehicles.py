@@ -28,15 +28,15 @@ from site_calibration import (
 from skope import keypoints
 from skope.camera.calibrate import calibrate
 from skope.camera.evidence import UNEVEN_M, Evidence
+from skope.camera.fit.bundle_adjustment import VehicleViews
+from skope.camera.fit.camera_doubts import why_not
+from skope.camera.fit.camera_unknowns import UNKNOWN_NAMES
+from skope.camera.fit.fit_camera import fit_camera_to_vehicles
 from skope.camera.model import Camera
 from skope.camera.uncertain_camera import UncertainCamera
 from skope.errors import UserError
-from skope.eval.camera_fit.bundle_adjustment import VehicleViews
-from skope.eval.camera_fit.camera_doubts import why_not
-from skope.eval.camera_fit.camera_unknowns import UNKNOWN_NAMES
-from skope.eval.camera_fit.fit_camera import fit_camera_to_vehicles
-from skope.eval.pose.self_occlusion import facing
-from skope.eval.pose.shape_model import Shapes, fleet_shapes
+from skope.pose.self_occlusion import facing
+from skope.pose.shape_model import Shapes, fleet_shapes
 from skope.types import Array
 
 PARTS = ("6 points", "lengths and parallel lines", "vehicles", "together")

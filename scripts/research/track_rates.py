@@ -27,7 +27,7 @@ import numpy as np
 
 from skope import boxes
 from skope.dataset import coco
-from skope.eval.pose.keypoint_views import MATCH_IOU
+from skope.pose.keypoint_views import MATCH_IOU
 from skope.schema import Annotation, AnnotationFile, Result
 
 NOISE_PX = 2.0

@@ -16,7 +16,6 @@ from typing import Any, Final
 import numpy as np
 
 from skope.errors import UserError
-from skope.eval.tracking.vehicle_classes import OF_BODY_TYPE
 from skope.files.atomic import replacing
 from skope.gen.bystanders import bystander
 from skope.gen.bystanders.bystander import CATEGORY_OF
@@ -29,6 +28,7 @@ from skope.gen.scene.road_user_bodies import vehicle_body
 from skope.gen.simulation.simulate import simulate
 from skope.schema import VEHICLE
 from skope.site.gates_zones_lanes import Gate
+from skope.tracking.vehicle_classes import OF_BODY_TYPE
 from skope.tracks.track import Track
 from skope.traffic.gates import signed_distances
 from skope.types import Array

@@ -13,8 +13,8 @@ from skope.errors import UserError
 
 if TYPE_CHECKING:
     from skope.camera.calibrate import SiteCalibration
+    from skope.camera.fit.fit_camera import CameraEstimate
     from skope.camera.uncertain_camera import UncertainCamera
-    from skope.eval.camera_fit.fit_camera import CameraEstimate
 
 
 def calibrate_camera(
@@ -36,7 +36,7 @@ def calibrate_camera(
     """
     from skope.camera.calibrate import calibrate
     from skope.camera.evidence import Evidence, marked_points
-    from skope.eval.camera_fit.camera_from_marks import evidence_of
+    from skope.camera.fit.camera_from_marks import evidence_of
 
     if size is not None:
         for side in size:
@@ -64,9 +64,9 @@ def save_camera(path: str | Path, camera: "Camera | UncertainCamera | CameraEsti
     Raises:
         UserError: The file cannot be written, or holds something else.
     """
+    from skope.camera.fit.camera_unknowns import UNKNOWN_NAMES
+    from skope.camera.fit.write_camera import write_camera
     from skope.camera.uncertain_camera import UncertainCamera
-    from skope.eval.camera_fit.camera_unknowns import UNKNOWN_NAMES
-    from skope.eval.camera_fit.write_camera import write_camera
 
     if isinstance(camera, Camera):
         bare, known = camera, {}

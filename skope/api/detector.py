@@ -17,7 +17,7 @@ from skope.types import Pixels
 
 if TYPE_CHECKING:
     from skope.detections import Detections
-    from skope.eval.inference.predictor import Predictor
+    from skope.detector.predictor import Predictor
 
 
 class Detector:
@@ -155,8 +155,8 @@ def load_detector(
     Raises:
         UserError: There is no such checkpoint, it is damaged, or there is no such device.
     """
-    from skope.eval.inference.network_settings import BACKENDS, PRECISIONS, TILES, Settings
-    from skope.eval.inference.predictor import Predictor
+    from skope.detector.network_settings import BACKENDS, PRECISIONS, TILES, Settings
+    from skope.detector.predictor import Predictor
     from skope.terminal.console import Console
 
     one_of("backend", backend, BACKENDS)

@@ -21,11 +21,11 @@ from skope.schema import AnyResult, Image
 from skope.types import Pixels
 
 if TYPE_CHECKING:
-    from skope.eval.camera_fit.fit_camera import CameraEstimate
-    from skope.eval.inference.predict_job import PredictJob
-    from skope.eval.inference.predictor import Predictor
-    from skope.eval.pose.keypoint_views import Scene
-    from skope.eval.tracking.track_list import TrackedRoadUser, Tracks
+    from skope.camera.fit.fit_camera import CameraEstimate
+    from skope.detector.predictor import Predictor
+    from skope.footage.predict_job import PredictJob
+    from skope.pose.keypoint_views import Scene
+    from skope.tracking.track_list import TrackedRoadUser, Tracks
     from skope.video.footage import Footage
 
 RoadHeight = float | Literal["auto", "fit"] | None
@@ -95,7 +95,7 @@ class Video:
 
     def _with_detections(self) -> Iterator[VideoFrame]:
         """The frames as they come."""
-        from skope.eval.inference.predict_footage import found_in
+        from skope.footage.predict_footage import found_in
 
         pictures = _Pictures()
         found_in_each = found_in(self._job, self._predictor.reporting(self._job.score), watched=[pictures])
@@ -154,8 +154,9 @@ class Video:
 
     @cached_property
     def _tracks(self) -> "Tracks":
-        from skope.eval.camera_fit.fit_ground import with_fitted_ground
-        from skope.eval.tracking.track_footage import (
+        from skope.camera.fit.fit_ground import with_fitted_ground
+        from skope.terminal.console import SilentConsole
+        from skope.tracking.track_footage import (
             TrackJob,
             begins_of,
             followed,
@@ -163,8 +164,7 @@ class Video:
             poses_kept,
             times_of,
         )
-        from skope.eval.tracking.track_list import Tracks
-        from skope.terminal.console import SilentConsole
+        from skope.tracking.track_list import Tracks
 
         score = self._job.score
         scene = self._scene(0.0 if isinstance(self._ground, str) else self._ground)
@@ -210,7 +210,7 @@ class Video:
         Raises:
             UserError: The vehicles do not tell the camera, and why; or an argument is out of range.
         """
-        from skope.eval.camera_fit.write_camera import camera_of_vehicles
+        from skope.camera.fit.write_camera import camera_of_vehicles
 
         for name, value, most in (("height_m", height_m, 200.0), ("fov_deg", fov_deg, 170.0)):
             if value is not None:
@@ -219,14 +219,14 @@ class Video:
         return camera_of_vehicles(self._scene(None), max_vehicles, height=height_m, fov_deg=fov_deg).estimate
 
     def _scene(self, ground: float | None) -> "Scene":
-        from skope.eval.pose.keypoint_views import read_scene
+        from skope.pose.keypoint_views import read_scene
 
         return read_scene(Path(self._results.name), None, None, None, ground)
 
     @cached_property
     def _results(self) -> "TemporaryDirectory[str]":
         """The folder with predictions and frames of the whole video, as `skope eval predict` writes them."""
-        from skope.eval.inference.predict_footage import Prediction
+        from skope.footage.predict_footage import Prediction
         from skope.terminal.console import SilentConsole
 
         if self._footage.live:
@@ -280,8 +280,8 @@ def open_video(
             own times, if any.
     """
     from skope.dataset.camera_of_file import fitted_camera, read_camera
-    from skope.eval.inference.predict_job import PredictJob
-    from skope.eval.pose.camera_error import camera_info
+    from skope.footage.predict_job import PredictJob
+    from skope.pose.camera_error import camera_info
     from skope.video.footage import Cut, open_footage
 
     in_range("score", score, 0.0, 1.0)

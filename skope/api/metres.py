@@ -11,8 +11,8 @@ from skope.errors import UserError
 
 if TYPE_CHECKING:
     from skope.detections import Detections
-    from skope.eval.pose.pose_records import Located
-    from skope.eval.tracking.track_list import Tracks
+    from skope.pose.pose_records import Located
+    from skope.tracking.track_list import Tracks
 
 
 def read_camera(path: str | Path) -> Camera:
@@ -58,10 +58,10 @@ def locate(detections: "Detections", camera: Camera, *, ground: float | None = 0
     """
     from skope.camera.ground_plane import Ground
     from skope.dataset.camera_of_file import sized
-    from skope.eval.pose.estimate_pose import locate as solve
-    from skope.eval.pose.keypoint_views import view_of
-    from skope.eval.pose.pose_records import INTERPOLATED, Located
-    from skope.eval.pose.shape_model import fleet_shapes
+    from skope.pose.estimate_pose import locate as solve
+    from skope.pose.keypoint_views import view_of
+    from skope.pose.pose_records import INTERPOLATED, Located
+    from skope.pose.shape_model import fleet_shapes
 
     own = sized(camera, detections.size, "image")
     view = view_of(detections)
@@ -88,9 +88,9 @@ def track(frames: "Iterable[Located]", times_s: Sequence[float]) -> "Tracks":
     Raises:
         ValueError: The times do not rise.
     """
-    from skope.eval.tracking.track_list import Tracks
-    from skope.eval.tracking.tracker_inputs import detections_of
-    from skope.eval.tracking.vehicle_tracker import follow
+    from skope.tracking.track_list import Tracks
+    from skope.tracking.tracker_inputs import detections_of
+    from skope.tracking.vehicle_tracker import follow
     from skope.tracks.csv_file import as_written
     from skope.traffic.observation import Observation
 

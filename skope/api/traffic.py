@@ -61,8 +61,8 @@ def measure_traffic(
         UserError: A file is missing or wrong, recordings overlap in time, or it is not known when one began.
         ValueError: `tracks` are folders and tracks.
     """
-    from skope.eval.tracking.track_list import Tracks
     from skope.site.site_file import SiteFile
+    from skope.tracking.track_list import Tracks
     from skope.tracks.csv_file import as_written
     from skope.traffic.counting_intervals import local_start
     from skope.traffic.gates import gates_on_road

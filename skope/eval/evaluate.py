@@ -11,9 +11,9 @@ from skope.dataset import coco, shards
 from skope.dataset.folder import read_image
 from skope.dataset.image_selection import take
 from skope.detections import apart
+from skope.detector.network_settings import Settings
 from skope.errors import UserError
 from skope.eval import report
-from skope.eval.inference.network_settings import Settings
 from skope.eval.report import table
 from skope.files.atomic import write_text
 from skope.files.json_files import write_json
@@ -28,7 +28,7 @@ from skope.schema import CATEGORIES, VEHICLE_ALONE, AnnotationFile, AnyResult, R
 from skope.terminal.console import Console, counted
 
 if TYPE_CHECKING:
-    from skope.eval.inference.predictor import Predictor
+    from skope.detector.predictor import Predictor
 
 REPORT: Final = "report.html"
 OVERLAY_COUNT: Final = 4
@@ -139,7 +139,7 @@ def _check_images(splits: Sequence[AnnotationFile], root: Path) -> None:
 
 def _predictor(job: EvalJob, console: Console) -> "Predictor":
     """The checkpoint on its device, whose keypoints are those of the ground truth."""
-    from skope.eval.inference.predictor import Predictor  # torch
+    from skope.detector.predictor import Predictor  # torch
 
     assert job.checkpoint is not None
     sizes = {(image.width, image.height) for file in job.truth.splits for image in file.images}

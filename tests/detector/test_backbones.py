@@ -18,11 +18,11 @@ from torchvision.ops import FrozenBatchNorm2d
 from skope.detector import int8_ranges
 from skope.detector.backbone_norms import multiply_in
 from skope.detector.backbones import with_pyramid
+from skope.detector.backends import bfloat16, eight_bits
 from skope.detector.build import DetectorConfig, build
 from skope.detector.checkpoint import checkpoint_bytes, load_weights, save_weights
 from skope.detector.detect import detect_on_boxes
 from skope.errors import UserError
-from skope.eval.inference.backends import bfloat16, eight_bits
 from skope.terminal.console import Console
 from skope.train.export import export
 from skope.train.fold_batchnorm import fold_norms
@@ -214,7 +214,7 @@ def ranges(model: KeypointRCNN) -> dict[str, Any]:
 _BY_RUNTIMES = """
 import sys
 import torch
-from skope.eval.inference.backends.prepare import prepare
+from skope.detector.backends.prepare import prepare
 from skope.terminal.console import Console
 from tests.detector.test_backbones import alike, logits, network, ranges
 expected, quiet = logits(network(sys.argv[1])), Console(quiet=True)

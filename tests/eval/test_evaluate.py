@@ -12,7 +12,7 @@ from skope.dataset import coco
 from skope.errors import UserError
 from skope.files.output_folders import WORK, claim_output, move_new, replaceable_output, write_new
 from skope.schema import AnnotationFile, Result
-from tests.eval.conftest import files_of
+from tests.conftest import files_of
 from tests.samples import make_annotation, make_image
 
 

@@ -16,9 +16,9 @@ from skope import boxes as box_math
 from skope.boxes import xywh_to_xyxy
 from skope.dataset import coco
 from skope.detections import apart
+from skope.detector import fit_score_calibration
 from skope.detector.checkpoint import read_checkpoint
-from skope.eval.inference import fit_score_calibration
-from skope.eval.inference.anonymize import blurred
+from skope.footage.anonymize import blurred
 from skope.metrics.road_users import box_outcomes
 from skope.schema import CATEGORIES, Annotation, AnnotationFile, Image, Result, RoadUser, RoadUserResult
 from tests import road_users, samples

@@ -12,9 +12,9 @@ from skope.camera.model import Camera
 from skope.dataset.folder import read_image
 from skope.detections import detections_of_results
 from skope.errors import UserError
-from skope.eval.tracking.track_list import Tracks
 from skope.pictures import draw
 from skope.schema import Annotation, Result
+from skope.tracking.track_list import Tracks
 from skope.traffic.observation import Observation
 from tests.samples import make_annotation
 

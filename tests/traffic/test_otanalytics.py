@@ -27,7 +27,7 @@ from skope.traffic.measure import measure
 from skope.traffic.observation import Observation
 from skope.traffic.otc_classes import OTC_CLASSES
 from skope.traffic.traffic_report import TrafficReport
-from tests.eval.sightings import CAMERA
+from tests.sightings import CAMERA
 from tests.traffic.drives import along_x, drive, straight, watched
 from tests.traffic.test_traffic_command import followed, site_of, tracks  # noqa: F401
 

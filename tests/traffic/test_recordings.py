@@ -25,7 +25,7 @@ from skope.tracks.track import Track
 from skope.traffic.observation import FOOTAGE, Observation, held_s
 from skope.traffic.recording_begin import begin_in_name
 from skope.traffic.report_tables import report_tables
-from tests.eval.sightings import drive
+from tests.sightings import drive
 from tests.traffic.drives import straight
 
 Skope = Callable[..., tuple[int, str, str]]

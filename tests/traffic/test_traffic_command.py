@@ -19,21 +19,21 @@ import skope as door
 from skope import cli
 from skope.dataset import coco
 from skope.errors import UserError
-from skope.eval.tracking.track_errors import with_body_error
-from skope.eval.tracking.track_list import Tracks
-from skope.eval.tracking.vehicle_tracker import follow
 from skope.files.json_files import write_json
 from skope.schema import AnnotationFile, Result, RoadUserResult
 from skope.site.site_file import parse_site, read_site
 from skope.site.traffic_settings import TrafficSettings
 from skope.site.write_site import save_site
+from skope.tracking.track_errors import with_body_error
+from skope.tracking.track_list import Tracks
+from skope.tracking.vehicle_tracker import follow
 from skope.tracks.csv_file import TRACKS_CSV, read_tracks, write_tracks
 from skope.traffic.measure import measure
 from skope.traffic.observation import FOOTAGE, Observation
 from skope.traffic.report_tables import report_tables
 from skope.video.write import write_video
 from tests.eval.cli.test_footage import numbered_video
-from tests.eval.sightings import CAMERA, drive
+from tests.sightings import CAMERA, drive
 from tests.traffic.drives import straight
 
 Skope = Callable[..., tuple[int, str, str]]
@@ -293,7 +293,7 @@ def test_gates_in_the_image_are_drawn_on_the_empty_road_if_the_footage_is_there(
 
 def test_memory_folder_and_read_back_tracks_give_one_report(tracks: AnnotationFile) -> None:
     """To the last digit: every table, and every number of every row."""
-    from tests.eval.tracking.test_vehicle_tracker import seen, straight
+    from tests.tracking.test_vehicle_tracker import seen, straight
 
     times = (np.arange(60) / 10).tolist()
     drives = [straight(9.0 + k / 7, 3.1 * k) for k in range(4)]
@@ -357,7 +357,7 @@ def test_footage_is_detected_and_tracked_first_and_once(
     def never(*_: object) -> None:
         raise AssertionError("detected again")
 
-    monkeypatch.setattr("skope.eval.inference.predict_footage.predict", never)
+    monkeypatch.setattr("skope.footage.predict_footage.predict", never)
     Path("r/summary.json").unlink()
     code, out, _ = skope(*call)
     assert (code, "has the tracks of" in out) == (0, True)
@@ -376,7 +376,7 @@ def test_a_site_without_gates_is_warned_of_before_minutes_are_spent(
     def stop(*_: object) -> None:
         raise UserError("detects now")
 
-    monkeypatch.setattr("skope.eval.inference.predict_footage.predict", stop)
+    monkeypatch.setattr("skope.footage.predict_footage.predict", stop)
     _, _, err = skope("eval", "traffic", "v.mp4", "--out", "r", "--device", "cpu")
     assert err.index("site.toml: has no gates: nothing will be counted") < err.index("detects now")
 
@@ -410,7 +410,7 @@ def test_footage_is_counted_by_gates_in_the_image_where_there_is_no_camera(
     def never(*_: object) -> None:
         raise AssertionError("detected again")
 
-    monkeypatch.setattr("skope.eval.inference.predict_footage.predict", never)
+    monkeypatch.setattr("skope.footage.predict_footage.predict", never)
     made = Path("r/counts.csv").read_bytes()
     frames = json.loads(Path("r/seen/frames.json").read_text())
     frames["info"]["skipped"] = ["v.mp4: frame 5 of 8 cannot be decoded"]

@@ -12,7 +12,7 @@ from skope.errors import UserError
 from skope.video import container, live
 from skope.video.footage import Cut, open_footage
 from skope.video.live import CameraClock
-from tests.eval.inference import streams
+from tests.footage import streams
 
 FPS = 10.0
 

@@ -41,7 +41,7 @@ def calibrate_scores(
 
     (`skope eval camera` finds a camera's focal length and tilt.)
     """
-    from skope.eval.inference.fit_score_calibration import CalibrationJob, fit_calibration
+    from skope.detector.fit_score_calibration import CalibrationJob, fit_calibration
 
     check_probability("--score", score)
     job = CalibrationJob(

@@ -62,8 +62,8 @@ def find_camera(
     out: Annotated[Path, output(metavar=FILE_METAVAR, help="Camera file to write.")] = CAMERA_FILE,
 ) -> None:
     """Calibrate a camera: focal length, height and tilt from vehicles on a level road, or all from marked points."""
-    from skope.eval.camera_fit.camera_from_marks import camera_from_marks
-    from skope.eval.camera_fit.write_camera import from_vehicles, known_length
+    from skope.camera.fit.camera_from_marks import camera_from_marks
+    from skope.camera.fit.write_camera import from_vehicles, known_length
 
     check_probability("--score", score)
     check_pixels("--noise", noise)
@@ -113,7 +113,7 @@ def _refitted(
     size: str | None,
     out: Path,
 ) -> Iterator[str]:
-    from skope.eval.inference import refit_camera
+    from skope.camera.fit import refit_camera
 
     if keypoints.folder or keypoints.annotations or keypoints.predictions:
         raise UserError("--refit stands alone: no folder, --annotations or --predictions with it")
@@ -126,9 +126,9 @@ def _picture(folder: Path, edition: int | None, camera: Path, console: Console) 
     """A picture of what the camera says, beside its file; None where the footage is not at hand."""
     import cv2
 
-    from skope.eval.pose.keypoint_views import read_scene
-    from skope.eval.tracking.camera_picture import draw_camera_picture
     from skope.files.output_folders import write_new
+    from skope.pose.keypoint_views import read_scene
+    from skope.tracking.camera_picture import draw_camera_picture
 
     path = camera.with_suffix(".jpg")
     try:

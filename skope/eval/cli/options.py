@@ -3,11 +3,11 @@
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any
 
-from skope.eval.inference.network_settings import BACKENDS, PRECISIONS
+from skope.detector.network_settings import BACKENDS, PRECISIONS
 from skope.terminal.command_options import panel
 
 if TYPE_CHECKING:
-    from skope.eval.inference.network_settings import Settings
+    from skope.detector.network_settings import Settings
 
 data_option, counts, output, machine = map(panel, ("Data", "What counts", "Output", "Machine"))
 
@@ -47,7 +47,7 @@ class MachineOptions:
 
     def settings(self, **others: Any) -> "Settings":
         """The settings of inference; `others` are further ones of its fields."""
-        from skope.eval.inference.network_settings import Settings
+        from skope.detector.network_settings import Settings
 
         names = ("device", "backend", "precision", "min_size", "batch_size")
         return Settings(**{name: getattr(self, name) for name in names}, **others)

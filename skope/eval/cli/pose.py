@@ -19,7 +19,7 @@ def pose(
     out: OutOption = POSES,
 ) -> None:
     """Position, heading and size of each vehicle in metres; with a ground truth, also how far off they are."""
-    from skope.eval.pose.pose_footage import PoseJob, locate_footage
+    from skope.pose.pose_footage import PoseJob, locate_footage
 
     levels = numbers_of("--noise", noise)
     scene = options.scene(*levels, console=console)

@@ -8,11 +8,11 @@ from typing import Annotated
 import typer
 
 from skope.detector import weights
+from skope.detector.network_settings import TILES
 from skope.errors import UserError
 from skope.eval.cli.checks import check_probability
 from skope.eval.cli.options import FastMachineOptions, counts, data_option, output
 from skope.eval.cli.scene_options import CameraOption
-from skope.eval.inference.network_settings import TILES
 from skope.terminal.command_options import DIR, PREDICTED
 from skope.terminal.console import Console
 
@@ -92,9 +92,9 @@ def predict(
             if scaled:
                 console.result(scaled)
 
-    from skope.eval.inference.predict_footage import predict
-    from skope.eval.inference.predict_job import PredictJob
-    from skope.eval.pose.camera_error import camera_info
+    from skope.footage.predict_footage import predict
+    from skope.footage.predict_job import PredictJob
+    from skope.pose.camera_error import camera_info
 
     job = PredictJob(
         footage=footage,

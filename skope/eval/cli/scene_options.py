@@ -16,7 +16,7 @@ from skope.terminal.command_options import DIR, FILE_METAVAR
 from skope.terminal.console import Console
 
 if TYPE_CHECKING:
-    from skope.eval.pose.keypoint_views import Scene
+    from skope.pose.keypoint_views import Scene
 
 _FITTED = ("auto", "fit")
 _HIGHEST_M = 10_000.0
@@ -72,7 +72,7 @@ class KeypointOptions:
 
         Warns where results do not say by which edition of their definition they are marked.
         """
-        from skope.eval.pose.keypoint_views import read_scene
+        from skope.pose.keypoint_views import read_scene
 
         where = (self.folder, self.annotations, self.predictions, camera)
         scene = read_scene(*where, ground, self.keypoint_edition)
@@ -105,9 +105,9 @@ class SceneOptions(KeypointOptions):
 
         `noise` are the levels that will be added, of which the first one counts here.
         """
+        from skope.camera.fit.fit_ground import with_fitted_ground
+        from skope.camera.fit.write_camera import doubt
         from skope.dataset.camera_of_file import fitted_camera
-        from skope.eval.camera_fit.fit_ground import with_fitted_ground
-        from skope.eval.camera_fit.write_camera import doubt
 
         check_probability("--score", self.score)
         check_pixels("--noise", *noise)

@@ -36,10 +36,10 @@ def site(
 
     Nothing leaves this machine, and nothing is written before you save.
     """
-    from skope.eval.camera_fit.camera_from_marks import image_size
-    from skope.eval.site_page.frames import SiteFrames
-    from skope.eval.site_page.loaded_files import POINT_FILES, loaded
-    from skope.eval.site_page.site_server import serve_site
+    from skope.camera.fit.camera_from_marks import image_size
+    from skope.site.page.frames import SiteFrames
+    from skope.site.page.loaded_files import POINT_FILES, loaded
+    from skope.site.page.site_server import serve_site
 
     if footage is not None and size is not None:
         raise UserError("--size: is for an empty canvas; the footage has its own")

@@ -31,7 +31,7 @@ def track(
     out: OutOption = DEFAULT_TRACKS,
 ) -> None:
     """Follow vehicles through footage: tracks in metres with speeds, as CSV, MOTChallenge and SUMO's FCD."""
-    from skope.eval.tracking.track_footage import TrackJob, follow_footage
+    from skope.tracking.track_footage import TrackJob, follow_footage
     from skope.traffic.observation import read_begins
 
     if fps is not None and not 0.001 <= fps <= 1000:

@@ -111,8 +111,8 @@ def detected_footage(
     Raises:
         UserError: The footage cannot be read, or `out` holds other work.
     """
-    from skope.eval.inference.predict_footage import predict
-    from skope.eval.inference.predict_job import PROGRESS_FILE, PredictJob, content_of
+    from skope.footage.predict_footage import predict
+    from skope.footage.predict_job import PROGRESS_FILE, PredictJob, content_of
 
     claim_output(out, command, [site.path], {**options, "source": content_of(footage), "checkpoint": str(checkpoint)})
     seen = out / SEEN_NAME
@@ -153,12 +153,12 @@ def tracked_footage(
     Raises:
         UserError: The footage cannot be read, or `out` holds other work.
     """
+    from skope.camera.fit.write_camera import write_camera
     from skope.dataset.camera_of_file import read_camera
-    from skope.eval.camera_fit.write_camera import write_camera
-    from skope.eval.inference.predict_footage import predict
-    from skope.eval.inference.predict_job import PredictJob, content_of
-    from skope.eval.pose.camera_error import camera_info
-    from skope.eval.tracking.track_footage import TrackJob, follow_footage
+    from skope.footage.predict_footage import predict
+    from skope.footage.predict_job import PredictJob, content_of
+    from skope.pose.camera_error import camera_info
+    from skope.tracking.track_footage import TrackJob, follow_footage
     from skope.traffic.observation import FOOTAGE
 
     assert site.camera is not None

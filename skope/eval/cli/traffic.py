@@ -311,8 +311,8 @@ def _counted_in_image(
     """
     from skope.dataset import coco
     from skope.eval.cli.tracked_footage import skipped_lines
-    from skope.eval.tracking.empty_road import empty_road
-    from skope.eval.tracking.image_trajectories import read_image_trajectories
+    from skope.tracking.empty_road import empty_road
+    from skope.tracking.image_trajectories import read_image_trajectories
     from skope.traffic.empty_road_picture import empty_road_picture
     from skope.traffic.exports.formats import checked_formats
     from skope.traffic.gates import gates_in_image

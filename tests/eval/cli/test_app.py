@@ -12,7 +12,7 @@ import pytest
 from skope import keypoints
 from skope.dataset import coco
 from skope.schema import AnnotationFile, Result
-from tests.eval.conftest import files_of
+from tests.conftest import files_of
 from tests.samples import make_annotation, make_dataset, make_image
 
 

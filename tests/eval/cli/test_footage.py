@@ -19,29 +19,29 @@ import pytest
 import sumolib
 from numpy.typing import NDArray
 
+from skope.camera.fit import fit_camera
+from skope.camera.fit.bundle_adjustment import VehicleViews
 from skope.camera.ground_plane import Ground, ground_places
 from skope.camera.model import Camera
+from skope.camera.motion.camera_motion import turned_camera
 from skope.camera.uncertain_camera import UncertainCamera
 from skope.dataset import coco
 from skope.dataset.camera_of_file import read_camera
 from skope.dataset.folder import CHANGES
 from skope.errors import UserError
-from skope.eval.camera_fit import fit_camera
-from skope.eval.camera_fit.bundle_adjustment import VehicleViews
-from skope.eval.inference.anonymize import blurred
-from skope.eval.pose import pose_errors, pose_footage
-from skope.eval.pose.camera_motion import turned_camera
-from skope.eval.pose.keypoint_views import Scene, read_scene
-from skope.eval.pose.shape_model import fleet_shapes
 from skope.files.json_files import write_json
 from skope.files.progress import Progress
+from skope.footage.anonymize import blurred
+from skope.pose import pose_errors, pose_footage
+from skope.pose.keypoint_views import Scene, read_scene
+from skope.pose.shape_model import fleet_shapes
 from skope.schema import Annotation, AnnotationFile, Box3D, Result
 from skope.traffic.observation import read_observation
 from skope.video import live
 from skope.video.footage import Cut, open_footage
-from tests.eval.inference import streams
-from tests.eval.pose.test_estimate_pose import drawn
-from tests.eval.sightings import CAMERA, drive, scene
+from tests.footage import streams
+from tests.pose.test_estimate_pose import drawn
+from tests.sightings import CAMERA, drive, scene
 
 
 def rows_of(path: Path) -> list[dict[str, str]]:
@@ -240,7 +240,7 @@ def test_images_of_every_kind_are_predicted_and_broken_ones_named(skope: Any, ra
 def test_a_stopped_run_goes_on_and_ends_as_if_never_stopped(
     skope: Any, random_run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, stops_after: Any
 ) -> None:
-    from skope.eval.inference.predictor import Predictor
+    from skope.detector.predictor import Predictor
 
     def brightness(self: Predictor, batch: Any) -> Iterator[tuple[Any, list[Result]]]:
         """One result an image, by what its pixels are: a detector that takes no time."""
@@ -266,7 +266,7 @@ def test_a_stopped_run_goes_on_and_ends_as_if_never_stopped(
 def test_stopped_at_any_frame_between_key_frames_it_ends_as_if_never_stopped(
     skope: Any, random_run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from skope.eval.inference.predictor import Predictor
+    from skope.detector.predictor import Predictor
 
     seen: list[int] = []
 

@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from skope.camera.fit.write_camera import write_camera
 from skope.camera.model import Camera
-from skope.eval.camera_fit.write_camera import write_camera
 from skope.files.json_files import write_json
-from tests.eval.inference import streams
+from tests.footage import streams
 
 Skope = Callable[..., tuple[int, str, str]]
 SITE = """time_zone = "Europe/Berlin"
@@ -102,7 +102,7 @@ def test_what_a_killed_run_has_is_written_by_the_same_command(
 ) -> None:
     begun = datetime.now(UTC)
     with monkeypatch.context() as patch:
-        patch.setattr("skope.eval.inference.predict_footage._kept", _killed)
+        patch.setattr("skope.footage.predict_footage._kept", _killed)
         with pytest.raises(SystemError):
             predicted(skope, random_run, "seen", "--end", "3.6", fps=8)
     rows = Path("seen/.predict.jsonl").read_text().splitlines()

@@ -1,0 +1,396 @@
+"""Bundle adjustment with vehicles in place of points: a camera, and vehicles seen from it, worked out at once.
+
+Unknown are
+
+- the camera over the level road z = 0: focal length, tilt, roll, height and the lens's first radial coefficient;
+- where keypoints are found beside where the shape space has them: offsets that all vehicles share, mirrored left and
+  right. Detectors and people mark a corner elsewhere than a model does, always to the same side;
+- of each vehicle its shape, one in all its views;
+- of each view the vehicle's place on the road and its heading.
+
+Keypoints that the vehicle's own body hides do not count (`skope.pose.self_occlusion`), others as Cauchy's
+distribution has it. Levenberg and Marquardt's method takes views, then vehicles, out of the normal equations (Schur's
+complement, Triggs et al. 2000): what is left to solve is as small as the camera and the offsets, and the sum of a part
+for each vehicle, which says how differently single vehicles pull.
+"""
+
+import math
+from dataclasses import dataclass, field, replace
+from typing import Final, Literal, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skope import keypoints
+from skope.camera.fit.camera_unknowns import FOCAL, HEIGHT, UNKNOWN_NAMES, Pictured, by_camera, camera_of_unknowns
+from skope.camera.fit.normal_equations import Linearised, Parts, summed
+from skope.camera.ground_plane import Ground
+from skope.pose import closed_form_starts, robust_loss
+from skope.pose.observations import LEAST_PROBABILITY, observe
+from skope.pose.self_occlusion import facing
+from skope.pose.shape_model import Shapes
+from skope.pose.starts import Starts
+from skope.types import Array, Mask
+
+_STRIDE: Final = np.array([0.3, 0.2, 0.1, 0.3, 0.05])
+"""The camera's unknowns change by so much at most in a step."""
+_OFFSET: Final = 0.04
+"""Standard deviation of a keypoint's offset, metres an axis."""
+_FIRST_BUMPER_OFFSET: Final = 0.12
+"""The same of the corners of bumpers, which the first edition has under the lip, and people see at the outline."""
+_HIDDEN: Final = 6.0
+"""Cost of a keypoint that the body hides: without one, cameras that see little would win."""
+_MIDDLE_OFFSET: Final = 0.001
+"""The same, to the side, of keypoints in the vehicle's middle."""
+_BEHIND: Final = 1e6
+"""Squared distance of a keypoint that would lie behind the camera."""
+_START_CAP: Final = 300.0
+"""Largest cost of a view where the vehicle's body type is chosen."""
+START_ROAD: Final = Ground(height_sigma=0.03, tilt_sigma=math.radians(0.7))
+"""On it vehicles are placed before they are adjusted."""
+_FIRST_DAMPING: Final = 1e-3
+_STUCK: Final = 1e4
+"""Damping from which the search gives up."""
+_MOST_STEPS: Final = 20
+"""Steps of a search for everything but body types, at most."""
+_TYPE_ROUNDS: Final = 3
+"""Rounds at most in which body types are chosen anew."""
+_LITTLE: Final = 0.01
+"""A round that gains less is the last."""
+_FEW_STEPS: Final = 6
+"""Steps of a search for shapes and places alone."""
+_LOOK_AGAIN: Final = 3
+"""Steps after which it is worked out anew which keypoints bodies hide."""
+_SETTLED: Final = 1e-5
+"""The search ends when a step lowers the cost by less than this share of it."""
+
+_GROUPS: Final = sorted({tuple(sorted((i, other))) for i, other in enumerate(keypoints.FLIP)})
+"""Keypoints with their mirror images; those in the vehicle's middle are their own."""
+_GROUP: Final = np.array([next(g for g, pair in enumerate(_GROUPS) if i in pair) for i in range(keypoints.K)])
+_SIDE_SIGNS: Final = np.array([-1.0 if name.endswith("_right") else 1.0 for name in keypoints.NAMES])
+_UNKNOWNS: Final = len(UNKNOWN_NAMES) + 3 * len(_GROUPS)
+
+
+@dataclass(frozen=True, eq=False)
+class VehicleViews:
+    """B views of N vehicles in images of one camera."""
+
+    found: Array
+    """(B, 33, 3) keypoints: x, y in pixels, probability."""
+    sigma_px: Array
+    """(B,) standard deviation of a keypoint of probability 1, pixels."""
+    vehicle: NDArray[np.intp]
+    """(B,) which vehicle each view shows, 0 to N - 1."""
+    size: tuple[int, int]
+    """Width and height of the images, pixels."""
+    shapes: Shapes
+    """The shapes that vehicles can have, with their keypoints where `found` marks them."""
+
+    @property
+    def count(self) -> int:
+        """Number of vehicles."""
+        return int(self.vehicle.max(initial=-1)) + 1
+
+    def take(self, rows: NDArray[np.intp]) -> Self:
+        """The views `rows`, each as of a vehicle of its own."""
+        return replace(self, found=self.found[rows], sigma_px=self.sigma_px[rows], vehicle=np.arange(len(rows)))
+
+
+@dataclass(frozen=True, eq=False)
+class Known:
+    """Prior knowledge of a camera: cameras hang level, lenses distort a little."""
+
+    center: Array = field(default_factory=lambda: np.zeros(len(UNKNOWN_NAMES)))
+    """(5,) of the unknowns."""
+    sigma: Array = field(default_factory=lambda: np.array([np.inf, np.inf, math.radians(3.0), np.inf, 0.05]))
+    """(5,) standard deviations about that; inf for what is free, 0 for what stays as it begins."""
+
+    def precision(self, offset_sigma: Array) -> Array:
+        """(U,) inverse variances of all shared unknowns about what is known of them.
+
+        `offset_sigma` (G, 3) are the standard deviations of the keypoints' offsets, metres.
+        """
+        camera = np.divide(1.0, self.sigma**2, out=np.zeros(len(UNKNOWN_NAMES)), where=self.sigma > 0)
+        return np.concatenate([camera, 1 / offset_sigma.ravel() ** 2])
+
+
+@dataclass(frozen=True, eq=False)
+class Bundle:
+    """Values of all unknowns."""
+
+    shared: Array
+    """(5 + 3 G,) the camera's unknowns, then the offsets (G, 3) of groups of keypoints, metres in the vehicle frame."""
+    kind: NDArray[np.intp]
+    """(N,) body types."""
+    shape: Array
+    """(N, M) the shapes' numbers."""
+    pose: Array
+    """(B, 3) place on the road (x, y, over the camera's height) and heading (radians) of each view."""
+
+    @property
+    def camera(self) -> Array:
+        """(5,) as `UNKNOWN_NAMES` names them."""
+        return self.shared[: len(UNKNOWN_NAMES)]
+
+    def moved(self, shared: Array, shape: Array, pose: Array) -> Self:
+        """Values of the unknowns after a step.
+
+        Args:
+            shared: (5 + 3 G,) added to the shared unknowns.
+            shape: (N, M) added to the shapes.
+            pose: (B, 3) added to the poses.
+        """
+        return replace(self, shared=self.shared + shared, shape=self.shape + shape, pose=self.pose + pose)
+
+    def where(self, better: Mask, other: Self, vehicle: NDArray[np.intp]) -> Self:
+        """These values, but some vehicles' as in `other`.
+
+        Args:
+            better: (N,) which vehicles are taken from `other`: body type, shape and the poses in their views.
+            other: Values with the same shared unknowns.
+            vehicle: (B,) the vehicle of each view.
+        """
+        return replace(
+            self,
+            kind=np.where(better, other.kind, self.kind),
+            shape=np.where(better[:, None], other.shape, self.shape),
+            pose=np.where(better[vehicle][:, None], other.pose, self.pose),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Solved:
+    """End of a search."""
+
+    bundle: Bundle
+    precision: Array
+    """(U,) inverse variances of what was known of the shared unknowns beforehand."""
+    cost: float
+    """Twice the negative log of the probability, but for a constant; other shapes that are about as likely are counted
+    in (Laplace's approximation)."""
+    squared: Array
+    """(B, 33) squared distances between keypoints and bodies in the image, in variances."""
+    counted: Mask
+    """(B, 33) which keypoints count."""
+    information: Array
+    """(N, U, U) of the shared unknowns, what each vehicle adds."""
+    pull: Array
+    """(N, U) gradient of half the cost by the shared unknowns, of each vehicle."""
+
+    def covariance(self) -> Array:
+        """(5, 5) of the camera's unknowns.
+
+        How differently single vehicles pull tells it, with what is known of the unknowns beforehand as one more
+        (the sandwich of Huber and White): keypoints of a vehicle are wrong together in all its views.
+        """
+        prior = np.diag(self.precision)
+        inverse = np.linalg.inv(self.information.sum(axis=0) + prior)
+        apart = self.pull - self.pull.mean(axis=0)
+        few = len(apart) / max(1, len(apart) - len(UNKNOWN_NAMES))
+        whole = inverse @ (few * apart.T @ apart + prior) @ inverse
+        return np.asarray(whole[: len(UNKNOWN_NAMES), : len(UNKNOWN_NAMES)])
+
+
+class BundleAdjustment:
+    """The search for the likeliest camera, shapes and places, given views of vehicles."""
+
+    def __init__(self, views: VehicleViews, known: Known | None = None) -> None:
+        """`known` says what is known of the camera beforehand; None: what is so of any."""
+        known = known or Known()
+        self._views, self._shapes = views, views.shapes
+        self._directions = np.moveaxis(views.shapes.directions[:, :, :-1], 1, -1)  # (T, 33, 3, M)
+        rest = _UNKNOWNS - len(UNKNOWN_NAMES)
+        self._free = np.flatnonzero(np.concatenate([known.sigma > 0, np.ones(rest, dtype=bool)]))
+        self._center = np.concatenate([known.center, np.zeros(rest)])
+        self._seen = views.found[..., 2] >= LEAST_PROBABILITY
+        self._variance = (views.sigma_px**2)[:, None] / np.clip(views.found[..., 2], LEAST_PROBABILITY, 1.0)
+        self._prior = known.precision(_offset_sigma(views.shapes.edition))
+
+    def begun(self, camera: Array) -> Bundle:
+        """Vehicles placed under a camera (5,) in closed form, each of the body type whose mean fits its views."""
+        starts = self._starts(camera)
+        cost = self._by_vehicle(np.minimum(starts.cost, _START_CAP)) - 2 * np.log(self._shapes.share)
+        shared = np.concatenate([camera, np.zeros(_UNKNOWNS - len(camera))])
+        return self._placed(shared, starts, cost.argmin(axis=1))
+
+    def refined(self, bundle: Bundle) -> Solved:
+        """Search on from a bundle, by turns for the body types and for all else."""
+        best = self.solve(self.with_likeliest_types(bundle), _MOST_STEPS)
+        for _ in range(_TYPE_ROUNDS):
+            again = self.solve(self.with_likeliest_types(best.bundle), _MOST_STEPS)
+            if again.cost > best.cost - _LITTLE:
+                break
+            same = (again.bundle.kind == best.bundle.kind).all()
+            best = again
+            if same:
+                break
+        return best
+
+    def solve(self, bundle: Bundle, steps: int) -> Solved:
+        """Search on from a bundle: camera, offsets, shapes and places, with the body types that it has."""
+        vehicle, damping = self._views.vehicle, np.full(self._views.count, _FIRST_DAMPING)
+        counted = self._counted(bundle)
+        here = self._linearised(bundle, counted)
+        for step in range(steps):
+            if step and step % _LOOK_AGAIN == 0:
+                counted = self._counted(bundle)
+                here = self._linearised(bundle, counted)
+            parts = here.without_poses(vehicle, bundle.shape, damping)
+            move = self._shared_step(parts, bundle.shared, float(damping[0]))
+            ahead = bundle.moved(move, *parts.back(move, vehicle))
+            there = self._linearised(ahead, counted)
+            gain = self._total(here, bundle) - self._total(there, ahead)
+            if gain > 0:
+                settled = gain < _SETTLED * self._total(here, bundle)
+                bundle, here, damping = ahead, there, damping / 5
+                if settled and step > _LOOK_AGAIN:
+                    break
+            else:
+                damping = damping * 8
+                if damping[0] > _STUCK:
+                    break
+        parts, each = self._whole(here, bundle)
+        cost = self._prior_cost(bundle) + float(each.sum())
+        return Solved(bundle, self._prior, cost, here.squared, counted, parts.information, parts.pull)
+
+    def with_likeliest_types(self, bundle: Bundle) -> Bundle:
+        """The same camera and offsets; of each vehicle the body type that is likeliest when its shape is fitted."""
+        starts = self._starts(bundle.camera)
+        best, least = bundle, np.full(self._views.count, np.inf)
+        for kind in range(len(self._shapes.types)):
+            one = self._placed(bundle.shared, starts, np.full(self._views.count, kind))
+            fitted, cost = self._fitted(one)
+            better = cost < least
+            best, least = best.where(better, fitted, self._views.vehicle), np.where(better, cost, least)
+        return best
+
+    def _fitted(self, bundle: Bundle) -> tuple[Bundle, Array]:
+        """The bundle with likelier shapes and places, and (N,) what each vehicle costs so."""
+        vehicle, still = self._views.vehicle, np.zeros(_UNKNOWNS)
+        damping = np.full(self._views.count, _FIRST_DAMPING)
+        counted = self._counted(bundle)
+        here = self._linearised(bundle, counted, by="nothing")
+        for step in range(_FEW_STEPS):
+            if step == _LOOK_AGAIN:
+                counted = self._counted(bundle)
+                here = self._linearised(bundle, counted, by="nothing")
+            parts = here.without_poses(vehicle, bundle.shape, damping)
+            ahead = bundle.moved(still, *parts.back(still, vehicle))
+            there = self._linearised(ahead, counted, by="nothing")
+            better = there.vehicle_cost < here.vehicle_cost
+            bundle, here = bundle.where(better, ahead, vehicle), here.where(better, there, vehicle)
+            damping = np.where(better, damping / 5, damping * 10)
+        return bundle, self._whole(here, bundle)[1]
+
+    def _whole(self, here: Linearised, bundle: Bundle) -> tuple[Parts, Array]:
+        """The normal equations' parts, not damped, and (N,) what each vehicle costs with shapes that are as likely."""
+        parts = here.without_poses(self._views.vehicle, bundle.shape, np.zeros(self._views.count))
+        return parts, here.vehicle_cost + parts.spread - 2 * np.log(self._shapes.share[bundle.kind])
+
+    def _shared_step(self, parts: Parts, shared: Array, damping: float) -> Array:
+        """(U,) a damped step of the shared unknowns."""
+        normal = parts.information.sum(axis=0) + np.diag(self._prior)
+        normal += np.diag(damping * np.diag(normal) + 1e-9)
+        pull = parts.pull.sum(axis=0) + self._prior * (shared - self._center)
+        step = np.zeros(_UNKNOWNS)
+        step[self._free] = -np.linalg.solve(normal[np.ix_(self._free, self._free)], pull[self._free])
+        step[: len(UNKNOWN_NAMES)] = np.clip(step[: len(UNKNOWN_NAMES)], -_STRIDE, _STRIDE)
+        return step
+
+    def _total(self, here: Linearised, bundle: Bundle) -> float:
+        return float(here.vehicle_cost.sum()) + self._prior_cost(bundle)
+
+    def _prior_cost(self, bundle: Bundle) -> float:
+        return float((self._prior * (bundle.shared - self._center) ** 2).sum())
+
+    def _starts(self, camera: Array) -> Starts:
+        seen = observe(camera_of_unknowns(camera, self._views.size), self._views.found, self._views.sigma_px)
+        return closed_form_starts.on_ground(seen, self._shapes, START_ROAD)
+
+    def _placed(self, shared: Array, starts: Starts, kind: NDArray[np.intp]) -> Bundle:
+        row, column = np.arange(len(self._views.vehicle)), kind[self._views.vehicle]
+        p, R = starts.p[row, column], starts.R[row, column]
+        height = math.exp(shared[HEIGHT])
+        pose = np.column_stack([p[:, :2] / height, np.arctan2(R[:, 1, 0], R[:, 0, 0])])
+        return Bundle(shared, kind, np.zeros((self._views.count, self._directions.shape[-1])), pose)
+
+    def _by_vehicle(self, values: Array) -> Array:
+        return summed(values, self._views.vehicle, self._views.count)
+
+    def _counted(self, bundle: Bundle) -> Mask:
+        """(B, 33) the keypoints that were found and that the bodies do not hide."""
+        kind, height = bundle.kind[self._views.vehicle], math.exp(bundle.shared[HEIGHT])
+        u, v, heading = bundle.pose.T
+        cos, sin = np.cos(heading), np.sin(heading)
+        eye = height * np.column_stack([-cos * u - sin * v, sin * u - cos * v, np.ones_like(u)])
+        return self._seen & facing(self._shapes, kind, self._shapes.mean[kind, :-1], eye)
+
+    def unevenness(self, solved: Solved) -> float:
+        """Median distance of views from the road, up or down, and in standard deviations of their heights."""
+        here, count = self._linearised(solved.bundle, solved.counted, by="height"), len(self._views.found)
+        parts = here.without_poses(np.arange(count), np.zeros((count, 0)), np.zeros(count))
+        information = np.maximum(parts.information[:, 0, 0], 1e-12)
+        return float(np.median(np.abs(parts.pull[:, 0]) / np.sqrt(information)))
+
+    def _linearised(
+        self, bundle: Bundle, counted: Mask, *, by: Literal["shared", "height", "nothing"] = "shared"
+    ) -> Linearised:
+        """Costs and normal equations, beside pose and shape in the shared unknowns.
+
+        In place of these `by` may say the height of each view over the road, the shapes being as they are.
+        """
+        views, camera = self._views, bundle.camera
+        kind, height, focal = bundle.kind[views.vehicle], math.exp(camera[HEIGHT]), math.exp(camera[FOCAL])
+        directions = self._directions[kind]
+        body = self._shapes.mean[kind, :-1] + _offsets(bundle.shared)
+        body = body + np.einsum("bkim,bm->bki", directions, bundle.shape[views.vehicle])
+        # Where the keypoints are on the road, and where in the image.
+        u, v, heading = bundle.pose.T
+        R = np.zeros((len(kind), 3, 3))
+        R[:, 0, 0] = R[:, 1, 1] = np.cos(heading)
+        R[:, 1, 0] = np.sin(heading)
+        R[:, 0, 1], R[:, 2, 2] = -R[:, 1, 0], 1.0
+        foot = np.column_stack([u, v, np.zeros_like(u)])
+        world = body @ np.swapaxes(R, -1, -2) + height * foot[:, None]
+        pictured = Pictured.of(camera, views.size, world)
+        away = pictured.pixels - views.found[..., :2]
+        variance = self._variance + (focal * self._shapes.rest[kind] / pictured.near) ** 2
+        squared = np.where(pictured.front, (away**2).sum(axis=-1) / variance, _BEHIND)
+        each = np.where(counted, robust_loss.cost(squared), _HIDDEN * self._seen)
+        vehicle_cost = self._by_vehicle(each.sum(axis=1)) + (bundle.shape**2).sum(axis=1)
+        weight = np.where(counted & pictured.front, robust_loss.weight(squared) / variance, 0.0)
+        # Derivatives of the image by a shift in the world, by the pose, by the shape.
+        by_world = pictured.by_world()
+        by_body = np.einsum("bkij,bjl->bkil", by_world, R)
+        turned = np.stack([-body[..., 1], body[..., 0], np.zeros_like(body[..., 0])], axis=-1)
+        by_heading = np.einsum("bkil,bkl->bki", by_body, turned)
+        by_pose = np.concatenate([by_world[..., :2] * height, by_heading[..., None]], axis=-1)
+        by_shape = np.einsum("bkil,bklm->bkim", by_body, directions, optimize=True)
+        by_shared = np.zeros((*away.shape, 0))
+        if by == "height":
+            by_shape, by_shared = by_shape[..., :0], by_world[..., 2:]
+        elif by == "shared":
+            by_shared = np.zeros((*away.shape, _UNKNOWNS))
+            # Places are multiples of the height, and grow with it.
+            by_shared[..., : len(UNKNOWN_NAMES)] = by_camera(camera, views.size, world, foot)
+            mirrored = np.stack([np.ones_like(_SIDE_SIGNS), _SIDE_SIGNS, np.ones_like(_SIDE_SIGNS)], axis=-1)
+            column = len(UNKNOWN_NAMES) + 3 * _GROUP[:, None] + np.arange(3)
+            for k in range(keypoints.K):
+                by_shared[:, k, :, column[k]] = np.moveaxis(by_body[:, k] * mirrored[k], -1, 0)
+        return Linearised.of(squared, vehicle_cost, weight, away, by_pose, by_shape, by_shared)
+
+
+def _offset_sigma(edition: int) -> Array:
+    """(G, 3) standard deviations of the offsets of keypoints that are marked by an edition, metres."""
+    bumpers = _FIRST_BUMPER_OFFSET if edition == 1 else _OFFSET
+    names = [keypoints.NAMES[pair[0]] for pair in _GROUPS]
+    sigma = np.array([[bumpers if name.startswith("bumper") else _OFFSET] * 3 for name in names])
+    sigma[[one == other for one, other in _GROUPS], 1] = _MIDDLE_OFFSET
+    return sigma
+
+
+def _offsets(shared: Array) -> Array:
+    """(33, 3) the offset of each keypoint in the vehicle frame, metres."""
+    offsets = shared[len(UNKNOWN_NAMES) :].reshape(-1, 3)[_GROUP]
+    offsets[:, 1] *= _SIDE_SIGNS
+    return np.asarray(offsets)

@@ -1,0 +1,233 @@
+"""Fit the road to the vehicles on it: the plane on which all of them are likely, the camera being known.
+
+Each vehicle by itself, placed by its size alone, gives a rough point of the road; a plane through these starts the
+search, and a bundle adjustment of road and vehicles ends it, as for a camera (`skope.camera.fit.fit_camera`).
+"""
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+import numpy as np
+
+from skope.camera.fit.bundle_adjustment import BundleAdjustment, Known, Solved, VehicleViews
+from skope.camera.fit.camera_unknowns import FOCAL, HEIGHT, camera_of_unknowns
+from skope.camera.fit.fit_camera import capped
+from skope.camera.fit.vehicle_sample import sample_vehicles
+from skope.camera.ground_plane import Ground
+from skope.camera.model import Camera
+from skope.dataset.image_selection import part
+from skope.errors import UserError
+from skope.files.json_files import json_bytes
+from skope.pose.estimate_pose import levelled, locate
+from skope.pose.fit_body_types import best_types
+from skope.pose.keypoint_views import Scene
+from skope.pose.observations import observe
+from skope.schema import Image
+from skope.terminal.console import counted
+from skope.types import Array
+
+_SLOPE: Final = 0.05
+"""Standard deviation of a road's slope: 8% is steep."""
+_LOWEST: Final = 0.5
+"""Height of a camera over the road, metres, from which the search begins at least."""
+_FEWEST_ON_ROAD: Final = 3
+"""Vehicles that a road needs; a known camera tells more of each than an unknown one."""
+_FEWEST_PLACES: Final = 3
+"""Places that a plane goes through."""
+_TRIED_SIGMAS_M: Final = (0.04, 0.08, 0.16, 0.32, 0.64)
+"""Standard deviations of the road's height over its plane, metres, that are tried."""
+_WEIGHT_ROUNDS: Final = 5
+"""Rounds of reweighting for the first plane."""
+_VEHICLES: Final = 40
+"""So many vehicles are used at most."""
+_CLEAR: Final = 5.0
+"""The level z = 0 is given up only if a view contradicts another plane by this much less (twice the log likelihood)."""
+
+
+@dataclass(frozen=True)
+class GroundFit:
+    """A road that was fitted to vehicles; `ground.height_sigma` says how well it is known."""
+
+    ground: Ground
+    vehicles: int
+    """Number of vehicles that it was fitted to."""
+
+
+def with_fitted_ground(
+    scene: Scene, asked: str, *, score: float, noise: float, sigma_px: float | None
+) -> tuple[Scene, str | None]:
+    """The scene with the road that its vehicles show, and a line that says so.
+
+    Each of several cameras has a road of its own.
+
+    Args:
+        scene: Vehicles, and the level plane to begin with.
+        asked: "fit" for always; "auto" for: where the vehicles clearly contradict that plane.
+        score: Detections above this are taken.
+        noise: Standard deviation of the noise that is added to labelled keypoints, pixels.
+        sigma_px: Standard deviation of a keypoint, pixels; None as in `Scene.views`.
+
+    Raises:
+        UserError: "fit" was asked for, and the vehicles do not tell the road.
+    """
+    if scene.ground is None or not scene.file.images:
+        if asked == "fit" and scene.file.images:
+            raise UserError("--ground fit: needs a camera whose pose is known; `skope eval camera` finds both")
+        return scene, None
+    asking: dict[str, Any] = {"score": score, "noise": noise, "sigma_px": sigma_px}
+    calibrated = scene.calibrated_part()  # a camera that was turned sees the same road
+    cameras = _images_of_cameras(calibrated)
+    if len(cameras) > 1:
+        if asked == "fit":
+            raise UserError(
+                f"{scene.file.name}: --ground fit: its images are of several cameras, which see other roads"
+            )
+        return _with_roads(scene, cameras, asking)
+    try:
+        fit = _fit(calibrated, asked, **asking)
+    except UserError as error:
+        if asked == "fit":
+            raise UserError(f"--ground fit: {error}") from None
+        return scene, None
+    return (replace(scene, ground=fit.ground), _words(fit, asked)) if fit else (scene, None)
+
+
+def _images_of_cameras(scene: Scene) -> list[list[Image]]:
+    """The images of each camera, where all cameras are told apart by what their files say."""
+    groups: dict[bytes, list[Image]] = {}
+    for image in scene.file.images:
+        groups.setdefault(json_bytes(scene.camera_of(image).to_dict()), []).append(image)
+    return list(groups.values())
+
+
+def _with_roads(scene: Scene, cameras: list[list[Image]], asking: dict[str, Any]) -> tuple[Scene, str | None]:
+    """The scene with the road of each camera whose vehicles contradict the level plane, and a line that says so.
+
+    If any do, the world of the file is not level at that height: where a camera's vehicles are too few to tell, its
+    road is unknown.
+    """
+    roads: dict[int, Ground | None] = {}
+    contradicting, unclear = 0, list[Image]()
+    for images in cameras:
+        try:
+            fit = _fit(replace(scene, file=part(scene.file, images)), "auto", **asking)
+        except UserError:
+            unclear += images
+            continue
+        if fit:
+            contradicting += 1
+            roads |= {image.id: fit.ground for image in images}
+    if not contradicting:
+        return scene, None
+    roads |= {image.id: None for image in unclear}
+    words = (
+        f"{scene.file.name}: the vehicles of {contradicting} of {len(cameras)} cameras contradict a level road at "
+        "z = 0 (--ground 0 insists on it): each of these has a road that was fitted to its vehicles"
+    )
+    if unclear:
+        words += f"; in {counted(len(unclear), 'image')} of others too few tell, and size alone tells distances"
+    return replace(scene, roads=roads), words
+
+
+def _fit(scene: Scene, asked: str, *, score: float, noise: float, sigma_px: float | None) -> GroundFit | None:
+    """The road of a scene of one camera; None where that is "auto" and its vehicles bear out the scene's own.
+
+    Raises UserError where too few vehicles show enough.
+    """
+    assert scene.ground is not None
+    camera = scene.camera_of(scene.file.images[0])
+    views = sample_vehicles(scene, _VEHICLES, score=score, noise=noise, sigma_px=sigma_px, fewest=_FEWEST_ON_ROAD).views
+    begun = _through_free_fits(views, camera)
+    if asked == "auto":
+        level, other = (_adjusted(views, camera, ground, free=False).cost for ground in (scene.ground, begun))
+        if level - other < _CLEAR * len(views.found):
+            return None
+    return fit_ground(views, camera, begun)
+
+
+def _words(fit: GroundFit, asked: str) -> str:
+    ground = fit.ground
+    why = "" if asked == "fit" else "the vehicles contradict a level road at z = 0 (--ground 0 insists on it): "
+    rise, way = math.hypot(*ground.slope), math.degrees(math.atan2(ground.slope[1], ground.slope[0]))
+    return (
+        f"{why}road fitted to {fit.vehicles} vehicles: z = {ground.height:.2f} m at ({ground.about[0]:.1f}, "
+        f"{ground.about[1]:.1f}), rising {rise:.1%} towards {way:.0f} deg, uneven by {ground.height_sigma:g} m"
+    )
+
+
+def fit_ground(views: VehicleViews, camera: Camera, begun: Ground) -> GroundFit:
+    """Fit a plane under vehicles; how far they lie off it is its `height_sigma`.
+
+    Args:
+        views: Keypoints of the vehicles.
+        camera: The camera that sees them, with its pose.
+        begun: The plane near which the search begins.
+    """
+    solved = _adjusted(views, camera, begun, free=True)
+    ground = _plane(camera, solved.bundle.camera, begun)
+    ground = replace(ground, height_sigma=_unevenness(views, camera, ground))
+    return GroundFit(ground, views.count)
+
+
+def _adjusted(views: VehicleViews, camera: Camera, ground: Ground, *, free: bool) -> Solved:
+    """The likeliest vehicles on a road under a known camera, or on a road near it where that is `free`."""
+    focal = math.sqrt(camera.K[0, 0] * camera.K[1, 1])
+    level, _ = levelled(camera, ground)
+    at = np.array([math.log(focal), *level.angles[1:], math.log(max(level.position[2], _LOWEST)), 0.0])
+    center = np.array([at[FOCAL], *camera.angles[1:], 0.0, 0.0])
+    slope = math.atan(_SLOPE)
+    sigma = np.array([0.0, slope, slope, np.inf, 0.0]) if free else np.zeros(len(at))
+    rays, valid = camera.rays(views.found[..., :2])
+    ideal = rays[..., :2] * focal + np.array(views.size) / 2
+    found = np.concatenate([ideal, np.where(valid, views.found[..., 2], 0.0)[..., None]], axis=-1)
+    adjustment = BundleAdjustment(replace(views, found=found), Known(center, sigma))
+    return adjustment.refined(adjustment.begun(at))
+
+
+def _plane(camera: Camera, unknowns: Array, like: Ground) -> Ground:
+    """The road on which a bundle adjustment has put the vehicles before a camera, in that camera's world."""
+    upright = camera_of_unknowns(unknowns, (camera.width, camera.height)).T_camera_world[:3, 2]
+    x, y, z = camera.T_camera_world[:3, :3].T @ upright
+    slope = (-x / z, -y / z)
+    away = np.array(like.about) - camera.position[:2]
+    height = camera.position[2] - math.exp(unknowns[HEIGHT]) / z + float(np.dot(slope, away))
+    return replace(like, height=float(height), slope=(float(slope[0]), float(slope[1])))
+
+
+def _through_free_fits(views: VehicleViews, camera: Camera) -> Ground:
+    """A plane through the places that vehicles have by their size alone, those far from it counting less and less."""
+    poses = locate(camera, views.found, sigma_px=views.sigma_px, ground=None, shapes=views.shapes)
+    good = np.array([reason is None for reason in poses.refusal])
+    if good.sum() >= _FEWEST_PLACES:
+        points, sigma = poses.position[good], np.sqrt(np.maximum(poses.covariance[good, 2, 2], 0.01))
+    else:
+        points, sigma = poses.position, np.ones(len(poses.position))
+    middle = np.median(points[:, :2], axis=0)
+    A = np.column_stack([np.ones(len(points)), points[:, :2] - middle])
+    prior = np.diag([0.0, 1.0, 1.0]) / _SLOPE**2
+    weight = 1 / sigma**2
+    at = np.zeros(3)
+    for _ in range(_WEIGHT_ROUNDS):
+        normal = (A.T * weight) @ A + prior
+        at = np.linalg.solve(normal, (A.T * weight) @ points[:, 2])
+        weight = 1 / (sigma**2 + (A @ at - points[:, 2]) ** 2)
+    return Ground(
+        height=float(at[0]),
+        height_sigma=_TRIED_SIGMAS_M[2],
+        tilt_sigma=math.radians(1.5),
+        slope=(float(at[1]), float(at[2])),
+        about=(float(middle[0]), float(middle[1])),
+    )
+
+
+def _unevenness(views: VehicleViews, camera: Camera, ground: Ground) -> float:
+    """The `height_sigma` under which the vehicles are likeliest, whatever their poses (Laplace's approximation)."""
+
+    def surprise(sigma: float) -> float:
+        level, flat = levelled(camera, replace(ground, height_sigma=sigma))
+        fits = best_types(observe(level, views.found, views.sigma_px), views.shapes, flat)
+        _, spread = np.linalg.slogdet(fits.normal[:, 0])
+        return float((capped(fits.cost[:, 0]) + spread).sum() + 2 * len(spread) * math.log(sigma))
+
+    return min(_TRIED_SIGMAS_M, key=surprise)

@@ -1,0 +1,318 @@
+"""`skope eval camera --refit`: the new pose of a camera that was turned, from what is known of it before.
+
+The old picture is registered to the new one: what most of its corners do is a turn of the camera, or the command
+refuses. The turn takes the old marks to the new picture, and they are solved anew; of a camera file without marks the
+camera itself is turned, and stays as uncertain as it was, at least.
+"""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from skope.camera.calibrate import calibrate
+from skope.camera.camera_json import read_uncertain_camera
+from skope.camera.evidence import Evidence
+from skope.camera.fit.camera_from_marks import evidence_of, place_errors
+from skope.camera.fit.write_camera import write_camera
+from skope.camera.ground_plane import ground_places
+from skope.camera.model import Camera
+from skope.camera.motion.camera_motion import TURNS, covariance_of_turns, turned_camera
+from skope.camera.motion.camera_shake import SwayWatch
+from skope.camera.motion.image_shift import FollowedCorners, ImageMotion, ReferencePicture, SmallPicture
+from skope.camera.uncertain_camera import UncertainCamera, moved_camera
+from skope.dataset.camera_of_file import fitted_camera, read_camera
+from skope.errors import UserError
+from skope.terminal.console import counted
+from skope.types import Array, Pixels
+from skope.video.footage import Cut, open_footage
+
+_MATCHED_WIDTH_PX: Final = 1280
+"""Corners are followed in pictures that are so wide at most, pixels."""
+_AS_WELL: Final = 2.0
+"""A turn explains what corners do if it leaves no more than so many times what a free bending of the picture leaves."""
+_LEAST_PX: Final = 0.3
+"""Least that such a bending is taken to leave, pixels of pictures `_MATCHED_WIDTH_PX` wide: corners are followed so
+exactly."""
+_NEAR_M: Final = 60.0
+"""The road up to there tells whether a camera was moved too; its nearer half must agree."""
+_FEWEST_MATCHES: Final = 8
+_LEAST_SHARE: Final = 0.5
+"""Share of the corners there that must be where a turn puts them: traffic hides some."""
+_REST_S: Final = 3.0
+"""Over so long it is seen where a swaying camera is at rest."""
+
+
+@dataclass(frozen=True, eq=False)
+class Registration:
+    """Turn of a camera between two pictures."""
+
+    camera: Camera
+    """The old camera, turned."""
+    motion: ImageMotion
+    corners: int
+    off_px: float
+    """Distance of corners from where the turn puts them, root mean square an axis, pixels."""
+    near_m: float
+    """Distance of corners on the road near by that tell that the camera was not moved, metres."""
+
+
+def refit(
+    before: str, after: str, *, points: Path | None, camera: Path | None, size: str | None, out: Path
+) -> Iterator[str]:
+    """Find the pose of a turned camera and write `out`; yields what was found.
+
+    Args:
+        before: The picture that was marked, or a video: its first frame, or with "@SECONDS" the frame then.
+        after: A picture of the turned camera, or a video, likewise; of a video, a frame that shows the camera at rest.
+        points: The old marks, as `skope eval camera --points` takes them; None: `camera` is given.
+        camera: The old camera's file.
+        size: "WIDTHxHEIGHT" of the image that was marked, where the file does not say it.
+        out: Camera file to write.
+
+    Raises:
+        UserError: A file cannot be read, or the pictures do not surely tell how the camera was turned.
+    """
+    old_pixels, new_pixels = _frame(before, at_rest=False), _frame(after, at_rest=True)
+    shape = (old_pixels.shape[1], old_pixels.shape[0])
+    if new_pixels.shape != old_pixels.shape:
+        raise UserError(
+            f"{after}: is {new_pixels.shape[1]}x{new_pixels.shape[0]}, but {before} is {shape[0]}x{shape[1]}"
+        )
+    evidence = evidence_of(points, size or f"{shape[0]}x{shape[1]}") if points else None
+    known: UncertainCamera
+    if evidence:
+        known = marked = calibrate(evidence)
+        evidence = replace(evidence, points=tuple(p for p in evidence.points if p.name not in marked.outliers))
+    else:
+        known, scaled = _known(camera, shape, before)
+        if scaled:
+            yield scaled
+    registered = registration(old_pixels, new_pixels, known, f"{before}, {after}")
+    if evidence:
+        moved = moved_evidence(evidence, known.camera, registered)
+        found: UncertainCamera = calibrate(moved, start=registered.camera, check=False)
+    else:
+        found = turned_known(known, registered)
+    source = points or camera
+    assert source is not None
+    told = f"{source.name}, turned as {Path(_split(after)[0]).name} shows"
+    besides = {
+        "covariance": found.covariance_dict(),
+        "calibrated": {"when": _saved(after), "from": told},
+        "refit": {
+            "shift_px": [registered.motion.x, registered.motion.y],
+            "turn_deg": math.degrees(registered.motion.turn),
+            "corners": registered.corners,
+            "off_px": registered.off_px,
+        },
+    }
+    yield from write_camera(out, found.camera, besides)
+    yield (
+        f"the image has moved by {math.hypot(registered.motion.x, registered.motion.y):.1f} px and turned by "
+        f"{math.degrees(registered.motion.turn):.2f} deg: {counted(registered.corners, 'corner')} "
+        f"{registered.off_px:.2f} px off (root mean square)"
+    )
+    yield place_errors(found)
+
+
+def registration(before: Pixels, after: Pixels, known: UncertainCamera, name: str) -> Registration:
+    """Measure how a camera has been turned between two pictures.
+
+    Args:
+        before: (H, W, 3) RGB, which `known` took.
+        after: (H, W, 3) RGB, from where it hangs now.
+        known: The camera before.
+        name: Name of the pictures, for errors.
+
+    Raises:
+        UserError: A turn does not explain what is seen.
+    """
+    first, moved = (SmallPicture.of(pixels, _MATCHED_WIDTH_PX) for pixels in (before, after))
+    reference = ReferencePicture(first)
+    motion, followed = reference.motion(moved), reference.followed(moved)
+    if motion is None or followed is None:
+        raise UserError(f"{name}: too little of one picture is found in the other to tell how the camera was turned")
+    rays, valid = known.camera.rays(followed.before)
+    rays, corners = rays[valid], replace(followed, before=followed.before[valid], after=followed.after[valid])
+    camera, off = _turn(known.camera, rays, corners, motion)
+    # Half the squares of normal errors an axis have a median of 0.69 variances.
+    off_px = math.sqrt(float(np.median((off**2).sum(axis=1))) / (2 * math.log(2)))
+    scale = max(1.0, known.camera.width / _MATCHED_WIDTH_PX)
+    lens = _by_the_lens(known, camera, rays)
+    allowed = math.hypot(_AS_WELL * max(corners.sigma_px, _LEAST_PX * scale), lens)
+    if not off_px <= allowed:
+        raise UserError(
+            f"{name}: the image has changed otherwise than by a turn of the camera ({off_px:.1f} px off, at most "
+            f"{allowed:.1f} px expected): it was moved or zoomed; mark points in the new picture"
+        )
+    near_m = _near_road(known.camera, camera, corners, 3 * allowed, name)
+    return Registration(camera, motion, len(rays), off_px, near_m)
+
+
+def _near_road(old: Camera, turned: Camera, corners: FollowedCorners, within_px: float, name: str) -> float:
+    """Distance of the road's corners near the camera, metres, which a move would shift most: most must agree too.
+
+    Raises UserError where they do not, or are too few to tell.
+    """
+    places = ground_places(old, corners.all_before)
+    away = np.linalg.norm(places - old.position, axis=1)
+    seen, _, valid = turned.project(np.where(np.isfinite(places), places, old.position))
+    there = np.flatnonzero(valid & turned.inside(seen) & (away < _NEAR_M))
+    if len(there) < _FEWEST_MATCHES:
+        raise UserError(f"{name}: too few corners on the road near by to tell a turn of the camera from a move")
+    nearer = there[np.argsort(away[there])][: max(_FEWEST_MATCHES, len(there) // 2)]
+    apart = np.linalg.norm(corners.all_before[nearer, None] - corners.before, axis=-1)
+    match = apart.argmin(axis=1)
+    good = (apart.min(axis=1) < 0.01) & (np.linalg.norm(corners.after[match] - seen[nearer], axis=1) < within_px)
+    if good.mean() < _LEAST_SHARE:
+        raise UserError(
+            f"{name}: of the road near by {good.mean():.0%} is found again where a turn of the camera puts it: it was "
+            "moved or zoomed, or much hides the road; mark points in the new picture"
+        )
+    return float(np.median(away[nearer[good]]))
+
+
+def _turn(camera: Camera, rays: Array, corners: FollowedCorners, motion: ImageMotion) -> tuple[Camera, Array]:
+    """The camera turned so that it sees `rays` (N, 3) of its frame best at the corners' new places; (N, 2) errors."""
+    away = rays @ camera.T_camera_world[:3, :3] + camera.position
+
+    def residuals(values: Array) -> Array:
+        pixels, _, valid = turned_camera(camera, *values.tolist()).project(away)
+        return np.where(valid[:, None], pixels - corners.after, 0.0).ravel()
+
+    begin = np.array([motion.x, motion.y, motion.turn])
+    scale = [1.0, 1.0, 2 / camera.width]
+    solved = least_squares(residuals, begin, x_scale=scale, loss="soft_l1", f_scale=max(corners.sigma_px, 0.1))
+    return turned_camera(camera, *solved.x.tolist()), residuals(solved.x).reshape(-1, 2)
+
+
+def _by_the_lens(known: UncertainCamera, turned: Camera, rays: Array) -> float:
+    """Error of corners since focal length and lens are not known exactly, root mean square an axis, pixels."""
+    T = turned.T_camera_world @ np.linalg.inv(known.camera.T_camera_world)
+    pixels = known.camera.project(rays @ known.camera.T_camera_world[:3, :3] + known.camera.position)[0]
+    shifts, total = _shifts(known.camera, T, pixels), 0.0
+    for name in ("focal", "k1"):
+        if name in known.parameters:
+            k = known.parameters.index(name)
+            other = moved_camera(known.camera, {name: math.sqrt(known.covariance[k, k])})
+            change = _shifts(other, T, pixels) - shifts
+            total += float(np.nanvar(change, axis=0).mean())
+    return math.sqrt(total)
+
+
+def _shifts(camera: Camera, T: Array, pixels: Array) -> Array:
+    """(N, 2) how far pixels move when the camera is turned by T (4, 4) in its own frame."""
+    rays, valid = camera.rays(pixels)
+    turned = replace(camera, T_camera_world=T)
+    seen, _, before = turned.project(rays)
+    return np.where((valid & before)[:, None], seen - pixels, np.nan)
+
+
+def moved_evidence(evidence: Evidence, camera: Camera, registered: Registration) -> Evidence:
+    """Move marks to where the turned camera shows them; the error of the registration is added to theirs.
+
+    Args:
+        evidence: The marks in the old picture.
+        camera: The camera that took the old picture.
+        registered: The camera that took the new one, turned, and how far off corners are.
+
+    Returns:
+        The same evidence with marks in pixels of the new picture; what is known of the camera besides stays.
+
+    Raises:
+        UserError: The new picture cannot show one of the marks.
+    """
+
+    def moved(pixels: Array) -> Array:
+        rays, valid = camera.rays(pixels)
+        away = rays @ camera.T_camera_world[:3, :3] + camera.position
+        seen, _, before = registered.camera.project(away)
+        if not (valid & before).all():
+            raise UserError("--refit: a mark lies where the lens of the turned camera sees nothing")
+        return np.asarray(seen)
+
+    def wider(sigma_px: float) -> float:
+        return math.hypot(sigma_px, registered.off_px)
+
+    return replace(
+        evidence,
+        points=tuple(replace(p, pixel=moved(p.pixel), sigma_px=wider(p.sigma_px)) for p in evidence.points),
+        lengths=tuple(replace(p, pixels=moved(p.pixels), sigma_px=wider(p.sigma_px)) for p in evidence.lengths),
+        parallels=tuple(replace(p, lines=moved(p.lines), sigma_px=wider(p.sigma_px)) for p in evidence.parallels),
+        verticals=tuple(replace(p, pixels=moved(p.pixels), sigma_px=wider(p.sigma_px)) for p in evidence.verticals),
+    )
+
+
+def turned_known(known: UncertainCamera, registered: Registration) -> UncertainCamera:
+    """The turned camera, as uncertain as the old one and its turn are, and as a move that corners hide."""
+    motion = registered.motion
+    sigmas = (motion.sigma_px, motion.sigma_px, motion.sigma_turn)
+    # A camera that is moved by so much sees corners near by as far off as they are.
+    hidden = registered.off_px * registered.near_m / float(known.camera.K[0, 0])
+    return known.of_camera(registered.camera).widened(
+        {TURNS: covariance_of_turns(registered.camera, sigmas), ("x", "y", "z"): hidden**2 * np.eye(3)}
+    )
+
+
+def _known(path: Path | None, shape: tuple[int, int], picture: str) -> tuple[UncertainCamera, str]:
+    """The old camera at the size of its picture, and a sentence where it was scaled."""
+    if path is None:
+        raise UserError("--refit: needs the old camera: --points with what was marked, or --camera with its file")
+    camera, posed = read_camera(path, shape)
+    if not posed:
+        raise UserError(f"{path}: T_camera_world: missing: nothing says where the camera hung")
+    known = read_uncertain_camera(path)
+    if known is None:
+        raise UserError(f"{path}: covariance: missing: nothing says how well the old camera is known")
+    camera, scaled = fitted_camera(camera, shape, str(path), picture)
+    return known.of_camera(camera), scaled
+
+
+def _split(source: str) -> tuple[str, float | None]:
+    """A file, and the second that is named with it."""
+    name, at, seconds = source.rpartition("@")
+    if not at or Path(source).exists():
+        return source, None
+    try:
+        value = float(seconds)
+    except ValueError:
+        value = math.nan
+    if not (math.isfinite(value) and value >= 0):
+        raise UserError(f"{source}: expected a file, or FILE@SECONDS")
+    return name, value
+
+
+def _frame(source: str, *, at_rest: bool) -> Pixels:
+    """A picture, or a frame of a video: the first, or of a swaying camera that which is nearest to where it rests."""
+    name, seconds = _split(source)
+    begin = seconds or 0.0
+    footage = open_footage(name, Cut(start_s=begin, end_s=begin + _REST_S))
+    if footage.clip is not None and footage.clip.live:
+        raise UserError(f"{name}: a live stream cannot be read again; record it to a file first")
+    if footage.clip is None and (seconds is not None or len(footage.images) > 1):
+        raise UserError(f"{source}: expected one picture, or a video")
+    watch, frames = SwayWatch(), dict[int, Pixels]()
+    for image, pixels in watch.watch(footage.frames()):
+        frames[image.id] = pixels
+        if not at_rest or footage.clip is None:
+            break
+    if not frames:
+        raise UserError(f"{source}: {'; '.join(footage.skipped) or 'has no such frame'}")
+    motions = {number: watch.taken(number) for number in frames}
+    measured = {number: one for number, one in motions.items() if one is not None}
+    if not measured or len(frames) == 1:
+        return next(iter(frames.values()))
+    places = np.array([(one.x, one.y) for one in measured.values()])
+    away = np.linalg.norm(places - np.median(places, axis=0), axis=1)
+    return frames[list(measured)[int(away.argmin())]]
+
+
+def _saved(source: str) -> Any:
+    """Time at which the new picture was saved, ISO 8601."""
+    return datetime.fromtimestamp(int(Path(_split(source)[0]).stat().st_mtime), UTC).isoformat()

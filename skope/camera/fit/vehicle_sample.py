@@ -1,0 +1,147 @@
+"""Vehicles of a scene to fit a camera or a road to: those that show enough, in views spread along their ways."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skope import boxes as box_math
+from skope.camera.fit.bundle_adjustment import VehicleViews
+from skope.errors import UserError
+from skope.pose.keypoint_views import Scene, View
+from skope.pose.observations import LEAST_PROBABILITY
+from skope.tracking.box_links import LOST_S, BoxLinks
+from skope.types import Array, Mask
+
+FEWEST_VEHICLES: Final = 5
+"""Vehicles that a camera needs."""
+_POINTS: Final = 8
+"""Keypoints that a view must show."""
+_LEAST_EDGE_PX: Final = 48.0
+"""Pixels that a view's box must measure along its longer edge."""
+_HIDING_IOU: Final = 0.1
+"""Overlap (IoU) with another box from which one vehicle may hide the other."""
+_VIEWS: Final = 6
+"""Views of a vehicle at most."""
+_IMAGES: Final = 500
+"""So many images tell where vehicles stand in the image, at most."""
+_STRIDE: Final = 0.3
+"""Views of a vehicle are so far apart at least, in lengths of its box's longer edge."""
+
+
+@dataclass(frozen=True, eq=False)
+class Sample:
+    """Views of vehicles, and how they were told apart."""
+
+    views: VehicleViews
+    numbered: bool
+    """Whether vehicles are known from image to image; else each view counts as a vehicle."""
+    lower_edges: Array
+    """(P, 2) pixels of the middles of the lower edges of boxes, of all vehicles in images spread over the scene."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Candidate:
+    """A view that may be taken: where it lies in the scene."""
+
+    image: int
+    row: int
+    middle: Array
+    """(2,) of its box, pixels."""
+    edge: float
+    """Longer edge of its box, pixels."""
+
+
+def sample_vehicles(
+    scene: Scene, count: int, *, score: float, noise: float, sigma_px: float | None, fewest: int = FEWEST_VEHICLES
+) -> Sample:
+    """Draw vehicles that show enough, moving ones first, and views of each that are apart from one another.
+
+    Args:
+        scene: Images of one camera, and the keypoints in them.
+        count: At most so many vehicles.
+        score: Detections above this are taken.
+        noise: Standard deviation of the noise that is added to labelled keypoints, pixels.
+        sigma_px: Standard deviation of a keypoint, pixels; None as in `Scene.views`.
+        fewest: At least so many vehicles.
+
+    Raises:
+        UserError: The images differ in size, or too few vehicles show enough.
+    """
+    if not scene.file.images:
+        raise UserError(f"{scene.file.name}: no images")
+    scene = scene.calibrated_part()
+    size = (scene.file.images[0].width, scene.file.images[0].height)
+
+    def numbered_views() -> Iterator[tuple[View, NDArray[np.int64]]]:
+        return _numbered(map(scene.stilled, scene.views(score=score, noise=noise, sigma_px=sigma_px)))
+
+    of_vehicle: dict[int, list[_Candidate]] = {}
+    known, lower = True, list[Array]()
+    every = 1 + len(scene.file.images) // _IMAGES
+    for i, (view, numbers) in enumerate(numbered_views()):
+        if (view.image.width, view.image.height) != size:
+            raise UserError(f"{scene.file.name}: {view.image.file_name}: images of one camera have one size")
+        known = known and not (numbers < 0).any()
+        if i % every == 0:
+            lower.append((view.boxes[:, :2] + view.boxes[:, 2:] * [0.5, 1.0])[~view.interpolated])
+        for row in np.flatnonzero(_shows_enough(view)).tolist():
+            x, y, w, h = view.boxes[row].tolist()
+            # What has no number is a vehicle by itself, under one of its own.
+            number = int(numbers[row]) if numbers[row] >= 0 else -1 - len(of_vehicle)
+            candidate = _Candidate(i, row, np.array([x + w / 2, y + h / 2]), max(w, h))
+            of_vehicle.setdefault(number, []).append(candidate)
+    if len(of_vehicle) < fewest:
+        raise UserError(
+            f"{scene.file.name}: {len(of_vehicle)} vehicles show {_POINTS} keypoints on {_LEAST_EDGE_PX:g} px or more, "
+            f"clear of others and of the image's edge; {fewest} are needed"
+        )
+    spread = {number: _spread_out(candidates) for number, candidates in of_vehicle.items()}
+    order = np.random.default_rng(0).permutation(list(spread)).tolist()
+    chosen = sorted(order, key=lambda number: len(spread[number]) == 1)[:count]
+    place = {(one.image, one.row): k for k, number in enumerate(chosen) for one in spread[number]}
+    taken = [
+        (view.found[row], float(view.sigma_px[row]), place[i, row])
+        for i, (view, _) in enumerate(numbered_views())
+        for row in range(len(view.found))
+        if (i, row) in place
+    ]
+    found, sigma, vehicle = zip(*taken, strict=True)
+    views = VehicleViews(np.array(found), np.array(sigma), np.array(vehicle, dtype=np.intp), size, scene.shapes)
+    return Sample(views, known, np.concatenate(lower))
+
+
+def _numbered(views: Iterator[View]) -> Iterator[tuple[View, NDArray[np.int64]]]:
+    """Each image with the numbers of its vehicles; where the file has none, by their boxes; -1 where nothing tells."""
+    links, before_s = BoxLinks(), None
+    for view in views:
+        numbers, time_s = view.tracks, view.image.time_s
+        if (numbers < 0).any():
+            near = before_s is not None and time_s is not None and 0 < time_s - before_s <= LOST_S
+            if time_s is not None and (near or before_s is None):
+                numbers = links.add_boxes(time_s, view.boxes).astype(np.int64)
+        before_s = time_s
+        yield view, numbers
+
+
+def _shows_enough(view: View) -> Mask:
+    """(N,) which vehicles show enough keypoints, large enough, with nothing before them."""
+    large = view.boxes[:, 2:].max(axis=1, initial=0) >= _LEAST_EDGE_PX
+    many = (view.found[..., 2] > LEAST_PROBABILITY).sum(axis=1) >= _POINTS
+    rectangles = box_math.xywh_to_xyxy(view.boxes)
+    overlap = box_math.iou(rectangles, rectangles) * (1 - np.eye(len(rectangles)))
+    return np.asarray(large & many & ~view.cut & ~view.interpolated & (overlap.max(axis=1, initial=0) < _HIDING_IOU))
+
+
+def _spread_out(candidates: Sequence[_Candidate]) -> list[_Candidate]:
+    """Views evenly along a vehicle's way through the image; one of a vehicle that stands."""
+    middles = np.array([one.middle for one in candidates])
+    way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(middles, axis=0), axis=1))])
+    if np.ptp(middles, axis=0).max() < _STRIDE * candidates[0].edge:  # a detector's boxes tremble
+        return [candidates[len(candidates) // 2]]
+    edge = float(np.median([one.edge for one in candidates]))
+    count = int(min(_VIEWS, 1 + way[-1] // (_STRIDE * edge)))
+    wanted = np.linspace(0, way[-1], count) if count > 1 else np.array([way[-1] / 2])
+    return [candidates[i] for i in sorted({int(np.abs(way - w).argmin()) for w in wanted})]

@@ -1,0 +1,218 @@
+"""`skope eval camera`: a camera file from vehicles, and its figures in words."""
+
+import json
+import math
+import shlex
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import numpy as np
+
+from skope.camera.fit import fit_camera
+from skope.camera.fit.bundle_adjustment import Known
+from skope.camera.fit.camera_doubts import sigma_of_ways, why_not
+from skope.camera.fit.camera_unknowns import FOCAL, HEIGHT, UNKNOWN_NAMES
+from skope.camera.fit.fit_camera import CameraEstimate
+from skope.camera.fit.known_lengths import KnownLength, corrected
+from skope.camera.fit.vehicle_sample import sample_vehicles
+from skope.camera.model import Camera
+from skope.dataset.folder import PIXEL_WIDTH
+from skope.errors import UserError
+from skope.files.output_folders import write_new
+from skope.pose.keypoint_views import Scene
+from skope.terminal.console import counted
+
+_KNOWN_SHARE: Final = 0.02
+"""Standard deviation of a height or a field of view that somebody gives, as a share of it."""
+
+
+class VehicleCamera(NamedTuple):
+    """A camera that vehicles have told."""
+
+    estimate: CameraEstimate
+    told: str
+    """Vehicles that have told it, in words."""
+    numbered: bool
+    """Whether it was known which views are of the same vehicle."""
+
+
+def camera_of_vehicles(
+    scene: Scene,
+    count: int,
+    *,
+    score: float = 0.9,
+    noise: float = 0.0,
+    sigma_px: float | None = None,
+    height: float | None = None,
+    fov_deg: float | None = None,
+) -> VehicleCamera:
+    """Fit a camera to the vehicles of a scene.
+
+    Args:
+        scene: Images of one camera, and the keypoints in them.
+        count: Use at most so many vehicles.
+        score: Detections above this are taken.
+        noise: Standard deviation of the noise that is added to labelled keypoints, pixels.
+        sigma_px: Standard deviation of a keypoint, pixels; None as in `Scene.views`.
+        height: The camera's height over the road, metres, if that is known.
+        fov_deg: The horizontal field of view, degrees, if that is known.
+
+    Raises:
+        UserError: The images say that their pixels are not square, the vehicles do not tell the camera, or the camera
+            that they tell does not hold together.
+    """
+    if width := scene.file.info.get(PIXEL_WIDTH):
+        raise UserError(
+            f"{scene.file.name}: info.{PIXEL_WIDTH}: a pixel of the video is {width:g} times as wide as high; rescale "
+            "it to square pixels, and run skope eval predict again"
+        )
+    drawn = sample_vehicles(scene, count, score=score, noise=noise, sigma_px=sigma_px)
+    fit = fit_camera.fit_camera_to_vehicles(drawn.views, known_of(height, fov_deg, drawn.views.size[0]))
+    who = f"{counted(fit.vehicles, 'vehicle')} in {counted(len(drawn.views.found), 'view')}"
+    if reason := why_not(fit, drawn.lower_edges):
+        raise UserError(
+            f"{scene.file.name}: no camera can be calibrated from {who}: {reason}. Points marked on the road give one "
+            "(--points)"
+        )
+    return VehicleCamera(fit, f"{scene.file.name}: {who}", drawn.numbered)
+
+
+def from_vehicles(
+    scene: Scene,
+    folder: Path | None,
+    count: int,
+    *,
+    score: float,
+    noise: float,
+    sigma_px: float | None,
+    height: float | None,
+    fov_deg: float | None,
+    lengths: Sequence[KnownLength],
+    out: Path,
+) -> Iterator[str]:
+    """Fit a camera to the vehicles of a scene and write its file; yields lines on what was found.
+
+    Args:
+        scene: Images of one camera, and the keypoints in them.
+        folder: Where the scene's results lie, for the command that comes next; None: it is not named.
+        count: Use at most so many vehicles.
+        score, noise, sigma_px, height, fov_deg: As `camera_of_vehicles` takes them.
+        lengths: Lengths that are known, which correct the scale; there may be none.
+        out: The camera file, which must not be there with other content.
+
+    Raises:
+        UserError: The vehicles do not tell the camera, or the camera that they tell does not hold together.
+    """
+    if scene.left_out:
+        yield scene.left_out
+    fit, told, numbered = camera_of_vehicles(
+        scene, count, score=score, noise=noise, sigma_px=sigma_px, height=height, fov_deg=fov_deg
+    )
+    _, pitch, _ = fit.camera.angles
+    fit = corrected(fit, lengths)
+    ways = sigma_of_ways(fit)
+    sigma = {
+        "focal": fit.sigma_focal,
+        "pitch_deg": math.degrees(fit.sigma_pitch),
+        "roll_deg": math.degrees(fit.sigma_roll),
+        "height": fit.sigma_height,
+        "distance": ways,
+    }
+    besides = {
+        "vehicles": fit.vehicles,
+        "sigma": sigma,
+        "covariance": {"of": list(UNKNOWN_NAMES), "matrix": fit.covariance.tolist()},
+        "calibrated": {"from": told, **_part_of(scene)},
+    }
+    yield from write_camera(out, fit.camera, besides)
+    yield told if numbered else f"{told}; nothing tells which are the same vehicle, so that each counts as one"
+    yield from camera_figures(
+        focal=(fit.camera.K[0, 0], fit.sigma_focal),
+        pitch=(pitch, fit.sigma_pitch),
+        roll=(fit.camera.angles[2], fit.sigma_roll),
+        height=(fit.camera.position[2], fit.sigma_height),
+    )
+    yield (
+        f"distances and speeds: all within {2 * ways:.0%} of the truth, in one direction (95%), if the images are what "
+        "the camera saw, neither squeezed nor cropped"
+    )
+    if folder is not None:
+        yield f"next: skope eval track {shlex.quote(str(folder))} --camera {shlex.quote(str(out))}"
+
+
+def _part_of(scene: Scene) -> dict[str, Any]:
+    """The part of the footage that was taken, where the camera was moved in it."""
+    if not scene.left_out:
+        return {}
+    times = [image.time_s for image in scene.file.images]
+    return {"source": scene.file.info.get("source"), "seconds": [times[0], times[-1]]}
+
+
+def camera_figures(**values: tuple[float, float]) -> Iterator[str]:
+    """Lines with the camera's figures and their 95% intervals; angles are radians, each with its standard deviation."""
+    (focal, focal_sigma), (height, height_sigma) = values["focal"], values["height"]
+    yield f"focal length {focal:.0f} px (95%: {_logarithmic(focal, focal_sigma, 0)})"
+    angles = {
+        name: f"{math.degrees(value):.2f} deg (95%: {math.degrees(value - 2 * sigma):.2f} to "
+        f"{math.degrees(value + 2 * sigma):.2f})"
+        for name, (value, sigma) in values.items()
+        if name in ("pitch", "roll")
+    }
+    yield f"tilt down {angles['pitch']}; roll {angles['roll']}"
+    yield f"height {height:.2f} m (95%: {_logarithmic(height, height_sigma, 2)})"
+
+
+def _logarithmic(value: float, sigma: float, digits: int) -> str:
+    """The 95% interval of a value whose logarithm is uncertain."""
+    factor = math.exp(2 * sigma / value)
+    return f"{value / factor:.{digits}f} to {value * factor:.{digits}f}"
+
+
+def known_of(height: float | None, fov_deg: float | None, width: int) -> Known:
+    """Prior knowledge of a camera of which somebody gives the height or the field of view.
+
+    Args:
+        height: Height over the road, metres; None: not given.
+        fov_deg: Horizontal field of view, degrees; None: not given.
+        width: Width of the image, pixels.
+    """
+    known = Known()
+    center, sigma = known.center.copy(), known.sigma.copy()
+    if height is not None:
+        center[HEIGHT], sigma[HEIGHT] = math.log(height), _KNOWN_SHARE
+    if fov_deg is not None:
+        center[FOCAL], sigma[FOCAL] = math.log(width / 2 / math.tan(math.radians(fov_deg) / 2)), _KNOWN_SHARE
+    return Known(center, sigma)
+
+
+def known_length(text: str) -> KnownLength:
+    """The length that `--length` gives: column and row of one end, of the other, and metres."""
+    try:
+        *ends, metres = [float(part) for part in text.split(",")]
+    except ValueError:
+        ends, metres = [], math.nan
+    if len(ends) != 4 or not np.isfinite(ends).all() or not 0.1 <= metres <= 1000:
+        raise UserError(f"--length: expected COLUMN,ROW,COLUMN,ROW,METRES with 0.1 to 1000 metres, got {text!r}")
+    return KnownLength(np.array(ends).reshape(2, 2), metres)
+
+
+def doubt(name: Path | str, ways_sigma: float) -> str:
+    """Common error of all distances under a camera, in words."""
+    return f"{name}: all distances and speeds may be off by {2 * ways_sigma:.0%}, in one direction (95%)"
+
+
+def write_camera(out: Path, camera: Camera, besides: Mapping[str, Any]) -> Iterator[str]:
+    """Write a camera file, unless the same one is there; yields that.
+
+    Args:
+        out: The .json file.
+        camera: The camera.
+        besides: Further fields of the file, as JSON values.
+
+    Raises:
+        UserError: The file cannot be written, or holds something else.
+    """
+    document = {"width": camera.width, "height": camera.height, **camera.to_dict(), **besides}
+    write_new(out, (json.dumps(document, indent=1, allow_nan=False) + "\n").encode())
+    yield f"wrote {out}"

@@ -1,0 +1,171 @@
+"""A camera that sways while it takes footage: turned frame by frame, and how uncertain that leaves it.
+
+A mast or bracket that sways turns its camera about a point that is near to it, against how far away roads are: what
+moves the image is the turn. At rest the camera is as it was calibrated, but for where in its sway the picture was taken
+by which it was: nothing tells that, so that the sway itself is part of how uncertain the camera is.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+import cv2
+import numpy as np
+
+from skope.camera.model import Camera
+from skope.camera.motion.image_shift import ImageMotion
+from skope.camera.uncertain_camera import PARAMETERS, UncertainCamera, values_of
+from skope.errors import UserError
+from skope.schema import Image
+from skope.types import Array
+
+MOTION: Final = "camera_motion"
+"""Under this name the `info` of frames says how the camera swayed: what `CameraMotion.to_dict` makes."""
+MOVED_REASON: Final = "camera_moved"
+"""Reason for a vehicle without a place: the camera was moved after it had been calibrated."""
+TURNS: Final = ("pitch", "roll", "yaw")
+"""Parameters of a camera that a turn changes."""
+_DIFFERENCE_STEPS: Final = np.array([0.5, 0.5, 1e-3])
+"""Steps of numeric derivatives by x and y (pixels) and turn (radians)."""
+
+
+@dataclass(frozen=True, eq=False)
+class CameraMotion:
+    """Sway of a camera while it took footage."""
+
+    frames: Mapping[int, ImageMotion]
+    """By `Image.id`, how far the image is from where it is at rest; frames of which that is not known are not here."""
+    sway: tuple[float, float, float]
+    """Standard deviations of x and y (pixels) and of the turn (radians) over the footage."""
+
+    @property
+    def median_px(self) -> float:
+        """Median distance of images from rest, pixels."""
+        return float(np.median([math.hypot(one.x, one.y) for one in self.frames.values()]))
+
+    @property
+    def largest_px(self) -> float:
+        """Largest distance of images from rest, pixels."""
+        return max(math.hypot(one.x, one.y) for one in self.frames.values())
+
+    def __str__(self) -> str:
+        return (
+            f"the camera sways by {self.median_px:.1f} px in the median, {self.largest_px:.1f} px at most: "
+            "taken out frame by frame"
+        )
+
+    def camera_in(self, camera: Camera, image_id: int) -> Camera:
+        """The camera, which at rest is `camera`, in a frame; at rest where the frame's motion is not known."""
+        motion = self.frames.get(image_id)
+        return camera if motion is None else turned_camera(camera, motion.x, motion.y, motion.turn)
+
+    def stilled(self, camera: Camera | None, image: Image, pixels: Array) -> Array:
+        """Move pixels of a frame to where they lie at rest.
+
+        Args:
+            camera: The camera at rest; None: its lens is not known, and the image is moved and turned as a plane.
+            image: The frame; where its motion is not known it is taken to be at rest, as in `camera_in`.
+            pixels: (..., 2) in the frame.
+
+        Returns:
+            (..., 2) in the image at rest; NaN beyond the lens.
+        """
+        motion = self.frames.get(image.id)
+        if motion is None:
+            return pixels
+        if camera is None:
+            middle = np.array([image.width, image.height]) / 2
+            c, s = math.cos(motion.turn), math.sin(motion.turn)
+            return np.asarray((pixels - middle - [motion.x, motion.y]) @ np.array([[c, -s], [s, c]]) + middle)
+        camera = camera.resized((image.width, image.height))
+        turned = self.camera_in(camera, image.id)
+        rays, valid = turned.rays(pixels)
+        away = rays @ turned.T_camera_world[:3, :3] + camera.position
+        seen, _, before = camera.project(away)
+        return np.where((valid & before)[..., None], seen, np.nan)
+
+    def rest_in(self, camera: Camera, image_id: int) -> UncertainCamera:
+        """Remaining uncertainty of the camera in a frame: from frame to frame another error."""
+        motion = self.frames.get(image_id)
+        sigmas = self.sway if motion is None else (motion.sigma_px, motion.sigma_px, motion.sigma_turn)
+        return UncertainCamera(self.camera_in(camera, image_id), TURNS, covariance_of_turns(camera, sigmas))
+
+    def at_rest(self, camera: Camera, known: UncertainCamera | None) -> UncertainCamera:
+        """Uncertainty of the camera at rest, which was calibrated somewhere in its sway."""
+        known = known or UncertainCamera(camera, (), np.zeros((0, 0)))
+        return known.of_camera(camera).widened({TURNS: covariance_of_turns(camera, self.sway)})
+
+    def to_dict(self) -> dict[str, Any]:
+        """The sway as `from_dict` reads it: pixels to 0.0001, angles to 1e-7 radians."""
+        rows = [
+            [number, *(round(v, 4) for v in (one.x, one.y)), round(one.turn, 7)]
+            + [round(one.sigma_px, 4), round(one.sigma_turn, 7)]
+            for number, one in self.frames.items()
+        ]
+        return {
+            "sway": [round(v, 7) for v in self.sway],
+            "median_px": round(self.median_px, 4),
+            "columns": ["image_id", "x_px", "y_px", "turn", "sigma_px", "sigma_turn"],
+            "frames": rows,
+        }
+
+    @classmethod
+    def from_dict(cls, name: str, value: Mapping[str, Any]) -> "CameraMotion":
+        """Read what `to_dict` makes; `name` is the file's. Raises UserError."""
+        try:
+            rows = np.array(value["frames"], dtype=np.float64).reshape(-1, 6)
+            x, y, turn = (float(v) for v in value["sway"])
+        except (KeyError, TypeError, ValueError):
+            rows, x, y, turn = np.full((0, 6), 0.0), math.nan, 0.0, 0.0
+        if (
+            not len(rows)
+            or not np.isfinite(rows).all()
+            or not np.isfinite([x, y, turn]).all()
+            or (rows[:, 4:] < 0).any()
+        ):
+            raise UserError(f"{name}: info.{MOTION}: expected sway, and frames of six numbers each")
+        return cls({int(row[0]): ImageMotion(*row[1:].tolist()) for row in rows}, (x, y, turn))
+
+
+def motion_of_info(name: str, info: Mapping[str, Any]) -> CameraMotion | None:
+    """Sway of the frames' camera, as their `info` says; None: it stood still. Raises UserError."""
+    told = info.get(MOTION)
+    return CameraMotion.from_dict(name, told) if isinstance(told, Mapping) else None
+
+
+def turned_camera(camera: Camera, x: float, y: float, turn: float) -> Camera:
+    """Turn a camera about itself so that its image moves and turns as it is told.
+
+    Args:
+        camera: The camera at rest.
+        x: How far the image's middle moves to the right, pixels.
+        y: How far it moves down, pixels.
+        turn: How far the image turns about that place, radians, from x towards y.
+    """
+    middle = np.array([camera.width, camera.height]) / 2
+    rays = camera.rays(np.stack([middle, middle + [x, y]]))[0]
+    before, after = rays / np.linalg.norm(rays, axis=1, keepdims=True)
+    across = np.cross(before, after)
+    sine = float(np.linalg.norm(across))
+    axis = across / sine if sine > 0 else across
+    T = np.eye(4)
+    T[:3, :3] = _rotation(after * turn) @ _rotation(axis * math.atan2(sine, float(before @ after)))
+    return replace(camera, T_camera_world=T @ camera.T_camera_world)
+
+
+def covariance_of_turns(camera: Camera, sigmas: tuple[float, float, float]) -> Array:
+    """(3, 3) covariance of pitch, roll and yaw, by standard deviations of x, y (pixels) and turn (radians)."""
+    which = [PARAMETERS.index(name) for name in TURNS]
+    columns = []
+    for step in np.diag(_DIFFERENCE_STEPS):
+        ahead, behind = (values_of(turned_camera(camera, *(sign * step).tolist()))[which] for sign in (1, -1))
+        away = ahead - behind
+        columns.append((np.mod(away + np.pi, 2 * np.pi) - np.pi) / (2 * step.sum()))
+    J = np.stack(columns, axis=1) * np.asarray(sigmas)
+    return np.asarray(J @ J.T)
+
+
+def _rotation(vector: Array) -> Array:
+    """(3, 3) rotation about a vector (3,) by as many radians as it is long."""
+    return np.asarray(cv2.Rodrigues(vector)[0], dtype=np.float64)

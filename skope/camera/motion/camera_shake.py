@@ -1,0 +1,209 @@
+"""Sway of a video's camera, and when it is moved for good: each frame is held against the first one."""
+
+from collections.abc import Iterable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import ExitStack, closing, suppress
+from dataclasses import dataclass, replace
+from queue import SimpleQueue
+from typing import Final, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skope.camera.motion.camera_motion import CameraMotion
+from skope.camera.motion.image_shift import MOVED_SHARE, ImageMotion, ReferencePicture, SmallPicture
+from skope.camera.motion.motion_process import MotionProcess
+from skope.camera.motion.view_changes import ViewChange, changes
+from skope.schema import Image
+from skope.types import Array, Pixels
+
+_STILL_PX: Final = 0.1
+"""A camera stands still whose image moves by less, one standard deviation an axis in a picture 640 pixels wide:
+keypoints are ten times as uncertain."""
+_STILL_WIDTH: Final = 640
+_RAYLEIGH_95: Final = 2.448
+"""Within so many of these standard deviations 95% of shifts lie."""
+_AROUND_S: Final = 3.0
+"""Over so long before and after a move the image's mean place is compared: masts sway several times meanwhile."""
+_FEWEST_FRAMES: Final = 3
+"""Frames that such a mean needs."""
+
+
+class SwayWatch:
+    """Measures how far the image of each frame of a video is from the first one's, while the caller looks at it."""
+
+    def __init__(self, first: Pixels | None = None, processes: int = 0) -> None:
+        """Begin to watch a video.
+
+        Args:
+            first: The footage's first frame, where a run goes on after it.
+            processes: Measure in so many processes of their own; 0: in a thread of this one.
+        """
+        self._first = None if first is None else SmallPicture.of(first)
+        self._processes = processes
+        self._begun: dict[int, Future[ImageMotion | None]] = {}
+        """By the number of the frame."""
+
+    def watch(self, frames: Iterable[tuple[Image, Pixels]]) -> Iterator[tuple[Image, Pixels]]:
+        """The frames as they come; single images, which have no times, are not measured.
+
+        The first one that has a time is what the others are held against, if nothing is yet.
+        """
+        idle: SimpleQueue[_Measure] | None = None
+        with ExitStack() as ends, ThreadPoolExecutor(max(1, self._processes)) as pool:
+            for image, pixels in frames:
+                if image.time_s is not None:
+                    idle = idle or self._measures(pixels, ends)
+                    self._begun[image.id] = pool.submit(_motion, idle, pixels)
+                yield image, pixels
+
+    def taken(self, number: int) -> ImageMotion | None:
+        """The motion of a frame that was watched, by its number, which is then forgotten; None: it cannot be told."""
+        begun = self._begun.pop(number, None)
+        return None if begun is None else begun.result()
+
+    def _measures(self, pixels: Pixels, ends: ExitStack) -> "SimpleQueue[_Measure]":
+        """Start the measures of all frames from now on, one at a time each; `pixels` is the first of them."""
+        first = self._first or SmallPicture.of(pixels)
+        idle: SimpleQueue[_Measure] = SimpleQueue()
+        with suppress(OSError):  # where there can be no such processes, this one measures
+            for _ in range(self._processes):
+                idle.put(ends.enter_context(closing(MotionProcess(first))))
+        if idle.empty():
+            idle.put(ReferencePicture(first))
+        return idle
+
+
+_Measure: TypeAlias = ReferencePicture | MotionProcess
+
+
+def _motion(idle: "SimpleQueue[_Measure]", pixels: Pixels) -> ImageMotion | None:
+    measure = idle.get()
+    try:
+        return measure.motion(SmallPicture.of(pixels)) if pixels.shape[1::-1] == measure.size else None
+    finally:
+        idle.put(measure)
+
+
+@dataclass(frozen=True, eq=False)
+class SwayRecord:
+    """The motion of all frames of a video, against the first one."""
+
+    numbers: tuple[int, ...]
+    """`Image.id` of each frame."""
+    times_s: Array
+    """(N,) rising."""
+    motions: tuple[ImageMotion | None, ...]
+    width: int
+    """Of the images, pixels."""
+
+    def view_changes(self, looks: Sequence[tuple[float, str]]) -> list[ViewChange]:
+        """Times at which the view changes for good: where the image's mean place does, and else as `changes` has it of
+        looks.
+
+        Looks alone, which are half a second apart, may fall on one side of a sway again and again.
+        """
+        return sorted([*self._moves(), *changes(looks, self._unmeasured)], key=lambda change: change.time_s)
+
+    def motion(self, view_changes: Sequence[ViewChange]) -> CameraMotion | None:
+        """The camera's sway around its rest in each of its views; None: it stands still."""
+        part = np.searchsorted([change.time_s for change in view_changes], self.times_s, side="right")
+        values = self._values
+        for change in view_changes:
+            if change.settled_s is not None:  # the movement to another view is no sway
+                values[(self.times_s >= change.time_s) & (self.times_s < change.settled_s)] = np.nan
+        known = np.isfinite(values[:, 0])
+        for k in np.unique(part):
+            rows = (part == k) & known
+            if rows.any():
+                values[rows] -= np.median(values[rows], axis=0)
+        if not known.any():
+            return None
+        away = np.linalg.norm(values[known, :2], axis=1)
+        still = _STILL_PX * max(1.0, self.width / _STILL_WIDTH)
+        if np.percentile(away, 95) <= _RAYLEIGH_95 * still:
+            return None
+        frames = {
+            number: replace(motion, x=float(row[0]), y=float(row[1]), turn=float(row[2]))
+            for number, motion, row in zip(self.numbers, self.motions, values, strict=True)
+            if motion is not None and np.isfinite(row).all()
+        }
+        x, y, turn = np.sqrt((values[known] ** 2).mean(axis=0)).tolist()
+        return CameraMotion(frames, (x, y, turn))
+
+    @property
+    def _values(self) -> Array:
+        """(N, 3) x, y, turn; NaN where they are not known."""
+        nothing = (np.nan,) * 3
+        rows = [nothing if one is None else (one.x, one.y, one.turn) for one in self.motions]
+        return np.array(rows, dtype=np.float64).reshape(-1, 3)
+
+    def _unmeasured(self, time_s: float) -> bool:
+        """Whether too few frames tell where the image lies from a time on."""
+        soon = (self.times_s >= time_s) & (self.times_s < time_s + _AROUND_S)
+        return int(np.isfinite(self._values[soon, 0]).sum()) < _FEWEST_FRAMES
+
+    def _moves(self) -> list[ViewChange]:
+        """Changes of the view: times from which on the mean place of the image, over some seconds, is another one.
+
+        Turns and zooms count by how far they move the image's left and right edge.
+        """
+        known = np.isfinite(self._values[:, 0])
+        half = self.width / 2
+        measured = [motion for motion in self.motions if motion is not None]
+        rows = [(one.x, one.y, half * one.turn, half * one.growth) for one in measured]
+        places, times = np.array(rows, dtype=np.float64).reshape(-1, 4), self.times_s[known]
+        if not len(times):
+            return []
+        ends = np.searchsorted(times, times + _AROUND_S)
+        # Windows that the footage cuts short say less.
+        whole = (ends - np.arange(len(times)) >= _FEWEST_FRAMES) & (times + _AROUND_S <= times[-1] + 1e-6)
+        sums = np.concatenate([np.zeros((1, 4)), np.cumsum(places, axis=0)])
+        means = (sums[ends] - sums[: len(times)]) / np.maximum(ends - np.arange(len(times)), 1)[:, None]
+        out, begin = list[ViewChange](), 0
+        while begin < len(times) and whole[begin]:
+            away = np.linalg.norm(means - means[begin], axis=1) > MOVED_SHARE * self.width
+            later = np.flatnonzero(away & whole & (np.arange(len(times)) > begin))
+            if not len(later):
+                break
+            low = max(begin, int(np.searchsorted(times, times[later[0]] - _AROUND_S)))
+            at = low + _split(places[low : np.searchsorted(times, times[later[0]] + 2 * _AROUND_S)])
+            if whole[at]:
+                shift = float(np.linalg.norm(means[at] - places[low:at].mean(axis=0))) / self.width
+                if shift > MOVED_SHARE:
+                    out.append(ViewChange(float(times[at]), cut=False, shift=shift))
+            begin = max(at, begin + 1)
+        return out
+
+
+def _split(places: Array) -> int:
+    """Index at which places (N, 4) fall into two parts that lie each around a mean, with the least squares."""
+    count = np.arange(1, len(places))[:, None]
+    sums = np.cumsum(places, axis=0)
+    before, after = sums[:-1], sums[-1] - sums[:-1]
+    # The squares around two means are those around zero less these.
+    explained = (before**2 / count + after**2 / (len(places) - count)).sum(axis=1)
+    return 1 + int(explained.argmax())
+
+
+def motion_to_row(motion: ImageMotion | None) -> list[float] | None:
+    """JSON values of a frame's motion, not rounded."""
+    if motion is None:
+        return None
+    return [motion.x, motion.y, motion.turn, motion.sigma_px, motion.sigma_turn, motion.growth]
+
+
+def motion_of_row(row: Sequence[float] | None) -> ImageMotion | None:
+    """The motion of which `motion_to_row` has made this."""
+    return None if row is None else ImageMotion(*row)
+
+
+def record_of(images: Iterable[Image], motions: Iterable[ImageMotion | None], width: int) -> SwayRecord:
+    """The record of the motions of images, which are `width` pixels wide; images without times are left out."""
+    timed = [
+        (image.id, image.time_s, motion)
+        for image, motion in zip(images, motions, strict=True)
+        if image.time_s is not None
+    ]
+    seconds: NDArray[np.float64] = np.array([time_s for _, time_s, _ in timed], dtype=np.float64)
+    return SwayRecord(tuple(number for number, _, _ in timed), seconds, tuple(one for _, _, one in timed), width)

@@ -1,0 +1,171 @@
+"""Views of a moved camera that are followed: where each lies to the first one, and when the camera stood still in it.
+
+The footage is read again around each change. The median of its frames shows a view without traffic.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from skope.camera.motion.image_shift import MOVED_SHARE, ImageMotion, ReferencePicture, SmallPicture
+from skope.camera.motion.view_changes import ViewChange
+from skope.camera.motion.view_registration import ViewHomography, register, transformed
+from skope.errors import UserError
+from skope.pictures.median import median_of
+from skope.types import Pixels
+from skope.video.footage import Cut, Footage
+
+_PICTURE_S: Final = 20.0
+"""Longest part of a view that its picture is made of, seconds."""
+_PICTURE_FRAMES: Final = 25
+_MARGIN_S: Final = 1.0
+"""Frames that are nearer to a change of view are left out of pictures, seconds: the camera may still be moving."""
+_MARGIN_SHARE: Final = 0.25
+"""Largest such margin, as a share of the view's duration."""
+_AROUND_S: Final = 3.0
+"""Within this time before and after a change the movement is searched for, seconds."""
+_OLDER_VIEWS: Final = 3
+"""Number of earlier views that a new view is compared with, the latest first."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Followed:
+    """A view whose homography is known."""
+
+    begin_s: float
+    end_s: float
+    from_first: ViewHomography
+
+
+def with_homographies(footage: Footage, changes: Sequence[ViewChange], end_s: float) -> list[ViewChange]:
+    """The changes of a video's view, with their homography from the first view where the pictures surely tell it.
+
+    Args:
+        footage: The video. A live stream cannot be read again: its changes stay as they are.
+        changes: The changes, in order of time.
+        end_s: Time of the last frame, seconds.
+    """
+    if footage.live:
+        return list(changes)
+    first_s = footage.cut.start_s
+    groups = _groups(changes)
+    ends = [*(group[0].time_s for group in groups[1:]), end_s]
+    followed = [_Followed(first_s, groups[0][0].time_s if groups else end_s, ViewHomography(np.eye(3), 0.0, 0.0))]
+    out, before_s = list[ViewChange](), first_s
+    for group, stop_s in zip(groups, ends, strict=True):
+        try:
+            found = _follow(footage, group, stop_s, followed, before_s)
+        except UserError:  # the footage is not there any more
+            found = None
+        if found is not None and found.settled_s is not None and found.from_first is not None:
+            followed.append(_Followed(found.settled_s, stop_s, found.from_first))
+        out += group if found is None else [found]
+        before_s = out[-1].settled_s or out[-1].time_s
+    return out
+
+
+def _groups(changes: Sequence[ViewChange]) -> list[list[ViewChange]]:
+    """The changes, those together that follow one another at once: a camera that is moved step by step."""
+    out = list[list[ViewChange]]()
+    for change in changes:
+        if out and change.time_s - out[-1][-1].time_s < _AROUND_S:
+            out[-1].append(change)
+        else:
+            out.append([change])
+    return out
+
+
+def _follow(
+    footage: Footage, group: Sequence[ViewChange], stop_s: float, followed: Sequence[_Followed], before_s: float
+) -> ViewChange | None:
+    """One change for a group, with its homography from the first view; None where pictures do not surely tell it.
+
+    Args:
+        footage: The video.
+        group: Changes that follow one another at once.
+        stop_s: Time of the next change, or of the last frame, seconds.
+        followed: The earlier views whose homography is known.
+        before_s: Time from which the view before the changes is shown, seconds.
+    """
+    first, last = group[0], group[-1]
+    new = _picture(footage, last.time_s, stop_s, late=False)
+    for view in reversed(followed[-_OLDER_VIEWS:]):
+        old = _picture(footage, view.begin_s, view.end_s, late=True)
+        found = None if old is None or new is None else register(old, new)
+        if old is None or new is None or found is None:
+            continue
+        low_s, high_s = max(before_s, first.time_s - _AROUND_S), min(stop_s, last.time_s + _AROUND_S)
+        left_s, settled_s = _movement(_part(footage, low_s, high_s), last.time_s, old, new)
+        middle = np.array([new.shape[1], new.shape[0]]) / 2
+        shift = float(np.linalg.norm(transformed(found.matrix, middle) - middle)) / new.shape[1]
+        return ViewChange(
+            left_s,
+            cut=False,
+            shift=first.shift if len(group) == 1 and not first.cut else shift,
+            settled_s=settled_s,
+            from_first=view.from_first.then(found),
+        )
+    return None
+
+
+def _picture(footage: Footage, begin_s: float, end_s: float, *, late: bool) -> Pixels | None:
+    """(H, W, 3) a view without its traffic, of its first seconds or, `late`, its last; None: it has no frames."""
+    margin = min(_MARGIN_S, _MARGIN_SHARE * (end_s - begin_s))
+    low, high = begin_s + margin, end_s - margin
+    low, high = (max(low, high - _PICTURE_S), high) if late else (low, min(high, low + _PICTURE_S))
+    if not low < high:
+        return None
+    part = _part(footage, low, high)
+    part.cut = replace(part.cut, every=max(1, len(part) // _PICTURE_FRAMES))
+    frames = [pixels for _, pixels in part.frames()]
+    same = [pixels for pixels in frames if pixels.shape == frames[0].shape]
+    return median_of(same) if same else None
+
+
+def _part(footage: Footage, begin_s: float, end_s: float) -> Footage:
+    """The frames of footage from one time to another, read independently of it."""
+    return replace(footage, cut=Cut(start_s=max(0.0, begin_s), end_s=end_s), skipped=[])
+
+
+def _movement(footage: Footage, time_s: float, old: Pixels, new: Pixels) -> tuple[float, float]:
+    """Time of the first frame after the camera had left a view, and of the first one in which it is at rest in another.
+
+    Args:
+        footage: The frames around the change.
+        time_s: About when the view changes, seconds.
+        old: (H, W, 3) the first view.
+        new: (H, W, 3) the second view.
+    """
+    references = [ReferencePicture(SmallPicture.of(pixels)) for pixels in (old, new)]
+    times, in_old, in_new = list[float](), list[bool | None](), list[bool | None]()
+    for image, pixels in footage.frames():
+        picture = SmallPicture.of(pixels)
+        if picture.size == references[0].size and image.time_s is not None:
+            from_old, from_new = (_distance(one.motion(picture), picture.size[0]) for one in references)
+            times.append(image.time_s)
+            in_old.append(_is_at_rest(from_old, from_new))
+            in_new.append(_is_at_rest(from_new, from_old))
+    left = max((k for k, at_rest in enumerate(in_old) if at_rest), default=-1) + 1
+    first = next((k for k in range(left, len(times)) if in_new[k]), None)
+    if first is None:
+        return time_s, times[-1] if times else time_s
+    # A frame that is measured elsewhere is one of a camera that still swings; others may be hidden by traffic.
+    elsewhere = max((k for k in range(first, len(times)) if in_new[k] is False), default=first - 1)
+    settled = next((k for k in range(elsewhere + 1, len(times)) if in_new[k]), len(times) - 1)
+    return times[left], times[settled]
+
+
+def _distance(motion: ImageMotion | None, width: int) -> float | None:
+    """How far a frame lies from a view, as a share of the image's width; None: it is not known."""
+    if motion is None:
+        return None
+    return float(np.hypot(motion.x, motion.y)) / width + max(abs(motion.turn), abs(motion.growth)) / 2
+
+
+def _is_at_rest(distance: float | None, to_other: float | None) -> bool | None:
+    """Whether a frame lies where a view does, by its distances from it and from another view; None: not known."""
+    if distance is None:
+        return None
+    return distance <= MOVED_SHARE and (to_other is None or distance <= to_other)

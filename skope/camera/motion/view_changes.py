@@ -1,0 +1,141 @@
+"""Changes of view in footage: a cut to another camera, or a camera that was turned or knocked.
+
+Small pictures of the footage, half a second apart, are held against the first one of a view: their edges, as light
+changes and edges of the background stay. A view that has changed and stays so is a new one; one that comes back was
+hidden or shaken meanwhile.
+"""
+
+import base64
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import cv2
+import numpy as np
+
+from skope.camera.motion.image_shift import MOVED_SHARE, coarse_shift, edges, small_grey
+from skope.camera.motion.view_registration import ViewHomography
+from skope.schema import Image
+from skope.types import Array, Pixels
+
+EVERY_S: Final = 0.5
+"""Looks are so far apart, seconds."""
+_JPEG_QUALITY: Final = 80
+_LASTS: Final = 4
+"""Looks that a change has to last to be a new view."""
+
+
+@dataclass(frozen=True)
+class ViewChange:
+    """A time from which footage shows another view."""
+
+    time_s: float
+    cut: bool
+    """Whether nothing of the view before is seen; else the camera was turned."""
+    shift: float
+    """Distance by which the view has moved, as a share of the image's width; 0 for a cut."""
+    settled_s: float | None = None
+    """Time from which the camera stands still in the new view, where `from_first` is known, seconds."""
+    from_first: ViewHomography | None = None
+    """Where pixels of the first view lie in this one; None: not surely known."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """The change as `info` of frames has it: pixels to 0.0001."""
+        row: dict[str, Any] = {"time_s": self.time_s, "cut": self.cut, "shift": self.shift}
+        if self.from_first is None:
+            return row
+        return row | {
+            "settled_s": self.settled_s,
+            "homography": self.from_first.matrix.tolist(),
+            "residual_px": round(self.from_first.residual_px, 4),
+            "corner_error_px": round(self.from_first.corner_error_px, 4),
+        }
+
+    def __str__(self) -> str:
+        what = "cuts to another view" if self.cut else f"moves by {self.shift:.1%} of its width"
+        return f"the view {what} at {self.time_s:.1f} s{self._followed}"
+
+    @property
+    def _followed(self) -> str:
+        """Whether the view is followed, in words that end a sentence."""
+        if self.from_first is None or self.settled_s is None:
+            return "; it is not surely known where the first view lies in it"
+        return (
+            f"; it is followed from {self.settled_s:.1f} s on ({self.from_first.residual_px:.2f} px root mean square, "
+            f"{self.from_first.corner_error_px:.2f} px at the corners)"
+        )
+
+
+class Looks:
+    """Takes a small picture of footage every half a second."""
+
+    def __init__(self, last_s: float | None = None) -> None:
+        """`last_s`: when the last one was taken, where a run goes on after it."""
+        self.taken: dict[int, str] = {}
+        """By the number of the frame."""
+        self._last_s = last_s
+
+    def watch(self, frames: Iterable[tuple[Image, Pixels]]) -> Iterator[tuple[Image, Pixels]]:
+        """The frames as they come."""
+        for image, pixels in frames:
+            if image.time_s is not None and (self._last_s is None or image.time_s - self._last_s >= EVERY_S - 1e-6):
+                self._last_s = image.time_s
+                self.taken[image.id] = _packed(pixels)
+            yield image, pixels
+
+
+def changes(looks: Sequence[tuple[float, str]], stays: Callable[[float], bool] = lambda _: True) -> list[ViewChange]:
+    """Times at which the view changes for good, of looks with their times in seconds, which rise.
+
+    Args:
+        looks: Small pictures, as `Looks` takes them.
+        stays: Whether a camera that looks turned from a time on may be taken to be so; else it sways.
+    """
+    out: list[ViewChange] = []
+    reference: Array | None = None
+    pending: list[tuple[float, Array, float | None]] = []
+    for time_s, packed in looks:
+        shown = edges(unpacked_look(packed))
+        if shown is None:
+            continue
+        if reference is None:
+            reference = shown
+            continue
+        moved = _moved(reference, shown)
+        if moved is not None and moved <= MOVED_SHARE:
+            pending = []
+            continue
+        # What is pending counts as one change only while it shows one view.
+        if pending and not _shows(pending[0][1], shown):
+            pending = []
+        pending.append((time_s, shown, moved))
+        if len(pending) >= _LASTS:
+            began_s, shown, shift = pending[0]
+            pending = []
+            if shift is not None and not stays(began_s):
+                continue
+            reference = shown
+            out.append(ViewChange(began_s, cut=shift is None, shift=shift or 0.0))
+    return out
+
+
+def _shows(one: Array, other: Array) -> bool:
+    moved = _moved(one, other)
+    return moved is not None and moved <= MOVED_SHARE
+
+
+def _packed(pixels: Pixels) -> str:
+    _, encoded = cv2.imencode(".jpg", small_grey(pixels), [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
+    return base64.b64encode(encoded.tobytes()).decode()
+
+
+def unpacked_look(packed: str) -> Pixels:
+    """The small grey picture (H, W) that `Looks` has taken."""
+    small: Any = cv2.imdecode(np.frombuffer(base64.b64decode(packed), dtype=np.uint8), cv2.IMREAD_GRAYSCALE)
+    return np.asarray(small, dtype=np.uint8)
+
+
+def _moved(one: Array, other: Array) -> float | None:
+    """Distance by which a view has moved, as a share of the image's width; None where the two show different views."""
+    shift = coarse_shift(one, other)
+    return None if shift is None else float(np.hypot(*shift))

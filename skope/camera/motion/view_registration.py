@@ -1,0 +1,172 @@
+"""Homography between two views of one fixed camera that was shifted, turned or zoomed, with a test of its quality.
+
+Features that both pictures share give a first homography. The second picture is warped back by it, and corners of the
+first picture are followed into the warped one. The homography of these corners is accepted only if they agree with it,
+lie all over the image, and give the same homography when only half of them is used.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+import cv2
+import numpy as np
+
+from skope.camera.motion.image_shift import ReferencePicture, SmallPicture
+from skope.types import Array, Mask, Pixels
+
+_WORKING_WIDTH_PX: Final = 1280
+"""Largest width of the pictures that are compared. Limits in pixels are pixels of these pictures."""
+_FEATURE_RATIO: Final = 0.8
+"""Largest distance of a feature to its match, as a share of that to the second best match (Lowe's ratio test)."""
+_FEWEST_FEATURES: Final = 20
+"""Smallest number of features that agree with the first homography."""
+_FEATURE_PX: Final = 3.0
+"""Largest distance of a feature from where the first homography puts it."""
+_LARGEST_RESIDUAL_PX: Final = 1.0
+_LARGEST_CORNER_ERROR_PX: Final = 1.0
+_SMALLEST_OVERLAP: Final = 0.6
+_GRID_PARTS: Final = 4
+"""Rows and columns of parts into which the overlap of both views is divided."""
+_FEWEST_PARTS: Final = 9
+"""Smallest number of these parts that have corners: more than half, so that a lorry beside the camera is not enough."""
+_FEWEST_PER_PART: Final = 3
+"""Smallest number of corners in such a part."""
+
+
+@dataclass(frozen=True, eq=False)
+class ViewHomography:
+    """Where the pixels of one view lie in another one."""
+
+    matrix: Array
+    """(3, 3) homography of continuous pixel coordinates, first view to second view; its last element is 1."""
+    residual_px: float
+    """Distance of corners from where the homography puts them, root mean square per axis, pixels."""
+    corner_error_px: float
+    """Uncertainty at the image's corners, pixels: half the largest distance between what two halves of the corners
+    give there."""
+
+    def inverse(self) -> "ViewHomography":
+        """The homography from the second view to the first one, with the same errors."""
+        matrix = np.linalg.inv(self.matrix)
+        return replace(self, matrix=matrix / matrix[2, 2])
+
+    def then(self, further: "ViewHomography") -> "ViewHomography":
+        """The homography from the first view to a third one; `further` leads there from the second view."""
+        matrix = further.matrix @ self.matrix
+        return ViewHomography(
+            matrix / matrix[2, 2],
+            float(np.hypot(self.residual_px, further.residual_px)),
+            float(np.hypot(self.corner_error_px, further.corner_error_px)),
+        )
+
+
+def transformed(matrix: Array, pixels: Array) -> Array:
+    """(..., 2) where a homography (3, 3) takes pixels (..., 2); NaN beyond its horizon."""
+    xyw = pixels @ matrix[:, :2].T + matrix[:, 2]
+    return np.where(xyw[..., 2:] > 1e-9, xyw[..., :2] / np.maximum(xyw[..., 2:], 1e-9), np.nan)
+
+
+def is_inside(pixels: Array, size: tuple[int, int]) -> Mask:
+    """(...) whether pixels (..., 2) lie in an image of a width and a height; NaN does not."""
+    return np.asarray(((pixels >= 0) & (pixels <= np.array(size))).all(axis=-1), dtype=bool)
+
+
+def register(before: Pixels, after: Pixels) -> ViewHomography | None:
+    """Find the homography from one view to another one.
+
+    Args:
+        before: (H, W, 3) RGB picture of the first view, best without traffic (a median of frames).
+        after: (H, W, 3) RGB picture of the second view.
+
+    Returns:
+        The homography; None where the pictures do not surely tell it.
+    """
+    size = (before.shape[1], before.shape[0])
+    if after.shape != before.shape:
+        return None
+    first, second = (SmallPicture.of(pixels, _WORKING_WIDTH_PX) for pixels in (before, after))
+    rough = _of_features(first, second)
+    if rough is None or not _overlaps(rough, size):
+        return None
+    # Pixel coordinates of OpenCV have pixel centres at whole numbers.
+    halves = np.array([[1, 0, -0.5], [0, 1, -0.5], [0, 0, 1.0]])
+    back = halves @ np.linalg.inv(rough) @ np.linalg.inv(halves)
+    warped: Any = cv2.warpPerspective(after, back, size, flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    corners = ReferencePicture(first).followed(SmallPicture.of(warped, _WORKING_WIDTH_PX))
+    if corners is None:
+        return None
+    there = transformed(rough, corners.after)
+    kept = is_inside(there, size)  # what is beyond the second view was made up by the warp
+    return _checked(corners.before[kept], there[kept], size, first.scale)
+
+
+def _of_features(first: SmallPicture, second: SmallPicture) -> Array | None:
+    """(3, 3) homography in pixels of the pictures that most shared features agree with; None where too few do."""
+    sift = cv2.SIFT.create(nfeatures=4000)
+    (points, descriptors), (others, descriptions) = (sift.detectAndCompute(one.fine, None) for one in (first, second))
+    if min(len(points), len(others)) < _FEWEST_FEATURES:
+        return None
+    pairs = cv2.BFMatcher().knnMatch(descriptors, descriptions, k=2)
+    good = [pair[0] for pair in pairs if len(pair) == 2 and pair[0].distance < _FEATURE_RATIO * pair[1].distance]
+    if len(good) < _FEWEST_FEATURES:
+        return None
+    before = (np.array([points[match.queryIdx].pt for match in good]) + 0.5) / first.scale
+    after = (np.array([others[match.trainIdx].pt for match in good]) + 0.5) / second.scale
+    cv2.setRNGSeed(0)
+    matrix, agree = cv2.findHomography(before, after, cv2.RANSAC, _FEATURE_PX / first.scale, maxIters=5000)
+    if matrix is None or int(agree.sum()) < _FEWEST_FEATURES:
+        return None
+    return np.asarray(matrix, dtype=np.float64)
+
+
+def _overlaps(matrix: Array, size: tuple[int, int]) -> bool:
+    """Whether both views share enough of their images, and neither is mirrored."""
+    grid = _grid(size)
+    shares = []
+    for H in (matrix, np.linalg.inv(matrix)):
+        H = H / H[2, 2]
+        there = transformed(H, grid)
+        across, down = (transformed(H, grid + step) - there for step in np.eye(2))
+        upright = across[..., 0] * down[..., 1] - across[..., 1] * down[..., 0] > 0
+        shares.append(float((is_inside(there, size) & upright).mean()))
+    return min(shares) >= _SMALLEST_OVERLAP
+
+
+def _checked(before: Array, after: Array, size: tuple[int, int], scale: float) -> ViewHomography | None:
+    """The homography of corners (N, 2) in both views; None where it fails a test of its quality."""
+    # Neighbours in this order go to different halves, so that both halves cover the image.
+    order = np.lexsort((before[:, 0], before[:, 1] // (size[1] / 8)))
+    halves = [_fit(before[order[k::2]], after[order[k::2]]) for k in (0, 1)]
+    whole = _fit(before, after)
+    if whole is None or halves[0] is None or halves[1] is None or not _overlaps(whole, size):
+        return None
+    if _parts_with(before, whole, size) < _FEWEST_PARTS:
+        return None
+    edges = np.array([[0, 0], [1, 0], [0, 1], [1, 1.0]]) * size
+    apart = np.linalg.norm(transformed(halves[0], edges) - transformed(halves[1], edges), axis=1).max()
+    residual = float(np.sqrt(((transformed(whole, before) - after) ** 2).mean()))
+    if not (residual * scale < _LARGEST_RESIDUAL_PX and apart * scale < _LARGEST_CORNER_ERROR_PX):
+        return None
+    return ViewHomography(whole, residual, float(apart) / 2)
+
+
+def _parts_with(corners: Array, matrix: Array, size: tuple[int, int]) -> int:
+    """Number of parts of the overlap of both views that have enough of the corners (N, 2)."""
+    grid = _grid(size)
+    shared = grid[is_inside(transformed(matrix, grid), size)]
+    low, high = shared.min(axis=0), shared.max(axis=0)
+    part = np.clip((corners - low) / (high - low) * _GRID_PARTS, 0, _GRID_PARTS - 1).astype(int)
+    counts = np.bincount(part[:, 0] + _GRID_PARTS * part[:, 1], minlength=_GRID_PARTS**2)
+    return int((counts >= _FEWEST_PER_PART).sum())
+
+
+def _grid(size: tuple[int, int]) -> Array:
+    """(40, 40, 2) pixels all over an image."""
+    u, v = ((np.arange(40) + 0.5) / 40 * side for side in size)
+    return np.stack(np.meshgrid(u, v), axis=-1)
+
+
+def _fit(before: Array, after: Array) -> Array | None:
+    """(3, 3) homography of corners (N, 2) by least squares."""
+    matrix = cv2.findHomography(before, after, 0)[0] if len(before) >= 4 else None
+    return None if matrix is None else np.asarray(matrix, dtype=np.float64)

@@ -1,0 +1,132 @@
+"""The detector's costly parts in bfloat16, everything that is a coordinate in float32.
+
+Left to autocast alone, boxes would be decoded from bfloat16: 8 bits of mantissa place a corner at column 1000 to 4
+pixels. Here the convolutions of backbone, proposals and heads multiply in bfloat16 and answer in float32; boxes,
+suppression, the upsampling of heat maps and their maxima stay as they are.
+
+On a GPU reading and writing memory takes longer than the products, so that convolutions add their biases and
+the block's input and take the positive part before they write (cuDNN's fused convolutions).
+"""
+
+from collections import OrderedDict
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+from torchvision.models.detection import KeypointRCNN
+from torchvision.models.resnet import BasicBlock, Bottleneck
+
+from skope.detector.backbone_norms import multiply_in
+from skope.detector.backends.handed_proposals import HandedProposals, PyramidWithProposals
+
+
+def convert(model: KeypointRCNN) -> None:
+    """Let the costly parts of `model` multiply in bfloat16 from now on; their weights are rounded to it for good."""
+    multiply_in(model)
+    heads = model.roi_heads
+    model.backbone = _Pyramid(model)
+    model.rpn.head = HandedProposals(model.backbone)
+    heads.box_head = _InBfloat16(heads.box_head)
+    heads.keypoint_head = _InBfloat16(heads.keypoint_head)
+
+
+class _InBfloat16(nn.Module):
+    """A module whose products are taken in bfloat16, from and to float32."""
+
+    def __init__(self, inner: nn.Module) -> None:
+        super().__init__()
+        self.inner = inner
+        _round(inner)
+
+    def forward(self, x: Tensor) -> Tensor:
+        with torch.autocast(x.device.type, torch.bfloat16):
+            return self.inner(x).float()  # type: ignore[no-any-return]
+
+
+class _Pyramid(PyramidWithProposals):
+    """An image's feature maps, and the scores and offsets of the anchors on them."""
+
+    def __init__(self, model: KeypointRCNN) -> None:
+        super().__init__(model.backbone.out_channels)
+        self.body, self.fpn, self.head = _body(model.backbone.body), model.backbone.fpn, model.rpn.head
+        _round(self)
+
+    def forward(self, images: Tensor) -> OrderedDict[str, Tensor]:
+        with torch.autocast(images.device.type, torch.bfloat16):
+            features = self.fpn(self.body(images))
+            scores, offsets = self.head(list(features.values()))
+        self.proposals = ([one.float() for one in scores], [one.float() for one in offsets])
+        # Pooling takes maps whose channels lie apart: put in order here, they are not for each pooling anew.
+        return OrderedDict(
+            (name, one.to(torch.float32, memory_format=torch.contiguous_format)) for name, one in features.items()
+        )
+
+
+def _body(body: Any) -> nn.Module:
+    """A backbone's layers, whose norms have been multiplied in, with fused convolutions where it is a ResNet."""
+    return _ResNet(body) if "layer1" in body else _InTheirOrder(body)
+
+
+class _InTheirOrder(nn.Module):
+    """torchvision's layers as they are."""
+
+    def __init__(self, body: nn.Module) -> None:
+        super().__init__()
+        self.body = body
+
+    def forward(self, images: Tensor) -> OrderedDict[str, Tensor]:
+        return self.body(images.to(torch.bfloat16, memory_format=torch.channels_last))  # type: ignore[no-any-return]
+
+
+class _ResNet(nn.Module):
+    """torchvision's ResNet with fused convolutions."""
+
+    def __init__(self, body: Any) -> None:
+        super().__init__()
+        self.conv1, self.maxpool = body.conv1, body.maxpool
+        self.layers = nn.ModuleList(nn.Sequential(*map(_Block, body.get_submodule(f"layer{i}"))) for i in (1, 2, 3, 4))
+
+    def forward(self, images: Tensor) -> OrderedDict[str, Tensor]:
+        x = images.to(torch.bfloat16, memory_format=torch.channels_last)
+        x = self.maxpool(_convolved(x, self.conv1))
+        out = OrderedDict()
+        for i, layer in enumerate(self.layers):
+            x = out[str(i)] = layer(x)
+        return out
+
+
+class _Block(nn.Module):
+    """A block of two or three convolutions, to whose answer its input is added."""
+
+    def __init__(self, block: BasicBlock | Bottleneck) -> None:
+        super().__init__()
+        self.conv1, self.conv2 = block.conv1, block.conv2
+        self.conv3 = block.conv3 if isinstance(block, Bottleneck) else None
+        self.downsample = None if block.downsample is None else block.downsample[0]
+
+    def forward(self, x: Tensor) -> Tensor:
+        added = x if self.downsample is None else self.downsample(x)
+        inner = _convolved(x, self.conv1)
+        if self.conv3 is None:
+            return _convolved(inner, self.conv2, added)
+        return _convolved(_convolved(inner, self.conv2), self.conv3, added)
+
+
+def _convolved(x: Tensor, layer: nn.Conv2d, added: Tensor | None = None) -> Tensor:
+    """The positive part of a convolution, to which another map may be added."""
+    geometry: Any = (layer.stride, layer.padding, layer.dilation, layer.groups)
+    if x.is_cuda and torch.version.cuda is not None:
+        if added is None:
+            return torch.cudnn_convolution_relu(x, layer.weight, layer.bias, *geometry)
+        return torch.cudnn_convolution_add_relu(x, layer.weight, added, 1.0, layer.bias, *geometry)
+    y: Tensor = layer(x)
+    return (y if added is None else y.add_(added)).relu_()
+
+
+def _round(module: nn.Module) -> None:
+    """Round weights, and put them in the order in which they are multiplied, once: each call would do so again."""
+    for layer in module.modules():
+        if isinstance(layer, nn.Conv2d):
+            layer.to(torch.bfloat16).to(memory_format=torch.channels_last)
+        elif isinstance(layer, nn.Linear):
+            layer.to(torch.bfloat16)

@@ -1,0 +1,157 @@
+"""Libraries that compute the network's parts in place of torch, each with an extra of its own.
+
+Both read ONNX. What they answer differs from torch's in the last digits of float32; bfloat16 and int8 are rougher.
+"""
+
+import contextlib
+import importlib
+from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from functools import lru_cache
+from types import ModuleType
+from typing import Any, ClassVar, Final
+
+import torch
+
+from skope.cpu_count import usable_processors
+from skope.detector.backends.network_parts import INPUT, NetworkPart, RunNetwork
+from skope.detector.device import has_bfloat16
+from skope.errors import UserError
+from skope.types import Floats32
+
+_COMPILED_SIZES: Final = 4
+"""Sizes of images whose graphs are kept: 1280x720 takes `road33` 1.5 s and 0.3 GB, `road33-lite` half a second and a
+third of that."""
+
+
+class UnusableError(UserError):
+    """A runtime is missing, too old or broken."""
+
+    def __init__(self, message: str, *, missing: bool) -> None:
+        super().__init__(message)
+        self.missing = missing
+
+
+class Runtime(ABC):
+    """A library that computes ONNX models on the CPU."""
+
+    backend: ClassVar[str]
+    """Its name for `--backend`, and that of the extra that installs it."""
+    formats: ClassVar[tuple[str, ...]]
+    """Number formats that it multiplies in, fastest first."""
+    module: ClassVar[str]
+    oldest: ClassVar[tuple[int, int]]
+    """The first version that is known to compute the parts rightly."""
+
+    def __init__(self) -> None:
+        """Raises UnusableError, of one line, where the library or `onnx`, which the parts are handed over by, fails."""
+        self._import("onnx")
+        self._library = self._import(self.module)
+        self.version = str(self._library.__version__).partition("-")[0]
+        if tuple(int(part) for part in self.version.split(".")[:2] if part.isdecimal()) < self.oldest:
+            least = ".".join(map(str, self.oldest))
+            raise self._unusable(f"{self.module} {self.version} is too old, {least} is the oldest that will do")
+
+    def _import(self, module: str) -> ModuleType:
+        try:
+            return importlib.import_module(module)
+        except ModuleNotFoundError as error:
+            if error.name == module:
+                raise self._unusable(f"{module} is not installed", missing=True) from None
+            raise self._unusable(f"{module} is broken ({error})") from None
+        except Exception as error:  # a compiled module may raise what it likes
+            raise self._unusable(f"{module} is broken ({_first_line(error)})") from None
+
+    def _unusable(self, why: str, *, missing: bool = False) -> UnusableError:
+        line = f"--backend {self.backend}: {why}: pip install 'skope[{self.backend}]'"
+        return UnusableError(line, missing=missing)
+
+    def compile(self, part: NetworkPart, number: str) -> RunNetwork:
+        """A function that computes a part with products in a number format, one of `formats`.
+
+        Both raise UnusableError, of one line, where the library cannot.
+        """
+        with self._blamed():
+            run = self._compiled(part, number)
+
+        def guarded(x: Floats32) -> list[Floats32]:
+            with self._blamed():
+                return run(x)
+
+        return guarded
+
+    @contextlib.contextmanager
+    def _blamed(self) -> Iterator[None]:
+        try:
+            yield
+        except Exception as error:  # whatever the library raises where it meets what it cannot do
+            why = f"{self.module} {self.version} cannot compute the network ({_first_line(error)})"
+            raise self._unusable(why) from None
+
+    @abstractmethod
+    def _compiled(self, part: NetworkPart, number: str) -> RunNetwork: ...
+
+
+class OpenVino(Runtime):
+    """OpenVINO. Sums of products, and what is not in eight bits, are in bfloat16 where they may be."""
+
+    backend = "openvino"
+    formats = ("int8", "bfloat16", "float32")
+    module = "openvino"
+    oldest = (2025, 0)
+
+    def _compiled(self, part: NetworkPart, number: str) -> RunNetwork:
+        core = self._library.Core()
+        hints = {
+            "INFERENCE_PRECISION_HINT": "bf16" if number != "float32" and has_bfloat16(torch.device("cpu")) else "f32",
+            "PERFORMANCE_HINT": "LATENCY",
+            "INFERENCE_NUM_THREADS": usable_processors(),
+        }
+        model = core.read_model(part.to_onnx())
+
+        @lru_cache(maxsize=_COMPILED_SIZES)
+        def compiled(shape: tuple[int, ...] | None) -> Any:
+            fitting = model.clone()
+            if shape:
+                fitting.reshape({INPUT: list(shape)})
+            return core.compile_model(fitting, "CPU", hints)
+
+        def run(x: Floats32) -> list[Floats32]:
+            # Compiled for one size the pyramid is a fifth faster than for any size, and rounds otherwise: were the
+            # size that comes first set apart, what is found in an image would depend on those before it.
+            graph = compiled(x.shape if part.steady else None)
+            return list(graph(x, share_inputs=True, share_outputs=True).to_tuple())
+
+        return run
+
+
+class OnnxRuntime(Runtime):
+    """ONNX Runtime. In eight bits it was slower than in float32 (version 1.31), and it has no bfloat16 on CPUs."""
+
+    backend = "onnx"
+    formats = ("float32",)
+    module = "onnxruntime"
+    oldest = (1, 20)
+
+    def _compiled(self, part: NetworkPart, number: str) -> RunNetwork:
+        options = self._library.SessionOptions()
+        options.intra_op_num_threads = usable_processors()
+        model = _without_shapes(part.to_onnx())
+        session = self._library.InferenceSession(model, options, providers=["CPUExecutionProvider"])
+        return lambda x: list(session.run(None, {INPUT: x}))
+
+
+def _without_shapes(model: bytes) -> bytes:
+    """An ONNX model without the shapes that the exporter noted: of a layer that five maps go through they are wrong."""
+    import onnx
+
+    parsed = onnx.load_from_string(model)
+    parsed.graph.ClearField("value_info")
+    return bytes(parsed.SerializeToString())
+
+
+def _first_line(error: Exception) -> str:
+    return (str(error).splitlines() or [type(error).__name__])[0]
+
+
+RUNTIMES: Final[dict[str, type[Runtime]]] = {runtime.backend: runtime for runtime in (OpenVino, OnnxRuntime)}

@@ -1,0 +1,177 @@
+"""`skope eval calibrate-scores`: run a checkpoint on what it has not learnt from, and fit its scores to the truth."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skope.dataset.image_selection import held_back, ignoring, last_frames
+from skope.detections import apart
+from skope.detector import fold_calibration, score_calibration
+from skope.detector.checkpoint import checkpoint_bytes, find_checkpoint, load_weights
+from skope.detector.fold_calibration import LEAST_SCORE
+from skope.detector.network_settings import Settings
+from skope.detector.predictor import CALIBRATED_KEY, Predictor
+from skope.detector.score_calibration import ALPHA, CALIBRATION_IOU
+from skope.detector.weights import shipped
+from skope.errors import UserError
+from skope.files.output_folders import check_file, work_of, write_new
+from skope.metrics import read_inputs, score_reliability
+from skope.metrics.keypoint_outcomes import Options, outcomes_at
+from skope.metrics.match import match
+from skope.metrics.road_users import box_outcomes
+from skope.schema import CATEGORY_ID, AnnotationFile, Result, RoadUserResult
+from skope.terminal.console import Console
+from skope.types import Array
+
+TRAIN_SPLIT: Final = "train"
+LEAST_OUTCOMES: Final = 20
+"""A category's scores are fitted to so many right and as many wrong detections at least."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class CalibrationJob:
+    """A calibration of scores: checkpoint and data."""
+
+    checkpoint: Path
+    data: Path
+    split: str
+    last: float | None
+    """Share at the end of each recording that is taken; None: all of a test split, or what training validated on."""
+    score: float
+    """Detections above this are learnt from: those whose keypoints will be used."""
+    settings: Settings
+    max_images: int | None = None
+    out: Path | None = None
+    """Checkpoint to write with boxes' and keypoints' scores calibrated; None: only keypoints', in a file beside the
+    weights."""
+
+
+def fit_calibration(job: CalibrationJob, console: Console) -> Path:
+    """Fit the calibration and write it beside the weights, or as part of other weights; returns the path.
+
+    Raises UserError where another calibration lies there, of other weights, data or options, or another file.
+    """
+    weights = find_checkpoint(job.checkpoint)
+    if job.out:
+        check_file(job.out, lambda head: head[8:9] == b"{")
+    elif shipped(weights):
+        raise UserError(f"--checkpoint {job.checkpoint}: comes with skope; copy {weights} and calibrate the copy")
+    least = job.score if job.out is None else min(job.score, LEAST_SCORE)
+    predictor = Predictor.load(weights, replace(job.settings, calibrated=False, min_score=least), console)
+    truth = read_inputs.read_dataset(job.data, [job.split])
+    predictor.check_scheme(truth.scheme, job.data)
+    share = _share(job, predictor.metadata)
+    work = _work(job, [weights, *truth.sources], share)
+    if job.out is None:
+        score_calibration.check_calibration_free(weights, work)
+    file = read_inputs.limit(_taken(job, truth.splits[0], share), job.max_images)
+    if not file.images:
+        raise UserError(f"{job.data}: split {job.split}: the last {share:g} of its recordings is less than one image")
+    results, others = apart([one for _, found in predictor.by_image(file, truth.root) for one in found])
+
+    matches = match(file, results, score=job.score, thresholds=(CALIBRATION_IOU,))
+    outcomes = outcomes_at(matches, CALIBRATION_IOU, Options(alpha=ALPHA, iou=(CALIBRATION_IOU,)))
+    points = matches.det_keypoints[outcomes.detection[outcomes.found]]
+    right = outcomes.correct(ALPHA)[outcomes.found]
+    if not len(matches.gt_image):
+        raise UserError(f"{job.data}: split {job.split}: shows no vehicle to fit to; name another --split")
+    if not len(points):
+        raise UserError(
+            f"{job.data}: split {job.split}: none of {len(matches.gt_image)} vehicles is found with a score above "
+            f"{job.score:g}; train longer, or take --score lower"
+        )
+    fitted_on = {
+        "data": str(job.data),
+        "split": job.split,
+        "last": share,
+        "images": len(file.images),
+        "vehicles": len(points),
+        "alpha": ALPHA,
+        "iou": CALIBRATION_IOU,
+        "score": job.score,
+    }
+    fitted = score_calibration.fit(score_calibration.raw_maxima(points[..., 2]), right, fitted_on)
+    _tell("keypoints", points[..., 2], fitted(points)[..., 2], right, console)
+    if job.out is None:
+        return score_calibration.write(weights, fitted, work, predictor.scheme.name)
+    boxes = _fitted_boxes(file, results, others, predictor.categories, console)
+    model, config, metadata = load_weights(weights, "cpu")
+    fold_calibration.fold(model, boxes, fitted)
+    known = [predictor.categories[number - CATEGORY_ID] for number in boxes]
+    content = checkpoint_bytes(model, config, {**metadata, CALIBRATED_KEY: {**fitted_on, "categories": known}})
+    write_new(job.out, content)
+    return job.out
+
+
+def _fitted_boxes(
+    file: AnnotationFile,
+    vehicles: Sequence[Result],
+    others: Sequence[RoadUserResult],
+    categories: Sequence[str],
+    console: Console,
+) -> dict[int, tuple[float, float]]:
+    """Scale and offset of the scores of each category that the data tell, by the category's id."""
+    fitted = {}
+    for number, name in enumerate(categories, start=CATEGORY_ID):
+        if number == CATEGORY_ID:
+            scores, hits = fold_calibration.vehicle_outcomes(file, vehicles)
+        else:
+            scores, hits = box_outcomes(file, [one for one in others if one.score > LEAST_SCORE], name)
+            if min(hits.sum(), (~hits).sum()) < LEAST_OUTCOMES:
+                console.say(
+                    f"{name}: not calibrated, a threshold means another thing for it: of {len(hits)} detections "
+                    f"{hits.sum()} are right; {LEAST_OUTCOMES} right and as many wrong ones are needed"
+                )
+                continue
+        fitted[number] = fold_calibration.fit_boxes(scores, hits)
+        what = "vehicles" if number == CATEGORY_ID else name
+        _tell(what, scores, fold_calibration.calibrated(scores, *fitted[number]), hits, console)
+    return fitted
+
+
+def _tell(what: str, before: Array, after: Array, right: NDArray[np.bool_], console: Console) -> None:
+    """Say what scores were worth before and after."""
+    losses = []
+    for words, p in (("before", before), ("after", after)):
+        error = score_reliability.calibration_error(score_reliability.reliability(p.ravel(), right.ravel()))
+        losses.append(score_calibration.log_loss(p, right))
+        console.say(f"{what}, {words}: log loss {losses[-1]:.3f}, calibration error {error:.3f}")
+    if losses[1] > losses[0]:
+        console.say(f"{what}: the scores are worse now than before: fit them to more images (--split, --last)")
+
+
+def _work(job: CalibrationJob, files: Sequence[Path], share: float) -> dict[str, Any]:
+    """Identity of the calibration for `work.json`: checkpoint, data and options."""
+    options = {"split": job.split, "last": share, "score": job.score, "max_images": job.max_images}
+    settings = {name: getattr(job.settings, name) for name in ("backend", "precision", "min_size")}
+    # The command was called so when the first calibrations were written, which stay valid.
+    return work_of("skope eval calibrate", files, {**options, **settings})
+
+
+def _share(job: CalibrationJob, metadata: dict[str, Any]) -> float:
+    """Share of each recording to take: what training kept for validation, all of other splits."""
+    if job.last is not None:
+        if not 0 < job.last <= 1:
+            raise UserError(f"--last: expected a share above 0 and up to 1, got {job.last}")
+        return job.last
+    if job.split != TRAIN_SPLIT:
+        return 1.0
+    recipe = metadata.get("run", {}).get("recipe", {})
+    kept = recipe.get("val_fraction")
+    if not kept:
+        raise UserError(
+            "--split train: this checkpoint kept nothing of it for validation, and scores fitted to what was learnt "
+            "promise too much; name another --split, or with --last the share of each recording to take all the same"
+        )
+    return float(kept)
+
+
+def _taken(job: CalibrationJob, file: AnnotationFile, share: float) -> AnnotationFile:
+    """Annotations to fit the scores to: nothing that was learnt from, unless `--last` asks for it."""
+    if job.last is not None or job.split != TRAIN_SPLIT:
+        return last_frames(file, share)
+    return ignoring(*held_back(file, share))

@@ -1,0 +1,314 @@
+"""Run the detector over many images: they are decoded beside the computing, in batches where that helps."""
+
+import copy
+import itertools
+import time
+from collections import deque
+from collections.abc import Container, Iterable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Final, TypeVar
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torchvision.models.detection import KeypointRCNN
+
+from skope import boxes
+from skope.dataset.folder import read_image
+from skope.detections import MIN_SCORE, Detections, apart
+from skope.detector import score_calibration
+from skope.detector.backends.prepare import prepare
+from skope.detector.build import DetectorConfig
+from skope.detector.checkpoint import find_checkpoint, load_weights
+from skope.detector.detect import detect, detect_on_boxes
+from skope.detector.device import choose_device
+from skope.detector.network_settings import Settings
+from skope.detector.read_ahead import read_ahead
+from skope.detector.tiles import Tile, join_tiles, tiles_of
+from skope.detector.weights import shipped
+from skope.errors import UserError
+from skope.keypoints import Scheme
+from skope.schema import Annotation, AnnotationFile, AnyResult, Image, Result
+from skope.terminal.console import Console, minutes
+from skope.types import Pixels
+
+T = TypeVar("T")
+
+CALIBRATED_KEY: Final = "calibrated"
+"""Key of a checkpoint's metadata under which it says what its own scores were calibrated on."""
+_GPU_BATCH: Final = 8
+"""Images that go through the network together on a GPU; a CPU gains nothing from batches."""
+_LARGE_GPU_BATCH: Final = 16
+"""The same on a GPU with `_LARGE_GPU_BYTES` and more: at short side 1080 they take 10 GB, and are a tenth faster."""
+_LARGE_GPU_BYTES: Final = 24 * 10**9
+_DECODERS: Final = 2
+"""Threads that decode images."""
+
+
+class Predictor:
+    """A detector on a device, with the calibration of its scores if there is one."""
+
+    def __init__(
+        self,
+        model: KeypointRCNN,
+        config: DetectorConfig,
+        metadata: dict[str, Any],
+        *,
+        weights: Path,
+        calibration: score_calibration.ScoreCalibration | None,
+        settings: Settings,
+        device: torch.device,
+        console: Console,
+    ) -> None:
+        self.model = model
+        """The network, whose parts a backend may have taken over."""
+        self.config, self.metadata = config, metadata
+        self.weights = weights
+        self._calibration, self._settings = calibration, settings
+        self._device, self._console = device, console
+        self.batch_size = settings.batch_size or default_batch_size(device)
+        """Images of one size that go through the network together, at most."""
+        self.scheme = config.keypoint_scheme
+
+    @classmethod
+    def load(cls, checkpoint: Path, settings: Settings, console: Console) -> "Predictor":
+        """Load a checkpoint, and let a backend compute as `settings` has it.
+
+        Args:
+            checkpoint: A checkpoint file, a run folder, or the name of weights that come with skope.
+            settings: How it is run.
+            console: Hears what is run, and how.
+
+        Raises:
+            UserError: There is no such checkpoint, device or backend, or a file is damaged.
+        """
+        device = choose_device(settings.device)
+        weights = find_checkpoint(checkpoint)
+        model, config, metadata = load_weights(weights, device)
+        calibration = score_calibration.read(weights, config.scheme) if settings.calibrated else None
+        if settings.min_size is not None:
+            config = config.with_min_size(settings.min_size)
+            model.transform.min_size, model.transform.max_size = (config.min_size,), config.max_size
+        number = prepare(
+            model,
+            metadata,
+            device,
+            backend=settings.backend,
+            precision=settings.precision,
+            one_size=settings.one_size,
+            console=console,
+        )
+        predictor = cls(
+            model,
+            config,
+            metadata,
+            weights=weights,
+            calibration=calibration,
+            settings=settings,
+            device=device,
+            console=console,
+        )
+        console.say(predictor.described(number))
+        if len(config.categories) > 1:
+            console.say(f"finds {', '.join(config.categories)}; keypoints of vehicles alone")
+        return predictor
+
+    def described(self, number: str) -> str:
+        """The detector in words; `number` are backend and number format."""
+        sides = f"short side {self.config.min_size}, long side at most {self.config.max_size} px"
+        scores = "calibrated" if self.calibrated else "uncalibrated"
+        return f"{self.name} on {self._device} in {number} ({sides}; {scores} keypoint scores)"
+
+    @property
+    def name(self) -> str:
+        """Its name in the package, or its file's path."""
+        return self.weights.stem if shipped(self.weights) else str(self.weights)
+
+    def reporting(self, min_score: float, *, batch_size: int | None = None) -> "Predictor":
+        """The same detector, with the same weights in memory, that reports what scores above `min_score`.
+
+        `batch_size` images of one size go through the network together, at most; None: as before.
+        """
+        other = copy.copy(self)
+        other.batch_size = batch_size or self.batch_size
+        other._settings = replace(self._settings, min_score=min_score, batch_size=other.batch_size)
+        return other
+
+    @property
+    def settings(self) -> Settings:
+        """Settings with which the checkpoint is run."""
+        return self._settings
+
+    def check_scheme(self, scheme: Scheme, data: Path) -> None:
+        """Raise a UserError unless the keypoints of `data` mean what this checkpoint's do; say so where they are marked
+        by another edition of the definition."""
+        if scheme.name != self.scheme.name:
+            raise UserError(
+                f"{self.weights}: has keypoint scheme {self.scheme.name}, {data} has {scheme.name}: they cannot be "
+                "held against each other"
+            )
+        if scheme.edition != self.scheme.edition:
+            self._console.warn(
+                f"{self.weights.name} has learnt keypoints of edition {self.scheme.edition}, {data} holds edition "
+                f"{scheme.edition}: corners of bumpers, hoods and trunks lie elsewhere (docs/conventions.md)"
+            )
+
+    @property
+    def calibrated(self) -> bool:
+        """Whether keypoint scores are probabilities that were fitted for these weights, or by these weights."""
+        return self._calibration is not None or CALIBRATED_KEY in self.metadata
+
+    @property
+    def categories(self) -> tuple[str, ...]:
+        """Names of the categories that it has learnt."""
+        return self.config.categories
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """The files that decide what is found: the weights, and the calibration of their scores where there is one."""
+        beside = () if self._calibration is None else (score_calibration.path_beside(self.weights),)
+        return (self.weights, *beside)
+
+    def split(self, file: AnnotationFile, root: Path) -> tuple[Result, ...]:
+        """The vehicles of every image of `file`, whose file names are relative to `root`, in order of the images."""
+        return tuple(vehicle for _, found in self.by_image(file, root) for vehicle in apart(found)[0])
+
+    def by_image(
+        self, file: AnnotationFile, root: Path, known: Container[int] = ()
+    ) -> Iterator[tuple[int, list[AnyResult]]]:
+        """Find vehicles and other road users in the images of a file, one after another.
+
+        Args:
+            file: The images, and, where `Settings.given`, the vehicles.
+            root: The folder that file names are relative to.
+            known: Ids of images that are left out, as they were done before.
+
+        Yields:
+            An image's id, and what is found in it, vehicles first, in the order of `file`. Where boxes are given,
+            that is the vehicles alone.
+        """
+        annotations = file.by_image()
+        images = [image for image in file.images if image.id not in known]
+        with self._console.bar(total=len(file.images), unit="image", label=file.name) as bar:
+            before = len(file.images) - len(images)
+            bar.update(before)
+            begun, done = time.perf_counter(), before
+            for batch in _batches(_decoded(images, root, 2 * self.batch_size), self.batch_size):
+                if self._settings.given:
+                    for image, pixels in batch:
+                        yield image.id, self._on_boxes(image.id, pixels, annotations[image.id])
+                else:
+                    yield from ((image.id, found) for image, found in self._found(batch))
+                bar.update(len(batch))
+                # The first batch also warms the libraries up: the second one, where there is one, tells the duration.
+                if bar.n == before + len(batch) < len(file.images):
+                    begun, done = time.perf_counter(), bar.n
+                elif bar.n <= before + 2 * self.batch_size and not self._console.quiet:
+                    seconds = (time.perf_counter() - begun) * len(images) / (bar.n - done)
+                    bar.write(f"{file.name}: about {minutes(seconds)} for {len(images)} images")
+
+    def each(self, images: Iterator[tuple[Image, Pixels]]) -> Iterator[tuple[Image, list[AnyResult]]]:
+        """The results of one image after another, as they come, vehicles first."""
+        for batch in _batches(images, self.batch_size):
+            yield from self._found(batch)
+
+    def each_ahead(self, images: Iterator[tuple[Image, Pixels]]) -> Iterator[tuple[Image, list[AnyResult]]]:
+        """The same, where images can wait: they are made, and on a GPU looked at, while the caller works."""
+        if self._device.type != "cuda":
+            return self.each(read_ahead(images, 2 * self.batch_size))
+        pinned = ((image, _pinned(pixels)) for image, pixels in images)
+        return read_ahead(self.each(read_ahead(pinned, 2 * self.batch_size)), self.batch_size)
+
+    def detections(self, images: Sequence[Pixels]) -> list[Detections]:
+        """Find vehicles and other road users in several images, (H, W, 3) uint8 sRGB each."""
+        batches = _batches(enumerate(images), self.batch_size)
+        return [found for batch in batches for found in self._detect([pixels for _, pixels in batch])]
+
+    def _found(self, batch: Sequence[tuple[Image, Pixels]]) -> Iterator[tuple[Image, list[AnyResult]]]:
+        """The images of a batch, each with its results."""
+        answers = self._detect([pixels for _, pixels in batch])
+        for (image, _), found in zip(batch, answers, strict=True):
+            yield image, found.all_results(image.id)
+
+    def _detect(self, batch: Sequence[Pixels]) -> list[Detections]:
+        """One pass of images of one size through the network."""
+        answers = self._run(batch)
+        if self._settings.tiles == "auto" and (parts := self._tiles(batch[0])):
+            answers = [self._with_tiles(image, whole, parts) for image, whole in zip(batch, answers, strict=True)]
+        return [replace(found, keypoints=self._scored(found.keypoints)) for found in answers]
+
+    def _tiles(self, image: Pixels) -> list[Tile]:
+        height, width = image.shape[:2]
+        return tiles_of(width, height, short=self.config.min_size, long=self.config.max_size)
+
+    def _with_tiles(self, image: Pixels, whole: Detections, parts: list[Tile]) -> Detections:
+        """Join detections of the whole image and of its tiles."""
+        batches = _batches(((part, part.of(image)) for part in parts), self.batch_size)
+        found = [one for batch in batches for one in self._run([pixels for _, pixels in batch])]
+        return join_tiles(whole, list(zip(parts, found, strict=True)))
+
+    def _run(self, images: Sequence[Pixels]) -> list[Detections]:
+        """Images of one size through the network, with keypoint scores as they are."""
+        least = MIN_SCORE if self._settings.min_score is None else self._settings.min_score
+        try:
+            return detect(self.model, images, self._device, min_score=least, categories=self.categories)
+        except torch.OutOfMemoryError:
+            raise UserError(
+                f"{self._device}: out of memory with {len(images)} images in the network at a time, short side "
+                f"{self.config.min_size} px: lower --batch-size or --min-size"
+            ) from None
+
+    def _on_boxes(self, image_id: int, pixels: Pixels, annotations: list[Annotation]) -> list[AnyResult]:
+        # In order of id, so that of two vehicles with the same box each is matched to itself.
+        truth = sorted((a for a in annotations if not a.ignored), key=lambda a: a.id)
+        given = np.array([a.bbox for a in truth]).reshape(-1, 4)
+        points = detect_on_boxes(self.model, pixels, boxes.xywh_to_xyxy(given), self._device)
+        rows = zip(truth, self._scored(points), strict=True)
+        return [Result(image_id=image_id, bbox=vehicle.bbox, score=1.0, keypoints=p) for vehicle, p in rows]
+
+    def _scored(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        return self._calibration(points) if self._calibration else points
+
+
+def default_batch_size(device: torch.device) -> int:
+    """Number of images that go through the network together on a device, unless it is said otherwise."""
+    if device.type != "cuda":
+        return 1
+    large = torch.cuda.get_device_properties(device).total_memory >= _LARGE_GPU_BYTES
+    return _LARGE_GPU_BATCH if large else _GPU_BATCH
+
+
+def _decoded(images: Sequence[Image], root: Path, ahead: int) -> Iterator[tuple[Image, Pixels]]:
+    """Images with their pixels, in order; up to `ahead` of them are decoded while the caller computes."""
+
+    def read(image: Image) -> Pixels:
+        return read_image(root / image.file_name, size=(image.width, image.height))
+
+    left = iter(images)
+    waiting: deque[tuple[Image, Future[Any]]] = deque()
+    with ThreadPoolExecutor(_DECODERS) as pool:
+        try:
+            for image in itertools.islice(left, ahead):
+                waiting.append((image, pool.submit(read, image)))
+            while waiting:
+                image, future = waiting.popleft()
+                pixels = future.result()
+                for following in itertools.islice(left, 1):
+                    waiting.append((following, pool.submit(read, following)))
+                yield image, pixels
+        finally:
+            pool.shutdown(wait=False, cancel_futures=True)
+
+
+def _pinned(pixels: Pixels) -> Pixels:
+    """The same pixels in memory that a GPU reads by itself, six times as fast."""
+    return torch.from_numpy(pixels).pin_memory().numpy()
+
+
+def _batches(images: Iterable[tuple[T, Pixels]], size: int) -> Iterator[list[tuple[T, Pixels]]]:
+    """Neighbours of equal size, `size` at most together: another's padding would change what is found."""
+    for _, alike in itertools.groupby(images, key=lambda pair: pair[1].shape):
+        while batch := list(itertools.islice(alike, size)):
+            yield batch

@@ -1,1 +1,0 @@
-"""Running a detector: on datasets, folders, videos and streams."""

@@ -1,0 +1,1 @@
+"""From footage to detections: predict, follow between key frames, confirm, anonymise, live streams."""

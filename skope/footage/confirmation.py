@@ -1,0 +1,133 @@
+"""Confirmation of a video's detections by its other frames.
+
+Boxes are linked from frame to frame (`skope.tracking.box_links`). A track with only one or two confident detections is
+left out. Weak detections stay in a track that is confident nearly all the time. A track that never moves is left out
+unless it has the size of a vehicle.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+
+from skope import boxes as box_math
+from skope.footage.expected_sizes import ExpectedSizes, SizeSample
+from skope.schema import Found
+from skope.tracking.box_links import LOST_S, BoxLinks, size_of
+from skope.types import Array, Integers32
+
+WEAK: Final = 0.2
+"""Detections above this continue a vehicle that is seen more surely in other frames."""
+
+_FEWEST_FRAMES: Final = 3
+"""A vehicle is seen surely in so many frames, or there is none."""
+_FEWEST_KEYS: Final = 2
+"""The same where the detector sees key frames only."""
+_NEARLY_ALWAYS: Final = 0.8
+"""A vehicle keeps its weak detections if more than this share of its detections are sure."""
+_STANDS_SIZES: Final = 0.3
+"""A vehicle that never moves by more of its size stands."""
+_DRIVES_SIZES: Final = 1.0
+"""A vehicle that moves by more of its size drives."""
+
+
+@dataclass(slots=True)
+class _Vehicle:
+    """Sights of one vehicle, or of what was taken for one; sizes are square roots of boxes' areas, pixels."""
+
+    time_s: float = 0.0
+    """Of its last frame."""
+    seen: int = 0
+    """In how many frames it is."""
+    found: int = 0
+    """Number of frames in which the detector has found it; in others it is interpolated."""
+    sure: int = 0
+    """Number of frames in which the detector has found it surely."""
+    lowest: Array = field(default_factory=lambda: np.full(2, np.inf))
+    """(2,) least x and y of its middle."""
+    highest: Array = field(default_factory=lambda: np.full(2, -np.inf))
+    sizes: float = 0.0
+    """Sum of its sizes."""
+    samples: list[SizeSample] = field(default_factory=list)
+    """Places of its box on the road, x and y, and its size there: one for each size that it has moved."""
+
+    @property
+    def size(self) -> float:
+        return self.sizes / self.seen
+
+    @property
+    def moved(self) -> float:
+        """Way of its middle, in its sizes."""
+        return float((self.highest - self.lowest).max()) / self.size
+
+    def see(self, time_s: float, box: Array, *, sure: bool, interpolated: bool) -> None:
+        self.time_s = time_s
+        self.seen += 1
+        self.found += not interpolated
+        self.sure += sure and not interpolated
+        middle, size = (box[:2] + box[2:]) / 2, size_of(box)
+        self.lowest, self.highest = np.minimum(self.lowest, middle), np.maximum(self.highest, middle)
+        self.sizes += size
+        ground = (float(middle[0]), float(box[3]))
+        if not self.samples or np.hypot(*np.subtract(ground, self.samples[-1][:2])) > size:
+            self.samples.append((*ground, size))
+
+
+class Confirmation:
+    """Detections of a video, frame by frame, and which of them the others confirm."""
+
+    def __init__(self, score: float, *, every: int = 1) -> None:
+        """Detections above `score` are sure; the detector sees each `every`-th frame."""
+        self._sure = score
+        self._fewest = _FEWEST_FRAMES if every == 1 else _FEWEST_KEYS
+        self._links = BoxLinks()
+        self._vehicles: dict[int, _Vehicle] = {}
+        """By number; those that were lost before they were surely seen are gone."""
+        self._open: set[int] = set()
+        """Numbers of those that may be seen again."""
+        self._of: list[tuple[Integers32, list[bool]]] = []
+        """The vehicles that the detections of each frame belong to, and which of these are sure."""
+
+    def add(self, time_s: float, found: Sequence[Found]) -> None:
+        """Take the detections of the next frame, which is later; sure ones choose their vehicles first."""
+        sure = [one.score > self._sure for one in found]
+        numbers = self._links.add(time_s, found, sure)
+        rectangles = box_math.xywh_to_xyxy(np.array([one.bbox for one in found]).reshape(-1, 4))
+        for i, number in enumerate(numbers.tolist()):
+            vehicle = self._vehicles.setdefault(number, _Vehicle())
+            vehicle.see(time_s, rectangles[i], sure=sure[i], interpolated=found[i].interpolated)
+            self._open.add(number)
+        self._forget(time_s)
+        self._of.append((numbers, sure))
+
+    def _forget(self, time_s: float) -> None:
+        """End vehicles that were lost."""
+        lost = {i for i in self._open if time_s - self._vehicles[i].time_s > LOST_S}
+        self._open -= lost
+        for i in lost:
+            if self._vehicles[i].sure < self._fewest:
+                del self._vehicles[i]
+
+    def confirmed(self) -> list[Integers32]:
+        """For each frame the number of each detection's vehicle, from 0; -1 for what the other frames do not confirm.
+
+        Vehicles are numbered in the order in which they are first seen.
+        """
+        seen = {i: one for i, one in self._vehicles.items() if one.sure >= self._fewest}
+        sizes = ExpectedSizes([one.samples for one in seen.values() if one.moved > _DRIVES_SIZES])
+        stay = {
+            i for i, one in seen.items() if one.moved > _STANDS_SIZES or sizes.allow((*one.samples[0][:2], one.size))
+        }
+        constant = {i for i in stay if seen[i].sure > _NEARLY_ALWAYS * seen[i].found}
+        names = {number: name for name, number in enumerate(sorted(stay))}
+        return [
+            np.array(
+                [
+                    names[i] if i in stay and (sure or i in constant) else -1
+                    for i, sure in zip(numbers.tolist(), flags, strict=True)
+                ],
+                dtype=np.int32,
+            )
+            for numbers, flags in self._of
+        ]

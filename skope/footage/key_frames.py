@@ -1,0 +1,239 @@
+"""Road users in the frames between key frames: the detector sees key frames only, points on them are followed.
+
+Points on the vehicles of a key frame are followed through the frames up to the next one (Lucas and Kanade's method in
+pyramids; Bouguet, 2000), and from that one back. A vehicle that both key frames show is where both ways put it, each
+the more the nearer its key frame is. One that only one of them shows is followed from there alone, as far as its points
+can be: a detector misses vehicles more often than vehicles vanish. All that is one vehicle's has one `track_id`.
+
+People on foot and on two wheels go the same way, by the points in the middle of their boxes, where their bodies are.
+Limbs and narrow bodies are followed less surely than sheet metal: who cannot be is led straight from one key frame to
+the next, if both show them in about the same place.
+"""
+
+import itertools
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Final, TypeAlias
+
+import cv2
+import numpy as np
+
+from skope import boxes as box_math
+from skope.schema import AnyResult, Image, Result
+from skope.tracking.least_cost_pairs import cheapest_pairs
+from skope.types import Array, Floats32, Pixels
+
+ImageWithPixels = tuple[Image, Pixels]
+
+INTERVAL_S: Final = 0.5
+"""Key frames are so far apart, seconds."""
+
+_WINDOW: Final = (15, 15)
+_PYRAMID_LEVELS: Final = 4
+_RETURN_PX: Final = 0.5
+"""A point that is followed to the next frame and back has to come out so near to where it began."""
+_GRID_SHARES: Final = (0.2, 0.4, 0.6, 0.8)
+"""Beside the keypoints a grid of points is followed: shares of the box's edges."""
+_BODY: Final = (0.35, 0.5, 0.65)
+"""Of people on foot and on two wheels only these shares of the width: beside them the road shows."""
+_FEWEST_POINTS: Final = 4
+"""A vehicle is lost where fewer of its points can be followed."""
+_ASIDE_SHARE: Final = 0.02
+"""Points move with their vehicle that are so near to where it takes them, as a share of its size, a pixel at least."""
+_GROWTH: Final = 1.25
+"""From frame to frame a vehicle grows or shrinks by no more than this factor."""
+_SAME_IOU: Final = 0.3
+"""IoU from which a vehicle that was followed to the other key frame is the one that is found there."""
+_SMALLEST_PX: Final = 4.0
+"""Boxes with a shorter edge inside the image are left out."""
+_NO_POINTS: Final = np.zeros((0, 2), dtype=np.float32)
+
+
+def with_frames_between(
+    frames: Iterator[ImageWithPixels],
+    find: Callable[[ImageWithPixels], list[AnyResult]],
+    every: int,
+    known: Sequence[int] = (),
+) -> Iterator[tuple[Image, list[AnyResult], bool]]:
+    """The road users of all frames of a video, of which the detector sees each `every`-th and the last.
+
+    Args:
+        frames: Consecutive frames, of which the first is a key frame.
+        find: Finds the road users of a key frame.
+        every: Number of frames from one key frame to the next.
+        known: The `track_id` of each road user of the first frame, where it has been found before.
+
+    Yields:
+        Each image with its road users, and whether it is a key frame. Those of other frames are `interpolated`.
+    """
+    since: list[ImageWithPixels] = []
+    vehicles: list[AnyResult] = []
+    names = itertools.count(1)
+    for frame in frames:
+        since.append(frame)
+        if len(since) == 1:
+            vehicles = find(frame)
+            if len(known) != len(vehicles):
+                known = [next(names) for _ in vehicles]
+            names = itertools.count(max([0, *known]) + 1)
+            vehicles = [replace(one, track_id=name) for one, name in zip(vehicles, known, strict=True)]
+            yield frame[0], vehicles, True
+        elif len(since) > every:
+            between, vehicles = _between(since, vehicles, find(frame), names)
+            yield from between
+            yield frame[0], vehicles, True
+            since = [frame]
+    if len(since) > 1:
+        between, vehicles = _between(since, vehicles, find(since[-1]), names)
+        yield from between
+        yield since[-1][0], vehicles, True
+
+
+def _between(
+    frames: Sequence[ImageWithPixels], first: Sequence[AnyResult], last: Sequence[AnyResult], names: Iterator[int]
+) -> tuple[list[tuple[Image, list[AnyResult], bool]], list[AnyResult]]:
+    """The frames between two key frames, which are the ends of `frames`, with their vehicles; and those of the last."""
+    grey = [np.asarray(cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY), dtype=np.uint8) for _, pixels in frames]
+    ahead, back = _followed(grey, first), _followed(grey[::-1], last)
+    pairs = _same(first, ahead, last)
+    gone = sorted(set(range(len(first))) - {i for i, _ in pairs})
+    before = {j: first[i].track_id for i, j in pairs}
+    last = [replace(one, track_id=before[j] if j in before else next(names)) for j, one in enumerate(last)]
+    ways = [
+        *((_merged(ahead[i], back[j][::-1]), first[i], last[j]) for i, j in pairs),
+        *((ahead[i], first[i], first[i]) for i in gone),
+        *((back[j][::-1], last[j], last[j]) for j in range(len(last)) if j not in before),
+    ]
+    out = []
+    for k, (image, _) in enumerate(frames[1:-1], start=1):
+        share = k / (len(frames) - 1)
+        there = [
+            place.result(image, two, (1 - share) * one.score + share * two.score)
+            for way, one, two in ways
+            if (place := way[k]) is not None
+        ]
+        out.append((image, [result for result in there if result is not None], False))
+    return out, last
+
+
+@dataclass(frozen=True)
+class _Place:
+    """Place of a vehicle in a frame."""
+
+    box: Array
+    """(4,) x0, y0, x1, y1, pixels."""
+    keypoints: Array
+    """(33, 3) as in `Result`; (0, 3) where it has none."""
+
+    @classmethod
+    def of(cls, result: AnyResult) -> "_Place":
+        return cls(box_math.xywh_to_xyxy(result.bbox[None])[0], _keypoints(result))
+
+    def blended(self, other: "_Place", share: float) -> "_Place":
+        """Between two places, by the share of the other one."""
+        box = (1 - share) * self.box + share * other.box
+        return _Place(box, (1 - share) * self.keypoints + share * other.keypoints)
+
+    def moved(self, motion: Array) -> "_Place | None":
+        """Moved by a (2, 3) turn, scale and shift; None where it grows by more than vehicles do."""
+        scale = float(np.hypot(motion[0, 0], motion[1, 0]))
+        if not 1 / _GROWTH < scale < _GROWTH:
+            return None
+        corners = self.box.reshape(2, 2)
+        middle = corners.mean(axis=0)
+        box = (corners - middle) * scale + motion[:, :2] @ middle + motion[:, 2]
+        at = self.keypoints[:, :2] @ motion[:, :2].T + motion[:, 2]
+        return _Place(box.ravel(), np.column_stack([at, self.keypoints[:, 2]]))
+
+    def result(self, image: Image, like: AnyResult, score: float) -> AnyResult | None:
+        """`like` at this place of an image, with another score; None where hardly anything of it is inside."""
+        box = np.clip(self.box, 0.0, [image.width, image.height] * 2)
+        if (box[2:] - box[:2]).min() < _SMALLEST_PX:
+            return None
+        bbox = box_math.xyxy_to_xywh(box[None])[0]
+        there = replace(like, image_id=image.id, bbox=bbox, score=score, interpolated=True)
+        return replace(there, keypoints=self.keypoints) if isinstance(there, Result) else there
+
+
+def _keypoints(result: AnyResult) -> Array:
+    return result.keypoints if isinstance(result, Result) else np.zeros((0, 3))
+
+
+Way: TypeAlias = list[_Place | None]
+"""Places of a vehicle, one in each frame; None where it is lost."""
+
+
+def _followed(grey: Sequence[Pixels], vehicles: Sequence[AnyResult]) -> list[Way]:
+    """Follow the vehicles of the first frame through all frames."""
+    ways: list[Way] = [[_Place.of(vehicle)] for vehicle in vehicles]
+    points = [_points(vehicle) for vehicle in vehicles]
+    for before, after in itertools.pairwise(grey):
+        moved = _flow(before, after, np.concatenate([*points, _NO_POINTS]))
+        begin = 0
+        for i, old in enumerate(points):
+            new = moved[begin : begin + len(old)]
+            begin += len(old)
+            there = ~np.isnan(new[:, 0])
+            place = _step(ways[i][-1], old[there], new[there])
+            ways[i].append(place)
+            points[i] = _NO_POINTS if place is None else new[there]
+    return ways
+
+
+def _points(vehicle: AnyResult) -> Floats32:
+    """(P, 2) points of a vehicle to follow: its keypoints inside the box, and a grid."""
+    at = _keypoints(vehicle)[:, :2]
+    low, high = vehicle.bbox[:2], vehicle.bbox[:2] + vehicle.bbox[2:]
+    inside = ((at > low) & (at < high)).all(axis=1)
+    across = _GRID_SHARES if isinstance(vehicle, Result) else _BODY
+    grid = low + np.stack(np.meshgrid(across, _GRID_SHARES), axis=-1).reshape(-1, 2) * vehicle.bbox[2:]
+    return np.concatenate([at[inside], grid]).astype(np.float32)
+
+
+def _flow(before: Pixels, after: Pixels, points: Floats32) -> Floats32:
+    """(P, 2) where points of a frame are in the next one; NaN where they cannot be followed there and back."""
+    if not len(points):
+        return points
+    follow: Any = cv2.calcOpticalFlowPyrLK  # its types ask for an array to write to
+    there, found, _ = follow(before, after, points[:, None], None, winSize=_WINDOW, maxLevel=_PYRAMID_LEVELS)
+    again, found_again, _ = follow(after, before, there, None, winSize=_WINDOW, maxLevel=_PYRAMID_LEVELS)
+    away = np.linalg.norm(again[:, 0] - points, axis=1)
+    good = (found[:, 0] > 0) & (found_again[:, 0] > 0) & (away < _RETURN_PX)
+    return np.where(good[:, None], there[:, 0], np.float32(np.nan))
+
+
+def _step(place: _Place | None, old: Floats32, new: Floats32) -> _Place | None:
+    """A vehicle moved as most of its points are; None where they are too few."""
+    if place is None or len(old) < _FEWEST_POINTS:
+        return None
+    aside = max(1.0, _ASIDE_SHARE * float(np.ptp(old, axis=0).max()))
+    motion: Any
+    motion, agreeing = cv2.estimateAffinePartial2D(old, new, method=cv2.RANSAC, ransacReprojThreshold=aside)
+    return place.moved(motion) if motion is not None and agreeing.sum() >= _FEWEST_POINTS else None
+
+
+def _same(first: Sequence[AnyResult], ahead: Sequence[Way], last: Sequence[AnyResult]) -> list[tuple[int, int]]:
+    """Pairs of road users of the first key frame, followed as far as they were, and those of the same category in the
+    last one."""
+    out: list[tuple[int, int]] = []
+    for category in sorted({one.category_id for one in last}):
+        before = [i for i, one in enumerate(first) if one.category_id == category]
+        after = [j for j, one in enumerate(last) if one.category_id == category]
+        if not before:
+            continue
+        ends = np.array([[place for place in ahead[i] if place is not None][-1].box for i in before])
+        there = box_math.xywh_to_xyxy(np.array([last[j].bbox for j in after]))
+        out += [(before[i], after[j]) for i, j in cheapest_pairs(1 - box_math.iou(ends, there), 1 - _SAME_IOU)]
+    return out
+
+
+def _merged(ahead: Way, back: Way) -> Way:
+    """The way of a vehicle that both key frames show: straight where it is lost on either way."""
+    first, last = ahead[0], back[-1]
+    assert first is not None
+    assert last is not None
+    shares = np.linspace(0, 1, len(ahead)).tolist()
+    return [
+        first.blended(last, share) if one is None or two is None else one.blended(two, share)
+        for one, two, share in zip(ahead, back, shares, strict=True)
+    ]

@@ -1,0 +1,123 @@
+"""Choice of the detector for a live stream: those that come with skope are timed on its first frame."""
+
+import itertools
+import statistics
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Final, Protocol
+
+from skope.detector import weights
+from skope.detector.network_settings import Settings
+from skope.detector.predictor import Predictor
+from skope.keypoints import Scheme
+from skope.schema import AnyResult, Image
+from skope.terminal.console import Console
+from skope.types import Pixels
+
+_LOOKS: Final = 3
+"""A detector's rate is that of the median of so many looks at a frame, after one that is not timed."""
+
+
+class FrameDetector(Protocol):
+    """Finder of vehicles in frames: a `Predictor`, or several of which one is chosen."""
+
+    @property
+    def scheme(self) -> Scheme:
+        """The keypoints."""
+
+    @property
+    def categories(self) -> tuple[str, ...]:
+        """Names of the categories that it knows."""
+
+    @property
+    def name(self) -> str:
+        """Its name in the package, or its file."""
+
+    def each(self, images: Iterator[tuple[Image, Pixels]]) -> Iterator[tuple[Image, list[AnyResult]]]:
+        """The results of one image after another, as they come."""
+
+    def each_ahead(self, images: Iterator[tuple[Image, Pixels]]) -> Iterator[tuple[Image, list[AnyResult]]]:
+        """The same, where images can wait."""
+
+
+class LiveChoice:
+    """Detectors for a live stream, of which the first that keeps up with it looks at its frames."""
+
+    def __init__(self, candidates: Sequence[Predictor], every: int, console: Console) -> None:
+        """Prepare to choose.
+
+        Args:
+            candidates: The detectors, which have the same keypoints and categories, the one that is to be preferred
+                first.
+            every: Every so many-th frame of the stream is wanted.
+            console: Where it is said how fast they are, and which one looks.
+        """
+        self._candidates, self._every, self._console = list(candidates), every, console
+
+    @classmethod
+    def load(cls, given: str | None, settings: Settings, every: int, console: Console) -> "LiveChoice":
+        """Load the detectors that come with skope, or the `given` one of them. Raises UserError as `Predictor.load`."""
+        names = weights.BY_ACCURACY if given is None else (given,)
+        return cls([Predictor.load(Path(name), settings, console) for name in names], every, console)
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """The files of all detectors among which is chosen."""
+        return tuple(path for one in self._candidates for path in one.files)
+
+    @property
+    def scheme(self) -> Scheme:
+        """The keypoints."""
+        return self._candidates[0].scheme
+
+    @property
+    def categories(self) -> tuple[str, ...]:
+        """Names of the categories."""
+        return self._candidates[0].categories
+
+    @property
+    def name(self) -> str:
+        """The name of the detector that looks."""
+        return self._candidates[0].name
+
+    def each(self, images: Iterator[tuple[Image, Pixels]]) -> Iterator[tuple[Image, list[AnyResult]]]:
+        """Time the detectors on the first frame, say which one looks, and yield what it finds, frame by frame."""
+        start = list(itertools.islice(images, 1))
+        if start:
+            rates = [_rate(one, *start[0]) for one in self._candidates]
+            start += itertools.islice(images, 1)
+            self._choose(rates, self._sent(start))
+        yield from self._candidates[0].each(itertools.chain(start, images))
+
+    each_ahead = each
+
+    def _sent(self, start: Sequence[tuple[Image, Pixels]]) -> float | None:
+        """Frames a second that are wanted of the stream: those that came while the detectors were timed."""
+        if len(start) < 2:
+            return None
+        first, second = start[0][0], start[1][0]
+        seconds = (second.time_s or 0.0) - (first.time_s or 0.0)
+        frames = (second.frame_index or 0) - (first.frame_index or 0)
+        return frames / self._every / seconds if seconds > 0 else None
+
+    def _choose(self, rates: Sequence[float], sent: float | None) -> None:
+        """Keep the detector that is to look."""
+        fastest = max(range(len(rates)), key=lambda i: rates[i])
+        chosen = 0 if sent is None else next((i for i, rate in enumerate(rates) if rate >= sent), fastest)
+        each = ", ".join(f"{one.name} {rate:.1f}" for one, rate in zip(self._candidates, rates, strict=True))
+        choice = f": {self._candidates[chosen].name} runs (--checkpoint names another)" if len(rates) > 1 else ""
+        came = "" if sent is None else f"the camera sends {sent:.1f} frames a second; "
+        missed = "" if sent is None or rates[chosen] >= sent else f"; {1 - rates[chosen] / sent:.0%} are passed over"
+        self._console.say(f"{came}looks a second here: {each}{choice}{missed}")
+        self._candidates = [self._candidates[chosen]]
+
+
+def _rate(predictor: Predictor, image: Image, pixels: Pixels) -> float:
+    """Looks a second at a frame."""
+    seconds = []
+    for _ in range(1 + _LOOKS):
+        begun = time.perf_counter()
+        list(predictor.each(iter([(image, pixels)])))
+        seconds.append(time.perf_counter() - begun)
+    return 1 / statistics.median(seconds[1:])

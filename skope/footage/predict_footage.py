@@ -1,0 +1,382 @@
+"""`skope eval predict`: a checkpoint run over footage, frame by frame, so that a stopped run goes on."""
+
+import math
+import signal
+import threading
+from collections import Counter, defaultdict
+from collections.abc import Generator, Iterator, Sequence
+from contextlib import closing, contextmanager
+from dataclasses import dataclass, field, replace
+from datetime import datetime
+from functools import partial
+from pathlib import Path
+from typing import Any, Final, Protocol
+
+import numpy as np
+
+from skope.camera.motion.camera_motion import MOTION, CameraMotion
+from skope.camera.motion.camera_shake import SwayWatch, motion_of_row, motion_to_row, record_of
+from skope.camera.motion.followed_views import with_homographies
+from skope.camera.motion.frame_contrast import sight_rows
+from skope.camera.motion.image_shift import ImageMotion
+from skope.camera.motion.view_changes import Looks, ViewChange
+from skope.cpu_count import usable_processors
+from skope.dataset import coco
+from skope.dataset.camera_of_file import with_camera
+from skope.dataset.folder import (
+    BEGINS,
+    CHANGES,
+    DETECTOR,
+    FOLLOWED,
+    FRAMES,
+    PIXEL_WIDTH,
+    PREDICTIONS,
+    SIGHT_FIELD,
+    SKIPPED,
+)
+from skope.detector import weights
+from skope.detector.network_settings import Settings
+from skope.detector.predictor import Predictor
+from skope.errors import UserError
+from skope.files.progress import Progress
+from skope.footage.confirmation import Confirmation
+from skope.footage.key_frames import with_frames_between
+from skope.footage.live_choice import FrameDetector, LiveChoice
+from skope.footage.numbers_by_category import Linked, NumbersByCategory
+from skope.footage.predict_job import PROGRESS_FILE, PredictJob, claim, found_at
+from skope.footage.write_overlays import KeepRule, write_overlay
+from skope.schema import CATEGORIES, AnnotationFile, AnyResult, Image
+from skope.terminal.console import Console, counted
+from skope.tracking.box_links import FARTHEST_S
+from skope.types import Pixels
+from skope.video.footage import Footage
+
+_SWAY_PROCESSES: Final = 4
+"""Processes that measure the camera's sway beside a detector that sees every frame, at most, and one for so many
+processors: a GPU would wait for fewer."""
+
+
+class Watcher(Protocol):
+    """Looks at frames on their way to the detector."""
+
+    def watch(self, frames: Iterator[tuple[Image, Pixels]]) -> Iterator[tuple[Image, Pixels]]:
+        """The same frames, in their order."""
+
+
+def predict(job: PredictJob, console: Console) -> list[Path]:
+    """Run a checkpoint over footage, and write what it finds under `job.out`; a stopped run goes on.
+
+    A live stream comes once: where a run of it was killed, what that one has is written, and nothing more is read.
+
+    Args:
+        job: What to run, on what.
+        console: Where messages and progress go.
+
+    Returns:
+        The files that were written. What could not be read is in `job.footage.skipped`.
+
+    Raises:
+        UserError: No image can be read, or the output folder holds other work.
+    """
+    # The frames of a live stream do not wait for a batch to be full.
+    batch_size = job.settings.batch_size or (1 if job.footage.live else None)
+    settings = replace(job.settings, min_score=job.least_score, batch_size=batch_size, one_size=job.footage.one_size)
+    detector = _loaded(job, settings, console)
+    claim(job, detector.files)
+    prediction = Prediction(job, detector)
+    if job.footage.clip and not job.footage.clip.square:
+        console.warn(
+            f"{job.footage.name}: the video says that a pixel is {job.footage.clip.pixel_width:.2f} times as wide as "
+            "high; it is taken as stored. Rescaled to square ones it gives more vehicles, and a camera by them"
+        )
+    done = prediction.last
+    if prediction.killed:
+        console.say(f"{job.footage.name}: a run was killed here after {counted(done, 'image')}: writing what it has")
+    elif done:
+        console.say(f"{job.footage.name}: going on after frame {done}")
+    bars = console.bar(total=len(job.footage) or None, unit="image", label=job.footage.name)
+    told = _tell_notes(job.footage, 0, console)
+    with bars as bar, _ended_by_terminate(job.footage):
+        bar.update(done)
+        try:
+            with closing(prediction.frames()) as frames:
+                for image, _ in frames:
+                    bar.update(image.id - bar.n)
+                    told = _tell_notes(job.footage, told, console)
+        except KeyboardInterrupt:
+            if not job.footage.live:
+                raise
+            console.say(f"{job.footage.name}: stopped after {len(prediction.images)} images")
+    _tell_notes(job.footage, told, console)
+    return prediction.write(console)
+
+
+def _tell_notes(footage: Footage, told: int, console: Console) -> int:
+    """Report the notes on the footage from number `told` on; returns the number of notes."""
+    for note in footage.notes[told:]:
+        console.warn(note)
+    return len(footage.notes)
+
+
+def _loaded(job: PredictJob, settings: Settings, console: Console) -> Predictor | LiveChoice:
+    """Load the job's detector; for a live stream those that come with skope, unless another is asked for."""
+    given = None if job.checkpoint is None else str(job.checkpoint)
+    if job.footage.live and (given is None or (given in weights.BY_ACCURACY and not Path(given).exists())):
+        return LiveChoice.load(given, settings, job.footage.cut.every, console)
+    return Predictor.load(Path(given or weights.DEFAULT), settings, console)
+
+
+class Prediction:
+    """Detections in footage: kept frame by frame in a file of progress, then written as results."""
+
+    def __init__(self, job: PredictJob, detector: FrameDetector) -> None:
+        """Go on after what a stopped run has kept in the job's output folder."""
+        self._job, self._detector = job, detector
+        self._progress = Progress(job.out / PROGRESS_FILE, ("image", "results", "skipped", "key", "look", "motion"))
+        self.images: list[Image] = []
+        """The frames so far, with the job's camera."""
+        self._motions: list[ImageMotion | None] = []
+        """Of each frame."""
+        self._looks: list[tuple[float, str]] = []
+        """Small pictures, with their times in seconds."""
+        self._last_key = 1
+        self._last_numbers: list[int] = []
+        """The `track_id` of each road user of the last key frame."""
+        for row in self._progress.rows():
+            self._keep(coco.image_from_dict(row["image"]), motion_of_row(row["motion"]), row["look"])
+            if BEGINS in row["image"]:
+                job.footage.begins = datetime.fromisoformat(row["image"][BEGINS])
+            if row["key"]:
+                self._last_key = self.images[-1].id
+                self._last_numbers = [result.get("track_id", 0) for result in row["results"]]
+            job.footage.skipped += [reason for reason in row["skipped"] if reason not in job.footage.skipped]
+        self.killed = job.footage.live and bool(self.images)
+        """Whether a run of a live stream was killed here: it comes once, and nothing is added to what that run has."""
+
+    @property
+    def last(self) -> int:
+        """Number of the last frame that was looked at, from 1; 0: none."""
+        return self.images[-1].id if self.images else 0
+
+    def frames(self, watched: Sequence["Watcher"] = ()) -> Generator[tuple[Image, list[AnyResult]]]:
+        """The frames that are left, each with all that is found in it, also what `write` will drop.
+
+        `watched` see the frames with their pixels before the detector does.
+        """
+        job, last = self._job, self.last
+        if self.killed:
+            return
+        looks, sway = Looks(self._looks[-1][0] if self._looks else None), _sway_watch(job, last)
+        for bare, found, key in found_in(
+            job,
+            self._detector,
+            last=last,
+            last_key=self._last_key,
+            names=self._last_numbers,
+            watched=(looks, sway, *watched),
+        ):
+            image = with_camera(bare, job.camera)
+            begins = {} if job.footage.begins is None else {BEGINS: job.footage.begins.isoformat()}
+            row = {**coco.image_to_dict(image), **begins}
+            entry = {"image": row, "results": list(map(coco.result_to_dict, found))}
+            look = looks.taken.pop(image.id, None)
+            motion = sway.taken(image.id)
+            skipped = list(job.footage.skipped)
+            measured = {"look": look, "motion": motion_to_row(motion)}
+            self._progress.add({**entry, "skipped": skipped, "key": key, **measured})
+            self._keep(image, motion, look)
+            yield image, found
+
+    def _keep(self, image: Image, motion: ImageMotion | None, look: str | None) -> None:
+        self.images.append(image)
+        self._motions.append(motion)
+        if look is not None and image.time_s is not None:
+            self._looks.append((image.time_s, look))
+
+    def write(self, console: Console) -> list[Path]:
+        """Write predictions, frames and, where the job asks for them, overlays; returns their paths.
+
+        Raises:
+            UserError: No frame could be read.
+        """
+        job, progress, images = self._job, self._progress, self.images
+        if not images:
+            progress.end()
+            why = "; ".join(job.footage.skipped) or "there are none between --start and --end"
+            raise UserError(f"{job.footage.name}: none of its images can be read: {why}")
+        scheme = self._detector.scheme
+        kept = _kept(job, progress, images)
+        written = [job.out / PREDICTIONS, job.out / FRAMES]
+        seen = _Seen()
+        coco.write_result_rows(written[0], (seen.noted(result) for row in progress.rows() for result in kept(row)))
+        record, looked = record_of(images, self._motions, images[0].width), self._looks
+        changed = record.view_changes(looked) if job.footage.clip else []
+        if changed:
+            changed = with_homographies(job.footage, changed, images[-1].time_s or 0.0)
+        sways = record.motion(changed) if job.footage.clip else None
+        for change in changed:
+            console.result(f"{job.footage.name}: {change}")
+        if sways:
+            console.result(f"{job.footage.name}: {sways}")
+        frames_file = AnnotationFile(
+            images=tuple(images),
+            annotations=(),
+            info={**_info(job, looked, changed, sways), DETECTOR: self._detector.name},
+            name=job.footage.name,
+            scheme=scheme,
+            categories=self._detector.categories,
+        )
+        coco.write(written[1], frames_file)
+        if job.overlay:
+            written.append(write_overlay(job, progress, kept, len(images), scheme, console))
+        progress.end()
+        console.result(f"{seen} in {counted(len(images), 'image')}")
+        return written
+
+
+@contextmanager
+def _ended_by_terminate(footage: Footage) -> Iterator[None]:
+    """Take the signal that ends services (SIGTERM) as Ctrl+C: what has come of a live stream is then written."""
+    if not footage.live or threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGTERM, interrupt)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def _info(
+    job: PredictJob,
+    looked: Sequence[tuple[float, str]],
+    changed: Sequence[ViewChange],
+    sways: CameraMotion | None,
+) -> dict[str, Any]:
+    """The `info` of the frames: what is known of the footage."""
+    info: dict[str, Any] = {"source": job.footage.name, "fps": job.footage.fps, **found_at(job), **job.camera_info}
+    if job.footage.begins is not None:
+        info[BEGINS] = job.footage.begins.isoformat(timespec="milliseconds")
+    if job.footage.clip and not job.footage.clip.square:
+        info[PIXEL_WIDTH] = round(job.footage.clip.pixel_width, 4)
+    if job.footage.skipped:
+        info[SKIPPED] = list(job.footage.skipped)
+    if job.key_every > 1:
+        info[FOLLOWED] = True
+    if looked:
+        info[SIGHT_FIELD] = sight_rows(looked)
+    if changed:
+        info[CHANGES] = [change.to_dict() for change in changed]
+    if sways:
+        info[MOTION] = sways.to_dict()
+    return info
+
+
+def _sway_watch(job: PredictJob, last: int) -> SwayWatch:
+    """Make the measure of the camera's sway, against the first frame also where a run goes on."""
+    # Frames of a stream do not wait, and where the detector sees key frames only, it is what takes the time.
+    apart = not job.footage.live and job.key_every == 1
+    processes = min(_SWAY_PROCESSES, usable_processors() // _SWAY_PROCESSES) if apart else 0
+    if not last or job.footage.live:
+        return SwayWatch(processes=processes)
+    first = next(job.footage.frames(), None)
+    return SwayWatch(first[1] if first and job.footage.clip else None, processes)
+
+
+@dataclass
+class _Seen:
+    """Counts of what was found."""
+
+    results: Counter[str] = field(default_factory=Counter)
+    """By category."""
+    numbers: dict[str, set[int]] = field(default_factory=lambda: defaultdict(set))
+    """Numbers of the road users of each category, where they were followed from image to image."""
+
+    def noted(self, result: dict[str, Any]) -> dict[str, Any]:
+        category = CATEGORIES[result["category_id"] - 1]
+        self.results[category] += 1
+        if "track_id" in result:
+            self.numbers[category].add(result["track_id"])
+        return result
+
+    def __str__(self) -> str:
+        found = [name for name in CATEGORIES if name == CATEGORIES[0] or self.results[name]]
+        return ", ".join(map(self._of, found))
+
+    def _of(self, category: str) -> str:
+        results, numbers = self.results[category], self.numbers[category]
+        return (
+            f"{counted(len(numbers), category)} ({counted(results, 'detection')})"
+            if numbers
+            else counted(results, category)
+        )
+
+
+def found_in(
+    job: PredictJob,
+    detector: FrameDetector,
+    *,
+    last: int = 0,
+    last_key: int = 1,
+    names: Sequence[int] = (),
+    watched: Sequence[Watcher] = (),
+) -> Iterator[tuple[Image, list[AnyResult], bool]]:
+    """Find vehicles and others in the frames of footage, from one number on.
+
+    Args:
+        job: The footage, and how often it is looked at.
+        detector: Finds vehicles in a frame.
+        last: Frames up to this number are left out.
+        last_key: Number of the last of them that the detector had seen.
+        names: The `track_id` of each road user that it found there.
+        watched: Look at the frames on the way.
+
+    Yields:
+        A frame, what is found in it, and whether the detector has seen it.
+    """
+
+    def watch(frames: Iterator[tuple[Image, Pixels]]) -> Iterator[tuple[Image, Pixels]]:
+        for one in watched:
+            frames = one.watch(frames)
+        return frames
+
+    every = job.key_every
+    if every == 1:
+        each = detector.each if job.footage.live else detector.each_ahead
+        yield from ((image, found, True) for image, found in each(watch(job.footage.frames(last))))
+        return
+
+    def find(frame: tuple[Image, Pixels]) -> list[AnyResult]:
+        ((_, found),) = detector.each(iter([frame]))
+        return found
+
+    # A run that goes on begins with the key frame before, so that the frames after it become what they would have been.
+    for image, found, key in with_frames_between(watch(job.footage.frames(last_key - 1)), find, every, names):
+        if image.id > last:
+            yield image, found, key
+
+
+def _kept(job: PredictJob, progress: Progress, images: Sequence[Image]) -> KeepRule:
+    """The rule by which results of a frame stay: those above the score, in a video those that others confirm.
+
+    In a video they have the number of their vehicle or other road user, from 1.
+    """
+    times = [image.time_s for image in images if image.time_s is not None]
+    interval = float(np.median(np.diff(times))) if job.links and len(times) > 1 else math.inf
+    if interval > FARTHEST_S:
+        return lambda row: [result for result in row["results"] if result["score"] > job.score]
+    numbering = NumbersByCategory(
+        partial(Confirmation, job.score, every=job.key_every) if job.confirms else partial(Linked, job.score)
+    )
+    for row, time_s in zip(progress.rows(), times, strict=True):
+        numbering.add(time_s, list(map(coco.any_result_from_dict, row["results"])))
+    of_frame = dict(zip([image.id for image in images], numbering.confirmed(), strict=True))
+    return lambda row: [
+        {**result, "track_id": number + 1}
+        for result, number in zip(row["results"], of_frame[row["image"]["id"]].tolist(), strict=True)
+        if number >= 0
+    ]

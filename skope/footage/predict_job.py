@@ -1,0 +1,122 @@
+"""A run of a checkpoint on footage: what it is, by which its output folder is told from others'."""
+
+import hashlib
+import math
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Final
+
+from skope.camera.model import Camera
+from skope.detector.device import choose_device
+from skope.detector.network_settings import Settings
+from skope.files.json_files import read_json
+from skope.files.output_folders import WORK, claim_output
+from skope.files.reading import sha256_of
+from skope.footage.confirmation import WEAK
+from skope.footage.key_frames import INTERVAL_S
+from skope.tracking.box_links import FARTHEST_S
+from skope.video.footage import FOUND_AT, Footage
+
+PROGRESS_FILE: Final = ".predict.jsonl"
+"""A row for each frame that was looked at, until the results are written."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PredictJob:
+    """A run of a checkpoint on footage, and what it writes."""
+
+    footage: Footage
+    checkpoint: Path | None
+    """The detector: a file, a run folder, or a name of what comes with skope; None: what suits the footage of these."""
+    out: Path
+    settings: Settings = field(default_factory=Settings)
+    score: float = 0.5
+    """Least score of a detection that is kept."""
+    camera: Camera | None = None
+    camera_info: Mapping[str, float] = field(default_factory=dict)
+    """Further knowledge of the camera, for the `info` of the frames."""
+    overlay: bool = False
+    blur: bool = False
+    unconfirmed: bool = False
+    """Whether detections in a video are kept that its other frames do not confirm."""
+    every_frame: bool = False
+    """Whether the detector sees every frame of a video, not key frames only."""
+
+    @property
+    def key_every(self) -> int:
+        """Number of frames from one that the detector sees to the next, where it runs on a CPU.
+
+        Vehicles are followed through the frames of a recorded video that are dense enough for that; a live stream's
+        come as they can.
+        """
+        dense = self.footage.fps is not None and self.footage.fps * FARTHEST_S >= 1
+        if self.every_frame or not dense or choose_device(self.settings.device).type != "cpu":
+            return 1
+        return max(1, round(INTERVAL_S * (self.footage.fps or 0.0)))
+
+    @property
+    def least_score(self) -> float:
+        """Score from which the detector makes detections: weak ones continue vehicles of a video."""
+        return min(self.score, WEAK) if self.confirms else self.score
+
+    @property
+    def confirms(self) -> bool:
+        """Whether frames are held against each other: those of a video, so far as it says how dense they are."""
+        return self.links and not self.unconfirmed
+
+    @property
+    def links(self) -> bool:
+        """Whether vehicles are followed from frame to frame."""
+        dense = self.footage.fps is None or self.footage.fps * FARTHEST_S >= 1
+        return self.footage.clip is not None and dense
+
+
+def claim(job: PredictJob, files: Sequence[Path]) -> None:
+    """Take the output folder for this footage, a predictor's files and settings; overlays may come later."""
+    cut, settings = job.footage.cut, job.settings
+    options = {
+        "source": _killed_source(job) or content_of(job.footage),
+        "every": cut.every,
+        "fps": job.footage.clip.given_fps if job.footage.clip else None,
+        "start": cut.start_s,
+        "end": cut.end_s if math.isfinite(cut.end_s) else None,
+        "score": job.score,
+        "backend": settings.backend,
+        "precision": settings.precision,
+        "min_size": settings.min_size,
+        "tiles": settings.tiles,
+        "unconfirmed": job.unconfirmed,
+        "key_every": job.key_every,
+        "camera": job.camera.to_dict() if job.camera else None,
+    }
+    claim_output(job.out, "skope eval predict", files, options)
+
+
+def _killed_source(job: PredictJob) -> str | None:
+    """Source of a killed run of a live stream in the output folder; None: there was none."""
+    if not job.footage.live or not (job.out / PROGRESS_FILE).is_file() or not (job.out / WORK).is_file():
+        return None
+    held = read_json(job.out / WORK)
+    options = held.get("options") if isinstance(held, dict) else None
+    source = options.get("source") if isinstance(options, dict) else None
+    return source if isinstance(source, str) and source.startswith(f"{job.footage.name} of ") else None
+
+
+def content_of(footage: Footage) -> str:
+    """Identity of the frames: checksums of files, or of an address, which may hold a password; a live stream's time."""
+    if footage.live:
+        return f"{footage.name} of {datetime.now(UTC).isoformat()}"
+    if footage.clip and footage.clip.on_server:
+        return f"{footage.name}, {hashlib.sha256(footage.clip.address.encode()).hexdigest()[:16]}"
+    files = [Path(footage.clip.address)] if footage.clip else footage.images
+    digest = hashlib.sha256(" ".join(map(sha256_of, files)).encode()).hexdigest()
+    return f"{footage.name}, {len(files)} files, {digest[:16]}" if footage.images else f"{footage.name}, {digest[:16]}"
+
+
+def found_at(job: PredictJob) -> dict[str, str]:
+    """Paths of the frames' pictures relative to the output folder, so that both may move together."""
+    place = job.footage.place
+    return {FOUND_AT: os.path.relpath(place.resolve(), job.out.resolve())} if place else {}

@@ -1,0 +1,117 @@
+"""Uncertainty of places, headings and speeds that comes from the camera's: one way for poses and tracks.
+
+All vehicles are off together, so that it is no part of what tells vehicles apart from frame to frame: it is added to
+what is written.
+"""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from skope.camera.camera_json import is_camera_json, read_uncertain_camera
+from skope.camera.ground_plane import Ground
+from skope.camera.model import Camera
+from skope.camera.uncertain_camera import UncertainCamera
+from skope.errors import UserError
+from skope.files.json_files import read_json
+from skope.pose.estimate_pose import Poses
+from skope.types import Array
+
+CALIBRATED_FIELD: Final = "camera_calibrated"
+"""Under this name `skope eval predict` hands on of which seconds of which footage their camera was calibrated."""
+COVARIANCE: Final = "camera_covariance"
+"""Under this name `skope eval predict` hands on, in the `info` of its frames, how well their camera is known."""
+DISTANCE_SIGMA: Final = "camera_distance_sigma"
+"""Under this name it handed on, before, the relative standard deviation of distances."""
+
+
+def camera_info(path: Path) -> dict[str, Any]:
+    """Fields of frames' `info` on how well the camera of a file is known."""
+    known = read_uncertain_camera(path)
+    seconds = calibrated_seconds(path)
+    return {
+        **({COVARIANCE: known.covariance_dict()} if known else {}),
+        **({CALIBRATED_FIELD: seconds} if seconds else {}),
+    }
+
+
+def calibrated_seconds(path: Path) -> dict[str, Any] | None:
+    """Of which part of which footage the camera of a file was calibrated: `source` and `seconds`; None: of any."""
+    told = read_json(path).get("calibrated") if is_camera_json(path) else None
+    return {key: told[key] for key in ("source", "seconds")} if isinstance(told, dict) and "seconds" in told else None
+
+
+def camera_of_info(name: str, info: Mapping[str, Any], camera: Camera | None) -> UncertainCamera | None:
+    """The camera of frames, as well as their `info` says that it is known; None where it says nothing.
+
+    Args:
+        name: The file's name, for errors.
+        info: The `info` of the frames' file.
+        camera: The camera of the frames.
+
+    Raises:
+        UserError: A field of `info` is malformed.
+    """
+    if camera is None:
+        return None
+    told, share = info.get(COVARIANCE), info.get(DISTANCE_SIGMA)
+    try:
+        if isinstance(told, Mapping):
+            return UncertainCamera.from_dict(camera, told)
+        if isinstance(share, int | float) and not isinstance(share, bool) and 0 <= share < 1:
+            return UncertainCamera.of_distances(camera, float(share))
+    except UserError as error:
+        raise UserError(f"{name}: info.{COVARIANCE}: {error}") from None
+    return None
+
+
+def with_camera_error(poses: Poses, known: UncertainCamera | None, ground: Ground | None) -> Poses:
+    """Poses whose covariances hold the camera's error too.
+
+    Args:
+        poses: Poses, whose covariances are those given the camera.
+        known: How well the camera is known; None: nothing says it, and the poses stay as they are.
+        ground: The road; None: unknown, and the poses stay as they are.
+    """
+    if known is None or ground is None or not len(poses.covariance):
+        return poses
+    places = poses.T_world_vehicle[:, :3, 3]
+    ahead = np.column_stack([np.cos(poses.yaw), np.sin(poses.yaw)])
+    of_place, of_heading = camera_errors(known, places, ahead, ground.slope)
+    covariance = poses.covariance.copy()
+    covariance[:, :2, :2] += of_place
+    aside = np.column_stack([-ahead[:, 1], ahead[:, 0]])
+    covariance[:, 3, 3] += np.einsum("ni,nij,nj->n", aside, of_heading, aside)
+    return replace(poses, covariance=covariance)
+
+
+def camera_errors(
+    known: UncertainCamera, places: Array, velocities: Array, slope: tuple[float, float]
+) -> tuple[Array, Array]:
+    """Covariances of places and velocities that the camera's error adds.
+
+    Where the camera does not see a place, all ways are off by the share that those it sees are.
+
+    Args:
+        known: How well the camera is known.
+        places: (N, 3) on the road, world, metres.
+        velocities: (N, 2) m/s.
+        slope: Metres that the road rises per metre along world x and y.
+
+    Returns:
+        (N, 2, 2) square metres, and (N, 2, 2) (m/s)^2.
+    """
+    of_place, of_velocity = (
+        known.covariance_at(places, slope),
+        known.covariance_of_velocities(places, velocities, slope),
+    )
+    blind = ~(np.isfinite(of_place) & np.isfinite(of_velocity)).all(axis=(1, 2))
+    if blind.any():
+        share = known.ways_sigma()
+        away = np.linalg.norm(places[blind, :2] - known.camera.position[:2], axis=1)
+        of_place[blind] = (share * away)[:, None, None] ** 2 * np.eye(2)
+        of_velocity[blind] = (share * np.linalg.norm(velocities[blind], axis=1))[:, None, None] ** 2 * np.eye(2)
+    return of_place, of_velocity

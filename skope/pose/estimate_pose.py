@@ -1,0 +1,305 @@
+"""Position, heading and shape of vehicles from their keypoints, many vehicles at once.
+
+Each vehicle is a deformable model (`skope.pose.shape_model`) that is moved, turned and bent until its keypoints
+project to where they were found: the most probable pose and shape given
+
+- keypoints that are off by `sigma_px`, more where their score is lower, with the heavy tails of a Cauchy distribution;
+- shapes as vehicles of the body type have them;
+- wheels that stand on the road, where `ground` says where that is.
+
+The search starts from every body type's mean (on a known ground in closed form: `skope.pose.closed_form_starts`),
+goes on by Levenberg and Marquardt's method from the best few, and is repeated for vehicles that do not fit
+(`skope.pose.search`). What is not supported by enough keypoints is refused.
+"""
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any, Final, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from skope import keypoints
+from skope.camera.ground_plane import Ground
+from skope.camera.model import Camera
+from skope.pose.fit_body_types import FEWEST_KEYPOINTS, INLIER, agreeing_share, best_types
+from skope.pose.levenberg_marquardt import Fits
+from skope.pose.observations import Observed, observe
+from skope.pose.search import EXCHANGES, RIVAL, retry_exchanged, retry_from_subsets, without_hidden
+from skope.pose.shape_model import Shapes, fleet_shapes
+from skope.types import Array
+
+REFUSALS: Final = ("few_keypoints", "on_a_line", "no_fit", "inconsistent", "uncertain")
+"""Why a vehicle has no pose: fewer keypoints than a pose needs; keypoints on one line; nothing in front of the camera
+fits; more than 60% of the keypoints contradict the rest; the covariance says that the answer is worth nothing."""
+POSE_FLAGS: Final = (*EXCHANGES, "outliers", "heading_in_doubt", "end_in_doubt", "cut")
+"""Reasons to distrust a pose: keypoints that fit only with left and right, or front and rear, or both taken for each
+other; some keypoints left out; another heading fits about as well; the keypoints that are seen belong to the end that
+faces away from the camera; the image shows a part of the vehicle only."""
+
+_CHUNK_VEHICLES: Final = 128
+"""Vehicles that are worked out together; not all at once, so that memory stays small."""
+_AGREE: Final = 0.4
+"""Share of the keypoints that must agree with a pose. Detectors that learn from visible keypoints alone put hidden
+ones, half of all, anywhere, with a high score."""
+_DOUBT: Final = 0.8
+"""Share of agreeing keypoints under which other starts are tried."""
+_HEADING_COST_GAP: Final = 6.0
+"""Difference of cost within which another heading is as good."""
+_HOPELESS: Final = 1e5
+"""Cost from which a fit is impossible."""
+_BESIDE_M: Final = 6.0
+"""Metres before or behind a vehicle's middle from which a camera sees one end of it and not the other."""
+_LAMP_MARGIN: Final = 0.4
+"""The lamps of the other end contradict a pose if they are more probable by this much."""
+_WORST_HEADING: Final = math.radians(25)
+"""Largest standard deviation of a heading that is worth something."""
+_WORST_DISTANCE: Final = 0.1
+"""Largest standard deviation of the position as a share of the distance, at least 1 m."""
+
+
+_FRONT_LAMPS: Final = [i for i, name in enumerate(keypoints.NAMES) if name.startswith(("headlight", "front_logo"))]
+_REAR_LAMPS: Final = [i for i, name in enumerate(keypoints.NAMES) if name.startswith("taillight")]
+
+
+_MEASURED: Final = ("T_world_vehicle", "points", "size_lwh", "covariance", "rms_px")
+"""Fields of `Poses` that are numbers, NaN for a vehicle without a pose."""
+
+
+@dataclass(frozen=True, eq=False)
+class Poses:
+    """Poses and shapes of N vehicles; where `refusal` is not None the numbers are NaN."""
+
+    T_world_vehicle: Array
+    """(N, 4, 4) from the vehicle frame (x forward, y left, z up, origin on the ground under its middle) to the world,
+    metres."""
+    points: Array
+    """(N, 33, 3) keypoints in the vehicle frame, metres."""
+    size_lwh: Array
+    """(N, 3) length, width, height, metres."""
+    covariance: Array
+    """(N, 4, 4) of x, y, z (world, metres) and the turn about the vehicle's upright axis (radians)."""
+    types: tuple[str, ...]
+    """(N,) the body type that fits best."""
+    used: NDArray[np.bool_]
+    """(N, 33) whether each keypoint counts and agrees with the pose."""
+    rms_px: Array
+    """(N,) root mean square distance in the image of the keypoints that agree, pixels."""
+    refusal: tuple[str | None, ...]
+    """(N,) one of `REFUSALS` for a vehicle without a pose, else None."""
+    flags: tuple[tuple[str, ...], ...]
+    """(N,) those of `POSE_FLAGS` that hold for each vehicle."""
+
+    def __len__(self) -> int:
+        return len(self.types)
+
+    def moved(self, T: Array) -> Self:
+        """The vehicles in another world frame: `T` (4, 4) leads to it from this one."""
+        turn = np.eye(4)
+        turn[:3, :3] = T[:3, :3]
+        return replace(self, T_world_vehicle=T @ self.T_world_vehicle, covariance=turn @ self.covariance @ turn.T)
+
+    @property
+    def yaw(self) -> Array:
+        """(N,) heading, counter-clockwise from world x, radians."""
+        R = self.T_world_vehicle[:, :3, :3]
+        return np.asarray(np.arctan2(R[:, 1, 0], R[:, 0, 0]))
+
+    def among(self, rows: NDArray[np.bool_], refusal: str) -> Self:
+        """The vehicles as the `rows` (M,) of M; the others are refused for one reason, and their numbers are NaN."""
+        count, at = len(rows), np.flatnonzero(rows)
+
+        def spread(values: NDArray[Any], fill: float) -> NDArray[Any]:
+            out = np.full((count, *values.shape[1:]), fill, dtype=values.dtype)
+            out[at] = values
+            return out
+
+        def shared_out(values: tuple[Any, ...], fill: Any) -> tuple[Any, ...]:
+            given = dict(zip(at.tolist(), values, strict=True))
+            return tuple(given.get(i, fill) for i in range(count))
+
+        return replace(
+            self,
+            **{name: spread(getattr(self, name), np.nan) for name in _MEASURED},
+            used=spread(self.used, False),
+            types=shared_out(self.types, ""),
+            refusal=shared_out(self.refusal, refusal),
+            flags=shared_out(self.flags, ()),
+        )
+
+    def without_refused(self) -> Self:
+        """The same with NaN for the numbers of vehicles that are refused."""
+        refused = np.array([reason is not None for reason in self.refusal], dtype=bool)
+        blank = {name: getattr(self, name).copy() for name in _MEASURED}
+        for values in blank.values():
+            values[refused] = np.nan
+        return replace(self, **blank)
+
+    @property
+    def position(self) -> Array:
+        """(N, 3) on the ground under the middle of the box, world."""
+        return self.T_world_vehicle[:, :3, 3]
+
+
+def locate(
+    camera: Camera,
+    points: ArrayLike,
+    *,
+    sigma_px: ArrayLike = 2.0,
+    ground: Ground | None = Ground(),  # noqa: B008 (frozen)
+    shapes: Shapes | None = None,
+    cut: ArrayLike = False,
+) -> Poses:
+    """Pose and shape of vehicles from their keypoints.
+
+    Args:
+        camera: The camera that took the image.
+        points: (N, 33, 3) x, y in pixels and the probability that the point is right; of 0 it does not count.
+        sigma_px: Standard deviation of a keypoint of probability 1, pixels: one for all vehicles, or (N,).
+        ground: Where the road is in the camera's world; None: unknown, so that distance rests on the size of vehicles
+            alone.
+        shapes: The body types to choose from; None: those of the fleet.
+        cut: Whether the image's edge may cut a vehicle: one for all vehicles, or (N,). Keypoints beyond the edge do not
+            count then.
+
+    Returns:
+        Poses of the N vehicles, in the camera's world; those that cannot be told are refused.
+    """
+    found = np.asarray(points, dtype=np.float64).reshape(-1, keypoints.K, 3)
+    sigma = np.broadcast_to(np.asarray(sigma_px, dtype=np.float64), len(found))
+    at_edge = np.broadcast_to(np.asarray(cut, dtype=bool), len(found))
+    space = shapes or fleet_shapes()
+    if ground and not ground.level:
+        camera, flat = levelled(camera, ground)
+        level = locate(camera, found, sigma_px=sigma, ground=flat, shapes=space, cut=at_edge)
+        return level.moved(ground.T_world_level)
+    rng = np.random.default_rng(0)  # which subsets are tried must not depend on what was run before
+    parts = [slice(i, i + _CHUNK_VEHICLES) for i in range(0, len(found), _CHUNK_VEHICLES)]
+    chunks = [_locate_chunk(camera, found[part], sigma[part], at_edge[part], ground, space, rng) for part in parts]
+    return _joined(chunks).without_refused()
+
+
+def levelled(camera: Camera, ground: Ground) -> tuple[Camera, Ground]:
+    """Camera and ground in the frame in which the ground is the level z = 0 (`Ground.T_world_level`)."""
+    flat = replace(ground, height=0.0, slope=(0.0, 0.0), about=(0.0, 0.0))
+    return replace(camera, T_camera_world=camera.T_camera_world @ ground.T_world_level), flat
+
+
+def _locate_chunk(
+    camera: Camera,
+    found: Array,
+    sigma: Array,
+    cut: NDArray[np.bool_],
+    ground: Ground | None,
+    shapes: Shapes,
+    rng: np.random.Generator,
+) -> Poses:
+    seen = observe(camera, found, sigma)
+    fits = best_types(seen, shapes, ground)
+    exchanged: dict[int, str] = {}
+    doubted: set[int] = set()
+    doubtful = (agreeing_share(seen, fits) < _DOUBT) | (fits.cost[:, 0] > _HOPELESS)
+    poor = np.flatnonzero((doubtful | cut) & (seen.count >= FEWEST_KEYPOINTS[ground is not None]))
+    if poor.size:
+        retry_from_subsets(seen, fits, poor, shapes, ground, rng)
+        whole = seen.take(poor)
+        seen, margin = without_hidden(camera, seen, fits, poor, cut[poor], shapes, ground)
+        doubted.update(poor[margin < RIVAL].tolist())
+        seen = retry_exchanged(seen, whole, fits, poor, shapes, ground, exchanged)
+    return _to_poses(camera, seen, fits, shapes, ground, exchanged, doubted, cut)
+
+
+def _to_poses(
+    camera: Camera,
+    seen: Observed,
+    fits: Fits,
+    shapes: Shapes,
+    ground: Ground | None,
+    exchanged: dict[int, str],
+    doubted: set[int],
+    cut: NDArray[np.bool_],
+) -> Poses:
+    squared = fits.squared[:, 0]
+    used = (squared <= INLIER) & seen.counted
+    agreeing = used.sum(axis=1)
+    # Where residuals are larger than `sigma_px` promises, the covariance grows by their excess (reduced chi-squared).
+    excess = np.where(used, squared, 0.0).sum(axis=1) + (fits.a[:, 0] ** 2).sum(axis=1)
+    excess /= np.maximum(1, 2 * agreeing - (6 if ground is None else 3))
+    covariance = fits.covariance(np.maximum(1.0, excess))
+    T = np.tile(np.eye(4), (len(used), 1, 1))
+    T[:, :3, :3], T[:, :3, 3] = fits.R[:, 0], fits.p[:, 0]
+    if ground is None:  # worked out in the camera's frame
+        to_world = np.linalg.inv(camera.T_camera_world)
+        T = to_world @ T
+        turn = np.eye(4)
+        turn[:3, :3] = to_world[:3, :3]
+        covariance = turn @ covariance @ turn.T
+    kind = fits.kind[:, 0]
+    rows = shapes.mean[kind] + np.einsum("nm,nmki->nki", fits.a[:, 0], shapes.directions[kind])
+    misses = np.where(used, squared * fits.variance[:, 0], 0.0).sum(axis=1)
+    return Poses(
+        T_world_vehicle=T,
+        points=rows[:, :-1],
+        size_lwh=np.maximum(rows[:, -1], 0.1),
+        covariance=covariance,
+        types=tuple(shapes.types[k] for k in kind),
+        used=used,
+        rms_px=np.sqrt(misses / np.maximum(1, agreeing)),
+        refusal=_refusals(camera, seen, fits, T, covariance, agreeing, FEWEST_KEYPOINTS[ground is not None]),
+        flags=tuple(
+            (*_doubts(camera, seen, fits, T[i], i, exchanged.get(i), i in doubted), *(["cut"] if cut[i] else []))
+            for i in range(len(T))
+        ),
+    )
+
+
+def _refusals(
+    camera: Camera, seen: Observed, fits: Fits, T: Array, covariance: Array, agreeing: Array, fewest: int
+) -> tuple[str | None, ...]:
+    distance = np.linalg.norm(T[:, :3, 3] - camera.position, axis=1)
+    spread = np.sqrt(np.maximum(np.linalg.eigvalsh(covariance[:, :3, :3])[:, -1], 0))
+    unsure = (spread > np.maximum(1.0, _WORST_DISTANCE * distance)) | (covariance[:, 3, 3] > _WORST_HEADING**2)
+    reasons = (
+        seen.count < fewest,
+        seen.on_a_line(),
+        ~(np.isfinite(T).all(axis=(1, 2)) & (fits.cost[:, 0] < _HOPELESS)),
+        agreeing < np.maximum(fewest, _AGREE * seen.count),
+        unsure | ~np.isfinite(spread),
+    )
+    found = np.stack([*reasons, np.ones(len(T), dtype=bool)])
+    return tuple((*REFUSALS, None)[i] for i in found.argmax(axis=0))
+
+
+def _doubts(
+    camera: Camera, seen: Observed, fits: Fits, T: Array, i: int, exchanged: str | None, doubted: bool
+) -> tuple[str, ...]:
+    agree = (fits.squared[i, 0] <= INLIER) & seen.counted[i]
+    forward = fits.R[i, :, :, 0]
+    elsewhere = forward @ forward[0] < math.cos(0.5)
+    ahead = float((camera.position - T[:3, 3]) @ T[:3, 0])
+    shown = float(seen.probability[i, _FRONT_LAMPS].mean() - seen.probability[i, _REAR_LAMPS].mean())
+    doubts = {
+        "outliers": agree.sum() < _DOUBT * seen.counted[i].sum(),
+        "heading_in_doubt": doubted or (elsewhere & (fits.cost[i] < fits.cost[i, 0] + _HEADING_COST_GAP)).any(),
+        "end_in_doubt": abs(ahead) > _BESIDE_M and abs(shown) > _LAMP_MARGIN and ahead * shown < 0,
+    }
+    return (*((exchanged,) if exchanged else ()), *(name for name, holds in doubts.items() if holds))
+
+
+def _joined(chunks: list[Poses]) -> Poses:
+    if not chunks:
+        empty = np.zeros((0, 4, 4))
+        return Poses(
+            empty, np.zeros((0, keypoints.K, 3)), np.zeros((0, 3)), empty, (), np.zeros((0, keypoints.K), bool),
+            np.zeros(0), (), (),
+        )  # fmt: skip
+    arrays = {
+        name: np.concatenate([getattr(chunk, name) for chunk in chunks])
+        for name in ("T_world_vehicle", "points", "size_lwh", "covariance", "used", "rms_px")
+    }
+    return Poses(
+        **arrays,
+        types=tuple(t for chunk in chunks for t in chunk.types),
+        refusal=tuple(r for chunk in chunks for r in chunk.refusal),
+        flags=tuple(f for chunk in chunks for f in chunk.flags),
+    )

@@ -1,0 +1,160 @@
+"""Search on for the poses of vehicles whose keypoints contradict each other.
+
+Tried are random subsets of the keypoints, the keypoints without those that the vehicle's own body hides, and keypoints
+with sides or ends of the vehicle exchanged.
+"""
+
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skope.camera.ground_plane import Ground
+from skope.camera.model import Camera
+from skope.keypoints import FLIP, OTHER_END
+from skope.pose.fit_body_types import FEWEST_KEYPOINTS, best_types, refined, vehicle_starts
+from skope.pose.levenberg_marquardt import Fits
+from skope.pose.observations import Observed
+from skope.pose.self_occlusion import facing
+from skope.pose.shape_model import Shapes
+from skope.types import Array, Mask
+
+RowNumbers = NDArray[np.intp]
+
+EXCHANGES: Final = ("sides_exchanged", "ends_exchanged", "turned_around")
+"""Flags of keypoints that fit only with left and right, or front and rear, or both taken for each other."""
+_SUBSETS: Final = {True: 24, False: 4}
+"""Random starts, with and without a known ground."""
+_SUBSET: Final = 6
+"""Keypoints of a random start."""
+_BETTER: Final = 12.0
+"""Labels count as exchanged if the cost (twice the negative log likelihood) is lower by this much."""
+_HIDDEN: Final = 9.0
+"""Cost of a keypoint that is unrelated to the pose, uniform over the box: about the box's area over that of the
+keypoint's own uncertainty, as a log likelihood."""
+RIVAL: Final = 30.0
+"""Difference of cost within which the opposite heading leaves doubt: 2% of the right ones, half of the wrong."""
+_HIDDEN_ROUNDS: Final = 2
+"""Rounds in which the hidden keypoints are worked out from a pose and the pose is fitted again without them."""
+_ORDERS: Final = (list(FLIP), list(OTHER_END), [FLIP[i] for i in OTHER_END])
+"""Order of the keypoints after each of `EXCHANGES`."""
+
+
+def retry_from_subsets(
+    seen: Observed, fits: Fits, poor: RowNumbers, shapes: Shapes, ground: Ground | None, rng: np.random.Generator
+) -> None:
+    """Fit vehicles from starts by random few keypoints; `fits` takes what fits all keypoints better.
+
+    Args:
+        seen: Keypoints of N vehicles.
+        fits: The fits so far, changed in place.
+        poor: Rows of the vehicles that are tried again.
+        shapes: The body types.
+        ground: The road; None: unknown.
+        rng: Draws the keypoints.
+    """
+    times = _SUBSETS[ground is not None]
+    some, again = seen.take(poor), seen.take(np.tile(poor, times))
+    starts = vehicle_starts(again, shapes, ground, again.subsets(_SUBSET, rng)).gathered(times)
+    better = refined(some, shapes, ground, starts, np.tile(np.arange(len(shapes.types)), times))
+    fits.replace_where(poor, better, better.cost[:, 0] < fits.cost[poor, 0])
+
+
+def without_hidden(
+    camera: Camera, seen: Observed, fits: Fits, poor: RowNumbers, cut: Mask, shapes: Shapes, ground: Ground | None
+) -> tuple[Observed, Array]:
+    """Fit the vehicles `poor` without the keypoints that their own bodies hide, as they stand and turned around.
+
+    Detectors give hidden keypoints high scores too. One that is left out may lie anywhere, at the cost `_HIDDEN`.
+
+    Args:
+        camera: The camera.
+        seen: Keypoints of all vehicles.
+        fits: Their fits so far; those of `poor` are replaced where another explains more.
+        poor: Which vehicles to fit.
+        cut: (len(poor),) whether the image's edge may cut the vehicle: its keypoints beyond the edge are left out too.
+        shapes: The body types.
+        ground: Where the road is; None: unknown.
+
+    Returns:
+        `seen` without the keypoints that were left out of the fits, and (len(poor),) by how much the opposite heading
+        costs more.
+    """
+    some, every = seen.take(poor), np.arange(len(poor))
+    best, cost = fits.take(poor), fits.cost[poor, 0].copy()
+    rival = np.full(len(poor), np.inf)  # the least cost of heading the other way
+    for turned in (False, True):
+        guess, reached = best.take(every), np.full(len(poor), np.inf)
+        for attempt in range(_HIDDEN_ROUNDS):
+            shown = _shown(camera, guess, shapes, ground, turned=turned and not attempt)
+            shown &= _inside(camera, guess, shapes, ground) | ~cut[:, None]
+            enough = (some.counted & shown).sum(axis=1) >= FEWEST_KEYPOINTS[ground is not None]
+            tried = replace(some, counted=some.counted & (shown | ~enough[:, None]))
+            guess = best_types(tried, shapes, ground)
+            whole = np.where(enough, guess.cost[:, 0] + _HIDDEN * (some.count - tried.count), np.inf)
+            reached = np.minimum(reached, np.where(_opposite(guess, best), whole, np.inf))
+            wins = whole < cost
+            rival = np.where(wins & _opposite(guess, best), cost, rival)
+            best.replace_where(every, guess, wins)
+            cost = np.where(wins, whole, cost)
+            seen = seen.with_rows(poor[wins], tried.take(np.flatnonzero(wins)))
+        rival = np.minimum(rival, reached)
+    fits.replace_where(poor, best, np.ones(len(poor), dtype=bool))
+    return seen, rival - cost
+
+
+def _opposite(one: Fits, other: Fits) -> Mask:
+    """(N,) whether the best fits head opposite ways."""
+    return np.asarray(np.einsum("ni,ni->n", one.R[:, 0, :, 0], other.R[:, 0, :, 0]) < 0)
+
+
+def _shown(camera: Camera, fits: Fits, shapes: Shapes, ground: Ground | None, *, turned: bool) -> Mask:
+    """(N, 33) the keypoints that the best fit's body does not hide; with `turned`, as if it headed the other way."""
+    R, p, kind = fits.R[:, 0], fits.p[:, 0], fits.kind[:, 0]
+    if turned:
+        R = R * np.array([-1.0, -1.0, 1.0])
+    eye = (np.zeros(3) if ground is None else camera.position) - p
+    return facing(shapes, kind, shapes.mean[kind, :-1], np.einsum("nij,ni->nj", R, eye))
+
+
+def _inside(camera: Camera, fits: Fits, shapes: Shapes, ground: Ground | None) -> Mask:
+    """(N, 33) the keypoints that the best fit puts inside the image."""
+    points = np.einsum("nij,nkj->nki", fits.R[:, 0], shapes.mean[fits.kind[:, 0], :-1]) + fits.p[:, 0, None]
+    from_here = camera if ground is not None else replace(camera, T_camera_world=np.eye(4))
+    pixels, _, valid = from_here.project(points.reshape(-1, 3))
+    return np.asarray(valid & from_here.inside(pixels)).reshape(points.shape[:2])
+
+
+def retry_exchanged(
+    seen: Observed,
+    whole: Observed,
+    fits: Fits,
+    poor: RowNumbers,
+    shapes: Shapes,
+    ground: Ground | None,
+    exchanged: dict[int, str],
+) -> Observed:
+    """Fit the vehicles `poor` with keypoints of left and right, or front and rear, or both exchanged.
+
+    Args:
+        seen: Keypoints of all vehicles, without those that `without_hidden` left out.
+        whole: Keypoints of the vehicles `poor`, with those that `without_hidden` left out.
+        fits: Fits of all vehicles; those of `poor` are replaced where another fits clearly better.
+        poor: Which vehicles to fit.
+        shapes: The body types.
+        ground: Where the road is; None: unknown.
+        exchanged: Vehicle -> which of `EXCHANGES` its fit has; is added to.
+
+    Returns:
+        `seen` with the labels that fit clearly better.
+    """
+    for name, order in zip(EXCHANGES, _ORDERS, strict=True):
+        some = whole.relabelled(order)
+        other = best_types(some, shapes, ground)
+        left_out = whole.count - seen.count[poor]
+        wins = other.cost[:, 0] < fits.cost[poor, 0] + _HIDDEN * left_out - _BETTER
+        fits.replace_where(poor, other, wins)
+        seen = seen.with_rows(poor[wins], some.take(np.flatnonzero(wins)))
+        exchanged |= dict.fromkeys(poor[wins].tolist(), name)
+    return seen

@@ -1,0 +1,118 @@
+"""Camera of a view that a calibrated camera was turned or zoomed to, from the homography between both views.
+
+A camera that only turns and zooms moves its image by K2 R inverse(K), whatever it shows. A camera that was also moved
+to another position moves near and far things differently, which no turn explains: such a view is rejected.
+"""
+
+import math
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from scipy.optimize import least_squares
+
+from skope.camera.ground_plane import ground_places
+from skope.camera.model import Camera
+from skope.camera.motion.camera_motion import TURNS, covariance_of_turns, turned_camera
+from skope.camera.motion.view_registration import ViewHomography, is_inside, transformed
+from skope.types import Array
+
+_LARGEST_OFF_PX: Final = 0.5
+"""Largest distance of pixels from where a turn puts them, root mean square per axis, in images `_OFF_WIDTH_PX` wide."""
+_OFF_WIDTH_PX: Final = 1280
+_NEAR_M: Final = 60.0
+"""The road within this distance tells a turn of the camera from a move, metres."""
+_FEWEST_NEAR: Final = 8
+"""Smallest number of grid points on that road."""
+_GRID: Final = (24, 16)
+"""Columns and rows of grid points at which the homography is compared with a turn."""
+
+
+@dataclass(frozen=True, eq=False)
+class TurnedView:
+    """A camera that was turned or zoomed, and the uncertainty that finding the turn adds."""
+
+    camera: Camera
+    zoom: float
+    """Focal length, as a share of that before."""
+    off_px: float
+    """Distance of pixels from where the turn and zoom put them, root mean square per axis."""
+    added: dict[tuple[str, ...], Array]
+    """Covariances that the turn adds, by the names of the camera's parameters."""
+
+
+def turned_view(camera: Camera, homography: ViewHomography) -> TurnedView | None:
+    """Find the camera after a turn or zoom.
+
+    Args:
+        camera: The camera before, at the size of the images.
+        homography: Where pixels of the view before lie in the view after.
+
+    Returns:
+        The camera; None where a turn and zoom do not explain the homography, or too little of the road is in view to
+        tell a turn from a move.
+    """
+    size = (camera.width, camera.height)
+    u, v = ((np.arange(count) + 0.5) / count * side for count, side in zip(_GRID, size, strict=True))
+    before = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
+    after = transformed(homography.matrix, before)
+    rays, valid = camera.rays(before)
+    kept = is_inside(after, size) & valid
+    before, after = before[kept], after[kept]
+    distance = np.linalg.norm(ground_places(camera, before) - camera.position, axis=1)
+    near = distance[distance < _NEAR_M]
+    if len(near) < _FEWEST_NEAR:
+        return None
+    away = rays[kept] @ camera.T_camera_world[:3, :3] + camera.position
+    allowed = max(_LARGEST_OFF_PX * max(1.0, camera.width / _OFF_WIDTH_PX), 2 * homography.corner_error_px)
+    for zooms in (False, True):
+        turned, zoom, off_px = _turn(camera, away, after, homography.matrix, zooms=zooms)
+        if off_px <= allowed:
+            return TurnedView(turned, zoom, off_px, _added(turned, off_px, homography, float(np.median(near))))
+    return None
+
+
+def _turn(camera: Camera, away: Array, after: Array, matrix: Array, *, zooms: bool) -> tuple[Camera, float, float]:
+    """The camera turned, and perhaps zoomed, so that it sees points `away` (N, 3) best at pixels `after` (N, 2).
+
+    Returns the camera, its zoom, and the root mean square distance per axis, pixels.
+    """
+    middle = np.array([camera.width, camera.height]) / 2
+    there, across = (transformed(matrix, middle + step) for step in np.array([[0, 0], [1, 0.0]]))
+    step = across - there
+    growth = math.log(float(np.linalg.norm(step))) if zooms else 0.0
+
+    def seen_by(values: Array) -> Camera:
+        turned = turned_camera(camera, *values[:3].tolist())
+        K = turned.K.copy()
+        K[:2, :2] *= math.exp(values[3]) if zooms else 1.0
+        return replace(turned, K=K)
+
+    def residuals(values: Array) -> Array:
+        pixels, _, valid = seen_by(values).project(away)
+        return np.where(valid[:, None], pixels - after, camera.width).ravel()
+
+    begin = np.array([*(there - middle), math.atan2(step[1], step[0]), growth])[: 4 if zooms else 3]
+    solved = least_squares(residuals, begin, x_scale=np.array([1.0, 1.0, *2 * [2 / camera.width]])[: len(begin)])
+    zoom = math.exp(solved.x[3]) if zooms else 1.0
+    return seen_by(solved.x), zoom, float(np.sqrt((residuals(solved.x) ** 2).mean()))
+
+
+def _added(turned: Camera, off_px: float, homography: ViewHomography, near_m: float) -> dict[tuple[str, ...], Array]:
+    """Covariances of a turned camera's parameters that follow from the error of its turn, in pixels.
+
+    Args:
+        turned: The turned camera.
+        off_px: Distance of pixels from where the turn puts them.
+        homography: What the turn was found from.
+        near_m: Distance of the road by which a turn is told from a move, metres.
+    """
+    error_px = math.hypot(off_px, homography.corner_error_px)
+    error_turn = error_px / (turned.width / 2)
+    # A move of the camera by this distance changes the image of that road by the same number of pixels.
+    hidden_m = error_px * near_m / float(turned.K[0, 0])
+    return {
+        TURNS: covariance_of_turns(turned, (error_px, error_px, error_turn)),
+        ("x", "y", "z"): hidden_m**2 * np.eye(3),
+        ("focal",): np.array([[error_turn**2]]),
+    }

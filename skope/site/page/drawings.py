@@ -1,0 +1,266 @@
+"""Gates, zones, lanes and occluders of the page's document: what is wrong with them, where they are in the image."""
+
+import itertools
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from shapely import Polygon
+
+from skope.camera.ground_plane import ground_places
+from skope.camera.model import Camera
+from skope.site.gates_zones_lanes import line_on_road
+from skope.site.page.document_values import NO_NAME, entries_of, is_name, number_or_none, positions
+from skope.site.page.gate_checks import gate_warnings
+from skope.site.page.marks import Problem
+from skope.site.page.overlays import Polyline, polylines_of
+from skope.types import Array
+
+DRAWN: Final = ("gates", "zones", "lanes", "occluders")
+LANE_M: Final = 3.5
+"""Width of a lane that says none."""
+_FIELDS: Final = {"gates": "line", "zones": "polygon", "lanes": "line", "occluders": "polygon"}
+"""Field of each kind that holds its positions."""
+_FEWEST: Final = {"gates": 2, "zones": 3, "lanes": 2, "occluders": 3}
+_STEP_M: Final = 0.5
+"""Lines on the road are projected in so many metres each, since a lens bends them."""
+_ARROW_M: Final = 3.0
+_ARROW_PX: Final = 40.0
+"""Length of the arrows across a gate that is drawn in the image, pixels."""
+_ABOVE_HORIZON: Final = "an end lies on or above the horizon: it counts in the image, but not in metres"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Drawing:
+    """One gate, zone, lane or occluder without faults."""
+
+    kind: str
+    index: int
+    positions: Array
+    """(N, 2) metres on the road; of occluders, pixels. (0, 2) for a gate that has `pixels`."""
+    pixels: Array | None = None
+    """(2, 2) ends of a gate that is drawn in the image; None for everything else."""
+    width: float = LANE_M
+    foot: Array | None = None
+    """(2,) pixel at which an occluder stands on the ground."""
+
+
+def read_drawings(document: Mapping[str, Any], size: tuple[int, int]) -> tuple[list[Drawing], list[Problem]]:
+    """The drawings of a document that hold together, and what is wrong with the others.
+
+    Args:
+        document: The page's document.
+        size: Width and height of the footage, pixels.
+    """
+    good: list[Drawing] = []
+    problems: list[Problem] = []
+    for kind in DRAWN:
+        names: set[str] = set()
+        for index, entry in enumerate(entries_of(document, kind)):
+            found = _problems(kind, index, entry, names, size)
+            problems += found
+            if any(problem.field not in ("name", "directions.0", "directions.1") for problem in found):
+                continue
+            if drawn_in_image(kind, entry):
+                pixels = np.asarray(positions(entry["pixels"], 2))
+                good.append(Drawing(kind=kind, index=index, positions=np.zeros((0, 2)), pixels=pixels))
+                continue
+            rows = positions(entry.get(_FIELDS[kind]), 2)
+            assert rows is not None
+            foot = positions([entry.get("foot")], 2) if kind == "occluders" else None
+            width = number_or_none(entry.get("width")) or LANE_M
+            at = np.asarray(rows)
+            good.append(
+                Drawing(kind=kind, index=index, positions=at, width=width, foot=np.array(foot[0]) if foot else None)
+            )
+    return good, problems
+
+
+def drawn_in_image(kind: str, entry: Mapping[str, Any]) -> bool:
+    """Whether an entry is a gate that has its ends in the image; its line on the road follows from the camera."""
+    return kind == "gates" and bool(entry.get("pixels"))
+
+
+def _problems(kind: str, index: int, entry: Mapping[str, Any], names: set[str], size: tuple[int, int]) -> list[Problem]:
+    """Problems of an entry; `names` are those of the entries before it, to which its own is added."""
+    out: list[Problem] = []
+
+    def wrong(field: str, text: str, *, missing: bool = False) -> None:
+        out.append(Problem(kind=kind, index=index, field=field, text=text, missing=missing))
+
+    if kind != "occluders":
+        name = entry.get("name")
+        if not isinstance(name, str) or not name.strip():
+            wrong("name", "type a name: results are listed under it", missing=True)
+        elif not is_name(name):
+            wrong("name", NO_NAME)
+        elif name in names:
+            wrong("name", f"another one is called {name!r} already")
+        else:
+            names.add(name)
+    field = "pixels" if drawn_in_image(kind, entry) else _FIELDS[kind]
+    rows = positions(entry.get(field), 2)
+    drawn = positions([entry.get("size") or list(size)], 2)
+    if rows is None:
+        wrong(field, "expected two numbers for each corner")
+    elif field == "pixels" and (drawn is None or drawn[0] != list(size)):
+        wrong(field, _other_size(drawn[0] if drawn else None, size))
+    elif len(rows) < _FEWEST[kind] or (kind == "gates" and len(rows) != 2):
+        wrong(field, f"needs {_FEWEST[kind]} positions" + (" or more" if kind != "gates" else ""), missing=True)
+    elif field == "polygon" and not Polygon(rows).is_valid:
+        wrong(field, "its sides cross each other")
+    elif field in ("line", "pixels") and not any(a != b for a, b in itertools.pairwise(rows)):
+        wrong(field, "its ends are the same")
+    if kind == "lanes" and entry.get("width") not in (None, ""):
+        width = number_or_none(entry.get("width"))
+        if width is None or not 0.5 <= width <= 30:
+            wrong("width", "expected a width from 0.5 to 30 metres")
+    far = number_or_none(entry.get("distance")) is not None
+    if kind == "occluders" and positions([entry.get("foot")], 2) is None and not far:
+        wrong("foot", "click where it stands on the ground", missing=True)
+    if kind == "gates":
+        out += _direction_problems(index, entry)
+    return out
+
+
+def _other_size(drawn: list[float] | None, size: tuple[int, int]) -> str:
+    """Sentence on a gate that was drawn in an image of another aspect ratio than the footage's."""
+    where = f"in an image of {drawn[0]:g}x{drawn[1]:g}" if drawn else "in an image of unknown size"
+    return f"was drawn {where}; this footage is {size[0]}x{size[1]}: delete it and draw it again"
+
+
+def _direction_problems(index: int, entry: Mapping[str, Any]) -> list[Problem]:
+    """Both directions have names, or none has."""
+    given = entry.get("directions", ["", ""])
+    if not isinstance(given, list) or len(given) != 2:
+        given = [None, None]
+    if given == ["", ""]:
+        return []
+    out = []
+    for side, name in enumerate(given):
+        missing = name == ""
+        if not is_name(name):
+            text = "name this direction too" if missing else NO_NAME
+            out.append(Problem(kind="gates", index=index, field=f"directions.{side}", text=text, missing=missing))
+    if not out and given[0] == given[1]:
+        out.append(Problem(kind="gates", index=index, field="directions.1", text="both directions have this name"))
+    return out
+
+
+def shapes(
+    drawings: Sequence[Drawing], camera: Camera | None, place_error: Callable[[Array], Array] | None
+) -> list[dict[str, Any]]:
+    """Work out what the page draws of each drawing.
+
+    Without a camera only gates that are drawn in the image have a shape. Warnings that need metres are for drawings
+    with metres.
+
+    The ways (two places each, metres) are a lane's last leg and the two directions across a gate, from its left to its
+    right and back; `arrows` are the same in the image.
+
+    Args:
+        drawings: The drawings without faults.
+        camera: The camera, over a road at z = 0; None: it is not known.
+        place_error: Takes pixels (..., 2) to errors of places in metres (...,); None: they are not known.
+
+    Returns:
+        For each drawing `kind`, `index` and `warnings`; `lines` and `corners` in pixels, but of occluders; of gates and
+        lanes `ways` and `arrows`; of lanes `edges`, in pixels; `places` of a gate that is drawn in the image: its ends
+        on the road, metres, where they are known.
+    """
+    lanes = [(one.positions, one.width) for one in drawings if one.kind == "lanes"]
+    out = []
+    for one in drawings:
+        if one.pixels is not None:
+            out.append(_image_gate(one, one.pixels, camera, lanes, place_error))
+            continue
+        if camera is None:
+            continue
+        shown: dict[str, Any] = {"kind": one.kind, "index": one.index, "warnings": []}
+        if one.kind == "occluders":
+            shown["warnings"] = _occluder_warnings(one, camera)
+        else:
+            ends = np.concatenate([one.positions, one.positions[:1]]) if one.kind == "zones" else one.positions
+            shown["lines"] = road_line(camera, ends)
+            shown["corners"] = _pixels(camera, one.positions)
+        if one.kind in ("gates", "lanes"):
+            ways = _ways_across(one.positions) if one.kind == "gates" else [one.positions[-2:]]
+            shown["ways"] = [way.tolist() for way in ways]
+            shown["arrows"] = [road_line(camera, way) for way in ways]
+        if one.kind == "gates":
+            shown["warnings"] = gate_warnings(one.positions, camera, lanes, place_error)
+        if one.kind == "lanes":
+            shown["edges"] = [line for side in (-1, 1) for line in road_line(camera, _beside(one, side))]
+        out.append(shown)
+    return out
+
+
+def _image_gate(
+    gate: Drawing,
+    pixels: Array,
+    camera: Camera | None,
+    lanes: Sequence[tuple[Array, float]],
+    place_error: Callable[[Array], Array] | None,
+) -> dict[str, Any]:
+    """What the page draws of a gate that has its ends in the image: an entry of `shapes`."""
+    # With rows counted upwards, left and right of the line are what they are on the screen.
+    upwards = np.array([1.0, -1.0])
+    arrows = [way * upwards for way in _ways_across(pixels * upwards, _ARROW_PX)]
+    shown: dict[str, Any] = {
+        "kind": gate.kind,
+        "index": gate.index,
+        "warnings": [],
+        "lines": [pixels.tolist()],
+        "corners": pixels.tolist(),
+        "arrows": [[arrow.round(1).tolist()] for arrow in arrows],
+        "ways": [],
+    }
+    if camera is None:
+        return shown
+    line = line_on_road(camera, pixels)
+    if not line:
+        return shown | {"warnings": [_ABOVE_HORIZON]}
+    ends = np.array(line)
+    shown |= {"places": ends.tolist(), "ways": [way.tolist() for way in _ways_across(ends)]}
+    return shown | {"warnings": gate_warnings(ends, camera, lanes, place_error)}
+
+
+def road_line(camera: Camera, corners: Array) -> list[Polyline]:
+    """A line on the road through corners (N, 2), as polylines in pixels."""
+    parts = []
+    for a, b in itertools.pairwise(corners):
+        steps = int(np.clip(np.linalg.norm(b - a) / _STEP_M, 1, 400))
+        parts.append(a + np.linspace(0, 1, steps + 1)[:, None] * (b - a))
+    points = np.concatenate(parts)
+    return polylines_of(camera, np.concatenate([points, np.zeros((len(points), 1))], axis=-1))
+
+
+def _pixels(camera: Camera, corners: Array) -> list[list[float] | None]:
+    pixels, _, valid = camera.project(np.concatenate([corners, np.zeros((len(corners), 1))], axis=-1))
+    return [[round(float(v), 2) for v in pixel] if good else None for pixel, good in zip(pixels, valid, strict=True)]
+
+
+def _ways_across(line: Array, longest: float = _ARROW_M) -> list[Array]:
+    """(2, 2) each: the way across a gate from its left to its right, and the way back; at most `longest` long."""
+    along = line[1] - line[0]
+    right = np.array([along[1], -along[0]]) / max(float(np.linalg.norm(along)), 1e-9)
+    reach = min(longest, float(np.linalg.norm(along)) / 2)
+    starts = (line[0] + 0.4 * along, line[0] + 0.6 * along)
+    return [np.stack([start, start + reach * way]) for start, way in zip(starts, (right, -right), strict=True)]
+
+
+def _beside(lane: Drawing, side: int) -> Array:
+    """(N, 2) the edge of a lane: its line moved across by half its width, corner by corner."""
+    ways = np.diff(lane.positions, axis=0)
+    lengths = np.maximum(np.linalg.norm(ways, axis=1, keepdims=True), 1e-9)
+    across = np.stack([-ways[:, 1], ways[:, 0]], axis=-1) / lengths
+    at_corner = np.concatenate([across[:1], (across[:-1] + across[1:]) / 2, across[-1:]])
+    at_corner /= np.maximum(np.linalg.norm(at_corner, axis=1, keepdims=True), 0.5)
+    return lane.positions + side * lane.width / 2 * at_corner
+
+
+def _occluder_warnings(one: Drawing, camera: Camera) -> list[str]:
+    if one.foot is None or np.isfinite(ground_places(camera, one.foot)).all():
+        return []
+    return ["its foot lies above the horizon: it stands nowhere on the road"]

@@ -1,0 +1,271 @@
+"""The server of the page of `skope eval site`: pictures, answers to the page's document, and saving it."""
+
+import base64
+import os
+import re
+import shlex
+import tempfile
+from collections.abc import Mapping
+from dataclasses import asdict
+from datetime import UTC, datetime
+from http import HTTPStatus
+from pathlib import Path
+from typing import Any, Final
+from zoneinfo import available_timezones
+
+from skope.errors import UserError
+from skope.files.json_files import json_bytes, parse_json
+from skope.site.page.drawings import drawn_in_image, read_drawings
+from skope.site.page.footage_time import read_time
+from skope.site.page.frames import SiteFrames, decoded_frame
+from skope.site.page.from_above import seen_from_above
+from skope.site.page.loaded_files import read_file
+from skope.site.page.map_places import map_places
+from skope.site.page.marks import marks_of_document
+from skope.site.page.merge_windows import merged_document
+from skope.site.page.plan import plan_scale
+from skope.site.page.plan_pictures import PlanPictures
+from skope.site.page.site_store import Opened, SavedElsewhereError, SiteStore
+from skope.site.page.solved_page import SolvedPage, unfinished
+from skope.terminal.console import Console
+from skope.viewer.local_server import (
+    CSS,
+    HTML,
+    JSON,
+    SCRIPT,
+    Answer,
+    LocalHandler,
+    LocalServer,
+    bound_to,
+    read_resource,
+    serve_until_stopped,
+)
+
+_HERE: Final = "skope.site.page"
+_PLAN: Final = re.compile(r"/plans/([0-9a-f]{64})")
+_FRAME: Final = re.compile(r"/frames/([0-9]{1,9})")
+_SCRIPTS: Final = (
+    "site",
+    "controls",
+    "server",
+    "history",
+    "kinds",
+    "marking",
+    "viewport",
+    "draw_marks",
+    "panel",
+    "pointer",
+    "keys",
+    "plan_view",
+    "saving",
+    "moved_drawings",
+    "views",
+    "camera_panel",
+    "hints",
+    "edits",
+)
+_FILES: Final = {
+    "/": (_HERE, "site.html", HTML),
+    "/page.css": ("skope.page", "page.css", CSS),
+    "/site.css": (_HERE, "site.css", CSS),
+    **{f"/{name}.js": (_HERE, f"{name}.js", SCRIPT) for name in _SCRIPTS},
+}
+_QUESTIONS: Final = ("/look", "/places", "/above", "/plan", "/plan-picture", "/map-places", "/read", "/save", "/merge")
+_ELSEWHERE: Final = "{name} was saved by another window since this one read it. Nothing of yours is lost: join both, or take the saved one (undo brings yours back)."  # noqa: E501
+
+
+def serve_site(frames: SiteFrames, path: Path, added: Mapping[str, Any], port: int | None, console: Console) -> None:
+    """Show the page until Ctrl-C; the address is printed in one line.
+
+    Args:
+        frames: The footage.
+        path: The site file, which need not be there.
+        added: What is put into the page's document besides what the file holds: points, a camera.
+        port: Where the server listens; None: any usual one.
+        console: Where the address is printed.
+
+    Raises:
+        UserError: The site file cannot be read, or `port` not be used.
+    """
+    server = bound_site(frames, path, added, port)
+    camera = server.store.read().document["camera"]
+    if camera is not None and (size := (camera["width"], camera["height"])) != frames.size:
+        console.result(
+            f"{path}: camera: camera of {size[0]}x{size[1]}, scaled to the {frames.size[0]}x{frames.size[1]} of "
+            f"{frames.title}"
+        )
+    serve_until_stopped(server, f"{frames.title}, {path}", console)
+
+
+def bound_site(frames: SiteFrames, path: Path, added: Mapping[str, Any], port: int | None) -> "SiteServer":
+    """Start the server of a site's page, which listens; `serve_site` lets it answer.
+
+    Args:
+        frames: The footage.
+        path: The site file, which need not be there.
+        added: What is put into the page's document besides what the file holds.
+        port: Where the server listens; None: any usual one.
+
+    Raises:
+        UserError: The site file cannot be read, or `port` not be used.
+    """
+    return bound_to(lambda free: SiteServer(frames, path, added, free), port)
+
+
+class SiteServer(LocalServer):
+    """The server of one site."""
+
+    def __init__(self, frames: SiteFrames, path: Path, added: Mapping[str, Any], port: int) -> None:
+        self.frames, self.added = frames, added
+        self.store = SiteStore(path, frames.size)
+        self.solved = SolvedPage(frames.size, self.store.read().vehicles)
+        self.clearest = frames.clearest()
+        self.plans = PlanPictures()
+        super().__init__(port, _Handler)
+
+    def _measure(self) -> str | None:
+        """The command that measures the traffic of the footage by the site; None where there is no traffic to see."""
+        if self.frames.source is None or self.frames.count < 2:
+            return None
+        return shlex.join(["skope", "eval", "traffic", self.frames.source, "--site", str(self.store.path)])
+
+    def begin(self) -> dict[str, Any]:
+        """Title of the page, its document, and the document as it is saved."""
+        opened = self._opened()
+        document = opened.document
+        if opened.revision is None:
+            document = document | {key: [*document[key], *value] if isinstance(value, list) else value
+                                   for key, value in self.added.items()}  # fmt: skip
+        return {
+            "title": self.frames.title,
+            "size": list(self.frames.size),
+            "frames": self.frames.count,
+            "frame": self.clearest,
+            "file": self.store.path.name,
+            "measure": self._measure(),
+            "exists": opened.revision is not None,
+            "document": document,
+            "saved": opened.document,
+            "revision": opened.revision,
+            "zones": sorted(available_timezones()),
+        }
+
+    def _opened(self) -> Opened:
+        """The site file, with the picture of its plan under the name by which the page asks for it."""
+        opened = self.store.read()
+        if opened.plan is not None:
+            path = opened.plan
+            as_written = os.path.relpath(path, self.store.path.parent)
+            opened.document["plan"]["picture"] = self.plans.hold_file(path, as_written)
+        return opened
+
+    def hold_plan(self, sent: Mapping[str, Any]) -> dict[str, Any]:
+        """Keep the picture of a plan that the user has loaded; `picture` is its name from now on."""
+        try:
+            data = base64.b64decode(sent.get("data", ""), validate=True)
+        except (TypeError, ValueError):
+            raise UserError("data: expected base64") from None
+        return {"picture": self.plans.hold(data)}
+
+    def save(self, sent: Mapping[str, Any]) -> tuple[int, dict[str, Any]]:
+        """Status and answer to a document that is to be saved."""
+        document = _document(sent)
+        problems = [
+            *marks_of_document(document, self.frames.size).problems,
+            *read_drawings(document, self.frames.size)[1],
+        ]
+        problems += read_time(document).problems
+        if problems:
+            words = unfinished(problems)
+            return HTTPStatus.UNPROCESSABLE_ENTITY, {"text": f"not saved: {words}", "problem": asdict(problems[0])}
+        solved, _ = self.solved.solve(document)
+        revision = sent.get("revision")
+        if not isinstance(revision, str | None):
+            raise UserError("revision: expected a text")
+        now, plan = datetime.now(UTC).astimezone().replace(microsecond=0), document.get("plan")
+        try:
+            self.store.check(revision)  # before a picture is written for nothing
+            file = self.plans.saved_beside(self.store.path, plan.get("picture")) if isinstance(plan, dict) else None
+            revision = self.store.save(document, solved, revision, now, file)
+        except SavedElsewhereError:
+            return HTTPStatus.CONFLICT, {"text": _ELSEWHERE.format(name=self.store.path.name)}
+        counts = solved.camera or any(drawn_in_image("gates", gate) for gate in document.get("gates", []))
+        said = "" if counts else "saved; the camera is not calibrated yet"
+        return HTTPStatus.OK, {"revision": revision, "said": said}
+
+    def merge(self, sent: Mapping[str, Any]) -> dict[str, Any]:
+        """The page's document joined with the saved one, and the saved one with its revision."""
+        opened = self._opened()
+        document = merged_document(_document(sent, "base"), _document(sent, "mine"), opened.document)
+        return {"document": document, "saved": opened.document, "revision": opened.revision}
+
+    def above(self, sent: Mapping[str, Any]) -> dict[str, Any]:
+        """The road from above, as a frame shows it."""
+        solved, _ = self.solved.solve(_document(sent))
+        if solved.camera is None:
+            raise UserError("the camera is not calibrated yet: " + solved.message)
+        number = sent.get("frame")
+        if not self.frames.count:
+            return seen_from_above(solved.camera, None)
+        if not isinstance(number, int) or not 0 <= number < self.frames.count:
+            raise UserError("frame: there is no such")
+        pixels = decoded_frame(self.frames.picture(number))
+        if (pixels.shape[1], pixels.shape[0]) != self.frames.size:
+            raise UserError(f"frame {number + 1}: is of another size than the first one")
+        return seen_from_above(solved.camera, pixels)
+
+
+class _Handler(LocalHandler):
+    server: SiteServer
+    posts = True
+
+    def answer_to(self, path: str) -> Answer | None:
+        if file := _FILES.get(path):
+            return file[2], read_resource(*file[:2])
+        if path == "/begin.json":
+            return JSON, json_bytes(self.server.begin())
+        frames = self.server.frames
+        if (frame := _FRAME.fullmatch(path)) and (number := int(frame[1])) < frames.count:
+            picture = frames.picture(number)
+            return picture.media_type, picture.data
+        if (plan := _PLAN.fullmatch(path)) and (held := self.server.plans.picture(plan[1])):
+            return held.media_type, held.data
+        return None
+
+    def answer_to_post(self, path: str, data: bytes) -> tuple[int, str, bytes] | None:
+        if path not in _QUESTIONS:
+            return None
+        try:
+            sent = parse_json(data)
+        except ValueError:
+            raise UserError("expected JSON") from None
+        if not isinstance(sent, dict):
+            raise UserError("expected a JSON object")
+        status, answer = HTTPStatus.OK, {}
+        if path == "/look":
+            answer = self.server.solved.look(sent)
+        elif path == "/places":
+            answer = self.server.solved.places(_document(sent), sent.get("pixels"))
+        elif path == "/above":
+            answer = self.server.above(sent)
+        elif path == "/plan":
+            answer = plan_scale(sent)
+        elif path == "/plan-picture":
+            answer = self.server.hold_plan(sent)
+        elif path == "/map-places":
+            answer = map_places(sent)
+        elif path == "/read":
+            with tempfile.TemporaryDirectory() as folder:
+                answer = read_file(sent, Path(folder), self.server.frames.size)
+        elif path == "/merge":
+            answer = self.server.merge(sent)
+        else:
+            status, answer = self.server.save(sent)  # type: ignore[assignment]
+        return status, JSON, json_bytes(answer)
+
+
+def _document(sent: Mapping[str, Any], key: str = "document") -> Mapping[str, Any]:
+    value = sent.get(key)
+    if not isinstance(value, dict):
+        raise UserError(f"{key}: expected an object")
+    return value

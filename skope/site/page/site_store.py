@@ -1,0 +1,300 @@
+"""The page's document from a site file, and back into it: what the page does not know stays in the file."""
+
+import contextlib
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from skope.camera.evidence import MARKED_PX, MEASURED_M, UNEVEN_M, Belief, MarkedPoint
+from skope.camera.model import Camera
+from skope.camera.uncertain_camera import UncertainCamera
+from skope.dataset.camera_of_file import fitted_camera
+from skope.errors import UserError
+from skope.files.reading import sha256_of
+from skope.site.calibration_marks import CalibrationMarks
+from skope.site.gates_zones_lanes import Gate, gate_at_size, line_on_road
+from skope.site.page.document_values import entries_of, unique_names
+from skope.site.page.drawings import DRAWN, drawn_in_image
+from skope.site.page.footage_time import read_time, time_texts
+from skope.site.page.marks import KINDS, SIGMA_FIELDS
+from skope.site.page.solved_page import SolvedCamera
+from skope.site.site_file import SiteFile, read_site
+from skope.site.write_site import save_site
+
+KNOWN_FIELDS: Final = ("fov_deg", "height_m", "lens")
+"""Keys of prior knowledge of a camera, with standard deviations."""
+PLAN: Final = ("metres_per_pixel", "origin", "rotation_deg")
+"""Keys of a plan that say where its pixels lie in the world."""
+_POSES: Final = (
+    *("file", "raw", "fov_deg", "R", "t", "position", "look_at", "yaw_deg", "pitch_deg", "roll_deg", "points"),
+    "ground",
+)
+"""Other ways in which a [camera] table says where a camera hangs; what the page has found takes their place."""
+_LENGTH_SIGMA_M: Final = 0.05
+
+
+class SavedElsewhereError(Exception):
+    """Somebody else has saved the file since it was read."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Opened:
+    """A site file as the page has it."""
+
+    document: dict[str, Any]
+    revision: str | None
+    """None: there is no file yet."""
+    vehicles: Belief | None = None
+    """Evidence of vehicles on the camera."""
+    plan: Path | None = None
+    """The plan's picture, which need not be there."""
+
+
+class SiteStore:
+    """A site file that may not be there yet."""
+
+    def __init__(self, path: Path, size: tuple[int, int]) -> None:
+        self.path, self.size = path, size
+
+    def read(self) -> Opened:
+        """The file as a document; an empty one where there is no file. Raises UserError as `read_site` does."""
+        if not self.path.exists():
+            return Opened(document=document_of(None, self.size), revision=None)
+        site = read_site(self.path)
+        vehicles = site.calibration.vehicles if site.calibration else None
+        return Opened(document=document_of(site, self.size), revision=site.revision, vehicles=vehicles,
+                      plan=site.plan.file if site.plan else None)  # fmt: skip
+
+    def check(self, revision: str | None) -> None:
+        """Raise SavedElsewhereError where the file is not the one of `revision` any more."""
+        if self._revision() != revision:
+            raise SavedElsewhereError
+
+    def save(
+        self,
+        document: Mapping[str, Any],
+        solved: SolvedCamera,
+        revision: str | None,
+        when: datetime,
+        plan: str | None = None,
+    ) -> str:
+        """Write a document into the file.
+
+        Args:
+            document: The page's document, without problems.
+            solved: Its camera.
+            revision: Revision of what the page has read; None: there was no file.
+            when: Now, which the file says of its calibration.
+            plan: File name of the plan's picture; None: it keeps the name that it has in the file.
+
+        Returns:
+            The file's new revision.
+
+        Raises:
+            SavedElsewhereError: The file is not the one of `revision` any more; nothing is written.
+            UserError: It cannot be written.
+        """
+        self.check(revision)
+        try:
+            return save_site(self.path, changes_of(document, solved, self.size, when, plan), revision).revision
+        except UserError:
+            if self._revision() != revision:
+                raise SavedElsewhereError from None
+            raise
+
+    def _revision(self) -> str | None:
+        return sha256_of(self.path) if self.path.exists() else None
+
+
+def document_of(site: SiteFile | None, size: tuple[int, int]) -> dict[str, Any]:
+    """The page's document of a site file.
+
+    Raises UserError where the file's marks are of images of another size than `size`.
+    """
+    out: dict[str, Any] = {kind: [] for kind in (*KINDS, *DRAWN)} | {"camera": None, "known": {}}
+    out |= {"world": None, "plan": None, "time_zone": None, "start": None}
+    if site is None:
+        return out
+    if site.calibration is not None:
+        out |= _marks(site.calibration, size)
+    if site.camera is not None:
+        out["camera"] = _camera(site, size)
+    if site.world is not None:
+        out["world"] = dict(site.world)
+    if site.plan is not None:
+        out["plan"] = {key: getattr(site.plan, key) for key in PLAN} | {"origin": list(site.plan.origin)}
+    out |= time_texts(site.time_zone, site.start)
+    out["gates"] = [_gate(gate, size) for gate in site.gates]
+    out["zones"] = [{"name": one.name, "polygon": _rows(one.polygon)} for one in site.zones]
+    out["lanes"] = [{"name": one.name, "line": _rows(one.line), "width": one.width} for one in site.lanes]
+    out["occluders"] = [
+        {"polygon": _rows(one.polygon), "foot": list(one.foot) if one.foot else None, "distance": one.distance}
+        for one in site.occluders
+    ]
+    return out
+
+
+def _gate(gate: Gate, size: tuple[int, int]) -> dict[str, Any]:
+    """A gate in the document; its pixels are those of the footage, unless the aspect ratio is another."""
+    with contextlib.suppress(UserError):  # `read_drawings` reports another aspect ratio as a problem
+        gate = gate_at_size(gate, size)
+    out: dict[str, Any] = {"name": gate.name, "directions": list(gate.directions or ("", ""))}
+    if gate.line:
+        out["line"] = _rows(gate.line)
+    if gate.pixels:
+        out |= {"pixels": _rows(gate.pixels), "size": list(gate.size or size)}
+    return out
+
+
+def _marks(marks: CalibrationMarks, size: tuple[int, int]) -> dict[str, Any]:
+    evidence = marks.evidence(size)
+    known = {"fov_deg": marks.fov_deg, "height_m": marks.height_m}
+    lens = {"lens": {key: list(value) for key, value in marks.lens.items()}} if marks.lens else {}
+    return {
+        "points": [point_entry(one) for one in evidence.points],
+        "lengths": [
+            {"name": one.name, "pixels": one.pixels.tolist(), "metres": one.metres}
+            | _unless("sigma_m", one.sigma_m, _LENGTH_SIGMA_M)
+            for one in evidence.lengths
+        ],
+        "parallels": [{"name": one.name, "lines": one.lines.tolist()} for one in evidence.parallels],
+        "verticals": [
+            {"name": one.name, "pixels": one.pixels.tolist(), "metres": one.metres} for one in evidence.verticals
+        ],
+        "known": {name: list(value) for name, value in known.items() if value is not None} | lens,
+    }
+
+
+def point_entry(point: MarkedPoint) -> dict[str, Any]:
+    """A point in the document, with standard deviations where they are not the usual ones."""
+    usual = {"sigma_m": MEASURED_M, "sigma_px": MARKED_PX, "sigma_z_m": UNEVEN_M}
+    own = {
+        key: value
+        for name, default in usual.items()
+        for key, value in _unless(name, getattr(point, name), default).items()
+    }
+    return {"name": point.name, "pixel": point.pixel.tolist(), "place": point.place.tolist()} | own
+
+
+def _unless(key: str, value: float, default: float) -> dict[str, float]:
+    return {} if math.isclose(value, default) else {key: value}
+
+
+def _camera(site: SiteFile, size: tuple[int, int]) -> dict[str, Any]:
+    assert site.camera is not None
+    fitted_camera(site.camera.camera, size, f"{site.path}: camera", "the footage")  # or a UserError
+    return camera_dict(site.camera.known, site.camera.camera)
+
+
+def camera_dict(known: UncertainCamera | None, camera: Camera) -> dict[str, Any]:
+    """A camera in the document, with how well it is known where that is known."""
+    out = {"width": camera.width, "height": camera.height, **camera.to_dict()}
+    return out | ({"covariance": known.covariance_dict()} if known else {})
+
+
+def _rows(positions: Any) -> list[list[float]]:
+    return [list(position) for position in positions]
+
+
+# -------------------------------------------------------------------------------------------------------- what is saved
+
+
+def changes_of(
+    document: Mapping[str, Any],
+    solved: SolvedCamera,
+    size: tuple[int, int],
+    when: datetime,
+    plan: str | None,
+) -> dict[str, Any]:
+    """New values of the file's keys, as `save_site` takes them.
+
+    Args:
+        document: The page's document, without problems.
+        solved: Its camera.
+        size: Width and height of the images, pixels.
+        when: Now, which the file says of its calibration.
+        plan: File name of the plan's picture; None: it keeps the name that it has in the file.
+
+    Returns:
+        Keys at the top of the file -> values; None removes a key.
+    """
+    out: dict[str, Any] = {}
+    marked = {kind: _saved_marks(document, kind) for kind in KINDS}
+    known = {name: document.get("known", {}).get(name) for name in KNOWN_FIELDS}
+    if any(marked.values()) or any(known.values()):
+        rows = {kind: values or None for kind, values in marked.items()}
+        out["calibration"] = {"size": list(size), "when": when, **rows, **known}
+    else:
+        out["calibration"] = dict.fromkeys((*KINDS, *KNOWN_FIELDS))
+    for kind in DRAWN:
+        rows_of_kind = [_saved_drawing(kind, entry, solved.camera) for entry in entries_of(document, kind)]
+        out[kind] = rows_of_kind or None
+    out["world"] = document.get("world") or None
+    out["plan"] = _saved_plan(document, plan)
+    time = read_time(document)
+    out |= {"time_zone": time.time_zone, "start": time.start}
+    camera = _saved_camera(document, solved, size, when)
+    if camera:
+        out["camera"] = camera
+    return out
+
+
+def _saved_marks(document: Mapping[str, Any], kind: str) -> list[dict[str, Any]]:
+    entries = entries_of(document, kind)
+    keys: dict[str, tuple[str, ...]] = {
+        "points": ("pixel", "place", *SIGMA_FIELDS),
+        "lengths": ("pixels", "metres", "sigma_m"),
+    }
+    keys |= {"parallels": ("lines",), "verticals": ("pixels", "metres")}
+    return [
+        {"name": name} | {key: entry.get(key) for key in keys[kind]}
+        for name, entry in zip(unique_names(entries), entries, strict=True)
+    ]
+
+
+def _saved_drawing(kind: str, entry: Mapping[str, Any], camera: Camera | None) -> dict[str, Any]:
+    if kind == "gates":
+        directions = entry.get("directions") or ["", ""]
+        out = {"name": entry["name"], "line": entry.get("line"), "pixels": None, "size": None}
+        if drawn_in_image(kind, entry):
+            out |= {"pixels": entry["pixels"], "size": entry.get("size")}
+        if drawn_in_image(kind, entry) and camera is not None:
+            out["line"] = _rows(line_on_road(camera, np.array(entry["pixels"]))) or None
+        return out | {"directions": directions if any(directions) else None}
+    if kind == "zones":
+        return {"name": entry["name"], "polygon": entry["polygon"]}
+    if kind == "lanes":
+        return {"name": entry["name"], "line": entry["line"], "width": entry.get("width")}
+    foot = entry.get("foot")
+    return {"polygon": entry["polygon"], "foot": foot, "distance": None if foot else entry.get("distance")}
+
+
+def _saved_plan(document: Mapping[str, Any], file: str | None) -> dict[str, Any] | None:
+    """The [plan] table; a picture that is not there keeps the name that it has in the file."""
+    plan = document.get("plan")
+    if not isinstance(plan, dict):
+        return None
+    return ({"file": file} if file else {}) | {key: plan.get(key) for key in PLAN}
+
+
+def _saved_camera(
+    document: Mapping[str, Any], solved: SolvedCamera, size: tuple[int, int], when: datetime
+) -> dict[str, Any] | None:
+    """The [camera] table; None where the page has found none, so that the file's own stays."""
+    loaded = (document.get("camera") or {}).get("trusted") is True
+    if solved.camera is None or (solved.calibration is None and not loaded):
+        return None
+    counted = [f"{len(entries_of(document, kind))} {kind}" for kind in KINDS if entries_of(document, kind)]
+    source = ", ".join(counted) if solved.calibration else "a camera file"
+    return {
+        **dict.fromkeys(_POSES),
+        "size": list(size),
+        **solved.camera.to_dict(),
+        "covariance": solved.known.covariance_dict() if solved.known else None,
+        "calibrated": {"when": when, "from": source},
+    }

@@ -1,0 +1,262 @@
+"""Answers of the server to a document of the page: the camera that its marks tell, and all that is drawn of it."""
+
+import json
+import math
+import threading
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any, Final
+
+import numpy as np
+
+from skope.camera.calibrate import SiteCalibration, calibrate
+from skope.camera.evidence import Belief
+from skope.camera.ground_plane import ground_places
+from skope.camera.leave_one_out import LeftOutError, left_out_errors
+from skope.camera.model import Camera
+from skope.camera.uncertain_camera import UncertainCamera
+from skope.dataset.camera_of_file import sized
+from skope.errors import UserError
+from skope.site.page.advice import BEGIN, DEGREES, MIRRORED, below_road, implausible, in_degrees, missing
+from skope.site.page.document_values import positions
+from skope.site.page.drawings import Drawing, read_drawings, shapes
+from skope.site.page.error_map import error_map, values
+from skope.site.page.footage_time import read_time
+from skope.site.page.marks import KINDS, Marks, Problem, marks_of_document
+from skope.site.page.overlays import overlays
+from skope.types import Array
+
+_WRONG_SIGMAS: Final = 3.0
+"""Residuals from so many standard deviations on are marked."""
+_SINGULAR: Final = {"points": "point", "lengths": "length", "parallels": "parallel lines", "verticals": "vertical"}
+_UNITS: Final = {"points": "px", "lengths": "m", "parallels": "deg", "verticals": "px"}
+
+
+@dataclass(frozen=True, eq=False)
+class SolvedCamera:
+    """The camera of a document."""
+
+    camera: Camera | None
+    known: UncertainCamera | None
+    """The camera with its covariance; None where nothing says how well it is known."""
+    message: str
+    """Reason why there is no camera, or why it is not that of the marks; empty where it is."""
+    mend: str = ""
+    """Faults that the page may offer to mend by itself: "degrees" or "mirrored" places; empty: none."""
+    left_out: Mapping[str, LeftOutError] = field(default_factory=dict)
+    """Error of each point, left out once and placed by the others, by its name."""
+
+    @property
+    def calibration(self) -> SiteCalibration | None:
+        """The camera that the marks told; None where it is a given one."""
+        return self.known if isinstance(self.known, SiteCalibration) else None
+
+
+class SolvedPage:
+    """Answers to documents, whose camera is solved again only where its marks have changed."""
+
+    def __init__(self, size: tuple[int, int], vehicles: Belief | None = None) -> None:
+        """`vehicles` is what vehicles say of the camera."""
+        self.size, self._vehicles = size, vehicles
+        self._lock = threading.Lock()
+        self._last: tuple[str, SolvedCamera] | None = None
+
+    def solve(self, document: Mapping[str, Any]) -> tuple[SolvedCamera, Marks]:
+        """The camera of a document, and its marks."""
+        marks = marks_of_document(document, self.size)
+        key = json.dumps([document.get(kind) for kind in (*KINDS, "camera", "known")], sort_keys=True)
+        with self._lock:
+            if self._last is None or self._last[0] != key:
+                self._last = (
+                    key,
+                    self._solved(
+                        marks, given_camera(document, self.size), "" if self._vehicles else missing(document, marks)
+                    ),
+                )
+            return self._last[1], marks
+
+    def _solved(self, marks: Marks, given: "GivenCamera | None", lacking: str) -> SolvedCamera:
+        evidence = marks.evidence
+        fallback = SolvedCamera(given.camera, given.known, "") if given else SolvedCamera(None, None, "")
+        if not any(getattr(evidence, kind) for kind in KINDS):
+            return replace(fallback, message="" if fallback.camera else lacking or BEGIN)
+        if in_degrees(evidence):
+            return replace(fallback, message=DEGREES, mend="degrees")
+        if lacking:
+            return replace(fallback, message=lacking)
+        vehicles = (self._vehicles,) if self._vehicles else ()
+        evidence = replace(evidence, beliefs=(*evidence.beliefs, *vehicles))
+        try:
+            found = calibrate(evidence)
+        except UserError as error:
+            return replace(fallback, message=str(error).removeprefix("calibration: "))
+        except (np.linalg.LinAlgError, FloatingPointError):
+            return replace(fallback, message="no camera agrees with what is marked")
+        if below_road(evidence, found.camera):
+            return replace(fallback, message=MIRRORED, mend="mirrored")
+        if words := implausible(found.camera):
+            return replace(fallback, message=words)
+        return SolvedCamera(found.camera, found, "", left_out=left_out_errors(evidence, found))
+
+    def look(self, document: Mapping[str, Any]) -> dict[str, Any]:
+        """All that the page shows of a document."""
+        solved, marks = self.solve(document)
+        drawings, problems = read_drawings(document, self.size)
+        out: dict[str, Any] = {
+            "problems": [asdict(problem) for problem in (*marks.problems, *problems, *read_time(document).problems)],
+            "message": solved.message,
+            "mend": solved.mend,
+            "camera": None,
+            "residuals": [],
+            "warnings": [],
+            "drawn": None,
+            "errors": None,
+            "shapes": shapes(drawings, solved.camera, solved.known.place_error if solved.known else None),
+        }
+        if solved.camera is None:
+            return out
+        out["camera"] = _figures(solved)
+        out["drawn"] = overlays(solved.camera, _toward(drawings))
+        if solved.known is not None:
+            out["errors"] = error_map(solved.known)
+        if solved.calibration is not None:
+            out["residuals"] = _residuals(solved.calibration, marks, solved.left_out)
+            out["warnings"] = list(solved.calibration.warnings)
+        return out
+
+    def places(self, document: Mapping[str, Any], pixels: Any) -> dict[str, Any]:
+        """Places of pixels (N, 2) on the road: rows [x, y] in metres or None, and the error of each in metres."""
+        rows = positions(pixels, 2)
+        if rows is None:
+            raise UserError("pixels: expected rows of two numbers")
+        solved, _ = self.solve(document)
+        if solved.camera is None:
+            raise UserError("the camera is not calibrated yet: " + solved.message)
+        at = np.asarray(rows).reshape(-1, 2)
+        places = ground_places(solved.camera, at)
+        errors = solved.known.place_error(at) if solved.known else None
+        return {
+            "places": [[round(float(v), 3) for v in p[:2]] if np.isfinite(p).all() else None for p in places],
+            "errors": values(errors) if errors is not None else [None] * len(rows),
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class GivenCamera:
+    """A camera that a file says."""
+
+    camera: Camera
+    known: UncertainCamera | None
+
+
+def given_camera(document: Mapping[str, Any], size: tuple[int, int]) -> GivenCamera | None:
+    """The camera that came with a document, at the footage's size; a UserError where it is none."""
+    value = document.get("camera")
+    if value is None:
+        return None
+    if not isinstance(value, dict):
+        raise UserError("camera: expected an object")
+    camera = Camera.from_dict(value, int(value.get("width", size[0])), int(value.get("height", size[1])))
+    camera = sized(camera, size, "the footage")
+    return GivenCamera(camera, _known(camera, value.get("covariance")))
+
+
+def _known(camera: Camera, value: Any) -> UncertainCamera | None:
+    """The camera with the covariance that came with it; None where none did."""
+    return UncertainCamera.from_dict(camera, value) if isinstance(value, dict) else None
+
+
+def _figures(solved: SolvedCamera) -> dict[str, Any]:
+    """The camera in numbers that people know, with standard deviations where they are known."""
+    assert solved.camera is not None
+    camera = solved.camera
+    yaw, pitch, roll = camera.angles
+    focal = float(camera.K[0, 0])
+    rows = {
+        "focal": ("focal length", focal, focal, "px"),
+        "z": ("height", float(camera.position[2]), 1.0, "m"),
+        "pitch": ("tilt down", math.degrees(pitch), 180 / math.pi, "°"),
+        "roll": ("roll", math.degrees(roll), 180 / math.pi, "°"),
+        "yaw": ("looks towards (from east, to the left)", math.degrees(yaw), 180 / math.pi, "°"),
+        "x": ("x", float(camera.position[0]), 1.0, "m"),
+        "y": ("y", float(camera.position[1]), 1.0, "m"),
+    }
+    k1 = camera.distortion.coefficients[0] if camera.distortion.model == "brown" else None
+    if k1 is not None:
+        rows["k1"] = ("lens distortion k1", k1, 1.0, "")
+    sigmas = _sigmas(solved.known)
+    return {
+        "from_marks": solved.calibration is not None,
+        "figures": [
+            {
+                "name": words,
+                "value": round(value, 4),
+                "sigma": round(sigmas[name] * scale, 4) if name in sigmas else None,
+                "unit": unit,
+            }
+            for name, (words, value, scale, unit) in rows.items()
+        ],
+    }
+
+
+def _sigmas(known: UncertainCamera | None) -> dict[str, float]:
+    if known is None:
+        return {}
+    return dict(zip(known.parameters, np.sqrt(np.diag(known.covariance)).tolist(), strict=True))
+
+
+def _residuals(calibration: SiteCalibration, marks: Marks, without: Mapping[str, LeftOutError]) -> list[dict[str, Any]]:
+    """Distance of each mark from the camera, in the order of the document's lists; left-out points too.
+
+    `by_others` of a point is [how far from its place the others put it, within what that lies in 90% of the cases],
+    metres; None where they do not say it.
+    """
+    out = []
+    told = {(one.kind, one.name): one for one in calibration.residuals}
+    for kind in KINDS:
+        for record in getattr(marks.evidence, kind):
+            left_out = kind == "points" and record.name in calibration.outliers
+            one = told.get((_SINGULAR[kind], record.name))
+            value = one.value if one else None
+            if one is None and kind == "points":
+                off = np.linalg.norm(calibration.camera.project(record.place)[0] - record.pixel)
+                value = float(off) if np.isfinite(off) else None
+            out.append(
+                {
+                    "kind": kind,
+                    "index": marks.entries[kind][record.name],
+                    "value": None if value is None else round(value, 3),
+                    "unit": _UNITS[kind],
+                    "left_out": left_out,
+                    "wrong": left_out or (one is not None and one.sigmas > _WRONG_SIGMAS),
+                    "at": _expected(calibration.camera, record.place) if kind == "points" else None,
+                    "by_others": _by_others(without.get(record.name)) if kind == "points" else None,
+                }
+            )
+    return out
+
+
+def _by_others(error: LeftOutError | None) -> list[float] | None:
+    told = [] if error is None else values(np.array([error.error_m, error.stated_m]))
+    return [value for value in told if value is not None] if told and None not in told else None
+
+
+def _expected(camera: Camera, place: Array) -> list[float] | None:
+    """The pixel at which a camera sees a place."""
+    pixel, _, valid = camera.project(place)
+    return [round(float(v), 2) for v in pixel] if valid else None
+
+
+def _toward(drawings: list[Drawing]) -> Array | None:
+    """The direction of the first lane, along which boxes stand."""
+    lane = next((one for one in drawings if one.kind == "lanes"), None)
+    return None if lane is None else lane.positions[-1] - lane.positions[0]
+
+
+def unfinished(problems: list[Problem]) -> str:
+    """Sentence on what keeps a document from being saved; empty where nothing does."""
+    if not problems:
+        return ""
+    first = problems[0]
+    rest = f" (and {len(problems) - 1} more)" if len(problems) > 1 else ""
+    return f"{first.kind} {first.index + 1}: {first.field}: {first.text}{rest}"

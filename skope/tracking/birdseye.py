@@ -1,0 +1,242 @@
+"""Tracks seen from above, as one picture: where vehicles drove, how fast, and where they stood at one moment."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import cv2
+import numpy as np
+
+from skope.camera.ground_plane import Ground
+from skope.camera.model import Camera
+from skope.files.atomic import replacing
+from skope.terminal.console import counted
+from skope.tracking import map_signs
+from skope.tracking.ground_view import GroundView
+from skope.tracks.track import Track
+from skope.traffic.road_picture import RoadPicture
+from skope.types import Array, Pixels
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.colors import Colormap, Normalize
+    from matplotlib.figure import Figure
+
+_DPI: Final = 150
+_WIDTH_INCHES: Final = 10.0
+"""Inches."""
+_MAP_PLACE: Final = {"left": 0.055, "right": 0.895, "top": 0.85, "bottom": 0.5}
+"""Place of the map: shares of the picture's width to the left and right, inches at the top and bottom."""
+_MARGIN_M: Final = 10.0
+_SURE_M: Final = 1.5
+"""The map is of the places that are known as well as this, one standard deviation: farther ones would make it small."""
+_MANY: Final = 20
+"""More tracks than these have thinner lines with one arrowhead, and labels only where their vehicles are drawn."""
+_TALLEST: Final = 0.85
+_FLATTEST: Final = 0.45
+"""Height of the map over its width, at most and at least."""
+_ROAD_CELLS: Final = 1500
+"""Cells of the road's picture along its longer side."""
+_FEWER_CELLS: Final = 1200
+_KEPT_ROAD: Final = 70
+"""Cells of the road's picture that is kept for other maps, along its longer side, and how well its file keeps it."""
+_DRIVING_KMH: Final = 5.0
+"""A slower vehicle may stand, and says nothing of how fast vehicles drive."""
+_STANDS_M: Final = 4.0
+"""A track shorter than this has no direction of travel."""
+_WEDGE: Final = ((0.85, 0.0), (0.1, 0.7), (0.1, -0.7))
+"""Wedge that points to a vehicle's front, in halves of its length and width."""
+
+
+def draw(
+    path: Path,
+    tracks: Sequence[Track],
+    camera: Camera,
+    ground: Ground | None,
+    road: Pixels | None,
+    road_users: Sequence[Track] = (),
+) -> None:
+    """Write the picture of the tracks; metres, the world's y upwards.
+
+    Args:
+        path: The .png file.
+        tracks: The tracks of vehicles.
+        camera: What they were seen with.
+        ground: Where the road is; None: unknown, then the camera's field of view is left out.
+        road: (H, W, 3) what the camera sees of the empty road, of its size; it is laid under the tracks. None: nothing.
+        road_users: The tracks of people on foot and on two wheels.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    low, high = extent([*tracks, *road_users], camera.position[:2])
+    map_width = _WIDTH_INCHES * (_MAP_PLACE["right"] - _MAP_PLACE["left"])
+    map_height = map_width * float(high[1] - low[1]) / float(high[0] - low[0])
+    height = map_height + _MAP_PLACE["top"] + _MAP_PLACE["bottom"]
+    figure = Figure(figsize=(_WIDTH_INCHES, height), dpi=_DPI)
+    FigureCanvasAgg(figure)  # labels are measured before anything is written
+    axes = figure.add_axes(
+        (_MAP_PLACE["left"], _MAP_PLACE["bottom"] / height, map_width / _WIDTH_INCHES, map_height / height),
+        xlim=(low[0], high[0]),
+        ylim=(low[1], high[1]),
+    )
+    if ground is not None:
+        cell = float((high - low).max()) / _ROAD_CELLS
+        _draw_view(axes, GroundView(camera=camera, ground=ground, low=low, high=high, cell_m=cell), road)
+    colors, norm = _speed_colors(tracks)
+    for track in tracks:
+        _draw_path(axes, track, colors, norm, many=len(tracks) > _MANY)
+    frame = _fullest_frame(tracks)
+    for one in road_users:
+        _draw_road_user(axes, one, frame)
+    present = [(track, frame - int(track.frames[0])) for track in tracks if frame in track.frames]
+    for track, i in present:
+        _draw_vehicle(axes, track, i, colors(norm(track.speed[i] * 3.6)))
+    taken = [map_signs.draw_camera(axes, camera), map_signs.draw_key(axes, tracks, camera)]
+    labelled = tracks if len(tracks) <= _MANY else [track for track, _ in present]
+    map_signs.draw_labels(axes, tracks, labelled, {track.number: i for track, i in present}, taken)
+    map_signs.draw_frame(axes)
+    _write_heading(figure, tracks, road_users, None if not present else float(present[0][0].times_s[present[0][1]]))
+    bar = figure.add_axes((0.915, _MAP_PLACE["bottom"] / height, 0.016, map_height / height))
+    map_signs.draw_scale(bar, colors, norm)
+    with replacing(path) as temporary:
+        figure.savefig(temporary)
+
+
+def road_picture(tracks: Sequence[Track], camera: Camera, ground: Ground, road: Pixels) -> RoadPicture:
+    """The empty road from above: the rectangle that `draw` shows.
+
+    Args:
+        tracks: Tracks, which the rectangle holds.
+        camera: The camera, with its pose.
+        ground: The road.
+        road: (H, W, 3) the empty road as the camera shows it.
+    """
+    low, high = extent(tracks, camera.position[:2])
+    cell = float((high - low).max()) / _FEWER_CELLS
+    view = GroundView(camera=camera, ground=ground, low=low, high=high, cell_m=cell)
+    _, jpeg = cv2.imencode(".jpg", view.pale(road)[..., 0], [cv2.IMWRITE_JPEG_QUALITY, _KEPT_ROAD])
+    (west, south), (east, north) = low.tolist(), high.tolist()
+    return RoadPicture(jpeg.tobytes(), (west, south), (east, north))
+
+
+def _write_heading(
+    figure: "Figure", tracks: Sequence[Track], road_users: Sequence[Track], moment_s: float | None
+) -> None:
+    """Over the map: how many tracks in how long, and what lines and outlines are."""
+    place, height = _MAP_PLACE["left"], figure.get_figheight()
+    heading, note = "No vehicle was tracked", ""
+    if tracks:
+        seconds = max(t.times_s[-1] for t in tracks) - min(t.times_s[0] for t in tracks)
+        heading = f"{counted(len(tracks), 'track')} of vehicles in {seconds:.1f} s"
+        note = (
+            "Lines: ways driven, numbered as in tracks.csv (a vehicle that was hidden may have two). "
+            f"Outlines: the vehicles at {moment_s:.1f} s."
+        )
+    if road_users:
+        kinds = [name for name in map_signs.ROAD_USERS if any(track.category == name for track in road_users)]
+        words = f"dotted: {', '.join(kinds)}, as in tracks.csv"
+        figure.text(_MAP_PLACE["right"], 1 - 0.36 / height, words, fontsize=9, color=map_signs.FAINT_COLOR, ha="right")
+    figure.text(place, 1 - 0.36 / height, heading, fontsize=14, weight="bold", color=map_signs.INK_COLOR)
+    figure.text(place, 1 - 0.63 / height, note, fontsize=9, color=map_signs.FAINT_COLOR)
+
+
+def extent(tracks: Sequence[Track], camera_xy: Array) -> tuple[Array, Array]:
+    """Corners (2,) of the map: sure places and the camera, with a margin, in a shape that fills the picture."""
+    sure = [t.xy[t.position_sigma <= _SURE_M] for t in tracks]
+    places = np.concatenate([camera_xy[None], *(sure if sum(map(len, sure)) else (t.xy for t in tracks))])
+    low, high = places.min(axis=0) - _MARGIN_M, places.max(axis=0) + _MARGIN_M
+    width, height = high - low
+    wanted = np.array([max(width, height / _TALLEST), max(height, width * _FLATTEST)])
+    middle = (low + high) / 2
+    return middle - wanted / 2, middle + wanted / 2
+
+
+def _fullest_frame(tracks: Sequence[Track]) -> int:
+    """The last of the frames with the most vehicles in them."""
+    if not tracks:
+        return 0
+    counts = np.bincount(np.concatenate([track.frames for track in tracks]))
+    return int(np.flatnonzero(counts == counts.max())[-1])
+
+
+def _speed_colors(tracks: Sequence[Track]) -> "tuple[Colormap, Normalize]":
+    """Colours of speeds in km/h that are dark enough for a pale road, up to a figure that nearly all who drive keep."""
+    import matplotlib as mpl
+
+    whole = mpl.colormaps["plasma"]
+    colors = mpl.colors.LinearSegmentedColormap.from_list("speed", whole(np.linspace(0.02, 0.86, 64)))
+    speeds = np.concatenate([np.zeros(1), *(track.speed for track in tracks)]) * 3.6
+    driving = speeds[speeds >= min(_DRIVING_KMH, speeds.max())]
+    top = 10.0 * np.ceil(max(10.0, float(np.percentile(driving, 98))) / 10)
+    return colors, mpl.colors.Normalize(0, top)
+
+
+def _draw_view(axes: "Axes", view: GroundView, road: Pixels | None) -> None:
+    """The road's picture, and the edge of what the camera sees."""
+    extent = (view.low[0], view.high[0], view.low[1], view.high[1])
+    if road is not None:
+        axes.imshow(view.pale(road), extent=extent, interpolation="bilinear", zorder=0)
+    if view.seen.any() and not view.seen.all():
+        rows, columns = view.seen.shape
+        x = np.linspace(extent[0], extent[1], columns)
+        y = np.linspace(extent[3], extent[2], rows)
+        axes.contour(
+            x,
+            y,
+            view.seen.astype(float),
+            levels=[0.5],
+            colors=map_signs.CAMERA_COLOR,
+            linewidths=1.0,
+            linestyles="dashed",
+            zorder=1,
+        )
+
+
+def _draw_path(axes: "Axes", track: Track, colors: "Colormap", norm: "Normalize", *, many: bool) -> None:
+    """A track's line with a pale edge, coloured by speed, and arrowheads in the direction of travel.
+
+    One of `many` is thin.
+    """
+    from matplotlib.collections import LineCollection
+    from matplotlib.patches import Polygon
+
+    xy = track.xy
+    steps = np.stack([xy[:-1], xy[1:]], axis=1)
+    axes.plot(*xy.T, color="white", linewidth=2.8 if many else 4.5, solid_capstyle="round", alpha=0.9, zorder=2)
+    lines = LineCollection(
+        list(steps), cmap=colors, norm=norm, linewidths=1.5 if many else 2.6, capstyle="round", zorder=3
+    )
+    lines.set_array(track.speed[1:] * 3.6)
+    axes.add_collection(lines)
+    way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(xy, axis=0), axis=1))])
+    if way[-1] < _STANDS_M:
+        return
+    size = (0.6 if many else 0.95) * map_signs.unit_m(axes)
+    for share in (1.0,) if many else (0.5, 1.0):
+        i = int(np.clip(np.searchsorted(way, share * way[-1]), 1, len(xy) - 1))
+        ahead = track.velocity[i] / max(1e-9, float(track.speed[i]))
+        across = np.array([-ahead[1], ahead[0]])
+        corners = [xy[i] + size * (a * ahead + b * across) for a, b in ((1.4, 0), (-0.8, 0.9), (-0.3, 0), (-0.8, -0.9))]
+        color = colors(norm(track.speed[i] * 3.6))
+        axes.add_patch(Polygon(corners, facecolor=color, edgecolor="white", linewidth=0.8, zorder=4))
+
+
+def _draw_road_user(axes: "Axes", track: Track, frame: int) -> None:
+    """The way of somebody on foot or on two wheels, and a dot at the place in a frame."""
+    color = map_signs.ROAD_USERS[track.category]
+    axes.plot(*track.xy.T, color=color, linewidth=1.4, linestyle=(0, (1, 1.2)), zorder=3)
+    if frame in track.frames:
+        x, y = track.position[frame - int(track.frames[0]), :2]
+        axes.plot([x], [y], color=color, marker="o", markersize=5, markeredgecolor="white", zorder=6)
+
+
+def _draw_vehicle(axes: "Axes", track: Track, i: int, color: Any) -> None:
+    """A vehicle's outline as it stands in its i-th frame, with a wedge towards its front."""
+    from matplotlib.patches import Polygon
+
+    outline, wedge = map_signs.vehicle_points(track, i, map_signs.OUTLINE), map_signs.vehicle_points(track, i, _WEDGE)
+    axes.add_patch(
+        Polygon(outline, facecolor=color, edgecolor=map_signs.INK_COLOR, linewidth=1.2, joinstyle="round", zorder=6)
+    )
+    axes.add_patch(Polygon(wedge, facecolor="white", edgecolor="none", zorder=7))

@@ -1,0 +1,147 @@
+"""Tracks seen from above, as a video of outlines that move over the road."""
+
+import itertools
+from collections.abc import Iterator, Sequence
+from typing import Final, TypeVar
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from skope.camera.ground_plane import Ground
+from skope.camera.model import Camera
+from skope.pictures.draw import PALETTE
+from skope.tracking import map_signs
+from skope.tracking.birdseye import extent
+from skope.tracking.ground_view import GroundView
+from skope.tracks.track import Track
+from skope.types import Array, Pixels
+
+T = TypeVar("T", bound=Track)
+_LONGER_PX: Final = 1200
+"""Pixels of the video's longer side."""
+_INK: Final = (27, 39, 51)
+_CAMERA_COLOR: Final = (194, 24, 91)
+_TRAIL_S: Final = 2.0
+"""For how long the way behind a vehicle is drawn, seconds."""
+_LABEL_FONT: Final = cv2.FONT_HERSHEY_SIMPLEX
+
+
+class _Map:
+    """The map of the road that all pictures share."""
+
+    def __init__(self, tracks: Sequence[Track], camera: Camera, ground: Ground | None, road: Pixels | None) -> None:
+        low, high = extent(tracks, camera.position[:2])
+        self._low, self._scale = low, _LONGER_PX / float((high - low).max())
+        # Encoders want even sides.
+        self._width, self._height = (2 * round(v / 2) for v in (high - low) * self._scale)
+        self.background: Pixels = np.full((self._height, self._width, 3), 255, dtype=np.uint8)
+        if ground is not None and road is not None:
+            view = GroundView(camera=camera, ground=ground, low=low, high=high, cell_m=1 / self._scale)
+            pale = view.pale(road)
+            self.background = np.asarray(cv2.resize(pale, (self._width, self._height)), dtype=np.uint8)
+        spot = self.at(camera.position[:2]).tolist()
+        cv2.circle(self.background, spot, 7, _CAMERA_COLOR, -1, cv2.LINE_AA)
+        put_text(self.background, "camera", (spot[0] + 12, spot[1] + 5), _CAMERA_COLOR)
+        self._draw_scale()
+
+    def at(self, places: Array) -> NDArray[np.int32]:
+        """(..., 2) pixels of places (..., 2), metres."""
+        flipped = (places - self._low) * self._scale * [1, -1] + [0, self._height]
+        return np.asarray(np.rint(flipped), dtype=np.int32)
+
+    def holds(self, place: Array) -> bool:
+        """Whether a place (2,) is on the map."""
+        x, y = self.at(place).tolist()
+        return bool(0 <= x < self._width and 0 <= y < self._height)
+
+    def present(self, tracks: Sequence[T], frame: int) -> Iterator[tuple[T, int]]:
+        """The tracks that are on the map in a frame, each with its own number of that frame."""
+        for track in tracks:
+            i = frame - int(track.frames[0])
+            if 0 <= i < len(track.frames) and self.holds(track.position[i, :2]):
+                yield track, i
+
+    def _draw_scale(self) -> None:
+        """A bar of a round length at the lower right."""
+        metres = max(bar for bar in map_signs.BARS_M if bar <= max(1, self._width / self._scale / 5))
+        right, low = self._width - 20, self._height - 20
+        left = right - round(metres * self._scale)
+        cv2.line(self.background, (left, low), (right, low), _INK, 4)
+        put_text(self.background, f"{metres} m", (left, low - 10))
+
+
+def birdseye_frames(
+    tracks: Sequence[Track],
+    times_s: Sequence[float],
+    camera: Camera,
+    ground: Ground | None,
+    road: Pixels | None,
+    road_users: Sequence[Track] = (),
+) -> Iterator[Pixels]:
+    """A picture (H, W, 3) from above for each time, y upwards: outlines with a line to their front, number and km/h.
+
+    Args:
+        tracks: The vehicles' tracks.
+        times_s: Time of each picture, seconds.
+        camera: The camera, with its pose.
+        ground: The road; None: unknown.
+        road: (H, W, 3) the empty road as the camera shows it; None: not at hand.
+        road_users: Tracks of people on foot and on two wheels, who are dots.
+    """
+    shown = _Map([*tracks, *road_users], camera, ground, road)
+    for frame, time_s in enumerate(times_s):
+        picture = shown.background.copy()
+        for track, i in shown.present(tracks, frame):
+            _draw(picture, shown, track, i)
+        for user, i in shown.present(road_users, frame):
+            _draw_dot(picture, shown, user, i)
+        put_text(picture, f"{time_s:.1f} s", (20, 34), size=0.8)
+        yield picture
+
+
+def _draw(picture: Pixels, shown: _Map, track: Track, i: int) -> None:
+    """A vehicle in its i-th frame, and the way that it has come."""
+    color = PALETTE[track.number % len(PALETTE)]
+    since = int(np.searchsorted(track.times_s, track.times_s[i] - _TRAIL_S))
+    cv2.polylines(picture, [shown.at(track.position[since : i + 1, :2])], False, color, 2, cv2.LINE_AA)
+    outline = shown.at(np.array(map_signs.vehicle_points(track, i, map_signs.OUTLINE)))
+    cv2.fillPoly(picture, [outline], color, cv2.LINE_AA)
+    cv2.polylines(picture, [outline], True, _INK, 1, cv2.LINE_AA)
+    middle, front = shown.at(np.array(map_signs.vehicle_points(track, i, ((0.0, 0.0), (1.0, 0.0)))))
+    cv2.line(picture, middle.tolist(), front.tolist(), (255, 255, 255), 2, cv2.LINE_AA)
+    x, y = outline.max(axis=0)[0], outline.min(axis=0)[1]
+    put_text(picture, map_signs.label(track, i), (int(x) + 3, int(y) - 3))
+
+
+def _draw_dot(picture: Pixels, shown: _Map, track: Track, i: int) -> None:
+    """Somebody on foot or on two wheels in the track's i-th frame, and the way behind."""
+    color = PALETTE[track.number % len(PALETTE)]
+    since = int(np.searchsorted(track.times_s, track.times_s[i] - _TRAIL_S))
+    cv2.polylines(picture, [shown.at(track.position[since : i + 1, :2])], False, color, 1, cv2.LINE_AA)
+    x, y = shown.at(track.position[i, :2]).tolist()
+    cv2.circle(picture, (x, y), 5, color, -1, cv2.LINE_AA)
+    cv2.circle(picture, (x, y), 5, _INK, 1, cv2.LINE_AA)
+    put_text(picture, f"{track.category[0]} {map_signs.label(track, i)}", (x + 7, y - 3))
+
+
+def put_text(
+    picture: Pixels, text: str, place: tuple[int, int], color: tuple[int, int, int] = _INK, size: float = 0.45
+) -> None:
+    """Write a text with a white edge, moved where it would leave the picture.
+
+    Args:
+        picture: (H, W, 3), changed in place.
+        text: One line.
+        place: Column and row of its lower left corner, pixels.
+        color: RGB.
+        size: Size of the letters, as OpenCV has it.
+    """
+    text = text.replace("±", "+-")  # OpenCV's letters are ASCII's
+    (width, height), _ = cv2.getTextSize(text, _LABEL_FONT, size, 1)
+    x = int(np.clip(place[0], 2, max(2, picture.shape[1] - width - 4)))
+    y = int(np.clip(place[1], height + 2, picture.shape[0] - 4))
+    # Thicker letters may be wider, and would not lie under the thin ones.
+    for dx, dy in itertools.product((-1, 0, 1), repeat=2):
+        cv2.putText(picture, text, (x + dx, y + dy), _LABEL_FONT, size, (255, 255, 255), 1, cv2.LINE_AA)
+    cv2.putText(picture, text, (x, y), _LABEL_FONT, size, color, 1, cv2.LINE_AA)

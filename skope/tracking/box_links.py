@@ -1,0 +1,139 @@
+"""Links between the boxes of one vehicle from frame to frame of a video.
+
+A box is where its vehicle is expected from the frames before, or where points on the vehicle were followed to (`Result.
+track_id` of `skope.footage.key_frames`); what is not seen for a while and comes back is another vehicle.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+
+from skope import boxes as box_math
+from skope.schema import Found
+from skope.tracking.least_cost_pairs import cheapest_pairs
+from skope.types import Array, Integers32
+
+FARTHEST_S: Final = 0.3
+"""Frames that are farther apart say nothing of each other: vehicles cannot be linked by their boxes."""
+LOST_S: Final = 1.0
+"""A vehicle that is not seen for so long is another one when it comes back, seconds."""
+_REACH_SIZES: Final = 0.7
+"""Largest distance of a vehicle from its expected place, in its sizes."""
+_FIRST_REACH: Final = 1.5
+"""The same while its speed is not known."""
+_ALIKE: Final = 1.8
+"""Boxes of one vehicle in two frames differ in size by this factor at most."""
+
+
+@dataclass(slots=True)
+class _Last:
+    """The last sight of a vehicle."""
+
+    time_s: float
+    box: Array
+    """(4,) x0, y0, x1, y1, pixels."""
+    followed: int | None
+    """The `track_id` that it had there."""
+    velocity: Array = field(default_factory=lambda: np.zeros(4))
+    """(4,) of the box's edges, pixels a second."""
+    seen: int = 1
+    """In how many frames it is."""
+
+    def expected(self, time_s: float) -> Array:
+        """(4,) its box at a later time."""
+        return self.box + self.velocity * (time_s - self.time_s)
+
+    def see(self, time_s: float, box: Array, followed: int | None) -> None:
+        now = (box - self.box) / (time_s - self.time_s)
+        self.velocity = now if self.seen == 1 else (self.velocity + now) / 2
+        self.time_s, self.box, self.followed = time_s, box, followed
+        self.seen += 1
+
+
+class BoxLinks:
+    """Vehicles of a video, by number from 0, frame by frame."""
+
+    def __init__(self) -> None:
+        self._live: dict[int, _Last] = {}
+        self._count = 0
+
+    def add(self, time_s: float, found: Sequence[Found], first: Sequence[bool] | None = None) -> Integers32:
+        """Take the detections of the next frame, which is later, as `add_boxes` takes boxes.
+
+        Args:
+            time_s: Seconds.
+            found: N detections of the frame; `track_id` says where points were followed to.
+            first: Which of them choose their vehicles before the others; None: all.
+
+        Returns:
+            (N,) the number of each detection's vehicle.
+        """
+        boxes = np.array([one.bbox for one in found]).reshape(-1, 4)
+        return self.add_boxes(time_s, boxes, followed=[one.track_id for one in found], first=first)
+
+    def add_boxes(
+        self,
+        time_s: float,
+        boxes: Array,
+        *,
+        followed: Sequence[int | None] | None = None,
+        first: Sequence[bool] | None = None,
+    ) -> Integers32:
+        """Take the boxes of the next frame, which is later.
+
+        Args:
+            time_s: Seconds.
+            boxes: (N, 4) x, y, width, height, pixels.
+            followed: What each shares with a box of a frame before, where points were followed; None: nothing is known.
+            first: Which of them choose their vehicles before the others; None: all.
+
+        Returns:
+            (N,) the number of each box's vehicle.
+        """
+        self._live = {i: one for i, one in self._live.items() if time_s - one.time_s <= LOST_S}
+        rectangles = box_math.xywh_to_xyxy(boxes)
+        followed = [None] * len(boxes) if followed is None else followed
+        numbers = np.full(len(boxes), -1, dtype=np.int32)
+        names = {one.followed: i for i, one in self._live.items() if one.followed is not None}
+        for here, name in enumerate(followed):
+            # Out of the names, so that of two boxes with one name only the first has the vehicle.
+            if name is not None and (number := names.pop(name, None)) is not None:
+                numbers[here] = number
+        chosen = np.ones(len(boxes), dtype=bool) if first is None else np.asarray(first, dtype=bool)
+        for group in (chosen, ~chosen):
+            free = [i for i in self._live if i not in numbers]
+            rest = np.flatnonzero(group & (numbers < 0))
+            for vehicle, detection in self._links(free, rectangles[rest], time_s):
+                numbers[rest[detection]] = vehicle
+        for here, number in enumerate(numbers.tolist()):
+            if number >= 0:
+                self._live[number].see(time_s, rectangles[here], followed[here])
+            else:
+                numbers[here] = self._count
+                self._live[self._count] = _Last(time_s, rectangles[here], followed[here])
+                self._count += 1
+        return numbers
+
+    def _links(self, vehicles: Sequence[int], rectangles: Array, time_s: float) -> list[tuple[int, int]]:
+        """Pairs of vehicle and detection that belong together."""
+        if not vehicles or not len(rectangles):
+            return []
+        known = [self._live[i] for i in vehicles]
+        expected = np.array([one.expected(time_s) for one in known])
+        size = np.array([size_of(one.box) for one in known])[:, None]
+        reach = np.array([_REACH_SIZES if one.seen > 1 else _FIRST_REACH for one in known])[:, None]
+        away = np.linalg.norm((_middles(expected)[:, None] - _middles(rectangles)[None]), axis=-1) / size
+        ratio = np.sqrt(box_math.area(rectangles))[None] / size
+        cost = np.where((away < reach) & (np.maximum(ratio, 1 / ratio) < _ALIKE), away, np.inf)
+        return [(vehicles[v], d) for v, d in cheapest_pairs(cost, np.inf)]
+
+
+def size_of(box: Array) -> float:
+    """Square root of a box's area, pixels."""
+    return float(np.sqrt(np.maximum(1.0, box_math.area(box))))
+
+
+def _middles(rectangles: Array) -> Array:
+    return (rectangles[:, :2] + rectangles[:, 2:]) / 2

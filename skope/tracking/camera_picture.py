@@ -1,0 +1,106 @@
+"""A picture to judge a camera by: its horizon, a grid of metres on the road, and boxes of the sizes that vehicles have.
+
+Under the right camera lanes are as wide as lanes are, all along, and boxes stand on their wheels.
+"""
+
+import itertools
+import math
+from pathlib import Path
+from typing import Final
+
+import cv2
+import numpy as np
+
+from skope.camera.model import Camera
+from skope.errors import UserError
+from skope.pose.keypoint_views import Scene, View
+from skope.pose.pose_records import corners_of, locate_view
+from skope.tracking.birdseye_video import put_text
+from skope.tracking.empty_road import footage_of
+from skope.types import Array, Pixels
+from skope.video.footage import Cut, open_footage
+
+_GRID_M: Final = (1, 2, 5, 10, 20, 50)
+"""Distances of the grid's lines."""
+_GRID_LINES: Final = 12
+"""The grid has about so many lines away from the camera."""
+_ACROSS_M: Final = 5.0
+"""Lines along the way are so far apart at most: a lane and a half."""
+_FARTHEST_M: Final = 150.0
+_LETTERS_PX: Final = 18
+"""Distances are written so far apart at least, pixels."""
+_SCORE: Final = 0.5
+_GRID: Final = (255, 255, 255)
+_HORIZON: Final = (255, 120, 40)
+_BOX: Final = (90, 235, 120)
+_EDGES: Final = tuple((a, b) for a, b in itertools.combinations(range(8), 2) if bin(a ^ b).count("1") == 1)
+"""Corners of a box that an edge joins; their numbers count in ends, sides and heights."""
+
+
+def draw_camera_picture(scene: Scene, folder: Path) -> Pixels | None:
+    """The frame with most vehicles, with what the camera says of it; None where its footage is not said.
+
+    Args:
+        scene: What `skope eval predict` found, with the camera and the road.
+        folder: Where its file of frames lies.
+
+    Raises:
+        UserError: The footage is not there any more, or cannot be read.
+    """
+    source = footage_of(folder, scene.file.info)
+    view = max(scene.views(score=_SCORE), key=lambda one: int((~one.interpolated).sum()), default=None)
+    if source is None or view is None:
+        return None
+    camera = scene.camera_of(view.image)
+    picture = _frame(source, view)
+    picture = np.asarray(0.75 * picture, dtype=np.uint8)
+    _draw_grid(picture, camera)
+    located = locate_view(view, scene)
+    for i in np.flatnonzero(located.good).tolist():
+        corners = corners_of(located.poses.T_world_vehicle[i], located.poses.size_lwh[i])
+        for a, b in _EDGES:
+            _draw_line(picture, camera, corners[[a, b]], _BOX, 2)
+    return picture
+
+
+def _frame(source: Path, view: View) -> Pixels:
+    index = view.image.frame_index
+    start = 0.0 if view.image.time_s is None else max(0.0, view.image.time_s - 1.0)
+    for image, pixels in open_footage(str(source), Cut(start_s=start)).frames():
+        if image.frame_index == index or (index is None and image.file_name == view.image.file_name):
+            return pixels.copy()
+    raise UserError(f"{source}: frame {index} cannot be read")
+
+
+def _draw_grid(picture: Pixels, camera: Camera) -> None:
+    """Lines on the road every so many metres, along the way that the camera looks and across, and the horizon."""
+    yaw, _, _ = camera.angles
+    ahead = np.array([math.cos(yaw), math.sin(yaw), 0.0])
+    left = np.array([-ahead[1], ahead[0], 0.0])
+    foot = np.array([*camera.position[:2], 0.0])
+    reach = min(_FARTHEST_M, 12 * float(camera.position[2]))
+    step = next((m for m in _GRID_M if reach / m <= _GRID_LINES), _GRID_M[-1])
+    away = np.arange(0.0, reach + 0.1, 0.5)
+    side = np.arange(-reach / 2, reach / 2 + 0.1, 0.5)
+    for k in np.arange(-reach / 2, reach / 2 + 0.1, min(step, _ACROSS_M)).tolist():
+        _draw_line(picture, camera, foot + left * k + ahead * away[:, None], _GRID, 1)
+    below = picture.shape[0]
+    for k in range(1, _GRID_LINES + 1):
+        _draw_line(picture, camera, foot + ahead * k * step + left * side[:, None], _GRID, 1)
+        pixel, _, valid = camera.project((foot + ahead * k * step)[None])
+        if valid[0] and camera.inside(pixel)[0] and pixel[0, 1] < below - _LETTERS_PX:
+            below = float(pixel[0, 1])
+            put_text(picture, f"{k * step} m", (round(float(pixel[0, 0])) + 4, round(float(pixel[0, 1])) - 3))
+    turn = np.linspace(-math.pi / 2, math.pi / 2, 181)[:, None]
+    far = foot + 1e6 * (np.cos(turn) * ahead + np.sin(turn) * left) + [0.0, 0.0, float(camera.position[2])]
+    _draw_line(picture, camera, far, _HORIZON, 2)
+
+
+def _draw_line(picture: Pixels, camera: Camera, points: Array, color: tuple[int, int, int], thick: int) -> None:
+    pixels, _, valid = camera.project(points)
+    height, width = picture.shape[:2]
+    near = valid & (np.abs(pixels - [width / 2, height / 2]) < 2 * max(width, height)).all(axis=1)
+    for a, b in itertools.pairwise(range(len(points))):
+        if near[a] and near[b]:
+            ends = np.rint(pixels[[a, b]]).astype(np.int32)
+            cv2.polylines(picture, [ends], False, color, thick, cv2.LINE_AA)

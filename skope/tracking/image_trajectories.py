@@ -1,0 +1,195 @@
+"""Trajectories in pixels of what `skope eval predict` has followed through a video: for counts where no camera gives
+metres."""
+
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from skope.camera.motion.known_views import KnownView, read_views, view_numbers
+from skope.camera.motion.view_registration import is_inside, transformed
+from skope.dataset import coco
+from skope.dataset.folder import BEGINS, FRAMES, PREDICTIONS, SIGHT_FIELD
+from skope.errors import UserError
+from skope.metrics.read_inputs import read_all_results
+from skope.schema import CATEGORIES, VEHICLE, AnnotationFile
+from skope.site.gates_zones_lanes import Gate
+from skope.site.traffic_settings import UNKNOWN
+from skope.tracking.duplicate_boxes import FOOT, INSIDE, feet, inside_and_apart
+from skope.tracking.track_flags import box_never_moved
+from skope.tracks.track import Track
+from skope.traffic.observation import Observation, checked_sight, read_begins
+from skope.types import Array
+
+_FOOT_SIGMA_SHARE: Final = 0.03
+"""Standard deviation of the lower edge's middle, as a share of a box's longer edge, and a pixel at least."""
+_FEWEST_BOXES: Final = 3
+_SHORTEST_S: Final = 0.4
+"""A road user that is seen in fewer boxes, or for less time (seconds), does not count."""
+_TOGETHER_SHARE: Final = 0.5
+"""Two tracks are one road user's where their boxes are in the median, over so much of the shorter track."""
+_LEAST_VISIBLE: Final = 0.9
+"""A view is observed if it shows this share of each gate."""
+_POINTS_ON_GATE: Final = 200
+_MOVING_S: Final = 1.0
+"""A camera is advised to be counted apart this long after a change of view whose end is not known, seconds."""
+_DRIFT: Final = 0.3
+"""Largest change of the distance between the feet of two boxes of one road user, in sizes of the larger one."""
+MotRow = tuple[float, float, float, float, float]
+"""Time (s), column and row of the middle of a box's lower edge, and the box's width and height, pixels."""
+
+
+def read_image_trajectories(folder: Path, gates: Sequence[Gate] = ()) -> tuple[list[Track], Observation, list[str]]:
+    """Read the ways of boxes through a video, by the numbers that they have, as they lie in its first view.
+
+    Places are columns and negative rows, so that left and right of a line are what they are on the screen. After the
+    camera has been moved, places are taken back to the first view where it is known how. Other frames, and those of
+    the movement itself, are not observed.
+
+    Args:
+        folder: What `skope eval predict` has written.
+        gates: The gates with `pixels` in the first view. A view that does not show all of them is not observed.
+
+    Returns:
+        The tracks, the times that were observed, and a sentence for each time that the camera was moved.
+
+    Raises:
+        UserError: A file is missing or wrong, the images have no times, or what was found has no numbers.
+    """
+    file = coco.read(folder / FRAMES)
+    views, notes = _followed_views(file, gates)
+    timed = {image.id: image.time_s for image in file.images if image.time_s is not None}
+    shown = dict(zip(timed, view_numbers(views, list(timed.values())).tolist(), strict=True))
+    observed = {number for number, view in enumerate(views) if view.from_first is not None}
+    rows: dict[tuple[int, int], list[tuple[int, MotRow]]] = defaultdict(list)
+    results = read_all_results(folder / PREDICTIONS, file)
+    for result in results:
+        view = shown.get(result.image_id)
+        if result.track_id is not None and view is not None and view in observed:
+            x, y, width, height = map(float, result.bbox)
+            row = (timed[result.image_id], x + width / 2, y + height, width, height)
+            rows[result.category_id, result.track_id].append((view, row))
+    if results and not rows:
+        raise UserError(
+            f"{folder / PREDICTIONS}: track_id: missing: what images show is not followed from one to another"
+        )
+    tracks = [(category_id, _in_first_view(own, views)) for (category_id, _), own in rows.items()]
+    made = [_trajectory(k, *track) for k, track in enumerate(_without_doubles(tracks), start=1)]
+    source = str(file.info.get("source", file.name))
+    observation = Observation(
+        times_s=np.array(sorted(time_s for number, time_s in timed.items() if shown[number] in observed)),
+        source=source,
+        moved_s=np.array(sorted(time_s for number, time_s in timed.items() if shown[number] not in observed)),
+        sight=checked_sight(file.info.get(SIGHT_FIELD), f"{folder / FRAMES}: info.{SIGHT_FIELD}"),
+        begins=read_begins(file.info[BEGINS], f"{folder / FRAMES}: info.{BEGINS}") if BEGINS in file.info else None,
+    )
+    return [one for one in made if one.confirmed], observation, notes
+
+
+def _followed_views(file: AnnotationFile, gates: Sequence[Gate]) -> tuple[list[KnownView], list[str]]:
+    """The views, without the homography of those that do not show all gates, and sentences on those that follow."""
+    views, notes = read_views(file.name, file.info), list[str]()
+    size = (file.images[0].width, file.images[0].height) if file.images else (1, 1)
+    for k, view in enumerate(views[1:], start=1):
+        why, start_s = "it is not surely known where the gates lie in its view", view.begin_s + _MOVING_S
+        if view.from_first is not None:
+            shares = {gate.name: _visible_share(np.array(gate.pixels), view.from_first.matrix, size) for gate in gates}
+            hidden = [name for name, share in shares.items() if share < _LEAST_VISIBLE]
+            if not hidden:
+                notes.append(
+                    f"the camera was moved at {view.begin_s:.1f} s: from {view.settled_s:.1f} s on, gates are counted "
+                    f"where its view shows them ({view.from_first.corner_error_px:.1f} px)"
+                )
+                continue
+            why = f"its view does not show all of gate {hidden[0]!r} ({shares[hidden[0]]:.0%})"
+            start_s = view.settled_s
+            views[k] = replace(view, from_first=None)
+        notes.append(
+            f"the camera was moved at {view.begin_s:.1f} s: {why}, and nothing is counted in it. Draw the gates in "
+            f"the new view in a second site file, and count it apart: `skope eval predict VIDEO --start "
+            f"{start_s:.1f} --out second`, then `skope eval traffic second --site second.toml`"
+        )
+    return views, notes
+
+
+def _visible_share(line: Array, matrix: Array, size: tuple[int, int]) -> float:
+    """Share of a line (2, 2) in the image of the first view that another view shows too; 1 where it is not in it."""
+    along = np.linspace(line[0], line[1], _POINTS_ON_GATE)
+    along = along[is_inside(along, size)]
+    return float(is_inside(transformed(matrix, along), size).mean()) if len(along) else 1.0
+
+
+def _in_first_view(rows: list[tuple[int, MotRow]], views: Sequence[KnownView]) -> Array:
+    """(M, 5) rows of time, column and negative row of the foot, width and height of the box, in the first view.
+
+    Each row comes with the number of the view that it was seen in.
+    """
+    numbers, values = np.array([number for number, _ in rows]), np.array([row for _, row in rows])
+    for number in np.unique(numbers):
+        homography = views[number].from_first
+        if number and homography is not None:
+            own, back = numbers == number, np.linalg.inv(homography.matrix)
+            feet = values[own, 1:3]
+            there = transformed(back, feet)
+            across, down = (transformed(back, feet + step) - there for step in np.eye(2))
+            growth = np.sqrt(np.abs(across[:, 0] * down[:, 1] - across[:, 1] * down[:, 0]))
+            values[own] = np.column_stack([values[own, 0], there, values[own, 3:] * growth[:, None]])
+    values[:, 2] *= -1
+    return np.array(sorted(values.tolist()))
+
+
+def _without_doubles(tracks: list[tuple[int, Array]]) -> list[tuple[int, Array]]:
+    """Tracks of categories and rows (M, 5), those left out that follow somebody whom a longer one follows too.
+
+    Detectors see many a vehicle twice, as its front and as its whole, say.
+    """
+    kept: list[tuple[int, Array]] = []
+    for category_id, rows in sorted(tracks, key=lambda track: -len(track[1])):
+        if not any(_is_double(rows, longer) for _, longer in kept):
+            kept.append((category_id, rows))
+    return sorted(kept, key=lambda track: float(track[1][0, 0]))
+
+
+def _is_double(rows: Array, longer: Array) -> bool:
+    _, own, other = np.intersect1d(rows[:, 0], longer[:, 0], return_indices=True)
+    if len(own) < max(1.0, _TOGETHER_SHARE * len(rows)):
+        return False
+    first, second = _boxes(rows[own]), _boxes(longer[other])
+    inside, apart = inside_and_apart(first, second)
+    # Two boxes of one vehicle keep their places in it; a car passes along the lorry that its box lies in.
+    offset = (feet(first) - feet(second)) / np.maximum(first[:, 2:], second[:, 2:])
+    drift = np.ptp(np.percentile(offset, (10, 90), axis=0), axis=0).max()
+    return bool(np.median(inside) >= INSIDE and np.median(apart) <= FOOT and drift <= _DRIFT)
+
+
+def _boxes(rows: Array) -> Array:
+    """(M, 4) x, y, width, height of rows (M, 5), which have the middle of the lower edge, upwards, and the sizes."""
+    _, middle, below, width, height = rows.T
+    return np.stack([middle - width / 2, -below - height, width, height], axis=1)
+
+
+def _trajectory(number: int, category_id: int, rows: Array) -> Track:
+    """Of rows (M, 5): seconds, place, width and height of the box."""
+    times, place = rows[:, 0], rows[:, 1:3]
+    velocity = np.gradient(place, times, axis=0) if len(times) > 1 else np.zeros_like(place)
+    sigma = np.maximum(1.0, _FOOT_SIGMA_SHARE * rows[:, 3:].max(axis=1))
+    category = CATEGORIES[category_id - 1]
+    return Track(
+        number=number,
+        category=category,
+        class_name=UNKNOWN if category == VEHICLE else category,
+        class_confidence=0.0 if category == VEHICLE else 1.0,
+        times_s=times,
+        position=np.column_stack([place, np.zeros(len(times))]),
+        velocity=velocity,
+        heading=np.full(len(times), np.nan),
+        covariance=sigma[:, None, None] ** 2 * np.eye(2),
+        speed_sigma=np.full(len(times), np.nan),
+        located=np.ones(len(times), dtype=bool),
+        boxes=_boxes(rows),
+        confirmed=len(times) >= _FEWEST_BOXES and bool(times[-1] - times[0] >= _SHORTEST_S),
+        flags=("never_moved",) if box_never_moved(_boxes(rows), times) else (),
+    )

@@ -1,0 +1,175 @@
+"""A Kalman filter of a vehicle's motion on the road from its poses, and the smoother for when all is known.
+
+The state is x, y, vx, vy, ax, ay: position (metres, world), velocity (m/s) and a slowly changing acceleration (m/s^2).
+Prediction is Singer's model, smoothing is Rauch, Tung and Striebel's.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+
+from skope.tracking.tracker_inputs import PoseMeasurement
+from skope.types import Array
+
+State = tuple[Array, Array]
+"""Mean (6,) and covariance (6, 6) of a vehicle's state."""
+
+GATE: Final = 16.0
+"""Squared distance, in variances, from which a measurement is no longer believed to belong to a track."""
+_JERK: Final = 1.0
+"""Spectral density of the change of acceleration, m^2 / s^5: hard braking within a second or two."""
+_MEMORY_S: Final = 1.5
+"""Time constant with which an acceleration fades, seconds."""
+_SPEED: Final = 15.0
+"""Standard deviation of the speed along its heading of a vehicle that is seen for the first time, m/s."""
+_SIDEWAYS_SPEED: Final = 2.0
+"""Standard deviation of the speed to its sides of a vehicle that is seen for the first time, m/s."""
+_ACCELERATION: Final = 2.0
+"""Standard deviation of the acceleration of a vehicle that is seen for the first time, m/s^2."""
+_SLIDE: Final = 0.5
+"""Standard deviation of a standing vehicle's speed to its side, m/s."""
+_SLIP: Final = 0.15
+"""Share of a driving vehicle's speed that is added to `_SLIDE`: in a turn its middle does not move where its front
+points."""
+
+
+def first_state(pose: PoseMeasurement) -> State:
+    """State of a vehicle of which this pose is the first: it may stand, or drive where it heads or back."""
+    mean = np.array([*pose.place, 0, 0, 0, 0], dtype=np.float64)
+    spread = np.zeros((6, 6))
+    spread[:2, :2] = pose.covariance
+    ahead = np.array([math.cos(pose.heading), math.sin(pose.heading)])
+    aside = math.hypot(_SIDEWAYS_SPEED, _SPEED * min(pose.heading_sigma, 1.0))
+    spread[2:4, 2:4] = aside**2 * np.eye(2) + (_SPEED**2 - aside**2) * np.outer(ahead, ahead)
+    spread[4:, 4:] = _ACCELERATION**2 * np.eye(2)
+    return mean, spread
+
+
+def first_state_at(place: Array, covariance: Array, speed_sigma: float) -> State:
+    """State of somebody who is seen for the first time and may go anywhere.
+
+    Args:
+        place: (2,) world x, y, metres.
+        covariance: (2, 2) of the place, square metres.
+        speed_sigma: Standard deviation of the speed in any direction, m/s.
+    """
+    spread = np.zeros((6, 6))
+    spread[:2, :2] = covariance
+    spread[2:4, 2:4] = speed_sigma**2 * np.eye(2)
+    spread[4:, 4:] = _ACCELERATION**2 * np.eye(2)
+    return np.array([*place, 0, 0, 0, 0], dtype=np.float64), spread
+
+
+def motion(dt: float) -> tuple[Array, Array]:
+    """Transition and noise, (6, 6) each, of `dt` seconds of Singer's model (IEEE Trans. AES, 1970).
+
+    Acceleration fades away, so that what is unseen rolls on. The noise is that of constant acceleration (Bar-Shalom et
+    al. 2001, section 6.2.3), the model's own for short steps.
+    """
+    fade = math.exp(-dt / _MEMORY_S)
+    to_speed = _MEMORY_S * (1 - fade)
+    F1 = np.array([[1, dt, _MEMORY_S * (dt - to_speed)], [0, 1, to_speed], [0, 0, fade]])
+    Q1 = _JERK * np.array(
+        [[dt**5 / 20, dt**4 / 8, dt**3 / 6], [dt**4 / 8, dt**3 / 3, dt**2 / 2], [dt**3 / 6, dt**2 / 2, dt]]
+    )
+    both = np.eye(2)  # x and y move alike
+    return np.asarray(np.kron(F1, both)), np.asarray(np.kron(Q1, both), dtype=np.float64)
+
+
+def predicted_state(state: State, F: Array, Q: Array) -> State:
+    """A state after one step of `motion`, before anything is measured.
+
+    Args:
+        state: Mean (6,) and covariance (6, 6).
+        F: (6, 6) transition.
+        Q: (6, 6) covariance of what is added in the step.
+    """
+    mean, spread = state
+    return F @ mean, F @ spread @ F.T + Q
+
+
+def before(state: State, dt: float) -> State:
+    """The state `dt` seconds earlier: the model is the same for who drives backwards in time."""
+    back = np.diag([1.0, 1.0, -1.0, -1.0, 1.0, 1.0])
+    mean, spread = predicted_state((back @ state[0], back @ state[1] @ back), *motion(dt))
+    return back @ mean, back @ spread @ back
+
+
+def updated(state: State, pose: PoseMeasurement) -> State:
+    """A state that has taken in a pose: its place, and the direction in which wheels let the vehicle move."""
+    return _rolling(*updated_at(state, pose.place, pose.covariance), pose)
+
+
+def updated_at(state: State, place: Array, covariance: Array) -> State:
+    """A state that has taken in a place.
+
+    Args:
+        state: Mean (6,) and covariance (6, 6).
+        place: (2,) world x, y, metres.
+        covariance: (2, 2) of the place, square metres.
+    """
+    mean, spread = state
+    gain = np.linalg.solve(spread[:2, :2] + covariance, spread[:2]).T
+    kept = np.eye(len(mean))
+    kept[:, :2] -= gain
+    # Joseph's form stays symmetric and positive over any number of steps.
+    after = kept @ spread @ kept.T + gain @ covariance @ gain.T
+    return mean + gain @ (place - mean[:2]), after
+
+
+def _rolling(mean: Array, spread: Array, pose: PoseMeasurement) -> State:
+    """A state that knows that wheels roll where the vehicle heads, or back: it hardly slides to its side."""
+    aside = np.array([0, 0, -math.sin(pose.heading), math.cos(pose.heading), 0, 0])
+    speed = float(np.linalg.norm(mean[2:4]))
+    slides = float(aside @ mean)
+    variance = _SLIDE**2 + (speed * math.hypot(_SLIP, pose.heading_sigma)) ** 2
+    across = spread @ aside
+    total = float(aside @ across) + variance
+    if slides**2 > GATE * total:  # the pose's heading must be wrong
+        return mean, spread
+    gain = across / total
+    kept = np.eye(len(mean)) - np.outer(gain, aside)
+    return mean - gain * slides, kept @ spread @ kept.T + variance * np.outer(gain, gain)
+
+
+def smoothed(
+    transitions: Sequence[Array], predictions: Sequence[State], filtered: Sequence[State]
+) -> tuple[Array, Array]:
+    """States of M frames, each of which knows what came later (Rauch, Tung and Striebel, 1965).
+
+    Args:
+        transitions: (6, 6) each, to each frame from the one before; the first is not used.
+        predictions: States before each frame's measurement; the first is not used.
+        filtered: States after each frame's measurement.
+
+    Returns:
+        Means (M, 6) and covariances (M, 6, 6).
+    """
+    means = np.array([mean for mean, _ in filtered]).reshape(-1, 6)
+    spreads = np.array([spread for _, spread in filtered]).reshape(-1, 6, 6)
+    for k in range(len(filtered) - 2, -1, -1):
+        ahead, spread_ahead = predictions[k + 1]
+        gain = np.linalg.solve(spread_ahead, transitions[k + 1] @ filtered[k][1]).T
+        means[k] += gain @ (means[k + 1] - ahead)
+        spreads[k] += gain @ (spreads[k + 1] - spread_ahead) @ gain.T
+    return means, spreads
+
+
+def position_and_speed_errors(means: Array, spreads: Array) -> tuple[Array, Array]:
+    """Covariances (M, 2, 2) of the positions of M states, square metres, and standard deviations (M,) of their speeds.
+
+    Smoothing leaves tiny variances, which rounding may take below 0: they are raised to 0.
+
+    Args:
+        means: (M, 6) states.
+        spreads: (M, 6, 6) their covariances.
+    """
+    variances, axes = np.linalg.eigh(spreads[:, :2, :2])
+    position = np.einsum("mik,mk,mjk->mij", axes, np.maximum(0.0, variances), axes)
+    velocity, speed = means[:, 2:4], np.linalg.norm(means[:, 2:4], axis=1)
+    ahead = np.divide(velocity, speed[:, None], out=np.zeros_like(velocity), where=speed[:, None] > 0)
+    along = np.einsum("mi,mij,mj->m", ahead, spreads[:, 2:4, 2:4], ahead)
+    worst = np.linalg.eigvalsh(spreads[:, 2:4, 2:4])[:, -1]
+    return np.asarray(position), np.sqrt(np.maximum(0, np.where(speed > 0, along, worst)))

@@ -1,0 +1,273 @@
+"""People on foot and on two wheels followed over the road by the places where they stand.
+
+They have no pose: a place is that of their box's lower edge, a heading that in which they move. A sight joins the track
+that shares its number (what `skope eval predict` has followed from frame to frame), or else the nearest one in
+variances, as each moves by the filter that vehicles move by. A detector that takes a rider for a cyclist now and for
+somebody on foot then still sees one: a track is of the category that its sights are most surely.
+"""
+
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Final
+
+import numpy as np
+
+from skope.schema import CATEGORIES, PEDESTRIAN
+from skope.tracking import kalman
+from skope.tracking.ground_points import GroundPoint, Sight
+from skope.tracking.kalman import GATE, State
+from skope.tracking.least_cost_pairs import cheapest_pairs
+from skope.tracking.track_errors import with_body_error
+from skope.tracking.track_flags import box_never_moved
+from skope.tracks.track import Track
+from skope.types import Array
+
+Link = tuple[int, int]
+"""Category and number of a road user, as a detector's results have them."""
+_SPEEDS: Final = {"bicycle": 5.0, "motorcycle": 12.0, "pedestrian": 1.5}
+"""Standard deviation of the speed of somebody who is seen for the first time, m/s."""
+_SLACK_M: Final = 0.3
+"""Added to every prediction's standard deviation when road users are told apart."""
+_LOST_S: Final = 1.0
+"""A road user that is not seen for so long, seconds, is somebody else when coming back."""
+_LAG_S: Final = 20.0
+"""A sight so long ago, seconds, is not changed by later ones."""
+_LINKED: Final = 36.0
+"""A sight with a track's number joins it if it is nearer than this, in variances: a number jumps from one who walks to
+another where they meet."""
+_ON_FOOT: Final = 4.0
+"""A road user whose median speed is higher, m/s, is on wheels and not on foot, whatever the boxes say."""
+_ON_WHEELS: Final = (CATEGORIES.index("bicycle") + 1, CATEGORIES.index("motorcycle") + 1)
+_OTHER_KIND: Final = 4.0
+"""Added to the squared distance, in variances, of a sight of another category than the track's."""
+_FEWEST_PLACES: Final = 3
+"""A track has at least so many places."""
+_SHORTEST_S: Final = 0.4
+"""A track lasts at least this long."""
+_HEIGHTS_M: Final = {"bicycle": 0.06, "motorcycle": 0.06, "pedestrian": 0.1}
+"""Standard deviation of the height over the road at which boxes end all the way: a kerb is 10 to 15 cm high, and a box
+that ends too low by 3% of its height does so in frame after frame."""
+_HALF_WHEELBASE_M: Final = 0.6
+"""A two-wheeler's box stands on the nearer wheel, so far from its middle where it comes or goes."""
+_MOVES: Final = 2.0
+"""A road user has a heading if its speed is this many standard deviations, and `_LEAST_SPEED`, m/s."""
+_LEAST_SPEED: Final = 0.5
+
+
+def of_body(track: Track, camera_position: Array) -> Track:
+    """The track of the body's middle in place of its box's foot, with the error that all its positions share.
+
+    Args:
+        track: A track of `follow_road_users`.
+        camera_position: (3,) world, metres.
+    """
+    line = track.xy - camera_position[:2]
+    position = track.position.copy()
+    if track.category != PEDESTRIAN:
+        along = np.abs(np.cos(track.heading - np.arctan2(line[:, 1], line[:, 0])))
+        # Whether a standing two-wheeler faces the camera is not known.
+        shift = _HALF_WHEELBASE_M * np.where(np.isnan(along), 0.5, along)
+        position[:, :2] += line * (shift / np.maximum(np.linalg.norm(line, axis=1), 1e-9))[:, None]
+    return with_body_error(replace(track, position=position), camera_position, _HEIGHTS_M[track.category])
+
+
+def _headings(velocity: Array, speed_sigma: Array) -> Array:
+    """(M,) directions of motion, radians, counter-clockwise from world x; NaN where there may be no motion."""
+    speed = np.linalg.norm(velocity, axis=1)
+    moves = speed > np.maximum(_LEAST_SPEED, _MOVES * speed_sigma)
+    return np.where(moves, np.arctan2(velocity[:, 1], velocity[:, 0]), np.nan)
+
+
+@dataclass(eq=False, slots=True)
+class _Step:
+    """One frame of a track that is being followed."""
+
+    frame: int
+    time_s: float
+    transition: Array
+    predicted: State
+    filtered: State
+    sight: Sight | None = None
+
+
+@dataclass(eq=False)
+class _Open:
+    """A track that is being followed."""
+
+    steps: list[_Step]
+    """The frames that can still change."""
+    last_s: float
+    """Time of the latest place."""
+    scores: Counter[int] = field(default_factory=Counter)
+    """Confidence in each category, summed over all sights."""
+    rows: list[tuple[float, ...]] = field(default_factory=list)
+    """The frames before `steps`, smoothed: frame, time, x, y, vx, vy, 3 variances, sigma of speed, z, box, score."""
+
+    @property
+    def state(self) -> State:
+        return self.steps[-1].filtered
+
+    def take(self, sight: Sight) -> None:
+        """Take in the latest frame's sight."""
+        step = self.steps[-1]
+        step.sight = sight
+        self.scores.update(sight.scores)
+        if sight.point is not None:
+            step.filtered = kalman.updated_at(step.filtered, sight.point.place, sight.point.covariance)
+            self.last_s = step.time_s
+
+    @property
+    def category_id(self) -> int:
+        """Of which category it most surely is."""
+        return max(self.scores, key=lambda category_id: self.scores[category_id])
+
+    def category(self, speed: float) -> str:
+        """Its category, by how sure the sights are and by its speed in the median, m/s."""
+        on_foot = CATEGORIES[self.category_id - 1] == PEDESTRIAN
+        if on_foot and speed > _ON_FOOT:
+            return CATEGORIES[max(_ON_WHEELS, key=lambda category_id: self.scores[category_id]) - 1]
+        return CATEGORIES[self.category_id - 1]
+
+    def settle(self, until_s: float) -> None:
+        """Smooth, and keep what came before `until_s` as it then is."""
+        steps = self.steps
+        means, spreads = kalman.smoothed(
+            [step.transition for step in steps], [step.predicted for step in steps], [step.filtered for step in steps]
+        )
+        count = sum(step.time_s < until_s for step in steps)
+        covariances, speeds = kalman.position_and_speed_errors(means[:count], spreads[:count])
+        variances = covariances.reshape(-1, 4)[:, [0, 1, 3]].tolist()
+        for step, mean, spread, speed in zip(steps[:count], means, variances, speeds.tolist(), strict=False):
+            height = np.nan if step.sight is None or step.sight.point is None else step.sight.point.height
+            seen = [np.nan] * 5 if step.sight is None else [*step.sight.bbox, step.sight.score]
+            self.rows.append((step.frame, step.time_s, *mean[:4], *spread, speed, height, *seen))
+        del steps[:count]
+
+    def finished(self) -> Track | None:
+        """The whole track up to its last place, as number 0; None where it is too short to be somebody."""
+        del self.steps[sum(step.time_s <= self.last_s for step in self.steps) :]
+        self.settle(np.inf)
+        rows = np.array(self.rows)
+        located = np.isfinite(rows[:, 10])
+        times, velocity, speed_sigma = rows[:, 1], rows[:, 4:6], rows[:, 9]
+        if located.sum() < _FEWEST_PLACES or times[-1] - times[0] < _SHORTEST_S:
+            return None
+        category = self.category(float(np.median(np.hypot(*velocity[located].T))))
+        detected = np.isfinite(rows[:, 15])
+        return Track(
+            number=0,
+            category=category,
+            class_name=category,
+            class_confidence=1.0,
+            frames=rows[:, 0].astype(np.intp),
+            times_s=times,
+            position=np.column_stack([rows[:, 2:4], np.interp(times, times[located], rows[located, 10])]),
+            velocity=velocity,
+            heading=_headings(velocity, speed_sigma),
+            covariance=rows[:, [[6, 7], [7, 8]]],
+            speed_sigma=speed_sigma,
+            located=located,
+            detected=detected,
+            boxes=rows[:, 11:15],
+            scores=rows[:, 15],
+            flags=("never_moved",) if box_never_moved(rows[detected, 11:15], times[detected]) else (),
+        )
+
+
+def follow_road_users(
+    images: Iterable[Sequence[Sight]], times_s: Sequence[float], first_number: int = 1
+) -> list[Track]:
+    """Follow people on foot and on two wheels through consecutive images of one camera.
+
+    Args:
+        images: Who is seen in each image.
+        times_s: Seconds of each image, rising.
+        first_number: Number of the first track; the others count on, by their first frames.
+    """
+    live: list[_Open] = []
+    ended: list[_Open] = []
+    owners: dict[Link, _Open] = {}
+    before = times_s[0] if times_s else 0.0
+    for frame, (sights, time_s) in enumerate(zip(images, times_s, strict=True)):
+        F, Q = kalman.motion(time_s - before)
+        ended += [track for track in live if time_s - track.last_s > _LOST_S]
+        live = [track for track in live if time_s - track.last_s <= _LOST_S]
+        for track in live:
+            ahead = kalman.predicted_state(track.state, F, Q)
+            track.steps.append(_Step(frame, time_s, F, ahead, ahead))
+        for known, sight in _pairs(live, sights, owners):
+            if known is not None:
+                known.take(sight)
+            elif sight.point is not None:
+                known = _begun(frame, time_s, sight, sight.point)
+                live.append(known)
+            if known is not None:
+                _own(owners, known, sight.links, live)
+        for track in live:
+            if time_s - track.steps[0].time_s > 2 * _LAG_S:
+                track.settle(time_s - _LAG_S)
+        before = time_s
+    tracks = [track for track in map(_Open.finished, ended + live) if track is not None]
+    tracks.sort(key=lambda track: int(track.frames[0]))
+    return [replace(track, number=number) for number, track in enumerate(tracks, start=first_number)]
+
+
+def _own(owners: dict[Link, _Open], track: _Open, links: Sequence[Link], live: Sequence[_Open]) -> None:
+    """Give a track the numbers of its sight that no other track has that is still followed."""
+    for link in links:
+        if link not in owners or owners[link] not in live:
+            owners[link] = track
+
+
+def _begun(frame: int, time_s: float, sight: Sight, point: GroundPoint) -> _Open:
+    speed = _SPEEDS[CATEGORIES[sight.category_id - 1]]
+    state = kalman.first_state_at(point.place, point.covariance, speed)
+    begun = _Open([_Step(frame, time_s, np.eye(6), state, state, sight)], time_s)
+    begun.scores.update(sight.scores)
+    return begun
+
+
+def _pairs(
+    live: Sequence[_Open], sights: Sequence[Sight], owners: Mapping[Link, _Open]
+) -> list[tuple[_Open | None, Sight]]:
+    """Each sight with its track; None where it has none. `owners` are the tracks that have had numbers."""
+    of_sight: dict[int, _Open] = {}
+    for i, sight in enumerate(sights):
+        known = [owners[link] for link in sight.links if link in owners]
+        # Of two sights with one number only the first has the track.
+        of_sight.update(
+            (i, track)
+            for track in known[:1]
+            if track in live and track not in of_sight.values() and _may_be(track, sight)
+        )
+    taken = {id(track) for track in of_sight.values()}
+    free = [track for track in live if id(track) not in taken]
+    rest = [(i, sight) for i, sight in enumerate(sights) if i not in of_sight and sight.point is not None]
+    points = [(sight.category_id, sight.point) for _, sight in rest if sight.point is not None]
+    for row, column in cheapest_pairs(_distances(free, points), GATE):
+        of_sight[rest[column][0]] = free[row]
+    return [(of_sight.get(i), sight) for i, sight in enumerate(sights)]
+
+
+def _may_be(track: _Open, sight: Sight) -> bool:
+    """Whether a sight with the track's number may be it: where it stands, if that is known, is no jump."""
+    if sight.point is None:
+        return True
+    return float(_distances([track], [(track.category_id, sight.point)])[0, 0]) < _LINKED
+
+
+def _distances(tracks: Sequence[_Open], points: Sequence[tuple[int, GroundPoint]]) -> Array:
+    """(T, P) squared distances of places, with their categories, from where tracks are expected, in variances.
+
+    Another category than the track's is farther away.
+    """
+    means = np.array([track.state[0][:2] for track in tracks]).reshape(-1, 1, 2)
+    spreads = np.array([track.state[1][:2, :2] for track in tracks]).reshape(-1, 1, 2, 2)
+    places = np.array([point.place for _, point in points]).reshape(1, -1, 2)
+    covariances = np.array([point.covariance for _, point in points]).reshape(1, -1, 2, 2)
+    away = places - means
+    total = spreads + covariances + _SLACK_M**2 * np.eye(2)
+    squared = np.einsum("tpi,tpij,tpj->tp", away, np.linalg.inv(total), away)
+    alike = np.equal.outer([track.category_id for track in tracks], [category for category, _ in points])
+    return np.asarray(squared + np.where(alike, 0.0, _OTHER_KIND))

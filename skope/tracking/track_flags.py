@@ -1,0 +1,244 @@
+"""Flags of tracks that are to be distrusted, and cuts where one cannot be one vehicle's."""
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skope.tracking.tracks import is_confirmed
+from skope.tracks.track import Track
+from skope.types import Array
+
+TRACK_FLAGS: Final = ("two_poses", "never_moved", "impossible_motion", "against_traffic", "implausible_speed")
+"""Reasons to distrust a track, in the order in which files have them:
+
+- `two_poses`: no more than two poses show the vehicle.
+- `never_moved`: it may be a parked car, or an object that is taken for a road user.
+- `impossible_motion`: it was cut out of a track that moves as nothing on wheels does: two vehicles in one track.
+- `against_traffic`: all others at its positions drive the other way.
+- `implausible_speed`: the vehicles around it are much faster or slower.
+"""
+
+_FEW: Final = 2
+"""Poses of a track that tell little."""
+_STANDS_M: Final = 1.5
+"""A track that stays nearer than this to its median place in 95% of its frames never moved, metres."""
+_STANDS_SIZES: Final = 0.25
+"""The same for boxes in the image, in square roots of the box's area. In footage of two junctions the 20
+vehicles that stood stayed within 0.16 of these, and all people on foot moved by more than 0.5."""
+_STANDS_GROWTH: Final = 1.3
+"""A box whose size changes by more than this factor, between its 5th and 95th percentiles, moved towards the camera or
+away."""
+_STANDS_S: Final = 5.0
+"""A track that never moved was seen for this long at least, seconds."""
+_END_ROWS: Final = 3
+"""Number of rows at the begin and end of a track whose median says whether it came from elsewhere, or left."""
+_FORCE: Final = 9.0
+"""Acceleration, along or across, that no vehicle reaches, m/s^2."""
+_FORCE_S: Final = 0.5
+"""It has to last so long, seconds."""
+_DIRECTION_MPS: Final = 3.0
+"""Speed from which directions count, m/s."""
+_BESIDE_M: Final = 1.5
+"""A vehicle that passes so near to where another one was drives where that does, metres."""
+_FEWEST_OTHERS: Final = 5
+"""So many others drive the other way."""
+_OPPOSITE: Final = math.radians(150)
+_LOOKED_AT: Final = 128
+"""So many of those who pass near are looked at first."""
+_FLOW_S: Final = 60.0
+"""Other tracks within this time of a track at a spot are the flow around it, seconds."""
+_FLOW_TRACKS: Final = 10
+"""Maximum number of tracks in that flow: those nearest in time, so that a queue is compared with itself."""
+_FLOW_ROWS: Final = 64
+"""Maximum number of rows of a cell, nearest in time before and after, in which these tracks are looked for."""
+_FLOW_SPOTS: Final = 16
+"""Maximum number of spots of a track at which its speed is compared."""
+_FLOW_ANGLE: Final = math.radians(45)
+"""Largest difference of direction from tracks in the same flow; tracks slower than `_DIRECTION_MPS` have none."""
+_FLOW_FACTOR: Final = 1.8
+"""A speed is implausible if it differs from the median of the flow by this factor at least."""
+_FLOW_SIGMAS: Final = 3.0
+"""It also differs by this many standard deviations of the flow and of the track's own speed."""
+_MAD_SIGMA: Final = 1.4826
+"""Standard deviation of a normal distribution in units of its median absolute deviation."""
+
+
+def flagged(tracks: Sequence[Track]) -> list[Track]:
+    """The tracks, each with those of `TRACK_FLAGS` that hold, numbered from 1 by their first frames.
+
+    Tracks are cut where they accelerate, brake or turn harder than tyres can.
+    """
+    parts = [part for track in tracks for part in _cut(track)]
+    parts.sort(key=lambda track: int(track.frames[0]))
+    parts = [replace(part, number=number) for number, part in enumerate(parts, start=1)]
+    against = _against_traffic(parts)
+    never_moved = {track.number for track in parts if _never_moved(track)}
+    implausible = _implausible_speeds([track for track in parts if track.number not in never_moved])
+    out = []
+    for track in parts:
+        holds = {
+            "two_poses": int(track.located.sum()) <= _FEW,
+            "never_moved": track.number in never_moved,
+            "impossible_motion": "impossible_motion" in track.flags,
+            "against_traffic": track.number in against,
+            "implausible_speed": track.number in implausible,
+        }
+        out.append(replace(track, flags=tuple(name for name in TRACK_FLAGS if holds[name])))
+    return out
+
+
+def _cut(track: Track) -> list[Track]:
+    """The parts of a track before and after motion that is impossible; where none is long enough, the whole track."""
+    hard = _impossible(track)
+    if not hard.any():
+        return [track]
+    suspect = replace(track, flags=("impossible_motion",))
+    possible = [suspect.during(run) for run in _runs(hard) if not hard[run[0]]]
+    return [part for part in possible if is_confirmed(part.times_s[part.located])] or [suspect]
+
+
+def _runs(holds: NDArray[np.bool_]) -> list[NDArray[np.intp]]:
+    """The indices into (M,) truth values, split where these change."""
+    return np.split(np.arange(len(holds)), np.flatnonzero(np.diff(holds)) + 1)
+
+
+def _never_moved(track: Track) -> bool:
+    return _stays(track.xy, track.times_s, _STANDS_M)
+
+
+def box_never_moved(boxes: Array, times_s: Array) -> bool:
+    """Whether boxes in the image are those of something that never moved, whatever its category.
+
+    A road user that waits has moved if its track shows how it came or left.
+
+    Args:
+        boxes: (M, 4) x, y, width and height of one track, pixels.
+        times_s: (M,) seconds, rising.
+
+    Returns:
+        True if the boxes stay in one place, with one size, for at least 5 s; False for no boxes.
+    """
+    if not len(boxes):
+        return False
+    sizes = np.sqrt(boxes[:, 2] * boxes[:, 3])
+    small, large = np.percentile(sizes, [5, 95])
+    middles = boxes[:, :2] + boxes[:, 2:] / 2
+    return bool(large <= _STANDS_GROWTH * small) and _stays(middles, times_s, _STANDS_SIZES * float(np.median(sizes)))
+
+
+def _stays(places: Array, times_s: Array, reach: float) -> bool:
+    """Whether places (M, 2) stay within `reach` of their median for some time, also at the begin and at the end."""
+    middle = np.median(places, axis=0)
+    farthest = np.percentile(np.linalg.norm(places - middle, axis=1), 95)
+    ends = [np.median(rows, axis=0) for rows in (places[:_END_ROWS], places[-_END_ROWS:])]
+    came_or_left = max(float(np.linalg.norm(end - middle)) for end in ends) > reach
+    return bool(times_s[-1] - times_s[0] >= _STANDS_S and farthest < reach and not came_or_left)
+
+
+def _impossible(track: Track) -> NDArray[np.bool_]:
+    """(M,) in which frames it accelerates, brakes or turns for some time harder than tyres can."""
+    hard = np.asarray(np.linalg.norm(track.acceleration, axis=1) > _FORCE)
+    steps = np.diff(track.times_s, prepend=track.times_s[0])
+    for run in _runs(hard):
+        if steps[run].sum() < _FORCE_S:
+            hard[run] = False
+    return hard
+
+
+def _against_traffic(tracks: Sequence[Track]) -> set[int]:
+    """Numbers of tracks of which most of the way lies where several others drive the other way, and none along."""
+    moving = [(track, np.flatnonzero(track.speed > _DIRECTION_MPS)) for track in tracks]
+    moving = [(track, rows) for track, rows in moving if rows.size]
+    if len(moving) <= _FEWEST_OTHERS:
+        return set()
+    places = np.concatenate([track.xy[rows] for track, rows in moving])
+    ahead = np.concatenate([_directions(track, rows) for track, rows in moving])
+    owner = np.concatenate([np.full(len(rows), k) for k, (_, rows) in enumerate(moving)])
+    alone = np.zeros(len(places), dtype=bool)
+    for here, near in _by_cell(places):
+        # Nearly all have somebody along among a few of those near: an hour has thousands beside each place.
+        few = near[:: math.ceil(len(near) / _LOOKED_AT)]
+        along = (ahead[here] @ ahead[few].T > 0) & (owner[here, None] != owner[few])
+        for i in here[~along.any(axis=1)]:
+            others = near[owner[near] != owner[i]]
+            cosine = ahead[others] @ ahead[i]
+            opposite = np.unique(owner[others[cosine < math.cos(_OPPOSITE)]])
+            alone[i] = len(opposite) >= _FEWEST_OTHERS and not (cosine > 0).any()
+    return {track.number for k, (track, _) in enumerate(moving) if alone[owner == k].mean() > 0.5}
+
+
+def _implausible_speeds(tracks: Sequence[Track]) -> set[int]:
+    """Numbers of tracks whose speed the flow contradicts at most of the spots that they pass.
+
+    Spots are counted and not moments: a vehicle that waits at a light has the speed of the flow along most of its way.
+    """
+    if len(tracks) <= _FEWEST_OTHERS:
+        return set()
+    rows = [_spots(track) for track in tracks]
+    places = np.concatenate([track.xy[own] for track, own in zip(tracks, rows, strict=True)])
+    times = np.concatenate([track.times_s[own] for track, own in zip(tracks, rows, strict=True)])
+    speeds = np.concatenate([track.speed[own] for track, own in zip(tracks, rows, strict=True)])
+    sigmas = np.concatenate([track.speed_sigma[own] for track, own in zip(tracks, rows, strict=True)])
+    velocities = np.concatenate([track.velocity[own] for track, own in zip(tracks, rows, strict=True)])
+    slow = speeds < _DIRECTION_MPS  # headings of such tracks are often wrong, by 180 degrees too
+    ahead = velocities / np.maximum(speeds, _DIRECTION_MPS)[:, None]
+    owner = np.repeat(np.arange(len(tracks)), [len(own) for own in rows])
+    compared = np.concatenate([_spread_evenly(len(own), _FLOW_SPOTS) for own in rows])
+    contradicted = np.zeros(len(places), dtype=bool)
+    for here, near in _by_cell(places):
+        near = near[np.argsort(times[near], kind="stable")]
+        at = np.searchsorted(times[near], times[here])
+        for i, middle in zip(here[compared[here]].tolist(), at[compared[here]].tolist(), strict=True):
+            window = near[max(0, middle - _FLOW_ROWS) : middle + _FLOW_ROWS]
+            apart_s = np.abs(times[window] - times[i])
+            flow = (owner[window] != owner[i]) & (apart_s <= _FLOW_S)
+            flow &= slow[i] | slow[window] | (ahead[window] @ ahead[i] > math.cos(_FLOW_ANGLE))
+            nearest = window[flow][np.argsort(apart_s[flow], kind="stable")]
+            _, first = np.unique(owner[nearest], return_index=True)
+            others = speeds[nearest[np.sort(first)[:_FLOW_TRACKS]]]
+            contradicted[i] = len(others) >= _FEWEST_OTHERS and _contradicts(others, float(speeds[i]), float(sigmas[i]))
+    return {track.number for k, track in enumerate(tracks) if contradicted[compared & (owner == k)].mean() > 0.5}
+
+
+def _contradicts(others: Array, speed: float, sigma: float) -> bool:
+    """Whether the speeds of a flow (N,) contradict a speed that has the standard deviation `sigma`, m/s."""
+    median = float(np.median(others))
+    spread = _MAD_SIGMA * float(np.median(np.abs(others - median)))
+    slower, faster = sorted((speed, median))
+    return faster > _FLOW_FACTOR * slower and faster - slower > _FLOW_SIGMAS * math.hypot(spread, sigma)
+
+
+def _spots(track: Track) -> NDArray[np.intp]:
+    """The middle row of each stay of a track in a square of `_BESIDE_M`."""
+    cells = np.floor(track.xy / _BESIDE_M)
+    change = np.flatnonzero((np.diff(cells, axis=0) != 0).any(axis=1)) + 1
+    return np.array([run[len(run) // 2] for run in np.split(np.arange(len(cells)), change)])
+
+
+def _spread_evenly(count: int, most: int) -> NDArray[np.bool_]:
+    """(count,) truth values of which up to `most` are true, evenly spread."""
+    chosen = np.zeros(count, dtype=bool)
+    chosen[np.linspace(0, count - 1, min(count, most)).astype(int)] = True
+    return chosen
+
+
+def _by_cell(places: Array) -> Iterator[tuple[NDArray[np.intp], NDArray[np.intp]]]:
+    """The indices into places (P, 2) in each square of `_BESIDE_M`, and those in it and the squares around it."""
+    cells = np.floor(places / _BESIDE_M).astype(np.int64)
+    found, number = np.unique(cells, axis=0, return_inverse=True)
+    order = np.argsort(number.ravel(), kind="stable")
+    members = np.split(order, np.cumsum(np.bincount(number.ravel()))[:-1])
+    at = dict(zip(map(tuple, found.tolist()), members, strict=True))
+    for (x, y), here in at.items():
+        around = [at.get((x + dx, y + dy)) for dx in (-1, 0, 1) for dy in (-1, 0, 1)]
+        yield here, np.concatenate([own for own in around if own is not None])
+
+
+def _directions(track: Track, rows: NDArray[np.intp]) -> Array:
+    """(R, 2) unit vectors of where a vehicle drives in the frames `rows`."""
+    velocity = track.velocity[rows, :2]
+    return np.asarray(velocity / np.linalg.norm(velocity, axis=1, keepdims=True))

@@ -1,0 +1,308 @@
+"""`skope eval track`: poses of every frame, tracks through them, and their files."""
+
+import itertools
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skope.camera.model import Camera
+from skope.dataset.folder import BEGINS, FOLLOWED, SIGHT_FIELD
+from skope.errors import UserError
+from skope.files.atomic import replacing, write_bytes, write_text
+from skope.files.json_files import json_bytes
+from skope.files.progress import Progress
+from skope.pose.keypoint_views import Scene
+from skope.pose.pose_records import locate_view
+from skope.schema import CATEGORIES, VEHICLE, Labelled
+from skope.terminal.console import Console, counted
+from skope.tracking import birdseye, birdseye_video, track_overlay
+from skope.tracking.empty_road import empty_road
+from skope.tracking.ground_points import sights_of
+from skope.tracking.pedestrian_and_cycle_tracks import follow_road_users, of_body
+from skope.tracking.track_errors import with_body_error
+from skope.tracking.track_flags import flagged
+from skope.tracking.tracker_inputs import Detection, detection_from_dict, detection_to_dict, detections_of
+from skope.tracking.vehicle_tracker import follow
+from skope.tracks.csv_file import TRACKS_CSV, as_written, write_tracks
+from skope.tracks.frame_files import mot_row, write_fcd, write_mot
+from skope.tracks.track import Track
+from skope.traffic.empty_road_picture import empty_road_picture, write_empty_road_picture
+from skope.traffic.observation import FOOTAGE, Observation, checked_sight, read_begins
+from skope.traffic.road_picture import write_road_picture
+from skope.video.write import write_video
+
+_PROGRESS_NAME: Final = ".poses.jsonl"
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrackJob:
+    """A run that follows vehicles, and what it writes."""
+
+    scene: Scene
+    place: Path
+    """Folder of the scene's file: what the file says of its footage is relative to it."""
+    out: Path
+    fps: float | None
+    """Images a second; None: the images tell their times."""
+    begins: datetime | None
+    """Time of second 0, with its zone; None: as the file of frames says, which does so of live streams."""
+    noise: float
+    """Standard deviation of the noise that is added to labelled keypoints, pixels."""
+    score: float
+    """Detections above this are followed."""
+    sigma_px: float | None
+    """Standard deviation of a keypoint, pixels; None as in `Scene.views`."""
+    video: bool
+    """Whether a bird's-eye video is written too."""
+    overlay: bool
+    """Whether the footage is written too, with the tracks in it."""
+
+
+def follow_footage(job: TrackJob, console: Console) -> Iterator[str]:
+    """Follow the vehicles and write their tracks under `job.out`; yields lines that say what was written and found."""
+    scene = job.scene
+    begins = begins_of(scene, job.begins)
+    times = times_of(scene, job.fps)
+    progress = poses_kept(job.out)
+    if progress.count:
+        console.say(f"{scene.file.name}: going on after the poses of {progress.count} images")
+    refused = Counter[str]()
+    every = followed(job, times, progress, refused, console)
+    camera = scene.camera_of(scene.file.images[0])
+    index = [image.frame_index if image.frame_index is not None else i for i, image in enumerate(scene.file.images)]
+    write_tracks(job.out / TRACKS_CSV, every, index)
+    write_mot(job.out / "mot.txt", [track for track in every if track.category == VEHICLE])
+    write_fcd(job.out / "fcd.xml", every, times)
+    observation = observation_of(scene, times, begins)
+    write_bytes(job.out / FOOTAGE, json_bytes(observation.to_dict()))
+    written = [TRACKS_CSV, "mot.txt", "fcd.xml", FOOTAGE, "birdseye.png"]
+    shown = [observation.with_camera_error(track) for track in every]  # each by itself
+    tracks = [track for track in shown if track.category == VEHICLE]
+    road_users = [track for track in shown if track.category != VEHICLE]
+    road = _road(job, camera, console)
+    birdseye.draw(job.out / "birdseye.png", tracks, camera, scene.ground, road, road_users)
+    if road is not None and scene.ground is not None:
+        written += write_road_picture(
+            job.out, birdseye.road_picture([*tracks, *road_users], camera, scene.ground, road)
+        )
+    if road is not None and (picture := empty_road_picture(road, times)) is not None:
+        written += write_empty_road_picture(job.out, picture)
+    if scene.file.annotations:
+        _write_truth(job.out / "mot_truth.txt", scene, scene.file.annotations)
+        written.append("mot_truth.txt")
+    written += _write_road_users(job, road_users)
+    if job.video:
+        with replacing(job.out / "birdseye.mp4") as temporary:
+            above = birdseye_video.birdseye_frames(tracks, times, camera, scene.ground, road, road_users)
+            write_video(temporary, above, 1 / float(np.median(np.diff(times))))
+        written.append("birdseye.mp4")
+    if job.overlay:
+        with replacing(job.out / "overlay.mp4") as temporary:
+            drawn = console.bar(
+                track_overlay.overlay_frames(tracks, job.place, scene.file, road_users),
+                total=len(times),
+                unit="image",
+                label="overlay",
+            )
+            write_video(temporary, drawn, 1 / float(np.median(np.diff(times))))
+        written.append("overlay.mp4")
+    progress.end()
+    for name in written:
+        yield f"wrote {job.out / name}"
+    seconds = times[-1] - times[0]
+    yield f"{counted(len(tracks), 'track')} over {seconds:.1f} s"
+    yield from _road_user_words(job, road_users)
+    doubtful = Counter(flag for track in (*tracks, *road_users) for flag in track.flags)
+    if doubtful:
+        yield f"of these: {', '.join(f'{number} {flag}' for flag, number in sorted(doubtful.items()))}"
+    if refused.total():
+        why = ", ".join(f"{number} {reason}" for reason, number in refused.most_common())
+        yield f"{counted(refused.total(), 'detection')} without a pose: {why}"
+    if scene.has_truth:
+        yield from speed_errors(scene, tracks)
+
+
+def begins_of(scene: Scene, begins: datetime | None) -> datetime | None:
+    """Time of second 0: as `begins` says, else as the file of frames, which says so of live streams; None: neither."""
+    said = scene.file.info.get(BEGINS)
+    where = f"{scene.file.name}: info.{BEGINS}"
+    return read_begins(said, where) if begins is None and said is not None else begins
+
+
+def poses_kept(folder: Path) -> Progress:
+    """The file in a folder that keeps the poses of each image until a run is done."""
+    return Progress(folder / _PROGRESS_NAME, ("sights",))
+
+
+def followed(
+    job: TrackJob, times: Sequence[float], progress: Progress, refused: Counter[str], console: Console
+) -> list[Track]:
+    """Tracks of vehicles, then of other road users, with flags, rounded as tracks.csv has them.
+
+    Their errors are those for a known camera: what is not known of it is in `observation_of`.
+
+    Args:
+        job: The footage and how to follow it.
+        times: Time of each image, seconds, as `times_of` gives them.
+        progress: Of `poses_kept`.
+        refused: Counts why vehicles have no pose, by reason.
+        console: Where progress goes.
+    """
+    scene = job.scene
+    seen = console.bar(_seen(job, progress, refused), total=len(times), unit="image", label="poses")
+    tracks = flagged(follow(seen, times))
+    road_users = _road_users(job, times, 1 + len(tracks))
+    if scene.ground is not None:
+        eye, sigma_m = scene.camera_of(scene.file.images[0]).position, scene.ground.height_sigma
+        tracks = [with_body_error(track, eye, sigma_m) for track in tracks]
+    return [as_written(track) for track in (*tracks, *road_users)]
+
+
+def observation_of(scene: Scene, times: Sequence[float], begins: datetime | None) -> Observation:
+    """Times at which the road was observed, which no track tells: `skope.traffic` counts by it.
+
+    Args:
+        scene: The footage.
+        times: Time of each image, seconds.
+        begins: When second 0 was, with its zone, as `begins_of` says; None: not known.
+    """
+    moved = np.array([scene.moved_in(image) for image in scene.file.images])
+    known = scene.known_in(scene.file.images[0])
+    camera = scene.camera_of(scene.file.images[0])
+    seconds = np.round(np.array(times), 4)  # as tracks.csv has them
+    turned = dict[int, tuple[float, Camera]]()
+    for image, time_s in zip(scene.file.images, seconds.tolist(), strict=True):
+        if image.id in scene.turned:
+            turned.setdefault(id(scene.turned[image.id]), (time_s, scene.turned[image.id]))
+    return Observation(
+        times_s=seconds[~moved],
+        source=str(scene.file.info.get("source", scene.file.name)),
+        common_sigma=known.ways_sigma() if known else None,
+        camera=camera,
+        uncertainty=known,
+        ground=scene.ground,
+        moved_s=seconds[moved],
+        turned=tuple(turned.values()),
+        sight=checked_sight(scene.file.info.get(SIGHT_FIELD), f"{scene.file.name}: info.{SIGHT_FIELD}"),
+        begins=begins,
+    )
+
+
+def _road_users(job: TrackJob, times: Sequence[float], first_number: int) -> list[Track]:
+    """Tracks of people on foot and on two wheels, where it is known where the road is."""
+    if job.scene.ground is None:
+        return []
+    sights = sights_of(job.scene, score=job.score, sigma_px=job.sigma_px)
+    eye = job.scene.camera_of(job.scene.file.images[0]).position
+    return [of_body(track, eye) for track in follow_road_users(sights, times, first_number)]
+
+
+def _write_road_users(job: TrackJob, tracks: list[Track]) -> list[str]:
+    """Write MOTChallenge files of people and two-wheelers, by category; returns the files' names."""
+    written = []
+    for number, category in enumerate(CATEGORIES[1:], start=2):
+        own = [track for track in tracks if track.category == category]
+        if own:
+            write_mot(job.out / f"mot_{category}.txt", own)
+            written.append(f"mot_{category}.txt")
+        truth = [user for user in job.scene.file.road_users if user.category_id == number]
+        if truth:
+            _write_truth(job.out / f"mot_truth_{category}.txt", job.scene, truth)
+            written.append(f"mot_truth_{category}.txt")
+    return written
+
+
+def _road_user_words(job: TrackJob, tracks: list[Track]) -> Iterator[str]:
+    """Numbers of road users of each category in words, or why there is none."""
+    if tracks:
+        counts = Counter(track.category for track in tracks)
+        yield f"besides: {', '.join(counted(counts[name], name) for name in CATEGORIES if counts[name])}"
+    elif job.scene.ground is None and len(job.scene.file.categories) > 1:
+        others = ", ".join(job.scene.file.categories[1:])
+        yield f"{others}: no tracks, which need to know where the road is (--ground)"
+
+
+def _road(job: TrackJob, camera: Camera, console: Console) -> NDArray[np.uint8] | None:
+    """The empty road as `camera` shows it; None where the footage is not at hand: tracks do without."""
+    try:
+        road = empty_road(job.place, job.scene.calibrated_part().file)
+    except UserError as error:
+        console.say(f"birdseye.png does without a picture of the road: {error}")
+        return None
+    return road if road is not None and road.shape[1::-1] == (camera.width, camera.height) else None
+
+
+def _seen(job: TrackJob, progress: Progress, refused: Counter[str]) -> Iterator[list[Detection]]:
+    """The vehicles of each image: as an earlier, stopped run has written them down, or located now.
+
+    `refused` counts why there are none of their poses.
+    """
+    earlier = itertools.islice(progress.rows(), progress.count)
+    for view in job.scene.views(score=job.score, sigma_px=job.sigma_px, noise=job.noise):
+        if (row := next(earlier, None)) is not None:
+            found = [detection_from_dict(entry) for entry in row["sights"]]
+        else:
+            found = detections_of(locate_view(view, job.scene), linked=job.scene.file.info.get(FOLLOWED) is True)
+            progress.add({"sights": [detection_to_dict(detection) for detection in found]})
+        refused.update(one.refused for one in found if one.refused)
+        yield found
+
+
+def times_of(scene: Scene, fps: float | None) -> list[float]:
+    """Time of each image, seconds. Raises UserError where neither `fps` nor the file tells it."""
+    images = scene.file.images
+    if len(images) < 2:
+        raise UserError(f"{scene.file.name}: tracks need two images or more, got {len(images)}")
+    if fps is not None:
+        index = [i if image.frame_index is None else image.frame_index for i, image in enumerate(images)]
+        if any(b <= a for a, b in itertools.pairwise(index)):
+            index = list(range(len(images)))
+        return [(i - index[0]) / fps for i in index]
+    times = [image.time_s for image in images]
+    if any(time is None for time in times):
+        raise UserError(f"{scene.file.name}: its images carry no times; give --fps")
+    seconds = [float(time) for time in times if time is not None]
+    if any(b <= a for a, b in itertools.pairwise(seconds)):
+        raise UserError(f"{scene.file.name}: times do not rise; it is not the footage of one camera")
+    return seconds
+
+
+def _write_truth(path: Path, scene: Scene, labels: Sequence[Labelled]) -> None:
+    """The labels' own tracks, of one category, as MOTChallenge has ground truth: to count, of class 1, visible."""
+    of_image: dict[int, list[Labelled]] = {image.id: [] for image in scene.file.images}
+    for label in labels:
+        of_image[label.image_id].append(label)
+    rows = [
+        mot_row(frame, a.track_id, a.bbox, "1,1,1")
+        for frame, image in enumerate(scene.file.images, start=1)
+        for a in of_image[image.id]
+        if not a.ignored and a.track_id is not None
+    ]
+    write_text(path, "".join(rows))
+
+
+def speed_errors(scene: Scene, tracks: list[Track]) -> Iterator[str]:
+    """Errors of speeds against the simulation's, over frames in which a vehicle drives at 2 m/s or more."""
+    labelled = scene.file.by_image()
+    truth = {
+        (image.id, a.track_id): float(np.linalg.norm(a.velocity))
+        for image in scene.file.images
+        for a in labelled[image.id]
+        if a.velocity is not None
+    }
+    ids = [image.id for image in scene.file.images]
+    share = []
+    for track in tracks:
+        for frame, truth_id, speed in zip(track.frames, track.truth_ids.tolist(), track.speed, strict=True):
+            real = truth.get((ids[frame], truth_id))
+            if real is not None and real >= 2.0:
+                share.append(abs(float(speed) - real) / real)
+    if share:
+        most = np.percentile(share, 90)
+        yield f"speed: {np.median(share):.1%} off in the median, 90% within {most:.1%} ({len(share)} speeds)"

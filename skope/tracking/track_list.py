@@ -1,0 +1,108 @@
+"""The tracks of one footage together: by frame, drawn, and as a file."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from skope.boxes import xywh_to_xyxy
+from skope.field_checks import image_pixels
+from skope.tracking import track_overlay
+from skope.tracks.csv_file import write_tracks
+from skope.tracks.track import Track
+from skope.traffic.observation import Observation
+from skope.types import Array, Pixels
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class TrackedRoadUser:
+    """A road user in one frame of its track."""
+
+    number: int
+    """Number of the track, the same in all frames."""
+    category: str
+    """Vehicle, bicycle, motorcycle or pedestrian."""
+    class_name: str
+    """Class of a vehicle (car, van, lorry, bus, unknown), else the category."""
+    position: Array
+    """(3,) on the ground, world, metres: under the middle of a vehicle, where a person or two-wheeler stands."""
+    heading: float
+    """Radians, counter-clockwise from world x; NaN where it is not known."""
+    speed: float
+    """m/s."""
+    size_lwh: Array
+    """(3,) length, width and height, metres; NaN where not measured."""
+    box_xyxy: Array
+    """(4,) pixels; NaN where the road user was missed in this frame."""
+    located: bool
+    """Whether its position was measured in this frame; else it follows from the frames around."""
+
+
+class Tracks(list[Track]):
+    """The road users of one footage: vehicles, then people and two-wheelers, by their first frames."""
+
+    def __init__(
+        self, tracks: Iterable[Track], observation: Observation, *, frame_index: Sequence[int] | None = None
+    ) -> None:
+        """Put tracks together.
+
+        Args:
+            tracks: The tracks.
+            observation: When the road was observed, and by what camera: counts need it.
+            frame_index: Number of each frame in its video. Default: 0, 1, 2, ...
+        """
+        super().__init__(tracks)
+        self.observation = observation
+        self._frame_index = frame_index
+
+    @property
+    def times_s(self) -> Array:
+        """(F,) times of all frames in which the road was observed, seconds."""
+        return self.observation.times_s
+
+    def at(self, frame: int) -> tuple[TrackedRoadUser, ...]:
+        """The road users that are present in a frame, numbered from 0."""
+        return tuple(_state(track, i) for track in self if (i := _row(track, frame)) is not None)
+
+    def draw(self, image: Pixels, frame: int) -> Pixels:
+        """A copy of a frame, (H, W, 3) RGB, with box, number, class and speed of each detected road user.
+
+        Raises:
+            UserError: The pixels are of another shape or type.
+        """
+        image = image_pixels("image", image)
+        rows = ((track, _row(track, frame)) for track in self)
+        return track_overlay.with_tracks_drawn(
+            image, [(track, i) for track, i in rows if i is not None and np.isfinite(track.scores[i])]
+        )
+
+    def to_csv(self, path: str | Path) -> None:
+        """Write tracks.csv as `skope eval track` does: a row for each frame of each track.
+
+        docs/from-camera-to-tracks.md explains the columns.
+
+        Raises:
+            UserError: The file cannot be written.
+        """
+        write_tracks(Path(path), self, self._frame_index)
+
+
+def _row(track: Track, frame: int) -> int | None:
+    """Row of a frame in a track; None where the track is not present."""
+    rows = np.flatnonzero(track.frames == frame)
+    return int(rows[0]) if len(rows) else None
+
+
+def _state(track: Track, i: int) -> TrackedRoadUser:
+    return TrackedRoadUser(
+        number=track.number,
+        category=track.category,
+        class_name=track.class_name,
+        position=track.position[i],
+        heading=float(track.heading[i]),
+        speed=float(track.speed[i]),
+        size_lwh=track.size_lwh,
+        box_xyxy=xywh_to_xyxy(track.boxes[i][None])[0],
+        located=bool(track.located[i]),
+    )

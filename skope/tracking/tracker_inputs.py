@@ -1,0 +1,94 @@
+"""Detections of one image as a tracker sees them: a box, and what its pose says."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from typing import Any, Final
+
+import numpy as np
+
+from skope.pose.pose_records import INTERPOLATED, Located
+from skope.types import Array
+
+_FLOOR: Final = 0.05
+"""Least standard deviation of a measured place, metres: shape errors stay the same from frame to frame."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class PoseMeasurement:
+    """Place of a detection on the ground, by its pose, and how certain it is."""
+
+    place: Array
+    """(2,) world x, y, metres, on the ground under the middle of the box."""
+    covariance: Array
+    """(2, 2) covariance of the place, square metres."""
+    height: float
+    """z of the road there, metres."""
+    heading: float
+    """Radians, counter-clockwise from world x."""
+    heading_sigma: float
+    """Standard deviation of the heading, radians."""
+    size_lwh: Array
+    """(3,) length, width, height, metres."""
+    kind: str
+    """Body type."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Detection:
+    """A vehicle that was found in one image."""
+
+    bbox: Array
+    """(4,) x, y, width, height, pixels."""
+    score: float
+    truth_id: int | None
+    """The track of the ground-truth vehicle that it is, or matches; None where there is none."""
+    pose: PoseMeasurement | None
+    """Its pose; None where the pose solver refused one."""
+    link: int | None = None
+    """Number that the detections of one vehicle share from frame to frame, as boxes and points on it say; None: not
+    known."""
+    refused: str | None = None
+    """Reason for which the pose solver refused one; None also where none was asked for, as between key frames."""
+
+
+def detections_of(image: Located, *, linked: bool = True) -> list[Detection]:
+    """The vehicles of an image as a tracker sees them; `linked`: under the numbers that they have."""
+    view, poses = image.view, image.poses
+    out = []
+    for i, good in enumerate(image.good):
+        pose = PoseMeasurement(
+            place=poses.position[i, :2],
+            covariance=poses.covariance[i, :2, :2] + _FLOOR**2 * np.eye(2),
+            height=float(poses.position[i, 2]),
+            heading=float(poses.yaw[i]),
+            heading_sigma=float(np.sqrt(poses.covariance[i, 3, 3])),
+            size_lwh=poses.size_lwh[i],
+            kind=poses.types[i],
+        )
+        vehicle = view.truth[i]
+        truth = vehicle.track_id if vehicle else None
+        link = int(view.tracks[i]) if linked and view.tracks[i] >= 0 else None
+        refused = poses.refusal[i] if poses.refusal[i] != INTERPOLATED else None
+        out.append(Detection(view.boxes[i], float(view.scores[i]), truth, pose if good else None, link, refused))
+    return out
+
+
+def detection_to_dict(detection: Detection) -> dict[str, Any]:
+    """JSON values of a detection, not rounded."""
+    values = {"bbox": detection.bbox.tolist(), "pose": None}
+    values |= {name: getattr(detection, name) for name in ("score", "truth_id", "link", "refused")}
+    if (pose := detection.pose) is not None:
+        arrays = {name: getattr(pose, name).tolist() for name in ("place", "covariance", "size_lwh")}
+        values["pose"] = {one.name: getattr(pose, one.name) for one in fields(pose)} | arrays
+    return values
+
+
+def detection_from_dict(values: Mapping[str, Any]) -> Detection:
+    """The detection that `detection_to_dict` made JSON values of."""
+    pose = values["pose"]
+    if pose is not None:
+        pose = PoseMeasurement(
+            **{**pose, **{name: np.array(pose[name]) for name in ("place", "covariance", "size_lwh")}}
+        )
+    plain = {name: values[name] for name in ("score", "truth_id", "link", "refused")}
+    return Detection(bbox=np.array(values["bbox"]), pose=pose, **plain)

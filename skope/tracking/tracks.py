@@ -1,0 +1,283 @@
+"""The tracker's working state of a vehicle: `OpenTrack`, which becomes a smoothed `Track` when it ends."""
+
+import itertools
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields
+from typing import Final, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skope.tracking import kalman
+from skope.tracking.headings import smoothed_headings
+from skope.tracking.kalman import State
+from skope.tracking.tracker_inputs import Detection, PoseMeasurement
+from skope.tracking.vehicle_classes import vehicle_class
+from skope.tracks.track import Track
+from skope.types import Array
+
+_BOX_S: Final = 0.5
+"""Seconds for which a track's last box still locates it in the image, and for which boxes alone extend it."""
+_CONFIRMED_POSES: Final = 2
+"""A track has at least this many poses."""
+_CONFIRMED_S: Final = 0.4
+"""A track lasts at least this long, seconds."""
+
+
+@dataclass(eq=False, slots=True)
+class TrackStep:
+    """One frame of a track that is being followed."""
+
+    frame: int
+    time_s: float
+    transition: Array
+    """(6, 6) from the frame before."""
+    predicted: State
+    """State before the frame's measurement."""
+    filtered: State
+    """State after the frame's measurement."""
+    detection: Detection | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class TrackPart:
+    """Consecutive frames of a track, smoothed for good, a row each; NaN where nothing was measured."""
+
+    frames: NDArray[np.intp]
+    times_s: Array
+    states: Array
+    """(M, 6) means of the smoothed states, as in `skope.tracking.kalman`."""
+    covariances: Array
+    """(M, 2, 2) of the positions, square metres."""
+    speed_sigmas: Array
+    """(M,) standard deviations of the speeds, m/s."""
+    heights: Array
+    """(M,) z of the road, metres."""
+    headings: Array
+    """(M,) as measured, radians."""
+    heading_sigmas: Array
+    """(M,) standard deviations of the headings, radians."""
+    sizes: Array
+    """(M, 3) length, width, height, metres."""
+    boxes: Array
+    """(M, 4) x, y, width, height, pixels."""
+    scores: Array
+    """(M,)"""
+    truth_ids: NDArray[np.int64]
+    """(M,) -1 where there is none."""
+
+
+Sighting: TypeAlias = tuple[int, float, Detection]
+"""Frame, seconds, and what was seen there."""
+
+
+@dataclass(eq=False)
+class OpenTrack:
+    """A track that is being followed."""
+
+    steps: list[TrackStep]
+    """The frames that can still change."""
+    last_pose: PoseMeasurement
+    """For the heading and size that the vehicle has now."""
+    parts: list[TrackPart] = field(default_factory=list)
+    """The frames before `steps`, which no longer change."""
+    kinds: Counter[str] = field(default_factory=Counter)
+    """Number of its poses with each body type."""
+    last_pose_s: float = 0.0
+    """Time of `last_pose`, seconds."""
+    elsewhere: dict[int, Detection] = field(default_factory=dict)
+    """By frame, the detections since `last_pose` that its box says are this vehicle and whose pose is elsewhere."""
+    successor: "OpenTrack | None" = None
+    """Track that goes on from `elsewhere` in place of this one, which then ends with `last_pose`."""
+    approach: list[Sighting] = field(default_factory=list)
+    """Sights of it before its first pose, latest first."""
+    surrounding: "OpenTrack | None" = None
+    """Another track inside whose vehicle this one's middle is: perhaps both are one vehicle."""
+    surrounded_s: float = 0.0
+    """Time since which `surrounding` is the same, seconds."""
+
+    @property
+    def state(self) -> State:
+        """The latest state."""
+        return self.steps[-1].filtered
+
+    @property
+    def unseen(self) -> bool:
+        """Whether the latest frame has given it no detection (yet)."""
+        return self.steps[-1].detection is None
+
+    @property
+    def link(self) -> int | None:
+        """The `Detection.link` of its latest detection."""
+        return next((step.detection.link for step in reversed(self.steps) if step.detection is not None), None)
+
+    @property
+    def poses(self) -> int:
+        """Number of its poses."""
+        return self.kinds.total()
+
+    def box(self, time_s: float) -> Array | None:
+        """(4,) the last box seen, unless it is old by `time_s`: then None."""
+        for step in reversed(self.steps):
+            if time_s - step.time_s > _BOX_S:
+                break
+            if step.detection is not None:
+                return step.detection.bbox
+        return self.steps[-2].detection.bbox if len(self.steps) > 1 and self.steps[-2].detection is not None else None
+
+    def predict(self, frame: int, time_s: float, F: Array, Q: Array) -> None:
+        """Go on to a frame, whose detections are not known yet.
+
+        Args:
+            frame: The frame, from 0.
+            time_s: Its time, seconds.
+            F: (6, 6) transition, of `kalman.motion`.
+            Q: (6, 6) covariance of what is added in the step.
+        """
+        ahead = kalman.predicted_state(self.state, F, Q)
+        self.steps.append(TrackStep(frame, time_s, F, ahead, ahead))
+
+    def update(self, detection: Detection, pose: PoseMeasurement) -> None:
+        """Take in the latest frame's detection and its pose."""
+        step = self.steps[-1]
+        step.filtered = kalman.updated(step.filtered, pose)
+        step.detection = detection
+        self.last_pose = pose
+        self.kinds[pose.kind] += 1
+        self.last_pose_s = step.time_s
+        self.elsewhere = {}
+
+    def settle(self, until_s: float) -> None:
+        """Smooth, and keep what came before `until_s` as it then is."""
+        self._keep(sum(step.time_s < until_s for step in self.steps))
+
+    def end(self) -> None:
+        """Smooth what is left, up to the last pose and as long as its box goes on from there."""
+        self.steps = list(itertools.takewhile(self._lasts_until, self.steps))
+        self._keep(len(self.steps))
+        self.steps = []
+
+    def _lasts_until(self, step: TrackStep) -> bool:
+        since_s = step.time_s - self.last_pose_s
+        return since_s <= 0 or (since_s <= _BOX_S and step.detection is not None and self.successor is None)
+
+    def _keep(self, count: int) -> None:
+        """Smooth, and keep the first `count` steps as they then are, after the way to the very first one."""
+        means, spreads = _smoothed(self.steps)
+        if count and self.approach and not self.parts:
+            self.parts.append(_part(*_approached(self.approach, self.steps[0], (means[0], spreads[0]))))
+        self.parts.append(_part(self.steps[:count], means[:count], spreads[:count]))
+        del self.steps[:count]
+
+    @property
+    def confirmed(self) -> bool:
+        """Whether an ended track has been seen often and long enough to be a vehicle."""
+        times = [part.times_s for part in self.parts if len(part.times_s)]
+        return self.poses >= _CONFIRMED_POSES and bool(times) and bool(times[-1][-1] - times[0][0] >= _CONFIRMED_S)
+
+
+def is_confirmed(times_s: Array) -> bool:
+    """Whether a vehicle with poses at these times (P,) was seen often and long enough to be one."""
+    return len(times_s) >= _CONFIRMED_POSES and bool(times_s[-1] - times_s[0] >= _CONFIRMED_S)
+
+
+def begin(
+    frame: int, time_s: float, detection: Detection, pose: PoseMeasurement, approach: Sequence[Sighting] = ()
+) -> OpenTrack:
+    """The track of a vehicle that has had no pose before.
+
+    Args:
+        frame: The frame, from 0.
+        time_s: Its time, seconds.
+        detection: What was seen of the vehicle there.
+        pose: Where it stands.
+        approach: What was seen of it before, latest first.
+    """
+    state = kalman.first_state(pose)
+    step = TrackStep(frame, time_s, np.eye(6), state, state, detection)
+    return OpenTrack([step], pose, kinds=Counter([pose.kind]), last_pose_s=time_s, approach=list(approach))
+
+
+def finished(track: OpenTrack, number: int) -> Track:
+    """An ended track as a whole, which is emptied."""
+    names = [one.name for one in fields(TrackPart)]
+    columns = {name: np.concatenate([getattr(part, name) for part in track.parts]) for name in names}
+    track.parts = []  # twice the memory otherwise
+    states, located = columns["states"], np.isfinite(columns["headings"])
+    times = columns["times_s"]
+    vehicle, confidence = vehicle_class(track.kinds)
+    z = np.interp(times, times[located], columns["heights"][located])
+    length, width, height = np.median(columns["sizes"][located], axis=0).tolist()
+    return Track(
+        number=number,
+        body_type=track.kinds.most_common(1)[0][0],
+        class_name=vehicle,
+        class_confidence=confidence,
+        length=length,
+        width=width,
+        height=height,
+        confirmed=is_confirmed(times[located]),
+        detected=np.isfinite(columns["scores"]),
+        frames=columns["frames"],
+        times_s=times,
+        position=np.column_stack([states[:, :2], z]),
+        velocity=states[:, 2:4],
+        acceleration=states[:, 4:6],
+        heading=smoothed_headings(times, columns["headings"], columns["heading_sigmas"], states[:, 2:4]),
+        covariance=columns["covariances"],
+        speed_sigma=columns["speed_sigmas"],
+        located=located,
+        boxes=columns["boxes"],
+        scores=columns["scores"],
+        truth_ids=columns["truth_ids"],
+    )
+
+
+def _smoothed(steps: Sequence[TrackStep]) -> tuple[Array, Array]:
+    """Means (M, 6) and covariances (M, 6, 6) of the smoothed states."""
+    return kalman.smoothed(
+        [step.transition for step in steps], [step.predicted for step in steps], [step.filtered for step in steps]
+    )
+
+
+def _approached(sightings: Sequence[Sighting], first: TrackStep, state: State) -> tuple[list[TrackStep], Array, Array]:
+    """The steps to the first one of a track, whose smoothed state is known, and their (M, 6) means and covariances."""
+    steps = []
+    later_s = first.time_s
+    for frame, time_s, detection in sightings:
+        state = kalman.before(state, later_s - time_s)
+        steps.append(TrackStep(frame, time_s, np.eye(6), state, state, detection))
+        later_s = time_s
+    steps.reverse()
+    return steps, np.array([step.filtered[0] for step in steps]), np.array([step.filtered[1] for step in steps])
+
+
+def _part(steps: Sequence[TrackStep], states: Array, spreads: Array) -> TrackPart:
+    count = len(steps)
+    covariances, speed_sigmas = kalman.position_and_speed_errors(states, spreads)
+    heights, headings, heading_sigmas, scores = np.full((4, count), np.nan)
+    sizes, boxes = np.full((count, 3), np.nan), np.full((count, 4), np.nan)
+    truth_ids = np.full(count, -1, dtype=np.int64)
+    for i, step in enumerate(steps):
+        if step.detection is None:
+            continue
+        boxes[i], scores[i] = step.detection.bbox, step.detection.score
+        truth_ids[i] = -1 if step.detection.truth_id is None else step.detection.truth_id
+        if (pose := step.detection.pose) is not None:
+            heights[i], headings[i], sizes[i] = pose.height, pose.heading, pose.size_lwh
+            heading_sigmas[i] = pose.heading_sigma
+    return TrackPart(
+        frames=np.array([step.frame for step in steps], dtype=np.intp),
+        times_s=np.array([step.time_s for step in steps]),
+        states=states,
+        covariances=covariances,
+        speed_sigmas=speed_sigmas,
+        heights=heights,
+        headings=headings,
+        heading_sigmas=heading_sigmas,
+        sizes=sizes,
+        boxes=boxes,
+        scores=scores,
+        truth_ids=truth_ids,
+    )
