@@ -27,7 +27,7 @@ from torchvision.models.detection.image_list import ImageList
 from skope.detector import int8_ranges
 from skope.detector.backends.prepare import prepare
 from skope.detector.build import PROPOSALS, DetectorConfig, build
-from skope.detector.heatmap_peaks import heatmap_peaks
+from skope.detector.detect import heatmap_peaks
 from skope.terminal.console import Console
 
 LIGHT: Final[Mapping[str, Any]] = {"keypoint_layers": 4, "keypoint_width": 128, "box_width": 256}

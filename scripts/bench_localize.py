@@ -12,9 +12,9 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from skope import keypoints
-from skope.gen.labels.localize import transform, trilaterate
+from skope.gen.labels.world_keypoints import transform, trilaterate
 from skope.gen.vehicles.fleet import fleet
-from skope.gen.vehicles.keypoint_separation import wheel_plane
+from skope.gen.vehicles.model import wheel_plane
 
 
 def main() -> None:

@@ -87,7 +87,7 @@ class Skope:
         self.renderer = make_renderer(renderer, recording)
 
     def __call__(self, frame: int) -> None:
-        from skope.gen.labels.ignore_rules import Rules
+        from skope.gen.labels.annotate import Rules
         from skope.gen.output.frames import Encoding, frames_of
 
         for made in frames_of(self.recording, self.renderer, Rules(), Encoding(), [frame]):
@@ -234,10 +234,10 @@ def timed_stages() -> Iterator[dict[str, float]]:
     from skope.gen.pipeline.dataset_store import Store
     from skope.gen.render import camera_effects
     from skope.gen.render.gl import renderer as gl
-    from skope.gen.render.gl.beams import Beams
-    from skope.gen.render.gl.reflections import Reflections
+    from skope.gen.render.gl.ground_lights import Beams
+    from skope.gen.render.gl.wet_ground import Reflections
     from skope.gen.render.glare import Glare
-    from skope.gen.render.rain import Rain
+    from skope.gen.render.rain_and_snow import Rain
 
     classes = (gl.GLRenderer, gl.Placer, gl.Device, Beams, Reflections, Glare, Rain, Store, made.Encoding)
     modules = {"renderer": gl, "camera_effects": camera_effects, "frames": made}

@@ -29,8 +29,7 @@ from skope.gen.pipeline.workers import RenderJobSpec
 from skope.gen.render.choose_renderer import choose_renderer, make_renderer
 from skope.gen.render.pixel_windows import may_be_seen
 from skope.gen.scene import recording as recordings
-from skope.gen.scene.recording import Recording
-from skope.gen.scene.road_user_bodies import body_of
+from skope.gen.scene.recording import Recording, body_of
 from skope.gen.scenery.build import scenery
 from skope.gen.vehicles.model import Body
 

@@ -18,9 +18,8 @@ from matplotlib.patches import Polygon
 from skope import keypoints
 from skope.camera.model import Camera
 from skope.files.atomic import replacing
-from skope.gen.inspect.vehicle_sheets import parked_recording
-from skope.gen.labels.annotate import annotate
-from skope.gen.labels.ignore_rules import Rules
+from skope.gen.inspect.vehicle_models import parked_recording
+from skope.gen.labels.annotate import Rules, annotate
 from skope.gen.labels.visibility import POINT_TOLERANCE, VEHICLE_TOLERANCE, behind
 from skope.gen.labels.world_keypoints import WorldKeypoints, world_keypoints
 from skope.gen.pipeline.config import from_preset
@@ -29,7 +28,7 @@ from skope.gen.render.frame import RenderedFrame
 from skope.gen.scene.recording import Recording
 from skope.gen.simulation.simulate import simulate
 from skope.gen.vehicles.fleet import fleet
-from skope.gen.vehicles.keypoint_separation import wheel_plane
+from skope.gen.vehicles.model import wheel_plane
 from skope.pictures import draw
 from skope.schema import Annotation
 

@@ -24,8 +24,8 @@ from scipy.optimize import linear_sum_assignment
 from skope import keypoints
 from skope.errors import UserError
 from skope.files.json_files import write_json
-from skope.gen.formats.archive import opened
 from skope.gen.formats.skope3d_scenes import ArchiveVehicle, archives, scene_of
+from skope.gen.formats.source_files import opened
 from skope.gen.vehicles.fleet import fleet
 from skope.keypoints import PUBLISHED, SKOPE3D, K
 

@@ -33,9 +33,9 @@ from skope.detector.network_settings import BACKENDS, PRECISIONS, Settings
 from skope.detector.predictor import Predictor
 from skope.errors import UserError
 from skope.files import safe_names
+from skope.files.atomic import sha256_of
 from skope.files.json_files import read_json, write_json
 from skope.files.output_folders import claim_output
-from skope.files.reading import sha256_of
 from skope.keypoints import FLIP, OTHER_END
 from skope.metrics.coco_ap import average_precision
 from skope.metrics.keypoint_outcomes import Options, lengths, outcomes_at

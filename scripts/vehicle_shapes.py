@@ -19,10 +19,9 @@ import numpy as np
 from skope import keypoints
 from skope.files.atomic import write_text
 from skope.gen.labels.boxes_and_masks import box_around
-from skope.gen.traffic.sumo_vehicle_types import HEAVY_FROM_KG
-from skope.gen.vehicles.fleet import build_vehicle, fleet
+from skope.gen.traffic.demand import HEAVY_FROM_KG
+from skope.gen.vehicles.fleet import build_vehicle, fleet, jittered
 from skope.gen.vehicles.model import ON_TRAILER, Vehicle
-from skope.gen.vehicles.shape_jitter import jittered
 
 DEFAULT_OUT = Path(__file__).parents[1] / "skope" / "eval" / "pose" / "vehicle_shapes.json"
 POOLED = 0.5
@@ -112,7 +111,7 @@ def main() -> None:
         print(
             f"{kind:<10} {len(own):3d} shapes; beyond {DIRECTIONS} directions a keypoint has {rest.mean():.3f} m left"
         )
-    head = f'"version":1,"scheme":"{keypoints.SCHEME}","edition":{keypoints.EDITION},"unit":"m"'
+    head = f'"version":1,"scheme":"{keypoints.SCHEME}","unit":"m"'
     body = ",\n".join(lines)
     write_text(options.out, f'{{{head},\n"types":{{\n{body}\n}}}}\n')
     print(f"wrote {options.out} ({options.out.stat().st_size / 1000:.0f} kB)")

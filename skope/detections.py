@@ -75,7 +75,7 @@ class Detections:
     size: tuple[int, int]
     """Width and height of the image, pixels."""
     scheme: Scheme = SKOPE33
-    """Scheme of the keypoints, and the edition of their definition by which they are marked."""
+    """Scheme of the keypoints."""
     road_users: RoadUserDetections = field(default_factory=RoadUserDetections)
     """Other road users, found by a detector that has learnt their categories; no vehicles."""
     numbers: NDArray[np.int64] | None = None

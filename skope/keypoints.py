@@ -6,16 +6,15 @@ that a dataset, and a detector trained on it, can have: ours, and that of the pu
 
 import itertools
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, Final
 
 from skope.errors import UserError, one_of
 
 SCHEME: Final = "skope33"
 EDITION: Final = 2
-"""Edition of the definition by which today's models are marked. In the first one the corners of bumpers lay under the
-lip and inside the corner's rounding, hood and trunk corners inside of theirs; in the second one they lie where people
-see them (docs/conventions.md). Files that say nothing hold the first."""
+"""Edition of the definition of where the keypoints of `skope33` lie (docs/conventions.md): files of skope name it, and
+those that name none or another one are refused."""
 
 NAMES: Final[tuple[str, ...]] = (
     "roof_front_right", "roof_front_left", "roof_rear_right", "roof_rear_left",
@@ -196,26 +195,16 @@ class Scheme:
     """Pairs of 0-based indices."""
     sigmas: tuple[float, ...]
     colors: tuple[tuple[int, int, int], ...]
-    edition: int = 1
-    """Edition of the definition of where the keypoints lie, as `EDITION`."""
 
-    @property
-    def title(self) -> str:
-        """Name and edition, for messages."""
-        return self.name if self.edition == 1 else f"{self.name} (edition {self.edition})"
-
-    def fields(self) -> dict[str, Any]:
+    def fields(self, name_field: str = "keypoint_scheme") -> dict[str, Any]:
         """Fields of files that name it, as `scheme_in` reads them."""
-        return {"keypoint_scheme": self.name} | ({"keypoint_edition": self.edition} if self.edition > 1 else {})
+        return {name_field: self.name} | ({"keypoint_edition": EDITION} if self.name == SCHEME else {})
 
     def __post_init__(self) -> None:
         assert len(self.names) == len(set(self.names)) == len(self.sigmas) == len(self.colors) == K
 
 
-SKOPE33: Final = Scheme(
-    name=SCHEME, names=NAMES, flip=FLIP, skeleton=SKELETON, sigmas=SIGMAS, colors=COLORS, edition=EDITION
-)
-_FIRST: Final = replace(SKOPE33, edition=1)
+SKOPE33: Final = Scheme(name=SCHEME, names=NAMES, flip=FLIP, skeleton=SKELETON, sigmas=SIGMAS, colors=COLORS)
 
 _UNKNOWN_COLOR: Final = (190, 190, 190)
 PUBLISHED: Final = Scheme(
@@ -230,21 +219,14 @@ PUBLISHED: Final = Scheme(
 
 SCHEMES: Final[dict[str, Scheme]] = {scheme.name: scheme for scheme in (SKOPE33, PUBLISHED)}
 
-_EDITIONS: Final = (_FIRST, *SCHEMES.values())
 
-
-def scheme_of(name: Any, edition: Any = 1) -> Scheme:
-    """The scheme with a name, in an edition; a UserError where there is none."""
-    one_of("keypoint_scheme", name, tuple(SCHEMES))
-    found = next((scheme for scheme in _EDITIONS if scheme.name == name and scheme.edition == edition), None)
-    if found is None:
-        raise UserError(f"keypoint_edition: {name} has no edition {edition!r}; a later skope may")
-    return found
-
-
-def scheme_in(said: Mapping[str, Any]) -> Scheme:
-    """The scheme that a file names by `Scheme.fields`; a UserError where there is none."""
-    return scheme_of(said.get("keypoint_scheme"), said.get("keypoint_edition", 1))
+def scheme_in(said: Mapping[str, Any], name_field: str = "keypoint_scheme") -> Scheme:
+    """The scheme that a file names by `Scheme.fields`; a UserError where its name or edition is another one."""
+    name = one_of(name_field, said.get(name_field), tuple(SCHEMES))
+    edition = said.get("keypoint_edition")
+    if name == SCHEME and edition != EDITION:
+        raise UserError(f"keypoint_edition: expected {EDITION}, got {'nothing' if edition is None else repr(edition)}")
+    return SCHEMES[name]
 
 
 assert K == 33

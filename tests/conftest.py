@@ -43,7 +43,7 @@ LONGEST: Final = (
     "detector/test_road33.py",
     "detector/test_predictor.py",
     "gen/inspect/test_check.py",
-    "gen/site_files/test_generation_site.py",
+    "gen/test_generation_site.py",
     "gen/traffic/test_sumo.py",
 )
 """Files that take longest: a worker that began one of them last would be waited for."""

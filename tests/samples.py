@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from skope import keypoints
 from skope.camera.model import Camera
+from skope.camera.uncertain_camera import UncertainCamera
 from skope.dataset import coco
 from skope.files.json_files import write_json
 from skope.schema import CATEGORIES, Annotation, AnnotationFile, Image, RoadUser
@@ -158,6 +159,11 @@ def make_dataset(
     told = {"categories": list(categories)} if road_users else {}
     write_json(root / "dataset.json", {"version": 1, **scheme.fields(), **told, "seed": seed})
     return root
+
+
+def within(camera: Camera, share: float) -> UncertainCamera:
+    """A camera under which all distances are off by one share, of that standard deviation: its height's."""
+    return UncertainCamera(camera, ("z",), np.array([[(share * camera.position[2]) ** 2]]))
 
 
 def load_script(name: str) -> ModuleType:

@@ -23,11 +23,11 @@ from skope import cli, schema
 from skope.detector.backbones import BACKBONES
 from skope.detector.network_settings import BACKENDS, PRECISIONS, TILES
 from skope.gen.formats.convert import READERS, WRITERS
-from skope.gen.labels.ignore_rules import OCCLUSION_RULES
-from skope.gen.labels.localize import LOCALIZERS
+from skope.gen.labels.annotate import OCCLUSION_RULES
+from skope.gen.labels.world_keypoints import LOCALIZERS
 from skope.gen.output.frames import SUFFIX_OF_FORMAT
 from skope.gen.output.writers import DATASET_FORMATS
-from skope.gen.pipeline.presets import presets
+from skope.gen.pipeline.config import presets
 from skope.gen.render.choose_renderer import RENDERERS
 from skope.gen.scene.conditions import TIMES_OF_DAY
 from skope.metrics.keypoint_outcomes import LABELLED, PROTOCOLS

@@ -71,7 +71,7 @@ GEN = (
     {"render"},
     {"labels"},
     {"output"},
-    {"site_files", "formats"},
+    {"generation_site", "formats"},
     {"pipeline"},
     {"inspect"},
     {"cli"},

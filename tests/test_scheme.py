@@ -50,7 +50,7 @@ def test_a_file_names_its_scheme(published: Path) -> None:
     del document["info"]
     write_json(path, document)
     assert coco.read(path).scheme is PUBLISHED
-    document["info"] = {"keypoint_scheme": "skope33"}
+    document["info"] = SKOPE33.fields()
     write_json(path, document)
     with pytest.raises(UserError, match=r"keypoints\[0\]: 'skope3d_00' is not scheme skope33's 'roof_front_right'"):
         coco.read(path)
@@ -61,7 +61,7 @@ def test_a_file_names_its_scheme(published: Path) -> None:
 
 
 def test_card_and_annotations_agree(published: Path) -> None:
-    write_json(published / "dataset.json", {"version": 1, "keypoint_scheme": "skope33"})
+    write_json(published / "dataset.json", {"version": 1, **SKOPE33.fields()})
     with pytest.raises(UserError, match=r"train\.json: has keypoint scheme skope3d, the dataset's card skope33"):
         open_dataset(published).read("train")
 
@@ -126,8 +126,8 @@ def test_results_of_the_same_scheme_are_scored_point_by_point(skope: Any, tmp_pa
     assert (code, "has keypoint scheme skope3d: poses need skope33" in err) == (2, True)
 
 
-def test_old_checkpoints_are_of_our_scheme() -> None:
-    values = {"norm": "batch", "norm_eps": 1e-5, "min_size": 64, "max_size": 96}
-    assert DetectorConfig.from_dict(values).scheme == "skope33"
+def test_checkpoints_name_their_scheme() -> None:
+    values = DetectorConfig(norm="batch", norm_eps=1e-5, min_size=64, max_size=96, scheme="skope3d").to_dict()
+    assert DetectorConfig.from_dict(values).keypoint_scheme is PUBLISHED
     with pytest.raises(UserError, match="scheme: 'coco17' is not one of"):
         DetectorConfig.from_dict({**values, "scheme": "coco17"})

@@ -428,7 +428,7 @@ def mistake(folder: Path, kind: str) -> str | list[Any]:
         write_json(labels, document)
         return expected
     assert kind == "scheme"
-    document["info"] = {"keypoint_scheme": "skope3d"}
+    document["info"] = keypoints.PUBLISHED.fields()
     document["categories"][0]["keypoints"] = list(keypoints.PUBLISHED.names)
     write_json(labels, document)
     return "labels.json: has keypoint scheme skope3d, expected skope33"

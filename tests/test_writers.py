@@ -367,7 +367,7 @@ def yard(skope: Any, given: Path, monkeypatch: pytest.MonkeyPatch) -> Yard:
     plainly = checkpoint_bytes
     monkeypatch.setattr("skope.train.export.checkpoint_bytes", lambda *of, **_: plainly(*of))  # packing takes seconds
     # Before the renderer: what is imported for the first time would keep the one of the tests.
-    monkeypatch.setattr("skope.gen.inspect.vehicle_sheets.sheet", lambda *_: plain)
+    monkeypatch.setattr("skope.gen.inspect.vehicle_models.sheet", lambda *_: plain)
     for module in ("pipeline.workers", "pipeline.write_footage", "render.choose_renderer"):
         monkeypatch.setattr(f"skope.gen.{module}.make_renderer", hostile.FlatRenderer)
     monkeypatch.setattr("skope.gen.inspect.town_maps.town_map", lambda _: plain)

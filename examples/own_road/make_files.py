@@ -10,10 +10,10 @@ import cv2
 import numpy as np
 
 from skope.camera import Camera
+from skope.gen.generation_site import read_generation_site
 from skope.gen.render.choose_renderer import make_renderer
 from skope.gen.scene.recording import Recording, RecordingPlan
 from skope.gen.simulation.simulate import simulate
-from skope.gen.site_files.generation_site import read_generation_site
 
 HERE = Path(__file__).parent
 SURVEYED = [(-7.4, 0.1), (17.3, 0.7), (0.1, 7.8), (-2.5, 8.2), (3.2, 5.6), (2.2, 32.8), (14.9, -5.3), (-8.3, -5.7)]

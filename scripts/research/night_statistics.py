@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 from PIL import Image, UnidentifiedImageError
 
 from skope.errors import UserError
-from skope.terminal.text_table import text_table
+from skope.terminal.console import text_table
 
 WIDTH_PX: Final = 1280
 PATCH_PX: Final = 24

@@ -35,8 +35,7 @@ from skope.camera.fit.fit_camera import fit_camera_to_vehicles
 from skope.camera.model import Camera
 from skope.camera.uncertain_camera import UncertainCamera
 from skope.errors import UserError
-from skope.pose.self_occlusion import facing
-from skope.pose.shape_model import Shapes, fleet_shapes
+from skope.pose.shape_model import Shapes, facing, fleet_shapes
 from skope.types import Array
 
 PARTS = ("6 points", "lengths and parallel lines", "vehicles", "together")

@@ -19,16 +19,15 @@ from skope.errors import UserError
 from skope.files.atomic import replacing
 from skope.gen.bystanders import bystander
 from skope.gen.bystanders.bystander import CATEGORY_OF
+from skope.gen.labels.annotate import Rules
 from skope.gen.labels.boxes_and_masks import box_around
-from skope.gen.labels.ignore_rules import Rules
 from skope.gen.pipeline.config import from_preset
 from skope.gen.pipeline.write_footage import plan_of
-from skope.gen.scene.recording import Recording, RecordingPlan
-from skope.gen.scene.road_user_bodies import vehicle_body
+from skope.gen.scene.recording import Recording, RecordingPlan, vehicle_body
 from skope.gen.simulation.simulate import simulate
 from skope.schema import VEHICLE
 from skope.site.gates_zones_lanes import Gate
-from skope.tracking.vehicle_classes import OF_BODY_TYPE
+from skope.tracking.tracks import OF_BODY_TYPE
 from skope.tracks.track import Track
 from skope.traffic.gates import signed_distances
 from skope.types import Array

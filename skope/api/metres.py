@@ -61,16 +61,12 @@ def locate(detections: "Detections", camera: Camera, *, ground: float | None = 0
     from skope.pose.estimate_pose import locate as solve
     from skope.pose.keypoint_views import view_of
     from skope.pose.pose_records import INTERPOLATED, Located
-    from skope.pose.shape_model import fleet_shapes
 
     own = sized(camera, detections.size, "image")
     view = view_of(detections)
     road = None if ground is None else Ground(height=ground)
-    shapes = fleet_shapes(detections.scheme.edition)
     found = ~view.interpolated
-    poses = solve(
-        own, view.found[found], sigma_px=view.sigma_px[found], ground=road, shapes=shapes, cut=view.cut[found]
-    )
+    poses = solve(own, view.found[found], sigma_px=view.sigma_px[found], ground=road, cut=view.cut[found])
     return Located(view, own, poses if found.all() else poses.among(found, INTERPOLATED))
 
 

@@ -69,8 +69,7 @@ def measure_traffic(
     from skope.traffic.hand_count_file import read_hand_counts
     from skope.traffic.measure import measure
     from skope.traffic.observation import Observation
-    from skope.traffic.recording_begin import said_begin
-    from skope.traffic.recordings import RecordedTraffic, read_recordings
+    from skope.traffic.recordings import RecordedTraffic, read_recordings, said_begin
 
     read = site if isinstance(site, SiteFile) else read_site(site)
     said = [begins] if isinstance(begins, str | datetime) else list(begins or ())

@@ -1,8 +1,14 @@
-"""A camera from everything that a user has: marked points, lengths, parallel lines, verticals, and what else is known.
+"""A camera from all evidence of a user: marked points, lengths, parallel lines, verticals, known parameters.
 
 One least-squares problem, each residual in units of its own standard deviation (Levenberg and Marquardt's method). Its
-covariance says how well each place in the image is known. Residuals of lines on the road are taken on the road, since
-the marks' errors are carried there; lens distortion and focal length are always unknown, under what lenses are like.
+covariance gives the uncertainty of each position in the image. Residuals of lines on the road are taken on the road,
+since the marks' errors are carried there. Lens distortion and focal length are always unknown, with a prior of real
+lenses.
+
+Wrong points among the marks are found as sets. A wrong point lies anywhere near its true position, as when the next
+corner of a marking was clicked. The likelihood of each set follows from the evidence under the best camera without it
+(Laplace's approximation). Where several sets are likely, the camera is that of the likeliest, and its covariance
+includes the cameras of the others.
 """
 
 import math
@@ -13,15 +19,165 @@ from typing import Final
 import numpy as np
 from scipy.stats import chi2
 
-from skope.camera.evidence import Evidence
-from skope.camera.evidence_terms import EvidenceTerm, terms_of
+from skope.camera.evidence import Evidence, MarkedPoint
+from skope.camera.evidence_terms import EvidenceTerm, point_term, terms_of
 from skope.camera.model import Camera
 from skope.camera.other_cameras import likely_cameras, spread_around
-from skope.camera.pose_from_points import FEWEST
-from skope.camera.uncertain_camera import PARAMETERS, UncertainCamera, camera_of_parameters
-from skope.camera.weighted_fit import CHECKED_POINTS, SCALES, WeightedFit, best_fit, camera_starts
-from skope.camera.wrong_points import with_wrong_points
+from skope.camera.pose_from_points import FEWEST, fit_camera_to_points
+from skope.camera.uncertain_camera import (
+    PARAMETERS,
+    PLACE_SHARE,
+    UncertainCamera,
+    camera_of_parameters,
+    radius_of,
+    values_of,
+)
+from skope.camera.weighted_fit import CHECKED_POINTS, SCALES, WeightedFit, best_fit, camera_starts, fit_terms
 from skope.errors import UserError
+from skope.types import Array
+
+_WRONG: Final = 0.02
+"""Share of wrong ones among the points that people mark: one in fifty."""
+_ASIDE_M: Final = (3.5, 30.0)
+"""Standard deviations of wrong points, metres along x and y: aside by a lane's width, or anywhere."""
+_DOUBTED: Final = 8
+"""So many points at most may be wrong, those that the others contradict most."""
+_POINTS_PER_WRONG: Final = 4
+"""One point in so many may be wrong at most."""
+_TOLD: Final = 0.05
+"""Probability from which it is told that a point may be wrong."""
+
+
+@dataclass(frozen=True, eq=False)
+class JudgedPoints:
+    """Likeliest fit without wrong points, and which points these are."""
+
+    fit: WeightedFit
+    """The likeliest camera without the wrong points."""
+    wrong: tuple[str, ...]
+    """Names of the points that are likeliest to be wrong."""
+    doubts: tuple[str, ...]
+    """Sentences on points that may be wrong besides."""
+    spread: Array
+    """(P, P) what the cameras of other sets of wrong points add to the covariance."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Hypothesis:
+    wrong: frozenset[int]
+    """Places of the wrong points in the evidence."""
+    fit: WeightedFit
+    log_odds: float
+
+
+def with_wrong_points(
+    evidence: Evidence, terms: Sequence[EvidenceTerm], fit: WeightedFit, unknown: Sequence[str]
+) -> JudgedPoints:
+    """The points that are likely to be wrong, and the camera of the others.
+
+    Args:
+        evidence: With six points or more.
+        terms: Its terms, those of the points first.
+        fit: The likeliest camera if no point is wrong.
+        unknown: Names of the parameters that are.
+    """
+    scales = SCALES[[PARAMETERS.index(name) for name in unknown]]
+
+    def hypothesis(wrong: frozenset[int], starts: Sequence[Array]) -> _Hypothesis:
+        """The likeliest of how far aside the wrong points are."""
+        tried = []
+        for aside in _ASIDE_M:
+            moved = list(terms)
+            for i in wrong:
+                moved[i] = point_term(replace(evidence.points[i], sigma_m=aside))
+            best = best_fit(moved, starts, unknown, evidence.size)
+            odds = len(wrong) * math.log(_WRONG / (1 - _WRONG) / len(_ASIDE_M))
+            tried.append(_Hypothesis(wrong, best, best.log_evidence(scales) + odds))
+            if not any(np.linalg.norm(best.blocks[i]) > 2.5 for i in wrong):
+                break
+            starts = [best.at]
+        return max(tried, key=lambda one: one.log_odds)
+
+    none = _Hypothesis(frozenset(), fit, fit.log_evidence(scales))
+    found, doubted = [none], _doubted(fit, len(evidence.points))
+    best = none
+    while len(best.wrong) < len(evidence.points) // _POINTS_PER_WRONG:
+        further = [
+            hypothesis(best.wrong | {i}, [best.fit.at, *_pose_without(evidence, best.wrong | {i})])
+            for i in doubted
+            if i not in best.wrong
+        ]
+        further = [one for one in further if math.isfinite(one.fit.cost)]
+        found += further
+        ahead = max(further, key=lambda one: one.log_odds, default=None)
+        if ahead is None or ahead.log_odds <= best.log_odds:
+            break
+        best = ahead
+    return _judged(evidence, terms, unknown, best, found)
+
+
+def _judged(
+    evidence: Evidence,
+    terms: Sequence[EvidenceTerm],
+    unknown: Sequence[str],
+    best: _Hypothesis,
+    found: Sequence[_Hypothesis],
+) -> JudgedPoints:
+    share = np.exp(np.array([one.log_odds - best.log_odds for one in found]))
+    share /= share.sum()
+    right = [term for i, term in enumerate(terms) if i not in best.wrong]
+    fit = fit_terms(right, best.fit.at, unknown, evidence.size) if best.wrong else best.fit
+    others = [(one.fit, weight) for one, weight in zip(found, share.tolist(), strict=True) if one is not best]
+    spread = spread_around(fit, [one for one, _ in others], [weight for _, weight in others], unknown)
+    names = [point.name for point in evidence.points]
+    wrong = tuple(names[i] for i in sorted(best.wrong))
+    return JudgedPoints(fit, wrong, _doubts(names, best, found, share), spread)
+
+
+def _doubts(names: Sequence[str], best: _Hypothesis, found: Sequence[_Hypothesis], share: Array) -> tuple[str, ...]:
+    """Sentences on points that may be wrong besides, or in place of, those of the likeliest set."""
+    chance = [
+        sum(weight for one, weight in zip(found, share, strict=True) if i in one.wrong) for i in range(len(names))
+    ]
+    others = [names[i] for i in range(len(names)) if chance[i] >= _TOLD and i not in best.wrong]
+    unsure = [names[i] for i in sorted(best.wrong) if chance[i] < 1 - _TOLD]
+    if unsure and others:
+        return (
+            f"point {' and '.join(unsure)} contradicts the others and is left out, but they agree nearly as well "
+            f"without {' or '.join(others)}: mark these again",
+        )
+    if unsure:
+        return (
+            f"point {' and '.join(unsure)} contradicts the others and is left out, but may be right: mark it again",
+        )
+    if others:
+        return (f"point {' or '.join(others)} may be wrong: the others agree better without; mark again",)
+    return ()
+
+
+def _doubted(fit: WeightedFit, count: int) -> list[int]:
+    """The points without which the cost falls most, for a linear model: r (1 - H)^-1 r, H the projection onto it."""
+    first = np.cumsum([0, *(len(block) for block in fit.blocks)])
+    hat = fit.J @ np.linalg.pinv(fit.J)
+    gains = []
+    for i in range(count):
+        rows = slice(first[i], first[i + 1])
+        free = np.eye(len(fit.blocks[i])) - hat[rows, rows] + 1e-9 * np.eye(len(fit.blocks[i]))
+        gains.append(float(fit.blocks[i] @ np.linalg.solve(free, fit.blocks[i])))
+    return [int(i) for i in np.argsort(gains)[::-1][:_DOUBTED]]
+
+
+def _pose_without(evidence: Evidence, wrong: frozenset[int]) -> list[Array]:
+    """Values of `PARAMETERS` that the other points alone show."""
+    kept = [point for i, point in enumerate(evidence.points) if i not in wrong]
+    if len(kept) < FEWEST:
+        return []
+    try:
+        pose = fit_camera_to_points([point.pixel for point in kept], [point.place for point in kept], evidence.size)
+    except UserError:
+        return []
+    return [values_of(pose.camera)]
+
 
 _FREE: Final = ("x", "y", "yaw")
 """Parameters of the world's origin and axes, which points alone can tell."""
@@ -137,3 +293,46 @@ def _warnings(evidence: Evidence, calibration: SiteCalibration) -> tuple[str, ..
         away = np.linalg.norm(places - calibration.camera.position, axis=1)
         out.append(f"the points lie {away.min():.0f} to {away.max():.0f} m away: places farther off are extrapolated")
     return tuple(out)
+
+
+@dataclass(frozen=True)
+class LeftOutError:
+    """Error of a point that is left out and placed by the others."""
+
+    error_m: float
+    """Distance from its place, metres; NaN where the others have it above the horizon."""
+    stated_m: float
+    """Within so many metres it should lie in 90% of the cases: errors of the others, of its mark and of its place."""
+
+
+def left_out_errors(evidence: Evidence, calibration: SiteCalibration) -> dict[str, LeftOutError]:
+    """The error of each point by its name, without those that the calibration leaves out.
+
+    A point that is left out of the calibration anyhow is placed by all that are not. Empty where too few would remain.
+    """
+    good = tuple(point for point in evidence.points if point.name not in calibration.outliers)
+    out = {}
+    for point in evidence.points:
+        others = tuple(one for one in good if one is not point)
+        if len(others) < FEWEST:
+            continue
+        if len(others) == len(good):
+            out[point.name] = left_out_error(point, calibration)
+            continue
+        try:
+            without = calibrate(replace(evidence, points=others), start=calibration.camera, check=False)
+        except UserError:
+            continue
+        out[point.name] = left_out_error(point, without)
+    return out
+
+
+def left_out_error(point: MarkedPoint, camera: UncertainCamera) -> LeftOutError:
+    """Error of the place that a camera which does not know the point gives its mark, on the plane of its height."""
+    height = float(point.place[2])
+    place = camera.places(point.pixel, height)
+    away = place - camera.camera.position
+    rise = point.sigma_z_m * away[:2] / away[2] if away[2] else np.zeros(2)
+    covariance = camera.place_covariance(point.pixel, height, point.sigma_px)
+    covariance = covariance + point.sigma_m**2 * np.eye(2) + np.outer(rise, rise)
+    return LeftOutError(float(np.linalg.norm((place - point.place)[:2])), float(radius_of(covariance, PLACE_SHARE)))

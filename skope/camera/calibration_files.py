@@ -1,8 +1,6 @@
-"""Camera calibrations from the files of others: OpenCV's FileStorage, ROS's and Kalibr's YAML, TUMTraf's JSON, Rope3D's
-text files.
+"""Camera files: skope's own, and those of others (OpenCV's FileStorage, ROS's and Kalibr's YAML, TUMTraf, Rope3D).
 
-These count the centre of a pixel as (col, row), `skope.camera.model` as (col + 0.5, row + 0.5): half a pixel is added
-to their principal points. Poses take world points to the camera, x_camera = R x_world + t, metres.
+skope's own is JSON with size, intrinsics, distortion, pose and their uncertainty.
 """
 
 import math
@@ -18,12 +16,66 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from skope.camera import lens_models
-from skope.camera.model import Distortion
+from skope.camera.model import Camera, Distortion
+from skope.camera.uncertain_camera import UncertainCamera
 from skope.errors import UserError
+from skope.files.atomic import decoded, read_bytes, read_text
 from skope.files.json_files import read_json
-from skope.files.reading import decoded, read_bytes, read_text
 from skope.files.safe_names import for_opencv
 from skope.types import Array
+
+
+def is_camera_json(path: Path) -> bool:
+    """Whether a file is one of these; UserError where it is JSON by its name alone."""
+    if path.suffix.lower() != ".json":
+        return False
+    document = read_json(path)
+    return isinstance(document, dict) and "T_camera_world" in document
+
+
+def camera_of_json(path: Path, document: dict[str, Any]) -> Camera:
+    """The camera of a file's document. Raises UserError naming file and field."""
+    try:
+        return Camera.from_dict(document, int(document["width"]), int(document["height"]))
+    except (KeyError, TypeError, OverflowError):
+        raise UserError(f"{path}: width, height: expected whole numbers") from None
+    except ValueError as error:
+        raise UserError(f"{path}: {error}") from None
+
+
+def read_uncertain_camera(path: Path) -> UncertainCamera | None:
+    """The camera of a file with how well it is known; None where the file does not say that.
+
+    Raises:
+        UserError: The file cannot be read, or says it wrongly.
+    """
+    if not is_camera_json(path):
+        return None
+    document = read_json(path)
+    return uncertain_of_json(path, document, camera_of_json(path, document))
+
+
+def uncertain_of_json(path: Path, document: dict[str, Any], camera: Camera) -> UncertainCamera | None:
+    """Read the uncertainty of a camera from `covariance`.
+
+    Args:
+        path: The file, for error messages.
+        document: Its content.
+        camera: The camera that it describes.
+
+    Returns:
+        The camera with its covariance; None where the document has none.
+
+    Raises:
+        UserError: `covariance` is not one of a camera's parameters.
+    """
+    if not isinstance(document.get("covariance"), dict):
+        return None
+    try:
+        return UncertainCamera.from_dict(camera, document["covariance"])
+    except UserError as error:
+        raise UserError(f"{path}: {error}") from None
+
 
 _OPENCV_BEGINS: Final = (b"%YAML", b"<?xml", b"{")
 """How the files begin that OpenCV reads as they are."""

@@ -10,11 +10,10 @@ from typing import Final
 
 import numpy as np
 
-from skope.camera.derivatives import slopes
 from skope.camera.evidence import Evidence, MarkedLength, MarkedPoint, ParallelLines, Vertical
 from skope.camera.ground_plane import ground_places, ground_slopes
 from skope.camera.model import Camera
-from skope.camera.uncertain_camera import PARAMETERS, values_of
+from skope.camera.uncertain_camera import PARAMETERS, slopes, values_of
 from skope.types import Array
 
 _LENS: Final = (("k1", -0.1, 0.2), ("roll", 0.0, 0.2), ("focal", None, 1.0))

@@ -3,7 +3,6 @@
 Maps count metres from far away: such places are taken from a local origin, which is handed on.
 """
 
-import csv
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -15,8 +14,8 @@ import numpy as np
 from skope.camera.evidence import MARKED_PX, MEASURED_M, UNEVEN_M, MarkedPoint
 from skope.camera.geographic import local_metres, utm_scale
 from skope.errors import UserError
+from skope.files.csv_files import read_csv
 from skope.files.json_files import read_json
-from skope.files.reading import read_text
 from skope.types import Array
 
 _COLUMNS: Final = ("column", "row", "x", "y", "z")
@@ -60,11 +59,7 @@ def read_points(path: Path) -> PointFile:
 
 
 def _table(path: Path) -> PointFile:
-    try:
-        reader = csv.DictReader(read_text(path).splitlines())
-        names, rows = list(reader.fieldnames or ()), list(reader)
-    except csv.Error as error:
-        raise UserError(f"{path}: not CSV: {error}") from None
+    names, rows = read_csv(path)
     geographic = "longitude" in names and "x" not in names
     needed = _GEOGRAPHIC if geographic else _COLUMNS
     if missing := [name for name in needed if name not in names]:

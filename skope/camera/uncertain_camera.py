@@ -1,7 +1,7 @@
 """A camera, how well it is known, and so how well each place is that it shows."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import erf
 
-from skope.camera.derivatives import slopes
 from skope.camera.evidence import Belief
 from skope.camera.ground_plane import ground_places
 from skope.camera.model import Camera, Distortion
@@ -72,11 +71,6 @@ class UncertainCamera:
         return UncertainCamera(
             camera, tuple(str(_OTHER_NAMES.get(name, name)) for name in names), matrix * np.outer(units, units)
         )
-
-    @classmethod
-    def of_distances(cls, camera: Camera, share: float) -> "UncertainCamera":
-        """A camera under which all distances are off by one share, of that standard deviation: its height's."""
-        return UncertainCamera(camera, ("z",), np.array([[(share * camera.position[2]) ** 2]]))
 
     def covariance_dict(self) -> dict[str, Any]:
         """The covariance as `from_dict` reads it."""
@@ -246,3 +240,17 @@ def radius_of(covariance: ArrayLike, share: float) -> Array:
         inside = (weight * density * half * erf(half / (math.sqrt(2) * minor[..., None]))).sum(axis=-1) * np.pi / 2
         low, high = np.where(inside < share, radius, low), np.where(inside < share, high, radius)
     return np.where(known, (low + high) / 2, np.nan)
+
+
+def slopes(of: Callable[[Array], Array], at: Array, step: float) -> Array:
+    """Differentiate a function of U numbers by central differences.
+
+    Args:
+        of: The function, from numbers (U,) to (...).
+        at: (U,) the numbers at which it is differentiated.
+        step: Step to either side in each of them, in their unit.
+
+    Returns:
+        (..., U) derivatives, the numbers along the last axis.
+    """
+    return np.stack([(of(at + one) - of(at - one)) / (2 * step) for one in step * np.eye(len(at))], axis=-1)

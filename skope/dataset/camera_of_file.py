@@ -5,8 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from skope.camera.calibration_files import read_calibration
-from skope.camera.camera_json import camera_of_json
+from skope.camera.calibration_files import camera_of_json, read_calibration
 from skope.camera.model import Camera, same_aspect
 from skope.dataset import coco
 from skope.errors import UserError

@@ -176,7 +176,7 @@ def _scheme(path: Path, document: Mapping[str, Any]) -> Scheme:
     if not isinstance(names, list) or len(names) != keypoints.K:
         count = len(names) if isinstance(names, list) else "none"
         raise UserError(f"{path}: categories[0].keypoints: expected {keypoints.K} names, got {count}")
-    if stated is None:  # somebody else's file: people mark what they see, as today's edition does
+    if stated is None:  # somebody else's file: people mark what they see
         scheme = next((s for s in keypoints.SCHEMES.values() if s.names == tuple(names)), SKOPE33)
     else:
         try:
@@ -480,7 +480,7 @@ def write_lines(
         categories: Names of the categories that the file declares.
     """
     head = {**scheme.fields(), "schema_version": schema.SCHEMA_VERSION, "skope": __version__}
-    head |= {name: value for name, value in info.items() if name != "keypoint_edition"} | scheme.fields()
+    head |= {**info, **scheme.fields()}
     listed = json.dumps(schema.category_rows(categories, scheme))
     begin = f'{{"info":{json.dumps(head)},\n"categories":{listed},\n"images":[\n'
     with replacing(path) as temporary, temporary.open("wb") as file:

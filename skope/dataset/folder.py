@@ -151,7 +151,7 @@ class Dataset:
     def _read_file(self, path: Path) -> AnnotationFile:
         file = coco.read(path)
         if file.scheme is not self.scheme:
-            raise UserError(f"{path}: has keypoint scheme {file.scheme.title}, the dataset's card {self.scheme.title}")
+            raise UserError(f"{path}: has keypoint scheme {file.scheme.name}, the dataset's card {self.scheme.name}")
         return file
 
     def image(self, image: Image) -> NDArray[np.uint8]:

@@ -13,9 +13,8 @@ from pathlib import Path
 from typing import Any, Final
 
 from skope.errors import UserError
-from skope.files.atomic import replacing
+from skope.files.atomic import read_bytes, replacing
 from skope.files.json_files import parse_json, read_json, write_json
-from skope.files.reading import read_bytes
 from skope.files.safe_names import is_relative
 
 SHARD_FOLDER: Final = "shards"

@@ -2,14 +2,19 @@
 
 Each gives maps of strides 4, 8, 16 and 32, and the pyramid adds one of 64. That of ResNet50 is what torchvision's
 resnet_fpn_backbone builds, layer by layer and draw by draw.
+
+A frozen norm is y = a x + b per channel with constant a and b. It can be folded into the convolution before it, with
+weights w: the folded convolution has weights a w and bias b.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any, Final
 
+import torch
 from torch import nn
+from torch.nn.utils.fusion import fuse_conv_bn_weights
 from torchvision.models import (
     MobileNet_V3_Large_Weights,
     ResNet18_Weights,
@@ -19,7 +24,40 @@ from torchvision.models import (
     resnet18,
     resnet50,
 )
+from torchvision.models.detection import KeypointRCNN
 from torchvision.models.detection.backbone_utils import BackboneWithFPN
+
+
+def convolutions_with_norms(model: KeypointRCNN) -> Iterator[tuple[nn.Module, str, str]]:
+    """The backbone's modules that own a convolution and its norm, with the names of both.
+
+    A ResNet's blocks call them conv1 and bn1, conv2 and bn2 ...; in its shortcuts, and in all of a MobileNet, they are
+    the first two of a sequence.
+    """
+    for module in model.backbone.body.modules():
+        sequence = isinstance(module, nn.Sequential)
+        for convolution, norm in [("0", "1")] if sequence else [(f"conv{i}", f"bn{i}") for i in (1, 2, 3)]:
+            if type(module._modules.get(convolution)) is nn.Conv2d:
+                yield module, convolution, norm
+
+
+@torch.no_grad()
+def multiply_in(model: KeypointRCNN) -> None:
+    """Give up the norms of a model in evaluation mode for good: their factors and shifts become weights and biases."""
+    for owner, convolution, norm in list(convolutions_with_norms(model)):
+        layer: Any = owner.get_submodule(convolution)
+        given_up: Any = owner.get_submodule(norm)
+        layer.weight, layer.bias = fuse_conv_bn_weights(
+            layer.weight,
+            layer.bias,
+            given_up.running_mean,
+            given_up.running_var,
+            given_up.eps,
+            given_up.weight,
+            given_up.bias,
+        )
+        owner.set_submodule(norm, nn.Identity())
+
 
 NormLayer = Callable[[int], nn.Module]
 """Makes a norm of so many channels."""

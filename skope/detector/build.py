@@ -63,8 +63,6 @@ class DetectorConfig:
     """Scheme of the keypoints: a name in `keypoints.SCHEMES`."""
     anchors: tuple[int, ...] = ANCHORS
     """Sides of the anchors of each level of the pyramid, finest first, pixels inside the network."""
-    keypoint_edition: int = keypoints.EDITION
-    """By which edition of the scheme the keypoints were marked that it has learnt."""
     categories: tuple[str, ...] = schema.VEHICLE_ALONE
     """Names of what it finds, of `schema.CATEGORIES`: label k of the network is the k-th, label 0 the background.
     Vehicles are label 1, and they alone have keypoints."""
@@ -82,7 +80,7 @@ class DetectorConfig:
     """Channels of both layers of the box head."""
 
     def __post_init__(self) -> None:
-        keypoints.scheme_of(self.scheme, self.keypoint_edition)
+        one_of("scheme", self.scheme, tuple(keypoints.SCHEMES))
         check_anchors(self.anchors)
         object.__setattr__(self, "categories", schema.checked_categories(self.categories))
         one_of("norm", self.norm, NORMS)
@@ -107,7 +105,7 @@ class DetectorConfig:
     @property
     def keypoint_scheme(self) -> keypoints.Scheme:
         """The scheme of the keypoints."""
-        return keypoints.scheme_of(self.scheme, self.keypoint_edition)
+        return keypoints.SCHEMES[self.scheme]
 
     @property
     def heads(self) -> tuple[int, int, int]:
@@ -131,25 +129,26 @@ class DetectorConfig:
         return words
 
     def to_dict(self) -> dict[str, Any]:
-        """The config as JSON values, without what older checkpoints do not name either (`_UNNAMED`)."""
-        return {name: value for name, value in asdict(self).items() if _UNNAMED.get(name) != value}
+        """The config as JSON values, without those of `_UNNAMED`."""
+        values = {name: value for name, value in asdict(self).items() if _UNNAMED.get(name) != value}
+        return values | self.keypoint_scheme.fields("scheme")
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> Self:
         """The config of `to_dict`; a UserError names a field that is missing, unknown or out of range."""
         names = {field.name for field in fields(cls)}
-        # Older checkpoints do not name their scheme and anchors.
-        if not isinstance(values, Mapping) or {"scheme", "anchors", *_UNNAMED, *values} != names:
+        if not isinstance(values, Mapping) or {*_UNNAMED, *values} - {"keypoint_edition"} != names:
             raise UserError(f"config: expected the fields {', '.join(sorted(names))}, got {str(values)[:80]}")
-        lists = {name: values.get(name, default) for name, default in _LISTS.items()}
-        for name, value in lists.items():
-            if not isinstance(value, list | tuple):
-                raise UserError(f"{name}: expected a list, got {value!r}")
-        return cls(**{**_UNNAMED, **values, **{name: tuple(value) for name, value in lists.items()}})
+        keypoints.scheme_in(values, "scheme")
+        given = {**_UNNAMED, **{name: value for name, value in values.items() if name in names}}
+        for name in _LISTS:
+            if not isinstance(given[name], list | tuple):
+                raise UserError(f"{name}: expected a list, got {given[name]!r}")
+            given[name] = tuple(given[name])
+        return cls(**given)
 
 
 _UNNAMED: Final[dict[str, Any]] = {
-    "keypoint_edition": 1,
     "categories": schema.VEHICLE_ALONE,
     "box_passes": 1,
     "backbone": DEFAULT_BACKBONE,
@@ -158,9 +157,9 @@ _UNNAMED: Final[dict[str, Any]] = {
     "keypoint_width": HEADS[1],
     "box_width": HEADS[2],
 }
-"""Values of fields that a checkpoint leaves out: those of before there were others."""
-_LISTS: Final[dict[str, tuple[Any, ...]]] = {"anchors": ANCHORS, "categories": schema.VEHICLE_ALONE}
-"""Fields that are lists in JSON, with the values of checkpoints that do not name them."""
+"""Values that a checkpoint leaves out: those of torchvision's own model, for vehicles alone."""
+_LISTS: Final = ("anchors", "categories")
+"""Fields that are lists in JSON."""
 
 
 def check_anchors(anchors: Sequence[int]) -> None:

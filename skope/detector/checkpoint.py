@@ -95,10 +95,7 @@ def load_weights(
         UserError: The file, which it names, is no such checkpoint, or one of an unknown keypoint scheme.
     """
     header, state = read_checkpoint(path)
-    try:
-        config = DetectorConfig.from_dict(header["config"])
-    except UserError as error:
-        raise UserError(f"{path}: {error}") from None
+    config = config_in(path, header)
     with _NotDrawn():
         model = build(config, trainable_layers=trainable_layers)
     _check_tensors(path, model.state_dict(), state)
@@ -134,6 +131,14 @@ def read_checkpoint(path: Path) -> tuple[dict[str, Any], dict[str, torch.Tensor]
     except (SafetensorError, OSError) as error:
         raise UserError(f"{path}: not a safetensors file, or a truncated one ({error})") from None
     return header, _unpacked(path, header, tensors) if _PACKED in header else tensors
+
+
+def config_in(path: Path, header: Mapping[str, Any]) -> DetectorConfig:
+    """The config in a checkpoint's header; a UserError names the file and the field that is wrong."""
+    try:
+        return DetectorConfig.from_dict(header["config"])
+    except UserError as error:
+        raise UserError(f"{path}: {error}") from None
 
 
 def _unpacked(path: Path, header: dict[str, Any], tensors: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:

@@ -4,21 +4,62 @@ Weights of convolutions and linear layers are rounded to multiples of a step. Th
 are in proportion to their root mean squares, times a factor of the tensor. For a given number of bytes the sum of all
 tensors' relative errors is least where that factor grows with the square root of the number of weights: an integer
 costs log2(1 / factor) bits and a constant (Gish and Pierce, 1968, on quantisation before entropy coding), and its
-squared error is factor^2 / 12. What is small and delicate, the first convolution and the predictors, keeps 16 bits;
+squared error is factor^2 / 12. Small and delicate layers, the first convolution and the predictors, keep 16 bits;
 norms, biases and counts keep all of theirs.
+
+Rounding follows GPTQ (Frantar, Ashkboos, Hoefler and Alistarh, 2023): weights not rounded yet compensate for the errors
+of those before, so that the layer's outputs change least. It needs the mean of x x^T over the layer's inputs x.
 """
 
 import hashlib
 import json
 import math
 import zlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any, Final
 
 import torch
 from torch import Tensor
 
-from skope.detector.compensated_rounding import CompensatedRounding
+_MOMENT_DAMPING: Final = 0.01
+"""Added to the moments' diagonal, as a share of its mean: they come from a sample."""
+_COLUMNS_AT_ONCE: Final = 128
+"""Columns whose errors are carried over to all later ones at once."""
+
+
+class CompensatedRounding:
+    """Rounds the weights of a layer, those of the largest inputs first."""
+
+    def __init__(self, moments: Tensor) -> None:
+        """Take the (N, N) float32 mean of x x^T over inputs x, on the device that is to compute."""
+        self.device = moments.device
+        damped = moments.double()
+        diagonal = damped.diagonal()
+        diagonal += _MOMENT_DAMPING * diagonal.mean() + torch.finfo(torch.float32).tiny
+        self._order = torch.argsort(diagonal, descending=True, stable=True)
+        damped = damped[self._order][:, self._order]
+        inverse = torch.cholesky_inverse(torch.linalg.cholesky(damped))
+        self._influence = torch.linalg.cholesky(inverse, upper=True).float()
+        """(N, N) upper triangle: in a row what the error of a column does to later ones."""
+
+    def __call__(self, weights: Tensor, nearest: Callable[[Tensor], Tensor]) -> Tensor:
+        """Round (C, N) float32 weights; `nearest` rounds a column, (C,), to values that can be kept."""
+        influence = self._influence
+        left = weights.to(self.device)[:, self._order]
+        rounded = torch.empty_like(left)
+        for begin in range(0, len(influence), _COLUMNS_AT_ONCE):
+            block = left[:, begin : begin + _COLUMNS_AT_ONCE]
+            end = begin + block.shape[1]
+            errors, near = torch.empty_like(block), influence[begin:end, begin:end]
+            for i in range(end - begin):
+                rounded[:, begin + i] = nearest(block[:, i])
+                errors[:, i] = (block[:, i] - rounded[:, begin + i]) / near[i, i]
+                block[:, i + 1 :] -= errors[:, i : i + 1] * near[i : i + 1, i + 1 :]
+            left[:, end:] -= errors @ influence[begin:end, end:]
+        out = torch.empty_like(rounded)
+        out[:, self._order] = rounded
+        return out.to(weights.device)
+
 
 BYTES: Final = 33_500_000
 """Bytes that the rounded weights of a detector take at most."""
@@ -66,7 +107,7 @@ def pack(
         state: float32 tensors (and whole numbers, which are kept) by name.
         most_bytes: what all rounded weights take at most; what is kept otherwise adds about a megabyte.
         moments: by weight, (N, N) mean of x x^T over the inputs x of its layer, in the order of `weight.flatten(1)`:
-            these are rounded by `skope.detector.compensated_rounding`, others to what is nearest.
+            these are rounded by `skope.detector.compact_weights`, others to what is nearest.
 
     Returns:
         Tensors by name, and for each name {"kept": one of `WAYS`, "shape": [...]}. Integers are stored as deflated

@@ -1,21 +1,30 @@
-"""`skope eval calibrate-scores`: run a checkpoint on what it has not learnt from, and fit its scores to the truth."""
+"""`skope eval calibrate-scores`: fit the scores of a checkpoint to the truth of a dataset that it did not learn from.
 
-from collections.abc import Sequence
+Calibrated scores become part of the weights. A vehicle's score is the sigmoid of the difference of its two logits, a
+keypoint's that of its heat map's maximum; both are linear in the last layer. Scaling and shifting that layer gives a
+checkpoint like any other, also for torchvision's own model.
+
+Other categories have a scale and an offset of their own, of the difference of their logit and the background's. Such a
+score is calibrated where the background is the strongest competitor: nearly everywhere.
+"""
+
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
+from torchvision.models.detection import KeypointRCNN
 
 from skope.dataset.image_selection import held_back, ignoring, last_frames
 from skope.detections import apart
-from skope.detector import fold_calibration, score_calibration
+from skope.detector import score_calibration
 from skope.detector.checkpoint import checkpoint_bytes, find_checkpoint, load_weights
-from skope.detector.fold_calibration import LEAST_SCORE
 from skope.detector.network_settings import Settings
 from skope.detector.predictor import CALIBRATED_KEY, Predictor
-from skope.detector.score_calibration import ALPHA, CALIBRATION_IOU
+from skope.detector.score_calibration import ALPHA, CALIBRATION_IOU, ScoreCalibration, fit_one, raw_maxima, sigmoid
 from skope.detector.weights import shipped
 from skope.errors import UserError
 from skope.files.output_folders import check_file, work_of, write_new
@@ -26,6 +35,76 @@ from skope.metrics.road_users import box_outcomes
 from skope.schema import CATEGORY_ID, AnnotationFile, Result, RoadUserResult
 from skope.terminal.console import Console
 from skope.types import Array
+
+LEAST_SCORE: Final = 0.02
+"""Detections above this score are learnt from."""
+FOUND_IOU: Final = 0.5
+"""A vehicle is found by a detection whose box overlaps its own by so much."""
+_LARGEST_LOGIT_GAP: Final = 16.0
+"""Largest difference of logits that a score in float32 still tells."""
+_FLATTEST: Final = 1e-3
+"""Least scale: with 0 the place of a heat map's maximum would be lost, and the order of the vehicles."""
+
+
+def vehicle_outcomes(file: AnnotationFile, results: Sequence[Result]) -> tuple[Array, NDArray[np.bool_]]:
+    """Scores of detections above `LEAST_SCORE` and whether each found a vehicle, (D,) each.
+
+    A second detection of a vehicle found none; those on ignored vehicles are left out.
+    """
+    matches = match(file, results, score=LEAST_SCORE, thresholds=(FOUND_IOU,))
+    right = matches.taken[FOUND_IOU] >= 0
+    counts = right | ~matches.det_on_ignored
+    return matches.det_score[counts], right[counts]
+
+
+def fit_boxes(scores: Array, right: NDArray[np.bool_]) -> tuple[float, float]:
+    """Scale and offset of the logits of a category's scores, from scores and outcomes (D,)."""
+    scale, offset = fit_one(_logits(scores), right)
+    return max(scale, _FLATTEST), offset
+
+
+def calibrated(scores: Array, scale: float, offset: float) -> Array:
+    """Calibrate the scores of a category's boxes.
+
+    Args:
+        scores: (D,) raw scores, 0 to 1.
+        scale: Factor of their logits.
+        offset: What is added to it then.
+
+    Returns:
+        (D,) calibrated scores.
+    """
+    return sigmoid(scale * _logits(scores) + offset)
+
+
+def _logits(scores: Array) -> Array:
+    return np.clip(raw_maxima(scores), -_LARGEST_LOGIT_GAP, _LARGEST_LOGIT_GAP)
+
+
+def fold(model: KeypointRCNN, boxes: Mapping[int, tuple[float, float]], points: ScoreCalibration) -> None:
+    """Scale and shift the last layers of a model, in float32, so that its own scores are the calibrated ones.
+
+    Args:
+        model: Its box and keypoint predictors are changed in place.
+        boxes: Category's id, from 1 -> scale and offset of its logit. The others get the vehicles' scale.
+        points: Scale and offset of the keypoints' heat maps; a scale is taken to be `_FLATTEST` at least.
+    """
+    box, maps = model.roi_heads.box_predictor.cls_score, model.roi_heads.keypoint_predictor.kps_score_lowres
+    steepness = torch.as_tensor(np.maximum(points.scale, _FLATTEST), dtype=torch.float32)
+    rest = (boxes[CATEGORY_ID][0], 0.0)
+    fitted = [(0.0, 0.0), *(boxes.get(number, rest) for number in range(1, len(box.bias)))]
+    with torch.no_grad():
+        for parameter in (box.weight, box.bias):
+            scaled = torch.stack(
+                [scale * (row - parameter[0]) for row, (scale, _) in zip(parameter, fitted, strict=True)]
+            )
+            if parameter is box.bias:
+                scaled += torch.tensor([offset for _, offset in fitted])
+            # Away from their mean, which changes no score.
+            parameter.copy_(scaled - scaled.mean(dim=0))
+        maps.weight *= steepness[:, None, None]
+        maps.bias.copy_(maps.bias * steepness + torch.as_tensor(points.offset, dtype=torch.float32))
+
 
 TRAIN_SPLIT: Final = "train"
 LEAST_OUTCOMES: Final = 20
@@ -100,7 +179,7 @@ def fit_calibration(job: CalibrationJob, console: Console) -> Path:
         return score_calibration.write(weights, fitted, work, predictor.scheme.name)
     boxes = _fitted_boxes(file, results, others, predictor.categories, console)
     model, config, metadata = load_weights(weights, "cpu")
-    fold_calibration.fold(model, boxes, fitted)
+    fold(model, boxes, fitted)
     known = [predictor.categories[number - CATEGORY_ID] for number in boxes]
     content = checkpoint_bytes(model, config, {**metadata, CALIBRATED_KEY: {**fitted_on, "categories": known}})
     write_new(job.out, content)
@@ -118,7 +197,7 @@ def _fitted_boxes(
     fitted = {}
     for number, name in enumerate(categories, start=CATEGORY_ID):
         if number == CATEGORY_ID:
-            scores, hits = fold_calibration.vehicle_outcomes(file, vehicles)
+            scores, hits = vehicle_outcomes(file, vehicles)
         else:
             scores, hits = box_outcomes(file, [one for one in others if one.score > LEAST_SCORE], name)
             if min(hits.sum(), (~hits).sum()) < LEAST_OUTCOMES:
@@ -127,9 +206,9 @@ def _fitted_boxes(
                     f"{hits.sum()} are right; {LEAST_OUTCOMES} right and as many wrong ones are needed"
                 )
                 continue
-        fitted[number] = fold_calibration.fit_boxes(scores, hits)
+        fitted[number] = fit_boxes(scores, hits)
         what = "vehicles" if number == CATEGORY_ID else name
-        _tell(what, scores, fold_calibration.calibrated(scores, *fitted[number]), hits, console)
+        _tell(what, scores, calibrated(scores, *fitted[number]), hits, console)
     return fitted
 
 
@@ -148,8 +227,7 @@ def _work(job: CalibrationJob, files: Sequence[Path], share: float) -> dict[str,
     """Identity of the calibration for `work.json`: checkpoint, data and options."""
     options = {"split": job.split, "last": share, "score": job.score, "max_images": job.max_images}
     settings = {name: getattr(job.settings, name) for name in ("backend", "precision", "min_size")}
-    # The command was called so when the first calibrations were written, which stay valid.
-    return work_of("skope eval calibrate", files, {**options, **settings})
+    return work_of("skope eval calibrate-scores", files, {**options, **settings})
 
 
 def _share(job: CalibrationJob, metadata: dict[str, Any]) -> float:

@@ -1,10 +1,13 @@
-"""Run the detector over many images: they are decoded beside the computing, in batches where that helps."""
+"""Run the detector over many images: a thread decodes ahead, and images are batched where that helps."""
 
+import contextlib
 import copy
 import itertools
+import queue
+import threading
 import time
 from collections import deque
-from collections.abc import Container, Iterable, Iterator, Sequence
+from collections.abc import Container, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -25,7 +28,6 @@ from skope.detector.checkpoint import find_checkpoint, load_weights
 from skope.detector.detect import detect, detect_on_boxes
 from skope.detector.device import choose_device
 from skope.detector.network_settings import Settings
-from skope.detector.read_ahead import read_ahead
 from skope.detector.tiles import Tile, join_tiles, tiles_of
 from skope.detector.weights import shipped
 from skope.errors import UserError
@@ -33,6 +35,54 @@ from skope.keypoints import Scheme
 from skope.schema import Annotation, AnnotationFile, AnyResult, Image, Result
 from skope.terminal.console import Console, minutes
 from skope.types import Pixels
+
+Item = TypeVar("Item")
+
+_END: Final = object()
+_LOOK_S: Final = 0.1
+"""A thread that waits for its caller looks so often whether the caller is gone."""
+
+
+def read_ahead(items: Iterable[Item], count: int) -> Generator[Item]:
+    """The items of an iterable, in order; a thread makes up to `count` of them that the caller has not asked for yet.
+
+    What the iterable raises is raised here in its place. The thread ends when the caller closes this generator.
+    """
+    made: queue.Queue[object] = queue.Queue(count)
+    unwanted = threading.Event()
+
+    def put(item: object) -> None:
+        while not unwanted.is_set():
+            with contextlib.suppress(queue.Full):
+                made.put(item, timeout=_LOOK_S)
+                return
+
+    def make() -> None:
+        try:
+            for item in items:
+                put(item)
+                if unwanted.is_set():
+                    return
+            put(_END)
+        except BaseException as error:  # raised again where the items are taken
+            put(_Raised(error))
+
+    thread = threading.Thread(target=make, daemon=True)
+    thread.start()
+    try:
+        while (item := made.get()) is not _END:
+            if isinstance(item, _Raised):
+                raise item.error
+            yield item  # type: ignore[misc]
+    finally:
+        unwanted.set()
+        thread.join()
+
+
+class _Raised:
+    def __init__(self, error: BaseException) -> None:
+        self.error = error
+
 
 T = TypeVar("T")
 
@@ -142,17 +192,11 @@ class Predictor:
         return self._settings
 
     def check_scheme(self, scheme: Scheme, data: Path) -> None:
-        """Raise a UserError unless the keypoints of `data` mean what this checkpoint's do; say so where they are marked
-        by another edition of the definition."""
+        """Raise a UserError unless the keypoints of `data` mean what this checkpoint's do."""
         if scheme.name != self.scheme.name:
             raise UserError(
                 f"{self.weights}: has keypoint scheme {self.scheme.name}, {data} has {scheme.name}: they cannot be "
                 "held against each other"
-            )
-        if scheme.edition != self.scheme.edition:
-            self._console.warn(
-                f"{self.weights.name} has learnt keypoints of edition {self.scheme.edition}, {data} holds edition "
-                f"{scheme.edition}: corners of bumpers, hoods and trunks lie elsewhere (docs/conventions.md)"
             )
 
     @property

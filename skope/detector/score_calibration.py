@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from skope import field_checks, keypoints
 from skope.errors import UserError
+from skope.files.atomic import sha256_of
 from skope.files.json_files import read_json, write_json
 from skope.files.output_folders import work_differences
-from skope.files.reading import sha256_of
 from skope.types import Array
 
 CALIBRATION_VERSION: Final = 1

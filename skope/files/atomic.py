@@ -1,16 +1,50 @@
-"""Write files and folders so that nothing half-written is ever taken for whole."""
+"""Read users' files, and write files and folders so that nothing half-written is ever taken for whole."""
 
 import contextlib
 import fcntl
+import hashlib
 import os
 import re
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Final
+from typing import IO, Final
 
 from skope.errors import UserError
-from skope.files.reading import read_bytes, sha256_of
+
+
+def decoded(data: bytes) -> str:
+    """UTF-8 text, without the byte order mark that some editors put first; UnicodeDecodeError where it is none."""
+    return data.decode("utf-8-sig")
+
+
+def read_text(path: Path) -> str:
+    """The text of a user's file in UTF-8; a UserError names a file that is missing or holds anything else."""
+    try:
+        return decoded(read_bytes(path))
+    except UnicodeDecodeError:
+        raise UserError(f"{path}: not UTF-8 text") from None
+
+
+def sha256_of(path: Path) -> str:
+    """SHA-256 of a file, in hexadecimal; a UserError names one that cannot be read."""
+    try:
+        with path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    except FileNotFoundError:
+        raise UserError(f"{path}: no such file") from None
+    except OSError as error:
+        raise UserError(f"{path}: cannot be read: {error.strerror or error}") from None
+
+
+def read_bytes(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except FileNotFoundError:
+        raise UserError(f"{path}: no such file") from None
+    except OSError as error:
+        raise UserError(f"{path}: cannot be read: {error.strerror or error}") from None
+
 
 _LEFTOVER: Final = re.compile(r"\..*\.(\d+)\.part(?:\..*)?")
 """Names that `replacing` gives to what is not yet whole."""
@@ -134,27 +168,52 @@ def same_content(one: Path, other: Path) -> bool:
     )
 
 
-@contextlib.contextmanager
-def locked(path: Path, busy: str) -> Iterator[None]:
-    """Hold the lock that the file `path` stands for, and take the file away at the end.
+def hold_lock(path: Path, *, wait: bool = False) -> IO[bytes]:
+    """Open a file and hold its lock until the file is closed or the process ends, however it ends.
 
-    The lock ends with the process, however it ends. Raises UserError with the text `busy` where another one holds it.
+    A process may remove the file that it held. Another one that waited then holds a file without a name, and a third
+    one could hold a new file of this name. Such a file is opened again.
+
+    Args:
+        path: The file; it is made where it is missing, and keeps its content where it is there.
+        wait: Whether to wait for a process that holds the lock.
+
+    Returns:
+        The file, open for reading from its begin and for appending.
+
+    Raises:
+        BlockingIOError: Another process holds the lock, and `wait` is false.
+        OSError: The file cannot be opened (as where it is a symbolic link), or its file system has no locks.
     """
     while True:
-        # Of a symbolic link the file that it leads to would be emptied.
-        with os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_NOFOLLOW), "w") as file:
-            try:
-                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
-                raise UserError(busy) from None
-            # Whoever held it until now has taken the file away: a third process may hold the lock of a new one.
-            if not path.exists() or not os.path.samestat(os.fstat(file.fileno()), path.stat()):
-                continue
-            try:
-                yield
-            finally:
-                path.unlink(missing_ok=True)
-            return
+        file = os.fdopen(os.open(path, os.O_RDWR | os.O_APPEND | os.O_CREAT | os.O_NOFOLLOW, 0o666), "a+b")
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX if wait else fcntl.LOCK_EX | fcntl.LOCK_NB)
+            if path.exists() and os.path.samestat(os.fstat(file.fileno()), path.stat()):
+                file.seek(0)
+                return file
+        except BaseException:
+            file.close()
+            raise
+        file.close()
+
+
+@contextlib.contextmanager
+def locked(path: Path, busy: str) -> Iterator[None]:
+    """Hold the lock of the file `path`, and remove the file at the end.
+
+    Raises:
+        UserError: Another process holds the lock; the message is `busy`.
+    """
+    try:
+        file = hold_lock(path)
+    except BlockingIOError:
+        raise UserError(busy) from None
+    with file:
+        try:
+            yield
+        finally:
+            path.unlink(missing_ok=True)
 
 
 def no_links_out(root: Path) -> None:

@@ -15,8 +15,7 @@ from pathlib import Path
 from typing import IO, Any, Final
 
 from skope.errors import UserError
-from skope.files.atomic import replacing
-from skope.files.reading import read_text
+from skope.files.atomic import read_text, replacing
 
 _FORMULA: Final = re.compile("'*[=+\\-@\t\r\n\uff1d\uff0b\uff0d\uff20]")
 """Beginning of a text that a spreadsheet may run. Apostrophes before it count too, or else reading would drop them; the

@@ -11,9 +11,15 @@ from pathlib import Path
 from typing import Any, Final
 
 from skope.errors import UserError
-from skope.files.atomic import file_in_place_of, remove_leftovers, replacing_folder, same_content, write_bytes
+from skope.files.atomic import (
+    file_in_place_of,
+    remove_leftovers,
+    replacing_folder,
+    same_content,
+    sha256_of,
+    write_bytes,
+)
 from skope.files.json_files import json_bytes, parse_json, read_json, write_json
-from skope.files.reading import sha256_of
 from skope.version import __version__
 
 WORK: Final = "work.json"

@@ -1,14 +1,12 @@
 """Keep what a run has found so far in a file, line by line, so that a stopped run goes on."""
 
-import fcntl
 import itertools
-import os
 from collections.abc import Iterator
 from pathlib import Path
 from typing import IO, Any
 
 from skope.errors import UserError
-from skope.files.atomic import writing
+from skope.files.atomic import hold_lock, writing
 from skope.files.json_files import json_bytes, parse_json
 
 
@@ -37,17 +35,10 @@ class Progress:
 
     def _locked(self) -> IO[bytes]:
         """The file, held until it is closed or the process ends."""
-        while True:
-            file = self._path.open("a+b")
-            try:
-                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except BlockingIOError:
-                raise UserError(f"{self._path.parent}: another run is at work here; wait for it, or stop it") from None
-            # Whoever held it until now may have ended and taken it away.
-            if self._path.exists() and os.path.samestat(os.fstat(file.fileno()), self._path.stat()):
-                file.seek(0)
-                return file
-            file.close()
+        try:
+            return hold_lock(self._path)
+        except BlockingIOError:
+            raise UserError(f"{self._path.parent}: another run is at work here; wait for it, or stop it") from None
 
     def _row(self, line: bytes) -> dict[str, Any] | None:
         try:

@@ -20,7 +20,7 @@ import numpy as np
 
 from skope import boxes as box_math
 from skope.schema import AnyResult, Image, Result
-from skope.tracking.least_cost_pairs import cheapest_pairs
+from skope.tracking.box_links import cheapest_pairs
 from skope.types import Array, Floats32, Pixels
 
 ImageWithPixels = tuple[Image, Pixels]

@@ -42,9 +42,8 @@ from skope.files.progress import Progress
 from skope.footage.confirmation import Confirmation
 from skope.footage.key_frames import with_frames_between
 from skope.footage.live_choice import FrameDetector, LiveChoice
-from skope.footage.numbers_by_category import Linked, NumbersByCategory
-from skope.footage.predict_job import PROGRESS_FILE, PredictJob, claim, found_at
-from skope.footage.write_overlays import KeepRule, write_overlay
+from skope.footage.overlays import KeepRule, write_overlay
+from skope.footage.predict_job import PROGRESS_FILE, Linked, NumbersByCategory, PredictJob, claim, found_at
 from skope.schema import CATEGORIES, AnnotationFile, AnyResult, Image
 from skope.terminal.console import Console, counted
 from skope.tracking.box_links import FARTHEST_S

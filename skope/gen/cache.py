@@ -5,7 +5,6 @@ longest unused ones of a kind go when there are too many.
 """
 
 import contextlib
-import fcntl
 import hashlib
 import os
 import time
@@ -19,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skope.errors import UserError
-from skope.files.atomic import replacing
+from skope.files.atomic import hold_lock, replacing
 
 Arrays = Mapping[str, NDArray[Any]]
 
@@ -137,8 +136,7 @@ def _alone(path: Path, *, patient: bool = True) -> Iterator[bool]:
     with contextlib.ExitStack() as stack:
         try:
             lock.parent.mkdir(parents=True, exist_ok=True)
-            file = stack.enter_context(lock.open("w"))
-            fcntl.flock(file, fcntl.LOCK_EX if patient else fcntl.LOCK_EX | fcntl.LOCK_NB)
+            stack.enter_context(hold_lock(lock, wait=patient))
             stack.callback(_remove, lock)
         except BlockingIOError:
             alone = False

@@ -11,7 +11,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from skope.camera.camera_json import is_camera_json, read_uncertain_camera
+from skope.camera.calibration_files import is_camera_json, read_uncertain_camera
 from skope.camera.ground_plane import Ground
 from skope.camera.model import Camera
 from skope.camera.uncertain_camera import UncertainCamera
@@ -24,8 +24,6 @@ CALIBRATED_FIELD: Final = "camera_calibrated"
 """Under this name `skope eval predict` hands on of which seconds of which footage their camera was calibrated."""
 COVARIANCE: Final = "camera_covariance"
 """Under this name `skope eval predict` hands on, in the `info` of its frames, how well their camera is known."""
-DISTANCE_SIGMA: Final = "camera_distance_sigma"
-"""Under this name it handed on, before, the relative standard deviation of distances."""
 
 
 def camera_info(path: Path) -> dict[str, Any]:
@@ -57,15 +55,13 @@ def camera_of_info(name: str, info: Mapping[str, Any], camera: Camera | None) ->
     """
     if camera is None:
         return None
-    told, share = info.get(COVARIANCE), info.get(DISTANCE_SIGMA)
+    told = info.get(COVARIANCE)
+    if not isinstance(told, Mapping):
+        return None
     try:
-        if isinstance(told, Mapping):
-            return UncertainCamera.from_dict(camera, told)
-        if isinstance(share, int | float) and not isinstance(share, bool) and 0 <= share < 1:
-            return UncertainCamera.of_distances(camera, float(share))
+        return UncertainCamera.from_dict(camera, told)
     except UserError as error:
         raise UserError(f"{name}: info.{COVARIANCE}: {error}") from None
-    return None
 
 
 def with_camera_error(poses: Poses, known: UncertainCamera | None, ground: Ground | None) -> Poses:

@@ -1,21 +1,57 @@
 """Starts of the search for a pose: each body type's mean placed on the keypoints, without iterating over its pose.
 
 On a known ground a vehicle has a place (x, y) and a heading, and x_camera - u z_camera = 0 is linear in x, y, cos and
-sin for keypoints of known height: least squares over the four, whose cos^2 + sin^2 also says how much larger the
-vehicle is than the type's mean. Without a ground OpenCV's SQPnP (Terzakis and Lourakis, 2020) starts each type.
+sin for keypoints of known height: least squares over the four, whose cos^2 + sin^2 also gives the ratio of the
+vehicle's size to the type's mean. Without a ground OpenCV's SQPnP (Terzakis and Lourakis, 2020) starts each type.
 """
 
+from dataclasses import dataclass
 from typing import Final
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from skope.camera.ground_plane import Ground
-from skope.pose import robust_loss
+from skope.pose import observations
 from skope.pose.observations import NEAREST_M, Observed
 from skope.pose.shape_model import Shapes
-from skope.pose.starts import IMPOSSIBLE, Starts
 from skope.types import Array, Mask
+
+IMPOSSIBLE: Final = 1e9
+"""Cost of what cannot be."""
+
+
+@dataclass(frozen=True, eq=False)
+class Starts:
+    """Poses of N vehicles from J starts each."""
+
+    p: Array
+    """(N, J, 3) positions, metres."""
+    R: Array
+    """(N, J, 3, 3) from the vehicle's axes to the world's, or to the camera's where the ground is unknown."""
+    cost: Array
+    """(N, J) twice the negative log likelihood, roughly."""
+
+    def take(self, chosen: NDArray[np.intp]) -> "Starts":
+        """The starts `chosen` (N, J') of each vehicle."""
+        row = np.arange(len(chosen))[:, None]
+        return Starts(self.p[row, chosen], self.R[row, chosen], self.cost[row, chosen])
+
+    def gathered(self, times: int) -> "Starts":
+        """(N * times, J) -> (N, times * J): all starts of a vehicle in its row.
+
+        `self` holds the N vehicles `times` times, one block after another.
+        """
+        n = len(self.p) // times
+
+        def together(values: Array) -> Array:
+            return np.asarray(np.moveaxis(values.reshape(times, n, *values.shape[1:]), 0, 1)).reshape(
+                n, -1, *values.shape[2:]
+            )
+
+        return Starts(together(self.p), together(self.R), together(self.cost))
+
 
 _MISFIT: Final = 0.12
 """Standard deviation of a keypoint from its type's mean, metres."""
@@ -131,5 +167,5 @@ def _cost(seen: Observed, points: Array) -> Array:
     variance = seen.variance[:, None] + (seen.focal.mean() * _MISFIT / near) ** 2
     squared = (away**2).sum(axis=-1) / variance
     behind = ((depth <= NEAREST_M) & seen.counted[:, None]).any(axis=-1)
-    cost = (robust_loss.cost(squared) * seen.counted[:, None]).sum(axis=-1)
+    cost = (observations.cost(squared) * seen.counted[:, None]).sum(axis=-1)
     return np.asarray(np.where(behind, IMPOSSIBLE, cost))

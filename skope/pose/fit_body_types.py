@@ -7,10 +7,10 @@ from numpy.typing import NDArray
 
 from skope.camera.ground_plane import Ground
 from skope.pose import closed_form_starts
+from skope.pose.closed_form_starts import Starts
 from skope.pose.levenberg_marquardt import Fits, refine
 from skope.pose.observations import Observed
 from skope.pose.shape_model import Shapes
-from skope.pose.starts import Starts
 from skope.types import Array, Mask
 
 Kinds = NDArray[np.intp]

@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skope import keypoints
-from skope.camera.camera_json import read_uncertain_camera
+from skope.camera.calibration_files import read_uncertain_camera
 from skope.camera.ground_plane import Ground
 from skope.camera.model import Camera
 from skope.camera.motion.camera_motion import TURNS, CameraMotion, motion_of_info
-from skope.camera.motion.known_views import MOVING, KnownView, read_views, view_numbers
+from skope.camera.motion.view_registration import MOVING, KnownView, read_views, view_numbers
 from skope.camera.uncertain_camera import UncertainCamera
 from skope.dataset import coco
 from skope.dataset.camera_of_file import read_camera, sized
@@ -24,7 +24,6 @@ from skope.errors import UserError
 from skope.metrics import read_inputs
 from skope.metrics.match import match
 from skope.pose.camera_error import CALIBRATED_FIELD, calibrated_seconds, camera_of_info
-from skope.pose.shape_model import Shapes, fleet_shapes
 from skope.pose.turned_view import TurnedView, turned_view
 from skope.schema import Annotation, AnnotationFile, Image, Result, RoadUserResult
 from skope.terminal.console import counted
@@ -96,11 +95,6 @@ class Scene:
     """Ids of images that another view than the calibrated one shows: they have no places in metres."""
     turned: Mapping[int, Camera] = field(default_factory=dict)
     """Cameras of images, by their ids, that a turn of the calibrated camera took: they have places in metres."""
-
-    @property
-    def shapes(self) -> Shapes:
-        """The shapes that vehicles have, with their keypoints where the scene's are marked."""
-        return fleet_shapes(self.file.scheme.edition)
 
     @property
     def has_truth(self) -> bool:
@@ -262,7 +256,6 @@ def read_scene(
     predictions: Path | None,
     camera: Path | None,
     ground: float | None,
-    edition: int | None = None,
 ) -> Scene:
     """Read the keypoints that poses and tracks are worked out from.
 
@@ -273,7 +266,6 @@ def read_scene(
         camera: File of the camera of all images; None: each image has its own.
         ground: Height of the level road in the camera's world, metres; None: unknown, as it is where the camera file
             has no pose.
-        edition: By which edition of their definition the keypoints are marked; None: as the file of images says.
 
     Raises:
         UserError: Both or neither of `folder` and `annotations` are given, or a file is missing or malformed.
@@ -288,8 +280,6 @@ def read_scene(
     file = coco.read(annotations)
     if file.scheme.name != keypoints.SCHEME:
         raise UserError(f"{annotations}: has keypoint scheme {file.scheme.name}: poses need {keypoints.SCHEME}")
-    if edition is not None:
-        file = replace(file, scheme=keypoints.scheme_of(keypoints.SCHEME, edition))
     results = read_inputs.stream_results(predictions, file) if predictions else None
     users = read_inputs.RoadUsersFile(predictions, file) if predictions else None
     motion = motion_of_info(file.name, file.info)

@@ -14,10 +14,10 @@ from scipy.spatial.transform import Rotation
 
 from skope import keypoints
 from skope.camera.ground_plane import Ground
-from skope.pose import robust_loss
+from skope.pose import observations
+from skope.pose.closed_form_starts import IMPOSSIBLE, Starts
 from skope.pose.observations import NEAREST_M, Observed
 from skope.pose.shape_model import Shapes
-from skope.pose.starts import IMPOSSIBLE, Starts
 from skope.types import Array
 
 _MOST_ITERATIONS: Final = 12
@@ -208,7 +208,7 @@ class _Problem:
         away = np.stack([fx * (x / near - self._xy[..., 0]), fy * (y / near - self._xy[..., 1])], axis=-1)
         variance = self._measured + self._rest / near**2
         squared = np.where(front, (away**2).sum(axis=-1) / variance, _BEHIND)
-        weight = np.where(front & self._counted, robust_loss.weight(squared) / variance, 0.0)
+        weight = np.where(front & self._counted, observations.weight(squared) / variance, 0.0)
         # Derivatives of the two image coordinates by a shift along the world's axes, then along the vehicle's.
         Rc = self._T[:3, :3]
         by_x = (fx / near)[..., None] * (Rc[0] - (x / near)[..., None] * Rc[2])
@@ -230,7 +230,7 @@ class _Problem:
         normal, gradient = weighted @ J, (weighted @ away)[..., 0]
         normal[:, range(6, 6 + m), range(6, 6 + m)] += 1
         gradient[:, 6:] += a
-        cost = (robust_loss.cost(squared) * self._counted).sum(axis=1) + (a**2).sum(axis=1)
+        cost = (observations.cost(squared) * self._counted).sum(axis=1) + (a**2).sum(axis=1)
         if self._ground is not None:
             cost += self._on_road(p, R, normal, gradient)
         return cost, squared, variance, normal, gradient

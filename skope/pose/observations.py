@@ -1,4 +1,7 @@
-"""Keypoints as a pose search needs them: free of the lens, with a variance each."""
+"""Keypoints as a pose search needs them: without lens distortion, with a variance each, under Cauchy's distribution.
+
+The heavy tails of Cauchy's distribution keep a few wrong keypoints from deciding the pose.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -10,6 +13,20 @@ from numpy.typing import NDArray
 from skope import keypoints
 from skope.camera.model import Camera
 from skope.types import Array, Mask
+
+_TAIL: Final = 9.0
+"""Squared distance, in variances, at which a keypoint's weight is half."""
+
+
+def cost(squared: Array) -> Array:
+    """Twice the negative log likelihood of distances that are given squared and in variances, but for a constant."""
+    return np.asarray(_TAIL * np.log1p(squared / _TAIL))
+
+
+def weight(squared: Array) -> Array:
+    """The weight of such distances in least squares that are iterated until they have the same minimum, 0 to 1."""
+    return np.asarray(1 / (1 + squared / _TAIL))
+
 
 LEAST_PROBABILITY: Final = 0.2
 """Keypoints below this do not count."""

@@ -1,19 +1,170 @@
-"""`skope eval pose`: the pose of every vehicle in every image, written as it comes, so that a stopped run goes on."""
+"""`skope eval pose`: the pose of every vehicle in every image, written image by image so that a stopped run resumes.
+
+On generated data it also measures errors against the truth: position, heading, dimensions and overlap, by distance and
+occlusion.
+"""
 
 import itertools
+import math
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, Final
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
 
 from skope.files.json_files import write_json
 from skope.files.progress import Progress
 from skope.pose.camera_error import with_camera_error
 from skope.pose.keypoint_views import Scene
-from skope.pose.pose_errors import measure_poses, pose_summary, pose_table
 from skope.pose.pose_records import INTERPOLATED, Located, locate_view, records, write_poses
-from skope.terminal.console import Console
+from skope.schema import Annotation, Box3D
+from skope.terminal.console import Console, text_table
+from skope.types import Array
+
+DISTANCES: Final = ((0.0, 10.0), (10.0, 20.0), (20.0, 30.0), (30.0, 40.0), (40.0, 60.0), (60.0, math.inf))
+OCCLUSION_BANDS: Final = ((0.0, 0.1), (0.1, 0.4), (0.4, 1.01))
+BENDS_DEG: Final = ((0.0, 5.0), (5.0, 20.0), (20.0, math.inf))
+"""Bands of the angle between an articulated vehicle and its trailer."""
+QUANTILES: Final = (50, 90, 99)
+
+
+@dataclass(frozen=True, eq=False)
+class PoseErrors:
+    """Errors of the poses of N vehicles whose true box is known, (N,) each; NaN for vehicles without a pose."""
+
+    position: Array
+    """Metres on the ground, between the middles of the boxes."""
+    heading: Array
+    """Degrees, mod 360."""
+    axis: Array
+    """Degrees, mod 180: front and rear may be exchanged."""
+    size: Array
+    """Metres: the largest error among length, width and height."""
+    iou: Array
+    """Intersection over union of the 3D boxes, 0 to 1."""
+    distance: Array
+    """Distance of the true box from the camera, metres."""
+    occlusion: Array
+    """Share of the vehicle's silhouette that something else hides, 0 to 1."""
+    bend: Array
+    """Angle between an articulated vehicle and its trailer, whichever way, degrees; NaN for vehicles without one."""
+
+    def where(self, mask: NDArray[np.bool_]) -> "PoseErrors":
+        """Errors of the vehicles that `mask` (N,) selects."""
+        return PoseErrors(*(getattr(self, f.name)[mask] for f in fields(self)))
+
+
+def measure_poses(scene: Scene, *, noise: float = 0.0, score: float = 0.5, sigma_px: float | None = None) -> PoseErrors:
+    """Measure the poses of a scene that has ground truth.
+
+    Measured are its predictions, as far as they match a ground-truth vehicle with an IoU of 0.6, or, where it has none,
+    the labelled keypoints themselves.
+
+    Args:
+        scene: Images with ground truth, and perhaps predictions.
+        noise: Standard deviation of the noise that is added to labelled keypoints, pixels.
+        score: Predictions above this are measured.
+        sigma_px: Standard deviation that the pose search reckons with, pixels; None as in `Scene.views`.
+    """
+    rows: list[tuple[float, ...]] = []
+    for view in scene.views(score=score, noise=noise, sigma_px=sigma_px):
+        located = locate_view(view, scene)
+        rows += [
+            _row(located, i, one) for i, one in enumerate(view.truth) if one is not None and one.box_3d is not None
+        ]
+    return PoseErrors(*np.array(rows, dtype=np.float64).reshape(-1, len(fields(PoseErrors))).T)
+
+
+def _row(located: Located, i: int, truth: Annotation) -> tuple[float, ...]:
+    box, poses = truth.box_3d, located.poses
+    assert box is not None
+    distance = float(np.linalg.norm(box.center - located.camera.position))
+    bend = math.nan if truth.articulation is None else abs(math.degrees(truth.articulation))
+    ends = (distance, truth.occlusion or 0.0, bend)
+    if poses.refusal[i] is not None:
+        return (*(math.nan,) * 5, *ends)
+    size, T = poses.size_lwh[i], poses.T_world_vehicle[i]
+    guess = Box3D(center=T[:3, 3] + T[:3, 2] * size[2] / 2, size_lwh=size, yaw=float(poses.yaw[i]), R=T[:3, :3])
+    turn = math.degrees(abs((guess.yaw - box.yaw + math.pi) % (2 * math.pi) - math.pi))
+    return (
+        float(np.linalg.norm((guess.center - box.center)[:2])),
+        turn,
+        min(turn, 180 - turn),
+        float(np.abs(size - box.size_lwh).max()),
+        iou_3d(guess, box),
+        *ends,
+    )
+
+
+def iou_3d(a: Box3D, b: Box3D) -> float:
+    """Intersection over union of two upright boxes: their outlines from above times what their heights share."""
+    shared = _outline(a).intersection(_outline(b)).area
+    low = max(box.center[2] - box.size_lwh[2] / 2 for box in (a, b))
+    high = min(box.center[2] + box.size_lwh[2] / 2 for box in (a, b))
+    inner = shared * max(0.0, high - low)
+    return float(inner / (a.size_lwh.prod() + b.size_lwh.prod() - inner))
+
+
+def _outline(box: Box3D) -> Any:
+    corners = np.array([[1, 1], [1, -1], [-1, -1], [-1, 1]]) / 2 * box.size_lwh[:2]
+    c, s = math.cos(box.yaw), math.sin(box.yaw)
+    return shapely.Polygon(corners @ [[c, s], [-s, c]] + box.center[:2])
+
+
+def pose_summary(errors: PoseErrors) -> dict[str, Any]:
+    """Counts and quantiles over all, by distance and by occlusion; null where there is nothing.
+
+    Articulated vehicles, of which the pose is that of the part before the hinge, are listed by how far they bend too.
+    """
+    out: dict[str, Any] = {"all": _cell(errors)}
+    groups = [("distance", DISTANCES, errors.distance), ("occlusion", OCCLUSION_BANDS, errors.occlusion)]
+    if np.isfinite(errors.bend).any():
+        groups.append(("articulation", BENDS_DEG, errors.bend))
+    for name, bands, values in groups:
+        out[name] = {_band(low, high): _cell(errors.where((values >= low) & (values < high))) for low, high in bands}
+    return out
+
+
+def _band(low: float, high: float) -> str:
+    return f"{low:g}+" if math.isinf(high) else f"{low:g}-{min(high, 1.0) if high < 2 else high:g}"
+
+
+def _cell(errors: PoseErrors) -> dict[str, Any]:
+    good = np.isfinite(errors.position)
+    cell: dict[str, Any] = {"vehicles": len(good), "refused": int((~good).sum())}
+    for name in ("position", "heading", "axis", "size"):
+        values = getattr(errors, name)[good]
+        cell[name] = {str(q): float(np.percentile(values, q)) for q in QUANTILES} if values.size else None
+    cell["iou"] = float(np.median(errors.iou[good])) if good.any() else None
+    return cell
+
+
+def pose_table(title: str, summary: dict[str, Any]) -> list[str]:
+    """Lines for people: medians, and 90 and 99% in brackets."""
+    cells = {"all": summary["all"]}
+    cells |= {f"{band} m": cell for band, cell in summary["distance"].items()}
+    cells |= {f"hid {band}": cell for band, cell in summary["occlusion"].items()}
+    cells |= {f"bent {band} deg": cell for band, cell in summary.get("articulation", {}).items()}
+    head = ["", "vehicles", "refused", "position, m", "heading, deg", "mod 180", "size, m", "3D IoU"]
+    return [title, *text_table(head, [[name, *_shown(cell)] for name, cell in cells.items() if cell["vehicles"]])]
+
+
+def _shown(cell: dict[str, Any]) -> list[str]:
+    counts = [str(cell["vehicles"]), str(cell["refused"])]
+    if cell["position"] is None:
+        return [*counts, *["-"] * 5]
+    p, h = cell["position"], cell["heading"]
+    return [
+        *counts,
+        f"{p['50']:.3f} ({p['90']:5.2f}, {p['99']:5.2f})",
+        f"{h['50']:.2f} ({h['90']:4.1f}, {h['99']:5.1f})",
+        *(f"{cell['axis']['50']:.2f}", f"{cell['size']['50']:.3f}", f"{cell['iou']:.3f}"),
+    ]
+
 
 _PROGRESS_FILE: Final = ".vehicles.jsonl"
 

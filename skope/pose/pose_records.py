@@ -50,12 +50,7 @@ def locate_view(view: View, scene: Scene) -> Located:
     if moved:
         found = np.zeros_like(found)
     poses = locate(
-        camera,
-        view.found[found],
-        sigma_px=view.sigma_px[found],
-        ground=scene.road_in(view.image),
-        shapes=scene.shapes,
-        cut=view.cut[found],
+        camera, view.found[found], sigma_px=view.sigma_px[found], ground=scene.road_in(view.image), cut=view.cut[found]
     )
     # From frame to frame another error: unlike the calibration's, it is part of what tells places apart.
     poses = with_camera_error(poses, scene.sway_in(image), scene.road_in(image))

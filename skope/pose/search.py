@@ -16,8 +16,7 @@ from skope.keypoints import FLIP, OTHER_END
 from skope.pose.fit_body_types import FEWEST_KEYPOINTS, best_types, refined, vehicle_starts
 from skope.pose.levenberg_marquardt import Fits
 from skope.pose.observations import Observed
-from skope.pose.self_occlusion import facing
-from skope.pose.shape_model import Shapes
+from skope.pose.shape_model import Shapes, facing
 from skope.types import Array, Mask
 
 RowNumbers = NDArray[np.intp]

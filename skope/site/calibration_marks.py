@@ -1,4 +1,4 @@
-"""The [calibration] table of a site file: what a user has marked to calibrate the camera by."""
+"""The [calibration] table of a site file: marks that calibrate the camera."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -7,7 +7,7 @@ from typing import Final, TypeVar
 
 import numpy as np
 
-from skope.camera.camera_json import read_uncertain_camera
+from skope.camera.calibration_files import read_uncertain_camera
 from skope.camera.evidence import (
     MARKED_PX,
     MEASURED_M,

@@ -15,8 +15,15 @@ from typing import Final
 
 import numpy as np
 
-from skope.camera.calibration_files import CameraCalibration, over_plane, read_calibration, read_plane
-from skope.camera.camera_json import camera_of_json, is_camera_json, read_uncertain_camera
+from skope.camera.calibration_files import (
+    CameraCalibration,
+    camera_of_json,
+    is_camera_json,
+    over_plane,
+    read_calibration,
+    read_plane,
+    read_uncertain_camera,
+)
 from skope.camera.model import Camera, Distortion
 from skope.camera.pose_from_points import fit_camera_to_points
 from skope.camera.uncertain_camera import UncertainCamera

@@ -1,19 +1,20 @@
-"""Read a site file: camera, what it was calibrated by, gates, zones, lanes, occluders, and the footage's time.
+"""Read a site file: camera, what it was calibrated by, gates, zones, lanes, occluders, plan, and the footage's time.
 
-`skope gen --site` takes the same file, and reads these parts of it by what is here. Keys that nobody knows do no harm:
-they are named, and kept when the file is saved (`skope.site.write_site`).
+`skope gen --site` takes the same file. Unknown keys are reported and kept when the file is saved
+(`skope.site.write_site`). Local times are those of clocks at the road: ambiguous or impossible in the hour in which the
+clocks change.
 """
 
 import hashlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from datetime import datetime
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final, TypeVar
 from zoneinfo import ZoneInfo
 
 from skope.errors import UserError
-from skope.files.reading import decoded, read_bytes
+from skope.files.atomic import decoded, read_bytes
 from skope.site.calibration_marks import CalibrationMarks, read_marks
 from skope.site.gates_zones_lanes import (
     Gate,
@@ -26,12 +27,82 @@ from skope.site.gates_zones_lanes import (
     read_occluder,
     read_zone,
 )
-from skope.site.local_times import clock_doubt, year_doubt
-from skope.site.plan_picture import PlanPicture, read_plan
 from skope.site.site_camera import OwnCamera, read_site_camera
 from skope.site.toml_table import TomlTable
 from skope.site.traffic_settings import TrafficSettings, read_traffic
 from skope.site.world import read_world
+
+_FOOTAGE_YEARS: Final = range(1900, 2900)
+"""Years in which footage may begin. Times near year 1 or 9999 have no counterpart in other zones."""
+
+
+def year_doubt(time: datetime) -> str:
+    """Message about a year in which no footage was taken; empty for other years."""
+    if time.year in _FOOTAGE_YEARS:
+        return ""
+    return f"expected a year from {_FOOTAGE_YEARS.start} to {_FOOTAGE_YEARS.stop - 1}, got {time.year}"
+
+
+def clock_doubt(time: datetime, zone: ZoneInfo) -> str:
+    """Check a local time against the clocks of its zone.
+
+    Args:
+        time: The time, without an offset.
+        zone: The zone that it belongs to.
+
+    Returns:
+        A message: clocks skip the time, show it twice, or its year is impossible; empty where nothing is wrong.
+    """
+    if doubt := year_doubt(time):
+        return doubt
+    first, second = (time.replace(tzinfo=zone, fold=fold) for fold in (0, 1))
+    if first.astimezone(UTC).astimezone(zone).replace(tzinfo=None) != time:
+        return f"there is no such time in {zone.key}: clocks are put forward then"
+    if first.utcoffset() != second.utcoffset():
+        ways = " or ".join(f"{one.isoformat(sep=' ')}" for one in (first, second))
+        return f"clocks show this twice, as they are put back: type {ways}"
+    return ""
+
+
+_PIXEL_M: Final = (1e-5, 1e4)
+"""Smallest and largest pixel, metres."""
+_FARTHEST_M: Final = 1e8
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlanPicture:
+    """A picture of the road from above."""
+
+    file: Path
+    """File of the picture, which need not be there."""
+    metres_per_pixel: float
+    origin: tuple[float, float]
+    """World x and y of the picture's top-left corner, metres."""
+    rotation_deg: float
+    """By how much the picture's up is turned from the world's y, counter-clockwise."""
+
+
+def read_plan(table: TomlTable, unknown: list[str]) -> PlanPicture:
+    """The table's plan; keys that mean nothing here are added to `unknown`.
+
+    Raises:
+        UserError: Something is missing or wrong; the message names file and key.
+    """
+    name = table.text("file")
+    if not name or not name.isprintable():
+        raise table.wrong("file", "expected the name of a picture")
+    x, y = table.numbers("origin", 2)
+    if max(abs(x), abs(y)) > _FARTHEST_M:
+        raise table.wrong("origin", f"expected metres within {_FARTHEST_M:g}")
+    plan = PlanPicture(
+        file=table.path.parent / name,
+        metres_per_pixel=table.number("metres_per_pixel", low=_PIXEL_M[0], high=_PIXEL_M[1]),
+        origin=(x, y),
+        rotation_deg=table.number("rotation_deg", 0.0, low=-360, high=360),
+    )
+    unknown += table.unread
+    return plan
+
 
 _Part = TypeVar("_Part")
 _FOR_GENERATING: Final = (

@@ -8,7 +8,7 @@ from typing import Any, Final, Self
 
 from skope.errors import UserError
 from skope.field_checks import is_number
-from skope.files.reading import read_text
+from skope.files.atomic import read_text
 
 _LARGEST_NUMBER: Final = 1e300
 _MOST_SHOWN: Final = 60

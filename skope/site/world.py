@@ -1,10 +1,51 @@
-"""The [world] table of a site file: where the world's (0, 0) is on the map that its places were taken from."""
+"""The [world] table of a site file: where the world's (0, 0) is on its map, and positions of a site on the Earth."""
 
 import re
 from collections.abc import Mapping
+from functools import partial
 from typing import Any, Final
 
+import numpy as np
+
+from skope.camera.geographic import geographic, local_metres, utm_metres
+from skope.errors import UserError
 from skope.site.toml_table import TomlTable
+from skope.types import Array
+
+
+def on_earth(world: Mapping[str, Any] | None, places: Array) -> Array:
+    """Convert positions of a site to longitude and latitude.
+
+    Args:
+        world: The site's [world] table, None where it has none.
+        places: (..., 2) positions in the site's world, metres.
+
+    Returns:
+        (..., 2) longitude and latitude (WGS84), degrees.
+
+    Raises:
+        UserError: There is no [world] table, or its grid is not UTM's.
+    """
+    if world is None:
+        raise UserError("the site does not say where on the Earth it is: [world] with an origin (docs/own-road.md)")
+    axes = world.get("axes", "east, north")
+    if axes != "east, north":
+        raise UserError(f"world.axes: places on the Earth need x east and y north, got {axes!r:.40}")
+    origin = world["origin"]
+    if "longitude" in origin:
+        about = (origin["longitude"], origin["latitude"])
+        return geographic(places, lambda turn, tilt: local_metres(turn, tilt, about), about)
+    zone = str(world["utm_zone"])
+    south = zone.endswith("S")
+    if "epsg" in world and world["epsg"] != (32700 if south else 32600) + int(zone[:-1]):
+        raise UserError(f"world.epsg: {world['epsg']} is not the grid of UTM zone {zone}; leave it out if it is")
+    corner = np.array([origin["easting"], origin["northing"]])
+    near = (6 * int(zone[:-1]) - 183.0, (corner[1] - (1e7 if south else 0.0)) / 111_000)
+    try:
+        return geographic(corner + np.asarray(places), partial(utm_metres, zone=int(zone[:-1]), south=south), near)
+    except ValueError:
+        raise UserError(f"world.origin: easting and northing lie too far from UTM zone {zone}") from None
+
 
 ZONE: Final = re.compile(r"([1-9]|[1-5][0-9]|60)([NS])")
 """A UTM zone: its number and half of the Earth."""

@@ -9,8 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from skope.errors import UserError
-from skope.files.atomic import locked, replacing
-from skope.files.reading import decoded, read_bytes
+from skope.files.atomic import decoded, locked, read_bytes, replacing
 from skope.site.site_file import SiteFile, parse_site
 
 

@@ -9,11 +9,26 @@ from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
+from scipy.optimize import linear_sum_assignment
 
 from skope import boxes as box_math
 from skope.schema import Found
-from skope.tracking.least_cost_pairs import cheapest_pairs
 from skope.types import Array, Integers32
+
+_OUT_OF_REACH: Final = 1e6
+"""Stands for infinity, which the assignment does not take."""
+
+
+def cheapest_pairs(cost: Array, below: float) -> list[tuple[int, int]]:
+    """Pair rows with columns, one to one, at the least cost in total (Jonker and Volgenant's algorithm, of scipy).
+
+    Args:
+        cost: (N, M) what each pair costs, far less than a million; infinite where there can be none.
+        below: Only pairs that cost less are returned.
+    """
+    pairs = zip(*linear_sum_assignment(np.minimum(cost, _OUT_OF_REACH)), strict=True)
+    return [(int(row), int(column)) for row, column in pairs if cost[row, column] < below]
+
 
 FARTHEST_S: Final = 0.3
 """Frames that are farther apart say nothing of each other: vehicles cannot be linked by their boxes."""

@@ -12,7 +12,7 @@ from skope.camera.model import Camera
 from skope.pose.camera_error import camera_errors
 from skope.pose.keypoint_views import Scene
 from skope.schema import Image, RoadUser, RoadUserResult
-from skope.tracking.duplicate_boxes import FOOT, INSIDE, feet, inside_and_apart
+from skope.tracking.duplicates import FOOT, INSIDE, feet, inside_and_apart
 from skope.types import Array
 
 _SHARES: Final = (0.03, 0.06)

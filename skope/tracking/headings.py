@@ -1,12 +1,46 @@
-"""Headings of a vehicle through time: which end is the front, and a body that turns no faster than one can."""
+"""Headings of a vehicle through time, and the error that a road user's own height gives its positions.
+
+A body turns no faster than a vehicle can, and one of its ends is the front.
+
+A vehicle stands above or below the plane that the road is taken for, on its whole path. From a camera of height H over
+the road it seems nearer or farther by (distance / H) metres per metre of that. The filter takes errors of poses for
+independent and does not know this one.
+"""
 
 import math
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from skope.tracks.track import Track
 from skope.types import Array
+
+_LOWEST_CAMERA_M: Final = 1.0
+"""Least height of a camera over the road, metres."""
+
+
+def with_body_error(track: Track, camera_position: Array, height_sigma_m: float) -> Track:
+    """The track with the error of its height over the road, along the line of sight, added to its `body_error`.
+
+    Args:
+        track: The track.
+        camera_position: (3,) world, metres.
+        height_sigma_m: Standard deviation of the height, metres.
+    """
+    line = track.xy - camera_position[:2]
+    distance = np.maximum(np.linalg.norm(line, axis=1), 1e-9)
+    height = np.maximum(_LOWEST_CAMERA_M, camera_position[2] - track.position[:, 2])
+    ray = line / distance[:, None]
+    # What seems farther by a share of the distance seems faster by that share, along the line of sight.
+    towards = np.einsum("mi,mi->m", track.velocity, ray) ** 2 / np.maximum(track.speed, 1e-9)
+    return replace(
+        track,
+        body_error=track.body_error + ray * (distance / height * height_sigma_m)[:, None],
+        speed_sigma=np.hypot(track.speed_sigma, towards / height * height_sigma_m),
+    )
+
 
 _MEMORY_S: Final = 1.5
 """Time for which a rate of turn lasts, seconds."""

@@ -9,8 +9,7 @@ from typing import Final
 
 import numpy as np
 
-from skope.camera.motion.known_views import KnownView, read_views, view_numbers
-from skope.camera.motion.view_registration import is_inside, transformed
+from skope.camera.motion.view_registration import KnownView, is_inside, read_views, transformed, view_numbers
 from skope.dataset import coco
 from skope.dataset.folder import BEGINS, FRAMES, PREDICTIONS, SIGHT_FIELD
 from skope.errors import UserError
@@ -18,7 +17,7 @@ from skope.metrics.read_inputs import read_all_results
 from skope.schema import CATEGORIES, VEHICLE, AnnotationFile
 from skope.site.gates_zones_lanes import Gate
 from skope.site.traffic_settings import UNKNOWN
-from skope.tracking.duplicate_boxes import FOOT, INSIDE, feet, inside_and_apart
+from skope.tracking.duplicates import FOOT, INSIDE, feet, inside_and_apart
 from skope.tracking.track_flags import box_never_moved
 from skope.tracks.track import Track
 from skope.traffic.observation import Observation, checked_sight, read_begins
@@ -83,7 +82,7 @@ def read_image_trajectories(folder: Path, gates: Sequence[Gate] = ()) -> tuple[l
         times_s=np.array(sorted(time_s for number, time_s in timed.items() if shown[number] in observed)),
         source=source,
         moved_s=np.array(sorted(time_s for number, time_s in timed.items() if shown[number] not in observed)),
-        sight=checked_sight(file.info.get(SIGHT_FIELD), f"{folder / FRAMES}: info.{SIGHT_FIELD}"),
+        sight=checked_sight(file.info.get(SIGHT_FIELD, []), f"{folder / FRAMES}: info.{SIGHT_FIELD}"),
         begins=read_begins(file.info[BEGINS], f"{folder / FRAMES}: info.{BEGINS}") if BEGINS in file.info else None,
     )
     return [one for one in made if one.confirmed], observation, notes

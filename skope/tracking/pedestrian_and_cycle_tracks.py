@@ -15,10 +15,10 @@ import numpy as np
 
 from skope.schema import CATEGORIES, PEDESTRIAN
 from skope.tracking import kalman
+from skope.tracking.box_links import cheapest_pairs
 from skope.tracking.ground_points import GroundPoint, Sight
+from skope.tracking.headings import with_body_error
 from skope.tracking.kalman import GATE, State
-from skope.tracking.least_cost_pairs import cheapest_pairs
-from skope.tracking.track_errors import with_body_error
 from skope.tracking.track_flags import box_never_moved
 from skope.tracks.track import Track
 from skope.types import Array

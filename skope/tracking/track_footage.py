@@ -21,20 +21,19 @@ from skope.pose.keypoint_views import Scene
 from skope.pose.pose_records import locate_view
 from skope.schema import CATEGORIES, VEHICLE, Labelled
 from skope.terminal.console import Console, counted
-from skope.tracking import birdseye, birdseye_video, track_overlay
-from skope.tracking.empty_road import empty_road
+from skope.tracking import birdseye, birdseye_video, camera_picture
 from skope.tracking.ground_points import sights_of
+from skope.tracking.ground_view import empty_road
+from skope.tracking.headings import with_body_error
 from skope.tracking.pedestrian_and_cycle_tracks import follow_road_users, of_body
-from skope.tracking.track_errors import with_body_error
 from skope.tracking.track_flags import flagged
 from skope.tracking.tracker_inputs import Detection, detection_from_dict, detection_to_dict, detections_of
 from skope.tracking.vehicle_tracker import follow
 from skope.tracks.csv_file import TRACKS_CSV, as_written, write_tracks
 from skope.tracks.frame_files import mot_row, write_fcd, write_mot
 from skope.tracks.track import Track
-from skope.traffic.empty_road_picture import empty_road_picture, write_empty_road_picture
 from skope.traffic.observation import FOOTAGE, Observation, checked_sight, read_begins
-from skope.traffic.road_picture import write_road_picture
+from skope.traffic.road_picture import empty_road_picture, write_empty_road_picture, write_road_picture
 from skope.video.write import write_video
 
 _PROGRESS_NAME: Final = ".poses.jsonl"
@@ -105,7 +104,7 @@ def follow_footage(job: TrackJob, console: Console) -> Iterator[str]:
     if job.overlay:
         with replacing(job.out / "overlay.mp4") as temporary:
             drawn = console.bar(
-                track_overlay.overlay_frames(tracks, job.place, scene.file, road_users),
+                camera_picture.overlay_frames(tracks, job.place, scene.file, road_users),
                 total=len(times),
                 unit="image",
                 label="overlay",
@@ -189,7 +188,7 @@ def observation_of(scene: Scene, times: Sequence[float], begins: datetime | None
         ground=scene.ground,
         moved_s=seconds[moved],
         turned=tuple(turned.values()),
-        sight=checked_sight(scene.file.info.get(SIGHT_FIELD), f"{scene.file.name}: info.{SIGHT_FIELD}"),
+        sight=checked_sight(scene.file.info.get(SIGHT_FIELD, []), f"{scene.file.name}: info.{SIGHT_FIELD}"),
         begins=begins,
     )
 

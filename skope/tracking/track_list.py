@@ -8,7 +8,7 @@ import numpy as np
 
 from skope.boxes import xywh_to_xyxy
 from skope.field_checks import image_pixels
-from skope.tracking import track_overlay
+from skope.tracking import camera_picture
 from skope.tracks.csv_file import write_tracks
 from skope.tracks.track import Track
 from skope.traffic.observation import Observation
@@ -73,7 +73,7 @@ class Tracks(list[Track]):
         """
         image = image_pixels("image", image)
         rows = ((track, _row(track, frame)) for track in self)
-        return track_overlay.with_tracks_drawn(
+        return camera_picture.with_tracks_drawn(
             image, [(track, i) for track, i in rows if i is not None and np.isfinite(track.scores[i])]
         )
 

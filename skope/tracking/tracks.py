@@ -1,8 +1,8 @@
-"""The tracker's working state of a vehicle: `OpenTrack`, which becomes a smoothed `Track` when it ends."""
+"""The tracker's working state of a vehicle: `OpenTrack`, which becomes a smoothed `Track` at its end, and its class."""
 
 import itertools
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from typing import Final, TypeAlias
 
@@ -13,9 +13,40 @@ from skope.tracking import kalman
 from skope.tracking.headings import smoothed_headings
 from skope.tracking.kalman import State
 from skope.tracking.tracker_inputs import Detection, PoseMeasurement
-from skope.tracking.vehicle_classes import vehicle_class
 from skope.tracks.track import Track
 from skope.types import Array
+
+VEHICLE_CLASS_NAMES: Final = ("car", "van", "lorry", "bus", "unknown")
+OF_BODY_TYPE: Final[Mapping[str, str]] = {
+    "van": "van",
+    "box_truck": "lorry",
+    "truck": "lorry",
+    "articulated_truck": "lorry",
+    "bus": "bus",
+    "articulated_bus": "bus",
+}
+"""Classes of body types that are no cars."""
+_INDEPENDENT: Final = 5.0
+"""Poses of one vehicle are wrong together: a track has as much to say as so many that are independent, at most."""
+_UNSURE: Final = 0.6
+"""Confidence from which a class is named."""
+
+
+def vehicle_class(body_types: Mapping[str, int]) -> tuple[str, float]:
+    """The class of a track, of whose poses so many have each body type, and its confidence, 0 to 1.
+
+    The share of the poses that agree is drawn towards a half, the more the fewer they are. A class that is less sure
+    than `_UNSURE` is unknown.
+    """
+    votes = dict.fromkeys(VEHICLE_CLASS_NAMES, 0)
+    for name, number in body_types.items():
+        votes[OF_BODY_TYPE.get(name, "car")] += number
+    total = sum(votes.values())
+    best = max(votes, key=votes.__getitem__)
+    independent = min(float(total), _INDEPENDENT)
+    confidence = (votes[best] / max(1, total) * independent + 0.5) / (independent + 1)
+    return (best if confidence >= _UNSURE else "unknown", confidence)
+
 
 _BOX_S: Final = 0.5
 """Seconds for which a track's last box still locates it in the image, and for which boxes alone extend it."""

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any, Final
 from zoneinfo import ZoneInfo
 
 from skope.errors import UserError
-from skope.site.local_times import year_doubt
+from skope.site.site_file import year_doubt
 
 if TYPE_CHECKING:
     from skope.site.site_file import SiteParts

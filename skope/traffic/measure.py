@@ -10,7 +10,7 @@ import numpy as np
 from skope.site.gates_zones_lanes import Gate
 from skope.site.traffic_settings import TrafficSettings
 from skope.tracks.track import Track
-from skope.traffic.braking import hard_brakings
+from skope.traffic.collision import hard_brakings
 from skope.traffic.conflicts import conflicts
 from skope.traffic.counting_intervals import ClockInterval, clock_intervals, local_start
 from skope.traffic.event_probability import usual_step

@@ -11,7 +11,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from skope.camera.camera_json import camera_of_json, uncertain_of_json
+from skope.camera.calibration_files import camera_of_json, uncertain_of_json
 from skope.camera.ground_plane import Ground
 from skope.camera.model import Camera
 from skope.camera.uncertain_camera import UncertainCamera
@@ -214,7 +214,7 @@ def read_observation(folder: Path) -> Observation:
     """
     path = folder / FOOTAGE
     if not path.is_file():
-        raise UserError(f"{path}: no such file; `skope eval track` of this version writes it beside the tracks")
+        raise UserError(f"{path}: no such file; `skope eval track` writes it beside the tracks")
     document = read_json(path)
     if not isinstance(document, dict):
         raise UserError(f"{path}: expected an object")
@@ -234,7 +234,7 @@ def read_observation(folder: Path) -> Observation:
         camera=camera,
         uncertainty=uncertainty,
         ground=_read_ground(path, document.get("ground")),
-        moved_s=np.unique(_numbers(path, document, "moved_times_s")) if "moved_times_s" in document else np.zeros(0),
+        moved_s=np.unique(_numbers(path, document, "moved_times_s")),
         turned=_read_turned(path, document.get("turned", [])),
         sight=checked_sight(document.get("sight"), f"{path}: sight"),
         begins=None if document.get("begins") is None else read_begins(document["begins"], f"{path}: begins"),
@@ -285,8 +285,8 @@ def _read_ground(path: Path, value: Any) -> Ground | None:
 
 
 def checked_sight(rows: Any, where: str) -> Array:
-    """(L, 3) `Observation.sight` of a file's rows, empty without any. Raises UserError that begins with `where`."""
-    if rows is None or rows == []:
+    """(L, 3) `Observation.sight` of a file's rows. Raises UserError that begins with `where`."""
+    if rows == []:
         return np.zeros((0, 3))
     try:
         values = np.array(rows, dtype=np.float64)

@@ -19,8 +19,8 @@ from skope.traffic.gate_counts import observed_word
 from skope.traffic.gates import GateCrossing
 from skope.traffic.length_bins import LONGEST_M, WHY_NOT, LengthCount, has_length, length_bin, length_sigma_m
 from skope.traffic.otc_classes import OTC_CLASSES
-from skope.traffic.poor_sight import sight_in
-from skope.traffic.speed_percentiles import PERCENTILES
+from skope.traffic.report_remarks import sight_in
+from skope.traffic.speeds import PERCENTILES
 from skope.traffic.traffic_report import TrafficReport
 
 TableRow = Sequence[Any]

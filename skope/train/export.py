@@ -5,34 +5,158 @@ ONNX take an `image` (3, H, W), float32 sRGB from 0 to 1, of any size, and answe
 that image: `boxes` (N, 4) xyxy, `scores` (N,) from 0 to 1, `keypoints` (N, 33, 2) x, y and `keypoint_scores` (N, 33)
 from 0 to 1. Where the detector has learnt other categories than vehicles, `categories` (N,) follows, ids from 1 as in
 `skope.schema.CATEGORIES`: of others than vehicles the keypoint scores are 0, and the keypoints mean nothing.
+
+Rounding to compact weights uses second moments of the layers' inputs, gathered from images.
 """
 
 import importlib.util
 import io
 import tempfile
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Final
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor, nn
 from torchvision.models.detection import KeypointRCNN
 
-from skope import schema
+from skope import keypoints, schema
 from skope.dataset import image_selection
 from skope.dataset.folder import open_dataset
 from skope.detections import MIN_SCORE
 from skope.detector import int8_ranges, weights
+from skope.detector.backbones import BACKBONES
+from skope.detector.build import ASPECTS, BOX_CELLS, HEADS, MAX_DETECTIONS, PROPOSALS, DetectorConfig
 from skope.detector.checkpoint import checkpoint_bytes, find_checkpoint, full_state, load_weights
+from skope.detector.detect import detect
 from skope.detector.device import choose_device
 from skope.errors import UserError, one_of
 from skope.files.output_folders import check_file, write_new
+from skope.schema import VEHICLE_ALONE
 from skope.terminal.console import Console
-from skope.train import input_moments
 from skope.train.splits import SPLIT
-from skope.train.torchvision_code import torchvision_code
+
+
+def torchvision_code(path: Path, config: DetectorConfig) -> str:
+    """Lines of Python that build torchvision's own model as `model` and load an exported state dict into it.
+
+    Its anchors are no weights: with others a strict load succeeds as well, and the detections are wrong.
+    """
+    labels = "" if len(config.categories) == 1 else f"  # labels 1 to {len(config.categories)}: "
+    labels += ", ".join(config.categories) if labels else ""
+    sizes = ", ".join(f"({side},)" for side in config.anchors)
+    imports, heads = _heads(config)
+    kind = BACKBONES[config.backbone]
+    layers = f".{kind.layers}" if kind.layers else ""
+    return f"""\
+import torch
+from torchvision.models import {config.backbone}
+from torchvision.models.detection import KeypointRCNN
+from torchvision.models.detection.anchor_utils import AnchorGenerator
+from torchvision.models.detection.backbone_utils import BackboneWithFPN
+{imports}from torchvision.ops import FrozenBatchNorm2d
+norm = lambda width: FrozenBatchNorm2d(width, eps={config.norm_eps})
+layers = {config.backbone}(weights=None, norm_layer=norm){layers}
+backbone = BackboneWithFPN(
+    layers, {kind.returned},
+    in_channels_list={list(kind.channels)}, out_channels={config.pyramid_width})
+anchors = AnchorGenerator(({sizes}), ({ASPECTS},) * {len(config.anchors)})
+model = KeypointRCNN(
+    backbone, {heads}, rpn_anchor_generator=anchors,
+    min_size={config.min_size}, max_size={config.max_size}, box_detections_per_img={MAX_DETECTIONS},
+    rpn_post_nms_top_n_test={PROPOSALS})
+model.load_state_dict(torch.load({str(path)!r}))
+model.eval(){labels}"""
+
+
+def _heads(config: DetectorConfig) -> tuple[str, str]:
+    """Lines of imports, and what `KeypointRCNN` is given for the heads."""
+    classes = 1 + len(config.categories)
+    if config.heads == HEADS:
+        return "", f"num_classes={classes}, num_keypoints={keypoints.K}"
+    imports = """\
+from torchvision.models.detection.faster_rcnn import FastRCNNPredictor, TwoMLPHead
+from torchvision.models.detection.keypoint_rcnn import KeypointRCNNHeads, KeypointRCNNPredictor
+"""
+    layers, width, box_width = config.heads
+    return imports, (
+        f"box_head=TwoMLPHead({config.pyramid_width * BOX_CELLS**2}, {box_width}),\n"
+        f"    box_predictor=FastRCNNPredictor({box_width}, {classes}),\n"
+        f"    keypoint_head=KeypointRCNNHeads({config.pyramid_width}, ({width},) * {layers}),\n"
+        f"    keypoint_predictor=KeypointRCNNPredictor({width}, {keypoints.K})"
+    )
+
+
+_CALL_SAMPLES: Final = 256
+"""Positions, or regions, that each call of a layer gives."""
+
+
+def gather(
+    model: KeypointRCNN, images: Iterable[NDArray[np.uint8]], categories: Sequence[str] = VEHICLE_ALONE
+) -> dict[str, Tensor]:
+    """Second moments of the inputs of all convolutions and linear layers, by the names of their weights.
+
+    Args:
+        model: In evaluation mode, on the CPU or a GPU.
+        images: (H, W, 3) RGB, dozens of what the detector is for.
+        categories: What the network's labels are: only vehicles go through the keypoint head.
+
+    Returns:
+        Weight's name -> (N, N) float32 mean of x x^T, where N is the number of weights of an output channel and x lie
+        in the order of `weight.flatten(1)`. Layers that no image reached are left out, and convolutions in groups,
+        each of whose outputs has other inputs.
+    """
+    layers = {name: module for name, module in model.named_modules() if _has_moments(module)}
+    sums: dict[str, Tensor] = {}
+    counts = dict.fromkeys(layers, 0)
+    generator = torch.Generator().manual_seed(0)
+
+    def add(name: str, module: nn.Module, inputs: tuple[Tensor, ...]) -> None:
+        x = _sample(module, inputs[0].float(), generator)
+        counts[name] += len(x)
+        sums[name] = sums[name].addmm_(x.T, x) if name in sums else x.T @ x
+
+    hooks = [module.register_forward_pre_hook(partial(add, name)) for name, module in layers.items()]
+    device = next(model.parameters()).device
+    try:
+        for pixels in images:
+            detect(model, [pixels], device, categories=categories)
+    finally:
+        for hook in hooks:
+            hook.remove()
+    return {f"{name}.weight": total / counts[name] for name, total in sums.items() if counts[name]}
+
+
+def _has_moments(module: nn.Module) -> bool:
+    return isinstance(module, nn.Linear) or (isinstance(module, nn.Conv2d) and module.groups == 1)
+
+
+def _sample(module: nn.Module, x: Tensor, generator: torch.Generator) -> Tensor:
+    """(M, N) inputs of some of the layer's outputs."""
+    if not isinstance(module, nn.Conv2d):
+        return x[_some(len(x), generator).to(x.device)]
+    height, width = module.kernel_size
+    stride, pad = module.stride[0], int(module.padding[0])
+    across = (x.shape[3] + 2 * pad - width) // stride + 1
+    down = (x.shape[2] + 2 * pad - height) // stride + 1
+    chosen = _some(len(x) * down * across, generator).to(x.device)
+    image, at = chosen // (down * across), chosen % (down * across)
+    top, left = at // across * stride, at % across * stride
+    padded = nn.functional.pad(x, (pad,) * 4)
+    parts = [padded[image, :, top + i, left + j] for i in range(height) for j in range(width)]
+    return torch.stack(parts, dim=2).flatten(1)
+
+
+def _some(count: int, generator: torch.Generator) -> Tensor:
+    if count <= _CALL_SAMPLES:
+        return torch.arange(count)
+    return torch.randint(count, (_CALL_SAMPLES,), generator=generator)
+
 
 EXPORT_SUFFIXES: Final = {
     "torchscript": ".torchscript.pt",
@@ -169,7 +293,7 @@ def _moments(model: KeypointRCNN, data: Path, categories: Sequence[str], console
     images = image_selection.take(opened.read(SPLIT), CALIBRATION_IMAGES).images
     pixels = map(opened.image, images)
     seen = console.bar(pixels, total=len(images), unit="image", label="layers' inputs")
-    return input_moments.gather(model.to(choose_device("auto")), seen, categories)
+    return gather(model.to(choose_device("auto")), seen, categories)
 
 
 def _pickled(state: Mapping[str, Tensor]) -> bytes:

@@ -8,7 +8,7 @@ from torch.nn import functional
 from torchvision.models.detection import KeypointRCNN
 from torchvision.ops import FrozenBatchNorm2d
 
-from skope.detector.backbone_norms import convolutions_with_norms
+from skope.detector.backbones import convolutions_with_norms
 
 
 class _FoldedConv2d(nn.Conv2d):

@@ -1,13 +1,21 @@
-"""The first weights of a training: trained on COCO or ImageNet, from a file, those of the package, or random."""
+"""The first weights of a training: trained on COCO or ImageNet, from a file, those of the package, or random.
 
+Published weights are files of torchvision's cache, in torch's own format.
+"""
+
+import argparse
 import math
+import pickle
+import re
 from dataclasses import replace
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
+from urllib.parse import urlparse
 
 import torch
 from safetensors import SafetensorError, safe_open
 from torch import nn
+from torchvision.models import WeightsEnum
 from torchvision.models.detection import KeypointRCNN, KeypointRCNN_ResNet50_FPN_Weights
 from torchvision.models.detection.keypoint_rcnn import KeypointRCNNPredictor
 
@@ -15,13 +23,64 @@ from skope import keypoints
 from skope.detector import weights
 from skope.detector.backbones import BACKBONES, DEFAULT_BACKBONE
 from skope.detector.build import DetectorConfig, build
-from skope.detector.checkpoint import HEADER, find_checkpoint, read_checkpoint
+from skope.detector.checkpoint import HEADER, config_in, find_checkpoint, read_checkpoint
 from skope.errors import UserError
 from skope.keypoints import Scheme
 from skope.schema import VEHICLE_ALONE
 from skope.train.network_shape import AS_GIVEN, NetworkShape
-from skope.train.published_weights import PublishedState, cached_weights, fetch, unpickled
 from skope.train.recipe import SMALL_SIZE
+
+PublishedState = dict[str, torch.Tensor]
+_NO_WEIGHTS: Final = "not a file of weights of torch's, or one that did not arrive whole"
+
+
+def cached_weights(weights: WeightsEnum) -> Path:
+    """Path at which torchvision keeps the file of published weights, whether or not it is there."""
+    return Path(torch.hub.get_dir()) / "checkpoints" / Path(urlparse(weights.url).path).name
+
+
+def fetch(init: str, weights: WeightsEnum) -> Path:
+    """The file of published weights, downloaded where it is missing; a UserError names `--init init` if that fails."""
+    path = cached_weights(weights)
+    if path.is_file():
+        return path
+    digest = re.search(r"-([0-9a-f]{8,})\.pth$", path.name)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        torch.hub.download_url_to_file(weights.url, str(path), digest.group(1) if digest else None)
+    except (OSError, RuntimeError) as error:
+        raise UserError(
+            f"--init {init}: cannot download {weights.url} ({error}); put the file at {path}, or take --init random"
+        ) from None
+    return path
+
+
+def unpickled(path: Path) -> PublishedState:
+    """The state dict in a file of torch's, or under the key `model` as torchvision's training scripts save it.
+
+    These scripts put their arguments beside it, in a class that holds nothing but values.
+    """
+    try:
+        with torch.serialization.safe_globals([argparse.Namespace]):
+            state: Any = torch.load(path, map_location="cpu", weights_only=True)
+    except pickle.UnpicklingError as error:
+        other = re.search(r"Unsupported global: GLOBAL (\S+)", str(error))
+        if other is None:
+            raise UserError(f"{path}: {_NO_WEIGHTS}") from None
+        raise UserError(
+            f"{path}: holds more than tensors ({other[1]}), and is not loaded: it might run anything. If you trust it, "
+            "take the weights out of it in Python: checkpoint = torch.load(FILE, weights_only=False), "
+            'then torch.save(checkpoint["model"], NEW), or under whichever key they are'
+        ) from None
+    except Exception as error:  # torch.load raises whatever the broken archive led to
+        reason = (str(error).splitlines() or [type(error).__name__])[0]
+        raise UserError(f"{path}: {_NO_WEIGHTS} ({reason})") from None
+    if isinstance(state, dict) and isinstance(state.get("model"), dict):
+        state = state["model"]
+    if not isinstance(state, dict) or not all(isinstance(value, torch.Tensor) for value in state.values()):
+        raise UserError(f"{path}: not a file of weights: expected tensors by name")
+    return state
+
 
 INITS: Final = ("auto", "coco", "imagenet", "random")
 
@@ -88,7 +147,6 @@ def initialise(
             min_size=min_size or given.min_size,
             max_size=max_size or given.max_size,
             scheme=scheme.name,
-            keypoint_edition=scheme.edition,
             anchors=anchors or given.anchors,
             box_passes=box_passes or given.box_passes,
             categories=categories,
@@ -148,7 +206,7 @@ def _from_file(
     if path.suffix == ".safetensors":
         if _is_ours(path):
             header, state = read_checkpoint(path)
-            own = DetectorConfig.from_dict(header["config"])
+            own = config_in(path, header)
             if own.scheme != scheme.name:
                 raise UserError(f"{path}: has keypoint scheme {own.scheme}, the dataset has {scheme.name}")
             _check_network(str(path), own, network)

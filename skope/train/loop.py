@@ -18,7 +18,6 @@ from skope.terminal.console import Console, counted
 from skope.train import (
     distributed,
     monitor,
-    run_card,
     run_config,
     run_folder,
     splits,
@@ -27,16 +26,15 @@ from skope.train import (
     training_state,
     validate,
 )
-from skope.train.announce import announce
 from skope.train.distributed import ProcessGroup
 from skope.train.fold_batchnorm import fold_norms
-from skope.train.interrupt import StopRequest
+from skope.train.monitor import TrainingProgress, announce, figures_text
 from skope.train.optimizer import learning_rate_at
-from skope.train.progress import TrainingProgress, figures_text
 from skope.train.recipe import SMALL_SIZE
 from skope.train.run_config import RunConfig
 from skope.train.sample_loader import Loader
 from skope.train.splits import TrainingSource
+from skope.train.step import StopRequest
 from skope.train.teacher import Teacher
 from skope.train.training_samples import Draw, TrainingSample, TrainingSet
 from skope.train.training_state import TrainingState
@@ -344,7 +342,7 @@ class _Run:
             (len(part.learnt.images), sum(len(each.boxes_xyxy) for each in part.vehicles())) for part in self.parts
         ]
         others = self.training_set.road_users
-        write_text(self.out / "README.md", run_card.text(self.config, self.training, datasets, counts, others))
+        write_text(self.out / "README.md", run_folder.text(self.config, self.training, datasets, counts, others))
 
 
 @contextlib.contextmanager

@@ -1,9 +1,10 @@
-"""Pictures of how training goes: curves, predictions beside ground truth, TensorBoard."""
+"""Progress of a training: messages before it begins, bar and figures, curves, pictures, TensorBoard."""
 
 import importlib.util
+import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, Final, Protocol
+from typing import Any, Final, Protocol, Self
 
 import torch
 from torchvision.models.detection import KeypointRCNN
@@ -12,9 +13,116 @@ from skope.dataset.folder import read_image
 from skope.files.atomic import replacing
 from skope.pictures import draw
 from skope.schema import CATEGORIES, Annotation, AnnotationFile
-from skope.terminal.console import counted
+from skope.terminal.console import Console, counted, minutes
 from skope.train import validate
+from skope.train.run_config import RunConfig
+from skope.train.splits import TrainingSource
+from skope.train.training_samples import TrainingSet
+from skope.train.training_state import TrainingState
 from skope.types import Pixels
+
+_MEASURED_STEPS: Final = 2
+"""Steps whose duration tells how long the run will take."""
+
+
+class TrainingProgress:
+    """A bar over all images of the run with the epoch's mean losses; says once how long the run will take."""
+
+    def __init__(self, images: int, epochs: int, console: Console) -> None:
+        self._console = console
+        self._epochs, self._total, self._seen, self._images = epochs, images, 0, 0
+        self._bar = console.bar(total=images, unit="image", label="training")
+        self._since = time.perf_counter()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._bar.close()
+
+    def note(self, text: str) -> None:
+        """Print a line above the bar."""
+        self._bar.clear()
+        self._console.say(text)
+
+    def tick(self, epoch: int, images: int, losses: Mapping[str, float]) -> None:
+        """Note that a step over `images` images is done."""
+        values = {name.removeprefix("loss_"): f"{value:.3f}" for name, value in losses.items()}
+        self._bar.set_postfix({"epoch": f"{epoch + 1}/{self._epochs}", **values}, refresh=False)
+        self._bar.update(images)
+        self._seen += 1
+        if self._seen == 1:  # the first step is slower: libraries choose algorithms and ask for memory
+            self._since, self._images = time.perf_counter(), 0
+            return
+        self._images += images
+        if self._seen == 1 + _MEASURED_STEPS:
+            seconds = time.perf_counter() - self._since
+            rate, each = self._images / seconds, seconds / _MEASURED_STEPS
+            self.note(f"{each:.2g} s a step: about {minutes(self._total / rate)} for {self._total} images")
+
+
+def figures_text(figures: Mapping[str, Any]) -> str:
+    """The figures of a validation (`skope.train.validate.validate`) in one line."""
+
+    def percent(name: str) -> str:
+        return "-" if figures[name] is None else f"{figures[name]:.1%}"
+
+    return (
+        f"PCK {percent('pck')} of found vehicles ({percent('box_recall')} of {figures['vehicles']}), "
+        f"{percent('pck_given')} in given boxes; keypoint recall {percent('keypoint_recall')}"
+        + "".join(f"; {name} recall {percent(f'{name}_recall')}" for name in CATEGORIES if f"{name}_recall" in figures)
+    )
+
+
+def announce(
+    config: RunConfig,
+    training: TrainingState,
+    training_set: TrainingSet,
+    parts: Sequence[TrainingSource],
+    where: str,
+    console: Console,
+) -> None:
+    """Say how a run trains, on what, and what is unusual about it.
+
+    Args:
+        config: Datasets, recipe and seed.
+        training: The state that it begins or goes on with.
+        training_set: What is learnt from, of all datasets.
+        parts: The datasets, one by one.
+        where: Device and processes, in words.
+        console: Where it is said.
+    """
+    recipe = config.recipe
+    console.say(f"{recipe.describe(training.config.min_size)}; {training.origin}; seed {config.seed}; {where}")
+    if not training.config.stock:
+        console.say(f"network: {training.config.architecture}")
+    if training.teacher is not None:
+        console.say(f"learns from {recipe.teacher.checkpoint} beside the labels")
+    names = " + ".join(config.data)
+    if config.scheme.flip is None:
+        console.say(f"images are not mirrored: of scheme {config.scheme.name} no mirror partners are known")
+    learnt = f"{counted(len(training_set), 'image')} with {counted(training_set.vehicles, 'vehicle')} to learn from"
+    kept = [part.validated for part in parts]
+    images, vehicles = sum(len(file.images) for file in kept), sum(not a.ignored for f in kept for a in f.annotations)
+    checked = f"{counted(images, 'image')} with {counted(vehicles, 'vehicle')}" if images else "none"
+    console.say(f"{names}: {learnt}, {checked} to validate on")
+    if len(config.detector_categories) > 1:
+        learnt = f"{counted(training_set.road_users, 'other road user')} to learn from"
+        console.say(f"categories {', '.join(config.detector_categories)}: {learnt}; keypoints of vehicles alone")
+    for part in parts if recipe.exclude_types else ():
+        types = ", ".join(recipe.exclude_types)
+        console.say(f"{part.dataset.root}: {counted(part.excluded, 'vehicle')} left out by type ({types})")
+        if part.untyped:
+            console.warn(
+                f"{part.dataset.root}: does not say the type of {counted(part.untyped, 'vehicle')}: they are learnt, "
+                f"whether {types} or not"
+            )
+    if training.epochs_done or training.steps_done:
+        within = f" and {training.steps_done} steps" if training.steps_done else ""
+        console.say(f"resumed after epoch {training.epochs_done}{within}")
+    elif training.config.norm == "batch" and recipe.learning_rate < 0.01 and "random" in training.origin:
+        console.say(f"recipe {recipe.name} fine-tunes trained weights; `--recipe scratch` is made for random ones")
+
 
 SHEET_IMAGES: Final = 4
 """Images of the progress sheet."""

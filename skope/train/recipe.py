@@ -1,23 +1,148 @@
-"""Training recipes as data: every value that shapes the result, in one place."""
+"""Training recipes as data: every value that shapes the result, read from TOML files and `name=value` flags.
 
+A recipe may name a teacher: a detector whose answers a smaller one learns from.
+"""
+
+import difflib
 import math
+import tomllib
+import types
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, fields, replace
+from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Final, Self
+from typing import Any, Final, Self, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from skope.detector.build import check_anchors, check_box_passes
 from skope.errors import UserError, one_of
+from skope.files.atomic import read_text
 from skope.schema import VEHICLE_TYPES
-from skope.train import overrides
 from skope.train.augment import Augment
 from skope.train.network_shape import NetworkShape
-from skope.train.teacher_rules import TeacherRules
+
+
+@dataclass(frozen=True, kw_only=True)
+class TeacherRules:
+    """The detector whose answers are learnt beside the labels, and the weight of each kind; labels count 1."""
+
+    checkpoint: str | None = None
+    """A name, run folder or file, as `--checkpoint` takes it; None: labels alone are learnt."""
+    classes: float = 1.0
+    boxes: float = 1.0
+    keypoints: float = 1.0
+    temperature: float = 1.0
+    """Logits are divided by it before they become probabilities: more makes them softer."""
+    sharpen: float = 1.0
+    """The teacher's heat maps are multiplied by it: those of a detector whose scores were calibrated are flatter than
+    what it has learnt."""
+
+    def __post_init__(self) -> None:
+        for name in ("classes", "boxes", "keypoints"):
+            if not 0 <= getattr(self, name) <= 1000:
+                raise UserError(f"{name}: expected 0 to 1000, got {getattr(self, name)}")
+        for name in ("temperature", "sharpen"):
+            if not 0.1 <= getattr(self, name) <= 100:
+                raise UserError(f"{name}: expected 0.1 to 100, got {getattr(self, name)}")
+
+    @property
+    def of_boxes(self) -> bool:
+        """Whether its classes or boxes count."""
+        return max(self.classes, self.boxes) > 0
+
+
+T = TypeVar("T")
+
+NONE_WORD = "none"
+"""Ways in which people write None, for which TOML has no word."""
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """The table of a TOML file; a missing or malformed one is a UserError that names it."""
+    try:
+        return tomllib.loads(read_text(path))
+    except tomllib.TOMLDecodeError as error:
+        raise UserError(f"{path}: not valid TOML: {error}") from None
+
+
+def from_flags(flags: Sequence[str], where: str) -> dict[str, Any]:
+    """Nested values of flags like `augment.blur=0.2`; a value is written as in TOML, text without quotes too."""
+    values: dict[str, Any] = {}
+    for flag in flags:
+        name, equals, text = flag.partition("=")
+        if not equals or not name.strip():
+            raise UserError(f"{where} {flag}: expected name=value")
+        *tables, leaf = name.strip().split(".")
+        into = values
+        for table in tables:
+            into = into.setdefault(table, {})
+        try:
+            into[leaf] = tomllib.loads(f"value = {text}")["value"]
+        except tomllib.TOMLDecodeError:
+            into[leaf] = text.strip()
+    return values
+
+
+def with_values(base: T, values: Mapping[str, Any], where: str) -> T:
+    """A copy of a dataclass with other values, nested tables for nested dataclasses.
+
+    Raises UserError, beginning with `where` and the field, for unknown names and wrong types.
+    """
+    hints = get_type_hints(type(base))
+    names = {field.name for field in fields(base)}  # type: ignore[arg-type]
+    new: dict[str, Any] = {name: getattr(base, name) for name in names}
+    for name, value in values.items():
+        if name not in names:
+            close = difflib.get_close_matches(name, names, n=1)
+            hint = f"; did you mean {close[0]}?" if close else f"; there are: {', '.join(sorted(names))}"
+            raise UserError(f"{where}{name}: no such value{hint}")
+        if is_dataclass(new[name]):
+            if not isinstance(value, Mapping):
+                raise UserError(f"{where}{name}: expected a table, got {value!r}")
+            new[name] = with_values(new[name], value, f"{where}{name}.")
+        else:
+            new[name] = _typed(value, hints[name], f"{where}{name}")
+    try:
+        return type(base)(**new)
+    except UserError as error:
+        raise UserError(f"{where}{error}") from None
+
+
+def _typed(value: Any, hint: Any, where: str) -> Any:
+    choices = get_args(hint) if get_origin(hint) in (Union, types.UnionType) else (hint,)
+    if type(None) in choices and value in (None, NONE_WORD):
+        return None
+    for choice in choices:
+        if choice is float and isinstance(value, int | float) and not isinstance(value, bool):
+            return float(value)
+        if choice in (int, str, bool) and type(value) is choice:
+            return value
+        if get_origin(choice) is tuple and (items := _items(value, get_args(choice)[0])) is not None:
+            return items
+    words: dict[Any, str] = {
+        int: "a whole number",
+        float: "a number",
+        bool: "true or false",
+        str: "text",
+        type(None): NONE_WORD,
+        tuple[int, ...]: "a list of whole numbers",
+        tuple[str, ...]: "a list of texts",
+    }
+    expected = " or ".join(words[choice] for choice in choices)
+    raise UserError(f"{where}: expected {expected}, got {value!r}")
+
+
+def _items(value: Any, kind: type) -> tuple[Any, ...] | None:
+    """The texts or whole numbers of a list, or of one text with commas between them; None where it is no such list."""
+    if isinstance(value, str):
+        value = [item.strip() for item in value.split(",") if item.strip()]
+        if kind is int and all(item.isdecimal() for item in value):
+            value = [int(item) for item in value]
+    if isinstance(value, list | tuple) and all(type(item) is kind for item in value):
+        return tuple(value)
+    return None
+
 
 SUPERVISE: Final = ("visible", "all")
-_ADDED: Final = ("anchors", "box_passes", "cosine_to", "ema_decay", "ignore_below", "network", "teacher")
-"""Values that the recipes of older runs lack, and have as the recipe `paper` does."""
 SMALL_SIZE: Final = (360, 640)
 """Short and largest long side of images inside the network where two cores are to learn from them, pixels."""
 NORM_CHOICES: Final = ("given", "frozen", "batch")
@@ -126,12 +251,10 @@ class Recipe:
     def from_dict(cls, values: Mapping[str, Any]) -> Self:
         """The recipe of `to_dict`; a UserError says when fields are missing or unknown."""
         names = {field.name for field in fields(cls)}
-        if isinstance(values, Mapping) and "average" in values:  # as older runs call it
-            values = {"ema_decay" if name == "average" else name: value for name, value in values.items()}
-        if not isinstance(values, Mapping) or {*values, *_ADDED} != names:
+        if not isinstance(values, Mapping) or values.keys() != names:
             raise UserError(f"recipe: expected the fields {', '.join(sorted(names))}")
         like: Any = RECIPES["paper"]
-        return overrides.with_values(like, values, "recipe: ")  # type: ignore[no-any-return]
+        return with_values(like, values, "recipe: ")  # type: ignore[no-any-return]
 
     def with_min_size(self, min_size: int) -> Self:
         """The recipe with another short side, pixels; the long side's limit changes in proportion."""
@@ -245,12 +368,12 @@ def choose_recipe(name: str, *, gpu: bool, bfloat16: bool) -> Recipe:
     """
     if name.endswith(".toml"):
         path = Path(name)
-        values = overrides.read_toml(path)
+        values = read_toml(path)
         base = values.pop(_BASE, "auto")
         if base not in CHOICES:
             raise UserError(f"{path}: {_BASE}: {base!r} is not one of {', '.join(CHOICES)}")
         recipe = choose_recipe(base, gpu=gpu, bfloat16=bfloat16)
-        return overrides.with_values(recipe, {"name": path.stem, **values}, f"{path}: ")
+        return with_values(recipe, {"name": path.stem, **values}, f"{path}: ")
     one_of("--recipe", name, CHOICES)
     recipe = RECIPES[("paper" if gpu else "laptop") if name == "auto" else name]
     return recipe if recipe.name == "paper" else replace(recipe, bfloat16=bfloat16)
@@ -258,4 +381,4 @@ def choose_recipe(name: str, *, gpu: bool, bfloat16: bool) -> Recipe:
 
 def adjusted_recipe(recipe: Recipe, flags: Sequence[str]) -> Recipe:
     """The recipe with the values of `--set name=value` flags."""
-    return overrides.with_values(recipe, overrides.from_flags(flags, "--set"), "--set ")
+    return with_values(recipe, from_flags(flags, "--set"), "--set ")

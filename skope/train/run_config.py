@@ -10,7 +10,7 @@ from skope.dataset.folder import Dataset
 from skope.errors import UserError
 from skope.files.json_files import read_json, write_json
 from skope.keypoints import Scheme
-from skope.schema import VEHICLE_ALONE, checked_categories
+from skope.schema import checked_categories
 from skope.train.recipe import Recipe
 
 _RUN_VERSION = 2
@@ -62,8 +62,7 @@ class RunConfig:
             "mix": self.mix,
             "max_images": self.max_images,
             "licences": list(self.licences),
-            # Runs of before there were other categories do not name theirs.
-            **({} if self.categories in (None, VEHICLE_ALONE) else {"categories": list(self.categories)}),
+            "categories": list(self.detector_categories),
         }
 
     @classmethod
@@ -75,7 +74,7 @@ class RunConfig:
                 raise UserError(f"version: expected {_RUN_VERSION}")
             names = ("seed", "mix", "max_images")
             recipe, data = Recipe.from_dict(values["recipe"]), tuple(values["data"])
-            categories = checked_categories(values.get("categories", VEHICLE_ALONE))
+            categories = checked_categories(values["categories"])
             return cls(recipe=recipe, data=data, categories=categories, **{name: values[name] for name in names})
         except KeyError as error:
             raise UserError(f"{run / _CONFIG}: field {error.args[0]} is missing") from None

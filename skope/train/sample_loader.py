@@ -19,7 +19,7 @@ from torch.utils.data import DataLoader, Sampler
 
 from skope.errors import UserError
 from skope.terminal.console import Console, disk_size
-from skope.train.interrupt import ignore_signals
+from skope.train.step import ignore_signals
 from skope.train.training_samples import Draw, TrainingSample, TrainingSet
 
 DrawGroup = Sequence[Draw]

@@ -13,7 +13,7 @@ from skope import schema
 from skope.dataset import image_selection, shards
 from skope.dataset.folder import MANIFEST, Dataset, open_dataset
 from skope.errors import UserError
-from skope.files.reading import read_bytes
+from skope.files.atomic import read_bytes
 from skope.keypoints import Scheme
 from skope.schema import Annotation, AnnotationFile, Image, RoadUser
 from skope.train.targets import Vehicles, vehicles_of
@@ -99,8 +99,8 @@ def common_scheme(sources: Sequence[TrainingSource]) -> Scheme:
     for other in others:
         if other.dataset.scheme is not first.dataset.scheme:
             raise UserError(
-                f"{other.dataset.root}: has keypoint scheme {other.dataset.scheme.title}, {first.dataset.root} has "
-                f"{first.dataset.scheme.title}: datasets of different schemes cannot be learnt together"
+                f"{other.dataset.root}: has keypoint scheme {other.dataset.scheme.name}, {first.dataset.root} has "
+                f"{first.dataset.scheme.name}: datasets of different schemes cannot be learnt together"
             )
     return first.dataset.scheme
 

@@ -20,8 +20,8 @@ from skope.detector.checkpoint import find_checkpoint, load_weights
 from skope.detector.detect import offsets_of_label
 from skope.errors import UserError
 from skope.train.fold_batchnorm import fold_norms
+from skope.train.recipe import TeacherRules
 from skope.train.target_batch import HeightWidth
-from skope.train.teacher_rules import TeacherRules
 
 TEACHER_LOSSES: Final = ("loss_teacher_classes", "loss_teacher_boxes", "loss_teacher_keypoints")
 """Names of the losses that a teacher adds."""

@@ -2,11 +2,47 @@
 come from."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Final
 
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from skope.dataset import shards
+from skope.dataset.folder import read_image
 from skope.metrics.keypoint_outcomes import Options
 from skope.schema import AnnotationFile, Image, Result
-from skope.viewer.pictures import Picture
+
+_MEDIA_TYPES: Final = {".jpg": "image/jpeg", ".jpeg": "image/jpeg", ".png": "image/png", ".webp": "image/webp"}
+"""Media types of the files that every browser shows, by suffix."""
+_JPEG_QUALITY: Final = 90
+
+
+@dataclass(frozen=True, kw_only=True)
+class Picture:
+    """The bytes of an image file, and what they are."""
+
+    media_type: str
+    data: bytes = field(repr=False)
+
+
+def read_picture(path: Path) -> Picture:
+    """The picture in a file, or in a shard's member; a UserError says what is wrong with it."""
+    media_type = _MEDIA_TYPES.get(path.suffix.lower())
+    if media_type is None:
+        return encoded(read_image(path))
+    return Picture(media_type=media_type, data=shards.read(path))
+
+
+def encoded(pixels: NDArray[np.uint8]) -> Picture:
+    """(H, W, 3) RGB as a picture."""
+    done, data = cv2.imencode(
+        ".jpg", cv2.cvtColor(pixels, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY]
+    )
+    assert done
+    return Picture(media_type="image/jpeg", data=data.tobytes())
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

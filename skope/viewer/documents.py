@@ -1,25 +1,67 @@
-"""The JSON that the page asks for: light rows of all images at once, and each image's vehicles when it is shown."""
+"""The JSON that the page asks for: light rows of all images at once, vehicles of an image when it is shown, filters."""
 
 import bisect
 import itertools
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any, Final
 
 import numpy as np
 
 from skope.metrics import outcome_counts
+from skope.metrics.breakdown import HEIGHTS_PX, OCCLUSION_EDGES, band_names
 from skope.metrics.failures import false_detections, wrong_points
 from skope.metrics.keypoint_outcomes import outcomes_at
 from skope.metrics.match import box_of
 from skope.metrics.pck_precision_recall import match_split
 from skope.pictures import draw
-from skope.schema import Annotation, Image, Result, RoadUser
+from skope.schema import VEHICLE_TYPES, Annotation, Image, Result, RoadUser
 from skope.types import Array, Integers
-from skope.viewer import vehicle_filters
-from skope.viewer.collection import Collection, ShownSplit
-from skope.viewer.pictures import Picture
+from skope.viewer.collection import Collection, Picture, ShownSplit
+
+UNKNOWN_VALUE: Final = "unknown"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Quality:
+    """A quality of vehicles that has few values."""
+
+    name: str
+    values: Sequence[str]
+
+
+TYPE: Final = Quality(name="vehicle type", values=(*VEHICLE_TYPES, UNKNOWN_VALUE))
+OCCLUSION: Final = Quality(name="hidden share", values=(*band_names(OCCLUSION_EDGES, "1"), UNKNOWN_VALUE))
+HEIGHT_QUALITY: Final = Quality(name="height, px", values=tuple(band_names(HEIGHTS_PX)))
+QUALITIES: Final = (TYPE, OCCLUSION, HEIGHT_QUALITY)
+
+
+def kind_number(vehicle: Annotation, boxes: str) -> int:
+    """The number that stands for a vehicle's values of all `QUALITIES`, the last one counting in ones.
+
+    `boxes` is which box counts, "full" or "visible".
+    """
+    height = float(box_of(vehicle, boxes)[3])
+    places = (
+        TYPE.values.index(vehicle.vehicle_type or UNKNOWN_VALUE),
+        _band(vehicle.occlusion, OCCLUSION_EDGES, OCCLUSION),
+        _band(height, HEIGHTS_PX, HEIGHT_QUALITY),
+    )
+    number = 0
+    for place, quality in zip(places, QUALITIES, strict=True):
+        number = number * len(quality.values) + place
+    return number
+
+
+def _band(value: float | None, edges: Sequence[float], quality: Quality) -> int:
+    return len(quality.values) - 1 if value is None else int(np.searchsorted(edges, value, side="right"))
+
+
+def described() -> list[dict[str, Any]]:
+    """`QUALITIES` as the page gets them."""
+    return [{"name": quality.name, "values": list(quality.values)} for quality in QUALITIES]
+
 
 SCORE_STEPS: Final = 1000
 """Score thresholds are whole numbers from 0 to this, so that browser and server mean the same."""
@@ -56,7 +98,7 @@ class Documents:
     def index(self) -> dict[str, Any]:
         """The title of the page, and a row of each image in columns: its name, what filters ask of it and its vehicles.
 
-        Vehicles are numbers of `vehicle_filters`, each once.
+        Vehicles are the numbers that `documents.vehicle_filters` gives, each once.
         """
         options, scheme = self._collection.options, self._collection.splits[0].file.scheme
         return {
@@ -68,7 +110,7 @@ class Documents:
             "skeleton": [list(edge) for edge in scheme.skeleton],
             "names": [image.file_name for split in self._collection.splits for image in split.file.images],
             "facets": [self._facet(name, value) for name, value in _FACETS.items()],
-            "qualities": vehicle_filters.described(),
+            "qualities": described(),
             "kinds": [kinds for split in self._splits for kinds in split.kinds()],
             "others": any(len(split.file.categories) > 1 for split in self._collection.splits),
         }
@@ -117,7 +159,7 @@ class _SplitDocuments:
         self._vehicles = [groups[image.id] for image in split.file.images]
         others = split.file.road_users_by_image()
         self._others = [others[image.id] for image in split.file.images]
-        self._kinds = {a.id: vehicle_filters.kind_number(a, self._boxes) for a in split.file.annotations}
+        self._kinds = {a.id: kind_number(a, self._boxes) for a in split.file.annotations}
         if self._options:
             # A detection takes the same vehicle whatever scores below it, so one matching is right at every threshold.
             options = replace(self._options, score=0.0)

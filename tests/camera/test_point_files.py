@@ -8,11 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from skope.camera.calibrate import calibrate
+from skope.camera.calibrate import calibrate, left_out_errors
 from skope.camera.evidence import Evidence, MarkedPoint
 from skope.camera.geographic import local_metres, utm_metres, utm_scale
 from skope.camera.ground_plane import ground_places
-from skope.camera.leave_one_out import left_out_errors
 from skope.camera.model import Camera
 from skope.camera.point_files import read_points
 from skope.errors import UserError

@@ -7,12 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from skope.camera.camera_json import read_uncertain_camera
+from skope.camera.calibration_files import read_uncertain_camera
 from skope.camera.ground_plane import ground_places
 from skope.camera.model import Camera, Distortion
 from skope.camera.uncertain_camera import PARAMETERS, UncertainCamera, moved_camera, values_of
 from skope.errors import UserError
 from skope.types import Array
+from tests.samples import within
 
 LENS = Distortion("brown", (-0.08, 0.01, 0.001, 0.0))
 CAMERA = Camera(
@@ -77,7 +78,7 @@ def test_covariances_are_those_of_repeated_draws(slope: tuple[float, float]) -> 
 def test_a_height_that_is_off_stretches_all_ways() -> None:
     """By similar triangles."""
     camera = Camera.looking([2.0, 3.0, 8.0], yaw=0.3, pitch_down=0.4, size=(1280, 720), fov=1.0)
-    one = UncertainCamera.of_distances(camera, 0.05)
+    one = within(camera, 0.05)
     place = ground_places(camera, [700.0, 500.0])
     away = np.linalg.norm(place[:2] - [2, 3])
     assert np.sqrt(np.linalg.eigvalsh(one.covariance_at(place))) == pytest.approx([0, 0.05 * away], abs=1e-6)
@@ -112,10 +113,6 @@ def test_files_say_how_well_a_camera_is_known(tmp_path: Path) -> None:
     np.testing.assert_allclose(read.covariance, known().covariance)
     path.write_text(json.dumps(document))
     assert read_uncertain_camera(path) is None
-    path.write_text(json.dumps({**document, "sigma": {"distance": 0.04}}))
-    read = read_uncertain_camera(path)
-    assert read is not None
-    assert read.covariance == pytest.approx(np.array([[(0.04 * 6.5) ** 2]]))
     # Logarithms, as cameras from vehicles have them.
     told = {"of": ["log_focal", "log_height"], "matrix": [[0.01, 0.002], [0.002, 0.0025]]}
     path.write_text(json.dumps({**document, "covariance": told}))

@@ -7,6 +7,7 @@ import pytest
 
 from skope.dataset.folder import open_dataset, read_image
 from skope.errors import UserError
+from skope.keypoints import SKOPE33
 from tests.samples import make_dataset
 
 
@@ -52,7 +53,7 @@ def test_what_is_missing_is_said(tmp_path: Path) -> None:
     ],
 )
 def test_a_broken_card_names_its_field(tmp_path: Path, field: str, value: object, words: str) -> None:
-    (tmp_path / "dataset.json").write_text(json.dumps({"keypoint_scheme": "skope33", field: value}))
+    (tmp_path / "dataset.json").write_text(json.dumps({**SKOPE33.fields(), field: value}))
     with pytest.raises(UserError, match=words) as caught:
         open_dataset(tmp_path)
     assert str(caught.value).startswith(f"{tmp_path / 'dataset.json'}: ")

@@ -16,9 +16,8 @@ from torchvision.models.detection.backbone_utils import resnet_fpn_backbone
 from torchvision.ops import FrozenBatchNorm2d
 
 from skope.detector import int8_ranges
-from skope.detector.backbone_norms import multiply_in
-from skope.detector.backbones import with_pyramid
-from skope.detector.backends import bfloat16, eight_bits
+from skope.detector.backbones import multiply_in, with_pyramid
+from skope.detector.backends import bfloat16, prepare
 from skope.detector.build import DetectorConfig, build
 from skope.detector.checkpoint import checkpoint_bytes, load_weights, save_weights
 from skope.detector.detect import detect_on_boxes
@@ -199,7 +198,7 @@ def test_eight_bits_of_a_mobilenet_find_much_the_same(tmp_path: Path) -> None:
     assert alike(logits(packed), expected) > 0.999
     found = int8_ranges.read(packed, read)
     assert found is not None
-    eight_bits.convert(packed, found)
+    prepare.convert(packed, found)
     assert 0.95 < alike(logits(packed), expected) < 0.99999
 
 

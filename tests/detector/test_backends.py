@@ -19,10 +19,8 @@ from skope import boxes
 from skope.dataset.folder import read_image
 from skope.detections import Detections
 from skope.detector import int8_ranges, weights
-from skope.detector.backends import eight_bits
-from skope.detector.backends.network_parts import NetworkPart, RunNetwork, hand_over, parts_of
-from skope.detector.backends.prepare import prepare
-from skope.detector.backends.region_pooling import RegionPooling
+from skope.detector.backends.network_parts import NetworkPart, RegionPooling, RunNetwork, hand_over, parts_of
+from skope.detector.backends.prepare import convert, prepare
 from skope.detector.backends.region_suppression import suppress_together
 from skope.detector.checkpoint import find_checkpoint, load_weights
 from skope.detector.detect import detect, detect_on_boxes
@@ -31,7 +29,7 @@ from skope.schema import CATEGORIES
 from skope.terminal.console import Console
 from skope.types import Floats32
 
-PICTURE = Path(__file__).parents[3] / "docs" / "noon.jpg"
+PICTURE = Path(__file__).parents[2] / "docs" / "noon.jpg"
 """A generated junction by day; six of its vehicles stand clear of one another."""
 CPU = torch.device("cpu")
 
@@ -185,7 +183,7 @@ def test_eight_bits_are_the_arithmetic_of_integers() -> None:
     weights_of = {name: layer.weight.detach().clone() for name, layer in layers.named_modules() if name in ("0", "2")}
     biases = {name: layers.get_submodule(name).bias.detach() for name in weights_of}
     ranges = {"0": (-3.0, 2.5), "2": (-1.5, 1.5)}
-    eight_bits.convert(layers, ranges)
+    convert(layers, ranges)
     rounded = layers(x)
 
     def whole(name: str, values: torch.Tensor) -> tuple[NDArray[np.int64], float, int]:

@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from skope.detector import compact_weights
-from skope.detector.compensated_rounding import CompensatedRounding
+from skope.detector.compact_weights import CompensatedRounding
 
 
 def correlated(count: int, size: int) -> Tensor:

@@ -12,7 +12,7 @@ import torch
 from torchvision.models.detection.faster_rcnn import FastRCNNPredictor
 from torchvision.models.detection.keypoint_rcnn import KeypointRCNNPredictor
 
-from skope.detector import fold_calibration
+from skope.detector import fit_score_calibration
 from skope.detector.checkpoint import find_checkpoint, load_weights
 from skope.detector.detect import detect
 from skope.detector.score_calibration import ScoreCalibration, path_beside
@@ -26,9 +26,9 @@ def test_the_two_numbers_are_found_again() -> None:
     logits = rng.normal(0, 4, 40_000)
     right = rng.random(40_000) < 1 / (1 + np.exp(-(0.6 * logits - 1.3)))
     scores = 1 / (1 + np.exp(-logits))
-    fitted = fold_calibration.fit_boxes(scores, right)
+    fitted = fit_score_calibration.fit_boxes(scores, right)
     assert fitted == (pytest.approx(0.6, abs=0.02), pytest.approx(-1.3, abs=0.04))
-    after = fold_calibration.calibrated(scores, *fitted)
+    after = fit_score_calibration.calibrated(scores, *fitted)
     assert calibration_error(reliability(scores, right)) > 0.1
     assert calibration_error(reliability(after, right)) < 0.01
     sure = after > 0.9
@@ -42,7 +42,7 @@ def test_scores_that_float32_calls_1_do_not_flatten_the_rest() -> None:
     right = rng.random(20_000) < 1 / (1 + np.exp(-logits))
     scores = (1 / (1 + np.exp(-logits))).astype(np.float32).astype(np.float64)
     scores[np.flatnonzero(right)[:200]] = 1.0
-    assert fold_calibration.fit_boxes(scores, right)[0] > 0.85
+    assert fit_score_calibration.fit_boxes(scores, right)[0] > 0.85
 
 
 def test_what_counts_as_found() -> None:
@@ -60,7 +60,7 @@ def test_what_counts_as_found() -> None:
         Result(image_id=1, score=score, bbox=np.array(box, dtype=float), keypoints=np.zeros((33, 3)))
         for score, box in boxes.items()
     ]
-    scores, right = fold_calibration.vehicle_outcomes(file, results)
+    scores, right = fit_score_calibration.vehicle_outcomes(file, results)
     # Found, found a second time, (on an ignored vehicle), nothing there, (too faint).
     assert scores.tolist() == [0.9, 0.8, 0.6]
     assert right.tolist() == [True, False, False]
@@ -72,11 +72,11 @@ def test_folded_weights_give_the_calibrated_scores(random_run: Path) -> None:
     (before,) = detect(model, [image], "cpu", min_score=0.0, max_detections=20)
     points = ScoreCalibration(scale=np.linspace(0.2, 1.7, 33), offset=np.linspace(-3, 2, 33), fitted_on={})
     folded = copy.deepcopy(model)
-    fold_calibration.fold(folded, {1: (0.7, -0.4)}, points)
+    fit_score_calibration.fold(folded, {1: (0.7, -0.4)}, points)
     (after,) = detect(folded, [image], "cpu", min_score=0.0, max_detections=20)
     assert len(before) == len(after) == 20
     np.testing.assert_allclose(after.boxes_xyxy, before.boxes_xyxy, atol=1e-3)
-    np.testing.assert_allclose(after.scores, fold_calibration.calibrated(before.scores, 0.7, -0.4), atol=1e-5)
+    np.testing.assert_allclose(after.scores, fit_score_calibration.calibrated(before.scores, 0.7, -0.4), atol=1e-5)
     np.testing.assert_allclose(after.keypoints[..., :2], before.keypoints[..., :2], atol=1e-3)
     np.testing.assert_allclose(after.keypoints[..., 2], points(before.keypoints)[..., 2], atol=1e-4)
 
@@ -111,7 +111,7 @@ def test_folded_logits_of_each_category_are_the_calibrated_ones(classes: int) ->
     folded = copy.deepcopy(model)
     points = ScoreCalibration(scale=np.ones(33), offset=np.zeros(33), fitted_on={})
     boxes = dict(list({1: (0.7, -0.4), 2: (1.3, 0.6), 3: (0.5, 0.1)}.items())[: classes - 1])
-    fold_calibration.fold(folded, boxes, points)
+    fit_score_calibration.fold(folded, boxes, points)
     # The last of five has nothing of its own, and shares the vehicles' scale.
     for number, (scale, offset) in {**boxes, classes - 1: boxes.get(classes - 1, (0.7, 0.0))}.items():
         logits = torch.full((500, classes), -60.0)
@@ -121,7 +121,7 @@ def test_folded_logits_of_each_category_are_the_calibrated_ones(classes: int) ->
             before = _softmax(box(regions))[:, number]
             after = _softmax(folded.roi_heads.box_predictor.cls_score(regions))[:, number]
         assert before.std() > 0.3
-        np.testing.assert_allclose(after, fold_calibration.calibrated(before, scale, offset), atol=2e-3)
+        np.testing.assert_allclose(after, fit_score_calibration.calibrated(before, scale, offset), atol=2e-3)
 
 
 def test_weights_of_one_class_are_folded_to_the_same_bits_as_ever() -> None:
@@ -133,7 +133,7 @@ def test_weights_of_one_class_are_folded_to_the_same_bits_as_ever() -> None:
         )
     )
     points = ScoreCalibration(scale=np.ones(33), offset=np.zeros(33), fitted_on={})
-    fold_calibration.fold(model, {1: (0.83, -0.37)}, points)
+    fit_score_calibration.fold(model, {1: (0.83, -0.37)}, points)
     with torch.no_grad():
         for parameter in (box.weight, box.bias):
             half = 0.83 * (parameter[1] - parameter[0]) / 2

@@ -4,8 +4,8 @@ import pytest
 import torch
 from torchvision.models.detection.roi_heads import heatmaps_to_keypoints
 
-from skope.detector import heatmap_peaks as module
-from skope.detector.heatmap_peaks import heatmap_peaks
+from skope.detector import detect as module
+from skope.detector.detect import heatmap_peaks
 
 
 @pytest.mark.parametrize("most", [1, 33 * 90 * 90, 2**24])

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from skope.detector.read_ahead import read_ahead
+from skope.detector.predictor import read_ahead
 
 
 def counting(made: list[int], last: int = 1000) -> Iterator[int]:

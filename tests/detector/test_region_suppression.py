@@ -14,8 +14,8 @@ from torchvision.models.detection.transform import GeneralizedRCNNTransform
 from torchvision.ops import batched_nms
 
 from skope.detector.backends import region_suppression
+from skope.detector.backends.prepare import KeptAnchors, ResizeFirst
 from skope.detector.backends.region_suppression import suppress_best_first, suppress_together
-from skope.detector.backends.same_size_images import KeptAnchors, ResizeFirst
 
 SIZES = [(300, 500), (260, 420)]
 

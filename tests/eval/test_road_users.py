@@ -18,7 +18,7 @@ from skope.dataset import coco
 from skope.detections import apart
 from skope.detector import fit_score_calibration
 from skope.detector.checkpoint import read_checkpoint
-from skope.footage.anonymize import blurred
+from skope.footage.overlays import blurred
 from skope.metrics.road_users import box_outcomes
 from skope.schema import CATEGORIES, Annotation, AnnotationFile, Image, Result, RoadUser, RoadUserResult
 from tests import road_users, samples

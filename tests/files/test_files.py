@@ -11,10 +11,9 @@ import pytest
 
 import skope
 from skope.errors import UserError
-from skope.files.atomic import link, replacing, replacing_folder, writing
+from skope.files.atomic import link, read_text, replacing, replacing_folder, writing
 from skope.files.json_files import json_bytes, parse_json
 from skope.files.output_folders import claim_output
-from skope.files.reading import read_text
 
 
 def test_a_folder_appears_when_it_is_whole(tmp_path: Path) -> None:

@@ -31,8 +31,7 @@ from skope.gen.output.writers import checksum, unpack_shards
 from skope.gen.pipeline.dataset_store import Store
 from skope.gen.scene import recording as recordings
 from skope.gen.towns import town
-from skope.gen.towns.town import Town
-from skope.gen.towns.user_road import OwnRoad
+from skope.gen.towns.town import OwnRoad, Town
 from skope.schema import Result
 from skope.train import splits
 from tests import hostile

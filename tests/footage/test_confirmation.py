@@ -10,8 +10,7 @@ import pytest
 
 from skope.dataset import coco
 from skope.detector.predictor import Predictor
-from skope.footage.confirmation import Confirmation
-from skope.footage.expected_sizes import ExpectedSizes
+from skope.footage.confirmation import Confirmation, ExpectedSizes
 from skope.schema import Result
 from tests.eval.cli.test_footage import numbered_video
 

@@ -5,7 +5,7 @@ from functools import partial
 import numpy as np
 
 from skope.footage.confirmation import Confirmation
-from skope.footage.numbers_by_category import Linked, NumbersByCategory
+from skope.footage.predict_job import Linked, NumbersByCategory
 from skope.schema import AnyResult, RoadUserResult
 from tests.footage.test_confirmation import driving, result
 

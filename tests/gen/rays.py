@@ -3,8 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from skope.gen.scene.recording import Moment
-from skope.gen.scene.road_user_bodies import body_of
+from skope.gen.scene.recording import Moment, body_of
 
 Array = NDArray[np.float64]
 

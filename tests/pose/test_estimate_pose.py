@@ -17,8 +17,7 @@ from skope.gen.vehicles.fleet import fleet
 from skope.pose import estimate_pose
 from skope.pose.keypoint_views import Scene
 from skope.pose.pose_records import locate_view
-from skope.pose.self_occlusion import facing
-from skope.pose.shape_model import Shapes, fleet_shapes, read_shapes
+from skope.pose.shape_model import Shapes, facing, fleet_shapes, read_shapes
 from skope.schema import AnnotationFile, Image, Result
 from tests.sightings import CAMERA, scene
 

@@ -7,9 +7,8 @@ from zoneinfo import ZoneInfo
 import pytest
 
 from skope.errors import UserError
-from skope.site.local_times import clock_doubt
-from skope.site.site_file import parse_site
-from skope.traffic.recording_begin import said_begin
+from skope.site.site_file import clock_doubt, parse_site
+from skope.traffic.recordings import said_begin
 
 
 @pytest.mark.parametrize(

@@ -18,8 +18,7 @@ from skope.dataset.folder import read_image
 from skope.pictures.median import median_of
 from skope.schema import AnnotationFile
 from skope.tracking import birdseye, birdseye_video, map_signs
-from skope.tracking.empty_road import empty_road
-from skope.tracking.ground_view import GroundView
+from skope.tracking.ground_view import GroundView, empty_road
 from skope.tracks.track import Track
 from skope.video.write import write_video
 from tests.samples import make_image

@@ -5,7 +5,7 @@ from itertools import permutations
 import numpy as np
 import pytest
 
-from skope.tracking.least_cost_pairs import cheapest_pairs
+from skope.tracking.box_links import cheapest_pairs
 
 
 @pytest.mark.parametrize("seed", range(20))

@@ -355,7 +355,7 @@ def test_results_of_other_road_users_are_followed(skope: Any) -> None:
     ]
     coco.write(Path("road.json"), replace(file, annotations=(), road_users=()))
     coco.write_results(Path("found.json"), found)
-    call = ("--annotations", "road.json", "--predictions", "found.json", "--keypoint-edition", 2)
+    call = ("--annotations", "road.json", "--predictions", "found.json")
     code, said, error = skope("eval", "track", *call, "--out", "t", "-q")
     assert code == 0, error
     assert "besides: 1 pedestrian" in said

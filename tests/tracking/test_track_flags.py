@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 from skope.camera.model import Camera
-from skope.camera.uncertain_camera import UncertainCamera
 from skope.schema import VEHICLE_TYPES
 from skope.tracking.track_flags import box_never_moved, flagged
-from skope.tracking.vehicle_classes import VEHICLE_CLASS_NAMES, vehicle_class
+from skope.tracking.tracks import VEHICLE_CLASS_NAMES, vehicle_class
 from skope.tracks.track import Track
 from skope.traffic.observation import Observation
+from tests.samples import within
 
 
 def track(number: int, xy: Any, *, seconds: float = 6.0, poses: int | None = None) -> Track:
@@ -229,7 +229,7 @@ def test_the_cameras_error_widens_what_a_track_says() -> None:
     """All distances from the camera's foot off by 5%, as where its height is."""
     one = track(1, along(0, 12, count=40))
     camera = Camera.looking([-10.0, 0.0, 8.0], yaw=0.0, pitch_down=0.3)
-    known = UncertainCamera.of_distances(camera, 0.05)
+    known = within(camera, 0.05)
     observed = Observation(times_s=one.times_s, camera=camera, uncertainty=known, common_sigma=known.ways_sigma())
     wide = observed.with_camera_error(one)
     assert wide.speed_sigma == pytest.approx(np.hypot(0.2, 0.05 * one.speed))

@@ -16,8 +16,8 @@ import pytest
 import sumolib
 
 from skope.errors import UserError
-from skope.site.on_earth import on_earth
 from skope.site.site_file import SiteFile, parse_site
+from skope.site.world import on_earth
 from skope.traffic.exports.excel import write_excel
 from skope.traffic.exports.geojson import write_geojson
 from skope.traffic.exports.openlabel import write_openlabel
@@ -154,7 +154,7 @@ def test_degrees_and_back(longitude: float, latitude: float) -> None:
     from skope.camera.geographic import local_metres
 
     places = np.array([[0.0, 0.0], [120.0, -80.0], [-2000.0, 3000.0]])
-    turn, tilt = on_earth(site, places).T
+    turn, tilt = on_earth(site.world, places).T
     assert local_metres(turn, tilt, (longitude, latitude)) == pytest.approx(places, abs=1e-4)
 
 

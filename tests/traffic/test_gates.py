@@ -12,7 +12,6 @@ import pytest
 
 from skope.camera.ground_plane import Ground, ground_places
 from skope.camera.model import Camera
-from skope.camera.uncertain_camera import UncertainCamera
 from skope.site.gates_zones_lanes import Gate, Lane
 from skope.site.traffic_settings import TrafficSettings
 from skope.tracks.track import Track
@@ -22,6 +21,7 @@ from skope.traffic.join_broken_tracks import join_trajectories
 from skope.traffic.lanes import LaneMap, lane_changes
 from skope.traffic.measure import measure
 from skope.traffic.observation import Observation
+from tests.samples import within
 from tests.traffic.drives import GATE, along_x, drive, straight, then, watched
 from tests.traffic.test_missed_crossings import SITE
 
@@ -206,7 +206,7 @@ CAMERA = Camera.looking((0.0, 0.0, 8.0), yaw=0.0, pitch_down=0.25, size=(1280, 7
 
 def seen_by(camera: Camera, share: float | None, seconds: float = 60.0) -> Observation:
     """Footage of a camera whose distances are off by a common share, one standard deviation; None: not known."""
-    known = None if share is None else UncertainCamera.of_distances(camera, share)
+    known = None if share is None else within(camera, share)
     return replace(watched(seconds, common=share), camera=camera, uncertainty=known, ground=Ground())
 
 
@@ -275,7 +275,7 @@ def test_the_cameras_error_is_one_for_all_at_a_surveyed_gate() -> None:
 
 def test_a_surveyed_gate_lies_elsewhere_among_the_tracks_of_a_wrong_camera() -> None:
     """A camera taken to hang 10% too high puts everything 10% farther away: so must the gate be, under the true one."""
-    known = UncertainCamera.of_distances(CAMERA, 0.1)
+    known = within(CAMERA, 0.1)
     gate = Gate(name="g", line=((40.0, 6.0), (40.0, -6.0)))
     draws = gates_of_other_cameras((gate,), seen_by(CAMERA, 0.1))
     assert len(draws) == 24

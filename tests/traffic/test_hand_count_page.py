@@ -26,8 +26,7 @@ from skope.tracks.csv_file import TRACKS_CSV, write_tracks
 from skope.traffic.image_counts import count_in_image
 from skope.traffic.measure import measure
 from skope.traffic.observation import FOOTAGE, Observation
-from skope.traffic.page.hand_count_data import LETTERS, hand_count_data, packed_times
-from skope.traffic.page.hand_count_panel import hand_count_panel
+from skope.traffic.page.hand_count import LETTERS, hand_count_data, hand_count_panel, packed_times
 from skope.traffic.page.page import traffic_page
 from skope.traffic.recordings import SiteRecording
 from skope.traffic.traffic_report import TrafficReport
@@ -342,7 +341,7 @@ def test_the_page_holds_who_crossed_when_and_went_where() -> None:
 
 
 def test_too_many_crossings_are_left_out_and_said(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("skope.traffic.page.hand_count_data.MOST_CROSSINGS", 1)
+    monkeypatch.setattr("skope.traffic.page.hand_count.MOST_CROSSINGS", 1)
     report = report_of()
     data = hand_count_data(report, None)
     assert (data["crossings"], data["movements"]) == (None, None)

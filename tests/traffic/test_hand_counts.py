@@ -15,9 +15,8 @@ from skope.site.traffic_settings import TrafficSettings
 from skope.traffic.count_uncertainty import CountDistribution, CountErrors, CountInterval
 from skope.traffic.counting_intervals import ClockInterval
 from skope.traffic.event_probability import MissRateGroup
-from skope.traffic.hand_checks import counts_adjusted_by_hand, hand_checks, hand_lines
+from skope.traffic.hand_checks import CountEvidence, counts_adjusted_by_hand, hand_checks, hand_lines, learnt_miss_rates
 from skope.traffic.hand_count_file import HandCount, read_hand_counts
-from skope.traffic.learn_miss_rates import CountEvidence, learnt_miss_rates
 from skope.traffic.measure import measure
 from skope.traffic.missed_crossings import Unseen
 from skope.traffic.observation import Observation

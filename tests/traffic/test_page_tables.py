@@ -10,17 +10,17 @@ import pytest
 
 from skope.camera.model import Camera
 from skope.site.site_file import parse_site
-from skope.traffic.empty_road_picture import (
-    EmptyRoadPicture,
-    empty_road_picture,
-    read_empty_road_picture,
-    write_empty_road_picture,
-)
 from skope.traffic.image_counts import count_in_image
 from skope.traffic.left_out_crossings import left_out_crossings
 from skope.traffic.measure import measure
 from skope.traffic.page.gates_in_picture import gates_in_picture
 from skope.traffic.page.page import traffic_page
+from skope.traffic.road_picture import (
+    EmptyRoadPicture,
+    empty_road_picture,
+    read_empty_road_picture,
+    write_empty_road_picture,
+)
 from skope.traffic.traffic_report import TrafficReport
 from tests.traffic.drives import straight, watched
 from tests.traffic.test_exports import HEAD, junction_report

@@ -11,7 +11,7 @@ import pytest
 from skope.errors import UserError
 from skope.traffic.measure import measure
 from skope.traffic.observation import Observation, checked_sight, held_s, read_observation
-from skope.traffic.poor_sight import sight_in, sight_lines
+from skope.traffic.report_remarks import sight_in, sight_lines
 from skope.traffic.write_report import write_traffic_report
 from tests.traffic.drives import straight, watched
 from tests.traffic.test_missed_crossings import SITE
@@ -72,16 +72,17 @@ def test_the_report_marks_its_intervals(tmp_path: Path) -> None:
     assert any(line.startswith("the camera saw little: 10 s dark") for line in summary["refused"])
 
 
-def test_footage_without_it_is_read_as_before_and_what_is_wrong_is_said(tmp_path: Path) -> None:
+def test_what_is_written_is_read_again_and_what_is_wrong_is_said(tmp_path: Path) -> None:
     seen = replace(watched(1.0), moved_s=np.array([1.1, 1.2]), sight=LOOKS[:3])
     document = seen.to_dict()
     (tmp_path / "footage.json").write_text(json.dumps(document))
     read = read_observation(tmp_path)
     assert (read.moved_s.tolist(), read.sight.tolist()) == ([1.1, 1.2], LOOKS[:3].tolist())
-    del document["sight"], document["moved_times_s"]
-    (tmp_path / "footage.json").write_text(json.dumps(document))
-    read = read_observation(tmp_path)
-    assert (len(read.moved_s), read.sight.shape) == (0, (0, 3))
+    for name, said in (("sight", "expected rows of time"), ("moved_times_s", "expected a list of numbers")):
+        without = {key: value for key, value in document.items() if key != name}
+        (tmp_path / "footage.json").write_text(json.dumps(without))
+        with pytest.raises(UserError, match=f"footage.json: {name}: {said}"):
+            read_observation(tmp_path)
     for rows in ("dark", [[1, 2]], [[0, 1, 1], [0, 1, 1]], [[0, 1, "x"]], [[0, 1, None]], [[0.0, 1.0, float("inf")]]):
         with pytest.raises(UserError, match=r"^f: sight: expected rows of time, brightness and contrast"):
             checked_sight(rows, "f: sight")

@@ -23,7 +23,7 @@ from skope.site.site_file import parse_site
 from skope.tracks.csv_file import TRACKS_CSV, write_tracks
 from skope.tracks.track import Track
 from skope.traffic.observation import FOOTAGE, Observation, held_s
-from skope.traffic.recording_begin import begin_in_name
+from skope.traffic.recordings import begin_in_name
 from skope.traffic.report_tables import report_tables
 from tests.sightings import drive
 from tests.traffic.drives import straight

@@ -24,7 +24,7 @@ from skope.schema import AnnotationFile, Result, RoadUserResult
 from skope.site.site_file import parse_site, read_site
 from skope.site.traffic_settings import TrafficSettings
 from skope.site.write_site import save_site
-from skope.tracking.track_errors import with_body_error
+from skope.tracking.headings import with_body_error
 from skope.tracking.track_list import Tracks
 from skope.tracking.vehicle_tracker import follow
 from skope.tracks.csv_file import TRACKS_CSV, read_tracks, write_tracks
@@ -190,7 +190,7 @@ def test_files_that_are_wrong_get_one_line(skope: Skope, tracks: AnnotationFile)
     Path("t/footage.json").write_text(footage.replace('"times_s":[0.0', '"times_s":[9.0'))
     refused("t/footage.json: times_s: expected times that rise from frame to frame")
     Path("t/footage.json").unlink()
-    refused("t/footage.json: no such file; `skope eval track` of this version writes it")
+    refused("t/footage.json: no such file; `skope eval track` writes it")
     code, _, err = skope("eval", "traffic", "t", "--begins", "noon", "--out", "r")
     assert (code, "--begins: expected a time" in err) == (2, True)
 

@@ -20,7 +20,6 @@ from skope.detector.build import DetectorConfig, KeypointNetwork, build
 from skope.detector.checkpoint import load_weights, read_checkpoint, save_weights
 from skope.errors import UserError
 from skope.terminal.console import Console
-from skope.train import input_moments
 from skope.train.export import OUTPUTS, Deployed, export
 from tests import samples
 from tests.train.test_loop import train
@@ -104,7 +103,7 @@ def test_compact_weights_are_rounded_for_a_dataset(
         size = model.state_dict()[name].flatten(1).shape[1]
         return {name: torch.full((size, size), 0.5) + torch.eye(size)}
 
-    monkeypatch.setattr(input_moments, "gather", gather)
+    monkeypatch.setattr("skope.train.export.gather", gather)
     path = tmp_path / "rounded.safetensors"
     export(checkpoint, "compact", path, data=data, console=Console(quiet=True))
     (image,) = seen

@@ -7,7 +7,7 @@ import torch
 from torch import nn
 from torchvision.ops import FrozenBatchNorm2d
 
-from skope.detector.backbone_norms import multiply_in
+from skope.detector.backbones import multiply_in
 from skope.detector.build import DetectorConfig, build
 from skope.train.fold_batchnorm import fold_norms
 from tests.detector.test_detector import use_uneven_statistics

@@ -6,7 +6,7 @@ import torch
 from torch import nn
 
 from skope.detector.build import DetectorConfig, build
-from skope.train import input_moments
+from skope.train import export
 from tests.train.conftest import shrink
 
 
@@ -14,7 +14,7 @@ from tests.train.conftest import shrink
 def test_inputs_of_a_convolution_are_its_patches(kernel: int, stride: int, pad: int) -> None:
     layer = nn.Conv2d(5, 4, kernel, stride=stride, padding=pad, bias=False)
     x = torch.randn(2, 5, 9, 11, generator=torch.Generator().manual_seed(0))
-    patches = input_moments._sample(layer, x, torch.Generator())
+    patches = export._sample(layer, x, torch.Generator())
     outputs = patches @ layer.weight.flatten(1).T
     torch.testing.assert_close(outputs, layer(x).permute(0, 2, 3, 1).flatten(0, 2), atol=1e-5, rtol=1e-5)
 
@@ -25,7 +25,7 @@ def test_all_layers_of_a_detector_are_seen(monkeypatch: pytest.MonkeyPatch) -> N
     model = build(DetectorConfig(norm="frozen", norm_eps=1e-5, min_size=64, max_size=96)).eval()
     model.roi_heads.score_thresh = 0.0
     image = np.random.default_rng(0).integers(0, 256, (64, 96, 3), dtype=np.uint8)
-    moments = input_moments.gather(model, [image])
+    moments = export.gather(model, [image])
     layers = {name: m for name, m in model.named_modules() if isinstance(m, nn.Conv2d | nn.Linear)}
     assert moments.keys() == {f"{name}.weight" for name in layers}
     for name, layer in layers.items():

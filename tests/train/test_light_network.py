@@ -15,7 +15,7 @@ from skope.detector.backbones import BACKBONES
 from skope.detector.build import DetectorConfig, build
 from skope.detector.checkpoint import load_weights
 from skope.errors import UserError
-from skope.train import cli, init_weights, input_moments
+from skope.train import cli, export, init_weights
 from skope.train.network_shape import NetworkShape
 from tests import samples
 from tests.detector.test_detector import SMALL
@@ -97,7 +97,7 @@ def test_inputs_of_convolutions_in_groups_are_left_to_plain_rounding() -> None:
     network = replace(NARROW, backbone="mobilenet_v3_large")
     model = build(DetectorConfig(norm="frozen", norm_eps=1e-3, **SMALL, **network.asked)).eval()
     model.roi_heads.score_thresh = 0.0
-    moments = input_moments.gather(model, [np.zeros((64, 96, 3), np.uint8)])
+    moments = export.gather(model, [np.zeros((64, 96, 3), np.uint8)])
     sizes = {f"{n}.weight": m.weight[0].numel() for n, m in model.named_modules() if isinstance(m, nn.Conv2d)}
     grouped = {f"{n}.weight" for n, m in model.named_modules() if isinstance(m, nn.Conv2d) and m.groups > 1}
     assert len(grouped) == 15

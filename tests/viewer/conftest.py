@@ -10,9 +10,8 @@ from skope.dataset import coco
 from skope.dataset.folder import open_dataset
 from skope.metrics.keypoint_outcomes import Options
 from skope.schema import CATEGORIES, Result
-from skope.viewer.collection import Collection, ShownSplit
+from skope.viewer.collection import Collection, ShownSplit, read_picture
 from skope.viewer.documents import Documents
-from skope.viewer.pictures import read_picture
 from skope.viewer.server import bound
 from tests.eval.report.test_page import detector_of
 from tests.samples import make_annotation, make_dataset, make_road_user

@@ -15,10 +15,9 @@ from skope.metrics.breakdown import FleetInfo
 from skope.metrics.keypoint_outcomes import Options
 from skope.metrics.split_scores import SplitScores, split_metrics
 from skope.schema import Result
-from skope.viewer import vehicle_filters
+from skope.viewer import documents
 from skope.viewer.collection import Collection, ShownSplit
-from skope.viewer.documents import SCORE_STEPS, Documents
-from skope.viewer.vehicle_filters import HEIGHT_QUALITY, OCCLUSION, QUALITIES, TYPE, kind_number
+from skope.viewer.documents import HEIGHT_QUALITY, OCCLUSION, QUALITIES, SCORE_STEPS, TYPE, Documents, kind_number
 from tests.samples import make_annotation, make_dataset
 from tests.viewer.conftest import HOSTILE
 
@@ -79,7 +78,7 @@ def test_bands_are_those_of_the_breakdown(height: float, occlusion: float, bands
     vehicle = replace(make_annotation(1, 1, (0, 0, 9, height)), occlusion=occlusion)
     for boxes in ("full", "visible"):
         assert values_of(kind_number(vehicle, boxes))[1:] == bands[::-1]
-    assert [quality["name"] for quality in vehicle_filters.described()] == [
+    assert [quality["name"] for quality in documents.described()] == [
         TYPE.name,
         OCCLUSION.name,
         HEIGHT_QUALITY.name,

@@ -13,9 +13,8 @@ import numpy as np
 import pytest
 
 from skope.viewer import local_server
-from skope.viewer.collection import Collection
+from skope.viewer.collection import Collection, read_picture
 from skope.viewer.documents import Documents
-from skope.viewer.pictures import read_picture
 from skope.viewer.server import bound
 from tests.html_page import Page
 from tests.local_page import begun

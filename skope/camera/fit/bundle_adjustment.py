@@ -8,7 +8,7 @@ Unknown are
 - of each vehicle its shape, one in all its views;
 - of each view the vehicle's place on the road and its heading.
 
-Keypoints that the vehicle's own body hides do not count (`skope.pose.self_occlusion`), others as Cauchy's
+Keypoints that the vehicle's own body hides do not count (`skope.pose.shape_model`), others as Cauchy's
 distribution has it. Levenberg and Marquardt's method takes views, then vehicles, out of the normal equations (Schur's
 complement, Triggs et al. 2000): what is left to solve is as small as the camera and the offsets, and the sum of a part
 for each vehicle, which says how differently single vehicles pull.
@@ -25,19 +25,16 @@ from skope import keypoints
 from skope.camera.fit.camera_unknowns import FOCAL, HEIGHT, UNKNOWN_NAMES, Pictured, by_camera, camera_of_unknowns
 from skope.camera.fit.normal_equations import Linearised, Parts, summed
 from skope.camera.ground_plane import Ground
-from skope.pose import closed_form_starts, robust_loss
+from skope.pose import closed_form_starts, observations
+from skope.pose.closed_form_starts import Starts
 from skope.pose.observations import LEAST_PROBABILITY, observe
-from skope.pose.self_occlusion import facing
-from skope.pose.shape_model import Shapes
-from skope.pose.starts import Starts
+from skope.pose.shape_model import Shapes, facing
 from skope.types import Array, Mask
 
 _STRIDE: Final = np.array([0.3, 0.2, 0.1, 0.3, 0.05])
 """The camera's unknowns change by so much at most in a step."""
 _OFFSET: Final = 0.04
 """Standard deviation of a keypoint's offset, metres an axis."""
-_FIRST_BUMPER_OFFSET: Final = 0.12
-"""The same of the corners of bumpers, which the first edition has under the lip, and people see at the outline."""
 _HIDDEN: Final = 6.0
 """Cost of a keypoint that the body hides: without one, cameras that see little would win."""
 _MIDDLE_OFFSET: Final = 0.001
@@ -204,7 +201,7 @@ class BundleAdjustment:
         self._center = np.concatenate([known.center, np.zeros(rest)])
         self._seen = views.found[..., 2] >= LEAST_PROBABILITY
         self._variance = (views.sigma_px**2)[:, None] / np.clip(views.found[..., 2], LEAST_PROBABILITY, 1.0)
-        self._prior = known.precision(_offset_sigma(views.shapes.edition))
+        self._prior = known.precision(_offset_sigma())
 
     def begun(self, camera: Array) -> Bundle:
         """Vehicles placed under a camera (5,) in closed form, each of the body type whose mean fits its views."""
@@ -356,9 +353,9 @@ class BundleAdjustment:
         away = pictured.pixels - views.found[..., :2]
         variance = self._variance + (focal * self._shapes.rest[kind] / pictured.near) ** 2
         squared = np.where(pictured.front, (away**2).sum(axis=-1) / variance, _BEHIND)
-        each = np.where(counted, robust_loss.cost(squared), _HIDDEN * self._seen)
+        each = np.where(counted, observations.cost(squared), _HIDDEN * self._seen)
         vehicle_cost = self._by_vehicle(each.sum(axis=1)) + (bundle.shape**2).sum(axis=1)
-        weight = np.where(counted & pictured.front, robust_loss.weight(squared) / variance, 0.0)
+        weight = np.where(counted & pictured.front, observations.weight(squared) / variance, 0.0)
         # Derivatives of the image by a shift in the world, by the pose, by the shape.
         by_world = pictured.by_world()
         by_body = np.einsum("bkij,bjl->bkil", by_world, R)
@@ -380,11 +377,9 @@ class BundleAdjustment:
         return Linearised.of(squared, vehicle_cost, weight, away, by_pose, by_shape, by_shared)
 
 
-def _offset_sigma(edition: int) -> Array:
-    """(G, 3) standard deviations of the offsets of keypoints that are marked by an edition, metres."""
-    bumpers = _FIRST_BUMPER_OFFSET if edition == 1 else _OFFSET
-    names = [keypoints.NAMES[pair[0]] for pair in _GROUPS]
-    sigma = np.array([[bumpers if name.startswith("bumper") else _OFFSET] * 3 for name in names])
+def _offset_sigma() -> Array:
+    """(G, 3) standard deviations of the keypoints' offsets, metres."""
+    sigma = np.full((len(_GROUPS), 3), _OFFSET)
     sigma[[one == other for one, other in _GROUPS], 1] = _MIDDLE_OFFSET
     return sigma
 

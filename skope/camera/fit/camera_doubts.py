@@ -6,9 +6,9 @@ from typing import Final
 
 import numpy as np
 
-from skope.camera.derivatives import slopes
 from skope.camera.fit.camera_unknowns import FOCAL, HEIGHT, UNKNOWN_STEP, camera_of_unknowns, on_road
 from skope.camera.fit.fit_camera import CameraEstimate, gain_of_pixel_width
+from skope.camera.uncertain_camera import slopes
 from skope.pose.fit_body_types import INLIER
 from skope.types import Array
 

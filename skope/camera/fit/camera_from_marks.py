@@ -9,10 +9,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from skope.camera.calibrate import SiteCalibration, calibrate
+from skope.camera.calibrate import LeftOutError, SiteCalibration, calibrate, left_out_errors
 from skope.camera.evidence import Evidence
 from skope.camera.fit.write_camera import camera_figures, write_camera
-from skope.camera.leave_one_out import LeftOutError, left_out_errors
 from skope.camera.point_files import read_points
 from skope.camera.uncertain_camera import UncertainCamera
 from skope.errors import UserError

@@ -6,9 +6,9 @@ from typing import Final, Self
 
 import numpy as np
 
-from skope.camera.derivatives import slopes
 from skope.camera.ground_plane import ground_places
 from skope.camera.model import Camera, Distortion
+from skope.camera.uncertain_camera import slopes
 from skope.pose.observations import NEAREST_M
 from skope.types import Array, Mask
 

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from skope.camera.calibrate import calibrate
-from skope.camera.camera_json import read_uncertain_camera
+from skope.camera.calibration_files import read_uncertain_camera
 from skope.camera.evidence import Evidence
 from skope.camera.fit.camera_from_marks import evidence_of, place_errors
 from skope.camera.fit.write_camera import write_camera

@@ -12,6 +12,7 @@ from skope.camera.fit.bundle_adjustment import VehicleViews
 from skope.errors import UserError
 from skope.pose.keypoint_views import Scene, View
 from skope.pose.observations import LEAST_PROBABILITY
+from skope.pose.shape_model import fleet_shapes
 from skope.tracking.box_links import LOST_S, BoxLinks
 from skope.types import Array, Mask
 
@@ -109,7 +110,7 @@ def sample_vehicles(
         if (i, row) in place
     ]
     found, sigma, vehicle = zip(*taken, strict=True)
-    views = VehicleViews(np.array(found), np.array(sigma), np.array(vehicle, dtype=np.intp), size, scene.shapes)
+    views = VehicleViews(np.array(found), np.array(sigma), np.array(vehicle, dtype=np.intp), size, fleet_shapes())
     return Sample(views, known, np.concatenate(lower))
 
 

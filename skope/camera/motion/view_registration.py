@@ -1,17 +1,23 @@
-"""Homography between two views of one fixed camera that was shifted, turned or zoomed, with a test of its quality.
+"""Homography between two views of one fixed camera that was shifted, turned or zoomed, and the views of a video.
 
 Features that both pictures share give a first homography. The second picture is warped back by it, and corners of the
 first picture are followed into the warped one. The homography of these corners is accepted only if they agree with it,
 lie all over the image, and give the same homography when only half of them is used.
+
+`info` of a video's frames lists the views that it shows one after another, with the place of the first view in each.
 """
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from skope.camera.motion.image_shift import ReferencePicture, SmallPicture
+from skope.dataset.folder import CHANGES
+from skope.errors import UserError
 from skope.types import Array, Mask, Pixels
 
 _WORKING_WIDTH_PX: Final = 1280
@@ -170,3 +176,63 @@ def _fit(before: Array, after: Array) -> Array | None:
     """(3, 3) homography of corners (N, 2) by least squares."""
     matrix = cv2.findHomography(before, after, 0)[0] if len(before) >= 4 else None
     return None if matrix is None else np.asarray(matrix, dtype=np.float64)
+
+
+MOVING: Final = -1
+"""Number in place of a view's, for frames that were taken while the camera was moving."""
+
+
+@dataclass(frozen=True, eq=False)
+class KnownView:
+    """One of the views of a video."""
+
+    begin_s: float
+    """Time from which frames show it, or the movement to it, seconds."""
+    settled_s: float
+    """Time from which the camera stands still in it, seconds."""
+    from_first: ViewHomography | None
+    """Where pixels of the first view lie in it; None: not surely known."""
+
+
+def read_views(name: str, info: Mapping[str, Any]) -> list[KnownView]:
+    """Read the views of a video, the first one included.
+
+    Args:
+        name: The name of the frames' file, for errors.
+        info: The `info` of the frames' file.
+
+    Raises:
+        UserError: `info.view_changes` is malformed.
+    """
+    first = KnownView(-np.inf, -np.inf, ViewHomography(np.eye(3), 0.0, 0.0))
+    changes = info.get(CHANGES)
+    if not isinstance(changes, list):
+        return [first]
+    try:
+        return [first, *map(_view, changes)]
+    except (KeyError, TypeError, ValueError):
+        raise UserError(
+            f"{name}: info.{CHANGES}: expected objects with time_s, and perhaps settled_s, homography (3 rows of 3 "
+            "numbers), residual_px and corner_error_px"
+        ) from None
+
+
+def _view(change: Mapping[str, Any]) -> KnownView:
+    begin_s = float(change["time_s"])
+    if "homography" not in change:
+        return KnownView(begin_s, begin_s, None)
+    matrix = np.array(change["homography"], dtype=np.float64)
+    errors = (float(change["residual_px"]), float(change["corner_error_px"]))
+    if matrix.shape != (3, 3) or not np.isfinite(matrix).all() or not abs(np.linalg.det(matrix)) > 1e-9:
+        raise ValueError(matrix)
+    if not (np.isfinite(errors).all() and min(errors) >= 0):
+        raise ValueError(errors)
+    return KnownView(begin_s, float(change["settled_s"]), ViewHomography(matrix, *errors))
+
+
+def view_numbers(views: Sequence[KnownView], times_s: Sequence[float] | Array) -> NDArray[np.intp]:
+    """(N,) index in `views` of the view that frames at times (N,) show; `MOVING` while the camera was moving."""
+    times = np.asarray(times_s, dtype=np.float64)
+    number = np.searchsorted([view.begin_s for view in views[1:]], times, side="right")
+    settled = np.array([view.settled_s for view in views])
+    return np.where(times >= settled[number], number, MOVING)

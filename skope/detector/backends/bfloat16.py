@@ -16,8 +16,8 @@ from torch import Tensor, nn
 from torchvision.models.detection import KeypointRCNN
 from torchvision.models.resnet import BasicBlock, Bottleneck
 
-from skope.detector.backbone_norms import multiply_in
-from skope.detector.backends.handed_proposals import HandedProposals, PyramidWithProposals
+from skope.detector.backbones import multiply_in
+from skope.detector.backends.network_parts import HandedProposals, PyramidWithProposals
 
 
 def convert(model: KeypointRCNN) -> None:

@@ -1,20 +1,124 @@
-"""Choose what computes the costly parts: torch, or a runtime that is faster on the CPU; and in which number format."""
+"""Choose what computes the costly parts: torch, or a runtime that is faster on the CPU; and in which number format.
+
+In eight bits, inputs are rounded to 256 steps over their layer's range, weights to 255 over each output channel's, and
+sums are exact. The rounding is written as ONNX nodes that quantise and dequantise, which runtimes turn into integer
+arithmetic. For images of one size, anchors are computed once, and images are normalised after they are resized.
+"""
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
+from typing import Any, Final
 
 import torch
+from torch import Tensor, nn
 from torchvision.models.detection import KeypointRCNN
+from torchvision.models.detection.anchor_utils import AnchorGenerator
+from torchvision.models.detection.image_list import ImageList
+from torchvision.models.detection.transform import GeneralizedRCNNTransform
 
 from skope.detector import int8_ranges, network_settings
-from skope.detector.backends import bfloat16, eight_bits, network_parts
+from skope.detector.backends import bfloat16, network_parts
 from skope.detector.backends.region_suppression import suppress_best_first, suppress_together
 from skope.detector.backends.runtimes import RUNTIMES, Runtime, UnusableError
-from skope.detector.backends.same_size_images import keep_anchors, resize_first
 from skope.detector.device import has_bfloat16
+from skope.detector.int8_ranges import Ranges
 from skope.errors import UserError
 from skope.terminal.console import Console
+
+
+def resize_first(model: KeypointRCNN) -> None:
+    """Let a model resize images before it normalises them from now on."""
+    model.transform = ResizeFirst(model.transform)
+
+
+def keep_anchors(model: KeypointRCNN) -> None:
+    """Let a model keep the anchors of the last size of images from now on."""
+    model.rpn.anchor_generator = KeptAnchors(model.rpn.anchor_generator)
+
+
+class ResizeFirst(GeneralizedRCNNTransform):  # type: ignore[misc]  # torchvision has no types
+    """torchvision's transform in the other order, with the same answer up to rounding: fewer pixels are normalised."""
+
+    def __init__(self, transform: GeneralizedRCNNTransform) -> None:
+        super().__init__(
+            transform.min_size, transform.max_size, transform.image_mean, transform.image_std, transform.size_divisible
+        )
+
+    def normalize(self, image: Tensor) -> Tensor:
+        """The image as it is: `resize` normalises."""
+        return image
+
+    def resize(self, image: Tensor, target: Any = None) -> tuple[Tensor, Any]:
+        """The image (3, h, w) as the network takes it, of (3, H, W) from 0 to 1, and the target."""
+        resized, moved = super().resize(image, target)
+        return super().normalize(resized), moved
+
+
+class KeptAnchors(nn.Module):
+    """`AnchorGenerator`'s anchors, worked out again only where the images have another size."""
+
+    def __init__(self, generator: AnchorGenerator) -> None:
+        super().__init__()
+        self._generator = generator
+        self._kept: tuple[Any, list[Tensor]] = (None, [])
+
+    def forward(self, images: ImageList, maps: list[Tensor]) -> list[Tensor]:
+        """The (A, 4) anchors of each image on its feature maps."""
+        first = maps[0]
+        key = (
+            images.tensors.shape,
+            len(images.image_sizes),
+            first.dtype,
+            first.device,
+            *(one.shape[2:] for one in maps),
+        )
+        if key != self._kept[0]:
+            self._kept = (key, self._generator(images, maps))
+        return self._kept[1]
+
+
+_INPUT_STEPS: Final = 255
+_LARGEST_STEP: Final = 127
+_LEAST_STEP: Final = 1e-12
+"""Least step of a weight: a channel of zeros has none."""
+
+
+def convert(model: nn.Module, ranges: Ranges) -> None:
+    """Put rounding layers in the place of those that have ranges."""
+    for name, layer in int8_ranges.rounded_layers(model).items():
+        parent, _, leaf = name.rpartition(".")
+        setattr(model.get_submodule(parent), leaf, _Rounded(layer, *ranges[name]))
+
+
+def revert(model: nn.Module) -> None:
+    """Undo `convert`."""
+    for name, rounded in [(n, m) for n, m in model.named_modules() if isinstance(m, _Rounded)]:
+        parent, _, leaf = name.rpartition(".")
+        setattr(model.get_submodule(parent), leaf, rounded.layer)
+
+
+class _Rounded(nn.Module):
+    def __init__(self, layer: nn.Conv2d | nn.Linear, low: float, high: float) -> None:
+        super().__init__()
+        self.layer = layer
+        low, high = min(low, 0.0), max(high, 0.0)  # the padding's zeros have to be exact
+        self._step = max(high - low, _LEAST_STEP) / _INPUT_STEPS
+        self._zero = round(-low / self._step)
+        largest = layer.weight.detach().flatten(1).abs().amax(1)
+        self._steps = (largest / _LARGEST_STEP).clamp(min=_LEAST_STEP)
+
+    def forward(self, x: Tensor) -> Tensor:
+        x = torch.fake_quantize_per_tensor_affine(x, self._step, self._zero, 0, _INPUT_STEPS)
+        zeros = torch.zeros(len(self._steps), dtype=torch.int32)
+        weight = torch.fake_quantize_per_channel_affine(
+            self.layer.weight, self._steps, zeros, 0, -_LARGEST_STEP - 1, _LARGEST_STEP
+        )
+        if isinstance(self.layer, nn.Conv2d):
+            layer = self.layer
+            geometry = (layer.stride, layer.padding, layer.dilation, layer.groups)
+            return nn.functional.conv2d(x, weight, layer.bias, *geometry)  # type: ignore[arg-type]
+        return nn.functional.linear(x, weight, self.layer.bias)
+
 
 _IN_TORCH = ("bfloat16", "float32")
 
@@ -77,14 +181,14 @@ def _by_runtime(
     number = _number_format(precision, runtime, ranged=ranges is not None, device=torch.device("cpu"))
     try:
         if number == "int8" and ranges is not None:
-            eight_bits.convert(model, ranges)
+            convert(model, ranges)
         parts = network_parts.parts_of(model)
         runs = {
             name: runtime.compile(replace(part, steady=part.steady and one_size), number)
             for name, part in parts.items()
         }
     except UnusableError:
-        eight_bits.revert(model)
+        revert(model)
         raise
     network_parts.hand_over(model, runs)
     resize_first(model)

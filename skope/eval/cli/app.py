@@ -1,15 +1,11 @@
 """`skope eval`: measuring by itself, and its subcommands."""
 
-from skope.eval.cli.calibrate_scores import calibrate_scores
 from skope.eval.cli.camera import find_camera
-from skope.eval.cli.compare import compare_runs
-from skope.eval.cli.evaluate import evaluate_or_score
-from skope.eval.cli.pose import pose
+from skope.eval.cli.evaluate import calibrate_scores, compare_runs, evaluate_or_score, view
 from skope.eval.cli.predict import predict
 from skope.eval.cli.site import site
-from skope.eval.cli.track import track
+from skope.eval.cli.track import pose, track
 from skope.eval.cli.traffic import traffic
-from skope.eval.cli.view import view
 from skope.terminal.command_options import Commands
 
 app = Commands(help="Measure a detector: PCK, precision and recall over IoU 0.6 to 0.9, COCO AP.")

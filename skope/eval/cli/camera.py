@@ -5,8 +5,7 @@ from pathlib import Path
 from typing import Annotated
 
 from skope.errors import UserError
-from skope.eval.cli.checks import check_pixels, check_probability
-from skope.eval.cli.options import counts, data_option, output
+from skope.eval.cli.options import check_pixels, check_probability, counts, data_option, output
 from skope.eval.cli.scene_options import KeypointOptions, NoiseOption, ScoreOption, SigmaOption
 from skope.terminal.command_options import CAMERA_FILE, FILE_METAVAR, SIZE, panel
 from skope.terminal.console import Console
@@ -85,7 +84,7 @@ def find_camera(
         lines = camera_from_marks(points, size, out)
     else:
         lines = from_vehicles(
-            keypoints.read(console),
+            keypoints.read(),
             keypoints.folder,
             max_vehicles,
             score=score,
@@ -99,7 +98,7 @@ def find_camera(
     for line in lines:
         console.result(line)
     if keypoints.folder:
-        drawn = _picture(keypoints.folder, keypoints.keypoint_edition, out, console)
+        drawn = _picture(keypoints.folder, out, console)
         if drawn is not None:
             console.result(f"wrote {drawn}: look whether the grid lies on the road, and the boxes on the vehicles")
 
@@ -122,7 +121,7 @@ def _refitted(
     return refit_camera.refit(picture, refit, points=points, camera=camera, size=size, out=out)
 
 
-def _picture(folder: Path, edition: int | None, camera: Path, console: Console) -> Path | None:
+def _picture(folder: Path, camera: Path, console: Console) -> Path | None:
     """A picture of what the camera says, beside its file; None where the footage is not at hand."""
     import cv2
 
@@ -132,7 +131,7 @@ def _picture(folder: Path, edition: int | None, camera: Path, console: Console) 
 
     path = camera.with_suffix(".jpg")
     try:
-        pixels = draw_camera_picture(read_scene(folder, None, None, camera, 0.0, edition), folder)
+        pixels = draw_camera_picture(read_scene(folder, None, None, camera, 0.0), folder)
         if pixels is not None:
             _, encoded = cv2.imencode(".jpg", cv2.cvtColor(pixels, cv2.COLOR_RGB2BGR))
             write_new(path, encoded.tobytes())

@@ -1,17 +1,112 @@
-"""`skope eval`: measure a checkpoint on a dataset, or score a results file."""
+"""`skope eval` and its commands on a detector's results: compare, view, calibrate-scores."""
 
 import shutil
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
+import typer
+
 from skope import keypoints
 from skope.detector import weights
 from skope.errors import UserError
-from skope.eval.cli.options import PAPER, PROTOCOL_CHOICES, MachineOptions, counts, data_option, machine, output
+from skope.eval.cli.options import (
+    PAPER,
+    PROTOCOL_CHOICES,
+    MachineOptions,
+    check_probability,
+    counts,
+    data_option,
+    machine,
+    output,
+)
 from skope.metrics.thresholds import COUNTED_SCORE, IOU_THRESHOLDS, PCK_ALPHA
-from skope.terminal.command_options import DATA, DIR, FILE_METAVAR, LIST, RUN, separated
+from skope.terminal.command_options import DATA, DIR, FILE_METAVAR, LIST, RUN, PortOption, option, separated
 from skope.terminal.console import Console
+
+
+def calibrate_scores(
+    *,
+    checkpoint: Annotated[
+        Path, option(metavar="PATH", help="Checkpoint file, or run folder for its newest one.")
+    ] = RUN,
+    data: Annotated[Path, option(metavar=DIR, help="Dataset folder.")] = DATA,
+    split: Annotated[
+        str,
+        option(metavar="NAME", help="Split to fit on; of train, the part that training kept for validation."),
+    ] = "train",
+    last: Annotated[
+        float | None, option(help="Take this share of each recording, at its end.", show_default="see --split")
+    ] = None,
+    score: Annotated[float, option(help="Fit on the keypoints of detections above this.")] = 0.9,
+    max_images: Annotated[int | None, option(least=1, help="Take only so many images.")] = None,
+    out: Annotated[
+        Path | None,
+        option(
+            metavar=FILE_METAVAR,
+            help="Checkpoint to write whose own scores are probabilities, boxes' too.",
+            show_default="keypoint scores alone, in a file beside the weights",
+        ),
+    ] = None,
+    hardware: MachineOptions,
+    console: Console,
+) -> None:
+    """Turn a checkpoint's keypoint scores into probabilities that a point is visible and near its place.
+
+    With --out, boxes' scores into probabilities that there is one of that category, too.
+
+    (`skope eval camera` finds a camera's focal length and tilt.)
+    """
+    from skope.detector.fit_score_calibration import CalibrationJob, fit_calibration
+
+    check_probability("--score", score)
+    job = CalibrationJob(
+        checkpoint=checkpoint,
+        data=data,
+        split=split,
+        last=last,
+        score=score,
+        max_images=max_images,
+        out=out,
+        settings=hardware.settings(),
+    )
+    path = fit_calibration(job, console)
+    console.result(f"Wrote {path}" if out else f"Wrote {path}; `skope eval` uses it from now on")
+
+
+def view(
+    results: Annotated[
+        Path, typer.Argument(metavar="RESULTS", help="Folder that `skope eval` or `skope eval predict` wrote.")
+    ],
+    console: Console,
+    port: PortOption = None,
+) -> None:
+    """Look through predictions beside ground truth in the browser, misses and false alarms first; Ctrl-C ends it."""
+    from skope.eval.view.results_folder import read_results_folder
+    from skope.viewer.server import serve
+
+    serve(read_results_folder(results, console), port, console)
+
+
+def compare_runs(
+    folders: Annotated[
+        list[Path], typer.Argument(metavar="FOLDER", help="Folders that `skope eval` wrote (its --out).")
+    ],
+    console: Console,
+    protocol: Annotated[str, option(choices=PROTOCOL_CHOICES, help="What the table shows.")] = "pooled",
+    out: Annotated[Path | None, option(metavar=FILE_METAVAR, help="Also write everything to this JSON file.")] = None,
+) -> None:
+    """Put evaluations side by side, with paired intervals of their differences from the first."""
+    from skope.eval.report import compare
+    from skope.files.json_files import json_bytes
+    from skope.files.output_folders import write_new
+
+    document = compare.compare(folders)
+    text = compare.render_comparison(document, protocol)
+    if out:
+        write_new(out, json_bytes(document))
+    console.result(text)
+
 
 GIVEN = "given"
 

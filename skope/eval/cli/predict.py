@@ -10,8 +10,7 @@ import typer
 from skope.detector import weights
 from skope.detector.network_settings import TILES
 from skope.errors import UserError
-from skope.eval.cli.checks import check_probability
-from skope.eval.cli.options import FastMachineOptions, counts, data_option, output
+from skope.eval.cli.options import FastMachineOptions, check_probability, counts, data_option, output
 from skope.eval.cli.scene_options import CameraOption
 from skope.terminal.command_options import DIR, PREDICTED
 from skope.terminal.console import Console

@@ -8,10 +8,8 @@ import typer
 
 from skope.dataset.folder import FRAMES, PREDICTIONS
 from skope.errors import UserError
-from skope.eval.cli.checks import check_pixels, check_probability, numbers_of
-from skope.eval.cli.options import counts, data_option, output
+from skope.eval.cli.options import check_pixels, check_probability, counts, data_option, numbers_of, output
 from skope.files.output_folders import claim_output
-from skope.keypoints import EDITION
 from skope.terminal.command_options import DIR, FILE_METAVAR
 from skope.terminal.console import Console
 
@@ -56,32 +54,12 @@ class KeypointOptions:
         Path | None,
         data_option(metavar=FILE_METAVAR, help="COCO results for the images, in place of the annotations' keypoints."),
     ] = None
-    keypoint_edition: Annotated[
-        int | None,
-        data_option(
-            min=1,
-            max=EDITION,
-            help="By which edition of their definition (docs/conventions.md) the keypoints are marked; road33 has "
-            "learnt the second, its first edition the first.",
-            show_default="what the file of images says",
-        ),
-    ] = None
 
-    def read(self, console: Console, camera: Path | None = None, ground: float | None = None) -> "Scene":
-        """The keypoints, with the camera's file and the height of the road as `read_scene` takes them.
-
-        Warns where results do not say by which edition of their definition they are marked.
-        """
+    def read(self, camera: Path | None = None, ground: float | None = None) -> "Scene":
+        """The keypoints, with the camera's file and the height of the road as `read_scene` takes them."""
         from skope.pose.keypoint_views import read_scene
 
-        where = (self.folder, self.annotations, self.predictions, camera)
-        scene = read_scene(*where, ground, self.keypoint_edition)
-        if self.predictions is not None and self.keypoint_edition is None:
-            console.warn(
-                f"{self.predictions}: taken to hold keypoints of edition {scene.file.scheme.edition}, as "
-                f"{scene.file.name} does; --keypoint-edition says another (road33: 2, its first edition: 1)"
-            )
-        return scene
+        return read_scene(self.folder, self.annotations, self.predictions, camera, ground)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -112,7 +90,7 @@ class SceneOptions(KeypointOptions):
         check_probability("--score", self.score)
         check_pixels("--noise", *noise)
         check_pixels("--sigma", self.sigma)
-        scene = self.read(console, self.camera, _ground(self.ground))
+        scene = self.read(self.camera, _ground(self.ground))
         if scene.left_out:
             console.result(scene.left_out)
         if scene.camera is not None:
@@ -141,14 +119,8 @@ class SceneOptions(KeypointOptions):
     def claim_output(self, out: Path, command: str, **options: Any) -> None:
         """Take the output folder of a command for these options and `options`."""
         inputs = [self.folder / FRAMES, self.folder / PREDICTIONS] if self.folder else []
-        edition = {} if self.keypoint_edition is None else {"keypoint_edition": self.keypoint_edition}
         inputs += [path for path in (self.annotations, self.predictions, self.camera) if path]
-        claim_output(
-            out,
-            command,
-            inputs,
-            {"ground": self.ground, **options, "score": self.score, "sigma": self.sigma, **edition},
-        )
+        claim_output(out, command, inputs, {"ground": self.ground, **options, "score": self.score, "sigma": self.sigma})
 
 
 def _ground(text: str) -> float | None:

@@ -1,12 +1,32 @@
-"""`skope eval track`: vehicles followed through footage, in metres."""
+"""`skope eval pose` and `skope eval track`: vehicles in metres, frame by frame and through footage."""
 
 from typing import Annotated
 
 from skope.errors import UserError
-from skope.eval.cli.options import data_option, output
+from skope.eval.cli.options import counts, data_option, numbers_of, output
 from skope.eval.cli.scene_options import NoiseOption, OutOption, SceneOptions
-from skope.terminal.command_options import DEFAULT_TRACKS
+from skope.terminal.command_options import DEFAULT_TRACKS, LIST, POSES
 from skope.terminal.console import Console
+
+
+def pose(
+    options: SceneOptions,
+    console: Console,
+    noise: Annotated[
+        str,
+        counts(metavar=LIST, help="Pixels of noise added to ground-truth keypoints; several: measure each."),
+    ] = "0",
+    out: OutOption = POSES,
+) -> None:
+    """Position, heading and size of each vehicle in metres; with a ground truth, also how far off they are."""
+    from skope.pose.pose_footage import PoseJob, locate_footage
+
+    levels = numbers_of("--noise", noise)
+    scene = options.scene(*levels, console=console)
+    options.claim_output(out, "skope eval pose", noise=levels)
+    job = PoseJob(scene=scene, out=out, score=options.score, sigma_px=options.sigma, noise=levels)
+    for line in locate_footage(job, console):
+        console.result(line)
 
 
 def track(

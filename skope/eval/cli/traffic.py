@@ -12,17 +12,17 @@ from skope.dataset.folder import FRAMES, PREDICTIONS
 from skope.detector import weights
 from skope.errors import UserError
 from skope.eval.cli.options import FastMachineOptions, data_option, output
+from skope.files.atomic import sha256_of
 from skope.files.output_folders import claim_output
-from skope.files.reading import sha256_of
 from skope.terminal.command_options import DIR, FILE_METAVAR, LIST, SITE_FILE, TRAFFIC
 from skope.terminal.console import Console
 
 if TYPE_CHECKING:
     from skope.site.gates_zones_lanes import Gate
     from skope.site.site_file import SiteFile
-    from skope.traffic.empty_road_picture import EmptyRoadPicture
     from skope.traffic.hand_count_file import HandCount
     from skope.traffic.observation import Observation
+    from skope.traffic.road_picture import EmptyRoadPicture
     from skope.traffic.traffic_report import TrafficReport
 
 _COMMAND: Final = "skope eval traffic"
@@ -241,11 +241,10 @@ def _written(
 
     The map is drawn on the picture of the road that lies in `tracks`, and the gates on `view`, or on that in `tracks`.
     """
-    from skope.traffic.empty_road_picture import read_empty_road_picture
     from skope.traffic.exports.formats import write_format
     from skope.traffic.page.page import write_page
-    from skope.traffic.report_text import report_lines
-    from skope.traffic.road_picture import read_road_picture
+    from skope.traffic.road_picture import read_empty_road_picture, read_road_picture
+    from skope.traffic.traffic_report import report_lines
     from skope.traffic.write_report import write_traffic_report
 
     # The camera that made the tracks, at the size of the footage; several recordings may have several.
@@ -311,13 +310,13 @@ def _counted_in_image(
     """
     from skope.dataset import coco
     from skope.eval.cli.tracked_footage import skipped_lines
-    from skope.tracking.empty_road import empty_road
+    from skope.tracking.ground_view import empty_road
     from skope.tracking.image_trajectories import read_image_trajectories
-    from skope.traffic.empty_road_picture import empty_road_picture
     from skope.traffic.exports.formats import checked_formats
     from skope.traffic.gates import gates_in_image
     from skope.traffic.image_counts import count_in_image
     from skope.traffic.recordings import begin_of
+    from skope.traffic.road_picture import empty_road_picture
 
     formats = checked_formats(also, site, metres=False)
     gates = gates_in_image(site.gates)
@@ -358,7 +357,7 @@ def _isoformat(time: datetime | None) -> str | None:
 
 def _only_begin(begins: list[str], site: "SiteFile") -> datetime | None:
     """The time that `--begins` gives for one recording. Raises UserError where it is none, or given several times."""
-    from skope.traffic.recording_begin import said_begin
+    from skope.traffic.recordings import said_begin
 
     if len(begins) > 1:
         raise UserError(f"{_BEGINS}: expected one time for one recording, got {len(begins)}")

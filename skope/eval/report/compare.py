@@ -19,7 +19,7 @@ from skope.metrics.intervals import Blocks, difference
 from skope.metrics.keypoint_outcomes import PROTOCOLS
 from skope.metrics.outcome_counts import FIGURES, Name, Tally, quotients, ratio
 from skope.metrics.split_scores import from_tallies
-from skope.terminal.text_table import text_table
+from skope.terminal.console import text_table
 
 T = TypeVar("T")
 
@@ -93,7 +93,7 @@ def _split(runs: Sequence[Run], split: str) -> dict[str, Any]:
         "images": len(blocks[0].number),
         "iou": {t: _differences(blocks[0], [of[t] for of in columns]) for t in thresholds},
         "coco": [run.metrics["splits"][split]["coco"] for run in runs],
-        "recall_at_precision": [run.metrics["splits"][split].get("recall_at_precision", {}) for run in runs],
+        "recall_at_precision": [run.metrics["splits"][split]["recall_at_precision"] for run in runs],
         **({"categories": categories} if any(categories) else {}),
     }
 

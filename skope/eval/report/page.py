@@ -1,23 +1,72 @@
-"""The page: its sections in the order in which they are read, with style and script inside."""
+"""The page: its sections in reading order, with style and script inside, and the curves of its charts."""
 
 from collections.abc import Mapping, Sequence
 from html import escape
 from pathlib import Path
 from typing import Any, Final
 
-from skope.eval.report import curves
+import numpy as np
+
 from skope.eval.report.gallery import gallery
 from skope.eval.report.table import AREA_WORDS, FIGURE_COLUMNS, evidence, published_row, road_user_rows, row_of
 from skope.metrics.keypoint_outcomes import PROTOCOLS, Options
+from skope.metrics.match import match
 from skope.metrics.pck_precision_recall import AT_PRECISION
 from skope.metrics.road_users import AP50_IOU
+from skope.metrics.score_reliability import curve
 from skope.metrics.split_scores import SplitScores
 from skope.page import html_document as page
-from skope.page.charts import Axes, chart
+from skope.page.charts import Axes, Line, chart
 from skope.page.html_pieces import percent_text, plain, share_bar, table, tag
 from skope.page.image_viewer import switches
 from skope.page.vehicle_outline import Point, outline
 from skope.version import __version__
+
+ALPHAS = np.linspace(0, 0.2, 41)
+
+
+def precision_recall(measured: SplitScores, options: Options) -> list[Line]:
+    """Box precision over recall by falling score, a line per IoU threshold, of all results whatever they score.
+
+    Detections on ignored vehicles are left out, as in the pooled protocol.
+    """
+    matches = match(measured.file, measured.results, score=-1.0, boxes=options.boxes, thresholds=options.iou)
+    lines = []
+    for t in options.iou:
+        taken = matches.taken[t] >= 0
+        counted = taken | ~matches.det_on_ignored
+        recall, precision = curve(matches.det_score[counted], taken[counted], len(matches.gt_image))
+        # Beyond what is ever recalled precision is 0 by definition, which is no news in a picture.
+        reached = np.flatnonzero(precision > 0)
+        end = int(reached[-1]) + 1 if reached.size else 0
+        lines.append(Line(name=f"IoU {t:g}", x=recall[:end].tolist(), y=precision[:end].tolist()))
+    return lines
+
+
+def pck_over_alpha(measured: SplitScores, options: Options) -> list[Line]:
+    """PCK of matched vehicles over alpha, a line per IoU threshold."""
+    lines = []
+    for t in options.iou:
+        outcomes = measured.outcomes[t]
+        labelled = int((outcomes.labelled & outcomes.found[:, None]).sum())
+        shares = [outcomes.correct(alpha).sum() / labelled if labelled else None for alpha in ALPHAS.tolist()]
+        lines.append(Line(name=f"IoU {t:g}", x=ALPHAS.tolist(), y=shares))
+    return lines
+
+
+def reliability_curve(measured: SplitScores) -> list[Line]:
+    """The share of keypoints that are right over the score that they claim, per tenth of scores."""
+    rows = measured.entry["confidence"]["reliability"]
+    notes = [f"{row['count']} keypoints" for row in rows]
+    return [Line(name="keypoints", x=[row["score"] for row in rows], y=[row["right"] for row in rows], notes=notes)]
+
+
+def keypoint_precision_recall(measured: SplitScores) -> list[Line]:
+    """Keypoint precision over recall by falling keypoint score."""
+    precision = measured.entry["confidence"]["precision_at_recall"]
+    end = max((i + 1 for i, p in enumerate(precision) if p > 0), default=0)
+    return [Line(name="keypoints", x=[i / 100 for i in range(end)], y=precision[:end])]
+
 
 _TITLES: Final = ("PCK %", "box precision", "box recall", "keypoint precision", "keypoint recall")
 _COUNTS: Final = {
@@ -241,10 +290,10 @@ def _split(measured: SplitScores, options: Options) -> str:
     within = Axes(x_label="alpha", y_label="PCK", x_end=0.2)
     claimed = Axes(x_label="score", y_label="share visible and near enough")
     charts = [
-        chart("Boxes: precision over recall", boxes, curves.precision_recall(measured, options), every=5),
-        chart("PCK over alpha", within, curves.pck_over_alpha(measured, options), every=4),
-        chart("Are keypoint scores what they claim?", claimed, curves.reliability_curve(measured), diagonal=True),
-        chart("Keypoints: precision over recall", boxes, curves.keypoint_precision_recall(measured), every=5),
+        chart("Boxes: precision over recall", boxes, precision_recall(measured, options), every=5),
+        chart("PCK over alpha", within, pck_over_alpha(measured, options), every=4),
+        chart("Are keypoint scores what they claim?", claimed, reliability_curve(measured), diagonal=True),
+        chart("Keypoints: precision over recall", boxes, keypoint_precision_recall(measured), every=5),
     ]
     # A table of one row would say what the split's own figures say.
     parts = [

@@ -11,7 +11,7 @@ from skope.metrics.intervals import ENOUGH_SITES
 from skope.metrics.keypoint_outcomes import PROTOCOLS
 from skope.metrics.pck_precision_recall import AT_PRECISION
 from skope.metrics.road_users import AP50_IOU
-from skope.terminal.text_table import text_table
+from skope.terminal.console import text_table
 
 _MEANING: Final = {
     "pooled": "pooled (over the whole split; the one to decide by)",

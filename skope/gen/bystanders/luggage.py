@@ -4,8 +4,7 @@ from typing import Final
 
 import numpy as np
 
-from skope.gen.bystanders.people import Look
-from skope.gen.bystanders.shapes import ball, trunk
+from skope.gen.bystanders.people import Look, ball, trunk
 from skope.gen.mesh import Mesh, box, lathe, tube
 from skope.types import Array
 

@@ -5,8 +5,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from skope.gen.bystanders.people import Look, head, turn_about
-from skope.gen.bystanders.shapes import NOTHING, ball, limb, trunk
+from skope.gen.bystanders.people import NOTHING, Look, ball, head, limb, trunk, turn_about
 from skope.gen.mesh import Mesh, box, grid, lathe, merged, tube
 from skope.types import Array
 

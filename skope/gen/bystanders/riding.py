@@ -6,9 +6,8 @@ from typing import Final
 import numpy as np
 
 from skope.gen.bystanders import luggage
-from skope.gen.bystanders.joints import SOLE, leg_to, shin, thigh
 from skope.gen.bystanders.luggage import load_of
-from skope.gen.bystanders.people import Look, turn_about
+from skope.gen.bystanders.people import Look, ball, lens, limb, trunk, turn_about
 from skope.gen.bystanders.riders import (
     MOTOR_AXLES,
     MOTOR_WHEEL,
@@ -19,7 +18,7 @@ from skope.gen.bystanders.riders import (
     spoked,
     upper_body,
 )
-from skope.gen.bystanders.shapes import ball, lens, limb, trunk
+from skope.gen.bystanders.walking import SOLE, leg_to, shin, thigh
 from skope.gen.mesh import Mesh, box, lathe, merged, tube
 from skope.types import Array
 

@@ -1,4 +1,4 @@
-"""`skope gen`: make datasets and check them."""
+"""`skope gen`: make datasets, check, convert and join them."""
 
 import shlex
 from contextlib import nullcontext
@@ -8,19 +8,85 @@ from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
+from skope.errors import UserError
 from skope.files.output_folders import replaceable_output
-from skope.gen.cli import convert, inspect, sites, vehicles
+from skope.gen.cli import inspect, sites, vehicles
 from skope.gen.cli.options import DatasetOptions, RendererOption, WorkerOptions, machine, output
-from skope.terminal.command_options import DATA, DIR, Commands, JsonOption, option
+from skope.terminal.command_options import DATA, DIR, FILE_METAVAR, LIST, Commands, JsonOption, option
 from skope.terminal.console import Console, counted
 
 if TYPE_CHECKING:
     from skope.gen.pipeline.config import DatasetRequest
 
+
+_WRITTEN = ("folder", "shards", "coco", "cvat", "kitti", "mot", "skope3d", "yolo")
+_READ = ("coco", "cvat", "skope3d")
+
+
+def convert(
+    paths: Annotated[list[Path], typer.Argument(metavar="PATH", help="What to read, and last the new folder.")],
+    console: Console,
+    to: Annotated[str | None, option(choices=_WRITTEN, help="Format to write.", show_default="folder")] = None,
+    source: Annotated[
+        str | None, option("--from", choices=_READ, help="Format to read.", show_default="a dataset folder")
+    ] = None,
+    map_file: Annotated[
+        Path | None,
+        option("--map", metavar=FILE_METAVAR, help="JSON: what the keypoints of --from skope3d are in scheme skope33."),
+    ] = None,
+    images: Annotated[
+        Path | None,
+        option(metavar=DIR, help="Where the images of --from coco or cvat lie.", show_default="beside the annotations"),
+    ] = None,
+    keypoints: Annotated[
+        str | None, option(metavar=LIST, help="Names of the keypoints of --to yolo.", show_default="all")
+    ] = None,
+    split: Annotated[str | None, option(metavar="NAME", help="Split for all that is read.")] = None,
+    stored_pixels: Annotated[
+        bool, option("--stored-pixels", help="Labels of --from coco or cvat are of pixels as stored, before EXIF.")
+    ] = False,
+) -> None:
+    """Write a dataset in another format, or make one of files of another format (see docs/formats.md)."""
+    from skope.gen.formats.convert import ConversionOptions
+    from skope.gen.formats.convert import convert_dataset as write
+
+    *sources, out = paths
+    if not sources:
+        raise UserError(f"{out}: name what to read and then the new folder")
+    options = ConversionOptions(
+        map=map_file,
+        images=images,
+        split=split,
+        stored_pixels=stored_pixels,
+        keypoints=tuple(keypoints.split(",")) if keypoints else (),
+    )
+    write(sources, out, read_as=source, write_as=to, options=options, console=console)
+    console.result(f"wrote {out}" + (f"; next: {_check_command(out)}" if to in (None, "folder", "shards") else ""))
+
+
+def merge(
+    paths: Annotated[list[Path], typer.Argument(metavar="PATH", help="Datasets, and last the new folder.")],
+    console: Console,
+    vehicles_alone: Annotated[
+        bool, option("--vehicles-alone", help="Leave out labels of people on foot and on two wheels.")
+    ] = False,
+) -> None:
+    """Join datasets: ids numbered anew, sites kept apart, splits as they are, licences united."""
+    from skope.gen.formats.merge import merge as join
+
+    *sources, out = paths
+    join(sources, out, console, vehicles_alone=vehicles_alone)
+    console.result(f"wrote {out}; next: {_check_command(out)}")
+
+
+def _check_command(out: Path) -> str:
+    return shlex.join(["skope", "gen", "check", str(out)])
+
+
 app = Commands(help="Generate annotated roadside images.", invoke_without_command=True)
 app.add_typer(vehicles.app, name="vehicles")
 for command in (
-    *(sites.sites, convert.convert, convert.merge),
+    *(sites.sites, convert, merge),
     *(inspect.check, inspect.stats, inspect.show, inspect.report, inspect.view, inspect.video),
 ):
     app.command()(command)

@@ -57,8 +57,8 @@ def check(
     """Check a dataset: files and their bytes, schema, ids, masks, re-projection, depth; exit code 1 with findings."""
     from skope.dataset.folder import open_dataset
     from skope.gen.inspect.check import check as find
+    from skope.gen.inspect.check import repair as mend
     from skope.gen.inspect.diff import differences
-    from skope.gen.inspect.repair import repair as mend
 
     folder = open_dataset(dataset)
     findings = [] if against else list(find(folder))
@@ -179,7 +179,7 @@ def view(
 ) -> None:
     """Look through all images of a dataset in the browser, with layers to switch and filters; Ctrl-C ends it."""
     from skope.dataset.folder import open_dataset
-    from skope.gen.inspect.view import dataset_collection
+    from skope.gen.inspect.overlays import dataset_collection
     from skope.viewer.server import serve
 
     serve(dataset_collection(open_dataset(dataset), separated(split), console), port, console)
@@ -212,14 +212,14 @@ def video(
     renderer: RendererOption = "auto",
 ) -> None:
     """Make footage of a site, with labels of every frame."""
-    from skope.files.reading import sha256_of
-    from skope.gen.labels.ignore_rules import Rules
+    from skope.files.atomic import sha256_of
+    from skope.gen.generation_site import own_site
+    from skope.gen.labels.annotate import Rules
     from skope.gen.pipeline.config import from_preset
     from skope.gen.pipeline.write_footage import plan_of, write_footage
     from skope.gen.render.choose_renderer import choose_renderer
     from skope.gen.scene.conditions import ranges
     from skope.gen.scene.package_versions import versions
-    from skope.gen.site_files.generation_site import own_site
 
     chosen, driver, _ = choose_renderer(renderer)
     own = own_site("SITE", site)

@@ -161,13 +161,13 @@ class DatasetOptions:
 
     def request(self) -> "tuple[DatasetRequest, str]":
         """The request that the options make, and what to say of the renderer."""
-        from skope.gen.labels.ignore_rules import Rules
+        from skope.gen.generation_site import own_site
+        from skope.gen.labels.annotate import Rules
         from skope.gen.output.frames import Encoding
         from skope.gen.output.licences import named
         from skope.gen.pipeline.config import from_preset
         from skope.gen.render.choose_renderer import choose_renderer
         from skope.gen.scene.conditions import parse_settings
-        from skope.gen.site_files.generation_site import own_site
 
         if self.site is not None and self.sites is not None:
             raise UserError(f"--site: {self.site} is the site already: leave --sites out")

@@ -5,8 +5,7 @@ from typing import Annotated, Any
 
 from skope.files.output_folders import replaceable_output
 from skope.terminal.command_options import DIR, FILE_METAVAR, SITE_PLANS, JsonOption, option
-from skope.terminal.console import Console
-from skope.terminal.text_table import text_table
+from skope.terminal.console import Console, text_table
 
 
 def sites(
@@ -73,8 +72,7 @@ def _plans(out: Path, console: Console) -> tuple[dict[str, Any], list[str]]:
     from skope.pictures import draw
 
     paths = []
-    # Folders are recognised by this spelling of the command, which is older than --maps.
-    with replaceable_output(out, "skope gen sites --map", "the towns") as drawn:
+    with replaceable_output(out, "skope gen sites --maps", "the towns") as drawn:
         for town in towns():
             paths.append(out / f"{town.name}.png")
             draw.write(drawn / paths[-1].name, town_map(town))
@@ -84,8 +82,8 @@ def _plans(out: Path, console: Console) -> tuple[dict[str, Any], list[str]]:
 
 def _own_road(path: Path, out: Path | None) -> tuple[dict[str, Any], list[str]]:
     """Check a site file and draw its lanes; what it says, as a document and as lines."""
-    from skope.gen.site_files.generation_site import read_generation_site
-    from skope.gen.site_files.lane_overlay import draw_lanes
+    from skope.gen.generation_site import read_generation_site
+    from skope.gen.inspect.town_maps import draw_lanes
     from skope.gen.towns.road_graph import RoadGraph
     from skope.pictures import draw
 

@@ -12,8 +12,7 @@ from skope.files.output_folders import replaceable_output
 from skope.files.safe_names import name as check_name
 from skope.gen.cli.options import RendererOption
 from skope.terminal.command_options import DIR, VEHICLE_SHEETS, Commands, option
-from skope.terminal.console import Console, counted
-from skope.terminal.text_table import text_table
+from skope.terminal.console import Console, counted, text_table
 
 if TYPE_CHECKING:
     from skope.gen.vehicles.fleet import FleetEntry
@@ -62,7 +61,7 @@ def _notes(entry: "FleetEntry") -> list[str]:
 @app.command()
 def check(console: Console, name: NameArgument = None) -> None:
     """Check keypoints, symmetry, dimensions, wheels, surfaces, parts and sidecars; exit code 1 with findings."""
-    from skope.gen.inspect.vehicle_checks import findings
+    from skope.gen.inspect.vehicle_models import findings
 
     count = 0
     models, damaged = _readable(_names(name))
@@ -86,7 +85,7 @@ def show(
     renderer: RendererOption = "auto",
 ) -> None:
     """Draw contact sheets: front, rear, side, top and three quarters, plain and with numbered keypoints."""
-    from skope.gen.inspect.vehicle_sheets import sheet
+    from skope.gen.inspect.vehicle_models import sheet
     from skope.gen.render.choose_renderer import choose_renderer
     from skope.gen.vehicles import user_models
     from skope.pictures import draw
@@ -129,7 +128,7 @@ def add(
 ) -> None:
     """Turn a model with markers into a vehicle: `skope gen --vehicles NAME` then lets it drive."""
     from skope.errors import one_of
-    from skope.gen.inspect.vehicle_checks import findings
+    from skope.gen.inspect.vehicle_models import findings
     from skope.gen.vehicles.fleet import fleet
     from skope.gen.vehicles.marked_models import read_marked
     from skope.gen.vehicles.user_models import check_mass, save_model, vehicle_of_model

@@ -4,22 +4,270 @@ Keypoints are taken by name, in any order and number: what a file does not have 
 and what cannot be right, is said.
 """
 
+import re
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Final, TypeVar
 
-from skope import schema
+import numpy as np
+
+from skope import field_checks, keypoints, schema
+from skope.boxes import area, clip, xywh_to_xyxy, xyxy_to_xywh
+from skope.dataset import coco
 from skope.errors import UserError
-from skope.gen.formats.coco_categories import Label, road_user_categories, vehicle_categories
-from skope.gen.formats.coco_images import ImageImporter
-from skope.gen.formats.coco_road_users import road_user_of
-from skope.gen.formats.coco_sources import AnnotationSource, annotation_sources, open_source
-from skope.gen.formats.coco_vehicles import vehicle_of_row
-from skope.gen.formats.dataset_builder import finish_dataset, labelled_frame
-from skope.gen.formats.remarks import Remarks
+from skope.gen.formats.coco_sources import (
+    AnnotationSource,
+    ImageImporter,
+    ImportedImage,
+    annotation_sources,
+    open_source,
+    telling,
+)
+from skope.gen.formats.coco_write import UNSAID
+from skope.gen.formats.dataset_builder import Remarks, finish_dataset, labelled_frame
 from skope.gen.formats.source_files import Files, InFolder
 from skope.gen.output.writers import FolderWriter
+from skope.keypoints import SKOPE33, K, Scheme
+from skope.schema import Annotation, Labelled, RoadUser
 from skope.terminal.console import Console
+from skope.types import Array
+
+
+@dataclass(frozen=True)
+class Label:
+    """Keypoints of one category: where each of them goes."""
+
+    scheme: Scheme
+    count: int
+    columns: tuple[int, ...]
+    """In the file ..."""
+    places: tuple[int, ...]
+    """... and in the scheme."""
+    vehicle_type: str | None
+    """The type that the category is called, where it is one of ours."""
+
+
+def vehicle_categories(file: AnnotationSource, console: Console) -> dict[int, Label]:
+    """Categories that have keypoints of one of skope's schemes, by their ids.
+
+    It is said which of their names and keypoints are not ours. Raises UserError where none is, two schemes are mixed,
+    or a file of ours names another scheme or edition than there is.
+    """
+    if file.ours:
+        try:
+            keypoints.scheme_in(file.document["info"])
+        except UserError as error:
+            raise UserError(f"{file.path}: info.{error}") from None
+    out: dict[int, Label] = {}
+    names_seen: list[str] = []
+    lost: list[str] = []
+    for category in file.document["categories"]:
+        stated = category.get("keypoints")
+        names = [bare(name) for name in stated] if isinstance(stated, list) else []
+        names_seen += names
+        for scheme in keypoints.SCHEMES.values():
+            known = [i for i, name in enumerate(names) if name in scheme.names]
+            if not known:
+                continue
+            places = [scheme.names.index(names[i]) for i in known]
+            if len(set(places)) < len(places):
+                raise UserError(f"{file.path}: category {category.get('name')!r} has a keypoint twice")
+            unknown = [name for name in names if name not in scheme.names]
+            if unknown:
+                console.say(f"{file.path}: left out keypoints that are not of {scheme.name}: {', '.join(unknown)}")
+            if len(known) < K:
+                console.say(f"{file.path}: {len(known)} of the {K} keypoints of {scheme.name}; the rest is unlabelled")
+            called = bare(category.get("name"))
+            vehicle_type = called if called in schema.VEHICLE_TYPES else None
+            if vehicle_type is None:
+                lost.append(str(category.get("name")))
+            out[category["id"]] = Label(
+                _scheme_of_marks(scheme, file), len(names), tuple(known), tuple(places), vehicle_type
+            )
+    if not out:
+        found = f"its keypoints are {', '.join(names_seen[:5])} ..." if names_seen else "it has none"
+        raise UserError(f"{file.path}: categories: no keypoint has a name of {SKOPE33.name}: {found}")
+    if len({label.scheme.name for label in out.values()}) > 1:
+        raise UserError(f"{file.path}: categories: keypoints of two schemes")
+    if len(out) > 1 and lost:
+        console.warn(
+            f"{file.path}: of classes {', '.join(lost)} only `{schema.category()['name']}` is left: no vehicle type of "
+            f"ours is called so ({', '.join(schema.VEHICLE_TYPES)})"
+        )
+    return out
+
+
+def road_user_categories(file: AnnotationSource, console: Console) -> dict[int, str]:
+    """Categories without keypoints that are called as ours are, by the ids that the file gives them.
+
+    Where the file is not one of ours it is said, as somebody else's bicycles may be without whoever rides them.
+    """
+    out = {
+        row["id"]: name
+        for row in file.document["categories"]
+        if (name := bare(row.get("name"))) in schema.CATEGORIES[1:] and not row.get("keypoints")
+    }
+    if out and not file.ours:
+        console.say(f"{file.path}: taken for ours, without keypoints: {', '.join(out.values())}")
+    return out
+
+
+def _scheme_of_marks(scheme: Scheme, file: AnnotationSource) -> Scheme:
+    """The scheme in the edition that a file of ours states; people mark what they see, as today's edition does."""
+    if not file.ours or file.document["info"]["keypoint_scheme"] != scheme.name:
+        return scheme
+    try:
+        return keypoints.scheme_in(file.document["info"])
+    except UserError as error:
+        raise UserError(f"{file.path}: info.{error}") from None
+
+
+def bare(name: object) -> str:
+    return re.sub(r"[\s-]+", "_", str(name).strip().lower())
+
+
+_LEAST_BOX_PX: Final = 0.005
+"""A box that is less wide or high than this has no area in a file, where pixels are rounded to 0.01."""
+
+
+PLAIN: Final = ("image_id", "iscrowd", "area")
+"""Fields that mean the same in files of other programs."""
+L = TypeVar("L", bound=Labelled)
+
+
+def vehicle_of_row(
+    where: str, row: Mapping[str, Any], label: Label, image: ImportedImage, remarks: Remarks, *, ours: bool
+) -> Annotation | None:
+    """A vehicle of an image, its box cut to it.
+
+    Args:
+        where: File and record, for messages.
+        row: The record.
+        label: What its category's keypoints are.
+        image: Where it is.
+        remarks: Where it is noted what cannot be right.
+        ours: Whether fields beyond COCO's mean what ours do.
+
+    Returns:
+        None where the box has no area inside the image: nothing can be learnt or found there.
+    """
+    size = image.record.width, image.record.height
+    with telling(where):
+        theirs = field_checks.array("keypoints", row.get("keypoints") or [0] * (3 * label.count), label.count, 3)
+        points = np.zeros((K, 3))
+        points[list(label.places)] = theirs[list(label.columns)]
+        if image.turned is not None:
+            points[:, :2] = image.turned.shown_points(points[:, :2])
+        inside = ((points[:, :2] >= 0) & (points[:, :2] < size)).all(axis=1)
+        points[~inside | (points[:, 2] <= 0)] = 0
+        box = box_of_row(row.get("bbox"), points, image)
+        fields = {name: row[name] for name in PLAIN if row.get(name) is not None}
+        told = attributes_of(row)
+        if told.get("ignore_reason"):
+            told["iscrowd"] = 1
+        if label.vehicle_type is not None:
+            told.setdefault("vehicle_type", label.vehicle_type)
+        fields = {**(row if ours else fields), **told, "bbox": box, "keypoints": points}
+        fields |= {"category_id": schema.CATEGORY_ID, "id": 0}  # ids are given anew
+        vehicle = cut_to(image, coco.annotation_from_dict(fields))
+    if vehicle is None:
+        remarks.add("vehicle", "left out, without area inside the image", where)
+        return None
+    return _without_impossible(where, vehicle, remarks)
+
+
+def cut_to(image: ImportedImage, label: L) -> L | None:
+    """A label with its box cut to the image; None where nothing is left of it."""
+    corners = xywh_to_xyxy(label.bbox)
+    cut = clip(corners, image.record.width, image.record.height)
+    if min(cut[2] - cut[0], cut[3] - cut[1]) < _LEAST_BOX_PX:
+        return None
+    if (cut != corners).any():
+        return replace(label, bbox=xyxy_to_xywh(cut), area=min(label.area, float(area(cut))))
+    return label
+
+
+def box_of_row(stated: Any, points: Array, image: ImportedImage) -> Any:
+    """The box that a record states, in the picture as shown; without one the extent of its labelled keypoints."""
+    if not stated or not any(stated):
+        known = points[points[:, 2] > 0, :2]
+        if not len(known):
+            raise UserError("bbox: missing, and no keypoint is labelled")
+        return xyxy_to_xywh(np.concatenate([known.min(axis=0), known.max(axis=0)]))
+    if image.turned is None:
+        return stated
+    corners = image.turned.shown_points(xywh_to_xyxy(field_checks.array("bbox", stated, 4)).reshape(2, 2))
+    return xyxy_to_xywh(np.concatenate([corners.min(axis=0), corners.max(axis=0)]))
+
+
+def _without_impossible(where: str, vehicle: Annotation, remarks: Remarks) -> Annotation:
+    """The vehicle without points that stand at 0, 0, as programs write what they do not have; doubtful ones are noted.
+
+    A point that is called visible far outside of its vehicle's box stays, for somebody to look at.
+    """
+    points, outside = vehicle.keypoints, schema.far_outside(vehicle)
+    if not outside.any():
+        return vehicle
+    unset = outside & (points[:, :2] == 0).all(axis=1)
+    if unset.any():
+        remarks.add("vehicle", "with keypoints at 0, 0, far from the box: they are taken as unlabelled", where)
+        points = np.where(unset[:, None], 0.0, points)
+        vehicle = replace(vehicle, keypoints=points)
+    if (outside & ~unset & (points[:, 2] == 2)).any():
+        remarks.add("vehicle", "with keypoints called visible far outside of the box: they cannot be right", where)
+    return vehicle
+
+
+def attributes_of(row: Mapping[str, Any]) -> dict[str, Any]:
+    """Fields of a record by CVAT's attributes; what is empty, or not in our lists, is not taken."""
+    out: dict[str, Any] = {}
+    values = row.get("attributes")
+    if not isinstance(values, dict):
+        return out
+    given: dict[str, Any] = values
+    lists = {
+        "vehicle_type": schema.VEHICLE_TYPES,
+        "color": schema.VEHICLE_COLORS,
+        "ignore_reason": schema.IGNORE_REASONS,
+    }
+    for name, choices in lists.items():
+        if given.get(name) in choices:
+            out[name] = given[name]
+    if given.get("model", "") not in ("", UNSAID):
+        out["model"] = str(given["model"])
+    if re.fullmatch(r"\d{1,18}", str(given.get("track_id", ""))):
+        out["track_id"] = int(given["track_id"])
+    return out
+
+
+def road_user_of(
+    where: str, row: Mapping[str, Any], category: str, image: ImportedImage, remarks: Remarks, *, ours: bool
+) -> RoadUser | None:
+    """A road user of an image, its box cut to it.
+
+    Args:
+        where: File and record, for messages.
+        row: The record.
+        category: Its category.
+        image: Where it is.
+        remarks: Where it is noted what cannot be right.
+        ours: Whether fields beyond COCO's mean what ours do.
+
+    Returns:
+        None where the box has no area inside the image.
+    """
+    with telling(where):
+        fields = {name: row[name] for name in PLAIN if row.get(name) is not None}
+        told = {name: value for name, value in attributes_of(row).items() if name in ("track_id", "ignore_reason")}
+        if told.get("ignore_reason"):
+            told["iscrowd"] = 1
+        fields = {**(row if ours else fields), **told, "bbox": box_of_row(row.get("bbox"), np.zeros((K, 3)), image)}
+        fields |= {"category_id": schema.CATEGORIES.index(category) + 1, "id": 0}  # ids are given anew
+        user = cut_to(image, coco.road_user_from_dict(fields))
+    if user is None:
+        remarks.add(category, "left out, without area inside the image", where)
+    return user
 
 
 def read(
@@ -71,8 +319,7 @@ def read(
                     )
                 if scheme is not writer.scheme:
                     raise UserError(
-                        f"{file.path}: has keypoints of scheme {scheme.name}, the others of {writer.scheme.name} "
-                        f"(editions {scheme.edition} and {writer.scheme.edition})"
+                        f"{file.path}: has keypoints of scheme {scheme.name}, the others of {writer.scheme.name}"
                     )
                 _add(file, files, labels, others, importer, writer, console)
     remarks.say(console)

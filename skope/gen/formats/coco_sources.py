@@ -1,10 +1,11 @@
-"""Annotation files to import: which there are, what they are of, and what their names say of splits and licences."""
+"""Annotation files to import and their images: which files there are, what their names say of splits and licences,
+where images lie, how they are turned, of which camera and recording they are."""
 
 import itertools
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager
-from dataclasses import dataclass
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePosixPath
 from typing import Any, Final
 
@@ -13,17 +14,19 @@ import numpy as np
 from skope import schema
 from skope.dataset import coco
 from skope.dataset.folder import FRAMES, PREDICTIONS
+from skope.dataset.picture_headers import PictureHeader, read_header
 from skope.errors import UserError
 from skope.files.json_files import parse_json, read_json
 from skope.gen.formats import file_name_rules
 from skope.gen.formats.coco_write import CVAT_START
-from skope.gen.formats.dataset_builder import LICENCE_FILE, SPLIT_NAME
+from skope.gen.formats.dataset_builder import LICENCE_FILE, SPLIT_NAME, Remarks, bare_name
+from skope.gen.formats.file_name_rules import Place
 from skope.gen.formats.source_files import Files, files_at, first
 from skope.gen.output import licences
-from skope.schema import Result
-from skope.terminal.console import Console
+from skope.schema import Image, Result
+from skope.terminal.console import Console, counted
 
-_FOLDER: Final = "annotations"
+_ANNOTATION_FOLDER: Final = "annotations"
 _VISIBLE_FROM: Final = 0.5
 """A predicted keypoint of this probability counts as visible."""
 _LICENCE_FILES: Final = (
@@ -79,7 +82,7 @@ def annotation_sources(
     if files.find(FRAMES) is not None and files.find(PREDICTIONS) is not None and not _alone(source):
         yield _predictions(source, split)
         return
-    names = [source.name] if _alone(source) else _names(source, files, form)
+    names = [source.name] if _alone(source) else _annotation_names(source, files, form)
     # No folders above the source: what it is called is published, and must not show how the user's disk is laid out.
     called = [] if _alone(source) else [source.resolve().with_suffix("" if source.is_file() else source.suffix).name]
     for name in names:
@@ -114,14 +117,16 @@ def _alone(source: Path) -> bool:
     return source.suffix.lower() == ".json"
 
 
-def _names(source: Path, files: Files, form: str) -> list[str]:
+def _annotation_names(source: Path, files: Files, form: str) -> list[str]:
     start = CVAT_START if form == "cvat" else ""
-    for folders in ([_FOLDER], [""], files.folders()):
+    for folders in ([_ANNOTATION_FOLDER], [""], files.folders()):
         found = [name for folder in folders for name in files.names(folder, ".json")]
         names = [name for name in found if PurePosixPath(name).name.startswith(start)]
         if names:
             return names
-    raise UserError(f"{source}: has no {_FOLDER}/{start}*.json, nor such a file right in it or a folder below")
+    raise UserError(
+        f"{source}: has no {_ANNOTATION_FOLDER}/{start}*.json, nor such a file right in it or a folder below"
+    )
 
 
 def _image_folders(inside: Sequence[str], stem: str, *, alone: bool) -> tuple[str, ...]:
@@ -129,7 +134,7 @@ def _image_folders(inside: Sequence[str], stem: str, *, alone: bool) -> tuple[st
     own = "/".join(inside)
     bare = file_name_rules.bare_stem(stem)
     near = [f"images/{stem}/", f"{stem}/", f"images/{bare}/", f"{bare}/", "", "images/"]
-    if own and own != _FOLDER:
+    if own and own != _ANNOTATION_FOLDER:
         near = [f"{own}/", f"{own}/images/", *near]
     return tuple(dict.fromkeys([*near, *(f"../{folder}" for folder in near if alone)]))
 
@@ -196,3 +201,197 @@ def _predictions(folder: Path, split: str | None) -> AnnotationSource:
         image_folders=("", "images/"),
         licence=licences.NOT_STATED,
     )
+
+
+@dataclass(frozen=True)
+class ImageSource:
+    """An image of an annotation file that lies where it was looked for."""
+
+    row: Mapping[str, Any]
+    where: str
+    """File and record, for messages."""
+    name: str
+    """With forward slashes, relative to some folder."""
+    path: str
+    """Among the `Files`."""
+
+
+@dataclass(frozen=True)
+class ImportedImage:
+    """An image's record in the new dataset, with what it was made of."""
+
+    record: Image
+    contents: Mapping[str, Path | bytes]
+    """Its files by their new names."""
+    turned: PictureHeader | None
+    """The picture's header where labels are in the stored pixels, which are shown otherwise."""
+
+
+@dataclass
+class ImageImporter:
+    """Finds the images of annotation files, and gives them names, sites and recordings in the new dataset."""
+
+    given: Files | None
+    """Folder with the images, if they do not lie beside the annotations."""
+    stored_pixels: bool
+    """Whether labels are in the pixels of the files, before EXIF turns the picture."""
+    remarks: Remarks
+    _names: set[str] = field(default_factory=set)
+    _recordings: dict[tuple[str | None, str], tuple[Any, ...]] = field(default_factory=dict)
+    """Site and name of each recording, with the file and the film that it is."""
+    _splits: dict[str, str] = field(default_factory=dict)
+    """The split that each picture has gone to."""
+
+    def images(self, file: AnnotationSource, files: Files, console: Console) -> Iterator[tuple[int, ImportedImage]]:
+        """The images of an annotation file, which lies among `files`, each with its id there.
+
+        Raises UserError for an image that is nowhere or stands twice, or whose size is not that of its picture.
+        """
+        found = self._locate(file, files)
+        places = file_name_rules.places([one.name for one in found])
+        _tell_places(file, found, places, console)
+        for one, place in zip(console.bar(found, unit="image", label=file.split), places, strict=True):
+            yield one.row["id"], self._image(one, place, file, files)
+
+    def _locate(self, file: AnnotationSource, files: Files) -> list[ImageSource]:
+        among = self.given or files
+        out: list[ImageSource] = []
+        taken: dict[str, str] = {}
+        for i, row in enumerate(file.document["images"]):
+            where, stated = f"{file.path}: images[{i}]", row["file_name"]
+            name = file_name_rules.slashed(stated)
+            ending, path = self._looked_up(among, file, name)
+            if not path:
+                raise UserError(f"{where}: file_name: {self._not_found(stated, name, among)}")
+            if path in taken:
+                other = "" if taken[path] == stated else f" ({path} is {taken[path]} too)"
+                raise UserError(f"{where}: file_name: {stated} stands twice{other}")
+            taken[path] = stated
+            if ending != name:
+                self.remarks.add("image", "found by the end of its name", f"{stated} as {ending}")
+            elif name != stated:
+                self.remarks.add("file name", "read as a path with forward slashes", f"{stated} as {name}")
+            out.append(ImageSource(row, where, ending, path))
+        return out
+
+    def _looked_up(self, among: Files, file: AnnotationSource, name: str) -> tuple[str, str]:
+        """The longest end of a name that is that of a file, and the file's path; without --images the whole name."""
+        folders = ("",) if self.given else file.image_folders
+        endings = file_name_rules.endings(name)
+        for ending in endings if self.given else [e for e in endings if e == name]:
+            for folder in folders:
+                if among.has(f"{folder}{ending}"):
+                    return ending, f"{folder}{ending}"
+        return "", ""
+
+    def _not_found(self, stated: str, name: str, among: Files) -> str:
+        if self.given:
+            return f"no {stated} in {among.where}"
+        if name not in file_name_rules.endings(name):
+            return (
+                f"{stated!r:.80} is no path inside a folder; say with --images where the images lie: there they are "
+                "found by the ends of such names"
+            )
+        return f"no {stated} in {among.where}, as itself or below images/; say with --images where images lie"
+
+    def _image(self, one: ImageSource, place: Place, file: AnnotationSource, files: Files) -> ImportedImage:
+        row = (
+            {**one.row} if file.ours else {name: one.row[name] for name in ("id", "width", "height") if name in one.row}
+        )
+        if not (file.ours and row.get("site") is not None):
+            row |= {"site": place.site, "recording": self._recording(place, file), "frame_index": place.frame}
+        with telling(one.where):
+            image = coco.image_from_dict({**row, "file_name": one.name})
+        content = (self.given or files).find(one.path)
+        if content is None:
+            raise UserError(f"{one.where}: file_name: no {one.path}")
+        header = read_header(content)
+        turned = None
+        if header is not None:
+            image = self._checked(one.where, image, header, ours=file.ours)
+            turned = header if header.turned and self.stored_pixels else None
+        if isinstance(content, Path):
+            other = self._splits.setdefault(str(content), file.split)
+            if other != file.split:
+                self.remarks.add("image", f"in split {file.split} and in {other}", one.where)
+        name = self._free_name(bare_name(one.name), file)
+        contents: dict[str, Path | bytes] = {name: content}
+        depth = None
+        if image.depth_file_name is not None:
+            found = first(files, [f"{folder}{image.depth_file_name}" for folder in ("", "../")])
+            if found is not None:
+                depth = f"depth/{bare_name(image.depth_file_name)}"
+                contents[depth] = found
+        return ImportedImage(replace(image, file_name=name, depth_file_name=depth), contents, turned)
+
+    def _checked(self, where: str, image: Image, header: PictureHeader, *, ours: bool) -> Image:
+        """The image with the size of its picture as shown, which the file states, or the one that is stored."""
+        stated = image.width, image.height
+        if self.stored_pixels and header.turned and ours:
+            raise UserError(f"{where}: --stored-pixels: labels of skope's own files are those of the picture as shown")
+        expected, other = header.shown, header.stored
+        if self.stored_pixels:
+            expected, other = other, expected
+        if stated not in (expected, other):
+            self.remarks.add("picture", "of another size than the file says (`skope gen check` names them)", where)
+            return image
+        if stated != expected:
+            kind, flag = ("shown", "without") if self.stored_pixels else ("stored, not yet turned as EXIF says", "with")
+            raise UserError(
+                f"{where}: width, height: {stated[0]}x{stated[1]} is the picture as {kind}; read the file {flag} "
+                "--stored-pixels"
+            )
+        if header.turned:
+            reading = "stored, and turned with it" if self.stored_pixels else "shown (--stored-pixels: as stored)"
+            self.remarks.add(
+                "picture", f"to be turned (EXIF): labels are taken as those of the picture as {reading}", where
+            )
+        return replace(image, width=header.shown[0], height=header.shown[1])
+
+    def _recording(self, place: Place, file: AnnotationSource) -> str:
+        """The name of an image's recording, which no other file has: each file counts its tracks anew."""
+        whose = file.path, place.film
+        wanted = place.recording or file.name
+        number, name = 1, wanted
+        while self._recordings.setdefault((place.site, name), whose) != whose:
+            number += 1
+            name = f"{wanted}_{number}"
+        return name
+
+    def _free_name(self, bare: str, file: AnnotationSource) -> str:
+        """A name for an image in the dataset that none has yet."""
+        number, name = 1, f"images/{bare}"
+        while name in self._names:
+            folder = file.split if number == 1 else f"{file.split}_{number}"
+            number, name = number + 1, f"images/{folder}/{bare}"
+        self._names.add(name)
+        return name
+
+
+def _tell_places(
+    file: AnnotationSource, found: Sequence[ImageSource], places: Sequence[Place], console: Console
+) -> None:
+    """Say what file names were taken for, where the file does not say it itself."""
+    guessed = [place for one, place in zip(found, places, strict=True) if not (file.ours and one.row.get("site"))]
+    sites = [*dict.fromkeys(place.site for place in guessed if place.site is not None)]
+    if sites:
+        shown = ", ".join(sites[:3]) + (f" and {len(sites) - 3} more" if len(sites) > 3 else "")
+        console.say(f"{file.path}: folders are taken for cameras (sites): {shown}")
+    films = {place.film for place in guessed if place.film is not None}
+    if films:
+        frames = sum(place.film is not None for place in guessed)
+        console.say(
+            f"{file.path}: {counted(frames, 'numbered image')} taken for the frames of "
+            f"{counted(len(films), 'recording')}, in the order of their numbers"
+        )
+
+
+@contextmanager
+def telling(where: str) -> Iterator[None]:
+    """Name the file and the record in what is wrong with it."""
+    try:
+        yield
+    except KeyError as error:
+        raise UserError(f"{where}: field {error.args[0]} is missing") from None
+    except (TypeError, ValueError, AttributeError) as error:
+        raise UserError(f"{where}: {error}") from None

@@ -3,20 +3,48 @@
 import itertools
 import shlex
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import islice
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Final
 
-from skope.dataset.folder import Dataset
+from skope.dataset.folder import CARD, MANIFEST, Dataset
 from skope.errors import UserError, one_of
-from skope.files.atomic import replacing_folder, write_text
+from skope.files.atomic import read_bytes, replacing_folder, write_bytes, write_text
 from skope.files.output_folders import move_new
-from skope.gen.formats import coco_read, coco_write, folder_and_shards, kitti, mot, skope3d, yolo
-from skope.gen.formats.archive import zipped
+from skope.gen.formats import coco_read, coco_write, kitti, mot, skope3d, yolo
 from skope.gen.formats.dataset_builder import LICENCE_FILE, SPLIT_NAME, check_outside, dataset_at
-from skope.gen.output.writers import DATASET_FORMATS
+from skope.gen.formats.source_files import zipped
+from skope.gen.output import dataset_card
+from skope.gen.output.parameters import DatasetPlan
+from skope.gen.output.writers import DATASET_FORMATS, frames_of_split, writer_of
 from skope.terminal.console import Console
+
+
+def _to_folder_or_shards(dataset: Dataset, form: str, out: Path, console: Console) -> None:
+    """Write a dataset that `skope gen` made in the other of the two forms at `out`, an empty folder."""
+    if not (dataset.root / MANIFEST).is_file():
+        raise UserError(f"{dataset.root / MANIFEST}: no such file: only what `skope gen` made can be converted")
+    if not dataset.card.get("takes") or "parameters" not in dataset.card:
+        raise UserError(f"{dataset.root / CARD}: takes, parameters: missing")
+    plan = DatasetPlan.from_dict(dataset.card, dataset.root / CARD)
+    if form == dataset.card.get("format"):
+        raise UserError(f"{dataset.root}: is in this format already ({form})")
+    writer = writer_of(form, out, dataset.scheme, dataset.categories)
+    for name in sorted(p.name for p in (dataset.root / "recordings").glob("*.npz")):
+        write_bytes(out / "recordings" / name, read_bytes(dataset.root / "recordings" / name))
+        writer.add_file(Path("recordings") / name)
+    splits = {split: frames_of_split(dataset, split) for split in {info.split: None for info in plan.recordings}}
+    for info in console.bar(plan.recordings, unit="recording", label=f"writing {form}"):
+        frames = list(islice(splits[info.split], info.frames))
+        if len(frames) < info.frames:
+            raise UserError(f"{dataset.root}: {info.split}: has fewer images than its card says; see `skope gen check`")
+        writer.add(info.split, frames)
+    writer.finish()
+    parameters = replace(plan.parameters, format=form)
+    content = {**dataset.card, "format": form, "parameters": parameters.to_dict()}
+    dataset_card.write_card(out, {**content, "command": dataset_card.command(parameters)})
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,15 +72,15 @@ _OPTION_FORMATS: Final = {
 }
 """The formats that each option is for."""
 
-_WRITE: Final[Mapping[str, Callable[[Dataset, Path, Console], None]]] = {
+_FORMAT_WRITERS: Final[Mapping[str, Callable[[Dataset, Path, Console], None]]] = {
     "coco": coco_write.write,
     "cvat": coco_write.write_cvat,
     "kitti": kitti.write,
     "mot": mot.write,
     "skope3d": skope3d.write,
 }
-_YOLO: Final = "yolo"
-WRITERS: Final = (*DATASET_FORMATS, *_WRITE, _YOLO)
+_YOLO_FORMAT: Final = "yolo"
+WRITERS: Final = (*DATASET_FORMATS, *_FORMAT_WRITERS, _YOLO_FORMAT)
 READERS: Final = ("coco", "cvat", "skope3d")
 
 
@@ -138,10 +166,10 @@ def _read(sources: Sequence[Path], root: Path, form: str, options: ConversionOpt
 
 def _write(dataset: Dataset, form: str, folder: Path, options: ConversionOptions, console: Console) -> None:
     if form in DATASET_FORMATS:
-        folder_and_shards.convert(dataset, form, folder, console)
+        _to_folder_or_shards(dataset, form, folder, console)
         return
-    if form == _YOLO:
+    if form == _YOLO_FORMAT:
         yolo.write(dataset, folder, options.keypoints, console)
     else:
-        _WRITE[form](dataset, folder, console)
+        _FORMAT_WRITERS[form](dataset, folder, console)
     write_text(folder / LICENCE_FILE, f"{dataset.licence}\n")

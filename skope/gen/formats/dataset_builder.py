@@ -13,12 +13,12 @@ from skope import schema
 from skope.dataset import coco, shards
 from skope.dataset.folder import CARD, Dataset, open_dataset
 from skope.errors import UserError
-from skope.files.atomic import write_text
+from skope.files.atomic import read_bytes, sha256_of, write_text
 from skope.files.json_files import write_json
-from skope.files.reading import read_bytes, sha256_of
 from skope.gen.output import card_text, licences
 from skope.gen.output.writers import FolderWriter, FrameFiles, Labels, categories_field, checksum, label_fields
 from skope.schema import Annotation, Image, RoadUser
+from skope.terminal.console import Console, counted
 from skope.version import __version__
 
 LICENCE_FILE: Final = "LICENCE.txt"
@@ -139,3 +139,20 @@ def licence_beside(folder: Path) -> str:
     """The licence that `LICENCE_FILE` in a folder states; "not stated" where there is no such file."""
     path = folder / LICENCE_FILE
     return licences.in_text(read_bytes(path).decode(errors="replace")) if path.is_file() else licences.NOT_STATED
+
+
+class Remarks:
+    """Collects remarks while records are read one after the other."""
+
+    def __init__(self) -> None:
+        self._met: dict[tuple[str, str], tuple[int, str]] = {}
+
+    def add(self, noun: str, text: str, where: str) -> None:
+        """Note that `text` holds for one more thing that `noun` names, at `where`."""
+        count, first = self._met.get((noun, text), (0, where))
+        self._met[noun, text] = count + 1, first
+
+    def say(self, console: Console) -> None:
+        """Say all that was noted, in the order in which it was first met."""
+        for (noun, text), (count, where) in self._met.items():
+            console.warn(f"{counted(count, noun)} {text}; first: {where}")

@@ -77,7 +77,7 @@ def _opened(sources: Sequence[Path], out: Path) -> list[Dataset]:
     for other in datasets[1:]:
         if other.scheme is not first.scheme:
             raise UserError(
-                f"{other.root}: has keypoint scheme {other.scheme.title}, {first.root} has {first.scheme.title}"
+                f"{other.root}: has keypoint scheme {other.scheme.name}, {first.root} has {first.scheme.name}"
             )
     return datasets
 

@@ -22,12 +22,12 @@ from skope.dataset.folder import Dataset
 from skope.dataset.image_selection import recordings
 from skope.errors import UserError
 from skope.files.atomic import write_text
+from skope.files.csv_files import read_csv, write_csv
 from skope.files.json_files import read_json, write_json
-from skope.files.reading import read_text
 from skope.files.safe_names import name as check_name
-from skope.gen.formats.archive import opened, zipped
 from skope.gen.formats.dataset_builder import finish_dataset, frame_rate, labelled_frame, licence_beside
 from skope.gen.formats.skope3d_scenes import VIDEO, ArchiveScene, ArchiveVehicle, archives, scene_of
+from skope.gen.formats.source_files import opened, zipped
 from skope.gen.output.writers import FolderWriter
 from skope.keypoints import PUBLISHED, SKOPE33, K
 from skope.schema import Annotation, AnnotationFile, Image
@@ -105,9 +105,9 @@ def _places(path: Path) -> dict[str, ScenePlace]:
         return {}
     places = {}
     try:
-        for row in csv.DictReader(io.StringIO(read_text(path))):
+        for row in read_csv(path)[1]:
             places[row["scene"]] = ScenePlace(row["split"], row["site"], row["recording"])
-    except (KeyError, csv.Error):
+    except KeyError:
         raise UserError(f"{path}: expected the columns scene, split, site, recording") from None
     for scene, place in places.items():
         for field, value in vars(place).items():
@@ -237,9 +237,7 @@ def write(dataset: Dataset, out: Path, console: Console) -> None:
         zipped(folder, out / f"{name}.zip")
         shutil.rmtree(folder)
         places.append((name, split, images[0].site or name, images[0].recording or "00"))
-    text = io.StringIO()
-    csv.writer(text, lineterminator="\n").writerows([("scene", "split", "site", "recording"), *places])
-    write_text(out / SCENES, text.getvalue())
+    write_csv(out / SCENES, ("scene", "split", "site", "recording"), places, byte_order_mark=False)
     if ignored:
         console.say(f"{ignored} ignored vehicles are left out: this format has no place for them")
     if others:

@@ -20,10 +20,10 @@ from typing import Final
 import numpy as np
 
 from skope.errors import UserError
-from skope.files.reading import decoded
+from skope.files.atomic import decoded
 from skope.files.safe_names import counting_order
 from skope.files.safe_names import name as check_name
-from skope.gen.formats.archive import Archive
+from skope.gen.formats.source_files import Archive
 from skope.keypoints import K
 from skope.types import Array
 

@@ -1,15 +1,168 @@
-"""Files to read from, in a folder or in an archive."""
+"""Files to read from, in a folder or in an archive. Zip archives are of strangers: they are read with limits, and
+without letting a member's name mean anything but a name.
 
+Names are read as their writers meant them: with backslashes, as some programs of Windows write them, and in UTF-8 where
+the flag that says so is missing. What operating systems add (`__MACOSX/`, hidden files, thumbnails) is left alone.
+"""
+
+import re
 import unicodedata
+import zipfile
+import zlib
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import lru_cache
 from pathlib import Path, PurePosixPath
 from typing import Final, Protocol
 
 from skope.errors import UserError
+from skope.files.atomic import replacing
+from skope.files.safe_names import is_relative
 from skope.gen.formats import file_name_rules
-from skope.gen.formats.archive import Archive, added_by_system, opened
+
+MEMBERS: Final = 2_000_000
+"""Most members of an archive."""
+RATIO: Final = 200
+"""Most times its packed size that a member larger than `FREE` may unpack to."""
+FREE: Final = 1 << 20
+LARGEST_MEMBER_BYTES: Final = 64 << 30
+"""Bytes of the largest member."""
+_CHUNK_BYTES: Final = 1 << 20
+_UTF8_FLAG: Final = 0x800
+_OF_SYSTEMS: Final = ("__MACOSX", "Thumbs.db", "desktop.ini")
+_LINK_KIND: Final = 0o120000
+_KIND_MASK: Final = 0o170000
+
+
+class Archive:
+    """A zip file whose directory was checked; members are read whole into memory or streamed to a file."""
+
+    def __init__(self, path: Path, file: zipfile.ZipFile) -> None:
+        self.path, self._file = path, file
+        infos = file.infolist()
+        if len(infos) > MEMBERS:
+            raise UserError(f"{path}: has {len(infos)} members, more than {MEMBERS}")
+        self._infos: dict[str, zipfile.ZipInfo] = {}
+        self.folders: set[str] = set()
+        for info in infos:
+            name = _member_name(info)
+            if not name and info.filename:  # the archive's own folder, ./
+                continue
+            if not is_relative(name):
+                raise UserError(f"{path}: member {info.filename!r}: its name {_fault_of_name(name)}")
+            if added_by_system(name):
+                continue
+            self._check(info)
+            if name.endswith("/"):
+                self.folders.add(name.rstrip("/"))
+            elif name in self._infos:
+                raise UserError(f"{path}: member {name} stands twice")
+            else:
+                self._infos[name] = info
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the files, in the archive's order."""
+        return tuple(self._infos)
+
+    def __contains__(self, name: str) -> bool:
+        return name in self._infos
+
+    def read(self, name: str, limit: int) -> bytes:
+        """A member's bytes; a UserError when there is none, or it is broken or longer than `limit`."""
+        return b"".join(self._chunks(name, limit))
+
+    def extract(self, name: str, target: Path) -> None:
+        """Write a member to a file."""
+        with replacing(target) as temporary, temporary.open("wb") as file:
+            file.writelines(self._chunks(name, LARGEST_MEMBER_BYTES))
+
+    def _chunks(self, name: str, limit: int) -> Iterator[bytes]:
+        if name not in self._infos:
+            raise UserError(f"{self.path}: has no member {name}")
+        info, done = self._infos[name], 0
+        if info.file_size > limit:
+            raise UserError(f"{self.path}: member {name}: {info.file_size} bytes, more than {limit}")
+        try:
+            with self._file.open(info) as member:
+                while chunk := member.read(_CHUNK_BYTES):
+                    done += len(chunk)
+                    yield chunk
+        except (zipfile.BadZipFile, zlib.error, EOFError, OSError, NotImplementedError, RuntimeError) as error:
+            raise UserError(f"{self.path}: member {name}: cannot be unpacked: {error or 'truncated'}") from None
+        if done != info.file_size:
+            raise UserError(f"{self.path}: member {name}: truncated")
+
+    def _check(self, info: zipfile.ZipInfo) -> None:
+        where = f"{self.path}: member {info.filename!r}"
+        if info.external_attr >> 16 & _KIND_MASK == _LINK_KIND:
+            raise UserError(f"{where}: is a link")
+        if info.flag_bits & 1:
+            raise UserError(f"{where}: is encrypted")
+        if info.file_size > max(FREE, RATIO * info.compress_size):
+            raise UserError(f"{where}: {info.compress_size} bytes would unpack to {info.file_size}: refused")
+
+
+@contextmanager
+def opened(path: Path) -> Iterator[Archive]:
+    """An archive to read from; a UserError names the file when it is none, or one that is not to be trusted."""
+    try:
+        file = zipfile.ZipFile(path)
+    except FileNotFoundError:
+        raise UserError(f"{path}: no such file") from None
+    except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError) as error:
+        kind = "a zip archive without its end, so truncated" if _begins_as_zip(path) else "not a zip archive"
+        raise UserError(f"{path}: {kind} ({error})") from None
+    with file:
+        yield Archive(path, file)
+
+
+def _begins_as_zip(path: Path) -> bool:
+    """Whether a file begins as zip archives do."""
+    with suppress(OSError), path.open("rb") as file:
+        return file.read(4) == b"PK\x03\x04"
+    return False
+
+
+def _member_name(info: zipfile.ZipInfo) -> str:
+    """A member's name with forward slashes; a folder's ends in one."""
+    name = info.orig_filename
+    if not info.flag_bits & _UTF8_FLAG:  # then zipfile has taken its bytes for those of an old code page
+        with suppress(UnicodeError):
+            name = name.encode("cp437").decode("utf-8")
+    name = name.replace("\\", "/")
+    while name.startswith("./"):
+        name = name.removeprefix("./").lstrip("/")
+    return name
+
+
+def _fault_of_name(name: str) -> str:
+    """Why a name is none for a file below a folder, in words."""
+    leads_out = name.startswith("/") or ".." in name.split("/") or re.match(r"[A-Za-z]:", name)
+    return "leads out of the archive" if leads_out else "cannot be a file's (control characters, or too long)"
+
+
+def added_by_system(name: str) -> bool:
+    """Whether a path with forward slashes is that of a file which no person put there."""
+    parts = [part for part in name.split("/") if part]
+    return any(part.startswith(".") or part in _OF_SYSTEMS for part in parts)
+
+
+def zipped(folder: Path, target: Path) -> None:
+    """Write the files of a folder as an archive, equal files as equal bytes; pictures do not shrink any further."""
+    with replacing(target) as temporary, zipfile.ZipFile(temporary, "w") as file:
+        for path in sorted(folder.rglob("*")):
+            name = path.relative_to(folder).as_posix()
+            if path.is_file():
+                kind = zipfile.ZIP_STORED if path.suffix in (".jpg", ".png", ".avi") else zipfile.ZIP_DEFLATED
+                info = zipfile.ZipInfo(name)
+                info.compress_type = kind
+                with path.open("rb") as source, file.open(info, "w", force_zip64=True) as member:
+                    while chunk := source.read(_CHUNK_BYTES):
+                        member.write(chunk)
+            elif not any(path.iterdir()):
+                file.writestr(zipfile.ZipInfo(f"{name}/"), b"")
+
 
 _LARGEST_BYTES: Final = {".json": 1 << 31}
 _LARGEST_OTHER: Final = 1 << 28

@@ -1,6 +1,7 @@
-"""Does a dataset hold what it says?
+"""Does a dataset hold what it says? And repair of one that does not: broken frames are rendered again, sound files stay
+as they are, byte for byte.
 
-Files and their bytes, schema, ids, masks, re-projection, visibility, depth and motion.
+Checked are files and their bytes, schema, ids, motion, and each label (`skope.gen.inspect.label_checks`).
 """
 
 import hashlib
@@ -13,40 +14,36 @@ from typing import Any
 import numpy as np
 
 from skope import keypoints
-from skope.camera.model import Camera
 from skope.dataset import shards
 from skope.dataset.folder import CARD, MANIFEST, Dataset, read_manifest
 from skope.errors import UserError
-from skope.gen.formats.archive import added_by_system
-from skope.gen.inspect.check_boxes import (
-    DEPTH_LIMIT,
+from skope.gen.formats.source_files import added_by_system
+from skope.gen.inspect.label_checks import (
     box_3d_findings,
     box_findings,
     depth_findings,
+    keypoint_3d_findings,
+    keypoint_findings,
     mask_findings,
+    projection_findings,
+    visibility_findings,
     wrapped,
 )
-from skope.gen.labels.visibility import POINT_TOLERANCE, SLOPE_CAP
+from skope.gen.output.dataset_card import command
 from skope.gen.output.frames import SUFFIX_OF_FORMAT
 from skope.gen.output.writers import rows_of
-from skope.schema import Annotation, AnnotationFile, Image, RoadUser, far_outside
+from skope.gen.pipeline.dataset_store import Store
+from skope.gen.pipeline.generate import PoolFactory, finish_rendering
+from skope.schema import Annotation, AnnotationFile, Image, RoadUser
+from skope.terminal.console import Console
 from skope.types import AnyFloats
 
-REPROJECTION_PX = 0.1
-OUTSIDE_M = 0.35
-"""Mirrors stand out of the box, metres."""
 ACCELERATION = 10.0
 """More than any vehicle brakes or corners with, m/s^2."""
 TURN_LEVER_M = 4.0
 """Farthest from an articulated vehicle's front axle that its velocity is measured, metres."""
-BEND_RAD = 0.01
-"""Difference between an articulated vehicle's angle and what its rear wheels say that rounding explains, radians."""
 SPEED_DOUBT = 0.3
 """Difference between two speeds that a body's rocking and the rounding of files explain, m/s."""
-SHARP_PX = 40.0
-"""Vehicles whose box is smaller than this may have points hidden by what is smaller than a pixel."""
-DOUBT = 0.015
-"""Metres by which the depth file must contradict a flag before it counts: 1 cm, and what rounding takes."""
 
 
 @dataclass(frozen=True)
@@ -266,113 +263,50 @@ def _check_image(dataset: Dataset, image: Image, labels: Sequence[Annotation | R
             if depth is not None and image.camera is not None:
                 yield from ((where, text) for text in depth_findings(depth, image.camera, annotation))
             continue
-        yield from ((where, text) for text in _check_keypoints(image, annotation))
-        yield from ((where, text) for text in _check_keypoints_3d(annotation))
+        yield from ((where, text) for text in keypoint_findings(image, annotation))
+        yield from ((where, text) for text in keypoint_3d_findings(annotation))
         if image.camera is not None and annotation.keypoints_3d is not None:
-            yield from ((where, text) for text in _check_projection(image.camera, annotation))
+            yield from ((where, text) for text in projection_findings(image.camera, annotation))
             if depth is not None:
-                yield from ((where, text) for text in _check_visibility(depth, image.camera, annotation))
+                yield from ((where, text) for text in visibility_findings(depth, image.camera, annotation))
 
 
-def _check_keypoints(image: Image, annotation: Annotation) -> Iterator[str]:
-    x, y, v = annotation.keypoints.T
-    if ((v > 0) & ((x < 0) | (y < 0) | (x >= image.width) | (y >= image.height))).any():
-        yield "keypoints: a labelled point lies outside the image"
-    if ((v == 0) & ((x != 0) | (y != 0))).any():
-        yield "keypoints: v = 0 with coordinates"
-    # Of a point in the outermost pixels the part that holds it may lie beyond the image, and so in no box.
-    inner = (x >= 1) & (y >= 1) & (x < image.width - 1) & (y < image.height - 1)
-    for k in np.flatnonzero(far_outside(annotation) & (v == 2) & inner):
-        yield f"keypoints: point {k} is called visible at {x[k]:g}, {y[k]:g}, far outside of its vehicle's box"
+def _lost_splits(dataset: Dataset, findings: Sequence[Finding]) -> set[str]:
+    """Splits whose annotation file, or the manifest, is broken: none of their labels can be trusted."""
+    files = {finding.where for finding in findings if finding.image is None}
+    if MANIFEST in files:
+        return set(dataset.splits)
+    return {split for split in dataset.splits if f"annotations/{split}.json" in files}
 
 
-def _check_keypoints_3d(annotation: Annotation) -> Iterator[str]:
-    """The keypoints in the world against the 3D box, and an articulated vehicle's angle."""
-    box = annotation.box_3d
-    if box is None or annotation.keypoints_3d is None:
-        return
-    own = (annotation.keypoints_3d - box.center) @ box.R
-    if (np.abs(own) > box.size_lwh / 2 + OUTSIDE_M).any():
-        yield "keypoints_3d: a point lies far outside box_3d"
-    if annotation.articulation is not None:
-        # The trailer's rearmost axle points to its left.
-        right, left = annotation.keypoints_3d[list(keypoints.WHEELS[2:])]
-        bend = float(wrapped(np.arctan2(*(left - right)[[1, 0]]) - np.pi / 2 - box.yaw))
-        if abs(wrapped(bend - annotation.articulation)) > BEND_RAD:
-            yield f"articulation: is {annotation.articulation:.4f}, the rear wheels of keypoints_3d say {bend:.4f}"
+def repair(dataset: Dataset, findings: Sequence[Finding], start_pool: PoolFactory, console: Console) -> None:
+    """Render broken frames of a dataset again, and write all labels anew.
 
+    Args:
+        dataset: A dataset that `skope gen` made.
+        findings: What `check` found.
+        start_pool: Starts the workers.
+        console: Where progress is shown.
 
-def _check_projection(camera: Camera, annotation: Annotation) -> Iterator[str]:
-    assert annotation.keypoints_3d is not None
-    pixels, _, valid = camera.project(annotation.keypoints_3d)
-    labelled = annotation.keypoints[:, 2] > 0
-    error = np.abs(np.nan_to_num(pixels, nan=np.inf) - annotation.keypoints[:, :2]).max(axis=1)
-    for k in np.flatnonzero(labelled & ~(error <= REPROJECTION_PX)):
-        yield f"keypoints: {keypoints.NAMES[k]} is {error[k]:.2f} px from where keypoints_3d projects"
-    edge = np.nan_to_num(pixels, nan=-1e9)
-    well_inside = (edge > 0.1).all(1) & (edge < [camera.width - 0.1, camera.height - 0.1]).all(1)
-    for k in np.flatnonzero(~labelled & valid & well_inside):
-        yield f"keypoints: {keypoints.NAMES[k]} projects into the image but has v = 0"
-
-
-def _gaps(depth: AnyFloats, camera: Camera, points: AnyFloats) -> AnyFloats:
-    """Distances of points (..., 3) behind what the 3 x 3 pixels around them show (9, ...), metres; NaN outside."""
-    pixels, _, valid = camera.project(points)
-    seen = valid & camera.inside(pixels)
-    at = np.floor(np.where(seen[..., None], pixels, 0.0)).astype(int)
-    distance = np.linalg.norm(camera.to_camera(points), axis=-1)
-    out = []
-    for down, right in itertools.product((-1, 0, 1), repeat=2):
-        columns = np.clip(at[..., 0] + right, 0, camera.width - 1)
-        rows = np.clip(at[..., 1] + down, 0, camera.height - 1)
-        rays, _ = camera.rays(np.stack([columns, rows], axis=-1) + 0.5)
-        shown = depth[rows, columns] * np.linalg.norm(rays, axis=-1)
-        out.append(np.where(seen, distance - shown, np.nan))
-    return np.stack(out)
-
-
-def _tested_places(annotation: Annotation) -> AnyFloats:
-    """(C, 33, 3) places where each point's visibility may have been tested.
-
-    A wheel is tested at the middle of its outer face, which the annotation does not hold: half a wheel's width out
-    along an axle that may be steered.
+    Raises:
+        UserError: The dataset has another origin, or recordings are broken: these are removed, and the message names
+            the command that simulates them again.
     """
-    assert annotation.keypoints_3d is not None
-    if annotation.box_3d is None:
-        return annotation.keypoints_3d[None]
-    R, bend = annotation.box_3d.R, annotation.articulation or 0.0
-    # The rear wheels of an articulated vehicle are its trailer's.
-    bends = np.array([[0.0], [0.0], [bend], [bend]])
-    forward = np.cos(bends) * R[:, 0] + np.sin(bends) * R[:, 1]
-    left = np.cos(bends) * R[:, 1] - np.sin(bends) * R[:, 0]
-    side = np.array([[-1.0], [1.0], [-1.0], [1.0]])
-    places = []
-    for out, turn in itertools.product((0.09, 0.11, 0.13, 0.15), (-0.6, -0.3, 0.0, 0.3, 0.6)):
-        points = annotation.keypoints_3d.copy()
-        points[list(keypoints.WHEELS)] += side * out * (np.cos(turn) * left - np.sin(turn) * forward)
-        places.append(points)
-    return np.stack(places)
-
-
-def _check_visibility(depth: AnyFloats, camera: Camera, annotation: Annotation) -> Iterator[str]:
-    """Flags that no pixel near the point bears out.
-
-    The file is rounded and has no slope, for which a point that is called visible was allowed: here the spread of the
-    pixels around it stands for that. A point that none of them hides is visible without any allowance, but what hides
-    a point of a small vehicle may be smaller than a pixel. Of a wheel at the image's edge nobody can say where it was
-    tested.
-    """
-    assert annotation.keypoints_3d is not None
-    gaps = _gaps(depth, camera, _tested_places(annotation)).reshape(-1, keypoints.K)
-    least, most = np.fmin.reduce(gaps), np.fmax.reduce(gaps)
-    at_edge = np.isnan(gaps).any(axis=0)
-    with np.errstate(invalid="ignore"):
-        doubt = DOUBT + np.minimum(np.nan_to_num(most - least, nan=SLOPE_CAP, posinf=SLOPE_CAP), SLOPE_CAP)
-    v = annotation.keypoints[:, 2]
-    near = (np.linalg.norm(camera.to_camera(annotation.keypoints_3d), axis=1) < DEPTH_LIMIT) & ~at_edge
-    for k in np.flatnonzero(near & (v == 2) & (least > POINT_TOLERANCE + doubt)):
-        yield f"keypoints: {keypoints.NAMES[k]} has v = 2, but the depth file shows {least[k]:.2f} m less"
-    for k in np.flatnonzero(
-        near & (annotation.bbox[2:].max() >= SHARP_PX) & (v == 1) & (most < POINT_TOLERANCE - DOUBT)
-    ):
-        yield f"keypoints: {keypoints.NAMES[k]} has v = 1, but the depth file shows nothing before it"
+    if "takes" not in dataset.card:
+        raise UserError(f"{dataset.root}: was not made by `skope gen`: there is nothing to make it again from")
+    store = Store(dataset.root)
+    with store.locked():
+        plan = store.plan
+        for finding in findings:
+            if finding.stray:
+                (dataset.root / finding.where).unlink(missing_ok=True)
+        store.reopen({finding.image for finding in findings if finding.image}, _lost_splits(dataset, findings))
+        lost = [store.recording_path(recording) for recording in plan.recordings if not store.recorded(recording)]
+        lost += [dataset.root / f.where for f in findings if f.where.startswith("recordings/") and not f.stray]
+        if lost:
+            for path in lost:
+                path.unlink(missing_ok=True)
+            raise UserError(
+                f"{lost[0]}: has to be simulated again; go on with: {command(plan.parameters)} --out {store.root}"
+            )
+        finish_rendering(store, plan.parameters.renderer, start_pool, console)

@@ -1,4 +1,4 @@
-"""Pictures of a dataset: overlays of single images, and sheets of several."""
+"""Pictures of a dataset: overlays of single images, sheets of several, and splits for the viewer."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -10,7 +10,9 @@ from skope.dataset.folder import Dataset
 from skope.errors import UserError
 from skope.pictures import draw
 from skope.schema import Annotation, Image, RoadUser
+from skope.terminal.console import Console
 from skope.types import Pixels
+from skope.viewer.collection import Collection, ShownSplit, read_picture
 
 LAYERS: Final = ("keypoints", "boxes_3d", "mask", "depth", "occlusion")
 """Layers that can be drawn on an image."""
@@ -107,4 +109,17 @@ def _cell(pixels: Pixels, text: str) -> Pixels:
     height = round(pixels.shape[0] * _SHEET_IMAGE_PX / pixels.shape[1])
     return draw.caption(
         np.asarray(cv2.resize(pixels, (_SHEET_IMAGE_PX, height), interpolation=cv2.INTER_AREA), np.uint8), text
+    )
+
+
+def dataset_collection(dataset: Dataset, names: Sequence[str], console: Console) -> Collection:
+    """The named splits of a dataset, or all of them; a UserError says what is wrong with them."""
+    wanted = tuple(dict.fromkeys(names)) or dataset.splits
+    if not wanted:
+        raise UserError(f"{dataset.root}: has no splits")
+    files = [dataset.read(name) for name in console.bar(wanted, unit="split", label="reading")]
+    return Collection(
+        title=f"{dataset.root.resolve().name} ({', '.join(wanted)})",
+        splits=tuple(ShownSplit(file=file) for file in files),
+        picture=lambda image: read_picture(dataset.root / image.file_name),
     )

@@ -16,7 +16,7 @@ from skope.dataset.folder import Dataset
 from skope.files.atomic import replacing
 from skope.keypoints import K
 from skope.schema import CATEGORIES, Annotation, AnnotationFile, Image
-from skope.terminal.text_table import text_table
+from skope.terminal.console import text_table
 
 _OPTIONAL: Final = ("bend_deg", "road_users")
 """Numbers that only some datasets have."""

@@ -1,26 +1,82 @@
-"""Annotate a rendered frame: labels of all vehicles that it shows.
+"""Annotate a rendered frame: labels of all vehicles that it shows, and of people on foot and on two wheels; which of
+them are ground truth and which are ignored.
 
 It knows arrays alone, and none of the engines that made them.
 """
 
 import math
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
 from skope import keypoints
 from skope.camera.model import Camera
-from skope.gen.labels.boxes_and_masks import box_around, measure_extent
-from skope.gen.labels.ignore_rules import Rules, ignore_reason, occluded_by_others
+from skope.errors import UserError, one_of
+from skope.gen.bystanders import bystander
+from skope.gen.bystanders.bystander import CATEGORY_OF
+from skope.gen.labels.boxes_and_masks import Extent, box_around, measure_extent
 from skope.gen.labels.visibility import VEHICLE_TOLERANCE, behind, find_hidden
-from skope.gen.labels.world_keypoints import world_keypoints
+from skope.gen.labels.world_keypoints import LOCALIZERS, world_keypoints
 from skope.gen.render.frame import RenderedFrame
 from skope.gen.scene.recording import Moment
 from skope.gen.vehicles.model import Vehicle
 from skope.gen.vehicles.paints import color_name
-from skope.schema import Annotation, Box3D
-from skope.types import Array
+from skope.schema import CATEGORIES, Annotation, Box3D, RoadUser
+from skope.types import Array, Mask
+
+OCCLUSION_RULES: Final = ("others", "paper")
+MIN_PIXELS: Final = 20
+"""Vehicles with fewer visible pixels are ignored as `small`."""
+MIN_CONTRAST: Final = 1.0
+"""Vehicles whose visible pixels change by less than this on average, in units of what noise and compression hide, are
+ignored as `unseen`."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rules:
+    """Rules on what is ground truth and what ignored, and on how keypoints are localised."""
+
+    occlusion: str = "others"
+    localizer: str = "rigid"
+    min_visible: float = 0.15
+    """Less than this share of the silhouette unhidden and inside the image: `sliver`."""
+    min_box: float = 12.0
+    """A box whose shorter edge is under this many pixels: `small`."""
+
+    def __post_init__(self) -> None:
+        one_of("--occlusion-rule", self.occlusion, OCCLUSION_RULES)
+        one_of("--localizer", self.localizer, LOCALIZERS)
+        if not 0 <= self.min_visible <= 1:
+            raise UserError(f"--min-visible: expected a share from 0 to 1, got {self.min_visible}")
+        if not self.min_box >= 0:
+            raise UserError(f"--min-box: expected pixels from 0, got {self.min_box}")
+
+
+def occluded_by_others(hidden_by_others: Mask, inside: Mask) -> Mask:
+    """(...,) whether a vehicle counts as hidden by the rule `others`.
+
+    It does where something else hides more than half of its keypoints inside the image; both masks are (..., 33).
+    """
+    return np.asarray(hidden_by_others.sum(-1) * 2 > inside.sum(-1))
+
+
+def ignore_reason(shape: Extent, occluded: bool, contrast: float, rules: Rules) -> str | None:
+    """Tell why a road user is ignored; None where it is ground truth.
+
+    Args:
+        shape: Its boxes and pixel counts.
+        occluded: Whether something else hides it, by the rule of occlusion.
+        contrast: Its contrast with what is behind it, in deviations of the noise.
+        rules: The limits.
+    """
+    if occluded:
+        return "occluded"
+    if shape.visible < rules.min_visible * shape.whole:
+        return "sliver"
+    if min(shape.bbox[2:]) < rules.min_box or shape.visible < MIN_PIXELS:
+        return "small"
+    return "unseen" if contrast < MIN_CONTRAST else None
 
 
 @dataclass
@@ -127,4 +183,61 @@ def _vehicle_fields(moment: Moment, i: int, vehicle: Vehicle, camera: Camera) ->
         "velocity": moment.velocity[i],
         "distance": float(np.linalg.norm(center - camera.position)),
         **articulation,
+    }
+
+
+def annotate_road_users(
+    moment: Moment, view: RenderedFrame, camera: Camera, rules: Rules, image_id: int, first_id: int
+) -> list[RoadUser]:
+    """Label the bystanders of a rendered frame.
+
+    Args:
+        moment: Poses of the road users, as the frame was rendered from them.
+        view: The rendered frame.
+        camera: Its camera.
+        rules: What is ignored.
+        image_id: Id of the image, for the labels.
+        first_id: Id of the first label; those of others count on from it.
+
+    Returns:
+        Labels of all bystanders with a visible pixel, ignored ones included, by track id.
+    """
+    others = [i for i, recorded in enumerate(moment.vehicles) if not recorded.labelled]
+    out: list[RoadUser] = []
+    for i in sorted(others, key=lambda i: moment.vehicles[i].track_id):
+        extent = measure_extent(view, i, camera)
+        if extent is None:
+            continue
+        contrast = float(view.contrast[i])
+        reason = ignore_reason(extent, counts_as_hidden(extent), contrast, rules)
+        out.append(
+            RoadUser(
+                id=first_id + len(out),
+                image_id=image_id,
+                iscrowd=int(reason is not None),
+                ignore_reason=reason,
+                contrast=contrast,
+                **extent.fields(),
+                **_body_fields(moment, i, camera),
+            )
+        )
+    return out
+
+
+def counts_as_hidden(extent: Extent) -> bool:
+    """Whether somebody without keypoints counts as occluded: something else hides more than half of the pixels that the
+    whole silhouette has inside the image."""
+    return 2 * extent.visible < extent.inside
+
+
+def _body_fields(moment: Moment, i: int, camera: Camera) -> dict[str, Any]:
+    recorded, T = moment.vehicles[i], moment.T_world_chassis[i]
+    low, high = bystander.build_bystander(recorded.model, recorded.shape).box
+    center = T[:3, :3] @ ((low + high) / 2) + T[:3, 3]
+    return {
+        "category_id": CATEGORIES.index(CATEGORY_OF[recorded.model]) + 1,
+        "track_id": recorded.track_id,
+        "box_3d": Box3D(center=center, size_lwh=high - low, yaw=math.atan2(T[1, 0], T[0, 0]), R=T[:3, :3]),
+        "velocity": moment.velocity[i],
+        "distance": float(np.linalg.norm(center - camera.position)),
     }

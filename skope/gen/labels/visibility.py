@@ -9,8 +9,7 @@ from skope.camera.model import Camera
 from skope.gen.labels.raycast import RayCaster
 from skope.gen.labels.world_keypoints import WorldKeypoints
 from skope.gen.render.frame import STATIC, RenderedFrame
-from skope.gen.scene.recording import Moment
-from skope.gen.scene.road_user_bodies import body_of
+from skope.gen.scene.recording import Moment, body_of
 from skope.types import Array, Mask
 
 POINT_TOLERANCE: Final = 0.05

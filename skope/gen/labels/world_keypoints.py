@@ -1,15 +1,74 @@
-"""Keypoints of the vehicles of a moment where they are in the world."""
+"""World positions of the 33 keypoints of a moment's V vehicles: by rigid transform or by trilateration."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
 from skope import keypoints
-from skope.gen.labels.localize import transform, trilaterate, with_trailers, with_wheels
-from skope.gen.scene.recording import Moment
-from skope.gen.scene.road_user_bodies import vehicle_body
-from skope.gen.vehicles.model import Vehicle
+from skope.gen.scene.recording import Moment, vehicle_body
+from skope.gen.vehicles.model import ON_TRAILER, Vehicle, wheel_plane
 from skope.types import Array
+
+LOCALIZERS: Final = ("rigid", "trilateration")
+
+
+def transform(T_world_vehicle: Array, points: Array) -> Array:
+    """Move points (V, 33, 3) from vehicle frames to the world by poses (V, 4, 4); returns (V, 33, 3), metres."""
+    return np.asarray(points @ T_world_vehicle[:, :3, :3].transpose(0, 2, 1) + T_world_vehicle[:, None, :3, 3])
+
+
+def trilaterate(wheels: Array, distances: Array, side: Array) -> Array:
+    """World keypoints from distances to the wheels.
+
+    Solves |p - w_i| = d_i for all keypoints at once. The wheel centres of a vehicle lie (nearly) in one plane, where
+    the equations' differences are linear: least squares there, then the height over the plane from what is left of
+    the distances, its square clamped at 0 and its sign taken from `side`. (SKoPe3D, section on simulation.)
+
+    Args:
+        wheels: (V, 4, 3) wheel centres, world, metres.
+        distances: (V, 33, 4) from each keypoint to each wheel, metres.
+        side: (V, 33) on which side of the wheels' plane each keypoint lies, 1 or -1.
+
+    Returns:
+        (V, 33, 3) world, metres.
+    """
+    center, axes, normal = wheel_plane(wheels)
+    centered = wheels - center[:, None]
+    w = centered @ axes.transpose(0, 2, 1)  # (V, 4, 2) wheels in their plane
+    # w_i . p = (|w_i|^2 - d_i^2) / 2 + the same unknown constant for every i, which the mean over i removes.
+    right = ((centered**2).sum(-1)[:, None] - distances**2) / 2
+    right = right - right.mean(-1, keepdims=True)
+    foot = right @ np.linalg.pinv(w).transpose(0, 2, 1) @ axes  # (V, 33, 3) below or above the keypoints, in the plane
+    across = ((foot[:, :, None] - centered[:, None]) ** 2).sum(-1)
+    height = np.sqrt(np.maximum((distances**2 - across).mean(-1), 0.0)) * side
+    return np.asarray(center[:, None] + foot + height[..., None] * normal[:, None])
+
+
+def with_trailers(points: Array, moment: Moment, vehicles: Sequence[Vehicle]) -> Array:
+    """A copy of world keypoints in which those on trailers are where a moment has the trailers.
+
+    Args:
+        points: (V, 33, 3) world, metres.
+        moment: The poses of a frame.
+        vehicles: The V vehicles.
+    """
+    out = points.copy()
+    for i, vehicle in enumerate(vehicles):
+        if vehicle.trailer is None:
+            continue
+        T = moment.T_world_trailer[i, 0]
+        own = vehicle.points[ON_TRAILER] - vehicle.trailer.hinge * [1, 1, 0]
+        out[i, ON_TRAILER] = own @ T[:3, :3].T + T[:3, 3]
+    return out
+
+
+def with_wheels(points: Array, wheels: Array) -> Array:
+    """A copy of keypoints (V, 33, 3) in which 16 to 19, the wheels, are the wheel centres (V, 4, 3), metres."""
+    out = points.copy()
+    out[:, list(keypoints.WHEELS)] = wheels
+    return out
 
 
 @dataclass(frozen=True, eq=False)

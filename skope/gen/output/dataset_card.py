@@ -10,14 +10,13 @@ from skope.dataset.depth_files import DEPTH_SCALE
 from skope.dataset.folder import CARD, read_manifest
 from skope.files.atomic import write_text
 from skope.files.json_files import write_json
-from skope.gen.labels import ignore_rules, visibility
-from skope.gen.labels.ignore_rules import Rules
+from skope.gen.labels import annotate, visibility
+from skope.gen.labels.annotate import Rules
 from skope.gen.output import card_text, licences
-from skope.gen.output.card_counts import Counts
 from skope.gen.output.croissant import croissant
 from skope.gen.output.frames import Encoding
 from skope.gen.output.parameters import DatasetPlan, Parameters
-from skope.gen.output.writers import categories_field
+from skope.gen.output.writers import Counts, categories_field
 from skope.gen.vehicles.fleet import fleet
 
 CROISSANT: Final = "croissant.json"
@@ -126,8 +125,8 @@ def label_rules(rules: Rules) -> list[str]:
         f"A vehicle is {by_rule} (tolerance {visibility.VEHICLE_TOLERANCE} m).",
         "A vehicle without a visible pixel has no annotation.",
         f"Ignored (iscrowd = 1): sliver, less than {rules.min_visible:.0%} of its silhouette unhidden and inside the "
-        f"image; small, shorter edge of its box under {rules.min_box:g} px or fewer than {ignore_rules.MIN_PIXELS} "
-        f"visible pixels; unseen, contrast under {ignore_rules.MIN_CONTRAST:g}.",
+        f"image; small, shorter edge of its box under {rules.min_box:g} px or fewer than {annotate.MIN_PIXELS} "
+        f"visible pixels; unseen, contrast under {annotate.MIN_CONTRAST:g}.",
         f"Keypoints are localised by {rules.localizer}; wheel centres are the wheels' own.",
     ]
 

@@ -1,7 +1,7 @@
 """Ingredients of a dataset, as its card keeps them: the parameters that decide every byte, and its recordings."""
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any, Final, Self
@@ -10,12 +10,12 @@ from skope import keypoints
 from skope.dataset.folder import check_takes
 from skope.errors import UserError
 from skope.field_checks import is_number
-from skope.gen.labels.ignore_rules import Rules
+from skope.gen.labels.annotate import Rules
 from skope.gen.output import licences
 from skope.gen.output.frames import Encoding
 from skope.gen.scene.package_versions import versions
+from skope.gen.scene.random_streams import Variation
 from skope.gen.scene.recording import RecordingInfo
-from skope.gen.scene.variation import Variation
 from skope.schema import CATEGORIES, VEHICLE_ALONE
 from skope.types import Range
 
@@ -62,7 +62,7 @@ class Parameters:
     variation: Variation = field(default_factory=Variation)
     """Things that are drawn for each recording, and their ranges; the card names its fields among these."""
     keypoint_edition: int = keypoints.EDITION
-    """By which definition vehicles are marked, as `skope.keypoints.EDITION`."""
+    """Edition of the definition of the keypoints."""
     vehicles: Mapping[str, str] = field(default_factory=dict)
     """Models that were asked for: name to SHA-256 of the files of a model of the user (`skope gen vehicles add`), to
     nothing for a model of the fleet."""
@@ -111,7 +111,7 @@ class Parameters:
 
     @classmethod
     def from_dict(cls, values: Any, where: str = "parameters") -> Self:
-        """The parameters of `to_dict`; what datasets of before did not have yet is as it was then.
+        """The parameters of `to_dict`.
 
         Args:
             values: The JSON values.
@@ -120,11 +120,11 @@ class Parameters:
         Raises:
             UserError: A field is missing, unknown or of another kind; it is named.
         """
-        _check_fields(where, values, _FIELD_KINDS, optional=_OPTIONAL)
-        made = {"keypoint_edition": 1, **values}
+        _check_fields(where, values, _FIELD_KINDS, optional=_ASKED)
+        made = dict(values)
         for name, kind in (("rules", Rules), ("encoding", Encoding)):
             made[name] = _made(f"{where}.{name}", kind, values[name])
-        if made.get("own") is not None:
+        if made["own"] is not None:
             _check_fields(f"{where}.own", made["own"], _OWN_KINDS)
             made["own"] = OwnSiteRecord(**{**made["own"], "splits": tuple(made["own"]["splits"])})
         for name in _RANGES:
@@ -191,6 +191,7 @@ def _object_of(holds: Callable[[Any], bool]) -> Callable[[Any], bool]:
 
 _TEXT: Final = _Kind("text", _is_text)
 _WHOLE_NUMBER: Final = _Kind("a whole number", _is_whole)
+_EDITION: Final = _Kind(str(keypoints.EDITION), lambda value: value == keypoints.EDITION)
 _NUMBER: Final = _Kind("a number", is_number)
 _SWITCH: Final = _Kind("true or false", lambda value: isinstance(value, bool))
 _OBJECT: Final = _Kind("an object", lambda value: isinstance(value, dict))
@@ -209,7 +210,7 @@ _RANGES_BY_NAME: Final = ("settings", "night", "cameras")
 _NAMES: Final = ("weather", "time_of_day")
 """Fields that hold names that were asked for."""
 _ASKED: Final = ("night", "vehicle_share", "largest_vehicle", "lit_objects", "further_models", "road_users", *_NAMES)
-"""Fields that are written only where they were asked for: cards of other datasets stay as they are."""
+"""Fields that are written only where they were asked for."""
 _FIELD_KINDS: Final[Mapping[str, _Kind]] = {
     "preset": _TEXT,
     "seed": _WHOLE_NUMBER,
@@ -225,7 +226,7 @@ _FIELD_KINDS: Final[Mapping[str, _Kind]] = {
     "settings": _RANGE_BY_NAME,
     "night": _RANGE_BY_NAME,
     "cameras": _RANGE_BY_NAME,
-    "keypoint_edition": _WHOLE_NUMBER,
+    "keypoint_edition": _EDITION,
     "vehicles": _TEXT_BY_NAME,
     "vehicle_share": _NUMBER_OR_NULL,
     "weather": _TEXTS,
@@ -248,13 +249,6 @@ _FIELD_KINDS: Final[Mapping[str, _Kind]] = {
     "versions": _TEXT_BY_NAME,
 }
 """Kind of each field, of `Parameters` and of `Variation`, in the order in which files have them."""
-_OPTIONAL: Final = frozenset(
-    (
-        *("distractors", "keypoint_edition", "licence", "own", "randomised", "recordings", "seasons", "town_jitter"),
-        *("traffic", "views", *_ASKED),
-    )
-)
-"""Fields that may be missing: folders of before lack some."""
 _OWN_KINDS: Final[Mapping[str, _Kind]] = {
     "file": _TEXT,
     "digests": _TEXT_BY_NAME,
@@ -264,12 +258,12 @@ _OWN_KINDS: Final[Mapping[str, _Kind]] = {
 }
 
 
-def _check_fields(where: str, values: Any, kinds: Mapping[str, _Kind], optional: frozenset[str] = frozenset()) -> None:
-    """Raise a UserError unless `values` is an object with fields of these kinds and no others."""
+def _check_fields(where: str, values: Any, kinds: Mapping[str, _Kind], optional: Sequence[str] = ()) -> None:
+    """Raise a UserError unless `values` is an object with fields of these kinds, but for `optional`, and no others."""
     if not isinstance(values, dict):
         raise UserError(f"{where}: expected an object, got {_shortened(values)}")
     for name, kind in kinds.items():
-        if not (name in optional and name not in values) and not kind.holds(values.get(name)):
+        if name not in (*values, *optional) or (name in values and not kind.holds(values[name])):
             raise UserError(f"{where}.{name}: expected {kind.name}, got {_shortened(values.get(name))}")
     for name in values.keys() - kinds.keys():
         raise UserError(f"{where}.{name}: is a field that this version of skope does not know")

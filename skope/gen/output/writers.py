@@ -1,7 +1,10 @@
-"""Write a dataset's frames: one annotation file a split beside the images, or tar shards; and read them back."""
+"""Write a dataset's frames: one annotation file a split beside the images, or tar shards; and read them back. Counts of
+images and vehicles for its card."""
 
 import hashlib
+import math
 from abc import ABC, abstractmethod
+from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, replace
@@ -15,12 +18,79 @@ from skope.dataset import coco, shards
 from skope.dataset.folder import MANIFEST, Dataset, read_manifest
 from skope.errors import UserError
 from skope.files import safe_names
-from skope.files.atomic import link, write_bytes
+from skope.files.atomic import link, sha256_of, write_bytes
 from skope.files.json_files import json_bytes, read_json
-from skope.files.reading import sha256_of
-from skope.gen.output.card_counts import CountKind, Counts, count_kind
 from skope.keypoints import SKOPE33, Scheme
 from skope.schema import CATEGORIES, CATEGORY_ID, ROAD_USER_IDS, VEHICLE_ALONE, Annotation, RoadUser
+
+CountKind = tuple[str, str | None, str]
+"""Kind under which a label is counted: "ground_truth" or "ignored", a vehicle's type, and the category."""
+
+
+def count_kind(iscrowd: int, vehicle_type: str | None, category: str = "vehicle") -> CountKind:
+    """The kind of a vehicle, by two fields of its annotation, or of another road user, by its category."""
+    return "ignored" if iscrowd else "ground_truth", vehicle_type, category
+
+
+class Counts:
+    """Counts for the card: images, ground truth and ignored vehicles by split, site, weather, type and reason.
+
+    People on foot and on two wheels are counted apart, by category.
+    """
+
+    def __init__(self) -> None:
+        self.images = self.labels = 0
+        self.by: dict[str, defaultdict[str, Counter[str]]] = {
+            group: defaultdict(Counter) for group in ("split", "site", "weather", "vehicle_type", "category")
+        }
+        self.tally: Counter[str] = Counter()
+        self.ignored: Counter[str] = Counter()
+        self.apart_m: list[float] = []
+        self.most_apart_m = 0.0
+
+    def add(self, places: Mapping[str, str | None], kinds: Iterable[CountKind], tally: Mapping[str, Any]) -> None:
+        """Count an image with its labels; `places` name its split, site and weather.
+
+        What is not known of an image or a vehicle is not counted.
+        """
+        known = [(group, name) for group, name in places.items() if name is not None]
+        for group, name in known:
+            self.by[group][name]["images"] += 1
+        for (kind, type_, category), number in Counter(kinds).items():
+            if category != "vehicle":
+                self.by["category"][category][kind] += number
+                continue
+            for group, name in (*known, *([("vehicle_type", type_)] if type_ is not None else [])):
+                self.by[group][name][kind] += number
+        tally = dict(tally)
+        self.ignored.update(tally.pop("ignored"))
+        self.apart_m.append(tally.pop("apart_m", 0.0))
+        self.most_apart_m = max(self.most_apart_m, tally.pop("most_apart_m", 0.0))
+        self.tally.update(tally)
+
+    def localizer_difference(self) -> dict[str, float | None]:
+        """Difference between trilateration and the rigid transform, over all keypoints of vehicles in view, metres."""
+        vehicles = self.tally["vehicles"]
+        if not vehicles:
+            return {"mean": None, "max": None}
+        # The exact sum is the same in whatever order it was added up.
+        return {"mean": round(math.fsum(self.apart_m) / vehicles, 6), "max": round(self.most_apart_m, 6)}
+
+    def to_dict(self) -> dict[str, Any]:
+        return {
+            "images": self.images,
+            "ground_truth": sum(counter["ground_truth"] for counter in self.by["split"].values()),
+            "ignored": dict(sorted(self.ignored.items())),
+            "by_split": self._table("split", "images", "ground_truth", "ignored"),
+            "by_site": self._table("site", "images", "ground_truth", "ignored"),
+            "by_weather": self._table("weather", "images", "ground_truth", "ignored"),
+            "by_vehicle_type": self._table("vehicle_type", "ground_truth", "ignored"),
+            **({"by_category": self._table("category", "ground_truth", "ignored")} if self.by["category"] else {}),
+        }
+
+    def _table(self, group: str, *columns: str) -> dict[str, dict[str, int]]:
+        return {name: {column: counter[column] for column in columns} for name, counter in self.by[group].items()}
+
 
 DATASET_FORMATS: Final = ("folder", "shards")
 _IN_MEMORY: Final = 1 << 26

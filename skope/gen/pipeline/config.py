@@ -1,29 +1,139 @@
-"""Presets, what a user asks for, and the plans of its recordings."""
+"""Presets (`presets.toml`), what a user asks for, and the plans of its recordings: split, weather, hour and traffic of
+each."""
 
 import math
-from collections.abc import Mapping
+import tomllib
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
+from functools import cache
+from importlib import resources
 from typing import Any, Final
 
 from skope.camera.model import Distortion
 from skope.errors import UserError, one_of
-from skope.gen.labels.ignore_rules import Rules
+from skope.gen.generation_site import OwnSite
+from skope.gen.labels.annotate import Rules
 from skope.gen.output.parameters import DatasetPlan, OwnSiteRecord, Parameters
 from skope.gen.output.writers import DATASET_FORMATS
-from skope.gen.pipeline.planned_conditions import in_asked_light, in_its_light, in_its_split, varied
-from skope.gen.pipeline.presets import presets, range_pairs, tables
 from skope.gen.render.lens import pinhole_of
-from skope.gen.scene import camera_sampling, view_sampling
+from skope.gen.scene import camera_sampling
 from skope.gen.scene.conditions import TIMES_OF_DAY, check_settings
-from skope.gen.scene.random_streams import Stream
+from skope.gen.scene.random_streams import Stream, Variation, rng
 from skope.gen.scene.recording import RecordingPlan
-from skope.gen.scene.variation import Variation
-from skope.gen.site_files.generation_site import OwnSite
 from skope.gen.towns.sites import Site, site, sites
 from skope.gen.traffic.sumo import step_for
 from skope.gen.vehicles.fleet import fleet
 from skope.schema import WEATHERS
 from skope.types import Range
+
+
+@cache
+def preset_tables() -> Mapping[str, Any]:
+    """Everything that `presets.toml` says."""
+    return tomllib.loads(resources.files("skope.gen.pipeline").joinpath("presets.toml").read_text(encoding="utf-8"))
+
+
+def presets() -> Mapping[str, Mapping[str, Any]]:
+    """The presets by name."""
+    presets: Mapping[str, Mapping[str, Any]] = preset_tables()["presets"]
+    return presets
+
+
+def range_pairs(table: Mapping[str, Sequence[float]]) -> dict[str, Range]:
+    """Ranges of a table, in which each is a list of two numbers."""
+    return {name: (low, high) for name, (low, high) in table.items()}
+
+
+_OF_HOUR: Final = ("sun_elevation_deg", "sun_azimuth_deg")
+_OF_WEATHER: Final = ("clouds", "visibility_m")
+"""Conditions that follow from weather and hour: a site's own values hold for its first recording only."""
+_TURNS: Final = 30
+"""Turns that a site may begin with among lights."""
+
+
+def in_its_light(
+    own: Site, index: int, seed: int, traffic: Range | None = None, lights: Sequence[str] | None = None
+) -> Site:
+    """A site with the weather, hour and traffic of its recording `index`.
+
+    Recording 0 has the site's own. Later ones follow the table of the site's split in `presets.toml`: lights in turn,
+    and a share of the site's vehicles an hour that `seed` draws. `traffic` replaces what the table says, `lights` too:
+    each site begins with another one of these, which `seed` draws, so that few recordings show all of them.
+    """
+    splits = preset_tables()["splits"]
+    split = splits.get(own.split, splits["train"])
+    busy = _with_traffic(own, index, seed, traffic or split["traffic"])
+    if index == 0:
+        return busy if traffic else own
+    if lights:
+        return _under_light(busy, lights[(index + _first_light(own, seed, 0)) % len(lights)])
+    lights = split["light"]
+    if own.road:
+        # The site file decides the first recording's light: the others are at other hours.
+        lights = [light for light in lights if light.split()[1] != own.time_of_day]
+    return _under_light(busy, lights[(index - 1) % len(lights)])
+
+
+def in_its_split(own: Site, index: int, seed: int, splits: Sequence[str]) -> Site:
+    """A site in the split of its recording `index`, with light and traffic of that condition in `presets.toml`.
+
+    The splits take turns from recording to recording; the lights of each take turns from site to site, begun with one
+    that `seed` draws.
+    """
+    turn, place = divmod(index, len(splits))
+    table = preset_tables()["conditions"][splits[place]]
+    busy = _with_traffic(replace(own, split=splits[place]), index, seed, table["traffic"])
+    lights = table["light"]
+    lit = _under_light(busy, lights[(turn + _first_light(own, seed, place)) % len(lights)])
+    return replace(lit, conditions={**lit.conditions, **range_pairs(table.get("settings", {}))})
+
+
+def in_asked_light(planned: Site, index: int, seed: int, weathers: Sequence[str], times_of_day: Sequence[str]) -> Site:
+    """A site in the light of its recording `index`, where its weather or hour is not among those that are asked for.
+
+    One that is asked for takes the place of one that is not: in turns from recording to recording, begun with one that
+    `seed` draws for each site. Without names, each is as planned.
+    """
+    turn = index + _first_light(planned, seed, 0)
+    weather, time_of_day = planned.weather, planned.time_of_day
+    if weathers and weather not in weathers:
+        weather = weathers[turn % len(weathers)]
+    if times_of_day and time_of_day not in times_of_day:
+        # Weathers take their turns faster, so that each comes at each hour.
+        time_of_day = times_of_day[turn // max(len(weathers), 1) % len(times_of_day)]
+    other_weather = _OF_WEATHER if weather != planned.weather else ()
+    other_hour = _OF_HOUR if time_of_day != planned.time_of_day else ()
+    fixed = _without(planned.conditions, other_weather + other_hour)
+    return replace(planned, weather=weather, time_of_day=time_of_day, conditions=fixed)
+
+
+def varied(planned: Site) -> Site:
+    """A site whose conditions vary as widely as `presets.toml` says of its weather and hour."""
+    table: Mapping[str, Any] = preset_tables()["varied_light"]
+    wide = {**table.get(planned.time_of_day, {}), **table.get(planned.weather, {})}
+    return replace(planned, conditions={**range_pairs(wide), **planned.conditions})
+
+
+def _first_light(own: Site, seed: int, place: int) -> int:
+    """The one of the lights that a site begins with; `place` tells apart those that begin on their own."""
+    return int(rng(seed, own.name, place, Stream.ASKED_LIGHT).integers(_TURNS))
+
+
+def _with_traffic(own: Site, index: int, seed: int, traffic: Range) -> Site:
+    share = rng(seed, own.name, index, Stream.TRAFFIC_SHARE).uniform(*traffic)
+    return replace(own, vehicles_per_hour=round(own.vehicles_per_hour * share, 1))
+
+
+def _under_light(own: Site, light: str) -> Site:
+    """A site in a light such as "clear noon"."""
+    weather, time_of_day = light.split()
+    fixed = _without(own.conditions, _OF_WEATHER + _OF_HOUR)
+    return replace(own, weather=weather, time_of_day=time_of_day, conditions=fixed)
+
+
+def _without(conditions: Mapping[str, Range], names: Sequence[str]) -> dict[str, Range]:
+    return {name: pair for name, pair in conditions.items() if name not in names}
+
 
 HEAVY_TYPES: Final = frozenset(("bus", "truck", "box_truck", "articulated_truck", "articulated_bus"))
 """Types of vehicles that a split may have a share of (`heavy` in `presets.toml`)."""
@@ -73,7 +183,7 @@ class DatasetRequest:
         if not 0 <= (views := p.variation.views) <= 16:
             raise UserError(f"--views: expected a whole number from 0 to 16, got {views}")
         if p.variation.largest_vehicle:
-            view_sampling.check_largest_vehicle(p.variation.largest_vehicle)
+            camera_sampling.check_largest_vehicle(p.variation.largest_vehicle)
         if self.own:
             self._check_own(self.own)
 
@@ -182,7 +292,7 @@ class DatasetRequest:
     def _asked_vehicles(self, plan: RecordingPlan) -> dict[str, Any]:
         """Fields of a plan: the models that were asked for, or the lorries and buses that preset or split want."""
         p, row = self.parameters, presets()[self.parameters.preset]
-        share = None if self.own else tables()["conditions"].get(plan.site.split, {}).get("heavy")
+        share = None if self.own else preset_tables()["conditions"].get(plan.site.split, {}).get("heavy")
         if "heavy" in row and not self.own:
             share = round(float(plan.shared_rng(Stream.HEAVY_SHARE).uniform(*row["heavy"])), 3) or None
         if p.vehicles or share is None:
@@ -272,7 +382,9 @@ def from_preset(
     # The command on a card repeats the preset's settings: what is asked for as it is anyway leaves nights as they are.
     changed = {name for name, pair in (settings or {}).items() if pair != by_day.get(name)}
     values["night"] = {name: pair for name, pair in range_pairs(row.get("night", {})).items() if name not in changed}
-    values["cameras"] = range_pairs(row.get("cameras", {}) | (tables()["camera_jitter"] if camera_jitter else {}))
+    values["cameras"] = range_pairs(
+        row.get("cameras", {}) | (preset_tables()["camera_jitter"] if camera_jitter else {})
+    )
     if frames is not None:
         values["frames"] = dict.fromkeys(row["frames"], frames)
     variation = Variation(**{f.name: values.pop(f.name) for f in fields(Variation) if f.name in values})

@@ -12,17 +12,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
-from skope import keypoints
 from skope.dataset.folder import CARD, Dataset, read_card
 from skope.errors import UserError
 from skope.files import safe_names
-from skope.files.atomic import file_in_place_of, locked, no_links_out, write_bytes, writing
+from skope.files.atomic import file_in_place_of, locked, no_links_out, read_bytes, write_bytes, writing
 from skope.files.json_files import json_bytes, parse_json, read_json, write_json
-from skope.files.reading import read_bytes
-from skope.gen.output.card_counts import Counts, saved_kind
 from skope.gen.output.dataset_card import write_card as write_card
 from skope.gen.output.parameters import DatasetPlan, Parameters
-from skope.gen.output.writers import FrameFiles, Labels, frames_of_split, unpack_shards, writer_of
+from skope.gen.output.writers import Counts, FrameFiles, Labels, frames_of_split, unpack_shards, writer_of
 from skope.gen.scene import recording as recordings
 from skope.gen.scene.recording import Recording, RecordingInfo
 
@@ -135,17 +132,7 @@ class Store:
         """Save the renderer, driver and versions of a dataset that was simulated without choosing them."""
         self._write_plan(replace(self.plan, parameters=parameters))
 
-    def refuse_other_edition(self, begun: DatasetPlan) -> None:
-        """Raise a UserError unless the dataset's labels are by the edition of the definition that new ones would be."""
-        edition = begun.parameters.keypoint_edition
-        if edition != keypoints.EDITION:
-            raise UserError(
-                f"{self.root}: was begun when models were marked by edition {edition} of the keypoints' definition, "
-                f"and labels are by edition {keypoints.EDITION} now; choose another folder"
-            )
-
     def _refuse_other_parameters(self, begun: DatasetPlan, wanted: DatasetPlan) -> None:
-        self.refuse_other_edition(begun)
         was, now = begun.parameters, wanted.parameters
         if not was.renderer:  # simulated elsewhere, and to be rendered here
             was = replace(was, renderer=now.renderer, driver=now.driver, versions=now.versions)
@@ -237,6 +224,7 @@ class Store:
         try:
             head = parse_json(first)
             whole = head["bytes"] == sum(map(len, rows))
+            kinds = [(status, type_, category) for status, type_, category in head["kinds"]]
             for key in head["image"].keys() & {"file_name", "depth_file_name"}:
                 safe_names.relative(f"{path}: {key}", head["image"][key])
         except UserError:
@@ -245,7 +233,7 @@ class Store:
             whole = False
         if not whole:
             raise UserError(f"{path}: is damaged; move it away, and its frame is drawn anew")
-        return Labels(name, head["image"], rows, [*map(saved_kind, head["kinds"])], head["sha256"], head["tally"])
+        return Labels(name, head["image"], rows, kinds, head["sha256"], head["tally"])
 
     # ------------------------------------------------------------------------------------------------------------ end
 

@@ -13,12 +13,24 @@ from skope.errors import UserError
 from skope.gen.output import dataset_card
 from skope.gen.pipeline.config import DatasetRequest
 from skope.gen.pipeline.dataset_store import Store
-from skope.gen.pipeline.lighting_messages import lighting_messages
 from skope.gen.pipeline.workers import RenderJobSpec, WorkerPool
 from skope.gen.render.choose_renderer import choose_renderer
 from skope.gen.scene import recording
 from skope.gen.scene.package_versions import versions
 from skope.terminal.console import Console, disk_size, minutes
+
+
+def lighting_messages(console: Console) -> Callable[[str], None]:
+    """A function that is told sites whose light is being worked out, and says each once."""
+    said = set[str]()
+
+    def say(site: str) -> None:
+        if site not in said:
+            said.add(site)
+            console.say(f"working out the light of {site}")
+
+    return say
+
 
 PoolFactory = Callable[[], AbstractContextManager[WorkerPool]]
 """Starts the worker processes; they stop when the context ends."""
@@ -120,12 +132,9 @@ def finish_rendering(store: Store, renderer: str, start_pool: PoolFactory, conso
 def _fix_renderer(store: Store, renderer: str) -> None:
     """Choose and save the renderer of a dataset that has none yet; else check that it is the same one here.
 
-    Raises UserError where renderer, driver, a library's version or the keypoints' definition differs from that of the
-    frames of before.
+    Raises UserError where renderer, driver or a library's version differs from that of the frames of before.
     """
-    plan = store.plan
-    store.refuse_other_edition(plan)
-    drawn = plan.parameters
+    drawn = store.plan.parameters
     chosen, driver, _ = choose_renderer(drawn.renderer or renderer)
     here = {name: version for name, version in versions().items() if name in ("skope", "numpy", "opencv", "orjson")}
     now = replace(drawn, renderer=chosen, driver=driver, versions={**drawn.versions, **here})

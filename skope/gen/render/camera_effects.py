@@ -1,7 +1,9 @@
-"""Effects of the camera on a clean picture: the lens' distortion, rain, snow and dirt before it, noise, losses."""
+"""Effects of the camera on a clean picture: the lens' distortion, rain, snow and dirt before it, noise; what its
+electronics and stream do, which is text, less resolution, processing and compression."""
 
 from collections.abc import Callable
 from dataclasses import replace
+from datetime import date, timedelta
 from functools import lru_cache
 from typing import Final
 
@@ -10,16 +12,90 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skope.gen.render.frame import RenderedFrame, Renderer
-from skope.gen.render.lens import Lens
-from skope.gen.render.lens_dirt import LensDirt
-from skope.gen.render.night.sensor_noise import BLOTCHES_PX, denoised
-from skope.gen.render.rain import Rain
+from skope.gen.render.lens import Lens, LensDirt
+from skope.gen.render.night_camera import BLOTCHES_PX, denoised
+from skope.gen.render.rain_and_snow import Rain, Snowfall
 from skope.gen.render.screen_graphics import ScreenGraphics
-from skope.gen.render.snowfall import Snowfall
-from skope.gen.render.stream_degradation import streamed
 from skope.gen.scene.conditions import DARK_DEG, Conditions
 from skope.gen.scene.random_streams import Stream
 from skope.gen.scene.recording import Recording
+from skope.types import Pixels
+
+_CONTRAST_PIVOT: Final = 118.0
+"""The value that contrast leaves as it is, of 255: that of a surface which returns 18% of the light."""
+_GREY_WEIGHTS: Final = np.array([0.299, 0.587, 0.114])
+"""Weights of red, green and blue in a pixel's brightness (ITU-R BT.601)."""
+_DETAIL_PX: Final = 1.2
+"""Standard deviation of the Gaussian that the finest detail is told apart by, pixels of the stream."""
+
+
+def processed(rgb: Pixels, conditions: Conditions) -> Pixels:
+    """A picture (H, W, 3) as the camera sends it; the very same array where the camera changes nothing."""
+    if conditions.contrast != 1 or conditions.black_level:
+        rgb = _as_image(cv2.LUT(rgb, _tones(conditions.contrast, conditions.black_level)))
+    if conditions.saturation != 1:
+        grey = np.broadcast_to(_GREY_WEIGHTS, (3, 3))
+        rgb = _as_image(cv2.transform(rgb, conditions.saturation * (np.eye(3) - grey) + grey))
+    if conditions.sharpening:
+        smooth = cv2.GaussianBlur(rgb, (0, 0), _DETAIL_PX)
+        rgb = _as_image(cv2.addWeighted(rgb, 1 + conditions.sharpening, smooth, -conditions.sharpening, 0))
+    return rgb
+
+
+def _tones(contrast: float, black_level: float) -> Pixels:
+    """(256,) what each value of the sensor's picture is shown as."""
+    values = _CONTRAST_PIVOT + contrast * (np.arange(256) - _CONTRAST_PIVOT)
+    lifted = black_level + (1 - black_level / 255) * np.clip(values, 0, 255)
+    return np.asarray(np.rint(lifted), dtype=np.uint8)
+
+
+def _as_image(rgb: object) -> Pixels:
+    return np.asarray(rgb, dtype=np.uint8)
+
+
+_OVERLAY_YEAR: Final = 2025
+_LABEL_FONT: Final = cv2.FONT_HERSHEY_SIMPLEX
+
+
+def streamed(rgb: Pixels, recording: Recording, frame: int) -> Pixels:
+    """A frame (H, W, 3) as it comes out of a recording's stream."""
+    conditions = recording.conditions
+    height, width = rgb.shape[:2]
+    if conditions.screen_text >= 0.5:
+        _write_overlay_text(rgb, recording, frame)
+    size = tuple(max(8, round(side * conditions.rescale)) for side in (width, height))
+    small = rgb if size == (width, height) else np.asarray(cv2.resize(rgb, size, interpolation=cv2.INTER_AREA))
+    small = processed(small.astype(np.uint8, copy=False), conditions)
+    if conditions.compression_quality < 100:
+        # Red and blue are swapped for both ways, so that the codec's chroma is that of the right colours.
+        quality = [cv2.IMWRITE_JPEG_QUALITY, round(conditions.compression_quality)]
+        _, data = cv2.imencode(".jpg", small[..., ::-1], quality)
+        decoded = cv2.imdecode(data, cv2.IMREAD_COLOR)
+        assert decoded is not None
+        small = np.asarray(decoded[..., ::-1], dtype=np.uint8)
+    if small.shape != rgb.shape:
+        small = cv2.resize(np.ascontiguousarray(small), (width, height), interpolation=cv2.INTER_LINEAR)
+    return np.ascontiguousarray(small, dtype=np.uint8)
+
+
+def _write_overlay_text(rgb: Pixels, recording: Recording, frame: int) -> None:
+    """Date and time above, the site's name below, in white with a dark edge."""
+    height, width = rgb.shape[:2]
+    conditions = recording.conditions
+    seconds = round(3600 * conditions.hour + float(recording.times_s[frame]))
+    day = date(_OVERLAY_YEAR, 1, 1) + timedelta(days=int(conditions.day) - 1 + seconds // 86400)
+    clock = f"{seconds // 3600 % 24:02d}:{seconds // 60 % 60:02d}:{seconds % 60:02d}"
+    scale, margin = width / 1920 * 1.3, round(0.02 * width)
+    line = max(1, round(2 * scale))
+    lines = {
+        f"{day:%Y-%m-%d} {clock}": margin + round(30 * scale),
+        recording.site.upper().replace("_", " "): height - margin,
+    }
+    for text, y in lines.items():
+        for dx, dy in ((-line, 0), (line, 0), (0, -line), (0, line)):
+            cv2.putText(rgb, text, (margin + dx, y + dy), _LABEL_FONT, scale, (20, 20, 20), line, cv2.LINE_AA)
+        cv2.putText(rgb, text, (margin, y), _LABEL_FONT, scale, (245, 245, 245), line, cv2.LINE_AA)
+
 
 LEAST_NOISE: Final = 0.3
 """Rounding to whole values is noise of this standard deviation already."""

@@ -13,9 +13,7 @@ from numpy.typing import NDArray
 
 from skope.camera.model import Camera
 from skope.gen.render.daylight import temperature_color
-from skope.gen.render.lit_street_lights import burning
-from skope.gen.render.traffic_lights import lit_signals
-from skope.gen.render.vehicle_lamps import Lit, lit_lamps
+from skope.gen.render.lit_lamps import Lit, burning_street_lights, lit_lamps, lit_signals
 from skope.gen.scene.conditions import DARK_DEG, Conditions
 from skope.gen.scene.recording import Moment
 from skope.gen.scenery.build import Scenery
@@ -55,7 +53,7 @@ class Glare:
         if self._dark and conditions.street_lighting > 0:
             color = tuple(temperature_color(conditions.street_light_k).tolist())
             down = np.array([0.0, 0.0, -1.0])
-            lamps = burning(town.lamps, conditions.street_lights_lit)
+            lamps = burning_street_lights(town.lamps, conditions.street_lights_lit)
             lit = [Lit(-1, lamp, down, color, _STREET_LIGHT * conditions.street_lighting) for lamp in lamps]
             self._add_lamps(self._still, lit, depth, None)
 

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from skope.camera.model import Camera
 from skope.gen.render.glare import GLARE_CELL_PX
 from skope.gen.scene.conditions import Conditions
-from skope.gen.scene.recording import Moment
-from skope.gen.scene.road_user_bodies import body_of
+from skope.gen.scene.recording import Moment, body_of
 from skope.types import Array
 
 _LEAST_SPEED: Final = 5.0

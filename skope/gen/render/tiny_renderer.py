@@ -20,14 +20,11 @@ from skope.camera.model import Camera
 from skope.gen.mesh import Mesh
 from skope.gen.render.frame import SKY, STATIC, RenderedFrame, Silhouette
 from skope.gen.render.glare import Glare
-from skope.gen.render.materials import BRAKE_LIGHT, GROUND, MATERIALS, RGB, Light, grain, own_color
-from skope.gen.render.palette import Palette
+from skope.gen.render.lit_lamps import light_signals
+from skope.gen.render.materials import BRAKE_LIGHT, GROUND, MATERIALS, RGB, Light, Palette, grain, own_color
 from skope.gen.render.pixel_windows import CLIP_DEPTH_M, Window, hull_of, window_of
 from skope.gen.render.spray import Spray
-from skope.gen.render.traffic_lights import light_signals
-from skope.gen.scene.lamps import LAMPS
-from skope.gen.scene.recording import Moment, RecordedVehicle, Recording
-from skope.gen.scene.road_user_bodies import body_of
+from skope.gen.scene.recording import LAMPS, Moment, RecordedVehicle, Recording, body_of
 from skope.gen.scenery.build import scenery
 from skope.gen.simulation.pybullet_engine import engine
 from skope.gen.towns.town import Town

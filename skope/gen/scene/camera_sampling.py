@@ -1,17 +1,29 @@
-"""Draw a recording's camera at random: height, pose and field of view, near those of its site."""
+"""Draw the cameras of recordings at random: height, pose and field of view near those of a site; or at other corners of
+its town, by the road and the traffic that they see.
 
+At other corners a mast stands beside a road, or a camera hangs over it; it looks at a place on the road, and its zoom
+is set so that vehicles there have a size that is drawn first. Of many cameras, one is taken with a probability that
+follows from the vehicles that it will see. Views that show road before a camera of a test site are never taken: what is
+tested on is not learnt from.
+"""
+
+import itertools
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
+import shapely
+from numpy.typing import NDArray
 
 from skope.camera.model import Camera, Distortion
 from skope.errors import UserError
+from skope.gen.scenery.houses import HOUSE_VIEW_M
 from skope.gen.towns.land_use import Layout
-from skope.gen.towns.road_graph import RoadGraph
-from skope.gen.towns.sites import Site
+from skope.gen.towns.road_graph import RoadGraph, driven, right_of
+from skope.gen.towns.sites import Site, site_at, sites_of
+from skope.gen.towns.town import Mast, Town
 from skope.types import Array, Range
 
 CAMERA_LIMITS: Final[Mapping[str, Range]] = {
@@ -28,7 +40,7 @@ CAMERA_LIMITS: Final[Mapping[str, Range]] = {
 factor on the focal length)."""
 _TRIES: Final = 500
 """Cameras that are drawn until one sees enough road."""
-CAR: Final = 1.5
+CAR_HEIGHT_M: Final = 1.5
 """Height of a car, metres."""
 _LARGE: Final = 24.0
 """A lane is seen where a car is so high in an image of 1080 rows, pixels."""
@@ -125,5 +137,255 @@ def _lowest(graph: RoadGraph, site: Site) -> float:
 def road_seen(camera: Camera, lanes: Array) -> float:
     """Metres of lanes, given as points (N, 3) at every metre, in which cars are large enough in the image."""
     pixels, depth, valid = camera.project(lanes)
-    high = camera.K[1, 1] * CAR >= _LARGE * camera.height / 1080 * depth
+    high = camera.K[1, 1] * CAR_HEIGHT_M >= _LARGE * camera.height / 1080 * depth
     return float((valid & camera.inside(pixels) & high).sum())
+
+
+CANDIDATES: Final = 100
+"""Cameras that are drawn for each view."""
+EMPTY_SHARE: Final = 0.06
+"""Share of the views that are to show a road without vehicles."""
+ENOUGH: Final = 20.0
+"""Vehicles in view on average, from which more of them make a view no more likely."""
+LEAST_VIEW_ROAD_M: Final = 8.0
+"""Least length of lanes that a view must show, metres: a camera over a single vehicle sees little more."""
+LARGEST_VEHICLE_SHARE: Final = (0.1, 0.7)
+"""Default range of the height of the largest vehicle in a frame, as a share of the image's; drawn evenly in its
+logarithm. A preset may choose another (`Variation.largest_vehicle`)."""
+_CLOSE: Final = 0.3
+"""Standard deviation of the logarithm of that height around what is wanted."""
+_AT_TARGET: Final = (0.5, 1.0)
+"""Range of the height of a car where the camera looks, as a share of what is wanted of the largest."""
+AT_VEHICLES: Final = 0.8
+"""Share of the cameras drawn that look at a vehicle; the others look at any place on the road."""
+_MAST_ASIDE_M: Final = (0.8, 9.0)
+"""Range of the distance from the carriageway to a mast, metres."""
+_SEEN_PX: Final = 16.0
+"""Height of a car in an image of 1080 rows from which it counts as seen, pixels."""
+_CAR_EXTENT_M: Final = 3.0
+"""Typical apparent length of a car, between its width and its length, metres."""
+_STEEP_DEG: Final = 55.0
+"""Cameras that look down more steeply hang over the road, on a gantry, a bridge or an arm."""
+_OVER_ROAD: Final = 6.0
+"""Least height over the road of a camera that hangs above it, metres."""
+_EVERY: Final = 3
+"""Of as many frames, one is looked at to count vehicles."""
+_FRONTS: Final = 3.0
+"""No house stands nearer to the carriageway than this, metres."""
+_TESTED_M, _TESTED_DEG = 80.0, 75.0
+"""Road belongs to a test site's camera up to this distance, and this angle to either side of where it looks."""
+_ABOVE_GROUND: Final = 2.5
+"""Least height of a camera over the ground that its mast stands on, metres."""
+
+
+def check_largest_vehicle(span: Range) -> None:
+    """UserError where a range is none of shares of an image's height, above 0 and up to 1."""
+    low, high = span
+    if not 0 < low <= high <= 1:
+        raise UserError(f"largest_vehicle: expected a range of shares above 0, up to 1, got {low:g}..{high:g}")
+
+
+@dataclass(frozen=True, eq=False)
+class PlacedCamera:
+    """A camera and the mast that it hangs on."""
+
+    mast: Mast
+    camera: Camera
+
+
+class ViewSampler:
+    """Draws views of a town."""
+
+    def __init__(self, town: Town) -> None:
+        self._layout = Layout.of(town)
+        graph = self._layout.graph
+        self._lanes = np.concatenate(list(graph.lane_points.values()))
+        """(N, 3) points of all lanes, one at every metre, world."""
+        self._tested = tested_road(town, self._lanes)
+        self._starts, self._headings = self._roadside()
+        self._open = graph.road.buffer(_FRONTS)
+        """Places where no house stands."""
+        for region in (graph.road, self._open):
+            shapely.prepare(region)
+
+    def _roadside(self) -> tuple[Array, Array]:
+        """Points (M, 3) of lanes on the ground that masts may stand beside, world, and headings (M,) there."""
+        graph, points, headings = self._layout.graph, [], []
+        for edge in graph.edges_of("ground"):
+            for lane in driven(edge):
+                line = graph.world(np.array(lane.getShape3D()))
+                for a, b in itertools.pairwise(line):
+                    count = max(1, round(float(np.linalg.norm(b - a)) / 4))
+                    points += [a + (b - a) * (k + 0.5) / count for k in range(count)]
+                    headings += [math.atan2(b[1] - a[1], b[0] - a[0])] * count
+        return np.array(points), np.array(headings)
+
+    def draw(
+        self,
+        traffic: Array,
+        ranges: CameraRanges,
+        rng: np.random.Generator,
+        largest_vehicle: Range = LARGEST_VEHICLE_SHARE,
+    ) -> PlacedCamera:
+        """Draw a view.
+
+        Args:
+            traffic: (F, V, 3) places of vehicles on the road in each frame, world; NaN where there is none.
+            ranges: What cameras are drawn from.
+            rng: Draws.
+            largest_vehicle: Range of the largest vehicle's height, as `LARGEST_VEHICLE_SHARE`.
+
+        Raises:
+            UserError: No camera was found that sees enough road and none of a test site's.
+        """
+        empty = rng.random() < EMPTY_SHARE
+        wanted = math.exp(rng.uniform(*np.log(largest_vehicle)))
+        vehicles = traffic[np.isfinite(traffic[..., 0])]
+        found: list[tuple[PlacedCamera, float]] = []
+        for _ in range(CANDIDATES):
+            view = self._candidate(vehicles, wanted, ranges, rng)
+            if (
+                view is None
+                or road_seen(view.camera, self._lanes) < LEAST_VIEW_ROAD_M
+                or self.shows_tested_road(view.camera)
+            ):
+                continue
+            seen, largest = self.vehicles_seen(view.camera, traffic)
+            if empty or seen < 0.1:
+                weight = float(empty and seen < 0.1 and self.road_in_the_open(view.camera) >= LEAST_VIEW_ROAD_M)
+            else:
+                weight = min(seen, ENOUGH) * math.exp(-0.5 * (math.log(largest / wanted) / _CLOSE) ** 2)
+            found.append((view, weight))
+        if not found:
+            raise UserError(
+                f"of {CANDIDATES} cameras drawn none sees {LEAST_VIEW_ROAD_M:.0f} m of road that is not tested on"
+            )
+        weights = np.array([weight for _, weight in found])
+        if not weights.any():
+            weights = np.ones(len(found))
+        return found[int(rng.choice(len(found), p=weights / weights.sum()))][0]
+
+    def vehicles_seen(self, camera: Camera, traffic: Array) -> tuple[float, float]:
+        """Mean number of vehicles that a camera sees in a frame, and the mean height of the largest among them.
+
+        Args:
+            camera: The camera.
+            traffic: (F, V, 3) as `draw` takes it.
+
+        Returns:
+            The number, and the height as a share of the image's; frames in which nothing is seen do not count for it.
+        """
+        frames = traffic[::_EVERY]
+        frame, column = np.nonzero(np.isfinite(frames[..., 0]))
+        places = frames[frame, column] + [0.0, 0.0, CAR_HEIGHT_M / 2]
+        if not len(places):
+            return 0.0, 0.0
+        pixels, _, valid = camera.project(places)
+        share = _apparent_height(camera.position, places) * camera.K[1, 1] / camera.height
+        seen = valid & camera.inside(pixels) & (share > _SEEN_PX / 1080)
+        seen[seen] = self._in_the_open(camera.position, places[seen])
+        largest = np.zeros(len(frames))
+        np.maximum.at(largest, frame[seen], share[seen])
+        return float(seen.sum() / len(frames)), float(largest[largest > 0].mean()) if seen.any() else 0.0
+
+    def road_in_the_open(self, camera: Camera) -> float:
+        """Metres of lanes in a camera's image that no house hides."""
+        pixels, _, valid = camera.project(self._lanes)
+        shown = self._lanes[valid & camera.inside(pixels)]
+        return float(self._in_the_open(camera.position, shown).sum()) if len(shown) else 0.0
+
+    def _in_the_open(self, eye: Array, places: Array) -> NDArray[np.bool_]:
+        """To which of the places (N, 3) no house can stand in the way: houses keep off roads, and off what is near."""
+        along = np.linspace(0.1, 0.9, 9)[:, None, None]
+        points = eye[:2] + along * (places[:, :2] - eye[:2])
+        near = np.hypot(*np.moveaxis(points - eye[:2], -1, 0)) < HOUSE_VIEW_M
+        x, y = np.moveaxis(self._layout.graph.world(points), -1, 0)
+        return np.asarray((near | shapely.contains_xy(self._open, x, y)).all(axis=0))
+
+    def shows_tested_road(self, camera: Camera) -> bool:
+        """Whether a camera has road in its image that a test site's camera looks at."""
+        pixels, _, valid = camera.project(self._lanes[self._tested])
+        return bool((valid & camera.inside(pixels)).any())
+
+    def _candidate(
+        self, traffic: Array, wanted: float, ranges: CameraRanges, rng: np.random.Generator
+    ) -> PlacedCamera | None:
+        """A camera that looks at a vehicle or a place on the road; None where there is no room for one.
+
+        Where its field of view can be chosen, it is that in which a car there is about `wanted` of the image high.
+        """
+        spans = ranges.spans
+
+        def value(name: str, default: float) -> float:
+            return float(rng.uniform(*spans[name])) if name in spans else default
+
+        height = value("height_m", 6.0)
+        low, high = spans.get("pitch_deg", (10.0, 40.0))
+        # Most cameras look ahead, few look down.
+        pitch = low + (high - low) * float(rng.beta(1.2, 2.4))
+        among = traffic if len(traffic) and rng.random() < AT_VEHICLES else self._lanes
+        target = among[rng.integers(len(among))]
+        if pitch > _STEEP_DEG:
+            height = max(height, _OVER_ROAD)
+        distance = height / math.tan(math.radians(max(pitch, 3.0)))
+        place = self._over(target, distance, rng) if pitch > _STEEP_DEG else self._away(target, distance, rng)
+        if place is None:
+            return None
+        x, y, level = place.tolist()
+        z = max(level + height, self._layout.height(self._layout.graph.world(place[:2])) + _ABOVE_GROUND)
+        fov = ranges.fov_deg
+        if "fov_deg" in spans:
+            high_m = float(_apparent_height(np.array([x, y, z]), target[None])[0])
+            width = high_m / (wanted * rng.uniform(*_AT_TARGET)) * ranges.size[0] / ranges.size[1]
+            fov = float(np.clip(math.degrees(2 * math.atan(width / 2)), *spans["fov_deg"]))
+        yaw = math.degrees(math.atan2(target[1] - y, target[0] - x)) + value("yaw_by_deg", 0.0)
+        mast = Mast((round(x, 3), round(y, 3), round(z, 3)), round(yaw, 3), round(pitch, 3))
+        camera = site_at(mast, Town("view"), "view").camera(ranges.size, fov, ranges.distortion)
+        return PlacedCamera(mast, moved(camera, {"roll_by_deg": value("roll_by_deg", 0.0)}, level))
+
+    def _away(self, target: Array, distance: float, rng: np.random.Generator) -> Array | None:
+        """A place (3,) beside a carriageway, about as far from a place (3,) as `distance`, in metres."""
+        away = np.hypot(*(self._starts[:, :2] - target[:2]).T)
+        there = np.flatnonzero(np.abs(away - distance) < max(4.0, 0.3 * distance))
+        return self._beside(int(rng.choice(there)), rng) if len(there) else None
+
+    def _over(self, target: Array, distance: float, rng: np.random.Generator) -> Array | None:
+        """A place (3,) at that distance from a place (3,), over the road or before the houses, metres."""
+        angle = rng.uniform(0, 2 * math.pi)
+        at = target[:2] - distance * np.array([math.cos(angle), math.sin(angle)])
+        free = shapely.contains_xy(self._open, *self._layout.graph.world(at))
+        return np.array([*at, target[2]]) if free else None
+
+    def _beside(self, start: int, rng: np.random.Generator) -> Array | None:
+        """A place (3,) beside the carriageway next to a point of `_starts`, at the road's height, world."""
+        across = right_of(float(self._headings[start])) * (1 if rng.random() < 0.7 else -1)
+        aside = float(rng.uniform(*_MAST_ASIDE_M))
+        graph = self._layout.graph
+        for beyond in np.arange(2.0, 26.0, 1.0):
+            at = self._starts[start, :2] + across * beyond
+            if not shapely.contains_xy(graph.road, *graph.world(at)):
+                at = at + across * aside
+                inside = shapely.contains_xy(graph.road, *graph.world(at))
+                return None if inside else np.array([*at, self._starts[start, 2]])
+        return None
+
+
+def _apparent_height(eye: Array, places: Array) -> Array:
+    """(N,) height of a car at each of the places (N, 3) as seen from `eye` (3,), as a share of its distance."""
+    away = eye - places
+    distance = np.maximum(np.linalg.norm(away, axis=1), 0.1)
+    steep = np.clip(away[:, 2] / distance, -1.0, 1.0)
+    return np.asarray((CAR_HEIGHT_M * np.sqrt(1 - steep**2) + _CAR_EXTENT_M * np.abs(steep)) / distance)
+
+
+def tested_road(town: Town, lanes: Array) -> NDArray[np.bool_]:
+    """Mask of those of the points (N, 3) on a town's lanes that the cameras of its test sites look at."""
+    out = np.zeros(len(lanes), dtype=bool)
+    for site in sites_of(Town(town.name, town.road)):
+        if site.split != "train":
+            east, north = (lanes[:, :2] - site.position[:2]).T
+            aside = np.degrees(np.arctan2(north, east)) - site.yaw_deg
+            aside = np.abs((aside + 180) % 360 - 180)
+            away = np.hypot(east, north)
+            out |= (away < _TESTED_M) & ((aside < _TESTED_DEG) | (away < 5.0))
+    return out

@@ -19,18 +19,20 @@ from numpy.typing import NDArray
 from skope.camera.model import Camera
 from skope.errors import UserError, one_of
 from skope.files import safe_names
-from skope.files.atomic import write_bytes
-from skope.files.reading import read_bytes
+from skope.files.atomic import read_bytes, write_bytes
+from skope.gen.bystanders import bystander
 from skope.gen.scene.conditions import Conditions
-from skope.gen.scene.random_streams import Stream, rng
-from skope.gen.scene.variation import Variation
+from skope.gen.scene.random_streams import Stream, Variation, rng
 from skope.gen.towns.sites import Site
-from skope.gen.towns.town import Mast, Town, Variant, towns
-from skope.gen.towns.user_road import OwnRoad
+from skope.gen.towns.town import Mast, OwnRoad, Town, Variant, towns
+from skope.gen.vehicles.fleet import build_vehicle
+from skope.gen.vehicles.model import Body, Vehicle
 from skope.types import Array
 
 SHAPES: Final = 24
 """Shapes that a dataset with views has of each model: building them must not take longer than drawing them."""
+LAMPS: Final = {"low_beam": 1, "brake": 2, "indicator_left": 4, "indicator_right": 8, "reverse": 16}
+"""The bit of each lamp in the number that says which of a vehicle's lamps are lit."""
 RECORDING_VERSION: Final = 3
 """Version of the file format of recordings."""
 
@@ -136,7 +138,7 @@ class Moment:
     velocity: Array
     """(N, 3) world, m/s."""
     lamps: NDArray[np.uint8]
-    """(N,) lamps that are lit, as bits of `skope.gen.scene.lamps.LAMPS`."""
+    """(N,) lamps that are lit, as bits of `skope.gen.scene.recording.LAMPS`."""
     signals: Mapping[str, str]
     """SUMO's state string of each signal program."""
     T_world_trailer: Array
@@ -189,7 +191,7 @@ class Recording:
     velocity: Array
     """(R, 3) world, m/s."""
     lamps: NDArray[np.uint8]
-    """(R,) lamps that are lit, as bits of `skope.gen.scene.lamps.LAMPS`."""
+    """(R,) lamps that are lit, as bits of `skope.gen.scene.recording.LAMPS`."""
     T_world_trailer: Array | None = None
     """(R, 3, 4, 4) poses of a trailer and its wheels, as in `Moment`. Default: no vehicle has one."""
     photograph: NDArray[np.uint8] | None = None
@@ -364,7 +366,7 @@ def _variant_of(row: Mapping[str, Any] | None) -> Variant | None:
         x, y, z = map(float, mast["position"])
         angles = {name: float(value) for name, value in mast.items() if name != "position"}
         masts.append(Mast((x, y, z), **angles))
-    drawn = {name: int(row.get(name, 0)) for name in ("distractors", "lit_objects", "season", "randomised")}
+    drawn = {name: int(row[name]) for name in ("distractors", "lit_objects", "season", "randomised")}
     return Variant(int(row["seed"]), tuple(masts), **drawn)
 
 
@@ -383,3 +385,13 @@ def _recording_of(header: Mapping[str, Any], file: Mapping[str, Any]) -> Recordi
         T_world_trailer=_full(file[_TRAILER]) if _TRAILER in file else None,
         road_users=header.get("road_users") is True,
     )
+
+
+def body_of(recorded: RecordedVehicle) -> Body:
+    """The body of a road user; equal ones are built once."""
+    return vehicle_body(recorded) if recorded.labelled else bystander.build_bystander(recorded.model, recorded.shape)
+
+
+def vehicle_body(recorded: RecordedVehicle) -> Vehicle:
+    """The body of a labelled road user; equal ones are built once."""
+    return build_vehicle(recorded.model, recorded.shape, recurs=recorded.recurs)

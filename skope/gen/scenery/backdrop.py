@@ -1,4 +1,5 @@
-"""Stand-ins for scenery behind a photograph: ground that shadows fall on, and objects that hide the traffic."""
+"""What stands behind: wooded hills or a city's skyline where the ground ends; and stand-ins for scenery behind a
+photograph, ground that shadows fall on and objects that hide the traffic."""
 
 from collections.abc import Iterator
 from typing import Final
@@ -8,18 +9,19 @@ import shapely
 from shapely import Polygon
 
 from skope.gen.mesh import Mesh, from_triangles, grid, merged
+from skope.gen.scenery.ground import MARGIN
+from skope.gen.scenery.quads import Solid
 from skope.gen.towns.land_use import Layout
 from skope.gen.towns.road_graph import RoadGraph
-from skope.gen.towns.town import Town
-from skope.gen.towns.user_road import OwnRoad, PixelOutline
+from skope.gen.towns.town import OwnRoad, PixelOutline, Town
 from skope.types import Array
 
 _GROUND_RADIUS_M: Final = 2000.0
 """Radius of level ground around the camera, metres."""
 _GROUND_CELL_M: Final = 2.0
-_PLATES: Final = 15.0
+_PLATE_HEIGHT_M: Final = 15.0
 """Height of what throws a photograph's shadows, metres over the road."""
-_SLOPED: Final = 250.0
+_SLOPED_TO_M: Final = 250.0
 """Radius of ground that is not level around the camera, metres."""
 
 
@@ -30,7 +32,9 @@ def backdrop(layout: Layout, road: OwnRoad) -> Mesh:
 
 def _ground(layout: Layout, middle: Array) -> Mesh:
     level = layout.ground.level
-    reach, count = (_GROUND_RADIUS_M, 1) if level is not None else (_SLOPED, int(2 * _SLOPED / _GROUND_CELL_M))
+    reach, count = (
+        (_GROUND_RADIUS_M, 1) if level is not None else (_SLOPED_TO_M, int(2 * _SLOPED_TO_M / _GROUND_CELL_M))
+    )
     x, y = (np.linspace(at - reach, at + reach, count + 1) for at in middle)
     places = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1)
     z = (
@@ -57,7 +61,7 @@ def plates(road: OwnRoad, toward_sun: Array) -> Mesh | None:
         rays, _ = camera.rays(_filling_triangles(road, outline))
         directions = rays @ camera.T_camera_world[:3, :3]
         reach = (level - camera.position[2]) / directions[:, 2:]
-        points = camera.position + reach * directions + toward_sun * _PLATES / toward_sun[2]
+        points = camera.position + reach * directions + toward_sun * _PLATE_HEIGHT_M / toward_sun[2]
         out.append(from_triangles(points, np.arange(len(points)).reshape(-1, 3), "iron"))
     return merged(out) if out else None
 
@@ -67,3 +71,78 @@ def _filling_triangles(road: OwnRoad, outline: PixelOutline) -> Array:
     fine = shapely.segmentize(Polygon(outline), max(road.camera.width, road.camera.height) / 50)
     triangles = shapely.get_parts(shapely.constrained_delaunay_triangles(fine))
     return np.asarray(shapely.get_coordinates(triangles).reshape(-1, 4, 2)[:, :3].reshape(-1, 2))
+
+
+_SKYLINE_MATERIALS: Final = (
+    "concrete",
+    "plaster_grey",
+    "brick_buff",
+    "stone",
+    "plaster_white",
+    "brick_brown",
+    "cladding_grey",
+)
+
+
+def horizon(layout: Layout, rng: np.random.Generator) -> Iterator[Mesh]:
+    yield _hills(layout, rng)
+    if layout.style.horizon == "skyline":
+        yield _skyline(layout, rng)
+
+
+def _ground_outline(graph: RoadGraph, count: int) -> tuple[Array, Array, Array]:
+    """Middle and half sizes of the ground, and (count, 2) directions all around, clockwise."""
+    x0, y0, x1, y1 = graph.road.bounds
+    centre, half = np.array([x0 + x1, y0 + y1]) / 2, np.array([x1 - x0, y1 - y0]) / 2 + MARGIN
+    angle = np.linspace(0, 2 * np.pi, count)[::-1]
+    return centre, half, np.stack([np.cos(angle), np.sin(angle)], axis=1)
+
+
+def _hills(layout: Layout, rng: np.random.Generator) -> Mesh:
+    """Wooded hills all around."""
+    count = 540
+    centre, half, ring = _ground_outline(layout.graph, count + 1)
+    angle = np.linspace(0, 2 * np.pi, count + 1)[::-1]
+    swell = 1 + 0.3 * sum(np.sin(k * angle + rng.uniform(0, 6)) / k for k in (2, 3, 5, 9))
+    size = layout.style.hill_height
+    rows = []
+    for share, height in (
+        (0.70, -1.5),
+        (0.71, 4.5),
+        (0.76, 7.0),
+        (0.88, 14.0 * size),
+        (0.89, 17.0 * size),
+        (1.0, 22.0 * size),
+    ):
+        crowns = np.resize(rng.uniform(-1.8, 1.2, count), count + 1)
+        places = centre + share * half * ring
+        foot = layout.ground.natural(places)
+        rows.append(np.column_stack([places, foot + height * np.clip(swell, 0.3, 2) + crowns]))
+    return grid(np.array(rows), [["woods"] * count] * 5)
+
+
+def _skyline(layout: Layout, rng: np.random.Generator) -> Mesh:
+    """Blocks of several heights, with bands of windows, all around and far away."""
+    centre, half, ring = _ground_outline(layout.graph, 150)
+    out = Solid()
+    for k, direction in enumerate(ring[:-1]):
+        x, y = centre + direction * half * rng.uniform(0.66, 0.86)
+        width, depth = rng.uniform(10, 24, 2)
+        storeys = int(rng.integers(4, 9) if rng.random() < 0.7 else rng.integers(9, 21))
+        wall = _SKYLINE_MATERIALS[rng.integers(len(_SKYLINE_MATERIALS))]
+        top = 3.2 * storeys + 1.0
+        out.box(wall, (x - width / 2, y - depth / 2, -0.5), (x + width / 2, y + depth / 2, top), without="-z")
+        out.box("felt", (x - width / 4, y - depth / 4, top), (x + width / 5, y + depth / 5, top + 3.0), without="-z")
+        for storey in range(storeys):
+            z = 3.2 * storey + 1.2
+            low, high = (
+                (x - width / 2 - 0.15, y - depth / 2 - 0.15, z),
+                (x + width / 2 + 0.15, y + depth / 2 + 0.15, z + 1.5),
+            )
+            out.box("window", low, high, without="-z +z")
+        for share in np.linspace(-0.5, 0.5, 5 + k % 3):
+            at = x + share * width
+            out.box(wall, (at - 0.4, y - depth / 2 - 0.3, 0.0), (at + 0.4, y + depth / 2 + 0.3, top), without="-z +z")
+            at = y + share * depth
+            out.box(wall, (x - width / 2 - 0.3, at - 0.4, 0.0), (x + width / 2 + 0.3, at + 0.4, top), without="-z +z")
+    return out.mesh()

@@ -11,10 +11,9 @@ from shapely import LineString, Point, Polygon
 from shapely.ops import substring, unary_union
 
 from skope.gen.mesh import Mesh, box, lathe, merged, quads, tube
-from skope.gen.scenery.ground import Part, surfaces
+from skope.gen.scenery.ground import Part, left_of, parapet, rings, runs_of_true, surfaces
 from skope.gen.scenery.markings import markings
 from skope.gen.scenery.quads import Solid
-from skope.gen.scenery.walls import left_of, parapet, rings, runs_of_true
 from skope.gen.towns.land_use import KERB_WIDTH, Layout
 from skope.gen.towns.regions import polygons
 from skope.gen.towns.road_graph import BARRIER, RoadGraph, beside, driven, half_width, right_of

@@ -14,12 +14,11 @@ from shapely.ops import unary_union
 
 from skope.gen.cache import cached, digest_of
 from skope.gen.mesh import Mesh, flat, lathe, merged, tube
-from skope.gen.scenery.backdrop import backdrop
+from skope.gen.scenery.backdrop import backdrop, horizon
 from skope.gen.scenery.bridges_and_barriers import structures
 from skope.gen.scenery.distractors import distractors, hatched_areas, light_pools, lit_objects
 from skope.gen.scenery.gardens import gardens
 from skope.gen.scenery.ground import Beside, ground_meshes, ground_parts
-from skope.gen.scenery.horizon import horizon
 from skope.gen.scenery.houses import (
     House,
     car_parks,
@@ -34,8 +33,7 @@ from skope.gen.scenery.markings import zebra_stripes
 from skope.gen.scenery.quads import Solid
 from skope.gen.scenery.street_furniture import furniture, lamp_positions
 from skope.gen.scenery.trees import plant, tree_meshes
-from skope.gen.towns.land_use import Layout
-from skope.gen.towns.parking import Bay, ground_of, kerb_bays, lot_bays
+from skope.gen.towns.land_use import Bay, Layout, ground_of, kerb_bays, lot_bays
 from skope.gen.towns.road_graph import driven, right_of
 from skope.gen.towns.town import Town
 from skope.types import Array

@@ -13,8 +13,7 @@ from skope.gen.mesh import Mesh, box
 from skope.gen.scenery import large_buildings, roof
 from skope.gen.scenery.facade import FacadeStyle, Shop, facade
 from skope.gen.scenery.quads import Solid
-from skope.gen.towns.land_use import DETAILED_WITHIN_M, ISLAND, PLAIN_FROM_M, Layout
-from skope.gen.towns.parking import Bay, drive_bay, drive_ring
+from skope.gen.towns.land_use import DETAILED_WITHIN_M, ISLAND, PLAIN_FROM_M, Bay, Layout, drive_bay, drive_ring
 from skope.gen.towns.regions import polygons, rectangle_polygon
 from skope.gen.towns.road_graph import beside, driven
 from skope.gen.towns.town_style import BuildingKind, ObjectRow, drawn_name

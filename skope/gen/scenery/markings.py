@@ -1,15 +1,27 @@
-"""Road markings as polygons: edge lines, lane lines, stop lines, arrows, crossings for pedestrians."""
+"""Polygons on the road: edge lines, lane lines, stop lines, arrows, crossings for pedestrians; and its wear, which is
+wheel tracks, patches, cracks and covers."""
 
 from collections.abc import Iterator
 from typing import Any, Final
 
 import numpy as np
 import shapely
-from shapely import LineString, Polygon
+from shapely import LineString, Point, Polygon
 from shapely.ops import substring, unary_union
 
+from skope.gen.towns.land_use import PLAIN_FROM_M, Layout
 from skope.gen.towns.regions import rectangle_polygon
-from skope.gen.towns.road_graph import RoadGraph, driven, is_minor, is_signalled, joins, legs
+from skope.gen.towns.road_graph import (
+    RoadGraph,
+    beside,
+    driven,
+    half_width,
+    is_minor,
+    is_signalled,
+    joins,
+    legs,
+    right_of,
+)
 from skope.types import Array
 
 CROSSING: Final = (0.7, 3.7)
@@ -17,8 +29,8 @@ CROSSING: Final = (0.7, 3.7)
 STRIPE: Final = 0.5
 ARROWS: Final = (9.0, 26.0)
 """Distances of lane arrows from the stop line, metres."""
-_LINE: Final = 0.06
-_THROUGH: Final = 12.0
+_LINE_HALF: Final = 0.06
+_THROUGH_M: Final = 12.0
 """Lines are continued through junctions of two edges that are shorter than this, metres."""
 
 
@@ -28,7 +40,7 @@ def markings(graph: RoadGraph) -> Iterator[Polygon]:
         lanes, kind = driven(edge), graph.kind(edge)
         right = LineString(lanes[0].getShape())
         if kind.edge_lines:
-            yield right.offset_curve(0.2 - lanes[0].getWidth() / 2).buffer(_LINE, cap_style="flat")
+            yield right.offset_curve(0.2 - lanes[0].getWidth() / 2).buffer(_LINE_HALF, cap_style="flat")
         for lane in lanes:
             shape, half = LineString(lane.getShape()), lane.getWidth() / 2
             if lane is lanes[-1]:
@@ -52,9 +64,9 @@ def _left_line(graph: RoadGraph, edge: Any, shape: LineString, half: float) -> I
         if edge.getID() < min((e.getID() for e in _opposite_edges(edge)), default="~"):
             left = shape.offset_curve(half)
             for start in np.arange(4.0, left.length - 6.0, 12.0):
-                yield substring(left, start, start + 4.0).buffer(_LINE, cap_style="flat")
+                yield substring(left, start, start + 4.0).buffer(_LINE_HALF, cap_style="flat")
     else:
-        yield shape.offset_curve(half - 0.16).buffer(_LINE, cap_style="flat")
+        yield shape.offset_curve(half - 0.16).buffer(_LINE_HALF, cap_style="flat")
 
 
 def _opposite_edges(edge: Any) -> list[Any]:
@@ -75,9 +87,9 @@ def _is_divided(edge: Any) -> bool:
 def _lane_line(edge: Any, left: LineString) -> Iterator[Polygon]:
     solid = 18.0 if is_signalled(edge) else 0.0
     for start in np.arange(2.0, left.length - 3.0 - solid, 9.0):
-        yield substring(left, start, start + 3.0).buffer(_LINE, cap_style="flat")
+        yield substring(left, start, start + 3.0).buffer(_LINE_HALF, cap_style="flat")
     if solid:
-        yield substring(left, max(left.length - solid, 0.0), left.length - 0.9).buffer(_LINE, cap_style="flat")
+        yield substring(left, max(left.length - solid, 0.0), left.length - 0.9).buffer(_LINE_HALF, cap_style="flat")
 
 
 def _lines_through_joints(graph: RoadGraph) -> Iterator[Polygon]:
@@ -96,8 +108,8 @@ def _lines_through_joints(graph: RoadGraph) -> Iterator[Polygon]:
                 inset = 0.2 if side < 0 else 0.16
                 ends.append(shape.offset_curve(side * (lane.getWidth() / 2 - inset)).coords[at])
             gap = LineString(ends)
-            if 0.05 < gap.length < _THROUGH:
-                yield gap.buffer(_LINE, cap_style="flat")
+            if 0.05 < gap.length < _THROUGH_M:
+                yield gap.buffer(_LINE_HALF, cap_style="flat")
 
 
 def _give_way(shape: LineString, half: float) -> Iterator[Polygon]:
@@ -158,7 +170,7 @@ def hatching(place: Array, heading: float, rng: np.random.Generator) -> list[Pol
     for x in np.arange(1.2, long - 1.2 - thick, step).tolist():
         near = [(x + lean * ahead, wide * across) for ahead, across in shares]
         out.append(Polygon([*near, *((u + thick, v) for u, v in reversed(near))]))
-    out += [shapely.box(0.0, y - _LINE, long, y + _LINE) for y in (0.0, wide)]
+    out += [shapely.box(0.0, y - _LINE_HALF, long, y + _LINE_HALF) for y in (0.0, wide)]
     turned = (shapely.affinity.rotate(part, heading, origin=(0, 0), use_radians=True) for part in out)
     return [shapely.affinity.translate(part, *place) for part in turned]
 
@@ -209,3 +221,91 @@ def _chord(road: Any, middle: Array, across: Array) -> tuple[float, float] | Non
         return None
     offsets = (np.array(pieces[0].coords) - middle) @ across
     return float(offsets.min()), float(offsets.max())
+
+
+def tracks(layout: Layout, width: float) -> Any:
+    """Areas that wheels run over: two strips along each lane."""
+    strips = []
+    for edge in layout.graph.edges:
+        for lane in driven(edge):
+            line = LineString(lane.getShape())
+            strips += [line.offset_curve(side).buffer(width / 2, cap_style="flat") for side in (-0.82, 0.82)]
+    return unary_union(strips).intersection(layout.detailed)
+
+
+def repairs(layout: Layout, rng: np.random.Generator) -> tuple[Any, Any, Any]:
+    """Dark new patches, pale old ones, and bitumen: their sealed edges and sealed cracks."""
+    new, old, cracks = [], [], []
+    for edge in layout.graph.edges:
+        half = half_width(edge)
+        for s in np.arange(rng.uniform(4.0, 14.0), driven(edge)[0].getLength() - 6.0, 15.0):
+            s += rng.uniform(-4.0, 4.0)
+            kind, across = rng.random(), rng.uniform(-0.8, 0.8) * half
+            middle, heading = beside(edge, s, -half)
+            if layout.camera_distance(middle) > PLAIN_FROM_M:
+                continue
+            at = middle + right_of(heading) * across
+            shape = rectangle_polygon(at, heading, rng.uniform(1.2, 3.5), rng.uniform(0.8, 1.8))
+            if kind < 0.22:
+                new.append(shape)
+            elif kind < 0.40:
+                old.append(shape)
+            elif kind < 0.52:  # a trench across the lanes
+                new.append(rectangle_polygon(middle, heading, rng.uniform(0.6, 0.9), 2 * half))
+            elif kind < 0.60:  # a trench along them
+                old.append(rectangle_polygon(at, heading, rng.uniform(8.0, 16.0), 0.7))
+            else:
+                cracks.append(_crack(at, heading + rng.choice([0.0, 0.0, np.pi / 2]), rng))
+    for node in layout.graph.net.getNodes():
+        if layout.camera_distance(np.array(node.getCoord())) > PLAIN_FROM_M or len(node.getShape()) < 4:
+            continue
+        if (area := Polygon(node.getShape()).buffer(-3.0)).area > 40:
+            for kept in (new, old):
+                at, heading = _random_place(area, rng), rng.uniform(0, np.pi)
+                kept.append(rectangle_polygon(at, heading, rng.uniform(1.2, 2.6), 1.1))
+            cracks += [_crack(_random_place(area, rng), rng.uniform(0, np.pi), rng) for _ in range(3)]
+    seams = [shape.boundary.buffer(0.035, cap_style="flat") for shape in (*new, *old)]
+    return unary_union(new), unary_union(old), unary_union([*seams, *cracks])
+
+
+def _random_place(region: Any, rng: np.random.Generator) -> Array:
+    """A random place (2,) inside a region."""
+    x0, y0, x1, y1 = region.bounds
+    while True:
+        place = rng.uniform((x0, y0), (x1, y1))
+        if region.contains(Point(place)):
+            return np.asarray(place)
+
+
+def _crack(at: Array, heading: float, rng: np.random.Generator) -> Polygon:
+    """A wandering sealed crack of a few metres."""
+    steps = int(rng.integers(6, 16))
+    turn = heading + rng.normal(0.0, 0.45, steps)
+    line = at + 0.45 * np.cumsum(np.stack([np.cos(turn), np.sin(turn)], axis=1), axis=0)
+    return LineString(line).buffer(rng.uniform(0.015, 0.03), quad_segs=1, join_style="mitre")
+
+
+def covers(layout: Layout, rng: np.random.Generator) -> Iterator[Polygon]:
+    """Manhole covers in the lanes and drain grates in the gutters of roads with sidewalks."""
+    for edge in layout.graph.edges:
+        if not layout.graph.kind(edge).sidewalk:
+            continue
+        lanes = driven(edge)
+        length = lanes[0].getLength()
+        for s in np.arange(rng.uniform(5.0, 20.0), length - 4.0, 27.0):
+            at = LineString(lanes[rng.integers(len(lanes))].getShape()).interpolate(s + rng.uniform(-6.0, 6.0))
+            if layout.camera_distance(np.array([at.x, at.y])) < PLAIN_FROM_M:
+                yield Point(at.x + rng.uniform(-0.3, 0.3), at.y + rng.uniform(-0.3, 0.3)).buffer(0.33, quad_segs=5)
+        for s in np.arange(9.0, length - 4.0, 24.0):
+            at, heading = beside(edge, s, -0.19)
+            if layout.camera_distance(at) < PLAIN_FROM_M:
+                yield rectangle_polygon(at, heading, 0.5, 0.3)
+
+
+def sidewalk_covers(layout: Layout, rng: np.random.Generator) -> Iterator[Polygon]:
+    for edge in layout.graph.edges:
+        for s in np.arange(rng.uniform(3.0, 12.0), driven(edge)[0].getLength(), 13.0):
+            at, heading = beside(edge, s + rng.uniform(-3.0, 3.0), rng.uniform(1.0, 1.9))
+            if layout.camera_distance(at) > PLAIN_FROM_M:
+                continue
+            yield rectangle_polygon(at, heading, rng.choice([0.45, 0.6, 0.9]), 0.45)

@@ -10,11 +10,11 @@ import shapely
 from shapely import LineString, Polygon
 from shapely.ops import unary_union
 
-from skope.gen.bystanders import looks
+from skope.gen.bystanders import bystander
 from skope.gen.bystanders.bystander import Bystander, build_bystander
-from skope.gen.bystanders.joints import sunk
 from skope.gen.bystanders.people import Look, lowered
 from skope.gen.bystanders.riding import standing_lean
+from skope.gen.bystanders.walking import sunk
 from skope.gen.traffic.sumo import SumoRider
 from skope.types import Array
 
@@ -86,7 +86,7 @@ class Riders:
     def _place(self, name: str, state: SumoRider, dt: float) -> PlacedBystander:
         if name not in self._bodies:
             kind, rng = self._kinds[name], self._rng_of(name)
-            look = looks.draw_look(kind, rng) if self._jointed else Look.drawn(rng)
+            look = bystander.draw_look(kind, rng) if self._jointed else Look.drawn(rng)
             self._bodies[name] = build_bystander(kind, look.to_dict())
             self._travelled[name], self._yaw[name], self._lean[name] = 0.0, state.yaw, 0.0
         turn = math.remainder(state.yaw - self._yaw[name], 2 * math.pi) / dt
@@ -187,7 +187,7 @@ def _group(path: Array, length: float, rng: np.random.Generator, raining: bool) 
     facing = float(rng.uniform(-math.pi, math.pi))
     out = []
     for k in range(count):
-        body = build_bystander("pedestrian", looks.draw_look("pedestrian", rng, raining=raining).to_dict())
+        body = build_bystander("pedestrian", bystander.draw_look("pedestrian", rng, raining=raining).to_dict())
         if stands and count > 1:
             around = 2 * math.pi * k / count
             ahead, beside = _CIRCLE * math.cos(around), _CIRCLE * math.sin(around)

@@ -9,19 +9,17 @@ import numpy as np
 from shapely import Polygon
 
 from skope.camera.model import Camera
-from skope.gen.scene.camera_sampling import CameraRanges, sample_camera
+from skope.gen.scene.camera_sampling import LARGEST_VEHICLE_SHARE, CameraRanges, ViewSampler, sample_camera
 from skope.gen.scene.conditions import Conditions, ranges
 from skope.gen.scene.random_streams import Stream
 from skope.gen.scene.recording import Recording, RecordingPlan
-from skope.gen.scene.view_sampling import LARGEST_VEHICLE_SHARE, ViewSampler
 from skope.gen.scenery.build import bays_of
-from skope.gen.simulation.parked import MOST_PARKED, parked_vehicles
 from skope.gen.simulation.pedestrians import Riders, Walkers
 from skope.gen.simulation.physics import World, at_rest
-from skope.gen.simulation.recorder import SIMULATED_WITHIN_M, Recorder
+from skope.gen.simulation.recorder import MOST_PARKED, SIMULATED_WITHIN_M, Recorder, parked_vehicles
 from skope.gen.simulation.smooth_paths import drivable, reach
+from skope.gen.towns.land_use import sidewalks
 from skope.gen.towns.road_graph import RoadGraph
-from skope.gen.towns.sidewalks import sidewalks
 from skope.gen.towns.town import Mast, Variant
 from skope.gen.traffic.demand import USUAL_RIDERS, Riding, in_town
 from skope.gen.traffic.sumo import Snapshot, Traffic, step_for

@@ -47,7 +47,7 @@ class Driven(NamedTuple):
     speed: float
     """Speed of the rear axle, forwards, m/s."""
     lamps: int
-    """Lamps that are lit, as bits of `skope.gen.scene.lamps.LAMPS`."""
+    """Lamps that are lit, as bits of `skope.gen.scene.recording.LAMPS`."""
     trailer: DrivenTrailer | None = None
     """Place of an articulated vehicle's trailer."""
 

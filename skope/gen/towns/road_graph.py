@@ -1,11 +1,18 @@
-"""The roads of a town as its SUMO network has them: edges, junctions, lanes, and the carriageway that they make."""
+"""The roads of a town as its SUMO network has them: edges, junctions, lanes, and the carriageway that they make.
 
+Left-hand traffic: its scenery is grown in a mirror, which takes y to -y, where the network is one for right-hand
+traffic. What stands beside the road, signals, markings and sidewalks then need to know of one side only;
+`RoadGraph.mirrored` says that results have to be taken back.
+"""
+
+import re
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any, Final
+from xml.etree import ElementTree
 
 import numpy as np
 import shapely
@@ -15,12 +22,47 @@ from shapely import LineString, Point, Polygon
 from shapely.ops import unary_union
 
 from skope.camera.model import Camera
-from skope.gen.towns.left_hand_traffic import is_lefthand, mirrored_town
 from skope.gen.towns.regions import Region, polygons
 from skope.gen.towns.terrain import Lanes
 from skope.gen.towns.town import Town
 from skope.gen.towns.town_style import Road, style
 from skope.types import Array
+
+_MIRRORED_TURNS: Final = {"l": "r", "r": "l", "L": "R", "R": "L"}
+_NET_TAG: Final = re.compile(rb"<net\b[^>]*>")
+
+
+def is_lefthand(network: bytes) -> bool:
+    """Whether a SUMO network's root says so."""
+    root = _NET_TAG.search(network)
+    return root is not None and re.search(rb'\blefthand="(true|1)"', root[0]) is not None
+
+
+def mirrored_town(network: bytes) -> bytes:
+    """The network seen in the mirror: shapes reflected, right turns made left ones and the other way round."""
+    root = ElementTree.fromstring(network)
+    root.attrib.pop("lefthand", None)
+    for element in root.iter():
+        if "shape" in element.attrib:
+            element.set("shape", " ".join(map(_reflected, element.attrib["shape"].split())))
+        if element.tag == "junction" and "y" in element.attrib:
+            element.set("y", _negative(element.attrib["y"]))
+        if element.tag == "connection" and "dir" in element.attrib:
+            element.set("dir", _MIRRORED_TURNS.get(element.attrib["dir"], element.attrib["dir"]))
+        if element.tag == "location":
+            x0, y0, x1, y1 = element.attrib["convBoundary"].split(",")
+            element.set("convBoundary", ",".join((x0, _negative(y1), x1, _negative(y0))))
+    return ElementTree.tostring(root)
+
+
+def _reflected(point: str) -> str:
+    x, y, *z = point.split(",")
+    return ",".join((x, _negative(y), *z))
+
+
+def _negative(number: str) -> str:
+    return number[1:] if number.startswith("-") else f"-{number}"
+
 
 OWN_ROADS_WITHIN_M: Final = 600.0
 """Roads of a user's own network count if they are nearer to the camera than this, metres."""
@@ -34,7 +76,7 @@ _HEIGHT_WITHIN_M: Final = 42.0
 class RoadGraph:
     """The roads of a town: edges and junctions of its SUMO network, their lanes, and the carriageway that these make.
 
-    In a town with left-hand traffic they are those of its mirror image (see `left_hand_traffic`).
+    In a town with left-hand traffic they are those of its mirror image (see `mirrored_town`).
     """
 
     net: Any

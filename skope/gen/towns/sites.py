@@ -11,8 +11,7 @@ import numpy as np
 
 from skope.camera.model import Camera, Distortion
 from skope.errors import UserError
-from skope.gen.towns.town import Mast, Town, town_folder
-from skope.gen.towns.user_road import OwnRoad
+from skope.gen.towns.town import Mast, OwnRoad, Town, town_folder
 
 
 @dataclass(frozen=True, kw_only=True)

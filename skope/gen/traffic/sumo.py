@@ -18,10 +18,9 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from skope.errors import UserError
-from skope.gen.scene.lamps import LAMPS
-from skope.gen.traffic.demand import RIDERS, USUAL_RIDERS, Riding, Trip, trips
+from skope.gen.scene.recording import LAMPS
+from skope.gen.traffic.demand import RIDERS, USUAL_RIDERS, Riding, Trip, trips, write_types
 from skope.gen.traffic.route_files import scheduled
-from skope.gen.traffic.sumo_vehicle_types import write_types
 from skope.gen.vehicles.fleet import FleetEntry
 from skope.gen.vehicles.model import Vehicle
 from skope.gen.vehicles.trailer_motion import Follower, Hitch

@@ -8,13 +8,11 @@ import numpy as np
 
 from skope.gen.mesh import Mesh, box, from_triangles, grid, merged
 from skope.gen.vehicles import front, parts, rear
-from skope.gen.vehicles.body_axes import LEFT_AXIS
 from skope.gen.vehicles.interior import interior, seats
-from skope.gen.vehicles.liveries import REAR_MARKER, draw_upper_markers
 from skope.gen.vehicles.lofted_surfaces import SIDE, WRAP, Plan, Surface
-from skope.gen.vehicles.panels import grown, rectangle_outline
+from skope.gen.vehicles.panels import LEFT_AXIS, REAR_MARKER, draw_upper_markers, grown, rectangle_outline
 from skope.gen.vehicles.shape import Shape, VehicleStyle
-from skope.gen.vehicles.upright_shells import Tower, arch, corner_w
+from skope.gen.vehicles.solids import Tower, arch, corner_w
 from skope.types import Array
 
 _FLAT = 0.03

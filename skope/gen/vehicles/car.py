@@ -8,10 +8,7 @@ from numpy.typing import ArrayLike
 
 from skope.gen.mesh import Mesh, merged
 from skope.gen.vehicles import front, parts, rear
-from skope.gen.vehicles.cabin import Greenhouse
-from skope.gen.vehicles.canopy import canopy
-from skope.gen.vehicles.clipping import clipped, rear_wall
-from skope.gen.vehicles.decals import draw_decal
+from skope.gen.vehicles.cabin import Greenhouse, canopy
 from skope.gen.vehicles.interior import interior
 from skope.gen.vehicles.lofted_surfaces import (
     BOTTOM,
@@ -28,10 +25,11 @@ from skope.gen.vehicles.lofted_surfaces import (
     Surface,
     metres_along,
 )
-from skope.gen.vehicles.mirrors import arm_mirror
-from skope.gen.vehicles.panels import rectangle_outline
+from skope.gen.vehicles.panels import draw_decal, rectangle_outline
+from skope.gen.vehicles.parts import arm_mirror
 from skope.gen.vehicles.shape import Shape, VehicleStyle
-from skope.gen.vehicles.upright_shells import ARCH_RADIUS_WHEELS
+from skope.gen.vehicles.solids import ARCH_RADIUS_WHEELS
+from skope.gen.vehicles.triangle_cuts import clipped, rear_wall
 from skope.types import Array
 
 _ARCH_TRIM: Final = 0.07

@@ -1,20 +1,263 @@
-"""Further buses: low-floor city buses, coaches, double-deckers, school buses; and step vans, which are built alike."""
+"""Further buses, whose windows, doors, signs and what stands on the roof follow a layout: low-floor city buses,
+coaches, double-deckers, school buses; and step vans, which are built alike."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Final
 
 import numpy as np
 
-from skope.gen.mesh import Mesh
-from skope.gen.vehicles.body_axes import LEFT_AXIS
+from skope.gen.mesh import Mesh, merged
+from skope.gen.vehicles import front, rear
+from skope.gen.vehicles.bus import BusBody
 from skope.gen.vehicles.car import CarBody
-from skope.gen.vehicles.laid_out_bus import BusLayout, LaidOutBus
-from skope.gen.vehicles.liveries import draw_graphics
-from skope.gen.vehicles.lofted_surfaces import SIDE, WRAP, Surface
-from skope.gen.vehicles.panels import disc, rectangle_outline
+from skope.gen.vehicles.lofted_surfaces import SIDE, WRAP, Plan, Surface
+from skope.gen.vehicles.panels import (
+    LEFT_AXIS,
+    MARKED_FROM_M,
+    MARKER,
+    disc,
+    draw_graphics,
+    draw_upper_markers,
+    grown,
+    rectangle_outline,
+)
+from skope.gen.vehicles.parts import arm_mirror
 from skope.gen.vehicles.shape import Shape, VehicleStyle
-from skope.gen.vehicles.upright_shells import ROOF_CORNER_ROW
+from skope.gen.vehicles.solids import ROOF_CORNER_ROW, Tower, corner_w, pipe
+from skope.gen.vehicles.wheels import steel_wheel
 from skope.types import Array
+
+_BUMPER_LIP: Final = 0.07
+"""Share of the wall's height at which front and rear turn under, as of `BusBody`."""
+
+
+@dataclass(frozen=True)
+class BusLayout:
+    """Layout of a bus, metres; heights are below the roof unless they say otherwise."""
+
+    windows: float
+    """Upper edge of the side windows."""
+    pane: float
+    """Length of a side window, about."""
+    screen: float
+    """Upper edge of the windscreen."""
+    rear_window: tuple[float, float]
+    """Lower and upper edge of the rear window."""
+    doors: tuple[tuple[float, float], ...]
+    """Doors on the right: share of the way from the front axle to the rear one, and width; below 0 ahead of it."""
+    material: str = "glass"
+    """Of the side windows."""
+    sign: bool = False
+    """Destination signs over the windscreen, beside the first door and behind."""
+    pod: float = 0.0
+    """Height of what stands on the roof: air conditioning, batteries."""
+    flaps: bool = False
+    """Doors of the luggage hold along the sides."""
+    upper: tuple[float, float] | None = None
+    """Lower and upper edge of a second deck's windows."""
+
+
+class LaidOutBus(BusBody):
+    """A bus of a layout. `shape.belt_height` is the side windows' lower edge, `shape.hood_height` the windscreen's."""
+
+    layout: BusLayout
+    ridge = 0.9
+
+    def __init__(self, shape: Shape, style: VehicleStyle) -> None:
+        super().__init__(replace(shape, height=shape.height - self.layout.pod), style)
+
+    @property
+    def lit_inside(self) -> bool:
+        return self.layout.sign and super().lit_inside
+
+    def _carved_axles(self) -> tuple[float, ...]:
+        s = self.shape
+        return s.front_axle_x, s.rear_axle_x, *(s.rear_axle_x + ahead for ahead in self.style.axles)
+
+    def _build_half(self, *, doors: bool) -> Mesh:
+        s = self.shape
+        wheel = steel_wheel(s.wheel_radius, s.wheel_width)
+        # The axles between the outer ones, whose wheels are no parts of their own.
+        inner = [wheel.moved((s.rear_axle_x + ahead, s.track / 2, s.wheel_radius)) for ahead in self.style.axles]
+        pods = self._pods() if self.layout.pod else []
+        return merged([super()._build_half(doors=doors), *inner, *pods])
+
+    def _pods(self) -> list[Mesh]:
+        s, high = self.shape, self.shape.height + self.layout.pod
+        places = ((self.nose - 2.4, 2.6), (self.end + 3.6, 2.2)) if self.layout.sign else ((0.4, 2.4),)
+        half, material = (s.width / 2 - 0.3, "paint") if self.layout.sign else (s.width / 2 - 0.55, "rail")
+        out = []
+        for x, long in places:
+            plan = Plan(half, x + long / 2, x - long / 2, 0.0, 0.0, 0.14, 0.14)
+            lean = [(0.0, 0.0, 0.0, 0.0), (1.0, 0.04, 0.14, 0.08)]
+            out.append(Tower(plan, s.height - 0.12, high, lean, edge=0.05, crown=0.02, stations=3).surface(material)[0])
+        return [shell.half for shell in out]
+
+    def _mirror(self) -> tuple[Mesh, Array]:
+        s = self.shape
+        if not self.layout.flaps:
+            return arm_mirror((self.nose - 0.46, s.width / 2 - 0.05, 1.75), "trim", reach=0.25, high=0.5, sunk=0.1)
+        # A coach's mirror hangs from an arm that stands high on the corner.
+        root = (self.nose - 0.55, s.width / 2 - 0.1, s.height - 1.4)
+        housing, tip = arm_mirror(root, "trim", reach=0.3, high=0.6, sunk=0.12)
+        elbow = (root[0] + 0.06, tip[1] - 0.09, s.height - 0.5)
+        arms = [
+            pipe((root[0] - 0.2, s.width / 2 - 0.42, s.height - 0.32), elbow, 0.04, "trim"),
+            pipe(elbow, (root[0], tip[1] - 0.09, tip[2] + 0.25), 0.04, "trim"),
+        ]
+        return merged([housing, *arms]), tip
+
+    def _draw_details(self, shell: Surface, w: Array, doors: bool) -> list[Mesh]:
+        s, end = self.shape, float(w[-1])
+        self._draw_livery(shell, end)
+        shell.paint(rectangle_outline(-1, end + 1, 0, s.clearance + 0.14), WRAP, "trim")
+        self._draw_windscreen(shell, corner_w(w))
+        self._draw_side_windows(shell)
+        if self.layout.flaps:
+            self._draw_flaps(shell)
+        for share, wide in self.layout.doors if doors else ():
+            self._draw_door(shell, s.front_axle_x - share * s.wheelbase, wide)
+        self._draw_rear_window(shell, corner_w(w, rear=True), end)
+        out = self._draw_front(shell, w)
+        out += rear.draw_rear(shell, w, s, replace(self.style, family="bus"), self.points)
+        if s.width > MARKED_FROM_M:
+            draw_upper_markers(shell, s.width / 2 - 0.1, s.height - 0.25, end)
+        for at in np.arange(self.end + 1.2, self.nose - 1.2, 1.9).tolist():
+            shell.draw(
+                rectangle_outline(at - 0.05, at + 0.05, s.clearance + 0.32, s.clearance + 0.37), SIDE, MARKER, layer=3
+            )
+        back = corner_w(w, rear=True)
+        self.points |= {
+            "trunk_rear": shell.place((back, self._waist - 0.05), WRAP)[0],
+            "bumper_rear": shell.corner(_BUMPER_LIP, rear=True),
+        }
+        return out
+
+    @property
+    def _waist(self) -> float:
+        """Height of the rear's edge, where the engine's flap ends."""
+        return min(self.shape.belt_height, 1.3)
+
+    def _draw_front(self, shell: Surface, w: Array) -> list[Mesh]:
+        s, screen = self.shape, corner_w(w)
+        self.points |= {
+            "hood_front": shell.place((screen - 0.14, s.hood_height - 0.12), WRAP)[0],
+            "bumper_front": shell.corner(_BUMPER_LIP),
+        }
+        return front.draw_front(shell, w, s, replace(self.style, family="bus"), self.points)
+
+    def _draw_livery(self, shell: Surface, end: float) -> None:
+        s = self.shape
+        rng = np.random.default_rng(int(s.length * 1e4))
+        kind = int(rng.integers(4))
+        if kind == 0:
+            shell.paint(rectangle_outline(-1, end + 1, 0, s.belt_height - 0.16), WRAP, "livery")
+        elif kind == 1:
+            start = s.rear_axle_x + float(rng.uniform(0.8, 3.0))
+            sweep = [(start, 0.0), (start - 2.2, s.height + 0.2), (-99, s.height + 0.2), (-99, 0.0)]
+            shell.paint(sweep, SIDE, "livery")
+        elif kind == 2:
+            draw_graphics(shell, (self.end + 0.8, self.nose - 0.9), (s.clearance + 0.2, s.belt_height - 0.1), rng)
+        if self.layout.upper and rng.uniform() < 0.5:
+            low, high = s.height - self.layout.windows + 0.12, s.height - self.layout.upper[0] - 0.12
+            draw_graphics(shell, (self.end + 1.0, self.nose - 1.2), (low, high), rng)
+
+    def _draw_windscreen(self, shell: Surface, screen: float) -> None:
+        s, layout = self.shape, self.layout
+        low, high = s.hood_height, s.height - layout.screen
+        # A dark frame around the glass, which holds the sign.
+        band = high + (0.34 if layout.sign else 0.1)
+        screen -= 0.02
+        shell.paint(rectangle_outline(-0.1, screen + 0.06, low - 0.05, band), WRAP, "trim")
+        shell.paint(rectangle_outline(-0.1, screen, low, high), WRAP, "glass")
+        if layout.sign:
+            self._draw_sign(shell, 0.0, high + 0.05, band - 0.06)
+        for start, stop in ((0.06, 0.8), (0.35, screen - 0.05)):
+            shell.line([(start, low - 0.01), (stop, low + 0.14)], WRAP, width=0.022, layer=4)
+        top = band
+        if layout.upper:
+            sill, top = s.height - layout.upper[0], s.height - layout.upper[1] + 0.14
+            shell.paint(rectangle_outline(-0.1, screen + 0.06, sill - 0.05, top), WRAP, "trim")
+            shell.paint(rectangle_outline(-0.1, screen, sill, top - 0.06), WRAP, "glass_tinted")
+        self.points |= {
+            "roof_front": shell.place((screen + 0.06, top), WRAP)[0],
+            "windscreen_base": shell.place((screen, low), WRAP)[0],
+        }
+
+    def _draw_sign(self, shell: Surface, middle: float, low: float, high: float) -> None:
+        shell.draw(rectangle_outline(middle - 0.85, middle + 0.85, low, high), WRAP, "grille")
+        for at in np.arange(-0.7, 0.7, 0.12).tolist():
+            if abs(at) > 0.09:
+                shell.draw(
+                    rectangle_outline(middle + at, middle + at + 0.085, low + 0.04, high - 0.04),
+                    WRAP,
+                    "display",
+                    layer=2,
+                )
+
+    def _draw_side_windows(self, shell: Surface) -> None:
+        s, layout = self.shape, self.layout
+        start, stop = self.nose - 0.62, self.end + 0.5
+        bands = [(s.belt_height, s.height - layout.windows)]
+        if layout.upper:
+            bands.append((s.height - layout.upper[0], s.height - layout.upper[1]))
+        count = round((start - stop) / layout.pane) + 1
+        posts = np.linspace(stop, start, count)
+        for k, (low, high) in enumerate(bands):
+            shell.paint(
+                rectangle_outline(stop - 0.06, start + 0.06, low - 0.05, high + 0.05), SIDE, "trim", facing=LEFT_AXIS
+            )
+            glass = self._window("glass_tinted" if k else layout.material)
+            for a, b in pairwise(posts):
+                shell.paint(rectangle_outline(a + 0.03, b - 0.03, low, high), SIDE, glass, facing=LEFT_AXIS)
+        post = posts[-2]
+        self.points["beltline"] = shell.place((post, s.belt_height - 0.05), SIDE)[0]
+
+    def _draw_flaps(self, shell: Surface) -> None:
+        """Doors of the hold between the axles, and of the engine behind."""
+        s = self.shape
+        low, high = s.clearance + 0.2, s.belt_height - 0.3
+        reach = 1.2 * s.wheel_radius
+        last = s.rear_axle_x + max(self.style.axles, default=0.0)
+        for x in np.linspace(last + reach + 0.1, s.front_axle_x - reach - 0.1, 6):
+            shell.line([(x, low), (x, high)], SIDE, width=0.014, layer=7, facing=LEFT_AXIS)
+        for z in (low, high):
+            shell.line([(self.end + 0.4, z), (self.nose - 0.6, z)], SIDE, width=0.014, layer=7, facing=LEFT_AXIS)
+
+    def _draw_rear_window(self, shell: Surface, corner: float, end: float) -> None:
+        s, layout = self.shape, self.layout
+        low, high = (s.height - edge for edge in layout.rear_window)
+        glass = end - corner - 0.12
+        shell.paint(rectangle_outline(end - glass - 0.05, end + 0.1, low - 0.05, high + 0.06), WRAP, "trim")
+        shell.paint(rectangle_outline(end - glass, end + 0.1, low, high), WRAP, "glass_tinted")
+        shell.draw(rectangle_outline(end - 0.16, end + 0.1, high + 0.1, high + 0.14), WRAP, "brake_light", layer=2)
+        base = s.clearance + 0.62
+        if self._waist - 0.1 > base + 0.1:
+            shell.sink(rectangle_outline(end - 0.8, end + 0.1, base, self._waist - 0.1), WRAP, 0.02, "grille_slats")
+        for level in (s.clearance + 0.3, self._waist + 0.05):
+            shell.line([(end - 0.95, level), (end + 0.1, level)], WRAP, width=0.014, layer=3)
+        if layout.sign:
+            shell.draw(rectangle_outline(end - 0.3, end + 0.1, low + 0.08, low + 0.3), WRAP, "display", layer=4)
+        self.points |= {
+            "roof_rear": shell.place((end - glass, high), WRAP)[0],
+            "rear_window_base": shell.place((end - glass, low), WRAP)[0],
+        }
+
+    def _draw_door(self, shell: Surface, x: float, width: float) -> None:
+        """A door of two leaves of glass, as high as the lower windows."""
+        low, high = self.shape.clearance + 0.1, self.shape.height - self.layout.windows + 0.02
+        half = width / 2
+        shell.paint(rectangle_outline(x - half, x + half, low, high), SIDE, "trim", facing=LEFT_AXIS)
+        leaves = ((x - half, x), (x, x + half)) if width > 1 else ((x - half, x + half),)
+        for a, b in leaves:
+            shell.paint(
+                grown(rectangle_outline(a, b, low + 0.06, high - 0.04), -0.045),
+                SIDE,
+                self._window("glass"),
+                facing=LEFT_AXIS,
+            )
+
 
 CITY: Final = BusLayout(
     windows=0.34, pane=1.5, screen=0.52, rear_window=(1.35, 0.55), doors=((-0.3, 1.25), (0.42, 1.3), (0.8, 1.3)),

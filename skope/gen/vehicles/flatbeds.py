@@ -6,14 +6,11 @@ from typing import Final
 import numpy as np
 
 from skope.gen.mesh import Mesh, box, merged
-from skope.gen.vehicles.body_axes import LEFT_AXIS
-from skope.gen.vehicles.cargo import Cargo, CargoSpace
-from skope.gen.vehicles.liveries import MARKER
 from skope.gen.vehicles.lofted_surfaces import SIDE, TOP, WRAP, Plan
-from skope.gen.vehicles.panels import rectangle_outline
+from skope.gen.vehicles.lorry_parts import Cargo, CargoSpace
+from skope.gen.vehicles.panels import LEFT_AXIS, MARKER, rectangle_outline
 from skope.gen.vehicles.parts import block
-from skope.gen.vehicles.solids import barrel, beam, pipe, prism
-from skope.gen.vehicles.upright_shells import Tower
+from skope.gen.vehicles.solids import Tower, barrel, beam, pipe, prism
 
 _WOOD: Final = ("#b98d55", "#a87c48", "#c79f69")
 _DECK: Final = "#7d6a4e"

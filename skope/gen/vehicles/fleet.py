@@ -1,9 +1,10 @@
-"""The fleet: vehicle models by name, each a style and a point in its type's shape space."""
+"""The fleet: vehicle models by name, each a style and a point in its type's shape space; and shapes near a model's, so
+that no two vehicles of a dataset need to be alike."""
 
 import math
 import tomllib
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cache, cached_property, lru_cache
 from importlib import resources
 from typing import Any, Final
@@ -11,20 +12,19 @@ from typing import Any, Final
 import numpy as np
 
 from skope import keypoints
-from skope.errors import UserError
+from skope.errors import UserError, one_of
 from skope.gen.cache import Arrays, cached, digest_of
 from skope.gen.mesh import Mesh
 from skope.gen.vehicles.bus import BusBody
+from skope.gen.vehicles.cabin import ROOF_LOAD_HEIGHTS_M
 from skope.gen.vehicles.car import CarBody
-from skope.gen.vehicles.chassis_cab import ChassisCabBody
 from skope.gen.vehicles.coaches import CityBusBody, CoachBody, DoubleDeckBody, SchoolBusBody, StepVanBody
-from skope.gen.vehicles.jittered_parts import styled
+from skope.gen.vehicles.jittered_parts import draw_details, styled
 from skope.gen.vehicles.model import Derived, Trailer, Vehicle, simplified_parts
 from skope.gen.vehicles.parts import SIGN_HEIGHT
-from skope.gen.vehicles.roof_loads import ROOF_LOAD_HEIGHTS_M
 from skope.gen.vehicles.shape import Shape, VehicleStyle
 from skope.gen.vehicles.trailer_body import TrailerBody
-from skope.gen.vehicles.truck import TruckBody
+from skope.gen.vehicles.truck import ChassisCabBody, TruckBody
 from skope.gen.vehicles.user_models import load_model
 from skope.gen.vehicles.wheels import steel_wheel, wheel_mesh
 from skope.types import Array
@@ -253,6 +253,65 @@ def build_vehicle(model: str, shape: Mapping[str, float], *, recurs: bool = Fals
     if model not in fleet():
         return load_model(model)
     return _build_parametric(model, tuple(sorted(shape.items())), recurs)
+
+
+_LENGTH_FIELDS: Final = frozenset((
+    "length", "wheelbase", "front_overhang", "cowl_setback", "screen_run", "backlight_run", "deck_length", "cab_length",
+    "hood_length", "hinge_setback", "hinge_gap", "trailer_front", "trailer_length", "trailer_axle",
+))  # fmt: skip
+"""Dimensions along a vehicle, which are stretched together."""
+_WIDTH_FIELDS: Final = frozenset(("width", "track", "headlight_inner", "taillight_inner", "roof_inset"))
+"""Dimensions across a vehicle, which are stretched together."""
+_HEIGHT_FIELDS: Final = frozenset((
+    "height", "bumper_height", "headlight_low", "headlight_high", "taillight_low", "taillight_high",
+    "hood_height", "cowl_height", "belt_height", "deck_height", "box_height", "clearance",
+    "hinge_height", "trailer_floor", "trailer_height",
+))  # fmt: skip
+"""Dimensions upwards, which are stretched together."""
+_STRETCH_SIGMA: Final = 0.025
+"""Standard deviation of the share by which a jittered shape is longer, wider or higher than its model."""
+
+
+def jittered(model: str, rng: np.random.Generator) -> Mapping[str, float]:
+    """Shape parameters near a model's, within the ranges of its class: stretched along each axis, and slightly bent."""
+    one_of("model", model, tuple(fleet()))
+    vehicle = parametric(model)
+    ranges = class_ranges(vehicle.size_class)
+    whole = vehicle.shape.to_dict()
+    scales = []
+    for names in (_LENGTH_FIELDS, _WIDTH_FIELDS, _HEIGHT_FIELDS):
+        # One share for an axis, within what keeps all its dimensions in their ranges.
+        bounds = [(ranges[name][0] / whole[name], ranges[name][1] / whole[name]) for name in names if name in ranges]
+        low, high = max(bound[0] for bound in bounds), min(bound[1] for bound in bounds)
+        scales.append((names, float(np.clip(1 + _STRETCH_SIGMA * rng.standard_normal(), low, high))))
+    out = {}
+    for name, value in whole.items():
+        scale = next((scale for names, scale in scales if name in names), 1.0)
+        out[name] = float(value * scale)
+    for name in ("screen_run", "backlight_run", "roof_inset", "nose_round", "tail_round", "roof_droop", "nose_lean"):
+        out[name] *= float(1 + 0.05 * np.clip(rng.standard_normal(), -2, 2))
+    # A stream of its own: dimensions do not depend on how many details there are.
+    own = rng.spawn(1)[0]
+    _jitter_lamps(out, vehicle.style.family, own)
+    return out | draw_details(vehicle.style, vehicle.vehicle_type, own)
+
+
+def _jitter_lamps(shape: dict[str, float], family: str, rng: np.random.Generator) -> None:
+    """Make the lamps of a car taller or flatter, wider or narrower, higher or lower."""
+    if family != "car":
+        return
+    top = {"headlight": shape["hood_height"] - 0.03, "taillight": shape["deck_height"] - 0.03}
+    for lamp, highest in top.items():
+        low, high = shape[f"{lamp}_low"], shape[f"{lamp}_high"]
+        middle = (low + high) / 2 + rng.uniform(-0.025, 0.025)
+        half = (high - low) / 2 * rng.uniform(0.75, 1.25)
+        shape[f"{lamp}_high"] = min(middle + half, max(high, highest))
+        shape[f"{lamp}_low"] = shape[f"{lamp}_high"] - 2 * half
+        shape[f"{lamp}_inner"] += rng.uniform(-0.04, 0.04)
+        shape[f"{lamp}_wrap"] *= rng.uniform(0.7, 1.3)
+
+
+assert {f.name for f in fields(Shape)} >= _LENGTH_FIELDS | _WIDTH_FIELDS | _HEIGHT_FIELDS
 
 
 assert all(set(entry.vehicle.substituted) <= set(keypoints.NAMES) for entry in fleet().values())

@@ -1,16 +1,71 @@
-"""Parts that lorries and trailers have in common: cargo bodies, axles, the underrun bar with its lamps."""
+"""Parts that lorries and trailers have in common: the space for cargo behind a cab, and what is built there; cargo
+bodies, axles, the underrun bar with its lamps."""
+
+from dataclasses import dataclass, field
+from typing import Final
 
 import numpy as np
 
 from skope.gen.mesh import Mesh, box
 from skope.gen.vehicles import rear
-from skope.gen.vehicles.body_axes import LEFT_AXIS
-from skope.gen.vehicles.liveries import MARKED_FROM_M, MARKER, draw_upper_markers
 from skope.gen.vehicles.lofted_surfaces import BOTTOM, ROWS, SIDE, TOP, WRAP, Plan, Surface
-from skope.gen.vehicles.panels import Points, rectangle_outline
+from skope.gen.vehicles.panels import LEFT_AXIS, MARKED_FROM_M, MARKER, Points, draw_upper_markers, rectangle_outline
 from skope.gen.vehicles.shape import Shape, VehicleStyle
-from skope.gen.vehicles.upright_shells import Tower
+from skope.gen.vehicles.solids import Tower, mudguard
 from skope.gen.vehicles.wheels import steel_wheel
+from skope.types import Array
+
+BEACON: Final = "#e8861a"
+"""Colour of beacons, and of what moves."""
+
+
+@dataclass(frozen=True)
+class CargoSpace:
+    """The space behind a cab, from `end` to `ahead` (x), over the floor at `shape.box_height`."""
+
+    shape: Shape
+    style: VehicleStyle
+    ahead: float
+    end: float
+    cab_height: float
+
+    @property
+    def half(self) -> float:
+        return self.shape.width / 2
+
+    @property
+    def floor(self) -> float:
+        return self.shape.box_height
+
+    @property
+    def rear_axle(self) -> float:
+        return self.shape.rear_axle_x
+
+    def rng(self) -> np.random.Generator:
+        """Draws liveries and loads; it follows from the length, so that few are alike."""
+        return np.random.default_rng(int(self.shape.length * 1e4))
+
+
+@dataclass
+class Cargo:
+    """The left half of a cargo body, with its keypoints `roof_rear`, `rear_window_base` and `trunk_rear`."""
+
+    parts: list[Mesh] = field(default_factory=list)
+    points: dict[str, Array] = field(default_factory=dict)
+
+    def mark(self, roof_rear: Array, rear_window_base: Array, trunk_rear: Array) -> None:
+        """Note the keypoints (3,)."""
+        self.points = {"roof_rear": roof_rear, "rear_window_base": rear_window_base, "trunk_rear": trunk_rear}
+
+
+def mudguards(space: CargoSpace) -> list[Mesh]:
+    """Curved mudguards over the rear axles of a body that leaves them bare."""
+    s = space.shape
+    y = (s.track / 2 - 1.6 * s.wheel_width, s.track / 2 + 0.6 * s.wheel_width)
+    spread = 78.0 if not space.style.axles else 58.0
+    axles = [space.rear_axle, *(space.rear_axle + ahead for ahead in space.style.axles)]
+    return [mudguard((x, s.wheel_radius), s.wheel_radius + 0.09, y, "trim", reach_deg=spread) for x in axles]
+
 
 _RIBS = {
     "box": (6, 0.014),
@@ -22,7 +77,7 @@ _RIBS = {
 """Number and width of the ribs along each kind of cargo body's side."""
 _MARKER_STEP_M = 2.2
 """Distance between marker lamps along the sides, metres."""
-_OPEN = {"flatbed": 0.5, "tipper": 1.25}
+_OPEN_SIDES_M = {"flatbed": 0.5, "tipper": 1.25}
 """Height of the sides of bodies without a roof, metres."""
 
 
@@ -36,8 +91,8 @@ def cargo_body(s: Shape, kind: str, ahead: float, *, ribs: int = 0) -> tuple[Mes
         ribs: Number of ribs along its side; 0 for as many as the kind has.
     """
     end = -s.length / 2
-    high = s.box_height + _OPEN[kind] if kind in _OPEN else s.height
-    closed = kind not in _OPEN
+    high = s.box_height + _OPEN_SIDES_M[kind] if kind in _OPEN_SIDES_M else s.height
+    closed = kind not in _OPEN_SIDES_M
     tower = Tower(
         Plan(s.width / 2, ahead, end, 0.0, 0.0, 0.05, 0.035),
         s.box_height,

@@ -1,12 +1,20 @@
-"""Outlines of what is drawn on a shell's ends, in metres along it and up."""
+"""What is drawn on shells: outlines of panels in metres along and up; stripes and adverts on cars; large graphics and
+marker lamps on the sides of heavy bodies."""
 
 from collections.abc import Sequence
+from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from skope.gen.vehicles.lofted_surfaces import CENTER, SHOULDER, SIDE, TOP, WRAP, Surface
 from skope.gen.vehicles.parts import PLATE_STEP
+from skope.gen.vehicles.shape import Shape, VehicleStyle
 from skope.types import Array
+
+LEFT_AXIS: Final = (0.0, 1.0, 0.0)
+"""Normal of a vehicle's left side."""
+
 
 Points = dict[str, Array]
 
@@ -61,3 +69,139 @@ def mirrored(side: Sequence[tuple[float, float]]) -> Array:
 def plate_height(wanted: float) -> float:
     """The height nearest to a wanted one at which a plate may hang, metres."""
     return round(wanted / PLATE_STEP) * PLATE_STEP
+
+
+_DECAL_COLORS: Final = ("#cc2222", "#224488", "#228844", "#ee8822", "#eeeeee", "#222222", "#eecc22")
+
+
+def draw_decal(shell: Surface, s: Shape, style: VehicleStyle) -> None:
+    """Draw a vehicle's stickers between its axles; their colour follows from its length, so that few are alike."""
+    if not style.decal:
+        return
+    color = _DECAL_COLORS[int(s.length * 1e4) % len(_DECAL_COLORS)]
+    if style.decal == "racing":
+        strip = rectangle_outline(s.cowl_x - 0.1, s.length / 2, 0.1, 0.3)
+        shell.draw(strip, TOP, color, layer=0.6, levels=(SHOULDER, CENTER))
+        return
+    if style.decal == "checks":
+        _draw_checks(shell, s)
+        return
+    ahead, behind = s.front_axle_x - 0.75, s.rear_axle_x + 0.65
+    top = s.belt_height - 0.2
+    low = top - min(0.22, 0.45 * (top - s.clearance))
+    if style.decal == "stripe":
+        shell.draw(rectangle_outline(behind, ahead, low - 0.06, low + 0.02), SIDE, color, layer=0.6)
+        return
+    middle = behind + 0.35 * (ahead - behind)
+    half = 0.26 * (ahead - behind)
+    if style.decal == "panel":
+        shell.draw(rectangle_outline(middle - half, middle + half, low - 0.05, top), SIDE, "#eeeeee", layer=0.6)
+        shell.draw(rectangle_outline(middle - half, middle - 0.55 * half, low - 0.05, top), SIDE, color, layer=0.8)
+        color = "#222222"
+    draw_letters(shell, (middle - 0.45 * half, middle + 0.9 * half), (low, top - 0.05), color, int(s.length * 1e5))
+
+
+def _draw_checks(shell: Surface, s: Shape) -> None:
+    """Two rows of checks along the sides, as ambulances and other emergency vehicles have them."""
+    size, top = 0.3, s.belt_height - 0.1
+    tone = ("#d8c41c", "#d8631c", "#1b52a8")[int(s.length * 1e4) % 3]
+    second = "#1d8a3c" if tone == "#d8c41c" else "#e8e8e6"
+    start, stop = -s.length / 2 + 0.3, s.length / 2 - 0.75
+    count = int((stop - start) / size)
+    for k in range(count):
+        for row in range(2):
+            x, z = start + k * size, top - (row + 1) * size * 0.8
+            ink = tone if (k + row) % 2 else second
+            shell.draw(rectangle_outline(x, x + size, z, z + size * 0.8), SIDE, ink, layer=0.7)
+
+
+def draw_letters(
+    shell: Surface, along: tuple[float, float], up: tuple[float, float], color: str, seed: int, layer: float = 0.9
+) -> None:
+    """Two lines of blocks as wide as words look from afar."""
+    rng = np.random.default_rng(seed)
+    (start, end), (low, high) = along, up
+    middle = low + 0.4 * (high - low)
+    for bottom, top, gap in ((middle + 0.02, high, 0.025), (low, middle - 0.02, 0.012)):
+        x = start
+        while x < end - 0.04:
+            wide = float(rng.uniform(0.35, 0.8)) * (top - bottom)
+            shell.draw(rectangle_outline(x, min(x + wide, end), bottom, top), SIDE, color, layer=layer)
+            x += wide + gap
+
+
+TONES: Final = (
+    "#b8202a", "#1f4e96", "#1d7a46", "#e07b18", "#e8e8e6", "#23262b", "#e3bd1c", "#5b2c83", "#1b8ca0", "#7a1f2e",
+    "#9aa0a6", "#274b3a",
+)  # fmt: skip
+"""Colours of the graphics."""
+MARKER: Final = "marker_amber"
+"""Material of marker lamps along the sides, which burn with the headlights."""
+FRONT_MARKER: Final = "marker_white"
+REAR_MARKER: Final = "marker_red"
+"""Materials of the marker lamps at the upper edges of vehicles wider than `MARKED_FROM_M`, after UNECE R48."""
+MARKED_FROM_M: Final = 2.1
+_PLAIN_SHARE: Final = 0.2
+"""Share of bodies without graphics."""
+
+
+def draw_graphics(
+    shell: Surface, along: tuple[float, float], up: tuple[float, float], rng: np.random.Generator
+) -> None:
+    """Draw graphics on the side of a shell between two x, rear and front, and two heights; some stay plain."""
+    if rng.uniform() < _PLAIN_SHARE:
+        return
+    rear, front = along
+    low, high = up
+    tall, length = high - low, front - rear
+    first, second = (TONES[k] for k in rng.choice(len(TONES), 2, replace=False))
+    kind = ("band", "slant", "panel", "disc", "name", "half")[int(rng.integers(6))]
+    if kind == "band":
+        at = low + rng.uniform(0.15, 0.55) * tall
+        wide = rng.uniform(0.12, 0.3) * tall
+        _fill(shell, rectangle_outline(rear, front, at, at + wide), first, 2)
+        _fill(shell, rectangle_outline(rear, front, at - 0.3 * wide, at - 0.08 * wide), second, 2)
+    elif kind == "slant":
+        x, lean = rear + rng.uniform(0.25, 0.6) * length, rng.uniform(-0.8, 0.8) * tall
+        for k, tone in enumerate((first, second)):
+            start, end = x + 0.28 * k * length, x + (0.22 + 0.34 * k) * length
+            corners = np.array([(start, low), (end, low), (end + lean, high), (start + lean, high)])
+            _fill(shell, np.clip(corners, [rear, low], [front, high]), tone, 2 + 2 * k)
+    elif kind == "panel":
+        start = rear + rng.uniform(0.08, 0.3) * length
+        _fill(shell, rectangle_outline(start, start + 0.6 * length, low + 0.12 * tall, high - 0.12 * tall), first, 2)
+        _fill(shell, rectangle_outline(start, start + 0.6 * length, low + 0.12 * tall, low + 0.2 * tall), second, 4)
+    elif kind == "disc":
+        center = rear + rng.uniform(0.3, 0.7) * length, (low + high) / 2
+        _fill(shell, disc(center, 0.36 * tall, 20), first, 2)
+        _fill(shell, disc((center[0] + 0.1 * tall, center[1]), 0.24 * tall, 20), second, 4)
+    elif kind == "half":
+        share = rng.uniform(0.3, 0.6)
+        _fill(shell, rectangle_outline(rear, front, low, low + share * tall), first, 2)
+    if kind != "disc" and rng.uniform() < 0.75:
+        ink = "#23262b" if first == "#e8e8e6" else "#f0f0ee"
+        ink = ink if kind in ("panel", "half") else second
+        start, size = rear + rng.uniform(0.2, 0.35) * length, min(0.28 * tall, 0.7)
+        base = low + {"panel": 0.4, "half": 0.12}.get(kind, 0.62) * tall
+        draw_letters(
+            shell, (start, start + 0.5 * length), (base, base + size), ink, int(rng.integers(1 << 30)), layer=6
+        )
+
+
+def draw_upper_markers(shell: Surface, half: float, z: float, end: float | None = None) -> None:
+    """Draw marker lamps on the upper corners of a shell: white ahead and, where `end` is given, red behind.
+
+    Args:
+        shell: The shell, half as wide as `half`.
+        half: Half of its width, metres.
+        z: Height of the lamps' lower edge, metres.
+        end: W of the middle of its rear.
+    """
+    shell.draw(rectangle_outline(half - 0.24, half - 0.12, z, z + 0.05), WRAP, FRONT_MARKER, layer=3)
+    if end is not None:
+        corner = end - half
+        shell.draw(rectangle_outline(corner + 0.12, corner + 0.24, z, z + 0.05), WRAP, REAR_MARKER, layer=9)
+
+
+def _fill(shell: Surface, polygon: np.ndarray, tone: str, layer: float) -> None:
+    shell.draw(polygon, SIDE, tone, layer=layer, facing=LEFT_AXIS)

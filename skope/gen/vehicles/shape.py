@@ -239,7 +239,7 @@ class VehicleStyle:
     """A hardtop over the bed."""
     body: str = "box"
     """Cargo body of a truck: "box", "flatbed", "tipper", "curtain", "tractor" for a fifth wheel in its place, or one of
-    `cargo_bodies.CARGO_BODIES`."""
+    `truck.CARGO_BODIES`."""
     trailer: str = ""
     """Part that hangs on the vehicle's hinge: "box", "reefer", "curtain", "tank", "container", "bus" for the rear half
     of one, or nothing."""

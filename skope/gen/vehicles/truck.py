@@ -1,26 +1,146 @@
-"""Trucks: a cab over the engine, a frame with its axles, and a box, curtain, flatbed or tipper behind."""
+"""Trucks: a cab over the engine or behind a long hood, a frame with its axles, and a cargo body behind: box, curtain,
+flatbed, tipper or one of `CARGO_BODIES`; and lorries that have the front of a car or van."""
 
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import cached_property
+from typing import Final
 
 import numpy as np
 
-from skope.gen.mesh import Mesh, box, merged, quads
+from skope.gen.mesh import Mesh, box, merged, quads, tube
 from skope.gen.vehicles import front, parts
-from skope.gen.vehicles.body_axes import LEFT_AXIS
-from skope.gen.vehicles.cargo import CargoSpace
-from skope.gen.vehicles.cargo_bodies import CARGO_BODIES
+from skope.gen.vehicles.car import CarBody
+from skope.gen.vehicles.closed_bodies import box_body, curtain_body, living_body, luton_body, mixer_body, tank_body
+from skope.gen.vehicles.flatbeds import crane_body, dropside_body, flatbed_body
 from skope.gen.vehicles.interior import interior
-from skope.gen.vehicles.liveries import FRONT_MARKER, MARKED_FROM_M, draw_upper_markers
-from skope.gen.vehicles.lofted_surfaces import SIDE, WRAP, Plan, Surface
-from skope.gen.vehicles.long_hood import exhaust_stack, long_hood
-from skope.gen.vehicles.lorry_parts import axle, cargo_body, side_guard, underrun_bar
-from skope.gen.vehicles.mirrors import arm_mirror
-from skope.gen.vehicles.panels import grown, rectangle_outline
+from skope.gen.vehicles.lofted_surfaces import BOTTOM, SIDE, WRAP, Plan, Surface
+from skope.gen.vehicles.lorry_parts import Cargo, CargoSpace, axle, cargo_body, side_guard, underrun_bar
+from skope.gen.vehicles.panels import (
+    FRONT_MARKER,
+    LEFT_AXIS,
+    MARKED_FROM_M,
+    Points,
+    draw_upper_markers,
+    grown,
+    mirrored,
+    rectangle_outline,
+)
+from skope.gen.vehicles.parts import arm_mirror
 from skope.gen.vehicles.shape import Shape, VehicleStyle
-from skope.gen.vehicles.truck_faces import draw_face
-from skope.gen.vehicles.upright_shells import ARCH_RADIUS_WHEELS, Tower, arch, corner_w
+from skope.gen.vehicles.solids import ARCH_RADIUS_WHEELS, Tower, arch, corner_w
+from skope.gen.vehicles.work_bodies import fire_body, hook_body, recovery_body, refuse_body, skip_body
 from skope.types import Array
+
+_FACE_KINDS: Final = ("", "slots", "mask", "shield", "ladder")
+"""Kinds of faces; "" is one large grille."""
+
+
+def draw_face(cab: Surface, kind: str, place: tuple[float, float, float], s: Shape) -> None:
+    """Draw a face on a cab.
+
+    Args:
+        cab: The cab's shell.
+        kind: One of `VehicleStyle.face`.
+        place: Half its width, its lower and its upper edge, metres.
+        s: The vehicle's shape, which draws a face where the kind is "any".
+    """
+    half, low, high = place
+    if kind == "any":
+        kind = _FACE_KINDS[int(s.length * 1e4) % len(_FACE_KINDS)]
+    tall = high - low
+    if kind == "slots":
+        for k in range(3):
+            base = low + (0.08 + 0.31 * k) * tall
+            slot = rectangle_outline(-half + 0.06 * (2 - k), half - 0.06 * (2 - k), base, base + 0.2 * tall)
+            cab.sink(slot, WRAP, 0.03, "grille_mesh", wall="gap")
+    elif kind == "mask":
+        cab.paint(rectangle_outline(-half - 0.1, half + 0.1, low - 0.04, high + 0.06), WRAP, "trim")
+        cab.sink(mirrored([(0.62 * half, low + 0.05), (0.8 * half, low + 0.6 * tall)]), WRAP, 0.03, "grille_mesh")
+        cab.draw(rectangle_outline(-half, half, high - 0.1, high - 0.07), WRAP, "chrome", layer=2)
+    elif kind == "shield":
+        outline = mirrored([(0.42 * half, low), (0.62 * half, low + 0.35 * tall), (0.55 * half, high)])
+        cab.paint(grown(outline, 0.025), WRAP, "chrome")
+        cab.sink(outline, WRAP, 0.03, "grille_bars", wall="gap")
+    elif kind == "ladder":
+        cab.paint(rectangle_outline(-half, half, low + 0.5 * tall, high), WRAP, "trim")
+        for k in range(3):
+            base = low + (0.54 + 0.15 * k) * tall
+            cab.draw(rectangle_outline(-half + 0.03, half - 0.03, base, base + 0.06 * tall), WRAP, "rail", layer=2)
+        cab.line([(-0.1, low + 0.42 * tall), (half, low + 0.42 * tall)], WRAP, width=0.014)
+    else:
+        grille = rectangle_outline(-half, half, low, high)
+        cab.paint(grown(grille, 0.02), WRAP, "trim")
+        cab.sink(grille, WRAP, 0.025, "grille_slats", wall="gap")
+
+
+_BEHIND_BUMPER: Final = 0.14
+"""Distance of the grille behind the bumper's face, metres."""
+_FENDER_SHARE: Final = 0.6
+"""Share of the hood's height at which the fenders end and the hood stands in."""
+
+
+def long_hood(s: Shape, style: VehicleStyle, points: Points) -> list[Mesh]:
+    """The left half of a hood from the vehicle's front back to its cab; notes the front's keypoints."""
+    nose = s.length / 2
+    half, top = s.width / 2 - 0.04, s.hood_height
+    plan = Plan(half, nose - _BEHIND_BUMPER, nose - s.hood_length - 0.06, 0.1, 0.0, 0.22, 0.04)
+    lean = [
+        (0.0, 0.03, 0.05, 0.0),
+        (0.08, 0.0, 0.0, 0.0),
+        (_FENDER_SHARE, 0.02, 0.02, 0.0),
+        (_FENDER_SHARE + 0.07, 0.3, 0.05, 0.0),
+        (1.0, 0.4, 0.16, 0.0),
+    ]
+    well = s.track / 2 - s.wheel_width / 2 - 0.06
+    tower = Tower(plan, s.clearance, top, lean, edge=0.1, crown=0.05, well=well, stations=9, levels=4)
+    hood, w, _ = tower.surface("paint")
+    lining, rim = hood.carve_well(arch(s.front_axle_x, s), well)
+    out = [lining, parts.arch_lip(rim, (s.front_axle_x, s.wheel_radius), "paint", hood.side)]
+    out += front.draw_front(hood, w, s, style, points)
+    grille = rectangle_outline(-0.44, 0.44, s.headlight_high + 0.04, top - 0.24)
+    hood.paint(grown(grille, 0.04), WRAP, "chrome")
+    hood.sink(grille, WRAP, 0.03, "grille_bars", wall="gap")
+    points["hood_front"] = hood.place((0.56, top - 0.16), WRAP)[0]
+    out.append(hood.half)
+    bar = Plan(s.width / 2 - 0.01, nose, nose - 0.34, 0.07, 0.0, 0.12, 0.03)
+    low, high = s.clearance + 0.02, s.headlight_low - 0.06
+    bumper, _, _ = Tower(bar, low, high, edge=0.02, crown=0.0, stations=3).surface("chrome")
+    out.append(bumper.half)
+    points["bumper_front"] = bumper.corner(BOTTOM)
+    return out
+
+
+def exhaust_stack(x: float, y: float, low: float, high: float) -> list[Mesh]:
+    """The upright chromed pipe behind the left side of a cab, with its muffler."""
+    pipe = [np.array([x, y, z]) for z in (low, high)]
+    muffler = [np.array([x, y, z]) for z in (low + 0.5, low + 1.4)]
+    return [
+        tube(pipe, [0.06, 0.06], "chrome", 10),
+        tube(muffler, [0.11, 0.11], "chrome", 12),
+        box((x - 0.11, y - 0.11, low - 0.05), (x + 0.11, y + 0.11, low + 0.5), "chrome"),
+        box((x - 0.1, y - 0.1, low + 1.4), (x + 0.1, y + 0.1, low + 1.41), "chrome"),
+        box((x - 0.05, y - 0.05, high - 0.02), (x + 0.05, y + 0.05, high - 0.01), "gap"),
+    ]
+
+
+CARGO_BODIES: Final[Mapping[str, Callable[[CargoSpace], Cargo]]] = {
+    "panels": box_body,
+    "sliding": curtain_body,
+    "luton": luton_body,
+    "living": living_body,
+    "tank": tank_body,
+    "mixer": mixer_body,
+    "refuse": refuse_body,
+    "hook": hook_body,
+    "skip": skip_body,
+    "fire": fire_body,
+    "recovery": recovery_body,
+    "platform": flatbed_body,
+    "crane": crane_body,
+    "dropside": dropside_body,
+}
+
 
 _BODY_GAP_M = 0.09
 """Gap between cab and body, metres."""
@@ -28,9 +148,9 @@ _FRONT_LIP = 0.06
 """Share of the wall's height at which the front turns under: the lower edge of the bumper."""
 _CREW_CAB = 2.5
 """Length above which a cab has a second row of seats, metres."""
-_SCREEN = 1.45
+_SCREEN_HEIGHT_M = 1.45
 """Greatest height of a windscreen, metres."""
-_GUARDED = 0.6
+_GUARDED_FROM_M = 0.6
 """Least room between the axles that is worth a tank and guards, metres."""
 
 
@@ -97,7 +217,7 @@ class TruckBody:
         base, top = s.belt_height - 0.02, self.cab_height - 0.24
         if self.style.face:
             # Under a high roof the windscreen ends where it would end under a low one.
-            top = min(top, base + _SCREEN)
+            top = min(top, base + _SCREEN_HEIGHT_M)
         if s.width > MARKED_FROM_M and self.cab_height - top > 0.2:
             z = self.cab_height - (0.3 if self.cab_height - top > 0.4 else 0.2)
             draw_upper_markers(cab, s.width / 2 - 0.1, z)
@@ -198,7 +318,7 @@ class TruckBody:
         ahead = max(axles) + s.wheel_radius + 0.12
         start = min([s.front_axle_x, *steered]) - s.wheel_radius - 0.3
         start = min(start, self.cab_rear - 0.12)
-        if start - ahead < _GUARDED:
+        if start - ahead < _GUARDED_FROM_M:
             return
         side = s.width / 2 - 0.06
         tank = min(1.1, (start - ahead) * 0.45)
@@ -248,3 +368,26 @@ def _sheet(face: list[tuple[float, float]], inner: float, outer: float) -> Mesh:
 def _tank(rear: float, front: float, y: float, z: float) -> Mesh:
     """A fuel tank along the frame."""
     return parts.block((rear, y - 0.27, z - 0.27), (front, y + 0.27, z + 0.27), "chrome", 0.12)
+
+
+_REAR_POINTS: Final = frozenset(
+    ("taillight_outer", "taillight_inner", "bumper_rear", "trunk_rear", "roof_rear", "rear_window_base")
+)
+"""Keypoints that the cargo body and the frame have, and not the cab."""
+
+
+class ChassisCabBody(TruckBody):
+    """A truck with the front of a car or van, as long as `shape.cab_length`, narrower than the cargo body behind it."""
+
+    @cached_property
+    def interior(self) -> Mesh:
+        return self._car.interior
+
+    def _build_cab(self) -> None:
+        s = self.shape
+        own = replace(
+            s, width=s.width * self.style.cab_width, height=self.cab_height, deck_length=s.length - s.cab_length
+        )
+        self._car = CarBody(own, replace(self.style, family="car", bed=True, palette="freight"))
+        self._parts.append(self._car.front_half())
+        self.points |= {name: place for name, place in self._car.points.items() if name not in _REAR_POINTS}

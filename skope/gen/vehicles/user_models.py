@@ -20,9 +20,8 @@ from skope.files.atomic import write_bytes
 from skope.files.json_files import check_version, read_json
 from skope.files.safe_names import name as check_name
 from skope.gen.mesh import Mesh
-from skope.gen.vehicles.keypoint_separation import Sidecar
 from skope.gen.vehicles.marked_models import Marked
-from skope.gen.vehicles.model import Derived
+from skope.gen.vehicles.model import Derived, Sidecar
 from skope.gen.vehicles.shape import Dimensions
 from skope.schema import VEHICLE_TYPES
 from skope.types import Array

@@ -1,15 +1,182 @@
-"""Bodies of lorries that change what they carry: hook lifts with containers, skip loaders, decks that carry cars."""
+"""Bodies of lorries that work: fire engines with shutters and a ladder, refuse collectors with a hopper at the rear,
+hook lifts with containers, skip loaders, decks that carry cars."""
+
+from typing import Final
 
 import numpy as np
 
-from skope.gen.mesh import box
-from skope.gen.vehicles.cargo import BEACON, Cargo, CargoSpace, mudguards
-from skope.gen.vehicles.liveries import TONES
-from skope.gen.vehicles.lofted_surfaces import SIDE, TOP, WRAP, Plan
-from skope.gen.vehicles.panels import rectangle_outline
-from skope.gen.vehicles.parts import block
-from skope.gen.vehicles.solids import barrel, beam, ladder, pipe, prism
-from skope.gen.vehicles.upright_shells import Tower
+from skope.gen.mesh import Mesh, box
+from skope.gen.vehicles.lofted_surfaces import BOTTOM, SIDE, TOP, WRAP, Plan, Surface
+from skope.gen.vehicles.lorry_parts import BEACON, Cargo, CargoSpace, mudguards
+from skope.gen.vehicles.panels import LEFT_AXIS, TONES, draw_graphics, rectangle_outline
+from skope.gen.vehicles.parts import arch_lip, block
+from skope.gen.vehicles.solids import Tower, arch, barrel, beam, ladder, pipe, prism
+
+_LADDER_HEIGHT_M: Final = 0.3
+"""Height of the ladder over the roof, metres."""
+
+
+def fire_body(space: CargoSpace) -> Cargo:
+    """A fire engine's body: shutters along the sides, a ladder on the roof, reflecting bands, lamps of its own."""
+    out = Cargo()
+    floor, high = space.floor, space.shape.height - _LADDER_HEIGHT_M
+    well = space.shape.track / 2 - space.shape.wheel_width * 1.7
+    tower = Tower(
+        Plan(space.half - 0.01, space.ahead + 0.02, space.end + 0.02, 0.0, 0.0, 0.06, 0.05), floor, high, edge=0.06,
+        crown=0.02, well=well, stations=9, levels=3,
+    )  # fmt: skip
+    shell, w, _ = tower.surface("paint")
+    lining, rim = shell.carve_well(arch(space.rear_axle, space.shape), well)
+    out.parts += [lining, arch_lip(rim, (space.rear_axle, space.shape.wheel_radius), "trim", shell.side)]
+    end = float(w[-1])
+    sill, edge = max(floor + 0.12, space.shape.wheel_radius * 2.2), end - space.half + 0.3
+    _draw_shutters(shell, space, (sill, high - 0.3), end)
+    out.parts += [shell.half, *_fire_roof(space, high)]
+    corner = end - space.half
+    out.mark(
+        shell.place((corner, high - 0.085), WRAP)[0],
+        shell.place((edge, sill), WRAP)[0],
+        shell.corner(BOTTOM, rear=True),
+    )
+    return out
+
+
+def _draw_shutters(shell: Surface, space: CargoSpace, up: tuple[float, float], end: float) -> None:
+    """Draw three shutters along the side and one behind, between two heights, a band below, lamps above.
+
+    `end` is W of the middle of the rear.
+    """
+    (sill, top), edge = up, end - space.half + 0.3
+    start, stop = space.end + 0.35, space.ahead - 0.2
+    count = 3
+    for k in range(count):
+        a, b = (start + (stop - start) * (k + share) / count for share in (0.03, 0.97))
+        shell.paint(rectangle_outline(a, b, sill, top), SIDE, "cladding_grey", facing=LEFT_AXIS)
+        for z in np.arange(sill + 0.07, top, 0.09).tolist():
+            shell.line([(a, z), (b, z)], SIDE, "rail", width=0.012, facing=LEFT_AXIS)
+        shell.draw(rectangle_outline(a, b, sill, sill + 0.05), SIDE, "trim", layer=3, facing=LEFT_AXIS)
+    band = rectangle_outline(space.end + 0.1, space.ahead - 0.05, sill - 0.2, sill - 0.06)
+    shell.draw(band, SIDE, "#d8c41c", layer=3, facing=LEFT_AXIS)
+    shell.paint(rectangle_outline(edge, end + 0.1, sill, top), WRAP, "cladding_grey")
+    for z in np.arange(sill + 0.07, top, 0.09).tolist():
+        shell.line([(edge, z), (end + 0.1, z)], WRAP, "rail", width=0.012)
+    for z, lamp in ((top + 0.1, "brake_light"), (top - 0.06, "indicator_left")):
+        shell.draw(rectangle_outline(edge - 0.22, edge - 0.06, z, z + 0.11), WRAP, lamp, layer=3)
+
+
+def _fire_roof(space: CargoSpace, high: float) -> list[Mesh]:
+    """A ladder over a roof `high` over the road, boxes beside it, blue lamps over the cab and behind."""
+    out: list[Mesh] = []
+    add = out.append
+    top = space.shape.height
+    for z in (high + 0.08, top - 0.07):
+        add(box((space.end + 0.2, 0.3, z), (space.ahead + 0.9, 0.36, z + 0.07), "chrome"))
+    for x in np.arange(space.end + 0.35, space.ahead + 0.8, 0.35).tolist():
+        add(box((x, 0.0, top - 0.06), (x + 0.04, 0.31, top - 0.02), "chrome"))
+    add(box((space.end + 0.6, 0.55, high - 0.04), (space.ahead - 0.6, space.half - 0.2, high + 0.2), "rail"))
+    bar = space.ahead + 0.45 * space.shape.cab_length
+    add(
+        box(
+            (bar - 0.15, 0.42, space.cab_height - 0.08),
+            (bar + 0.15, space.half - 0.25, space.cab_height + 0.12),
+            "#1b52d8",
+        )
+    )
+    add(
+        box(
+            (space.end + 0.1, space.half - 0.35, high - 0.04),
+            (space.end + 0.3, space.half - 0.15, high + 0.12),
+            "#1b52d8",
+        )
+    )
+    return out
+
+
+_HOPPER_LENGTH_M: Final = 1.55
+"""Length of a hopper, metres."""
+
+
+def refuse_body(space: CargoSpace) -> Cargo:
+    """A compacting body with ribs, and behind it a hopper: cheeks, the bin's edge, the comb that lifts, steps."""
+    rng, out = space.rng(), Cargo()
+    add, half, floor = out.parts.append, space.half - 0.03, space.floor
+    start, high = space.end + _HOPPER_LENGTH_M, space.shape.height - 0.12
+    tower = Tower(
+        Plan(half - 0.03, space.ahead, start - 0.1, 0.0, 0.0, 0.08, 0.035), floor, high - 0.08,
+        edge=0.16, crown=0.05, ridge=0.6, stations=3, levels=3,
+    )  # fmt: skip
+    shell, _, _ = tower.surface("livery")
+    draw_graphics(shell, (start + 0.3, space.ahead - 0.2), (floor + 0.3, high - 0.35), rng)
+    shell.draw(rectangle_outline(-1, 99, 0, floor + 0.14), WRAP, "trim")
+    add(shell.half)
+    for x in (space.ahead - 0.06, start + 0.02):
+        add(box((x - 0.06, half - 0.05, floor + 0.02), (x + 0.06, half + 0.012, high - 0.26), "livery"))
+    _add_hopper(out, space, start, high)
+    out.parts += mudguards(space)
+    return out
+
+
+def _add_hopper(out: Cargo, space: CargoSpace, start: float, high: float) -> None:
+    """Add the hopper behind x = `start`, `high` over the road, and note the keypoints."""
+    add, half, floor = out.parts.append, space.half - 0.03, space.floor
+    # The hopper's outline from its roof down the back to the bin, and forward under it; the opening lies between.
+    roof, lip = (space.end + 0.62, high), (space.end + 0.02, floor + 0.42)
+    under = max(floor - 0.14, space.shape.taillight_high + 0.09)
+    cheek = [(start, high), roof, (space.end + 0.2, floor + 1.35), lip, (space.end + 0.06, under), (start, under)]
+    add(prism(cheek, half, "livery", inner=half - 0.14))
+    inside = half - 0.139
+    add(
+        prism(
+            [(start, high), roof, (space.end + 0.45, high - 0.75), (start - 0.2, high - 0.75), (start, high - 0.6)],
+            inside,
+            "livery",
+        )
+    )
+    add(
+        prism(
+            [(start, high - 0.7), (start - 0.2, high - 0.76), (start - 0.55, floor + 0.5), (start, floor)],
+            inside,
+            "under",
+        )
+    )
+    add(
+        prism(
+            [(space.end + 0.08, floor + 0.4), (space.end + 0.1, under), (start, under), (start, floor + 0.1)],
+            inside,
+            "livery",
+        )
+    )
+    add(box((space.end + 0.02, 0.0, floor + 0.36), (space.end + 0.2, inside, floor + 0.46), "rail"))
+    for y in np.linspace(0.1, inside - 0.15, 5).tolist():
+        add(box((space.end + 0.0, y - 0.03, floor + 0.2), (space.end + 0.09, y + 0.03, floor + 0.6), "trim"))
+    _add_refuse_fittings(out, space, roof, lip, under)
+    out.mark(
+        np.array([roof[0], half, roof[1]]),
+        np.array([space.end + 0.45, inside, high - 0.75]),
+        np.array([space.end + 0.06, half, under]),
+    )
+
+
+def _add_refuse_fittings(
+    out: Cargo, space: CargoSpace, roof: tuple[float, float], lip: tuple[float, float], under: float
+) -> None:
+    """Add what a hopper has on its cheeks, between the roof's rear edge and the bin's `lip`, and below: x, z."""
+    add, half, floor, high = out.parts.append, space.half - 0.03, space.floor, roof[1]
+    # Hazard stripes and lamps on the cheeks, rails to hold on to, steps to stand on, the beacon.
+    for k, z in enumerate(np.linspace(floor + 0.5, floor + 1.2, 6).tolist()):
+        x = float(np.interp(z, [lip[1], floor + 1.35], [lip[0], space.end + 0.2]))
+        add(box((x - 0.012, half - 0.13, z), (x + 0.1, half - 0.01, z + 0.115), TONES[0] if k % 2 else "#f0f0ee"))
+    for z, lamp in ((high - 0.34, "brake_light"), (high - 0.5, "indicator_left")):
+        x = float(np.interp(z, [floor + 1.35, high], [space.end + 0.2, roof[0]]))
+        add(box((x - 0.03, half - 0.125, z), (x + 0.08, half - 0.015, z + 0.12), lamp))
+    add(
+        pipe(
+            (space.end + 0.5, half + 0.012, floor + 0.4), (space.end + 0.62, half + 0.012, floor + 1.5), 0.02, "#e3bd1c"
+        )
+    )
+    add(box((space.end + 0.12, half - 0.42, 0.42), (space.end + 0.5, half - 0.02, 0.47), "rail"))
+    add(box((space.end + 0.42, half - 0.3, 0.45), (space.end + 0.47, half - 0.24, under), "rail"))
+    add(block((roof[0] + 0.1, 0.62, high - 0.03), (roof[0] + 0.26, 0.78, space.shape.height), BEACON, 0.05))
 
 
 def hook_body(space: CargoSpace) -> Cargo:

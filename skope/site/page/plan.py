@@ -1,11 +1,211 @@
-"""Scale and rotation of a plan that a user has loaded, from two of its points."""
+"""The road from above on the page: a plan or map with scale and rotation, and the camera's picture laid on the ground.
 
+Positions on web maps come as latitude and longitude; they become metres of the page's world. In the view from above
+north is up and a cell is a square of metres.
+"""
+
+import base64
+import hashlib
 import math
+import re
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any, Final
 
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from skope.camera.geographic import local_metres, utm_metres
+from skope.camera.ground_plane import ground_places
+from skope.camera.model import Camera
 from skope.errors import UserError
+from skope.files.atomic import read_bytes, replacing
 from skope.site.page.document_values import positions
+from skope.site.world import ZONE
+from skope.viewer.collection import Picture, encoded
+
+_PAIR: Final = re.compile(
+    r"\s*([-+]?\d{1,3}(?:[.,]\d+)?)\s*°?\s*([NSns]?)\s*[,;\s]\s*([-+]?\d{1,3}(?:[.,]\d+)?)\s*°?\s*([EWew]?)\s*"
+)
+_APART_M: Final = 20_000.0
+
+
+def map_places(sent: Mapping[str, Any]) -> dict[str, Any]:
+    """`places`, rows of x (east) and y (north) in metres, and `world`, in which they are.
+
+    Args:
+        sent: `text` ("49.00012, 8.40034", latitude first) or `pairs` of degrees in the `order` "latitude" or
+            "longitude" first; `world` of the document, or None; `others`: whether places are in it already.
+
+    Raises:
+        UserError: These are no such places, or lie in another world than the document's.
+    """
+    degrees = _typed(sent["text"]) if "text" in sent else _pairs(sent)
+    if (np.abs(degrees) > [180.0, 90.0]).any():
+        raise UserError("expected a latitude from -90 to 90 and a longitude from -180 to 180 degrees")
+    world = sent.get("world")
+    if not isinstance(world, dict):
+        if sent.get("others"):
+            raise UserError(
+                "the other places are metres, and where their (0, 0) is on the map is not known: type this one in "
+                "metres too"
+            )
+        longitude, latitude = (round(float(v), 6) for v in np.median(degrees, axis=0))
+        world = {"origin": {"longitude": longitude, "latitude": latitude}, "axes": "east, north"}
+    metres = _metres_in(world, degrees)
+    if np.abs(metres).max() > _APART_M:
+        raise UserError(f"lies more than {_APART_M / 1000:g} km from the other places; is the latitude first?")
+    return {"places": np.round(metres, 3).tolist(), "world": world}
+
+
+def _metres_in(world: Mapping[str, Any], degrees: Any) -> Any:
+    """(N, 2) metres from the origin of a world, of (N, 2) longitudes and latitudes."""
+    origin, zone = world.get("origin"), ZONE.fullmatch(str(world.get("utm_zone")))
+    told = origin if isinstance(origin, dict) else {}
+    if about := positions([[told.get("longitude"), told.get("latitude")]], 2):
+        return local_metres(degrees[:, 0], degrees[:, 1], (about[0][0], about[0][1]))
+    if zone and (about := positions([[told.get("easting"), told.get("northing")]], 2)):
+        grid = utm_metres(degrees[:, 0], degrees[:, 1], int(zone[1]), south=zone[2] == "S")
+        return grid - about[0]
+    raise UserError("where the world's (0, 0) is on the map is not known: type metres")
+
+
+def _typed(text: Any) -> Any:
+    """(1, 2) longitude and latitude of a text."""
+    found = _PAIR.fullmatch(text) if isinstance(text, str) and len(text) < 100 else None
+    if not found:
+        raise UserError("expected latitude and longitude in degrees, like 49.00012, 8.40034")
+    latitude, north, longitude, east = found.groups()
+    signs = [-1 if east.upper() == "W" else 1, -1 if north.upper() == "S" else 1]
+    return np.array([[float(longitude.replace(",", ".")), float(latitude.replace(",", "."))]]) * signs
+
+
+def _pairs(sent: Mapping[str, Any]) -> Any:
+    """(N, 2) longitudes and latitudes of numbers."""
+    rows = positions(sent.get("pairs"), 2)
+    if not rows:
+        raise UserError("pairs: expected rows of two numbers")
+    return np.array(rows)[:, ::-1] if sent.get("order") == "latitude" else np.array(rows)
+
+
+_REACH: Final = 9.0
+"""The view ends at so many times the camera's height."""
+_REACH_M: Final = (25.0, 80.0)
+_LONGER_SIDE: Final = 1000
+"""Cells along the longer side."""
+_EMPTY: Final = (226, 226, 226)
+
+
+def seen_from_above(camera: Camera, pixels: NDArray[np.uint8] | None) -> dict[str, Any]:
+    """Show the road of a camera's picture (H, W, 3), or of an empty one (None), from above.
+
+    Returns `low` and `high`, world x, y of the south-west and north-east corners in metres, `cell_m`, `size` in cells,
+    and `image`, a data address.
+    """
+    low, high = _extent(camera)
+    cell = float(np.max(high - low)) / _LONGER_SIDE
+    width, height = (int(v) for v in np.maximum(1, np.ceil((high - low) / cell)))
+    x = low[0] + (np.arange(width) + 0.5) * cell
+    y = high[1] - (np.arange(height) + 0.5) * cell
+    places = np.stack([*np.meshgrid(x, y), np.zeros((height, width))], axis=-1)
+    at = camera.project(places)[0]
+    seen = camera.inside(at)
+    above = np.full((height, width, 3), _EMPTY, dtype=np.uint8)
+    if pixels is not None:
+        index = np.where(seen[..., None], at - 0.5, -1e4).astype(np.float32)
+        warped = cv2.remap(pixels, index[..., 0], index[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        above[seen] = warped[seen]
+    else:
+        above[seen] = 245
+    picture = encoded(above)
+    return {
+        "low": low.tolist(),
+        "high": [float(low[0] + width * cell), float(high[1])],
+        "cell_m": cell,
+        "size": [width, height],
+        "image": f"data:{picture.media_type};base64,{base64.b64encode(picture.data).decode()}",
+    }
+
+
+def _extent(camera: Camera) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """(2,) and (2,) corners of the rectangle that holds the road near the camera."""
+    reach = float(np.clip(_REACH * camera.position[2], *_REACH_M))
+    u, v = np.meshgrid(np.linspace(0, camera.width, 41), np.linspace(0, camera.height, 41))
+    places = ground_places(camera, np.stack([u, v], axis=-1)).reshape(-1, 3)
+    away = np.linalg.norm(places[:, :2] - camera.position[:2], axis=-1)
+    near = places[np.isfinite(away) & (away < reach), :2]
+    if len(near) < 3:
+        raise UserError("the camera sees no road near it")
+    low, high = near.min(axis=0), near.max(axis=0)
+    return low, np.maximum(high, low + 1.0)
+
+
+_KINDS: Final = (
+    (b"\x89PNG\r\n\x1a\n", ".png", "image/png"),
+    (b"\xff\xd8\xff", ".jpg", "image/jpeg"),
+    (b"RIFF", ".webp", "image/webp"),
+)
+"""First bytes, ending and type of the files that every browser shows."""
+_LARGEST: Final = 24 << 20
+
+
+class PlanPictures:
+    """Pictures by the SHA-256 of their bytes, by which the page names them: a name of the page is never a path."""
+
+    def __init__(self) -> None:
+        self._pictures: dict[str, Picture] = {}
+        self._files: dict[str, str] = {}
+
+    def hold(self, data: bytes) -> str:
+        """Keep a picture's bytes; returns its name. Raises UserError where they are no picture for browsers."""
+        kind = next((media for begin, _, media in _KINDS if data.startswith(begin)), None)
+        if kind is None or (kind == "image/webp" and data[8:12] != b"WEBP"):
+            what = "a PDF: save its page as PNG" if data.startswith(b"%PDF") else "expected a PNG, JPEG or WebP picture"
+            raise UserError(what)
+        if len(data) > _LARGEST:
+            raise UserError(f"expected a picture of up to {_LARGEST >> 20} MB")
+        name = hashlib.sha256(data).hexdigest()
+        self._pictures.setdefault(name, Picture(media_type=kind, data=data))
+        return name
+
+    def hold_file(self, path: Path, as_written: str) -> str | None:
+        """Keep the picture of a file, which the site file names `as_written`; None where there is none."""
+        try:
+            name = self.hold(read_bytes(path))
+        except UserError:
+            return None
+        self._files[name] = as_written
+        return name
+
+    def picture(self, name: Any) -> Picture | None:
+        """The picture of a name."""
+        return self._pictures.get(name) if isinstance(name, str) else None
+
+    def saved_beside(self, site: Path, name: Any) -> str | None:
+        """Name of a picture in the site file; the picture is written beside that where it is not there yet.
+
+        No other file is overwritten. None where there is no such picture.
+        """
+        picture = self.picture(name)
+        if picture is None:
+            return None
+        if name in self._files:
+            return self._files[name]
+        suffix = next(suffix for _, suffix, media in _KINDS if media == picture.media_type)
+        number = 1
+        while True:
+            path = site.with_name(f"{site.stem}_plan{'' if number == 1 else f'_{number}'}{suffix}")
+            if not path.exists():
+                with replacing(path) as part:
+                    part.write_bytes(picture.data)
+                break
+            if path.is_file() and read_bytes(path) == picture.data:
+                break
+            number += 1
+        self._files[name] = path.name
+        return path.name
+
 
 _AGREE: Final = 0.02
 """A typed distance and that of typed places may differ by this share."""

@@ -15,12 +15,12 @@ from skope.camera.model import Camera
 from skope.camera.uncertain_camera import UncertainCamera
 from skope.dataset.camera_of_file import fitted_camera
 from skope.errors import UserError
-from skope.files.reading import sha256_of
+from skope.files.atomic import sha256_of
 from skope.site.calibration_marks import CalibrationMarks
 from skope.site.gates_zones_lanes import Gate, gate_at_size, line_on_road
 from skope.site.page.document_values import entries_of, unique_names
 from skope.site.page.drawings import DRAWN, drawn_in_image
-from skope.site.page.footage_time import read_time, time_texts
+from skope.site.page.frames import read_time, time_texts
 from skope.site.page.marks import KINDS, SIGMA_FIELDS
 from skope.site.page.solved_page import SolvedCamera
 from skope.site.site_file import SiteFile, read_site

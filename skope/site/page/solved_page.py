@@ -1,4 +1,4 @@
-"""Answers of the server to a document of the page: the camera that its marks tell, and all that is drawn of it."""
+"""The server's answer to a document of the page: the camera that its marks give, the errors, drawings and advice."""
 
 import json
 import math
@@ -9,22 +9,111 @@ from typing import Any, Final
 
 import numpy as np
 
-from skope.camera.calibrate import SiteCalibration, calibrate
-from skope.camera.evidence import Belief
+from skope.camera.calibrate import LeftOutError, SiteCalibration, calibrate, left_out_errors
+from skope.camera.evidence import Belief, Evidence
 from skope.camera.ground_plane import ground_places
-from skope.camera.leave_one_out import LeftOutError, left_out_errors
 from skope.camera.model import Camera
+from skope.camera.pose_from_points import FEWEST
 from skope.camera.uncertain_camera import UncertainCamera
 from skope.dataset.camera_of_file import sized
 from skope.errors import UserError
-from skope.site.page.advice import BEGIN, DEGREES, MIRRORED, below_road, implausible, in_degrees, missing
-from skope.site.page.document_values import positions
+from skope.site.mark_limits import KNOWN_RANGES
+from skope.site.page.document_values import entries_of, positions
 from skope.site.page.drawings import Drawing, read_drawings, shapes
-from skope.site.page.error_map import error_map, values
-from skope.site.page.footage_time import read_time
+from skope.site.page.frames import read_time
 from skope.site.page.marks import KINDS, Marks, Problem, marks_of_document
 from skope.site.page.overlays import overlays
 from skope.types import Array
+
+BEGIN: Final = (
+    "Mark at least four points whose positions you know, or a known length and lines that are parallel on the road. "
+    "Gates in the image need no calibration; everything in metres does."
+)
+MIRRORED: Final = (
+    "These places are mirrored: the camera would hang below the road. Looking along x, y has to grow to the left, as "
+    "with x east and y north. Are x and y swapped (surveyors often count x to the north), or does y of your plan grow "
+    "downwards?"
+)
+DEGREES: Final = (
+    "These places look like latitude and longitude: degrees, not metres. Say which comes first, and they are taken as "
+    "metres around a point between them."
+)
+_NUMBERS: Final = ("no", "one", "two", "three", "four")
+_NO_METRES: Final = 0.2
+"""Places that differ by less than this are no metres of a road."""
+
+
+def missing(document: Mapping[str, Any], marks: Marks) -> str:
+    """Advice on what to mark or type before points can tell a camera; empty where points are not what is missing."""
+    evidence = marks.evidence
+    # Three points have as many coordinates as a pose; a fourth is needed where the lens is not known.
+    needed = FEWEST - 1 if any("focal" in belief.of for belief in evidence.beliefs) else FEWEST
+    if evidence.lengths or evidence.parallels or len(evidence.points) >= needed:
+        return ""
+    marked = entries_of(document, "points")
+    if not marked:
+        return BEGIN
+    good = len(evidence.points)
+    unplaced = [i for i in range(len(marked)) if i not in marks.entries["points"].values()]
+    words = f"{good} of {needed} points have their places. "
+    if unplaced:
+        name = marked[unplaced[0]].get("name") or unplaced[0] + 1
+        words += f"Type x and y of point {name} in metres"
+    left = needed - good - len(unplaced)
+    if left > 0:
+        words += (", then mark " if unplaced else "Mark ") + f"{_NUMBERS[left]} more"
+        words += ", spread over the road: near and far, left and right"
+    return words + "."
+
+
+def in_degrees(evidence: Evidence) -> bool:
+    """Whether places look like degrees on the Earth: none of them a hand's breadth from the others as metres."""
+    if len(evidence.points) < 2:
+        return False
+    places: Array = np.array([point.place[:2] for point in evidence.points])
+    return bool(np.ptp(places, axis=0).max() < _NO_METRES and 0 < np.abs(places).max() <= 180 and np.any(places % 1))
+
+
+def implausible(camera: Camera) -> str:
+    """Sentence on a camera that no road camera is, as marks give it that contradict each other; empty for any other."""
+    fov_deg = 2 * math.degrees(math.atan(camera.width / 2 / float(camera.K[0, 0])))
+    height_m = float(camera.position[2])
+    if fov_deg >= KNOWN_RANGES["fov_deg"][0] and height_m >= KNOWN_RANGES["height_m"][0]:
+        return ""
+    return (
+        f"The marks give a camera {height_m:.1f} m over the road with a field of view of {fov_deg:.1f} degrees, which "
+        "is not plausible. Check that the lines are parallel on the road, and the lengths; or mark points."
+    )
+
+
+def below_road(evidence: Evidence, camera: Camera) -> bool:
+    """Whether a camera hangs below the points that it was found by, as a mirrored plan has it."""
+    heights = [point.place[2] for point in evidence.points]
+    return bool(heights) and float(camera.position[2]) < min(heights)
+
+
+_CELLS: Final = 80
+"""Cells across the image."""
+_FARTHEST_M: Final = 250.0
+"""Beyond this distance nothing is said of places."""
+
+
+def error_map(known: UncertainCamera) -> dict[str, Any]:
+    """Square cells of `cell` pixels, row by row from the top: errors in their middles, metres; None: no road there."""
+    camera = known.camera
+    cell = max(4, -(-camera.width // _CELLS))
+    columns, rows = -(-camera.width // cell), -(-camera.height // cell)
+    x, y = np.meshgrid((np.arange(columns) + 0.5) * cell, (np.arange(rows) + 0.5) * cell)
+    pixels = np.stack([x, y], axis=-1)
+    away = np.linalg.norm(known.places(pixels) - camera.position, axis=-1)
+    errors = np.where(away < _FARTHEST_M, known.place_error(pixels), np.nan)
+    return {"cell": cell, "columns": columns, "rows": rows, "values": values(errors.ravel())}
+
+
+def values(errors: Array) -> list[float | None]:
+    """Numbers as JSON has them: three digits, None for NaN."""
+    return [float(f"{value:.3g}") if np.isfinite(value) else None for value in errors.tolist()]
+
 
 _WRONG_SIGMAS: Final = 3.0
 """Residuals from so many standard deviations on are marked."""

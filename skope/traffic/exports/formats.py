@@ -42,7 +42,7 @@ def checked_formats(text: str, site: "SiteParts", *, metres: bool) -> tuple[str,
         UserError: A name is none of a format; or the format needs metres, a library, or something of the site, that
             there is not.
     """
-    from skope.site.on_earth import on_earth
+    from skope.site.world import on_earth
     from skope.traffic.exports.parquet import check_parquet
     from skope.traffic.exports.sumo import edges_of
 
@@ -53,7 +53,7 @@ def checked_formats(text: str, site: "SiteParts", *, metres: bool) -> tuple[str,
         if not metres and name not in IN_PIXELS:
             raise UserError(f"--also: {name} needs metres, and nothing calibrates the camera")
     if "geojson" in names:
-        on_earth(site, np.zeros((1, 2)))
+        on_earth(site.world, np.zeros((1, 2)))
     if "sumo" in names:
         edges_of(site)
     if "parquet" in names:

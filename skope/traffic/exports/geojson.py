@@ -12,7 +12,7 @@ import numpy as np
 from skope.files.atomic import replacing
 from skope.files.json_files import json_bytes
 from skope.site.gates_zones_lanes import Outline
-from skope.site.on_earth import on_earth
+from skope.site.world import on_earth
 from skope.tracks.track import KMH, Track
 from skope.traffic.count_uncertainty import in_json
 from skope.traffic.gates import direction_names, may_count
@@ -32,7 +32,7 @@ def write_geojson(folder: Path, report: TrafficReport) -> list[Path]:
     """Write a report as `traffic.geojson`; returns the file.
 
     Raises:
-        UserError: The site does not say where it is (`skope.site.on_earth`).
+        UserError: The site does not say where it is (`skope.site.world`).
     """
     path = folder / GEOJSON_FILE
     with replacing(path) as temporary, temporary.open("wb") as file:
@@ -137,7 +137,7 @@ def _feature(report: TrafficReport, kind: str, places: Outline | Array, properti
         if (x * np.roll(y, -1) - np.roll(x, -1) * y).sum() < 0:
             points = points[::-1]
         points = np.concatenate([points, points[:1]])
-    degrees = np.round(on_earth(report.site, points), _DEGREE_DIGITS).tolist()
+    degrees = np.round(on_earth(report.site.world, points), _DEGREE_DIGITS).tolist()
     return {
         "type": "Feature",
         "geometry": {"type": kind, "coordinates": [degrees] if kind == "Polygon" else degrees},

@@ -1,4 +1,7 @@
-"""Tables of the page: counts by gate, class and interval, passenger-car equivalents and peak hours."""
+"""Tables of the page: counts by gate, class and interval, passenger-car equivalents, peak hours, omitted crossings.
+
+A gate counts fewer crossings than tracks that pass its line; the reasons are listed.
+"""
 
 from collections.abc import Iterator, Sequence
 from datetime import datetime

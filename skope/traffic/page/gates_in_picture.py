@@ -10,10 +10,10 @@ import numpy as np
 from skope.camera.model import Camera
 from skope.page.html_pieces import tag
 from skope.traffic.count_uncertainty import in_words
-from skope.traffic.empty_road_picture import EmptyRoadPicture
 from skope.traffic.gate_counts import ALL, Count
 from skope.traffic.page.count_tables import count_text, side_name
-from skope.traffic.page.hand_count_data import view_of_gates
+from skope.traffic.page.hand_count import view_of_gates
+from skope.traffic.road_picture import EmptyRoadPicture
 from skope.traffic.traffic_report import TrafficReport
 from skope.types import Array
 

@@ -17,26 +17,28 @@ from skope.schema import VEHICLE
 from skope.terminal.console import counted
 from skope.tracks.track import KMH
 from skope.traffic.count_uncertainty import in_words
-from skope.traffic.empty_road_picture import EmptyRoadPicture
 from skope.traffic.left_out_crossings import left_out_crossings
 from skope.traffic.length_bins import LONGEST_M, UNTOLD
 from skope.traffic.normal_distribution import INTERVAL_SIGMAS
+from skope.traffic.page.charts import (
+    counts_over_time,
+    flow_diagram,
+    headway_histograms,
+    movement_matrices,
+    speed_histograms,
+)
 from skope.traffic.page.count_tables import (
     all_by_interval,
     class_tables,
     peak_hour_table,
     side_name,
 )
-from skope.traffic.page.flow_diagram import flow_diagram
 from skope.traffic.page.gates_in_picture import gates_in_picture
-from skope.traffic.page.hand_count_panel import hand_count_panel
-from skope.traffic.page.movement_matrix import movement_matrices
-from skope.traffic.page.plots import counts_over_time, headway_histograms, speed_histograms
+from skope.traffic.page.hand_count import hand_count_panel
 from skope.traffic.page.road_map import road_map
 from skope.traffic.report_tables import clock
-from skope.traffic.road_picture import RoadPicture
-from skope.traffic.speed_percentiles import PERCENTILES, Percentile
-from skope.traffic.speeds import MOTOR
+from skope.traffic.road_picture import EmptyRoadPicture, RoadPicture
+from skope.traffic.speeds import MOTOR, PERCENTILES, Percentile
 from skope.traffic.traffic_report import TrafficReport
 from skope.traffic.turning_movements import TurningCount
 from skope.version import __version__

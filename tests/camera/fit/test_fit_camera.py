@@ -1,4 +1,5 @@
-"""Cameras from what a detector sees: `seen_by_a_detector.npz` has keypoints that road33 found in generated footage.
+"""Cameras from what a detector sees: `seen_by_a_detector.npz` has keypoints that road33 found in generated footage,
+without the corners of bumpers, hoods and trunks.
 
 Each camera has views of vehicles (xy in eighths of a pixel, probabilities in 200ths), and what is true of it.
 """
@@ -17,8 +18,7 @@ from skope.camera.fit.bundle_adjustment import VehicleViews
 from skope.camera.fit.camera_doubts import sigma_of_ways, why_not
 from skope.camera.fit.camera_unknowns import FOCAL, HEIGHT, PITCH, camera_of_unknowns
 from skope.camera.fit.fit_camera import CameraEstimate, Rival, fit_camera_to_vehicles
-from skope.camera.fit.known_lengths import KnownLength, corrected
-from skope.camera.fit.write_camera import known_of
+from skope.camera.fit.write_camera import KnownLength, corrected, known_of
 from skope.dataset import coco
 from skope.errors import UserError
 from skope.pose.shape_model import fleet_shapes
@@ -34,7 +34,7 @@ def stored(name: str) -> tuple[VehicleViews, Array, Array]:
     with np.load(Path(__file__).with_name("seen_by_a_detector.npz")) as file:
         found = np.concatenate([file[f"{name}_xy"] / 8, file[f"{name}_p"][..., None] / 200], axis=-1)
         vehicle = file[f"{name}_vehicle"].astype(np.intp)
-        views = VehicleViews(found, file[f"{name}_sigma"].astype(float), vehicle, SIZE, fleet_shapes(1))
+        views = VehicleViews(found, file[f"{name}_sigma"].astype(float), vehicle, SIZE, fleet_shapes())
         return views, file[f"{name}_truth"], file[f"{name}_edges"].astype(float)
 
 

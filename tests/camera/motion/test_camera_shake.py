@@ -15,9 +15,15 @@ import pytest
 
 from skope.camera.motion import camera_shake as camera_sway
 from skope.camera.motion.camera_motion import CameraMotion
-from skope.camera.motion.camera_shake import SwayRecord, SwayWatch, motion_of_row, motion_to_row, record_of
+from skope.camera.motion.camera_shake import (
+    MotionProcess,
+    SwayRecord,
+    SwayWatch,
+    motion_of_row,
+    motion_to_row,
+    record_of,
+)
 from skope.camera.motion.image_shift import ImageMotion, ReferencePicture, SmallPicture
-from skope.camera.motion.motion_process import MotionProcess
 from skope.camera.motion.view_changes import Looks, ViewChange
 from skope.errors import UserError
 from skope.schema import Image

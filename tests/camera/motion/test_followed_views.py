@@ -9,13 +9,12 @@ import pytest
 from numpy.typing import NDArray
 
 from skope.camera.motion.followed_views import with_homographies
-from skope.camera.motion.known_views import MOVING, read_views, view_numbers
 from skope.camera.motion.view_changes import ViewChange
-from skope.camera.motion.view_registration import register, transformed
+from skope.camera.motion.view_registration import MOVING, read_views, register, transformed, view_numbers
 from skope.dataset import coco
 from skope.keypoints import SKOPE33
 from skope.schema import AnnotationFile, Image
-from skope.tracking.empty_road import empty_road
+from skope.tracking.ground_view import empty_road
 from skope.video.footage import open_footage
 from tests.camera.motion.test_image_shift import SIZE, picture, with_traffic
 from tests.camera.motion.test_view_registration import CORNERS, turned_and_zoomed

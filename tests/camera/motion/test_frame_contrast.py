@@ -10,7 +10,7 @@ from skope.camera.motion.image_shift import small_grey
 from skope.camera.motion.view_changes import Looks
 from skope.dataset.folder import read_image
 from skope.schema import Image
-from skope.traffic.poor_sight import DARK, FLAT
+from skope.traffic.report_remarks import DARK, FLAT
 
 DOCS = Path(__file__).parents[3] / "docs"
 

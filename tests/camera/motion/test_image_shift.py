@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from skope.camera.motion.image_shift import ReferencePicture, SmallPicture
 from skope.dataset.folder import read_image
 
-DOCS = Path(__file__).parents[2] / "docs"
+DOCS = Path(__file__).parents[3] / "docs"
 SIZE = (640, 360)
 FOCAL = 420.0
 

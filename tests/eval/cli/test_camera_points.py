@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from skope.camera.camera_json import read_uncertain_camera
+from skope.camera.calibration_files import read_uncertain_camera
 from skope.camera.ground_plane import ground_places
 from skope.camera.model import Camera, Distortion
 

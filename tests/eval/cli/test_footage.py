@@ -31,8 +31,8 @@ from skope.dataset.folder import CHANGES
 from skope.errors import UserError
 from skope.files.json_files import write_json
 from skope.files.progress import Progress
-from skope.footage.anonymize import blurred
-from skope.pose import pose_errors, pose_footage
+from skope.footage.overlays import blurred
+from skope.pose import pose_footage
 from skope.pose.keypoint_views import Scene, read_scene
 from skope.pose.shape_model import fleet_shapes
 from skope.schema import Annotation, AnnotationFile, Box3D, Result
@@ -395,7 +395,7 @@ def test_a_sloping_road_that_is_known_costs_nothing() -> None:
         assert point[2] == pytest.approx(3 + 0.05 * (point[0] - 12) - 0.03 * (point[1] - 4))
     file = drive(1, 5, speeds=(8.0, 0.0))
     level, sloping = Scene(file, None, None, Ground()), Scene(tilted(file, T), None, None, ground)
-    a, b = pose_errors.measure_poses(level, noise=1), pose_errors.measure_poses(sloping, noise=1)
+    a, b = pose_footage.measure_poses(level, noise=1), pose_footage.measure_poses(sloping, noise=1)
     assert b.position == pytest.approx(a.position, abs=2e-3)
     assert b.heading == pytest.approx(a.heading, abs=0.1)
 
@@ -469,10 +469,10 @@ def test_overlap_of_boxes_is_what_can_be_worked_out() -> None:
         R = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
         return Box3D(center=np.array([x, 0, 1]), size_lwh=np.array([length, 2, 2]), yaw=yaw, R=R)
 
-    assert pose_errors.iou_3d(box(0, 0.3), box(0, 0.3)) == pytest.approx(1)
-    assert pose_errors.iou_3d(box(0, 0), box(2, 0)) == pytest.approx(1 / 3)
-    assert pose_errors.iou_3d(box(0, 0), box(0, math.pi / 2)) == pytest.approx(1 / 3)
-    assert pose_errors.iou_3d(box(0, 0), box(9, 0)) == 0
+    assert pose_footage.iou_3d(box(0, 0.3), box(0, 0.3)) == pytest.approx(1)
+    assert pose_footage.iou_3d(box(0, 0), box(2, 0)) == pytest.approx(1 / 3)
+    assert pose_footage.iou_3d(box(0, 0), box(0, math.pi / 2)) == pytest.approx(1 / 3)
+    assert pose_footage.iou_3d(box(0, 0), box(9, 0)) == 0
 
 
 def test_predictions_are_measured_against_the_vehicles_they_match(skope: Any) -> None:

@@ -10,7 +10,7 @@ import pytest
 
 from skope import keypoints
 from skope.dataset import coco
-from skope.eval.report import curves, gallery
+from skope.eval.report import gallery, page
 from skope.keypoints import INDEX
 from skope.metrics.breakdown import FleetInfo
 from skope.metrics.keypoint_outcomes import Options
@@ -115,10 +115,10 @@ def measured_split(count: int, results: list[Result] | None = None) -> SplitScor
 
 def test_curves_agree_with_the_figures_at_their_place() -> None:
     measured = measured_split(40)
-    for line, figures in zip(curves.pck_over_alpha(measured, Options()), measured.entry["iou"].values(), strict=True):
+    for line, figures in zip(page.pck_over_alpha(measured, Options()), measured.entry["iou"].values(), strict=True):
         assert line.y[20] == pytest.approx(figures["pck"])  # alpha 0.1
         assert line.x[20] == pytest.approx(0.1)
-    (boxes, *_) = curves.precision_recall(measured, Options())
+    (boxes, *_) = page.precision_recall(measured, Options())
     assert boxes.x[-1] == pytest.approx(0.75)
     assert boxes.y[-1] == pytest.approx(30 / 31)
     assert np.mean([*boxes.y, *[0.0] * (101 - len(boxes.y))]) == pytest.approx(measured.entry["coco"]["box_ap50"])

@@ -88,7 +88,7 @@ def test_check_says_that_it_repaired_and_nothing_of_the_work(
 ) -> None:
     root = make_dataset(tmp_path / "data")
     (root / "annotations/easy.json").write_text("{")
-    monkeypatch.setattr("skope.gen.inspect.repair.repair", lambda *given: given[-1].say("working"))
+    monkeypatch.setattr("skope.gen.inspect.check.repair", lambda *given: given[-1].say("working"))
     code, text, _ = skope("gen", "check", root, "--repair")
     assert "working\nrepaired" in text
     coded, document, _ = skope("gen", "check", root, "--repair", "--json")

@@ -246,7 +246,7 @@ def change(*path: Any, to: Any) -> Callable[[dict[str, Any]], None]:
         (change("images", 0, "file_name", to="b.png"), "images[0]: file_name: no b.png in in/frames"),
         (change("images", 0, "file_name", to="."), "images[0]: file_name: no . in in/frames"),
         (lambda d: d["images"].append({**d["images"][0], "id": 6}), "images[1]: file_name: a 1.png stands twice"),
-        (lambda d: (d.update(info={"keypoint_scheme": "skope33"}), d["images"][0].update(camera=None, site=None),
+        (lambda d: (d.update(info=keypoints.SKOPE33.fields()), d["images"][0].update(camera=None, site=None),
                     d["annotations"][0].update(color=None, box_3d="x")),
          "annotations[0]: box_3d: expected an object with center"),
     ],

@@ -14,8 +14,9 @@ import pytest
 from skope import keypoints
 from skope.dataset import coco
 from skope.dataset.folder import open_dataset
+from skope.errors import UserError
 from skope.files.json_files import read_json, write_json
-from skope.gen.formats import archive
+from skope.gen.formats import source_files
 from skope.gen.inspect.check import check
 from skope.video.write import write_video
 from tests.samples import make_dataset
@@ -242,7 +243,7 @@ def test_bombs_links_and_twins_are_refused(tmp_path: Path) -> None:
 
     def refused(content: bytes, said: str) -> None:
         path.write_bytes(content)
-        with pytest.raises(archive.UserError, match=said), archive.opened(path):
+        with pytest.raises(UserError, match=said), source_files.opened(path):
             pass
 
     refused(archived((zipfile.ZipInfo("scene_1/original.avi"), bytes(8 << 20))), "would unpack to 8388608: refused")
@@ -261,7 +262,10 @@ def test_bombs_links_and_twins_are_refused(tmp_path: Path) -> None:
     entry = liar.index(b"PK\x01\x02")
     liar[entry + 24 : entry + 28] = (100).to_bytes(4, "little")
     path.write_bytes(bytes(liar))
-    with archive.opened(path) as opened, pytest.raises(archive.UserError, match="member a/b: cannot be unpacked"):
+    with (
+        source_files.opened(path) as opened,
+        pytest.raises(UserError, match="member a/b: cannot be unpacked"),
+    ):
         opened.read("a/b", 1000)
 
 

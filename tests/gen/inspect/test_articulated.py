@@ -10,9 +10,9 @@ import pytest
 from skope.dataset import coco
 from skope.dataset.folder import Dataset
 from skope.gen.inspect import check, stats
-from skope.gen.inspect.check_boxes import box_3d_findings
+from skope.gen.inspect.label_checks import box_3d_findings
 from skope.keypoints import SKOPE33
-from skope.pose.pose_errors import PoseErrors, pose_summary, pose_table
+from skope.pose.pose_footage import PoseErrors, pose_summary, pose_table
 from skope.schema import Annotation, AnnotationFile, Image
 from tests.gen.labels.test_articulated import CAMERA, labelled
 

@@ -20,9 +20,8 @@ from skope.cli import app
 from skope.dataset import coco
 from skope.dataset.depth_files import depth_png
 from skope.dataset.folder import open_dataset
-from skope.gen.inspect.report.layers import figure
-from skope.gen.inspect.report.plots import spread_of, spread_plots
-from skope.gen.inspect.report.sample import spread
+from skope.gen.inspect.report import spread_of, spread_out, spread_plots
+from skope.gen.inspect.report_layers import figure
 from skope.keypoints import PUBLISHED, SKOPE33
 from skope.pictures import draw
 from skope.schema import Annotation, AnnotationFile, Box3D, Image
@@ -159,7 +158,7 @@ def many(sizes: dict[str, int], recordings: int = 1) -> list[Image]:
 @pytest.mark.parametrize("count", [1, 2, 3, 4, 7, 20, 59, 60, 1000])
 def test_sites_share_evenly_what_is_shown(count: int) -> None:
     images = many({"a": 40, "b": 3, "c": 17})
-    places = spread(images, count)
+    places = spread_out(images, count)
     assert len(places) == min(count, 60)
     assert places == sorted(set(places))
     shares = Counter(images[i].site for i in places)
@@ -171,7 +170,7 @@ def test_sites_share_evenly_what_is_shown(count: int) -> None:
 
 def test_every_recording_has_its_turn() -> None:
     images = many({"a": 100}, recordings=10)
-    chosen = [images[i] for i in spread(images, 10)]
+    chosen = [images[i] for i in spread_out(images, 10)]
     assert [image.recording for image in chosen] == [f"{i:02d}" for i in range(10)]
     assert np.ptp(np.diff([image.frame_index or 0 for image in chosen])) <= 1
 

@@ -9,12 +9,10 @@ import numpy as np
 import pytest
 
 from skope import keypoints
-from skope.gen.inspect.vehicle_checks import distance_to_surface, findings
+from skope.gen.inspect.vehicle_models import distance_to_surface, findings
 from skope.gen.mesh import Mesh
-from skope.gen.vehicles.fleet import build_vehicle, fleet
-from skope.gen.vehicles.keypoint_separation import Sidecar
-from skope.gen.vehicles.model import Vehicle
-from skope.gen.vehicles.shape_jitter import jittered
+from skope.gen.vehicles.fleet import build_vehicle, fleet, jittered
+from skope.gen.vehicles.model import Sidecar, Vehicle
 from tests.gen.rays import distance_to_triangles
 from tests.gen.thirds import a_third
 

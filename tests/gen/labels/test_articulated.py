@@ -9,14 +9,12 @@ import pytest
 from skope import keypoints
 from skope.camera.model import Camera
 from skope.dataset import coco
-from skope.gen.labels.annotate import annotate
-from skope.gen.labels.ignore_rules import Rules
+from skope.gen.labels.annotate import Rules, annotate
 from skope.gen.labels.world_keypoints import world_keypoints
 from skope.gen.render.choose_renderer import make_renderer
 from skope.gen.render.frame import RenderedFrame
-from skope.gen.render.vehicle_lamps import lit_lamps
-from skope.gen.scene.lamps import LAMPS
-from skope.gen.scene.recording import Recording
+from skope.gen.render.lit_lamps import lit_lamps
+from skope.gen.scene.recording import LAMPS, Recording
 from skope.gen.vehicles.fleet import fleet
 from skope.gen.vehicles.model import ON_TRAILER
 from skope.schema import Annotation

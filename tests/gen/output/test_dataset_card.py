@@ -16,12 +16,12 @@ from skope.cli import app
 from skope.dataset import coco
 from skope.errors import UserError
 from skope.files.json_files import read_json, write_json
-from skope.gen.labels.ignore_rules import Rules
+from skope.gen.labels.annotate import Rules
 from skope.gen.output import card_text, dataset_card, licences
-from skope.gen.output.card_counts import Counts, count_kind
 from skope.gen.output.croissant import croissant
 from skope.gen.output.frames import Encoding
 from skope.gen.output.parameters import DatasetPlan, Parameters
+from skope.gen.output.writers import Counts, count_kind
 from skope.gen.pipeline.config import from_preset
 from skope.gen.render.choose_renderer import choose_renderer
 from skope.gen.vehicles.fleet import fleet

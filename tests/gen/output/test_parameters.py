@@ -9,11 +9,11 @@ from typing import Any
 import pytest
 
 from skope.errors import UserError
-from skope.gen.labels.ignore_rules import Rules
+from skope.gen.labels.annotate import Rules
 from skope.gen.output.frames import Encoding
 from skope.gen.output.parameters import DatasetPlan, OwnSiteRecord, Parameters
+from skope.gen.scene.random_streams import Variation
 from skope.gen.scene.recording import RecordingInfo
-from skope.gen.scene.variation import Variation
 
 OWN = OwnSiteRecord(file="site.toml", digests={"site": "ab"}, town="cd", photograph=True, splits=("train", "test"))
 PARAMETERS = Parameters(
@@ -62,31 +62,8 @@ def test_what_is_written_is_read_again() -> None:
     assert through_json(PLAN.to_dict()) == PLAN.to_dict()  # nothing but JSON values
 
 
-def test_folders_of_before_lack_what_there_was_not() -> None:
-    values = through_json(PARAMETERS.to_dict())
-    for name in (
-        "distractors",
-        "largest_vehicle",
-        "licence",
-        "lit_objects",
-        "night",
-        "own",
-        "randomised",
-        "recordings",
-    ):
-        del values[name]
-    del values["seasons"]
-    made = Parameters.from_dict(values)
-    varied = made.variation
-    assert (varied.distractors, varied.lit_objects, varied.randomised, varied.seasons) == (None, None, 0.0, False)
-    del values["further_models"]
-    assert (varied.largest_vehicle, varied.night) == (None, {})
-    assert not Parameters.from_dict(values).variation.further_models
-    assert (made.licence, made.own, made.recordings) == ("CC BY 4.0", None, 1)
-
-
 def test_every_field_is_written_in_one_object() -> None:
-    """What varies stands among the other parameters, as in cards of before `Variation`, and in their order."""
+    """What varies stands among the other parameters."""
     variation = replace(PARAMETERS.variation, road_users=True)
     names = list(replace(PARAMETERS, variation=variation).to_dict())
     assert set(names) == {f.name for f in (*fields(Parameters), *fields(Variation))} - {"variation"}
@@ -98,7 +75,6 @@ def test_every_field_is_written_in_one_object() -> None:
 
 
 def test_what_was_not_asked_for_is_not_written() -> None:
-    """Cards of datasets without these options are the bytes that they were before there were any."""
     asked = {"night", "vehicle_share", "largest_vehicle", "lit_objects", "further_models", "weather", "time_of_day"}
     variation = replace(PARAMETERS.variation, night={}, largest_vehicle=None, further_models=False, lit_objects=None)
     plain = replace(PARAMETERS, vehicle_share=None, variation=variation, weather=(), time_of_day=())
@@ -122,6 +98,8 @@ def test_what_was_not_asked_for_is_not_written() -> None:
         ({"distractors": 3}, "parameters.distractors: expected a pair of numbers or null, got 3"),
         ({"weather": "rain"}, "parameters.weather: expected names, got 'rain'"),
         ({"vehicle_share": "much"}, "parameters.vehicle_share: expected a number or null, got 'much'"),
+        ({"keypoint_edition": 1}, "parameters.keypoint_edition: expected 2, got 1"),
+        ({"keypoint_edition": None}, "parameters.keypoint_edition: expected 2, got nothing"),
         ({"haze": 3}, "parameters.haze: is a field that this version of skope does not know"),
     ],
 )

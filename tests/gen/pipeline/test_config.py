@@ -8,12 +8,11 @@ from typing import Any
 import pytest
 
 from skope.errors import UserError
-from skope.gen.labels.ignore_rules import Rules
-from skope.gen.pipeline.config import DatasetRequest, from_preset
+from skope.gen.generation_site import own_site
+from skope.gen.labels.annotate import Rules
+from skope.gen.pipeline.config import DatasetRequest, from_preset, presets
 from skope.gen.pipeline.dataset_store import Store
-from skope.gen.pipeline.presets import presets
 from skope.gen.scene.recording import RecordingPlan
-from skope.gen.site_files.generation_site import own_site
 from skope.gen.vehicles.fleet import fleet
 
 EXAMPLE = Path(__file__).parents[3] / "examples" / "own_road"

@@ -5,9 +5,7 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from skope.gen.pipeline.config import HEAVY_TYPES
-from skope.gen.pipeline.planned_conditions import in_its_light, varied
-from skope.gen.pipeline.presets import presets, tables
+from skope.gen.pipeline.config import HEAVY_TYPES, in_its_light, preset_tables, presets, varied
 from skope.gen.scene.conditions import CONDITION_LIMITS, Conditions, ranges
 from skope.gen.towns.sites import site, sites
 from skope.gen.vehicles.fleet import fleet
@@ -20,7 +18,7 @@ def test_each_split_by_condition_has_its_own_weather_and_a_hundred_images() -> N
     for plan in plans:
         images[plan.site.split] += plan.frames
         light = f"{plan.site.weather} {plan.site.time_of_day}"
-        assert light in tables()["conditions"][plan.site.split]["light"]
+        assert light in preset_tables()["conditions"][plan.site.split]["light"]
     assert set(images) == set(presets()["conditions"]["splits"])
     assert min(images.values()) >= 100
     assert {site(plan.site.name).split for plan in plans} == {"extra"}
@@ -28,7 +26,7 @@ def test_each_split_by_condition_has_its_own_weather_and_a_hundred_images() -> N
 
 def test_the_lights_of_a_condition_all_come() -> None:
     plans = asked("conditions").plans()
-    for name, table in tables()["conditions"].items():
+    for name, table in preset_tables()["conditions"].items():
         seen = {f"{p.site.weather} {p.site.time_of_day}" for p in plans if p.site.split == name}
         assert seen == set(table["light"])
 
@@ -78,14 +76,14 @@ def test_nights_is_dark_throughout_and_most_of_it_night() -> None:
 
 
 def test_what_varies_can_be_drawn_and_flags_win_over_it() -> None:
-    for wide in tables()["varied_light"].values():
+    for wide in preset_tables()["varied_light"].values():
         for name, (low, high) in wide.items():
             assert CONDITION_LIMITS[name][0] <= low <= high <= CONDITION_LIMITS[name][1]
     plan = next(p for p in asked("world", settings={"glare": (2.0, 2.0)}).plans() if p.site.time_of_day == "night")
     spans = ranges(plan.site.weather, plan.site.time_of_day, {**plan.site.conditions, **plan.variation.settings})
     drawn = Conditions.drawn(spans, np.random.default_rng(0))
     assert drawn.glare == 2.0
-    assert spans["street_lights_lit"] == tuple(tables()["varied_light"]["night"]["street_lights_lit"])
+    assert spans["street_lights_lit"] == tuple(preset_tables()["varied_light"]["night"]["street_lights_lit"])
 
 
 def test_paper_knows_nothing_of_what_varies() -> None:

@@ -16,10 +16,9 @@ from skope.dataset.folder import open_dataset
 from skope.errors import UserError
 from skope.gen.inspect.check import check
 from skope.gen.inspect.diff import differences
-from skope.gen.labels.ignore_rules import Rules
+from skope.gen.labels.annotate import Rules
 from skope.gen.output import card_text
-from skope.gen.pipeline.config import from_preset
-from skope.gen.pipeline.presets import presets
+from skope.gen.pipeline.config import from_preset, presets
 from skope.gen.scene import recording as recordings
 from skope.gen.simulation.simulate import simulate
 from skope.gen.towns.town import Town
@@ -210,9 +209,9 @@ def test_recordings_say_whether_people_are_labelled(tmp_path: Path, made: Path) 
     )
     (plan,) = request.plans()
     unlabelled = replace(plan, variation=replace(plan.variation, road_users=False))
-    labelled, before = simulate(plan), simulate(unlabelled)
+    labelled, plain = simulate(plan), simulate(unlabelled)
     recordings.save(tmp_path / "a.npz", labelled)
-    recordings.save(tmp_path / "b.npz", before)
+    recordings.save(tmp_path / "b.npz", plain)
     assert recordings.load(tmp_path / "a.npz").road_users
     assert recordings.packed_recording(recordings.load(tmp_path / "a.npz")) == recordings.packed_recording(labelled)
     assert not recordings.load(tmp_path / "b.npz").road_users
@@ -222,7 +221,7 @@ def test_recordings_say_whether_people_are_labelled(tmp_path: Path, made: Path) 
     jointed = [one for one in labelled.vehicles if not one.labelled]
     assert jointed
     assert all(one.shape["jointed"] == 1 for one in jointed)
-    assert not any("jointed" in one.shape for one in before.vehicles)
+    assert not any(one.shape.get("jointed") for one in plain.vehicles)
 
 
 def test_labelled_riders_are_more_and_some_ride_together() -> None:

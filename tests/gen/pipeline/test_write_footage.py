@@ -7,7 +7,7 @@ import cv2
 import pytest
 
 from skope.dataset import coco
-from tests.gen.site_files.test_generation_site import BASE, EXAMPLE, toml
+from tests.gen.test_generation_site import BASE, EXAMPLE, toml
 
 SHORT = ("--fps", "5", "--seconds", "0.2", "--quiet", "--renderer", "pybullet", "--out", "out")
 

@@ -7,11 +7,11 @@ import pytest
 
 from skope.gen.render import screen_graphics
 from skope.gen.render.frame import RenderedFrame
-from skope.gen.render.lit_street_lights import burning
+from skope.gen.render.lit_lamps import burning_street_lights
 from skope.gen.render.screen_graphics import _GRAPHIC_KINDS, ScreenGraphics
 from skope.gen.render.spray import Spray
-from skope.gen.scene.lamps import LAMPS
 from skope.gen.scene.random_streams import Stream
+from skope.gen.scene.recording import LAMPS
 from tests.gen.render.test_weather import CAMERA, SIZE, in_studio, luminance, scene, view
 from tests.gen.scenes import conditions
 
@@ -39,17 +39,17 @@ def test_more_glare_makes_more_of_the_picture_bright_around_lamps_and_none_makes
 def test_street_lights_fail_in_stretches_and_the_same_ones_each_time() -> None:
     x, y = np.meshgrid(np.arange(40) * 20.0, [0.0, 300.0])
     lamps = np.column_stack([x.ravel(), y.ravel(), np.full(x.size, 8.0)])
-    assert burning(lamps, 1.0) is lamps
-    assert len(burning(lamps, 0.0)) == 0
-    half = burning(lamps, 0.5)
+    assert burning_street_lights(lamps, 1.0) is lamps
+    assert len(burning_street_lights(lamps, 0.0)) == 0
+    half = burning_street_lights(lamps, 0.5)
     assert len(half) == len(lamps) // 2
-    np.testing.assert_array_equal(half, burning(lamps, 0.5))
+    np.testing.assert_array_equal(half, burning_street_lights(lamps, 0.5))
     lit = np.array([(lamp == half).all(axis=1).any() for lamp in lamps]).reshape(2, 40)
     changes = (lit[:, 1:] != lit[:, :-1]).mean()
     # Drawn one by one half of the neighbours would differ.
     assert changes < 0.42
     # Fewer are a part of more.
-    assert {tuple(lamp) for lamp in burning(lamps, 0.3)} < {tuple(lamp) for lamp in half}
+    assert {tuple(lamp) for lamp in burning_street_lights(lamps, 0.3)} < {tuple(lamp) for lamp in half}
 
 
 def test_a_street_whose_lights_are_out_is_darker_and_none_of_them_glows() -> None:

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 import pytest
 
-from skope.gen.render.image_signal_processing import processed
+from skope.gen.render.camera_effects import processed
 from skope.gen.scene.conditions import Conditions
 
 PLAIN = {

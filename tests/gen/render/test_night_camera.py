@@ -9,16 +9,18 @@ import pytest
 from skope.camera.model import Camera
 from skope.gen.render.camera_effects import with_metered_noise
 from skope.gen.render.daylight import Daylight
-from skope.gen.render.night.exposure import (
+from skope.gen.render.night_camera import (
+    _COLORS,
     CANDELA_PER_UNIT,
     ELECTRONS_PER_CANDELA_SECOND,
     ROAD_LEVEL,
     SHORT_EXPOSURE_RANGE,
+    NightCamera,
+    VeilingGlare,
+    curve,
+    denoised,
     metered,
 )
-from skope.gen.render.night.night_camera import NightCamera, curve
-from skope.gen.render.night.sensor_noise import denoised
-from skope.gen.render.night.veiling_glare import _COLORS, VeilingGlare
 from tests.gen.scenes import conditions, standing
 
 SIZE = (320, 180)

@@ -3,8 +3,7 @@
 import numpy as np
 
 from skope.gen.render.gl.context import albedo_table, pattern_tables
-from skope.gen.render.materials import MATERIALS
-from skope.gen.render.palette import USUAL, Palette
+from skope.gen.render.materials import MATERIALS, USUAL, Palette
 from skope.gen.towns.town import Town, Variant
 
 

@@ -14,11 +14,9 @@ from skope.gen.render.choose_renderer import make_renderer
 from skope.gen.render.frame import STATIC, RenderedFrame
 from skope.gen.render.gl import background, renderer
 from skope.gen.render.gl.light import STANDING_WATER, _signed_water
-from skope.gen.render.vehicle_lamps import lamps_of, lit_lamps
+from skope.gen.render.lit_lamps import lamps_of, lit_lamps
 from skope.gen.scene.conditions import Conditions, ranges
-from skope.gen.scene.lamps import LAMPS
-from skope.gen.scene.recording import Recording
-from skope.gen.scene.road_user_bodies import body_of
+from skope.gen.scene.recording import LAMPS, Recording, body_of
 from skope.gen.scenery.build import STUDIO, Scenery, scenery
 from skope.gen.towns.town import Town, Variant
 from tests.gen.scenes import conditions, standing

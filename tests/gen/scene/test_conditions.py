@@ -15,8 +15,8 @@ from skope.gen.scene.conditions import (
     check_settings,
     parse_settings,
     ranges,
+    sun_position,
 )
-from skope.gen.scene.sun import sun_position
 from skope.gen.simulation.simulate import lamps_on
 from skope.schema import WEATHERS
 from tests.gen.scenes import conditions

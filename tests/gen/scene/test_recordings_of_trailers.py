@@ -1,4 +1,4 @@
-"""Recordings with articulated vehicles, and those from before there were any."""
+"""Recordings with articulated vehicles, and those without."""
 
 import io
 from dataclasses import replace
@@ -30,13 +30,13 @@ def test_poses_of_trailers_survive_the_disk(tmp_path: Path) -> None:
     assert packed_recording(recordings.load(tmp_path / "r.npz")) == packed_recording(recording)
 
 
-def test_a_file_without_an_articulated_vehicle_is_as_it_always_was() -> None:
+def test_a_file_without_an_articulated_vehicle_has_no_trailers() -> None:
     recording = standing(CAMERA, PLACES[:1])
-    before = replace(recording, T_world_trailer=None)
-    assert packed_recording(recording) == packed_recording(before)
+    without = replace(recording, T_world_trailer=None)
+    assert packed_recording(recording) == packed_recording(without)
     with np.load(io.BytesIO(packed_recording(recording))) as file:
         assert "T_world_trailer" not in file.files
-    again = unpacked_recording(packed_recording(before), Path("r.npz"))
+    again = unpacked_recording(packed_recording(without), Path("r.npz"))
     np.testing.assert_array_equal(again.moment(0).T_world_trailer[0], np.tile(np.eye(4), (3, 1, 1)))
     assert again.starts_like(recording)
 

@@ -1,6 +1,6 @@
 import pytest
 
-from skope.gen.scene.sun import declination_deg, sun_position
+from skope.gen.scene.conditions import declination_deg, sun_position
 
 EAST, NORTH, WEST, SOUTH = 0.0, 90.0, 180.0, 270.0
 MARCH_EQUINOX, JUNE_SOLSTICE, DECEMBER_SOLSTICE = 79.6, 172.0, 355.0

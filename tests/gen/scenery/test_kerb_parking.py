@@ -7,7 +7,7 @@ from shapely import Point, Polygon
 
 from skope.gen.scenery.build import bays_of, scenery
 from skope.gen.scenery.markings import zebra_stripes
-from skope.gen.towns.parking import Bay
+from skope.gen.towns.land_use import Bay
 from skope.gen.towns.regions import rectangle_polygon
 from skope.gen.towns.road_graph import RoadGraph
 from skope.gen.towns.town import Town, Variant

@@ -11,11 +11,10 @@ from skope.camera.model import Camera
 from skope.gen.bystanders.bystander import BYSTANDER_KINDS, build_bystander
 from skope.gen.bystanders.luggage import LUGGAGE_KINDS
 from skope.gen.bystanders.people import HIP, Look
-from skope.gen.labels.annotate import annotate
-from skope.gen.labels.ignore_rules import Rules
+from skope.gen.labels.annotate import Rules, annotate
 from skope.gen.mesh import Mesh
 from skope.gen.render.choose_renderer import make_renderer
-from skope.gen.scene.lamps import LAMPS
+from skope.gen.scene.recording import LAMPS
 from skope.gen.simulation.pedestrians import Riders, Walkers
 from skope.gen.simulation.recorder import FLASH, flashed
 from skope.gen.traffic.sumo import DEFAULT_STEP_S, SumoRider

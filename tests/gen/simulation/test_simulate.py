@@ -9,16 +9,14 @@ import pytest
 
 from skope.errors import UserError
 from skope.gen.scene import recording as recordings
-from skope.gen.scene.lamps import LAMPS
-from skope.gen.scene.recording import RecordingPlan
-from skope.gen.scene.variation import Variation
+from skope.gen.scene.random_streams import Variation
+from skope.gen.scene.recording import LAMPS, RecordingPlan
 from skope.gen.scenery.build import bays_of
-from skope.gen.simulation.parked import parked_vehicles
 from skope.gen.simulation.physics import World, at_rest
-from skope.gen.simulation.recorder import Recorder
+from skope.gen.simulation.recorder import Recorder, parked_vehicles
 from skope.gen.simulation.simulate import _models, simulate
 from skope.gen.simulation.smooth_paths import Driven
-from skope.gen.towns.parking import BAY
+from skope.gen.towns.land_use import BAY
 from skope.gen.towns.sites import site
 from skope.gen.towns.town import Town
 from skope.gen.traffic.demand import RIDERS, Trip, in_town, trips

@@ -8,14 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from skope.gen.labels.ignore_rules import Rules
+from skope.gen.labels.annotate import Rules
 from skope.gen.pipeline.config import DatasetRequest, from_preset
 from skope.gen.pipeline.dataset_store import Store
 from skope.gen.pipeline.workers import simulate_job
 from skope.gen.scene import recording as recordings
-from skope.gen.scene.lamps import LAMPS
-from skope.gen.scene.recording import Recording, RecordingPlan
-from skope.gen.scene.view_sampling import LARGEST_VEHICLE_SHARE, PlacedCamera, ViewSampler
+from skope.gen.scene.camera_sampling import LARGEST_VEHICLE_SHARE, PlacedCamera, ViewSampler
+from skope.gen.scene.recording import LAMPS, Recording, RecordingPlan
 from skope.gen.scenery import build
 from skope.gen.scenery.build import bays_of, scenery
 from skope.gen.simulation.simulate import _variant, lamps_on, simulate, simulate_together

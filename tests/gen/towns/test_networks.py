@@ -11,9 +11,8 @@ import shapely
 from shapely import LineString
 
 from skope.gen.inspect.town_maps import town_map
-from skope.gen.labels.ignore_rules import Rules
-from skope.gen.pipeline.config import from_preset
-from skope.gen.pipeline.presets import presets
+from skope.gen.labels.annotate import Rules
+from skope.gen.pipeline.config import from_preset, presets
 from skope.gen.render.materials import GROUND
 from skope.gen.scenery.bridges_and_barriers import GANTRY_CLEARANCE
 from skope.gen.scenery.build import scenery

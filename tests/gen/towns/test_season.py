@@ -5,12 +5,10 @@ import colorsys
 import numpy as np
 import pytest
 
-from skope.gen.render.materials import MATERIALS
-from skope.gen.render.palette import USUAL, Palette
+from skope.gen.render.materials import MATERIALS, USUAL, Palette
 from skope.gen.scenery.build import scenery
-from skope.gen.towns.season import drawn_season
 from skope.gen.towns.town import Town, Variant
-from skope.gen.towns.town_style import style
+from skope.gen.towns.town_style import drawn_season, style
 
 
 def test_few_seasons_are_of_a_saturated_green() -> None:

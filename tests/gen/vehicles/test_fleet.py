@@ -4,13 +4,11 @@ from scipy.spatial.transform import Rotation
 
 from skope import keypoints
 from skope.errors import UserError
-from skope.gen.labels.localize import transform, trilaterate
+from skope.gen.labels.world_keypoints import transform, trilaterate
 from skope.gen.mesh import Mesh, merged
 from skope.gen.render.materials import MATERIALS
-from skope.gen.vehicles.fleet import build_vehicle, class_ranges, fleet, parametric
-from skope.gen.vehicles.keypoint_separation import Sidecar
-from skope.gen.vehicles.model import Vehicle, straight_lwh, straight_mesh
-from skope.gen.vehicles.shape_jitter import jittered
+from skope.gen.vehicles.fleet import build_vehicle, class_ranges, fleet, jittered, parametric
+from skope.gen.vehicles.model import Sidecar, Vehicle, straight_lwh, straight_mesh
 from skope.schema import VEHICLE_TYPES
 from tests.gen.rays import distance_to_triangles
 from tests.gen.thirds import a_third

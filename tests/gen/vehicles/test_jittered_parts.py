@@ -9,11 +9,10 @@ import pytest
 from skope import keypoints
 from skope.errors import UserError
 from skope.gen.render.materials import MATERIALS, own_color
-from skope.gen.vehicles.fleet import ParametricVehicle, build_vehicle, fleet, parametric
+from skope.gen.vehicles.cabin import ROOF_LOAD_HEIGHTS_M
+from skope.gen.vehicles.fleet import ParametricVehicle, build_vehicle, fleet, jittered, parametric
 from skope.gen.vehicles.jittered_parts import DETAILS, draw_details, styled
-from skope.gen.vehicles.roof_loads import ROOF_LOAD_HEIGHTS_M
 from skope.gen.vehicles.shape import DETAIL_NAMES, Shape
-from skope.gen.vehicles.shape_jitter import jittered
 from tests.gen.thirds import a_third
 from tests.gen.vehicles.test_fleet import assert_on_the_surface, backs_seen, first_hits
 
@@ -36,7 +35,6 @@ def test_models_have_no_details_of_their_own(model: str) -> None:
 
 @pytest.mark.parametrize("model", sorted(fleet()))
 def test_shapes_without_details_are_the_models(model: str) -> None:
-    """As of recordings older than details."""
     assert build_vehicle(model, parametric(model).shape.to_dict()) == parametric(model)
 
 

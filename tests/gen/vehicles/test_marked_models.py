@@ -9,9 +9,9 @@ import trimesh
 
 from skope import keypoints
 from skope.errors import UserError
-from skope.gen.inspect import vehicle_checks
+from skope.gen.inspect import vehicle_models as vehicle_checks
 from skope.gen.mesh import Mesh
-from skope.gen.render import vehicle_lamps
+from skope.gen.render import lit_lamps as traffic_lights
 from skope.gen.vehicles.fleet import fleet
 from skope.gen.vehicles.marked_models import LAMP_MATERIALS, WHEEL_CORNERS, read_marked
 
@@ -173,4 +173,4 @@ def test_a_material_s_name_makes_a_lamp(tmp_path: Path) -> None:
         corners = mesh.vertices[mesh.triangles[mesh.material == mesh.materials.index(name)]]
         assert len(corners) == 12
         assert (np.sign(corners[..., 0]) == end).all()
-    assert set(LAMP_MATERIALS) == set(vehicle_checks.LAMP_PARTS) <= set(vehicle_lamps._LAMP_KINDS)
+    assert set(LAMP_MATERIALS) == set(vehicle_checks.LAMP_PARTS) <= set(traffic_lights._LAMP_KINDS)

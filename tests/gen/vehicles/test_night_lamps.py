@@ -9,13 +9,13 @@ import pytest
 
 from skope.camera.model import Camera
 from skope.gen.render.choose_renderer import make_renderer
-from skope.gen.render.vehicle_lamps import lit_lamps
-from skope.gen.scene.lamps import LAMPS
+from skope.gen.render.lit_lamps import lit_lamps
+from skope.gen.scene.recording import LAMPS
 from skope.gen.towns.town import Town
-from skope.gen.vehicles import box_bodies, bus, laid_out_bus, lorry_parts, truck
+from skope.gen.vehicles import bus, closed_bodies, coaches, lorry_parts, truck
 from skope.gen.vehicles.fleet import _BODIES, fleet, parametric
-from skope.gen.vehicles.liveries import FRONT_MARKER, MARKER, REAR_MARKER
 from skope.gen.vehicles.model import straight_mesh
+from skope.gen.vehicles.panels import FRONT_MARKER, MARKER, REAR_MARKER
 from skope.gen.vehicles.trailer_body import TrailerBody
 from tests.gen.scenes import conditions, standing
 
@@ -68,7 +68,7 @@ def left_points(model: str) -> dict[str, np.ndarray]:
 def test_lamps_move_no_keypoint(model: str, monkeypatch: pytest.MonkeyPatch) -> None:
     drawn = left_points(model)
     nothing: Callable[..., None] = lambda *_: None  # noqa: E731
-    for module in (box_bodies, bus, laid_out_bus, lorry_parts, truck):
+    for module in (closed_bodies, bus, coaches, lorry_parts, truck):
         monkeypatch.setattr(module, "draw_upper_markers", nothing)
     monkeypatch.setattr(bus.BusBody, "lit_inside", False)
     bare = left_points(model)

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from skope.gen.mesh import Mesh, box, cross, merged
-from skope.gen.vehicles.clipping import clipped, rear_wall
 from skope.gen.vehicles.solids import barrel, beam, ladder, mudguard, pipe, prism
+from skope.gen.vehicles.triangle_cuts import clipped, rear_wall
 
 
 def volume(mesh: Mesh) -> float:

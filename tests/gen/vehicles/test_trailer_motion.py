@@ -10,8 +10,8 @@ import pytest
 from skope.gen.simulation.physics import World, at_rest
 from skope.gen.simulation.smooth_paths import Driven, drivable
 from skope.gen.towns.town import Town
+from skope.gen.traffic.demand import write_types
 from skope.gen.traffic.sumo import DEFAULT_STEP_S, Chassis, Snapshot, SumoTrailer, SumoVehicle, Traffic
-from skope.gen.traffic.sumo_vehicle_types import write_types
 from skope.gen.vehicles import trailer_motion
 from skope.gen.vehicles.fleet import fleet
 from skope.gen.vehicles.model import straight_lwh

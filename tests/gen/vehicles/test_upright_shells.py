@@ -3,7 +3,7 @@ import pytest
 
 from skope.gen.mesh import cross
 from skope.gen.vehicles.lofted_surfaces import Plan
-from skope.gen.vehicles.upright_shells import Tower
+from skope.gen.vehicles.solids import Tower
 
 
 @pytest.mark.parametrize("rounded", [0.0, 0.2])

@@ -12,14 +12,12 @@ from skope.camera.ground_plane import ground_places
 from skope.camera.model import Camera
 from skope.errors import UserError
 from skope.site.page.document_values import unique_names
-from skope.site.page.drawings import read_drawings, shapes
-from skope.site.page.error_map import error_map
-from skope.site.page.from_above import seen_from_above
-from skope.site.page.gate_checks import gate_warnings
+from skope.site.page.drawings import gate_warnings, read_drawings, shapes
+from skope.site.page.inputs import merged_document
 from skope.site.page.marks import marks_of_document
-from skope.site.page.merge_windows import merged_document
 from skope.site.page.overlays import car_edges, horizon_line, overlays
-from skope.site.page.plan import plan_scale
+from skope.site.page.plan import plan_scale, seen_from_above
+from skope.site.page.solved_page import error_map
 from tests.site.page.conftest import PLACES, SIZE, empty_document, pixels_of
 
 LEVEL = Camera.looking([0, 0, 6], yaw=math.pi / 2, pitch_down=0.3, size=(640, 360), fov=1.2)

@@ -15,7 +15,7 @@ import pytest
 
 from skope.errors import UserError
 from skope.site.page.frames import SiteFrames
-from skope.site.page.map_places import map_places
+from skope.site.page.plan import map_places
 from skope.site.page.solved_page import SolvedPage
 from skope.site.site_file import SiteFile, read_site
 from tests.site.page.conftest import CAMERA, PLACES, SIZE, Served, empty_document, marked_points, pixels_of

@@ -15,10 +15,9 @@ from numpy.typing import NDArray
 
 from skope.errors import UserError
 from skope.gen.mesh import Mesh
-from skope.gen.render.materials import GLOSS, MATERIALS
-from skope.gen.render.palette import Palette
+from skope.gen.render.materials import GLOSS, MATERIALS, Palette
 from skope.gen.render.pixel_windows import Window
-from skope.gen.scene.lamps import LAMPS
+from skope.gen.scene.recording import LAMPS
 from skope.types import Array
 
 NEAR_PLANE_M: Final = 0.3

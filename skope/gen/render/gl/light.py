@@ -17,7 +17,7 @@ from skope.camera.model import Camera
 from skope.gen.cache import Arrays
 from skope.gen.mesh import Mesh
 from skope.gen.render.daylight import Daylight
-from skope.gen.render.gl import street_lights
+from skope.gen.render.gl import ground_lights as street_lights
 from skope.gen.render.gl.context import (
     Device,
     DeviceMesh,
@@ -28,11 +28,10 @@ from skope.gen.render.gl.context import (
     projection,
     put,
 )
-from skope.gen.render.gl.street_lights import StreetLights
-from skope.gen.render.gl.water import Plane, uniforms_of
-from skope.gen.render.materials import MATERIALS
-from skope.gen.render.night.exposure import DAY_UNITS
-from skope.gen.render.palette import USUAL, Palette
+from skope.gen.render.gl.ground_lights import StreetLights
+from skope.gen.render.gl.wet_ground import Plane, uniforms_of
+from skope.gen.render.materials import MATERIALS, USUAL, Palette
+from skope.gen.render.night_camera import DAY_UNITS
 from skope.gen.scene.conditions import Conditions
 from skope.types import Array
 

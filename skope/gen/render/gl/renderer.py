@@ -17,14 +17,13 @@ from numpy.typing import NDArray
 
 from skope.gen.render.frame import RenderedFrame, Silhouette
 from skope.gen.render.gl.background import SCALE, light_the_scenery
-from skope.gen.render.gl.beams import Beams
 from skope.gen.render.gl.context import Device, DeviceMesh, Readback, light_projection, projection, put
-from skope.gen.render.gl.motion_blur import Moving, moving
-from skope.gen.render.gl.placed_vehicles import PARTS_DEFINITION, PlacedVehicle, Placer
-from skope.gen.render.gl.reflections import Reflections
-from skope.gen.render.gl.street_lights import MAP_RADIUS
+from skope.gen.render.gl.ground_lights import MAP_RADIUS, Beams
+from skope.gen.render.gl.placed_vehicles import PARTS_DEFINITION, Moving, PlacedVehicle, Placer, moving
+from skope.gen.render.gl.wet_ground import Reflections
 from skope.gen.render.glare import Glare
-from skope.gen.render.night.night_camera import NightCamera
+from skope.gen.render.lit_lamps import light_signals, light_signals_linear
+from skope.gen.render.night_camera import NightCamera
 from skope.gen.render.pixel_windows import (
     CONTACT,
     Window,
@@ -37,7 +36,6 @@ from skope.gen.render.pixel_windows import (
     union,
 )
 from skope.gen.render.spray import Spray
-from skope.gen.render.traffic_lights import light_signals, light_signals_linear
 from skope.gen.scene.recording import Recording
 from skope.gen.scenery.build import scenery
 from skope.gen.vehicles.model import TRAILER_PART

@@ -61,7 +61,7 @@ void leaf_color(vec3 p, inout vec3 color) {
 
 #ifdef PATTERNS
 uniform vec4 u_pattern_first[MATERIAL_COUNT];   // linear colour; w: size, metres
-uniform vec4 u_pattern_second[MATERIAL_COUNT];  // linear colour; w: motif (see palette.py) and turn, 0 for no pattern
+uniform vec4 u_pattern_second[MATERIAL_COUNT];  // linear colour; w: motif (see materials.py) and turn, 0 for no pattern
 
 // The material's random pattern of two colours, worn as much as its own colour is.
 vec3 patterned(vec2 at, float footprint, vec3 own) {

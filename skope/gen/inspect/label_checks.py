@@ -1,0 +1,211 @@
+"""Findings on labels, one at a time: boxes and masks of road users of any category, and keypoints of vehicles; against
+the image, each other, the camera and depth."""
+
+import itertools
+from collections.abc import Iterator
+from typing import Any, Final
+
+import numpy as np
+from pycocotools import mask as coco_mask
+
+from skope import keypoints
+from skope.camera.model import Camera
+from skope.gen.labels.visibility import POINT_TOLERANCE, SLOPE_CAP
+from skope.pictures.draw import visible_mask
+from skope.schema import Annotation, Image, Labelled, RoadUser, far_outside
+from skope.types import AnyFloats
+
+BOX_PX: Final = 1.0
+"""Boxes are of silhouettes at pixel centres, masks too."""
+DISTANCE_M: Final = 0.05
+LIMBS_M: Final = 0.6
+"""Arms, legs and loads reach out of the 3D box of a body at rest, metres."""
+DEPTH_LIMIT: Final = 250.0
+"""Depth files end soon after this, metres."""
+REPROJECTION_PX = 0.1
+OUTSIDE_M = 0.35
+"""Mirrors stand out of the box, metres."""
+BEND_RAD = 0.01
+"""Difference between an articulated vehicle's angle and what its rear wheels say that rounding explains, radians."""
+SHARP_PX = 40.0
+"""Vehicles whose box is smaller than this may have points hidden by what is smaller than a pixel."""
+DOUBT = 0.015
+"""Metres by which the depth file must contradict a flag before it counts: 1 cm, and what rounding takes."""
+
+
+def box_findings(image: Image, label: Labelled) -> Iterator[str]:
+    """The boxes against the image's edges, and the numbers of pixels."""
+    boxes = {"bbox": label.bbox, "bbox_visible": label.bbox_visible}
+    for name, box in boxes.items():
+        if box is not None and ((box[:2] < 0).any() or (box[:2] + box[2:] > [image.width, image.height]).any()):
+            yield f"{name}: reaches out of the image"
+    if not label.ignored and label.bbox[2:].min() <= 0:
+        yield f"bbox: has no area: width {label.bbox[2]:g}, height {label.bbox[3]:g}"
+    if label.area_full is not None and label.area > label.area_full:
+        yield "area: more visible pixels than the whole silhouette has"
+
+
+def mask_findings(image: Image, label: Labelled) -> Iterator[str]:
+    """The visible pixels against `area` and `bbox_visible`."""
+    rle = label.segmentation
+    if not isinstance(rle, dict):
+        return
+    if list(rle.get("size", [])) != [image.height, image.width]:
+        yield f"segmentation.size: is {rle.get('size')}, expected {[image.height, image.width]}"
+        return
+    try:
+        mask = coco_mask.decode({**rle, "counts": str(rle["counts"]).encode()})
+    except Exception as error:  # pycocotools raises what it likes
+        yield f"segmentation.counts: cannot be decoded: {error}"
+        return
+    area = int(mask.sum())
+    if area != round(label.area):
+        yield f"segmentation: has {area} pixels, area says {label.area:g}"
+    if area and label.bbox_visible is not None:
+        rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
+        tight = np.array([columns[0], rows[0], columns[-1] - columns[0] + 1, rows[-1] - rows[0] + 1])
+        if np.abs(tight - label.bbox_visible).max() > BOX_PX:
+            yield f"bbox_visible: is {label.bbox_visible.tolist()}, the mask's is {tight.tolist()}"
+        low, size = label.bbox[:2], label.bbox[2:]
+        if (tight[:2] < low - BOX_PX).any() or (tight[:2] + tight[2:] > low + size + BOX_PX).any():
+            yield "bbox: visible pixels lie outside"
+
+
+def box_3d_findings(camera: Camera | None, label: Labelled) -> Iterator[str]:
+    """The 3D box by itself, and its distance from the camera."""
+    box = label.box_3d
+    if box is None:
+        return
+    if (box.size_lwh <= 0).any():
+        yield "box_3d.size_lwh: is not positive"
+    if np.abs(box.R @ box.R.T - np.eye(3)).max() > 1e-6 or np.linalg.det(box.R) < 0:
+        yield "box_3d.R: is no rotation"
+        return
+    turned = np.arctan2(box.R[1, 0], box.R[0, 0]) - box.yaw
+    if abs(wrapped(turned)) > 1e-4:
+        yield f"box_3d.yaw: is {box.yaw:.4f}, R says {box.yaw + turned:.4f}"
+    if camera is not None and label.distance is not None:
+        away = float(np.linalg.norm(camera.to_camera(box.center)))
+        if abs(away - label.distance) > DISTANCE_M:
+            yield f"distance: is {label.distance:.2f} m, the box's centre is {away:.2f} m away"
+
+
+def depth_findings(depth: AnyFloats, camera: Camera, user: RoadUser) -> Iterator[str]:
+    """The depth of the visible pixels against the 3D box: another mask than that of this body shows another depth."""
+    visible = visible_mask(user)
+    if visible is None or user.box_3d is None or visible.shape != depth.shape:
+        return
+    middle = float(np.median(depth[visible])) if visible.any() else np.inf
+    z = float(camera.to_camera(user.box_3d.center)[2])
+    reach = float(np.linalg.norm(user.box_3d.size_lwh)) / 2 + LIMBS_M
+    if max(middle, z) < DEPTH_LIMIT and abs(middle - z) > reach:
+        yield f"segmentation: the depth file shows {middle:.2f} m where the box's centre is at {z:.2f} m"
+
+
+def wrapped(angle: Any) -> Any:
+    """An angle brought into -pi to pi, radians."""
+    return np.arctan2(np.sin(angle), np.cos(angle))
+
+
+def keypoint_findings(image: Image, annotation: Annotation) -> Iterator[str]:
+    x, y, v = annotation.keypoints.T
+    if ((v > 0) & ((x < 0) | (y < 0) | (x >= image.width) | (y >= image.height))).any():
+        yield "keypoints: a labelled point lies outside the image"
+    if ((v == 0) & ((x != 0) | (y != 0))).any():
+        yield "keypoints: v = 0 with coordinates"
+    # Of a point in the outermost pixels the part that holds it may lie beyond the image, and so in no box.
+    inner = (x >= 1) & (y >= 1) & (x < image.width - 1) & (y < image.height - 1)
+    for k in np.flatnonzero(far_outside(annotation) & (v == 2) & inner):
+        yield f"keypoints: point {k} is called visible at {x[k]:g}, {y[k]:g}, far outside of its vehicle's box"
+
+
+def keypoint_3d_findings(annotation: Annotation) -> Iterator[str]:
+    """The keypoints in the world against the 3D box, and an articulated vehicle's angle."""
+    box = annotation.box_3d
+    if box is None or annotation.keypoints_3d is None:
+        return
+    own = (annotation.keypoints_3d - box.center) @ box.R
+    if (np.abs(own) > box.size_lwh / 2 + OUTSIDE_M).any():
+        yield "keypoints_3d: a point lies far outside box_3d"
+    if annotation.articulation is not None:
+        # The trailer's rearmost axle points to its left.
+        right, left = annotation.keypoints_3d[list(keypoints.WHEELS[2:])]
+        bend = float(wrapped(np.arctan2(*(left - right)[[1, 0]]) - np.pi / 2 - box.yaw))
+        if abs(wrapped(bend - annotation.articulation)) > BEND_RAD:
+            yield f"articulation: is {annotation.articulation:.4f}, the rear wheels of keypoints_3d say {bend:.4f}"
+
+
+def projection_findings(camera: Camera, annotation: Annotation) -> Iterator[str]:
+    assert annotation.keypoints_3d is not None
+    pixels, _, valid = camera.project(annotation.keypoints_3d)
+    labelled = annotation.keypoints[:, 2] > 0
+    error = np.abs(np.nan_to_num(pixels, nan=np.inf) - annotation.keypoints[:, :2]).max(axis=1)
+    for k in np.flatnonzero(labelled & ~(error <= REPROJECTION_PX)):
+        yield f"keypoints: {keypoints.NAMES[k]} is {error[k]:.2f} px from where keypoints_3d projects"
+    edge = np.nan_to_num(pixels, nan=-1e9)
+    well_inside = (edge > 0.1).all(1) & (edge < [camera.width - 0.1, camera.height - 0.1]).all(1)
+    for k in np.flatnonzero(~labelled & valid & well_inside):
+        yield f"keypoints: {keypoints.NAMES[k]} projects into the image but has v = 0"
+
+
+def _gaps(depth: AnyFloats, camera: Camera, points: AnyFloats) -> AnyFloats:
+    """Distances of points (..., 3) behind what the 3 x 3 pixels around them show (9, ...), metres; NaN outside."""
+    pixels, _, valid = camera.project(points)
+    seen = valid & camera.inside(pixels)
+    at = np.floor(np.where(seen[..., None], pixels, 0.0)).astype(int)
+    distance = np.linalg.norm(camera.to_camera(points), axis=-1)
+    out = []
+    for down, right in itertools.product((-1, 0, 1), repeat=2):
+        columns = np.clip(at[..., 0] + right, 0, camera.width - 1)
+        rows = np.clip(at[..., 1] + down, 0, camera.height - 1)
+        rays, _ = camera.rays(np.stack([columns, rows], axis=-1) + 0.5)
+        shown = depth[rows, columns] * np.linalg.norm(rays, axis=-1)
+        out.append(np.where(seen, distance - shown, np.nan))
+    return np.stack(out)
+
+
+def _tested_places(annotation: Annotation) -> AnyFloats:
+    """(C, 33, 3) places where each point's visibility may have been tested.
+
+    A wheel is tested at the middle of its outer face, which the annotation does not hold: half a wheel's width out
+    along an axle that may be steered.
+    """
+    assert annotation.keypoints_3d is not None
+    if annotation.box_3d is None:
+        return annotation.keypoints_3d[None]
+    R, bend = annotation.box_3d.R, annotation.articulation or 0.0
+    # The rear wheels of an articulated vehicle are its trailer's.
+    bends = np.array([[0.0], [0.0], [bend], [bend]])
+    forward = np.cos(bends) * R[:, 0] + np.sin(bends) * R[:, 1]
+    left = np.cos(bends) * R[:, 1] - np.sin(bends) * R[:, 0]
+    side = np.array([[-1.0], [1.0], [-1.0], [1.0]])
+    places = []
+    for out, turn in itertools.product((0.09, 0.11, 0.13, 0.15), (-0.6, -0.3, 0.0, 0.3, 0.6)):
+        points = annotation.keypoints_3d.copy()
+        points[list(keypoints.WHEELS)] += side * out * (np.cos(turn) * left - np.sin(turn) * forward)
+        places.append(points)
+    return np.stack(places)
+
+
+def visibility_findings(depth: AnyFloats, camera: Camera, annotation: Annotation) -> Iterator[str]:
+    """Flags that no pixel near the point bears out.
+
+    The file is rounded and has no slope, for which a point that is called visible was allowed: here the spread of the
+    pixels around it stands for that. A point that none of them hides is visible without any allowance, but what hides
+    a point of a small vehicle may be smaller than a pixel. Of a wheel at the image's edge nobody can say where it was
+    tested.
+    """
+    assert annotation.keypoints_3d is not None
+    gaps = _gaps(depth, camera, _tested_places(annotation)).reshape(-1, keypoints.K)
+    least, most = np.fmin.reduce(gaps), np.fmax.reduce(gaps)
+    at_edge = np.isnan(gaps).any(axis=0)
+    with np.errstate(invalid="ignore"):
+        doubt = DOUBT + np.minimum(np.nan_to_num(most - least, nan=SLOPE_CAP, posinf=SLOPE_CAP), SLOPE_CAP)
+    v = annotation.keypoints[:, 2]
+    near = (np.linalg.norm(camera.to_camera(annotation.keypoints_3d), axis=1) < DEPTH_LIMIT) & ~at_edge
+    for k in np.flatnonzero(near & (v == 2) & (least > POINT_TOLERANCE + doubt)):
+        yield f"keypoints: {keypoints.NAMES[k]} has v = 2, but the depth file shows {least[k]:.2f} m less"
+    for k in np.flatnonzero(
+        near & (annotation.bbox[2:].max() >= SHARP_PX) & (v == 1) & (most < POINT_TOLERANCE - DOUBT)
+    ):
+        yield f"keypoints: {keypoints.NAMES[k]} has v = 1, but the depth file shows nothing before it"

@@ -1,0 +1,266 @@
+"""A page to look at a dataset: a gallery of few of its images with their filters, numbers and plots, and the card."""
+
+import math
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from html import escape
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skope import keypoints
+from skope.dataset.folder import Dataset
+from skope.errors import UserError
+from skope.files.atomic import write_text
+from skope.gen.inspect.report_layers import LAYER_TITLES, SHOWN, figure, filter_kind
+from skope.gen.inspect.stats import SplitStats, rows, split_stats
+from skope.gen.output import card_text
+from skope.keypoints import Scheme
+from skope.page import html_document
+from skope.page.charts import Axes, Line, histogram
+from skope.page.html_pieces import percent_text, share_bar, table, tag
+from skope.page.image_viewer import switches
+from skope.page.vehicle_outline import Point, outline
+from skope.schema import Annotation, AnnotationFile, Image, RoadUser
+from skope.terminal.console import Console
+
+_BAND_COUNT: Final = 20
+
+
+@dataclass(frozen=True)
+class Spread:
+    """Ground truth of a split, as the plots show it."""
+
+    distance_m: NDArray[np.float64]
+    height_px: NDArray[np.float64]
+    hidden: NDArray[np.float64]
+    visible: NDArray[np.int64]
+    """(33,) of how many vehicles each keypoint is visible."""
+    vehicles: int
+    weather: Mapping[str, int]
+    """Images."""
+    types: Mapping[str, int]
+    """Vehicles."""
+
+
+def spread_of(file: AnnotationFile) -> Spread:
+    """The values that the plots show, of the ground truth of a split's file."""
+    known = [a for a in file.annotations if not a.ignored]
+    visible = np.array([a.keypoints[:, 2] == 2 for a in known], dtype=np.int64).reshape(-1, keypoints.K)
+    return Spread(
+        distance_m=_known_values(known, lambda a: a.distance),
+        height_px=_known_values(known, lambda a: float(a.bbox[3])),
+        hidden=_known_values(known, lambda a: a.occlusion),
+        visible=visible.sum(axis=0),
+        vehicles=len(known),
+        weather=Counter(image.weather or "unknown" for image in file.images),
+        types=Counter(a.vehicle_type or "unknown" for a in known),
+    )
+
+
+def _known_values(known: Sequence[Annotation], value: Callable[[Annotation], float | None]) -> NDArray[np.float64]:
+    return np.array([v for a in known if (v := value(a)) is not None], dtype=np.float64)
+
+
+def spread_plots(spreads: Mapping[str, Spread], scheme: Scheme) -> list[str]:
+    """Figures and tables, as parts of a page."""
+    distance = {split: of.distance_m for split, of in spreads.items()}
+    height = {split: of.height_px for split, of in spreads.items()}
+    hidden = {split: of.hidden for split, of in spreads.items()}
+    return [
+        *_histogram("How far vehicles are", "distance, m", distance, _axis_end(distance, 20)),
+        *_histogram("How tall their boxes are", "box height, px", height, _axis_end(height, 50)),
+        *_histogram("How much something else hides of them", "hidden share", hidden, 1.0),
+        _bars("Weather", "images", [of.weather for of in spreads.values()]),
+        _bars("Vehicle types", "vehicles", [of.types for of in spreads.values()]),
+        _visible(list(spreads.values()), scheme),
+    ]
+
+
+def _axis_end(values: Mapping[str, NDArray[np.float64]], step: float) -> float:
+    """Upper end of an axis: a multiple of `step` that all but the largest hundredth of the values lie below."""
+    every = np.concatenate(list(values.values()))
+    return max(step, math.ceil(np.quantile(every, 0.99) / step) * step) if every.size else step
+
+
+def _histogram(title: str, unit: str, values: Mapping[str, NDArray[np.float64]], end: float) -> list[str]:
+    """Bars for each split: the share of its vehicles in each band; nothing where no split has a value."""
+    bands = np.linspace(0, end, _BAND_COUNT + 1)
+    middles = ((bands[1:] + bands[:-1]) / 2).tolist()
+    lines = [
+        Line(name=f"{split} ({len(own)})", x=middles, y=(np.histogram(own, bands)[0] / len(own)).tolist())
+        for split, own in values.items()
+        if len(own)
+    ]
+    if not lines:
+        return []
+    highest = max(y for line in lines for y in line.y if y is not None)
+    top = next(step for step in (0.05, 0.1, 0.2, 0.25, 0.5, 1.0) if step >= highest)
+    axes = Axes(x_label=unit, y_label="share of vehicles", x_end=end, y_end=top)
+    return [histogram(title, axes, lines)]
+
+
+def _bars(title: str, unit: str, groups: Sequence[Mapping[str, int]]) -> str:
+    counts = sum((Counter(group) for group in groups), Counter())
+    total = max(1, counts.total())
+    if len(counts) == 1:
+        ((name, count),) = counts.items()
+        return tag("p", tag("b", escape(f"{title}: ")), escape(f"{name} ({count} {unit})"))
+    rows = [[escape(name), str(count), share_bar(count / total)] for name, count in counts.most_common()]
+    return table((title.lower(), unit, "%"), rows, caption=title, sortable=True)
+
+
+def _visible(spreads: Sequence[Spread], scheme: Scheme) -> str:
+    seen, vehicles = sum(of.visible for of in spreads), sum(of.vehicles for of in spreads)
+    points = {}
+    for name, count in zip(scheme.names, np.asarray(seen).tolist(), strict=True):
+        part = count / vehicles if vehicles else None
+        points[name] = Point(
+            share=part, tip=f"visible on {count} of {vehicles}", cells=(str(count), percent_text(part))
+        )
+    title = "Share of the vehicles on which each keypoint is visible"
+    return outline(title, points, ("visible", "of vehicles"))
+
+
+def spread_out(images: Sequence[Image], count: int) -> list[int]:
+    """Places of at most `count` images, rising: as many of each split's sites as of any other, evenly over time."""
+    groups: dict[tuple[str | None, str | None], list[int]] = {}
+    for i, image in enumerate(images):
+        groups.setdefault((image.split, image.site), []).append(i)
+    own = [sorted(group, key=lambda i: _time_of_image(images[i])) for group in groups.values()]
+    chosen = [
+        group[k]
+        for group, share in zip(own, _shares_of([len(g) for g in own], count), strict=True)
+        for k in _even_places(len(group), share)
+    ]
+    return sorted(chosen)
+
+
+def _time_of_image(image: Image) -> tuple[str, int]:
+    return image.recording or "", image.frame_index or 0
+
+
+def _shares_of(sizes: Sequence[int], count: int) -> list[int]:
+    """Number of each group, as even as their sizes allow; where there are fewer than groups, some have one."""
+    if count < len(sizes):
+        having = set(_even_places(len(sizes), count))
+        return [int(k in having) for k in range(len(sizes))]
+    shares, left = [0] * len(sizes), min(count, sum(sizes))
+    while left:
+        open_ = [k for k, size in enumerate(sizes) if shares[k] < size]
+        for k in [open_[j] for j in _even_places(len(open_), min(left, len(open_)))]:
+            shares[k] += 1
+            left -= 1
+    return shares
+
+
+def _even_places(size: int, count: int) -> list[int]:
+    """`count` of `size` places, evenly spread, each the middle of its part."""
+    return [(2 * k + 1) * size // (2 * count) for k in range(count)]
+
+
+ShownImage = tuple[Image, Sequence[Annotation | RoadUser]]
+
+_FILTERS: Final = {"split": "split", "site": "site", "weather": "weather", "type": "vehicle type"}
+_HINT: Final = "Each vehicle has its own colour; point at its box, or touch it, for what is known of it."
+
+
+def write_dataset_report(dataset: Dataset, count: int, path: Path, console: Console) -> Path:
+    """Write the page with at most `count` images to `path`, and return that; splits are read one at a time."""
+    if count < 1:
+        raise UserError(f"--max-images: expected a whole number from 1, got {count}")
+    stats: dict[str, SplitStats] = {}
+    spreads: dict[str, Spread] = {}
+    candidates: list[ShownImage] = []
+    for split in console.bar(dataset.splits, unit="split", label="reading"):
+        file = dataset.read(split)
+        stats[split], spreads[split] = split_stats(dataset, file), spread_of(file)
+        own = file.labels_by_image()
+        # Files of other tools leave the split to their name.
+        images = [replace(image, split=image.split or split) for image in file.images]
+        candidates += [(images[i], own[images[i].id]) for i in spread_out(images, count)]
+    if not candidates:
+        raise UserError(f"{dataset.root}: has no images")
+    chosen = [candidates[i] for i in spread_out([image for image, _ in candidates], count)]
+    figures = [figure(dataset, *pair) for pair in console.bar(chosen, unit="image", label="drawing")]
+    write_text(path, _page(dataset, stats, spreads, chosen, figures))
+    return path
+
+
+def _page(
+    dataset: Dataset,
+    stats: Mapping[str, SplitStats],
+    spreads: Mapping[str, Spread],
+    chosen: Sequence[ShownImage],
+    figures: Sequence[str],
+) -> str:
+    total = sum(of.images for of in stats.values())
+    shown = f"{len(chosen)} of {total} images" if len(chosen) < total else f"All {total} images"
+    how = (
+        ", spread evenly over splits, sites and recordings. Numbers and plots are of all."
+        if len(chosen) < total
+        else "."
+    )
+    numbers = [[escape(name.strip()), *map(escape, cells)] for name, cells in rows(stats)]
+    return html_document(
+        f"skope gen: {dataset.root.resolve().name}",
+        tag("h1", card_text.TITLE),
+        tag("p", tag("b", escape(dataset.root.resolve().name)), escape(f": {card_text.card_summary(dataset.card)}")),
+        tag(
+            "section",
+            tag("h2", "Images"),
+            tag("p", escape(f"{shown}{how} {_HINT}")),
+            tag("div", _controls(chosen), *figures, class_="gallery"),
+        ),
+        tag(
+            "section",
+            tag("h2", "Numbers"),
+            table(("", *stats), numbers, caption="Of ground truth; distance and height: median and quartiles"),
+            tag("div", *spread_plots(spreads, dataset.scheme), class_="grid"),
+        ),
+        tag("section", card_text.html(dataset.card)),
+    )
+
+
+def _controls(chosen: Sequence[ShownImage]) -> str:
+    filters = "".join(
+        _select(key, words, counts) for key, words in _FILTERS.items() if len(counts := _kinds(key, chosen)) > 1
+    )
+    status = tag("output", f"{len(chosen)} images", class_="count")
+    parts = [switches("Layers", {name: words for name, words in LAYER_TITLES.items() if _has(name, chosen)}, SHOWN)]
+    parts.append(tag("fieldset", tag("legend", "Filters"), filters, status, class_="choices filters"))
+    return tag("div", *parts, class_="controls")
+
+
+def _select(key: str, words: str, counts: Mapping[str, int]) -> str:
+    """A choice among what the images are of, with how many are."""
+    options = [tag("option", "all", value="")]
+    options += [tag("option", escape(f"{name} ({count})"), value=name) for name, count in sorted(counts.items())]
+    return tag("label", escape(f"{words} "), tag("select", *options, data_filter=key))
+
+
+def _kinds(key: str, chosen: Sequence[ShownImage]) -> Counter[str]:
+    """Number of images of each value that a filter has."""
+    counts = Counter[str]()
+    for image, labels in chosen:
+        if key == "type":
+            counts.update({filter_kind(label) for label in labels if not label.ignored})
+        else:
+            counts.update(filter(None, [getattr(image, key)]))
+    return counts
+
+
+def _has(layer: str, chosen: Sequence[ShownImage]) -> bool:
+    """Whether any image has something to show on a layer."""
+    every = [label for _, labels in chosen for label in labels]
+    return {
+        "boxes": True,
+        "points": True,
+        "boxes3d": any(label.box_3d is not None for label in every),
+        "masks": any(isinstance(label.segmentation, Mapping) for label in every),
+        "depth": any(image.depth_file_name for image, _ in chosen),
+        "ignored": any(label.ignored for label in every),
+    }[layer]

@@ -1,0 +1,211 @@
+"""Lamps that light the ground, as maps: street lights, and which of them count for a camera; the headlights of vehicles
+around the middle of the view, drawn anew in each frame."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skope.camera.model import Camera
+from skope.gen.render.daylight import Daylight
+from skope.gen.render.gl.context import FAR_PLANE_M, Device, projection
+from skope.gen.render.gl.placed_vehicles import PlacedVehicle
+from skope.gen.render.lit_lamps import has_headlights
+from skope.gen.render.pixel_windows import beam_corners, beam_hull_of
+from skope.gen.scene.conditions import Conditions
+from skope.gen.scene.recording import LAMPS
+from skope.types import Array
+
+MOST_LAMPS: Final = 64
+"""Lamps that light the scenery."""
+MOST_POOLS: Final = 4
+"""Patches of light on the road that a camera's view has at most."""
+CELLS: Final = 3
+"""Shadow maps side by side in a texture, on each axis: the nearest lamps throw shadows."""
+CELL: Final = 1024
+"""Texels of each, on each side."""
+OPTIONS: Final = ("LAMPS", f"MOST_LAMPS {MOST_LAMPS}", f"SHADOWED_LAMPS {CELLS**2}", f"LAMP_CELLS {CELLS}")
+POOL_OPTIONS: Final = ("POOLS", f"MOST_POOLS {MOST_POOLS}")
+LAMP_MAP_PX: Final = 256
+MAP_RADIUS: Final = 128.0
+"""The map on the ground reaches so far from the middle of the view, metres."""
+_LIT_WITHIN_M: Final = 240.0
+_OWN: Final = 22.0
+"""Radiant intensity of a camera's infrared lamp."""
+_INFRARED_SHARE: Final = 0.35
+"""Share of a street light's light that an infrared camera sees."""
+_LAMP_HEIGHT_M: Final = 7.0
+"""Distance below the lamps that the light map is computed for, metres: a metre over the road."""
+_CONE_TANGENT: Final = np.tan(np.radians(75))
+
+
+@dataclass(frozen=True, eq=False)
+class StreetLights:
+    positions: Array
+    """(N, 3) places relative to the camera, metres; the nearest to what the camera looks at first."""
+    intensity: Array
+    """(3,) radiant intensity of each lamp, red, green and blue."""
+    own: float
+    """Radiant intensity of the camera's own infrared lamp."""
+    middle: Array
+    """(3,) middle of the light map, relative to the camera, metres."""
+
+    @classmethod
+    def of(
+        cls, lamps: Array, camera: Camera, conditions: Conditions, daylight: Daylight, middle: Array
+    ) -> "StreetLights":
+        """The street lights that are lit where a camera looks."""
+        infrared = daylight.dark and conditions.infrared >= 0.5
+        intensity = daylight.street_light * (_INFRARED_SHARE if infrared else 1.0)
+        offsets = lamps - camera.position if intensity.any() else np.zeros((0, 3))
+        ahead = 0.6 * middle[:2]
+        away = np.linalg.norm(offsets[:, :2] - ahead, axis=1)
+        order = away.argsort(kind="stable")[:MOST_LAMPS]
+        return cls(offsets[order[away[order] < _LIT_WITHIN_M]], intensity, _OWN if infrared else 0.0, middle)
+
+    @property
+    def uniforms(self) -> dict[str, Any]:
+        padded = np.zeros((MOST_LAMPS, 4))
+        padded[: len(self.positions), :3] = self.positions
+        maps = np.zeros((CELLS**2, 4, 4))
+        for k in range(self.shadowed):
+            maps[k] = _CLIP_TO_TEXTURE @ self.clip(k)
+        return {
+            "u_street_light": self.intensity,
+            "u_luminaires": padded.astype("f4").tobytes(),
+            "u_lamp_count": len(self.positions),
+            "u_lamp_map_from": maps,
+            "u_shadowed": self.shadowed,
+            "u_own_lamp": self.own,
+        }
+
+    @property
+    def shadowed(self) -> int:
+        return min(len(self.positions), CELLS**2)
+
+    def clip(self, k: int) -> Array:
+        """World axes, relative to the camera -> clip space of a lamp that looks straight down."""
+        T = np.diag([1.0, -1.0, -1.0, 1.0])
+        T[:3, 3] = -T[:3, :3] @ self.positions[k]
+        K = np.array([[1 / _CONE_TANGENT, 0, 1], [0, 1 / _CONE_TANGENT, 1], [0, 0, 1]])
+        return projection(K, (0, 0, 2, 2)) @ T
+
+    def on_ground(self) -> NDArray[np.float16]:
+        """The light's vector around `middle`: each lamp's direction times its irradiance, north down.
+
+        (LAMP_MAP_PX, LAMP_MAP_PX, 4): an unlit fourth channel makes texels of a size that every device takes.
+        """
+        side = (np.arange(LAMP_MAP_PX) + 0.5) / LAMP_MAP_PX * 2 * MAP_RADIUS - MAP_RADIUS
+        x, y = np.meshgrid(side + self.middle[0], side + self.middle[1])
+        out = np.zeros((LAMP_MAP_PX, LAMP_MAP_PX, 4))
+        for lamp in self.positions:
+            to = np.stack([lamp[0] - x, lamp[1] - y, np.full_like(x, _LAMP_HEIGHT_M)], axis=-1)
+            square = (to**2).sum(-1, keepdims=True)
+            to /= np.sqrt(square)
+            up = to[..., 2:]
+            # As `luminaire` in lamps.glsl.
+            share = np.clip((up - 0.2) / 0.22, 0, 1)
+            out[..., :3] += to * share * share * (3 - 2 * share) * (2.1 - 1.6 * up) / square
+        return out.astype(np.float16)
+
+    def mean(self, vectors: NDArray[np.float16]) -> Array:
+        """(3,) irradiance on the road in view."""
+        half = LAMP_MAP_PX // 6
+        upward = vectors[
+            LAMP_MAP_PX // 2 - half : LAMP_MAP_PX // 2 + half, LAMP_MAP_PX // 2 - half : LAMP_MAP_PX // 2 + half, 2
+        ].astype(np.float64)
+        own = self.own * 0.35 / 14.0**2 * np.ones(3)
+        return np.asarray(self.intensity * upward.mean() + own)
+
+
+def pool_uniforms(pools: Array, camera: Camera, middle: Array) -> dict[str, Any]:
+    """Uniforms of the patches of light that are nearest to what a camera looks at.
+
+    Args:
+        pools: (N, 10) patches, as `Scenery.light_pools` has them.
+        camera: The camera.
+        middle: (3,) middle of its view, relative to it, metres.
+    """
+    from_camera = pools[:, :3] - camera.position
+    order = np.linalg.norm((from_camera - middle)[:, :2], axis=1).argsort(kind="stable")[:MOST_POOLS]
+    places, shapes, light = np.zeros((3, MOST_POOLS, 4))
+    shapes[:, :2] = 1.0
+    for k, i in enumerate(order.tolist()):
+        places[k] = *from_camera[i, :2], *pools[i, 3:5]
+        shapes[k, :3] = *pools[i, 5:7], from_camera[i, 2]
+        light[k, :3] = pools[i, 7:]
+    named = {"u_pools": places, "u_pool_shapes": shapes, "u_pool_light": light}
+    return {name: values.astype("f4").tobytes() for name, values in named.items()}
+
+
+_CLIP_TO_TEXTURE: Final = np.array([[0.5, 0, 0, 0.5], [0, 0.5, 0, 0.5], [0, 0, 0.5, 0.5], [0, 0, 0, 1.0]])
+assert FAR_PLANE_M > _LIT_WITHIN_M
+
+
+BEAM_IRRADIANCE: Final = 0.06
+"""Irradiance of the road right before a headlight, where nothing weakens it, in the units of `Daylight`."""
+BEAM_REACH_M: Final = 40.0
+"""Reach of headlights on the road, metres."""
+WASH_IRRADIANCE: Final = 0.02
+"""Irradiance of the road behind a vehicle by its tail lamps, in the same units."""
+WASH_REACH_M: Final = 12.0
+"""Reach of rear lamps on the road, metres."""
+_BRAKING: Final = 3.0
+"""How much more of it brake lamps give."""
+SHADOW_MAP_PX: Final = 1024
+_BEAM_COLOR: Final = np.array([1.0, 0.95, 0.86])
+_BRAKE_COLOR: Final = np.array([1.0, 0.05, 0.06])
+
+
+class Beams:
+    def __init__(self, device: Device, middle: Array, radius: float, exposure: Array) -> None:
+        """The map reaches `radius` around `middle` (world), metres."""
+        self._device, self._middle, self._radius = device, middle, radius
+        self._target = device.target((SHADOW_MAP_PX, SHADOW_MAP_PX), ["2f2"], depth=False)
+        (self.texture,) = self._target.color_attachments
+        self.texture.filter = (device.gl.LINEAR, device.gl.LINEAR)
+        self.texture.repeat_x = self.texture.repeat_y = False
+        self.uniforms: dict[str, Any] = {
+            "u_beam": BEAM_IRRADIANCE,
+            "u_beam_light": BEAM_IRRADIANCE * exposure * _BEAM_COLOR / np.pi,
+            "u_wash_light": WASH_IRRADIANCE * exposure * _BRAKE_COLOR / np.pi,
+        }
+
+    def draw(self, placed: Sequence[PlacedVehicle], camera: Camera) -> list[Array]:
+        """Draw the beams of those whose lamps are lit; returns polygons in the image around what they may light."""
+        device = self._device
+        lit = [one for one in placed if one.look["u_lamps"] & LAMPS["low_beam"] and has_headlights(one.vehicle)]
+        self._target.use()
+        self._target.clear(0, 0, 0, 0)
+        if not lit:
+            return []
+        device.context.enable_only(device.gl.BLEND)
+        device.context.blend_func = device.gl.ONE, device.gl.ONE
+        hulls = []
+        # A trailer hides its tractor's rear lamps.
+        for reach, some, options in (
+            (BEAM_REACH_M, lit, ()),
+            (-WASH_REACH_M, [one for one in lit if one.vehicle.trailer is None], ("WASH",)),
+        ):
+            program = device.program("contact.vert.glsl", "beam.frag.glsl", *options)
+            if some:
+                corners = np.concatenate([self._beam_triangles(one, reach) for one in some])
+                device.triangles(program, corners, "2f 2f 3f", "in_at", "in_local", "in_size")
+            hulls += [beam_hull_of(one.vehicle, one.T_world_chassis, camera, reach) for one in some]
+        return hulls
+
+    def _beam_triangles(self, one: PlacedVehicle, reach: float) -> NDArray[np.float32]:
+        """(6, 7) corners of two triangles around the road that a vehicle lights.
+
+        Columns: place in the map (2), place ahead of the bumper (2), how far its light reaches, half its width, its
+        height. With a negative `reach` it is the road behind it, and in place of the reach stands the lamps' strength.
+        """
+        length, width, height = one.vehicle.size_lwh
+        local = beam_corners(reach)[[0, 1, 2, 0, 2, 3]]
+        T = one.T_world_chassis
+        world = (local + [np.copysign(length / 2, reach), 0]) @ T[:2, :2].T + T[:2, 3]
+        strength = _BRAKING if one.look["u_lamps"] & LAMPS["brake"] else 1.0
+        size = np.tile([reach if reach > 0 else strength, width / 2, height], (6, 1))
+        return np.column_stack([(world - self._middle[:2]) / self._radius, local, size]).astype(np.float32)

@@ -1,0 +1,133 @@
+"""Wet ground: the plane of the road, in which it mirrors what stands on it, and the vehicles' mirror images, drawn half
+as fine as the image."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from skope.camera.model import Camera
+from skope.gen.render.gl.context import Device, projection, put
+from skope.gen.render.gl.placed_vehicles import PARTS_DEFINITION, PlacedVehicle
+from skope.gen.render.pixel_windows import TILE, mirror_hull_of, tile_runs, tiles
+from skope.types import Array
+
+_NEAR_ROAD: Final = 45.0
+"""Depth up to which the plane is fitted to the ground, metres."""
+_LEVEL_NORMAL_Z: Final = 0.97
+"""Least z of the normal of what is taken for ground."""
+
+
+@dataclass(frozen=True, eq=False)
+class Plane:
+    normal: Array
+    """(3,) unit normal, upwards."""
+    distance: float
+    """Height of the camera over the plane, metres."""
+
+    @property
+    def uniform(self) -> Array:
+        return np.array([*self.normal, self.distance])
+
+    @property
+    def mirror(self) -> Array:
+        """(4, 4) reflection in it, in world axes relative to the camera."""
+        out = np.eye(4)
+        out[:3, :3] -= 2 * np.outer(self.normal, self.normal)
+        out[:3, 3] = -2 * self.distance * self.normal
+        return out
+
+
+def plane_of(camera: Camera, depth: NDArray[np.float32], slope: NDArray[np.float32]) -> Plane:
+    """The plane nearest to the level ground in view; below the camera when there is none.
+
+    `depth` (H, W) is +inf for sky; `slope` (H, W, 2) its change per pixel.
+    """
+    step = max(1, camera.width // 160)
+    z, dz = depth[::step, ::step].astype(np.float64), slope[::step, ::step].astype(np.float64)
+    rows, columns = np.mgrid[: depth.shape[0] : step, : depth.shape[1] : step]
+    rays, _ = camera.rays(np.stack([columns, rows], axis=-1) + 0.5)
+    near = z < _NEAR_ROAD
+    rays, z, dz = rays[near], z[near], dz[near]
+    focal = camera.K[[0, 1], [0, 1]]
+    right = rays * dz[:, :1] + z[:, None] * np.array([1 / focal[0], 0, 0])
+    down = rays * dz[:, 1:] + z[:, None] * np.array([0, 1 / focal[1], 0])
+    R = camera.T_camera_world[:3, :3]
+    normals = np.cross(down, right) @ R
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+    points = (rays * z[:, None] @ R)[np.abs(normals[:, 2]) > _LEVEL_NORMAL_Z]
+    if len(points) < 30:
+        return Plane(np.array([0.0, 0.0, 1.0]), float(camera.position[2]))
+    design = np.column_stack([points[:, :2], np.ones(len(points))])
+    kept = np.abs(points[:, 2] - np.median(points[:, 2])) < 3.0
+    for _ in range(4):
+        solution = np.linalg.lstsq(design[kept], points[kept, 2], rcond=None)[0]
+        off = np.abs(design @ solution - points[:, 2])
+        kept = off < max(0.1, float(np.quantile(off[kept], 0.8)))
+    normal = np.array([-solution[0], -solution[1], 1.0])
+    length = float(np.linalg.norm(normal))
+    return Plane(normal / length, float(-solution[2] / length))
+
+
+def uniforms_of(plane: Plane) -> dict[str, Any]:
+    return {"u_plane": plane.uniform}
+
+
+BLUR: Final = 64
+"""Blur of a mirror image up and down by water in an image 1920 pixels wide (see blur.glsl), pixels."""
+MIRRORED_WITHIN_M: Final = 90.0
+"""Vehicles farther from the camera than this are not mirrored, metres."""
+
+
+class Reflections:
+    def __init__(self, device: Device, camera: Camera, road: Plane, scenery_depth: Any, *options: str) -> None:
+        """`scenery_depth` is a texture of what hides vehicles in the mirror."""
+        self._device, self._camera, self._road, self._options = device, camera, road, options
+        self._target = device.target(scenery_depth.size, ["4f2"])
+        (self.texture,) = self._target.color_attachments
+        self.texture.filter = (device.gl.LINEAR, device.gl.LINEAR)
+        self.texture.repeat_x = self.texture.repeat_y = False
+        self._scenery_depth = scenery_depth
+        turn = np.eye(4)
+        turn[:3, :3] = camera.T_camera_world[:3, :3]
+        image = projection(camera.K, (0, 0, camera.width, camera.height))
+        self._uniforms = {
+            "u_plane": road.uniform,
+            "u_viewer": road.mirror[:3, 3],
+            "u_project": image @ turn @ road.mirror,
+        }
+
+    def draw(
+        self, placed: Sequence[PlacedVehicle], uniforms: Mapping[str, Any], units: Mapping[str, Any]
+    ) -> NDArray[np.bool_]:
+        """Draw mirror images; returns the tiles of the image that they may touch once they are blurred.
+
+        `uniforms` are the vehicles' own, `units` how many textures are bound for them.
+        """
+        device, camera = self._device, self._camera
+        size = (camera.width, camera.height)
+        near = [one for one in placed if one.distance < MIRRORED_WITHIN_M]
+        hulls = [mirror_hull_of(one.vehicle, one.T_world_parts, camera, self._road.mirror) for one in near]
+        reach = -(-round(BLUR * size[0] / 1920) // TILE)
+        around = cv2.dilate(tiles(hulls, size).astype(np.uint8), np.ones((2 * reach + 1, 3), np.uint8)) > 0
+        # The blur looks beyond these tiles too.
+        self._target.clear(0, 0, 0, 0)
+        half = [(x0 // 2, y0 // 2, -(-x1 // 2), -(-y1 // 2)) for x0, y0, x1, y1 in tile_runs(around, size)]
+        unit = len(units)
+        self._scenery_depth.use(unit)
+        own = {**uniforms, "u_size": list(self._target.size), "u_scenery": unit}
+        device.prepare(self._target, half, own, "SCENERY", "STEP 1")
+        device.context.enable_only(device.gl.DEPTH_TEST | device.gl.CULL_FACE)
+        device.context.front_face = "ccw"
+        program = device.program(
+            "vehicle.vert.glsl", "vehicle.frag.glsl", PARTS_DEFINITION, "REFLECTION", *self._options
+        )
+        put(program, {**uniforms, **self._uniforms})
+        for one in near:
+            put(program, {**one.matrices, "u_model": one.matrices["u_world"], **one.look})
+            one.coarse.draw(program)
+        device.context.front_face = "cw"
+        return np.asarray(around)

@@ -1,0 +1,205 @@
+"""Lamps that are lit: those of traffic lights, drawn over a rendered image; which street lights burn where only a share
+of them do; those of vehicles, where they are on a body and which of them are lit."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any, Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from skope.camera.model import Camera
+from skope.gen.mesh import Mesh
+from skope.gen.scene.recording import LAMPS, Moment, body_of
+from skope.gen.scenery.build import Signal
+from skope.gen.vehicles.model import TRAILER_PART, Body
+from skope.pictures.draw import SUBPIXEL_BITS
+from skope.types import Array
+
+_LAMP_OF_STATE: Final = {"r": 0, "u": 0, "y": 1, "g": 2, "s": 2}
+"""The lamp that each of SUMO's states lights; the others light none."""
+_LAMP_COLORS: Final = ((235, 40, 30), (250, 190, 40), (40, 220, 110))
+_LAMP_RADIUS_M: Final = 0.1
+
+
+def lit_signals(
+    camera: Camera, moment: Moment, signals: tuple[Signal, ...]
+) -> Iterator[tuple[Array, Array, tuple[float, float, float]]]:
+    """Place, direction and colour of the lamps that are lit and turned to the camera."""
+    for signal, lamp in _lit_heads(camera, moment, signals):
+        red, green, blue = ((value / 255) ** 2.2 for value in _LAMP_COLORS[lamp])
+        yield signal.lamps[lamp], signal.facing, (red, green, blue)
+
+
+def _lit_heads(camera: Camera, moment: Moment, signals: tuple[Signal, ...]) -> Iterator[tuple[Signal, int]]:
+    """The heads that are turned to the camera, with their lit lamp."""
+    for signal in signals:
+        lamp = _LAMP_OF_STATE.get(moment.signals[signal.program][signal.link].lower())
+        if lamp is not None and (camera.position - signal.lamps[0]) @ signal.facing > 0:
+            yield signal, lamp
+
+
+def light_signals(
+    rgb: NDArray[np.uint8],
+    depth: NDArray[np.floating[Any]],
+    camera: Camera,
+    moment: Moment,
+    signals: tuple[Signal, ...],
+    fine: int = 1,
+) -> None:
+    """Draw the lamps that are lit, turned to the camera and not hidden.
+
+    Args:
+        rgb: (H * fine, W * fine, 3), changed in place.
+        depth: (H, W) metres.
+        camera: The image's camera.
+        moment: When it is.
+        signals: The town's traffic lights.
+        fine: Pixels of `rgb` beside each other in one of `depth`.
+    """
+    for signal, lamp in _lit_heads(camera, moment, signals):
+        pixel, z, valid = camera.project(signal.lamps[lamp])
+        if not valid or not camera.inside(pixel):
+            continue
+        at = pixel * fine
+        if z < depth[int(at[1]), int(at[0])] + 0.3:
+            radius = max(0.7, _LAMP_RADIUS_M * camera.K[0, 0] / z * fine)
+            center = np.rint((at - 0.5) * 2**SUBPIXEL_BITS).astype(int).tolist()
+            cv2.circle(
+                rgb,
+                center,
+                round(radius * 2**SUBPIXEL_BITS),
+                _LAMP_COLORS[lamp],
+                -1,
+                cv2.LINE_AA,
+                SUBPIXEL_BITS,
+            )
+
+
+def light_signals_linear(
+    light: NDArray[np.float32],
+    depth: NDArray[np.floating[Any]],
+    camera: Camera,
+    moment: Moment,
+    signals: tuple[Signal, ...],
+    radiance: float,
+) -> None:
+    """Draw the lamps into linear light (H, W, 4), in place, with `radiance` of the brightest channel."""
+    if not signals:
+        return
+    shown = np.zeros((*light.shape[:2], 3), dtype=np.uint8)
+    light_signals(shown, depth, camera, moment, signals)
+    rows, columns = np.nonzero(shown.any(axis=-1))
+    light[rows, columns, :3] += radiance * (shown[rows, columns] / np.float32(255)) ** 2.2
+
+
+_STRETCH_M: Final = 55.0
+"""Lamps this near to each other mostly fail together, as those on one cable do."""
+_SHARED_LUCK: Final = 0.65
+"""Share of a lamp's luck that it has in common with its stretch."""
+
+
+def burning_street_lights(lamps: Array, share: float) -> Array:
+    """The street lights (N, 3) that burn where `share` of them (0 to 1) do: the same ones at every call.
+
+    Those that do not mostly stand beside each other, so that the road between them is dark.
+    """
+    if share >= 1:
+        return lamps
+    luck = _SHARED_LUCK * _hashed(np.floor(lamps[:, :2] / _STRETCH_M)) + (1 - _SHARED_LUCK) * _hashed(lamps[:, :2])
+    first = luck.argsort(kind="stable")[: round(share * len(lamps))]
+    return lamps[np.sort(first)]
+
+
+def _hashed(at: Array) -> Array:
+    """(N,) numbers in 0..1 that look random, of places (N, 2)."""
+    return np.asarray(np.abs(np.sin(at @ [12.9898, 78.233]) * 43758.5453) % 1.0)
+
+
+_WHITE_LIGHT: Final = (1.0, 0.96, 0.88)
+_RED: Final = (1.0, 0.06, 0.03)
+_AMBER: Final = (1.0, 0.45, 0.03)
+_LAMP_KINDS: Final = {
+    "headlight": ("low_beam", _WHITE_LIGHT, 1.6),
+    "taillight": ("low_beam", _RED, 0.3),
+    "brake_light": ("brake", _RED, 0.8),
+    "indicator_left": ("indicator_left", _AMBER, 0.5),
+    "indicator_right": ("indicator_right", _AMBER, 0.5),
+    "reverse_light": ("reverse", _WHITE_LIGHT, 0.25),
+    "marker_white": ("low_beam", _WHITE_LIGHT, 0.08),
+    "marker_red": ("low_beam", _RED, 0.08),
+    "sign": ("low_beam", _AMBER, 0.1),
+    "sign_taxi_red": ("low_beam", _RED, 0.15),
+    "sign_taxi_green": ("low_beam", (0.06, 1.0, 0.3), 0.15),
+}
+"""Lamps by material: what lights them, their colour, their luminous intensity straight ahead."""
+_MIDDLE_WITHIN_M: Final = 0.12
+"""Lamps nearer to the vehicle's middle than this count as one, metres."""
+
+
+@dataclass(frozen=True, eq=False)
+class Lamp:
+    material: str
+    center: Array
+    """(3,) in the frame of its part, the vehicle's or its trailer's."""
+    facing: Array
+    """(3,) unit."""
+    part: int = 0
+    """Index of its part, see `Body.parts`."""
+
+
+@dataclass(frozen=True, eq=False)
+class Lit:
+    """A lamp that is lit, in the world."""
+
+    index: int
+    """Index of its vehicle in the frame."""
+    center: Array
+    facing: Array
+    color: tuple[float, float, float]
+    intensity: float
+
+
+@lru_cache(maxsize=512)
+def lamps_of(body: Body) -> tuple[Lamp, ...]:
+    """The lamps of a body and its trailer."""
+    trailer = tuple(_lamps_of(body.trailer.mesh, TRAILER_PART)) if body.trailer else ()
+    return (*_lamps_of(body.mesh, 0), *trailer)
+
+
+def _lamps_of(mesh: Mesh, part_index: int) -> Iterator[Lamp]:
+    """The lamps of a mesh: its triangles of a lamp's material at one end and on one side."""
+    for material, part in mesh.by_material().items():
+        if material not in _LAMP_KINDS:
+            continue
+        corners = part.vertices[part.triangles]
+        middle = corners.mean(axis=1)
+        normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        end = np.sign(middle[:, 0])
+        side = np.where(np.abs(middle[:, 1]) < _MIDDLE_WITHIN_M, 0.0, np.sign(middle[:, 1]))
+        for where in sorted({(a, b) for a, b in zip(end.tolist(), side.tolist(), strict=True)}):
+            chosen = (end == where[0]) & (side == where[1])
+            area = np.linalg.norm(normal[chosen], axis=1)
+            facing = normal[chosen].sum(axis=0)
+            if area.sum() > 0 and np.linalg.norm(facing) > 0:
+                center = (middle[chosen] * area[:, None]).sum(axis=0) / area.sum()
+                yield Lamp(material, center, facing / np.linalg.norm(facing), part_index)
+
+
+def has_headlights(body: Body) -> bool:
+    return any(lamp.material == "headlight" for lamp in lamps_of(body))
+
+
+def lit_lamps(moment: Moment) -> Iterator[Lit]:
+    """All lamps that are lit at a moment."""
+    for i, (recorded, bits) in enumerate(zip(moment.vehicles, moment.lamps.tolist(), strict=True)):
+        if not bits:
+            continue
+        T_world_parts = moment.part_poses(i)
+        for lamp in lamps_of(body_of(recorded)):
+            T = T_world_parts[lamp.part]
+            name, color, intensity = _LAMP_KINDS[lamp.material]
+            if bits & LAMPS[name]:
+                yield Lit(i, T[:3, :3] @ lamp.center + T[:3, 3], T[:3, :3] @ lamp.facing, color, intensity)

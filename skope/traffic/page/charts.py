@@ -1,0 +1,363 @@
+"""Charts of the page: counts over time, speeds, headways, flows between gates, and the matrix of turning movements.
+
+Each chart has its numbers as a table below.
+"""
+
+import math
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from html import escape
+from typing import Final
+
+import numpy as np
+
+from skope.page.charts import Axes, Line, chart, histogram
+from skope.page.html_pieces import details, tag
+from skope.schema import VEHICLE
+from skope.tracks.track import KMH
+from skope.traffic.count_uncertainty import in_words
+from skope.traffic.gate_counts import ALL, Count
+from skope.traffic.gates import direction_names
+from skope.traffic.page.count_tables import interval_label, side_name, titled_table, with_interval
+from skope.traffic.speeds import MOTOR_CLASSES
+from skope.traffic.traffic_report import TrafficReport
+from skope.traffic.turning_movements import NOWHERE, GateDirection, TurningCount
+from skope.types import Array
+
+_MAX_INTERVALS: Final = 100
+"""Maximum number of intervals with a matrix each; the others are in turning.csv."""
+Pair = tuple[GateDirection, GateDirection]
+
+
+def movement_matrices(report: TrafficReport, classes: Sequence[str]) -> list[str]:
+    """A matrix of the whole footage for each class, and matrices by interval in a section that opens.
+
+    Args:
+        report: The report.
+        classes: `ALL`, and `VEHICLE` if others are counted too; the first one has matrices by interval.
+
+    Returns:
+        Markup; empty if nobody was seen at two gates.
+    """
+    origins, destinations = _sides(report)
+    if not origins:
+        return []
+    out = []
+    for class_name in classes:
+        counts = {(row.gate, row.direction): row for row in report.counts_total if row.class_name == class_name}
+        cells = _cells(report.turning_total, class_name)
+        caption = f"Movements of {_words(class_name)}, from row to column, with 90% intervals of the true number"
+        out.append(_matrix(cells, origins, destinations, caption, counts))
+    out.append(tag("p", escape(_about(report, origins, destinations))))
+    if len(report.intervals) > 1:
+        by_interval = []
+        for interval in report.intervals:
+            rows = [row for row in report.turning if row.interval == interval]
+            cells = _cells(rows, classes[0])
+            if any(row.count for row in cells.values()):
+                caption = f"{interval_label(report, interval)}: {_words(classes[0])}"
+                by_interval.append(_matrix(cells, origins, destinations, caption, {}))
+        more = f", the first {_MAX_INTERVALS}" if len(by_interval) > _MAX_INTERVALS else ""
+        out.append(details(f"Movements by interval{more}", *by_interval[:_MAX_INTERVALS]))
+    return out
+
+
+def _words(class_name: str) -> str:
+    return "vehicles (more than two wheels)" if class_name == VEHICLE else "all road users"
+
+
+def _sides(report: TrafficReport) -> tuple[list[GateDirection], list[GateDirection]]:
+    """Gates and directions that somebody came from before another gate, and those that somebody went to."""
+    pairs = [
+        (row.origin, row.destination)
+        for row in report.turning_total
+        if row.count and NOWHERE not in (row.origin, row.destination)
+    ]
+    return list(dict.fromkeys(origin for origin, _ in pairs)), sorted(
+        {destination for _, destination in pairs}, key=_order(report).index
+    )
+
+
+def _order(report: TrafficReport) -> list[GateDirection]:
+    return list(dict.fromkeys((row.gate, row.direction) for row in report.counts_total))
+
+
+def _cells(rows: Iterable[TurningCount], class_name: str) -> dict[Pair, TurningCount]:
+    return {(row.origin, row.destination): row for row in rows if row.class_name == class_name}
+
+
+def _matrix(
+    cells: Mapping[Pair, TurningCount],
+    origins: Sequence[GateDirection],
+    destinations: Sequence[GateDirection],
+    caption: str,
+    counts: Mapping[GateDirection, Count],
+) -> str:
+    """One matrix with totals. `counts` holds the gates' counts, which give the intervals of the totals."""
+
+    def number(origin: GateDirection, destination: GateDirection) -> int:
+        row = cells.get((origin, destination))
+        return 0 if row is None or row.count is None else row.count
+
+    def cell(origin: GateDirection, destination: GateDirection) -> str:
+        row = cells.get((origin, destination))
+        bounds = "" if row is None or NOWHERE in (origin, destination) else f" <small>{in_words(row.expected)}</small>"
+        return f"{number(origin, destination)}{bounds}"
+
+    def total(side: GateDirection, value: int) -> str:
+        own = counts.get(side)
+        return with_interval(own) if own is not None and own.count == value else str(value)
+
+    rows = [
+        [
+            escape(side_name(origin)),
+            *(cell(origin, destination) for destination in (*destinations, NOWHERE)),
+            total(origin, sum(number(origin, destination) for destination in (*destinations, NOWHERE))),
+        ]
+        for origin in origins
+    ]
+    entered = [number(NOWHERE, destination) for destination in destinations]
+    rows.append(["not seen before", *map(str, entered), "–", str(sum(entered))])
+    ends = [number(origin, NOWHERE) for origin in origins]
+    columns = [sum(number(origin, destination) for origin in (*origins, NOWHERE)) for destination in destinations]
+    foot = ["total", *map(total, destinations, columns), str(sum(ends)), str(sum(columns) + sum(ends))]
+    head = ["from", *(f"to {side_name(side)}" for side in destinations), "not seen after", "total"]
+    return titled_table(caption, head, rows, foot=foot)
+
+
+def _about(report: TrafficReport, origins: Sequence[GateDirection], destinations: Sequence[GateDirection]) -> str:
+    text = (
+        "The total of a row or column is the count of its gate and direction. A movement belongs to the interval of "
+        "its first gate."
+    )
+    chosen = report.site.traffic.turning
+    absent = [
+        side_name((row.gate, row.direction))
+        for row in report.counts_total
+        if row.class_name == ALL
+        and row.count
+        and (row.gate, row.direction) not in (*origins, *destinations)
+        and (chosen is None or row.gate in chosen)
+    ]
+    if absent:
+        text += f" Nobody was followed from these to another gate, or to these from another: {', '.join(absent)}."
+    return text
+
+
+_SIZE: Final = 560.0
+_RADIUS: Final = 200.0
+_WIDEST: Final = 26.0
+_THINNEST: Final = 1.5
+_APART_DEG: Final = 14.0
+"""Between where bands come out of a gate and where they go into it."""
+_INWARD: Final = 0.25
+"""Nearness of a turn's band, at its middle, to the diagram's middle, as a share."""
+_TURNED: Final = 0.6
+"""And that of somebody who turns around."""
+
+
+def flow_diagram(report: TrafficReport) -> str:
+    """A figure; nothing where nobody was seen at two gates."""
+    vehicles = any(one.class_name == VEHICLE for one in report.turning_total)
+    whole = [
+        one
+        for one in report.turning_total
+        if one.class_name == (VEHICLE if vehicles else ALL)
+        and one.count
+        and NOWHERE not in (one.origin, one.destination)
+    ]
+    if not whole:
+        return ""
+    middles = {gate.name: np.mean(gate.line, axis=0) for gate in report.gates}
+    used = {name for one in whole for name, _ in (one.origin, one.destination)}
+    angles = _angles({name: place for name, place in middles.items() if name in used})
+    most = max(one.count or 0 for one in whole)
+    order = sorted({one.origin for one in whole})
+    parts = [tag("circle", cx=_SIZE / 2, cy=_SIZE / 2, r=_RADIUS, class_="ring")]
+    largest_first = sorted(whole, key=lambda one: -(one.count or 0))
+    ranks: Counter[GateDirection] = Counter()
+    numbers = []
+    for one in largest_first:
+        band, number = _band(one, angles, most, order.index(one.origin) % 4, ranks[one.origin])
+        ranks[one.origin] += 1
+        parts.append(band)
+        numbers.append(number)
+    parts += numbers
+    parts += _names(angles)
+    drawing = tag(
+        "svg",
+        *parts,
+        viewBox=f"0 0 {_SIZE:.0f} {_SIZE:.0f}",
+        role="img",
+        tabindex=0,
+        aria_label="Movements between gates. The numbers are in the table of movements.",
+        class_="chart flows",
+    )
+    return tag(
+        "figure",
+        tag(
+            "figcaption",
+            f"Movements{' of vehicles' if vehicles else ''}; the number of a band is at its origin",
+        ),
+        drawing,
+    )
+
+
+def _angles(middles: dict[str, Array]) -> dict[str, float]:
+    """Angle of each gate around the middle of all, radians, moved apart where two are near each other."""
+    centre = np.mean(list(middles.values()), axis=0)
+    found = {name: math.atan2(*(place - centre)[::-1]) for name, place in middles.items()}
+    names = sorted(found, key=lambda name: found[name])
+    least = min(math.radians(3 * _APART_DEG), 2 * math.pi / len(names))
+    for _ in range(50):
+        for before, after in zip(names, names[1:] + names[:1], strict=True):
+            gap = (found[after] - found[before]) % (2 * math.pi)
+            if len(names) > 1 and gap < least:
+                found[before] -= (least - gap) / 2
+                found[after] += (least - gap) / 2
+    return found
+
+
+def _at(angle: float, radius: float) -> tuple[float, float]:
+    return _SIZE / 2 + radius * math.cos(angle), _SIZE / 2 - radius * math.sin(angle)
+
+
+def _band(one: TurningCount, angles: dict[str, float], most: int, style: int, rank: int) -> tuple[str, str]:
+    """The band of a movement, and its number: farther along for each larger one from the same gate and direction.
+
+    Who comes in keeps to the right of who goes out.
+    """
+    half = math.radians(_APART_DEG) / 2
+    begin, end = angles[one.origin[0]] + half, angles[one.destination[0]] - half
+    (ax, ay), (bx, by) = _at(begin, _RADIUS), _at(end, _RADIUS)
+    inward = (_TURNED if one.origin[0] == one.destination[0] else _INWARD) * _RADIUS
+    (cx, cy), (dx, dy) = _at(begin, inward), _at(end, inward)
+    number = one.count or 0
+    width = max(_THINNEST, _WIDEST * number / most)
+    tip = f"{_side(one.origin)} to {_side(one.destination)}: {number} ({in_words(one.expected)})"
+    path = f"M{ax:.1f} {ay:.1f}C{cx:.1f} {cy:.1f} {dx:.1f} {dy:.1f} {bx:.1f} {by:.1f}"
+    t = min(0.16 + 0.14 * rank, 0.8)
+    weights = ((1 - t) ** 3, 3 * (1 - t) ** 2 * t, 3 * (1 - t) * t**2, t**3)
+    x = sum(w * v for w, v in zip(weights, (ax, cx, dx, bx), strict=True))
+    y = sum(w * v for w, v in zip(weights, (ay, cy, dy, by), strict=True))
+    band = tag("path", d=path, class_=f"flow s{style}", stroke_width=f"{width:.1f}", data_tip=tip)
+    return band, tag("text", str(number), x=f"{x:.1f}", y=f"{y:.1f}", text_anchor="middle")
+
+
+def _side(side: tuple[str, str]) -> str:
+    return f"{side[0]} ({side[1]})"
+
+
+def _names(angles: dict[str, float]) -> Iterator[str]:
+    for name, angle in angles.items():
+        x, y = _at(angle, _RADIUS + 26)
+        side = "middle" if abs(math.cos(angle)) < 0.4 else "start" if math.cos(angle) > 0 else "end"
+        x += {"start": -14, "end": 14, "middle": 0}[side]
+        yield tag("text", escape(name), x=f"{x:.1f}", y=f"{y:.1f}", text_anchor=side, class_="gate")
+
+
+_SPEED_KMH: Final = 5.0
+_HEADWAY_S: Final = 1.0
+_LONGEST_S: Final = 20.0
+"""Headways beyond this are no longer of vehicles that follow each other."""
+_FEWEST: Final = 5
+"""Fewer than these are no distribution."""
+_PARTS: Final = 5
+"""An axis has so many parts."""
+_MARKS: Final = 48
+"""A line has so many marks at most."""
+_LINES: Final = 4
+"""A chart tells so many lines apart."""
+
+
+def counts_over_time(report: TrafficReport) -> Iterator[str]:
+    """A figure for each gate: how many of all crossed it in each interval, as flows an hour."""
+    if len(report.intervals) < 2:
+        return
+    for gate in report.gates:
+        lines = []
+        for name in direction_names(gate):
+            rows = [
+                one
+                for one in report.counts
+                if (one.gate, one.direction, one.lane, one.class_name) == (gate.name, name, ALL, ALL)
+            ]
+            hours = [(one.interval.begin_s + one.interval.end_s) / 2 / 3600 for one in rows]
+            flows = [
+                None if not one.count and not one.observed_s else _hourly(one.count, one.observed_s) for one in rows
+            ]
+            if any(flows):
+                lines.append(Line(name=name, x=[max(0.0, hour) for hour in hours], y=flows))
+        if lines:
+            end = max(x for line in lines for x in line.x) or 1.0
+            top = max(y for line in lines for y in line.y if y is not None)
+            axes = Axes(x_label=_hours(report), y_label="road users an hour", x_end=_round(end), y_end=_whole(top))
+            yield chart(f"{gate.name}: over time", axes, lines, every=math.ceil(len(report.intervals) / _MARKS))
+
+
+def _hours(report: TrafficReport) -> str:
+    """Label of hours: what they count from."""
+    return "hours of the footage" if report.start is None else f"hours after {report.start:%H:%M:%S on %d %b %Y}"
+
+
+def _hourly(count: int | None, observed_s: float) -> float | None:
+    return None if count is None or observed_s <= 0 else count * 3600 / observed_s
+
+
+def speed_histograms(report: TrafficReport) -> Iterator[str]:
+    """A figure for each gate: how fast motor vehicles crossed it."""
+    for gate in report.gates:
+        groups = {
+            name: [
+                one.speed * KMH
+                for one in report.crossings
+                if (one.gate, one.direction_name) == (gate.name, name) and one.trajectory.class_name in MOTOR_CLASSES
+            ]
+            for name in direction_names(gate)
+        }
+        yield from _histogram(f"{gate.name}: speeds of motor vehicles", "km/h", groups, _SPEED_KMH)
+
+
+def headway_histograms(report: TrafficReport) -> Iterator[str]:
+    """A figure for each gate: how long after the one before vehicles crossed it."""
+    for gate in report.gates:
+        groups = {
+            name: [
+                one.headway_s
+                for one in report.headways
+                if (one.follower.gate, one.follower.direction_name) == (gate.name, name) and one.headway_s <= _LONGEST_S
+            ]
+            for name in direction_names(gate)
+        }
+        yield from _histogram(f"{gate.name}: headways up to {_LONGEST_S:g} s", "seconds", groups, _HEADWAY_S)
+
+
+def _histogram(title: str, unit: str, groups: dict[str, list[float]], step: float) -> Iterator[str]:
+    known = {name: np.array(values)[np.isfinite(values)] for name, values in groups.items() if values}
+    enough = {name: values for name, values in known.items() if len(values) >= _FEWEST}
+    if not enough:
+        return
+    # So long that the axis, which has five parts, has whole numbers.
+    part = _PARTS * step
+    end = part * max(1, math.ceil(max(float(values.max()) for values in enough.values()) / part + 1e-9))
+    bands = np.arange(0, end + step / 2, step)
+    middles = ((bands[:-1] + bands[1:]) / 2).tolist()
+    lines = [
+        Line(name=f"{name} ({len(values)})", x=middles, y=np.histogram(values, bands)[0].astype(float).tolist())
+        for name, values in list(enough.items())[:_LINES]
+    ]
+    top = max(y for line in lines for y in line.y if y is not None)
+    yield histogram(title, Axes(x_label=unit, y_label="how many", x_end=end, y_end=_whole(top)), lines)
+
+
+def _whole(value: float) -> float:
+    """A round number that is no smaller and has whole numbers at all parts of an axis."""
+    return _PARTS * max(1.0, math.ceil(_round(value / _PARTS) - 1e-9))
+
+
+def _round(value: float) -> float:
+    """A round number that is no smaller."""
+    if value <= 0:
+        return 1.0
+    power = 10.0 ** math.floor(math.log10(value))
+    return next(step * power for step in (1, 1.5, 2, 2.5, 3, 4, 5, 6, 8, 10) if step * power >= value - 1e-9)

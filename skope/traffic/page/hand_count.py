@@ -1,0 +1,200 @@
+"""Counting by hand in the page while the footage plays: the panel and its data.
+
+The data are gates, observed times and crossings. Times of crossings are whole milliseconds, each as the difference from
+the one before, with a letter for the class: some five bytes each.
+"""
+
+import hashlib
+import json
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from datetime import datetime
+from importlib import resources
+from typing import Any, Final
+
+import numpy as np
+
+from skope.camera.model import Camera
+from skope.page.html_pieces import tag
+from skope.site.gates_zones_lanes import Gate
+from skope.site.traffic_settings import CLASSES, UNKNOWN
+from skope.traffic.counting_intervals import ClockInterval
+from skope.traffic.exports.otanalytics_view import OtView, image_view, pixel_view
+from skope.traffic.gate_counts import ALL
+from skope.traffic.gates import direction_names, normal_of
+from skope.traffic.speeds import MOTOR, MOTOR_CLASSES
+from skope.traffic.traffic_report import TrafficReport
+from skope.types import Array
+
+LETTERS: Final[Mapping[str, str]] = {name: chr(ord("a") + k) for k, name in enumerate(CLASSES)}
+"""Letter of each class."""
+MOST_CROSSINGS: Final = 100_000
+"""So many crossings are held by the page: about 0.6 MB. Of more it has none."""
+_ARROW_M: Final = 3.0
+_ARROW_PX: Final = 20.0
+"""From a gate's middle to the end of the arrow that shows a direction."""
+_PIXEL_DIGITS: Final = 1
+
+
+def hand_count_data(report: TrafficReport, camera: Camera | None) -> dict[str, Any]:
+    """Data for the page's script, as JSON has it.
+
+    Args:
+        report: The report.
+        camera: What the footage was seen with; None: not known, and no gate is drawn over the video.
+    """
+    sides = [(gate.name, name) for gate in report.gates for name in direction_names(gate)]
+    turning = report.site.traffic.turning
+    start = None if report.start is None else report.start.isoformat()
+    recordings = _recordings(report)
+    identity = json.dumps([recordings[0]["source"], start, sides])
+    return {
+        "key": hashlib.sha256(identity.encode()).hexdigest()[:16],
+        "sides": [
+            {"gate": gate, "direction": name, "moves": turning is None or gate in turning} for gate, name in sides
+        ],
+        "kinds": _kinds(report),
+        "recordings": recordings,
+        "spans": np.round(report.observation.spans, 3).tolist(),
+        "clocks": list(_clocks(report.intervals)),
+        "step_s": _step(report.observation.times_s),
+        "view": view_of_gates(report, camera),
+        **_machine(report, sides),
+    }
+
+
+def _kinds(report: TrafficReport) -> list[list[str]]:
+    """Names of what can be counted, and the letters of the classes in each."""
+    classes = report.site.traffic.classes
+    whole = {ALL: frozenset(CLASSES), MOTOR: MOTOR_CLASSES, **{name: frozenset({name}) for name in classes}}
+    return [
+        [name, "".join(LETTERS[one] for one in CLASSES if one in members)]
+        for name, members in whole.items()
+        if name != UNKNOWN and members & set(classes)
+    ]
+
+
+def _recordings(report: TrafficReport) -> list[dict[str, Any]]:
+    """Name of each recording, when its own second 0 was, and when it ended: seconds of the report."""
+    parts = report.observation.parts or (report.observation,)
+    begins = [one.begin_s for one in report.recordings] or [0.0]
+    names = [one.source for one in report.recordings] or [report.observation.source]
+    return [
+        {"source": name, "begin_s": round(begin, 3), "end_s": round(part.extent[1], 3)}
+        for name, begin, part in zip(names, begins, parts, strict=True)
+    ]
+
+
+def _clocks(intervals: Sequence[ClockInterval]) -> Iterable[list[float]]:
+    """The clock's second of the day at seconds of the footage: at the first one, and wherever clocks are changed."""
+    offset: object = None
+    for one in intervals:
+        if one.begin is not None and one.begin.utcoffset() != offset:
+            offset = one.begin.utcoffset()
+            yield [round(one.begin_s, 3), _second_of_day(one.begin)]
+
+
+def _second_of_day(time: datetime) -> float:
+    return round(time.hour * 3600 + time.minute * 60 + time.second + time.microsecond / 1e6, 3)
+
+
+def _step(times_s: Array) -> float:
+    """Usual time from frame to frame, seconds."""
+    return round(float(np.median(np.diff(times_s))), 4) if len(times_s) > 1 else 0.1
+
+
+def view_of_gates(report: TrafficReport, camera: Camera | None) -> dict[str, Any] | None:
+    """Gates in the camera's image, as JSON has them, pixels.
+
+    Args:
+        report: The report.
+        camera: The camera of a report in metres; None: not known.
+
+    Returns:
+        `size` (width and height, None if not known), and of each visible gate its name, its line and the arrow of its
+        first direction. None for a report in metres without a camera.
+    """
+    if report.metres and camera is None:
+        return None
+    view = pixel_view(report.gates) if camera is None or not report.metres else image_view(report.gates, camera)
+    lines = {gate.name: line for gate, line in view.gates}
+    gates = [
+        {
+            "gate": gate.name,
+            "line": np.round(np.array(lines[gate.name]), _PIXEL_DIGITS).tolist(),
+            "arrow": _arrow(gate, view, _ARROW_M if report.metres else _ARROW_PX),
+        }
+        for gate in report.gates
+        if gate.name in lines
+    ]
+    return {"size": view.size, "gates": gates}
+
+
+def _arrow(gate: Gate, view: OtView, length: float) -> list[list[float]] | None:
+    """From the left of a gate to its right, pixels; None where that cannot be seen."""
+    middle = np.mean(np.array(gate.line), axis=0)
+    ends = view.pixels(np.stack([middle + length * normal_of(gate), middle - length * normal_of(gate)]))
+    return np.round(ends, _PIXEL_DIGITS).tolist() if np.isfinite(ends).all() else None
+
+
+def _machine(report: TrafficReport, sides: Sequence[tuple[str, str]]) -> dict[str, Any]:
+    """Crossings of each gate and direction, and movements from one to another; None where crossings are too many."""
+    if len(report.crossings) > MOST_CROSSINGS:
+        return {"crossings": None, "movements": None}
+    numbers = {side: k for k, side in enumerate(sides)}
+    crossed: list[list[tuple[float, str]]] = [[] for _ in sides]
+    for one in report.crossings:
+        crossed[numbers[one.gate, one.direction_name]].append((one.time_s, one.trajectory.class_name))
+    moved: dict[tuple[int, int], list[tuple[float, str]]] = {}
+    for way in report.movements:
+        if way.origin is not None and way.destination is not None:
+            origin, destination = way.sides
+            pair = numbers[origin], numbers[destination]
+            moved.setdefault(pair, []).append((way.time_s, way.trajectory.class_name))
+    return {
+        "crossings": [packed_times(events) for events in crossed],
+        "movements": [[*pair, packed_times(events)] for pair, events in sorted(moved.items())],
+    }
+
+
+def packed_times(events: Iterable[tuple[float, str]]) -> str:
+    """Times (seconds) and classes as text: for each the milliseconds since the one before, and the class's letter.
+
+    Milliseconds are rounded down, so that who crosses before a whole second stays before it.
+    """
+    out, last = [], 0
+    for time_s, class_name in sorted(events):
+        now = math.floor(time_s * 1000 + 1e-6)
+        out.append(f"{now - last}{LETTERS[class_name]}")
+        last = now
+    return "".join(out)
+
+
+_SCRIPTS: Final = ("hand_count_numbers.js", "hand_count.js")
+
+
+def hand_count_panel(report: TrafficReport, camera: Camera | None = None) -> str:
+    """Markup, style and script; nothing where the report has no gates, or the footage no frames.
+
+    Args:
+        report: The report.
+        camera: What the footage was seen with, for the gates that are drawn over it; None: not known.
+    """
+    if not report.gates or not len(report.observation.spans):
+        return ""
+    # No "<" of a name may end the element.
+    data = json.dumps(hand_count_data(report, camera), separators=(",", ":")).replace("<", "\\u003c")
+    script = "\n".join(map(_text, _SCRIPTS))
+    return "".join(
+        (
+            tag("style", _text("hand_count.css")),
+            tag("section", _text("hand_count.html"), id="hand", hidden="hidden"),
+            tag("script", data, type="application/json", id="hand-data"),
+            # Its names are its own.
+            tag("script", f'"use strict";\n{{\n{script}\n}}'),
+        )
+    )
+
+
+def _text(name: str) -> str:
+    return resources.files("skope.traffic.page").joinpath(name).read_text(encoding="utf-8")
