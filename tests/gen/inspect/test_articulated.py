@@ -9,7 +9,7 @@ import pytest
 
 from skope.dataset import coco
 from skope.dataset.folder import Dataset
-from skope.gen.inspect import check, stats
+from skope.gen.inspect import check, label_checks, stats
 from skope.gen.inspect.label_checks import box_3d_findings
 from skope.keypoints import SKOPE33
 from skope.pose.pose_footage import PoseErrors, pose_summary, pose_table
@@ -25,17 +25,19 @@ def lorry(bend_deg: float) -> Annotation:
 
 @pytest.mark.parametrize("bend_deg", [0.0, 35.0, -35.0])
 def test_a_sound_lorry_has_no_findings(bend_deg: float) -> None:
-    assert list(box_3d_findings(CAMERA, lorry(bend_deg))) == list(check._check_keypoints_3d(lorry(bend_deg))) == []
+    assert (
+        list(box_3d_findings(CAMERA, lorry(bend_deg))) == list(label_checks.keypoint_3d_findings(lorry(bend_deg))) == []
+    )
 
 
 def test_an_angle_that_the_rear_wheels_contradict_is_found() -> None:
-    (text,) = check._check_keypoints_3d(replace(lorry(35.0), articulation=-0.3))
+    (text,) = label_checks.keypoint_3d_findings(replace(lorry(35.0), articulation=-0.3))
     assert text.startswith("articulation: is -0.3000, the rear wheels of keypoints_3d say 0.6109")
 
 
 def test_rear_wheels_are_tested_beside_the_trailers_axle() -> None:
     annotation = lorry(35.0)
-    places, wheels = check._tested_places(annotation), annotation.keypoints_3d[[18, 19]]
+    places, wheels = label_checks._tested_places(annotation), annotation.keypoints_3d[[18, 19]]
     across = (wheels[1] - wheels[0]) / np.linalg.norm(wheels[1] - wheels[0])
     off = places[:, [18, 19]] - wheels
     straight = np.abs(off @ across - np.array([-0.11, 0.11])).max(axis=1).argmin()

@@ -10,7 +10,7 @@ from skope.camera.model import Camera
 from skope.gen.render.camera_effects import with_metered_noise
 from skope.gen.render.daylight import Daylight
 from skope.gen.render.night_camera import (
-    _COLORS,
+    _SPREAD_COLORS,
     CANDELA_PER_UNIT,
     ELECTRONS_PER_CANDELA_SECOND,
     ROAD_LEVEL,
@@ -107,7 +107,7 @@ def test_glare_spreads_its_share_of_the_light_and_no_more() -> None:
     excess = np.zeros((540, 960, 3), dtype=np.float32)
     excess[270, 480] = 1000.0
     spread = spread_of(glare, excess)
-    shares = glare._shares @ _COLORS
+    shares = glare._shares @ _SPREAD_COLORS
     np.testing.assert_allclose(spread.sum(axis=(0, 1)), 1000 * shares, rtol=0.02)
     np.testing.assert_allclose(spread_of(glare, 2 * excess), 2 * spread, rtol=1e-5)
     assert glare.spread(cv2.split(np.zeros_like(excess))) is None
