@@ -1,6 +1,6 @@
 import subprocess
 import sys
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -142,3 +142,15 @@ def test_stops_double_the_exposure_and_visibility_is_where_contrast_is_5_percent
     light, brighter = (Daylight.of(conditions(exposure_ev=ev, visibility_m=500.0)) for ev in (0.0, 1.0))
     np.testing.assert_allclose(brighter.exposure, 2 * light.exposure)
     assert np.exp(-500.0 * light.haze_density) == pytest.approx(0.05)
+
+
+def test_fields_keep_their_order() -> None:
+    """`Conditions.drawn` draws in the order of the fields: with another order, every seed would give other datasets."""
+    order = """
+sun_elevation_deg sun_azimuth_deg latitude_deg day hour clouds visibility_m rain_mm_h wetness puddles
+street_lighting street_light_k lit_windows exposure_ev white_balance_k shutter_s gain_db noise infrared
+vignetting k1 fisheye screen_text rescale compression_quality contrast black_level saturation sharpening glare
+street_lights_lit snowfall_mm_h snow_cover spray screen_graphics short_exposure denoising auto_white_balance
+lens_dirt
+"""
+    assert [field.name for field in fields(Conditions)] == order.split()
