@@ -11,7 +11,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
-import cv2
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -128,6 +127,8 @@ def read_opencv(path: Path) -> CameraCalibration:
     where they stand there, rotation (`rvec` or `R`) and translation (`tvec`, `t` or `T`). `distortion_model`,
     `fisheye_model` or `camera_model` names the lens model: see `skope.camera.lens_models`.
     """
+    import cv2
+
     values = _one_camera(path, _storage(path))
     lens_models.lens_model(path, values)  # a model that is not known may have other intrinsics
     K = _first(values, _K_NAMES)
@@ -156,6 +157,8 @@ def read_opencv(path: Path) -> CameraCalibration:
 
 def _storage(path: Path) -> dict[str, Any]:
     """Keys and values of a file. Raises UserError where OpenCV cannot read it."""
+    import cv2
+
     data = read_bytes(path)  # a missing file is a user's error; OpenCV only logs it
     address, flags = for_opencv(path), cv2.FILE_STORAGE_READ
     try:

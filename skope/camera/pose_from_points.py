@@ -4,7 +4,6 @@ import math
 from dataclasses import dataclass, replace
 from typing import Final
 
-import cv2
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -117,6 +116,8 @@ def centred(size: tuple[int, int], focal: float) -> Array:
 
 def _posed(uv: Array, xyz: Array, size: tuple[int, int], K: Array, distortion: Distortion) -> CameraFit | None:
     """The best pose for given intrinsics; None when there is none."""
+    import cv2
+
     rays, valid = Camera(*size, K, np.eye(4), distortion).rays(uv)
     if not valid.all():
         raise UserError("control points: a pixel lies beyond what the distortion can undo")
@@ -187,6 +188,8 @@ def _linearised(camera: Camera, uv: Array, xyz: Array, middle: Array, focal: boo
 
 def _moved(camera: Camera, step: Array, middle: Array) -> Camera:
     """A camera turned by a small vector about the points' middle, shifted, and with its focal length scaled."""
+    import cv2
+
     T = camera.T_camera_world.copy()
     u, _, v = np.linalg.svd(cv2.Rodrigues(step[:3])[0] @ T[:3, :3])
     shifted = T[:3, :3] @ middle + T[:3, 3] + step[3:6]

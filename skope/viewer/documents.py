@@ -98,7 +98,7 @@ class Documents:
     def index(self) -> dict[str, Any]:
         """The title of the page, and a row of each image in columns: its name, what filters ask of it and its vehicles.
 
-        Vehicles are the numbers that `documents.vehicle_filters` gives, each once.
+        Vehicles are numbers, one for each kind of vehicle that a filter tells apart, each once.
         """
         options, scheme = self._collection.options, self._collection.splits[0].file.scheme
         return {

@@ -18,7 +18,7 @@ from skope.gen.scene.recording import LAMPS, Recording, RecordingPlan
 from skope.gen.scenery import build
 from skope.gen.scenery.build import bays_of, scenery
 from skope.gen.simulation.simulate import _variant, lamps_on, simulate, simulate_together
-from skope.gen.towns.town import Mast, Town, Variant
+from skope.gen.towns.town import Town, Variant
 from skope.gen.towns.town_style import style
 from skope.gen.vehicles.paints import PAINTS
 
@@ -162,12 +162,6 @@ def test_views_are_drawn_with_the_size_of_vehicles_that_the_preset_wants(monkeyp
     for span in (None, (0.04, 0.2)):
         simulate_together(request(largest_vehicle=span).simulations()[0])
     assert asked == [LARGEST_VEHICLE_SHARE] * 4 + [(0.04, 0.2)] * 4
-
-
-def test_recordings_of_before_have_neither_distractors_nor_seasons() -> None:
-    mast = {"position": [1.0, 2.0, 3.0], "yaw_deg": 4.0, "pitch_deg": 5.0}
-    variant = recordings._variant_of({"seed": 6, "masts": [mast]})
-    assert variant == Variant(6, (Mast((1.0, 2.0, 3.0), 4.0, 5.0),))
 
 
 def test_only_a_seed_changes_the_style() -> None:
