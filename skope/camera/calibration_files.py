@@ -1,6 +1,9 @@
 """Camera files: skope's own, and those of others (OpenCV's FileStorage, ROS's and Kalibr's YAML, TUMTraf, Rope3D).
 
 skope's own is JSON with size, intrinsics, distortion, pose and their uncertainty.
+
+Other programs count the centre of a pixel as (col, row), `skope.camera.model` as (col + 0.5, row + 0.5): half a pixel
+is added to their principal points. Poses take world points to the camera, x_camera = R x_world + t, metres.
 """
 
 import math
@@ -25,7 +28,11 @@ from skope.types import Array
 
 
 def is_camera_json(path: Path) -> bool:
-    """Whether a file is one of these; UserError where it is JSON by its name alone."""
+    """Whether a file is a camera of skope's own.
+
+    Raises:
+        UserError: Its name ends in .json, but it holds no JSON.
+    """
     if path.suffix.lower() != ".json":
         return False
     document = read_json(path)
@@ -80,7 +87,6 @@ _OPENCV_BEGINS: Final = (b"%YAML", b"<?xml", b"{")
 """How the files begin that OpenCV reads as they are."""
 _COMMENT: Final = re.compile(r"(^|\s)#[^\"']*$")
 """A comment in YAML; a # in quotes begins none."""
-CAMERA_FORMATS: Final = ("opencv", "tumtraf", "rope3d")
 _K_NAMES: Final = ("camera_matrix", "cameraMatrix", "K", "intrinsic_matrix", "M1")
 _DISTORTION_NAMES: Final = (
     *("distortion_coefficients", "distCoeffs", "dist_coeffs", "D", "D1"),
