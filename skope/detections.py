@@ -11,9 +11,9 @@ from numpy.typing import ArrayLike, NDArray
 from skope import boxes, keypoints
 from skope.dataset import coco
 from skope.errors import UserError
-from skope.field_checks import image_pixels
 from skope.keypoints import SKOPE33, Scheme
 from skope.pictures import draw
+from skope.records import check_image
 from skope.schema import AnyResult, Result, RoadUserResult
 from skope.types import Pixels
 
@@ -123,7 +123,7 @@ class Detections:
         Raises:
             UserError: The pixels are of another shape or type, or the image is of another size.
         """
-        image = image_pixels("image", image)
+        image = check_image("image", image)
         if image.shape[:2] != self.size[::-1]:
             width, height = self.size
             raise UserError(f"image: expected ({height}, {width}, 3) as it was seen, got {image.shape}")

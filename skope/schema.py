@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from skope import keypoints
 from skope.camera.model import Camera
 from skope.errors import UserError
-from skope.field_checks import array, check_number, check_share, choice, integer, is_number, probability
 from skope.files import safe_names
 from skope.keypoints import SKOPE33, Scheme
+from skope.records import check_array, check_choice, check_number, check_share, check_whole, is_number
 from skope.types import Array
 
 SCHEMA_VERSION: Final = 1
@@ -76,7 +76,7 @@ def checked_categories(categories: Iterable[str]) -> tuple[str, ...]:
     """Names of categories in the order of their ids; a UserError where one is unknown or `vehicle` is missing."""
     names = tuple(categories)
     for name in names:
-        choice("categories", name, CATEGORIES)
+        check_choice("categories", name, CATEGORIES)
     if "vehicle" not in names:
         raise UserError(f"categories: expected vehicle among {', '.join(names) or 'no names'}")
     return tuple(name for name in CATEGORIES if name in names)
@@ -102,9 +102,9 @@ class Image:
     camera: Camera | None = None
 
     def __post_init__(self) -> None:
-        integer("id", self.id, 0)
-        integer("width", self.width, 1)
-        integer("height", self.height, 1)
+        check_whole("id", self.id, 0)
+        check_whole("width", self.width, 1)
+        check_whole("height", self.height, 1)
         safe_names.relative("file_name", self.file_name)
         if self.depth_file_name is not None:
             safe_names.relative("depth_file_name", self.depth_file_name)
@@ -113,8 +113,8 @@ class Image:
             if value is not None:
                 safe_names.name(field_name, value)
         if self.frame_index is not None:
-            integer("frame_index", self.frame_index, 0)
-        choice("weather", self.weather, WEATHERS)
+            check_whole("frame_index", self.frame_index, 0)
+        check_choice("weather", self.weather, WEATHERS)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -132,7 +132,7 @@ class Box3D:
 
     def __post_init__(self) -> None:
         for name, shape in (("center", (3,)), ("size_lwh", (3,)), ("R", (3, 3))):
-            object.__setattr__(self, name, array(f"box_3d.{name}", getattr(self, name), *shape))
+            object.__setattr__(self, name, check_array(f"box_3d.{name}", getattr(self, name), *shape))
         if (self.size_lwh <= 0).any():
             raise UserError("box_3d.size_lwh: expected three positive lengths")
 
@@ -170,10 +170,10 @@ class Labelled:
     ignore_reason: str | None = None
 
     def __post_init__(self) -> None:
-        integer("id", self.id, 0)
-        integer("image_id", self.image_id, 0)
+        check_whole("id", self.id, 0)
+        check_whole("image_id", self.image_id, 0)
         if self.track_id is not None:
-            integer("track_id", self.track_id, 0)
+            check_whole("track_id", self.track_id, 0)
         if self.iscrowd not in (0, 1):
             raise UserError(f"iscrowd: expected 0 or 1, got {self.iscrowd!r}")
         self._set_array("bbox", 4)
@@ -189,11 +189,11 @@ class Labelled:
                 check_number(name, value)
         check_share("occlusion", self.occlusion)
         check_share("truncation", self.truncation)
-        choice("ignore_reason", self.ignore_reason, IGNORE_REASONS)
+        check_choice("ignore_reason", self.ignore_reason, IGNORE_REASONS)
 
     def _set_array(self, name: str, *shape: int) -> None:
         """Put a field's numbers in place as an array of a shape."""
-        object.__setattr__(self, name, array(name, getattr(self, name), *shape))
+        object.__setattr__(self, name, check_array(name, getattr(self, name), *shape))
 
     @property
     def ignored(self) -> bool:
@@ -220,7 +220,7 @@ class Annotation(Labelled):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        integer("category_id", self.category_id, 0)
+        check_whole("category_id", self.category_id, 0)
         self._set_array("keypoints", keypoints.K, 3)
         if self.keypoints_3d is not None:
             self._set_array("keypoints_3d", keypoints.K, 3)
@@ -233,8 +233,8 @@ class Annotation(Labelled):
             angle = self.articulation
             if not is_number(angle) or not abs(angle) <= math.pi:
                 raise UserError(f"articulation: expected radians from -pi to pi, got {angle!r}")
-        choice("vehicle_type", self.vehicle_type, VEHICLE_TYPES)
-        choice("color", self.color, VEHICLE_COLORS)
+        check_choice("vehicle_type", self.vehicle_type, VEHICLE_TYPES)
+        check_choice("color", self.color, VEHICLE_COLORS)
 
     @property
     def num_keypoints(self) -> int:
@@ -347,13 +347,13 @@ class Found:
     """Its number among those of its video, which results of other frames share; None: not known."""
 
     def __post_init__(self) -> None:
-        integer("image_id", self.image_id, 0)
+        check_whole("image_id", self.image_id, 0)
         if self.track_id is not None:
-            integer("track_id", self.track_id, 0)
+            check_whole("track_id", self.track_id, 0)
         if not isinstance(self.interpolated, bool):
             raise UserError(f"interpolated: expected true or false, got {self.interpolated!r}")
-        object.__setattr__(self, "bbox", array("bbox", self.bbox, 4))
-        probability("score", self.score)
+        object.__setattr__(self, "bbox", check_array("bbox", self.bbox, 4))
+        check_number("score", self.score, 0, 1)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -368,8 +368,8 @@ class Result(Found):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        integer("category_id", self.category_id, 0)
-        object.__setattr__(self, "keypoints", array("keypoints", self.keypoints, keypoints.K, 3))
+        check_whole("category_id", self.category_id, 0)
+        object.__setattr__(self, "keypoints", check_array("keypoints", self.keypoints, keypoints.K, 3))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

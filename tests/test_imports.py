@@ -80,7 +80,8 @@ GEN = (
 SHARED = (
     {"cpu_count", "errors", "types", "version"},
     {"keypoints"},
-    {"boxes", "field_checks", "files"},
+    {"boxes", "files"},
+    {"records"},
     {"camera", "terminal"},
     {"schema", "site"},
     {"dataset", "pictures", "tracks"},

@@ -43,8 +43,8 @@ def with_point(*xyv: float) -> np.ndarray:
         ({"area": None}, "area: expected a number from 0"),
         ({"area_full": float("nan")}, "area_full: expected a number from 0"),
         ({"distance": "far"}, "distance: expected a number from 0"),
-        ({"occlusion": 1.01}, "occlusion: expected a share from 0 to 1"),
-        ({"truncation": -0.1}, "truncation: expected a share from 0 to 1"),
+        ({"occlusion": 1.01}, "occlusion: expected a number from 0 to 1"),
+        ({"truncation": -0.1}, "truncation: expected a number from 0 to 1"),
         ({"vehicle_type": "tank"}, "vehicle_type: 'tank' is not one of city_car, "),
         ({"color": "mauve"}, "color: 'mauve' is not one of white, "),
         ({"ignore_reason": "ugly"}, "ignore_reason: 'ugly' is not one of occluded, sliver, small, unseen"),
@@ -128,7 +128,7 @@ def test_road_users_are_checked_as_vehicles_are() -> None:
     values: dict[str, Any] = {"id": 1, "image_id": 1, "category_id": 4, "bbox": [0, 0, 1, 1], "area": 1}
     for change, said in (
         ({"bbox": [0, 0, -1, 5]}, "bbox: width and height must not be negative"),
-        ({"occlusion": 1.5}, "occlusion: expected a share from 0 to 1"),
+        ({"occlusion": 1.5}, "occlusion: expected a number from 0 to 1"),
         ({"velocity": [1.0]}, "velocity: expected 3 numbers, got 1"),
         ({"ignore_reason": "ugly"}, "ignore_reason: 'ugly' is not one of"),
     ):

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from skope.api.checks import in_range
 from skope.camera.model import Camera
 from skope.errors import UserError
+from skope.records import check_number
 
 if TYPE_CHECKING:
     from skope.camera.calibrate import SiteCalibration
@@ -40,7 +40,7 @@ def calibrate_camera(
 
     if size is not None:
         for side in size:
-            in_range("size", side, 1, math.inf)
+            check_number("size", side, 1, math.inf)
     if isinstance(marks, str | Path):
         path = Path(marks)
         if size is None and path.suffix.lower() != ".toml":

@@ -7,10 +7,10 @@ from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from skope.api.checks import in_range
 from skope.dataset import folder
 from skope.dataset.folder import Dataset
 from skope.errors import UserError, one_of
+from skope.records import check_number
 
 if TYPE_CHECKING:
     from skope.train.training_samples import DetectionDataset
@@ -113,7 +113,7 @@ def generate(
             raise UserError(f"{name}: no option of `skope gen`; there are {', '.join(sorted(known))}")
     if isinstance(sites, str):
         raise UserError(f"sites: expected several names, as in [{sites!r}], got a text")
-    in_range("seed", seed, 0, math.inf)
+    check_number("seed", seed, 0, math.inf)
     asked = DatasetOptions(
         preset=preset,
         sites=None if sites is None else ",".join(sites),

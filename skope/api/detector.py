@@ -6,13 +6,12 @@ from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from skope.api.checks import in_range
 from skope.api.footage import RoadHeight, Video, open_video
 from skope.camera.model import Camera
 from skope.dataset import folder
 from skope.detector import weights
 from skope.errors import one_of
-from skope.field_checks import image_pixels
+from skope.records import check_image, check_number
 from skope.types import Pixels
 
 if TYPE_CHECKING:
@@ -122,7 +121,7 @@ class Detector:
 
 def _pixels(name: str, image: Pixels | str | Path) -> Pixels:
     """The pixels of an argument, which may be the path of an image file."""
-    return folder.read_image(Path(image)) if isinstance(image, str | PathLike) else image_pixels(name, image)
+    return folder.read_image(Path(image)) if isinstance(image, str | PathLike) else check_image(name, image)
 
 
 def load_detector(
@@ -162,7 +161,7 @@ def load_detector(
     one_of("backend", backend, BACKENDS)
     one_of("precision", precision, PRECISIONS)
     one_of("tiles", tiles, TILES)
-    in_range("min_score", min_score, 0.0, 1.0)
+    check_number("min_score", min_score, 0.0, 1.0)
     settings = Settings(
         device=device, backend=backend, precision=precision, min_size=min_size, min_score=min_score, tiles=tiles
     )

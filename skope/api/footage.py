@@ -11,12 +11,12 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, Literal
 
-from skope.api.checks import in_range
 from skope.camera.model import Camera
 from skope.dataset import coco
 from skope.dataset.folder import FRAMES, PREDICTIONS
 from skope.detections import Detections, detections_of_results
 from skope.errors import UserError
+from skope.records import check_number
 from skope.schema import AnyResult, Image
 from skope.types import Pixels
 
@@ -214,8 +214,8 @@ class Video:
 
         for name, value, most in (("height_m", height_m, 200.0), ("fov_deg", fov_deg, 170.0)):
             if value is not None:
-                in_range(name, value, 0.5, most)
-        in_range("max_vehicles", max_vehicles, 5, math.inf)
+                check_number(name, value, 0.5, most)
+        check_number("max_vehicles", max_vehicles, 5, math.inf)
         return camera_of_vehicles(self._scene(None), max_vehicles, height=height_m, fov_deg=fov_deg).estimate
 
     def _scene(self, ground: float | None) -> "Scene":
@@ -284,18 +284,18 @@ def open_video(
     from skope.pose.camera_error import camera_info
     from skope.video.footage import Cut, open_footage
 
-    in_range("score", score, 0.0, 1.0)
-    in_range("every", every, 1, math.inf)
+    check_number("score", score, 0.0, 1.0)
+    check_number("every", every, 1, math.inf)
     start_s, end_s = seconds
-    in_range("start_s", start_s, 0.0, math.inf)
+    check_number("start_s", start_s, 0.0, math.inf)
     if end_s is not None and not end_s > start_s:
         raise UserError(f"end_s: expected a time after start_s, {start_s:g}, got {end_s:g}")
     if isinstance(ground, str) and ground not in ("auto", "fit"):
         raise UserError(f'ground: expected metres, "auto", "fit" or None, got {ground!r}')
     if ground is not None and not isinstance(ground, str):
-        in_range("ground", ground, -_HIGHEST_M, _HIGHEST_M)
+        check_number("ground", ground, -_HIGHEST_M, _HIGHEST_M)
     if fps is not None:
-        in_range("fps", fps, 0.001, 1000.0)
+        check_number("fps", fps, 0.001, 1000.0)
     cut = Cut(every=every, start_s=start_s, end_s=math.inf if end_s is None else end_s)
     footage = open_footage(str(source), cut)
     if fps is not None and footage.clip is not None:

@@ -4,8 +4,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
-from skope.api.checks import in_range
 from skope.errors import UserError, one_of
+from skope.records import check_number
 
 _MOST_ALLOWED = 10**9
 
@@ -62,8 +62,8 @@ def train_detector(
 
     for name, number in (("epochs", epochs), ("batch_size", batch_size), ("max_images", max_images)):
         if number is not None:
-            in_range(name, number, 1, _MOST_ALLOWED)
-    in_range("seed", seed, 0, _MOST_ALLOWED)
+            check_number(name, number, 1, _MOST_ALLOWED)
+    check_number("seed", seed, 0, _MOST_ALLOWED)
     if supervise is not None:
         one_of("supervise", supervise, ("visible", "all"))
     folders = [Path(data)] if isinstance(data, str | Path) else [Path(one) for one in data]

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from skope.errors import UserError
-from skope.field_checks import is_number
+from skope.records import is_number
 from skope.types import Array
 
 MARKED_PX: Final = 1.5

@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from skope import field_checks, keypoints, schema
+from skope import keypoints, records, schema
 from skope.camera.model import Camera
 from skope.errors import UserError
 from skope.files.atomic import replacing
@@ -242,7 +242,7 @@ def _values(row: Mapping[str, Any], fields: Iterable[str], needed: Iterable[str]
     for name in needed:
         values[name] = row[name]
     if "area" not in row:
-        values["area"] = math.prod(field_checks.array("bbox", row["bbox"], 4)[2:].tolist())
+        values["area"] = math.prod(records.check_array("bbox", row["bbox"], 4)[2:].tolist())
     if values.get("box_3d") is not None:
         box = row["box_3d"]
         if not isinstance(box, Mapping):
@@ -327,7 +327,7 @@ def any_result_from_dict(row: Mapping[str, Any], foreign: str | None = None) -> 
 
 def result_from_dict(row: Mapping[str, Any], foreign: str | None = None) -> Result:
     """One element of a results file that is a vehicle (see `read_results`)."""
-    theirs = field_checks.array(
+    theirs = records.check_array(
         "keypoints", row["keypoints"], keypoints.FOREIGN_K[foreign] if foreign else keypoints.K, 3
     )
     bbox = row.get("bbox")

@@ -6,7 +6,7 @@ torchvision resizes the image before the network and scales the answers back by 
 
 import functools
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any, Final, Self
 
 from torch import nn
@@ -19,7 +19,7 @@ from torchvision.ops import FrozenBatchNorm2d
 from skope import keypoints, schema
 from skope.detector.backbones import BACKBONES, DEFAULT_BACKBONE, with_pyramid
 from skope.errors import UserError, one_of
-from skope.field_checks import is_number
+from skope.records import check_number, check_whole, dataclass_of
 
 NORMS: Final = ("frozen", "batch")
 ANCHORS: Final = (32, 64, 128, 256, 512)
@@ -88,13 +88,10 @@ class DetectorConfig:
         one_of("backbone", self.backbone, tuple(BACKBONES))
         for name in SIZE_RANGES:
             check_size(name, getattr(self, name))
-        if not is_number(self.norm_eps) or not 0 <= self.norm_eps < 1:
-            raise UserError(f"norm_eps: expected a number from 0 to 1, got {self.norm_eps!r}")
+        check_number("norm_eps", self.norm_eps, 0, 0.999)
         for name in ("min_size", "max_size"):
-            value = getattr(self, name)
             # Below 64 the backbone's last map may be a single cell, which has no variance to normalise by.
-            if isinstance(value, bool) or not isinstance(value, int) or not 64 <= value <= 16384:
-                raise UserError(f"{name}: expected 64 to 16384 pixels, got {value!r}")
+            check_whole(name, getattr(self, name), 64, 16384)
         if self.max_size < self.min_size:
             raise UserError(f"max_size: {self.max_size} is less than min_size, {self.min_size}")
 
@@ -136,16 +133,10 @@ class DetectorConfig:
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> Self:
         """The config of `to_dict`; a UserError names a field that is missing, unknown or out of range."""
-        names = {field.name for field in fields(cls)}
-        if not isinstance(values, Mapping) or {*_UNNAMED, *values} - {"keypoint_edition"} != names:
-            raise UserError(f"config: expected the fields {', '.join(sorted(names))}, got {str(values)[:80]}")
-        keypoints.scheme_in(values, "scheme")
-        given = {**_UNNAMED, **{name: value for name, value in values.items() if name in names}}
-        for name in _LISTS:
-            if not isinstance(given[name], list | tuple):
-                raise UserError(f"{name}: expected a list, got {given[name]!r}")
-            given[name] = tuple(given[name])
-        return cls(**given)
+        if isinstance(values, Mapping):
+            keypoints.scheme_in(values, "scheme")
+            values = {name: value for name, value in values.items() if name != "keypoint_edition"}
+        return dataclass_of(cls, values, "config: ", _UNNAMED)
 
 
 _UNNAMED: Final[dict[str, Any]] = {
@@ -158,8 +149,6 @@ _UNNAMED: Final[dict[str, Any]] = {
     "box_width": HEADS[2],
 }
 """Values that a checkpoint leaves out: those of torchvision's own model, for vehicles alone."""
-_LISTS: Final = ("anchors", "categories")
-"""Fields that are lists in JSON."""
 
 
 def check_anchors(anchors: Sequence[int]) -> None:
@@ -177,9 +166,7 @@ def check_box_passes(passes: int) -> None:
 
 def check_size(name: str, value: object) -> None:
     """Raise a UserError unless a field of `SIZE_RANGES` may have this value."""
-    low, high = SIZE_RANGES[name]
-    if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
-        raise UserError(f"{name}: expected a whole number from {low} to {high}, got {value!r}")
+    check_whole(name, value, *SIZE_RANGES[name])
 
 
 class KeypointNetwork(KeypointRCNN):  # type: ignore[misc]  # torchvision has no types

@@ -13,7 +13,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from skope import field_checks, keypoints
+from skope import keypoints, records
 from skope.errors import UserError
 from skope.files.atomic import sha256_of
 from skope.files.json_files import read_json, write_json
@@ -206,7 +206,7 @@ def read(weights: Path, scheme: str = keypoints.SCHEME) -> ScoreCalibration | No
 
 def _parsed(path: Path, document: dict[str, Any]) -> ScoreCalibration:
     try:
-        scale, offset = (field_checks.array(name, document.get(name), keypoints.K) for name in ("scale", "offset"))
+        scale, offset = (records.check_array(name, document.get(name), keypoints.K) for name in ("scale", "offset"))
     except UserError as error:
         raise UserError(f"{path}: {error}") from None
     if (scale < 0).any():

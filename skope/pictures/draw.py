@@ -18,9 +18,9 @@ from pycocotools import mask as coco_mask
 from skope.boxes import xywh_to_xyxy
 from skope.camera.model import Camera
 from skope.errors import UserError
-from skope.field_checks import image_pixels
 from skope.files.atomic import write_bytes
 from skope.keypoints import SKOPE33, Scheme
+from skope.records import check_image
 from skope.schema import Annotation, Box3D, Labelled, Result, RoadUser, RoadUserResult
 from skope.types import Pixels
 
@@ -223,7 +223,7 @@ def masks(image: Pixels, vehicles: Iterable[Labelled], *, strength: float = 0.45
         vehicles: Labels of vehicles or others; those whose mask is not given as RLE are left out.
         strength: Share of the tint, 0 to 1.
     """
-    out = image_pixels("image", image).astype(np.float32)
+    out = check_image("image", image).astype(np.float32)
     for vehicle in vehicles:
         inside = visible_mask(vehicle)
         if inside is not None:
@@ -257,7 +257,7 @@ def occlusion(image: Pixels, vehicles: Iterable[Labelled]) -> Pixels:
 
 def caption(image: Pixels, text: str) -> Pixels:
     """A copy of (H, W, 3) `image` with a line of text on a dark strip above it, shortened where it is too long."""
-    image = image_pixels("image", image)
+    image = check_image("image", image)
     size = max(0.4, image.shape[1] / 1600)
     strip = np.full((round(36 * size) + 4, image.shape[1], 3), _DARK_RGB, dtype=np.uint8)
     # The Hershey fonts have ASCII only, about 18 pixels a letter.
@@ -280,7 +280,7 @@ def contact_sheet(images: Sequence[Pixels], columns: int, *, gap: int = 4) -> Pi
     """
     if not images or columns < 1:
         raise ValueError("a contact sheet needs at least one image and one column")
-    images = [image_pixels(f"images[{i}]", image) for i, image in enumerate(images)]
+    images = [check_image(f"images[{i}]", image) for i, image in enumerate(images)]
     columns = min(columns, len(images))
     rows = -(-len(images) // columns)
     height, width = (max(image.shape[axis] for image in images) + gap for axis in (0, 1))
@@ -295,7 +295,7 @@ def write(path: str | Path, image: Pixels) -> None:
     """Write an image, (H, W, 3) RGB, in one step, in the format of the path's suffix. Raises UserError."""
     path = Path(path)
     # In memory: OpenCV itself ends the process at a path that is not UTF-8.
-    encoded, data = cv2.imencode(path.suffix, cv2.cvtColor(image_pixels("image", image), cv2.COLOR_RGB2BGR))
+    encoded, data = cv2.imencode(path.suffix, cv2.cvtColor(check_image("image", image), cv2.COLOR_RGB2BGR))
     if not encoded:
         raise UserError(f"{path}: the image could not be encoded")
     write_bytes(path, data.tobytes())
@@ -305,7 +305,7 @@ class _Canvas:
     """An image being drawn on; positions are pixels of the image before it was enlarged."""
 
     def __init__(self, image: Pixels, scale: int, scheme: Scheme = SKOPE33) -> None:
-        image = image_pixels("image", image)
+        image = check_image("image", image)
         size = (image.shape[1] * scale, image.shape[0] * scale)
         self.pixels: Pixels = cv2.resize(image, size, interpolation=cv2.INTER_CUBIC) if scale > 1 else image.copy()  # type: ignore[assignment]
         self._scale, self._scheme = scale, scheme

@@ -20,6 +20,7 @@ from skope.camera.evidence import (
     Vertical,
 )
 from skope.errors import UserError
+from skope.records import Table
 from skope.site.gates_zones_lanes import checked_name
 from skope.site.mark_limits import (
     FARTHEST,
@@ -32,7 +33,6 @@ from skope.site.mark_limits import (
     WIDEST_PX,
     is_known,
 )
-from skope.site.toml_table import TomlTable
 
 _Mark = TypeVar("_Mark")
 _LARGEST_PX: Final = 8192
@@ -101,7 +101,7 @@ def beliefs_of(
     return tuple(out)
 
 
-def read_marks(table: TomlTable, unknown: list[str]) -> CalibrationMarks:
+def read_marks(table: Table, unknown: list[str]) -> CalibrationMarks:
     """The marks of a [calibration] table; keys that mean nothing here are added to `unknown`.
 
     Raises:
@@ -123,7 +123,7 @@ def read_marks(table: TomlTable, unknown: list[str]) -> CalibrationMarks:
     return made
 
 
-def _rows(table: TomlTable, key: str, read: Callable[[TomlTable, str], _Mark], unknown: list[str]) -> tuple[_Mark, ...]:
+def _rows(table: Table, key: str, read: Callable[[Table, str], _Mark], unknown: list[str]) -> tuple[_Mark, ...]:
     out, names = [], set[str]()
     for number, row in enumerate(table.rows(key), start=1):
         name = checked_name(row, "name", row.text("name")) if "name" in row else str(number)
@@ -138,7 +138,7 @@ def _rows(table: TomlTable, key: str, read: Callable[[TomlTable, str], _Mark], u
     return tuple(out)
 
 
-def _point(row: TomlTable, name: str) -> MarkedPoint:
+def _point(row: Table, name: str) -> MarkedPoint:
     place = row.value("place")
     count = 2 if isinstance(place, list) and len(place) == 2 else 3
     where = row.numbers("place", count)
@@ -154,7 +154,7 @@ def _point(row: TomlTable, name: str) -> MarkedPoint:
     )
 
 
-def _length(row: TomlTable, name: str) -> MarkedLength:
+def _length(row: Table, name: str) -> MarkedLength:
     return MarkedLength(
         _pixels(row, "pixels", 2),
         row.number("metres", low=LENGTH_M[0], high=LENGTH_M[1]),
@@ -164,7 +164,7 @@ def _length(row: TomlTable, name: str) -> MarkedLength:
     )
 
 
-def _parallel(row: TomlTable, name: str) -> ParallelLines:
+def _parallel(row: Table, name: str) -> ParallelLines:
     lines = row.value("lines")
     if not isinstance(lines, list) or len(lines) < 2 or not all(isinstance(line, list) for line in lines):
         raise row.wrong("lines", "expected two or more lines of two pixels each")
@@ -172,8 +172,8 @@ def _parallel(row: TomlTable, name: str) -> ParallelLines:
     return ParallelLines(np.array(marked), sigma_px=_sigma(row, "sigma_px", MARKED_PX), name=name)
 
 
-def _ends(row: TomlTable, line: object) -> list[list[float]]:
-    one = TomlTable(row.path, "", {"line": line})
+def _ends(row: Table, line: object) -> list[list[float]]:
+    one = Table(row.path, "", {"line": line})
     try:
         ends = one.matrix("line", 2, 2)
     except UserError:
@@ -183,7 +183,7 @@ def _ends(row: TomlTable, line: object) -> list[list[float]]:
     return [list(end) for end in ends]
 
 
-def _vertical(row: TomlTable, name: str) -> Vertical:
+def _vertical(row: Table, name: str) -> Vertical:
     return Vertical(
         _pixels(row, "pixels", 2),
         metres=row.number("metres", low=VERTICAL_M[0], high=VERTICAL_M[1]) if "metres" in row else None,
@@ -193,7 +193,7 @@ def _vertical(row: TomlTable, name: str) -> Vertical:
     )
 
 
-def _pixels(row: TomlTable, key: str, count: int) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
+def _pixels(row: Table, key: str, count: int) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
     """(count, 2) pixels; of one the key holds the pixel itself."""
     rows = [row.numbers(key, 2)] if count == 1 else row.matrix(key, count, 2)
     out = np.array(rows, dtype=np.float64)
@@ -204,11 +204,11 @@ def _pixels(row: TomlTable, key: str, count: int) -> np.ndarray[tuple[int, ...],
     return out
 
 
-def _sigma(row: TomlTable, key: str, default: float) -> float:
+def _sigma(row: Table, key: str, default: float) -> float:
     return row.number(key, default, low=SIGMA[0], high=SIGMA[1])
 
 
-def _measured(table: TomlTable, key: str, limits: tuple[float, float]) -> tuple[float, float] | None:
+def _measured(table: Table, key: str, limits: tuple[float, float]) -> tuple[float, float] | None:
     """A value with its standard deviation, [value, sigma]."""
     if key not in table:
         return None
@@ -218,7 +218,7 @@ def _measured(table: TomlTable, key: str, limits: tuple[float, float]) -> tuple[
     return value, sigma
 
 
-def _lens(table: TomlTable, unknown: list[str]) -> Mapping[str, tuple[float, float]]:
+def _lens(table: Table, unknown: list[str]) -> Mapping[str, tuple[float, float]]:
     """Raises UserError where it does not say a focal length."""
     focal = _measured(table, "focal_px", LENS["focal_px"])
     if focal is None:
@@ -228,7 +228,7 @@ def _lens(table: TomlTable, unknown: list[str]) -> Mapping[str, tuple[float, flo
     return {"focal_px": focal, **({"k1": k1} if k1 else {})}
 
 
-def _size(table: TomlTable) -> tuple[int, int] | None:
+def _size(table: Table) -> tuple[int, int] | None:
     if "size" not in table:
         return None
     width, height = table.numbers("size", 2)
@@ -237,14 +237,14 @@ def _size(table: TomlTable) -> tuple[int, int] | None:
     return int(width), int(height)
 
 
-def _time(table: TomlTable, key: str) -> datetime | None:
+def _time(table: Table, key: str) -> datetime | None:
     value = table.value(key)
     if value is not None and (not isinstance(value, datetime) or value.tzinfo is None):
         raise table.wrong(key, "expected a time with its zone, like 2026-06-21T14:30:00+02:00")
     return value
 
 
-def _vehicles(table: TomlTable) -> Belief | None:
+def _vehicles(table: Table) -> Belief | None:
     """The camera that `skope eval camera` has found from vehicles, which says nothing of place and direction."""
     path = table.file("vehicles")
     if path is None:

@@ -1,11 +1,11 @@
 """The [traffic] table of a site file: by what rules traffic is counted and measured there."""
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from typing import Any, Final
 
+from skope.records import Table, plain_values
 from skope.site.gates_zones_lanes import checked_name
-from skope.site.toml_table import TomlTable
 
 VEHICLE_CLASSES: Final = ("car", "van", "lorry", "bus")
 """Classes that a vehicle can be of; one whose class is not sure enough to be named is of class unknown."""
@@ -70,7 +70,7 @@ class TrafficSettings:
 
     def to_dict(self) -> dict[str, Any]:
         """The settings as JSON has them."""
-        return {key: list(value) if isinstance(value, tuple) else value for key, value in asdict(self).items()}
+        return plain_values(self)
 
 
 _RANGES: Final = {
@@ -91,7 +91,7 @@ _LENGTHS_M: Final = (5.0, 30.0)
 for all of a model."""
 
 
-def read_traffic(table: TomlTable, gates: tuple[str, ...], unknown: list[str]) -> TrafficSettings:
+def read_traffic(table: Table, gates: tuple[str, ...], unknown: list[str]) -> TrafficSettings:
     """The table's settings, the default where it does not name one; keys that mean nothing are added to `unknown`.
 
     Args:
@@ -120,14 +120,14 @@ def read_traffic(table: TomlTable, gates: tuple[str, ...], unknown: list[str]) -
     return settings
 
 
-def _interval(table: TomlTable, default: int) -> int:
+def _interval(table: Table, default: int) -> int:
     minutes = table.number("interval_minutes", default, low=1, high=_DAY_MINUTES)
     if minutes % 1 or _DAY_MINUTES % minutes:
         raise table.wrong("interval_minutes", f"expected whole minutes that a day is a multiple of, got {minutes:g}")
     return int(minutes)
 
 
-def _length_bins(table: TomlTable) -> tuple[float, float] | None:
+def _length_bins(table: Table) -> tuple[float, float] | None:
     """The two limits; None where the key is missing."""
     if "length_bins_m" not in table:
         return None
@@ -140,7 +140,7 @@ def _length_bins(table: TomlTable) -> tuple[float, float] | None:
     return first, second
 
 
-def _pce_factors(table: TomlTable) -> dict[str, float]:
+def _pce_factors(table: Table) -> dict[str, float]:
     """The passenger-car equivalents, with defaults for the classes that the table does not name.
 
     Raises:
@@ -152,7 +152,7 @@ def _pce_factors(table: TomlTable) -> dict[str, float]:
     return read
 
 
-def _names(table: TomlTable, key: str, known: tuple[str, ...], what: str) -> tuple[str, ...] | None:
+def _names(table: Table, key: str, known: tuple[str, ...], what: str) -> tuple[str, ...] | None:
     """A list of names, each of which is known; None where the key is missing."""
     if key not in table:
         return None

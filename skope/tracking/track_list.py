@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from skope.boxes import xywh_to_xyxy
-from skope.field_checks import image_pixels
+from skope.records import check_image
 from skope.tracking import camera_picture
 from skope.tracks.csv_file import write_tracks
 from skope.tracks.track import Track
@@ -71,7 +71,7 @@ class Tracks(list[Track]):
         Raises:
             UserError: The pixels are of another shape or type.
         """
-        image = image_pixels("image", image)
+        image = check_image("image", image)
         rows = ((track, _row(track, frame)) for track in self)
         return camera_picture.with_tracks_drawn(
             image, [(track, i) for track, i in rows if i is not None and np.isfinite(track.scores[i])]

@@ -1,6 +1,5 @@
 """Times at which the camera observed the road: without that, nothing counted and nothing observed look alike."""
 
-import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
@@ -16,8 +15,8 @@ from skope.camera.ground_plane import Ground
 from skope.camera.model import Camera
 from skope.camera.uncertain_camera import UncertainCamera
 from skope.errors import UserError
-from skope.field_checks import is_number
 from skope.files.json_files import check_version, read_json
+from skope.records import check_share, is_number, value_of
 from skope.tracks.csv_file import TRACKS_CSV
 from skope.tracks.track import Track
 from skope.traffic.counting_intervals import time_of
@@ -223,8 +222,7 @@ def read_observation(folder: Path) -> Observation:
     if (np.diff(times) <= 0).any():
         raise UserError(f"{path}: times_s: expected times that rise from frame to frame")
     sigma = document.get("common_sigma")
-    if sigma is not None and (type(sigma) not in (int, float) or not 0 <= sigma < 1):
-        raise UserError(f"{path}: common_sigma: expected a number from 0 to 1, or null")
+    check_share(f"{path}: common_sigma", sigma)
     camera, uncertainty = _read_camera(path, document.get("camera"))
     source = document.get("source")
     return Observation(
@@ -233,7 +231,7 @@ def read_observation(folder: Path) -> Observation:
         common_sigma=document.get("common_sigma"),
         camera=camera,
         uncertainty=uncertainty,
-        ground=_read_ground(path, document.get("ground")),
+        ground=value_of(document.get("ground"), Ground | None, f"{path}: ground"),
         moved_s=np.unique(_numbers(path, document, "moved_times_s")),
         turned=_read_turned(path, document.get("turned", [])),
         sight=checked_sight(document.get("sight"), f"{path}: sight"),
@@ -265,23 +263,6 @@ def _read_turned(path: Path, value: Any) -> tuple[tuple[float, Camera], ...]:
         raise UserError(f"{path}: turned: expected cameras, each with from_s")
     cameras = [_read_camera(path, one)[0] for one in value]
     return tuple((float(one["from_s"]), camera) for one, camera in zip(value, cameras, strict=True) if camera)
-
-
-def _read_ground(path: Path, value: Any) -> Ground | None:
-    if value is None:
-        return None
-    expected = f"{path}: ground: expected height, height_sigma, tilt_sigma, slope and about, or null"
-    if not isinstance(value, dict):
-        raise UserError(expected)
-    numbers: list[Any] = [value.get(name) for name in ("height", "height_sigma", "tilt_sigma")]
-    pairs: list[Any] = [value.get(name) for name in ("slope", "about")]
-    if not all(isinstance(pair, list) and len(pair) == 2 for pair in pairs):
-        raise UserError(expected)
-    if not all(is_number(number) for number in (*numbers, *itertools.chain(*pairs))):
-        raise UserError(expected)
-    height, height_sigma, tilt_sigma = map(float, numbers)
-    slope, about = ((float(x), float(y)) for x, y in pairs)
-    return Ground(height=height, height_sigma=height_sigma, tilt_sigma=tilt_sigma, slope=slope, about=about)
 
 
 def checked_sight(rows: Any, where: str) -> Array:

@@ -3,19 +3,18 @@
 A recipe may name a teacher: a detector whose answers a smaller one learns from.
 """
 
-import difflib
 import math
 import tomllib
-import types
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, Final, Self, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import Any, Final, Self, get_type_hints
 
 from skope.detector.build import check_anchors, check_box_passes
 from skope.errors import UserError, one_of
 from skope.files.atomic import read_text
+from skope.records import NONE_WORD, dataclass_of, plain_values, with_values
 from skope.schema import VEHICLE_TYPES
 from skope.train.augment import Augment
 from skope.train.network_shape import NetworkShape
@@ -50,12 +49,6 @@ class TeacherRules:
         return max(self.classes, self.boxes) > 0
 
 
-T = TypeVar("T")
-
-NONE_WORD = "none"
-"""Ways in which people write None, for which TOML has no word."""
-
-
 def read_toml(path: Path) -> dict[str, Any]:
     """The table of a TOML file; a missing or malformed one is a UserError that names it."""
     try:
@@ -82,64 +75,18 @@ def from_flags(flags: Sequence[str], where: str) -> dict[str, Any]:
     return values
 
 
-def with_values(base: T, values: Mapping[str, Any], where: str) -> T:
-    """A copy of a dataclass with other values, nested tables for nested dataclasses.
-
-    Raises UserError, beginning with `where` and the field, for unknown names and wrong types.
-    """
-    hints = get_type_hints(type(base))
-    names = {field.name for field in fields(base)}  # type: ignore[arg-type]
-    new: dict[str, Any] = {name: getattr(base, name) for name in names}
-    for name, value in values.items():
-        if name not in names:
-            close = difflib.get_close_matches(name, names, n=1)
-            hint = f"; did you mean {close[0]}?" if close else f"; there are: {', '.join(sorted(names))}"
-            raise UserError(f"{where}{name}: no such value{hint}")
-        if is_dataclass(new[name]):
-            if not isinstance(value, Mapping):
-                raise UserError(f"{where}{name}: expected a table, got {value!r}")
-            new[name] = with_values(new[name], value, f"{where}{name}.")
-        else:
-            new[name] = _typed(value, hints[name], f"{where}{name}")
-    try:
-        return type(base)(**new)
-    except UserError as error:
-        raise UserError(f"{where}{error}") from None
+def with_flag_lists(cls: type[Any], values: Mapping[str, Any]) -> dict[str, Any]:
+    """Values of flags and TOML files, with texts like "car,van" split where the field of `cls` is a list."""
+    hints = get_type_hints(cls)
+    return {name: _split(value) if "tuple" in str(hints.get(name)) else value for name, value in values.items()}
 
 
-def _typed(value: Any, hint: Any, where: str) -> Any:
-    choices = get_args(hint) if get_origin(hint) in (Union, types.UnionType) else (hint,)
-    if type(None) in choices and value in (None, NONE_WORD):
-        return None
-    for choice in choices:
-        if choice is float and isinstance(value, int | float) and not isinstance(value, bool):
-            return float(value)
-        if choice in (int, str, bool) and type(value) is choice:
-            return value
-        if get_origin(choice) is tuple and (items := _items(value, get_args(choice)[0])) is not None:
-            return items
-    words: dict[Any, str] = {
-        int: "a whole number",
-        float: "a number",
-        bool: "true or false",
-        str: "text",
-        type(None): NONE_WORD,
-        tuple[int, ...]: "a list of whole numbers",
-        tuple[str, ...]: "a list of texts",
-    }
-    expected = " or ".join(words[choice] for choice in choices)
-    raise UserError(f"{where}: expected {expected}, got {value!r}")
-
-
-def _items(value: Any, kind: type) -> tuple[Any, ...] | None:
-    """The texts or whole numbers of a list, or of one text with commas between them; None where it is no such list."""
-    if isinstance(value, str):
-        value = [item.strip() for item in value.split(",") if item.strip()]
-        if kind is int and all(item.isdecimal() for item in value):
-            value = [int(item) for item in value]
-    if isinstance(value, list | tuple) and all(type(item) is kind for item in value):
-        return tuple(value)
-    return None
+def _split(value: Any) -> Any:
+    """The items of a text with commas, whole numbers as such. Any other value is returned unchanged."""
+    if not isinstance(value, str) or value == NONE_WORD:
+        return value
+    items = [item.strip() for item in value.split(",") if item.strip()]
+    return [int(item) if item.isdecimal() else item for item in items]
 
 
 SUPERVISE: Final = ("visible", "all")
@@ -244,17 +191,12 @@ class Recipe:
 
     def to_dict(self) -> dict[str, Any]:
         """JSON values of the fields by name."""
-        anchors = None if self.anchors is None else list(self.anchors)
-        return {**asdict(self), "exclude_types": list(self.exclude_types), "anchors": anchors}
+        return plain_values(self)
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> Self:
         """The recipe of `to_dict`; a UserError says when fields are missing or unknown."""
-        names = {field.name for field in fields(cls)}
-        if not isinstance(values, Mapping) or values.keys() != names:
-            raise UserError(f"recipe: expected the fields {', '.join(sorted(names))}")
-        like: Any = RECIPES["paper"]
-        return with_values(like, values, "recipe: ")  # type: ignore[no-any-return]
+        return dataclass_of(cls, values, "recipe")
 
     def with_min_size(self, min_size: int) -> Self:
         """The recipe with another short side, pixels; the long side's limit changes in proportion."""
@@ -373,7 +315,7 @@ def choose_recipe(name: str, *, gpu: bool, bfloat16: bool) -> Recipe:
         if base not in CHOICES:
             raise UserError(f"{path}: {_BASE}: {base!r} is not one of {', '.join(CHOICES)}")
         recipe = choose_recipe(base, gpu=gpu, bfloat16=bfloat16)
-        return with_values(recipe, {"name": path.stem, **values}, f"{path}: ")
+        return with_values(recipe, with_flag_lists(Recipe, {"name": path.stem, **values}), f"{path}: ")
     one_of("--recipe", name, CHOICES)
     recipe = RECIPES[("paper" if gpu else "laptop") if name == "auto" else name]
     return recipe if recipe.name == "paper" else replace(recipe, bfloat16=bfloat16)
@@ -381,4 +323,4 @@ def choose_recipe(name: str, *, gpu: bool, bfloat16: bool) -> Recipe:
 
 def adjusted_recipe(recipe: Recipe, flags: Sequence[str]) -> Recipe:
     """The recipe with the values of `--set name=value` flags."""
-    return with_values(recipe, from_flags(flags, "--set"), "--set ")
+    return with_values(recipe, with_flag_lists(Recipe, from_flags(flags, "--set")), "--set ")

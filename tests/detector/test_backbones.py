@@ -111,9 +111,9 @@ def test_a_config_names_what_is_not_torchvisions() -> None:
     [
         ("backbone", "vgg16", "'vgg16' is not one of resnet50, resnet18, mobilenet_v3_large"),
         ("pyramid_width", 8, "expected a whole number from 16 to 512, got 8"),
-        ("keypoint_layers", True, "expected a whole number from 1 to 16, got True"),
-        ("keypoint_width", 1e9, "expected a whole number from 16 to 1024"),
-        ("box_width", None, "expected a whole number from 16 to 4096, got None"),
+        ("keypoint_layers", True, "expected a whole number, got True"),
+        ("keypoint_width", 1e9, "expected a whole number, got 1000000000.0"),
+        ("box_width", None, "expected a whole number, got nothing"),
     ],
 )
 def test_a_wrong_config_is_refused_by_field(field: str, value: object, expected: str, tmp_path: Path) -> None:
@@ -122,7 +122,7 @@ def test_a_wrong_config_is_refused_by_field(field: str, value: object, expected:
     wrong = edited_header(
         tmp_path / "a.safetensors", tmp_path / "b.safetensors", config={**own.to_dict(), field: value}
     )
-    with pytest.raises(UserError, match=f"b.safetensors: {field}: {expected}"):
+    with pytest.raises(UserError, match=f"b.safetensors: config: {field}: {expected}"):
         load_weights(wrong, "cpu")
     other = edited_header(tmp_path / "a.safetensors", tmp_path / "c.safetensors", config=config("resnet18").to_dict())
     with pytest.raises(UserError, match=r"c.safetensors: lacks \d+ tensor"):

@@ -157,7 +157,7 @@ def edited_header(path: Path, out: Path, **changes: Any) -> Path:
     [
         ({"num_keypoints": 17}, "num_keypoints: expected 33, got 17"),
         ({"scheme": "coco17"}, "scheme: 'coco17' is not one of skope33, skope3d"),
-        ({"config": {"norm": "batch"}}, "config: expected the fields"),
+        ({"config": {"norm": "batch"}}, "scheme: None is not one of"),
         ({"config": {**config().to_dict(), "norm": "group"}}, "norm: 'group' is not one of"),
     ],
 )

@@ -146,7 +146,7 @@ def test_resuming_keeps_what_the_run_began_with(tmp_path: Path) -> None:
     write_json(tmp_path / "recipe.json", replace(recorded, categories=("vehicle",)).to_dict())
     assert configure.again(tmp_path, (), {**NO_FLAGS, "categories": ("vehicle",)}).categories == ("vehicle",)
     write_json(tmp_path / "recipe.json", {**recorded.to_dict(), "recipe": {}})
-    with pytest.raises(UserError, match=r"recipe.json: recipe: expected the fields"):
+    with pytest.raises(UserError, match=r"recipe.json: recipe.name: missing"):
         configure.again(tmp_path, (), NO_FLAGS)
 
 

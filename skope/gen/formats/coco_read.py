@@ -12,7 +12,7 @@ from typing import Any, Final, TypeVar
 
 import numpy as np
 
-from skope import field_checks, keypoints, schema
+from skope import keypoints, records, schema
 from skope.boxes import area, clip, xywh_to_xyxy, xyxy_to_xywh
 from skope.dataset import coco
 from skope.errors import UserError
@@ -154,7 +154,7 @@ def vehicle_of_row(
     """
     size = image.record.width, image.record.height
     with telling(where):
-        theirs = field_checks.array("keypoints", row.get("keypoints") or [0] * (3 * label.count), label.count, 3)
+        theirs = records.check_array("keypoints", row.get("keypoints") or [0] * (3 * label.count), label.count, 3)
         points = np.zeros((K, 3))
         points[list(label.places)] = theirs[list(label.columns)]
         if image.turned is not None:
@@ -197,7 +197,7 @@ def box_of_row(stated: Any, points: Array, image: ImportedImage) -> Any:
         return xyxy_to_xywh(np.concatenate([known.min(axis=0), known.max(axis=0)]))
     if image.turned is None:
         return stated
-    corners = image.turned.shown_points(xywh_to_xyxy(field_checks.array("bbox", stated, 4)).reshape(2, 2))
+    corners = image.turned.shown_points(xywh_to_xyxy(records.check_array("bbox", stated, 4)).reshape(2, 2))
     return xyxy_to_xywh(np.concatenate([corners.min(axis=0), corners.max(axis=0)]))
 
 

@@ -1,21 +1,21 @@
 """Ingredients of a dataset, as its card keeps them: the parameters that decide every byte, and its recordings."""
 
 import re
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, fields
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import Any, Final, Self
+from typing import Any, Self
 
 from skope import keypoints
 from skope.dataset.folder import check_takes
 from skope.errors import UserError
-from skope.field_checks import is_number
 from skope.gen.labels.annotate import Rules
 from skope.gen.output import licences
 from skope.gen.output.frames import Encoding
 from skope.gen.scene.package_versions import versions
 from skope.gen.scene.random_streams import Variation
 from skope.gen.scene.recording import RecordingInfo
+from skope.records import dataclass_of, plain_values, shown
 from skope.schema import CATEGORIES, VEHICLE_ALONE
 from skope.types import Range
 
@@ -33,10 +33,6 @@ class OwnSiteRecord:
     """Whether images show the user's photograph as background."""
     splits: tuple[str, ...]
     """Split of each recording."""
-
-    def to_dict(self) -> dict[str, Any]:
-        """The record as JSON values."""
-        return {**asdict(self), "splits": list(self.splits)}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,17 +93,9 @@ class Parameters:
         return int(match[1]), int(match[2])
 
     def to_dict(self) -> dict[str, Any]:
-        """The parameters as JSON values, those of `variation` among them, in the order of `_FIELD_KINDS`."""
-        values = {f.name: getattr(of, f.name) for of in (self, self.variation) for f in fields(of)}
-        values |= {
-            "rules": asdict(self.rules),
-            "own": self.own.to_dict() if self.own else None,
-            "encoding": asdict(self.encoding),
-            **{name: list(values[name]) for name in ("sites", *_NAMES)},
-            **{name: {key: list(pair) for key, pair in values[name].items()} for name in _RANGES_BY_NAME},
-            **{name: list(pair) if (pair := values[name]) else None for name in _RANGES},
-        }
-        return {name: values[name] for name in _FIELD_KINDS if name not in _ASKED or values[name]}
+        """The parameters as JSON values, with the fields of `variation` among them."""
+        values = plain_values(self)
+        return {**values.pop("variation"), **values}
 
     @classmethod
     def from_dict(cls, values: Any, where: str = "parameters") -> Self:
@@ -115,28 +103,19 @@ class Parameters:
 
         Args:
             values: The JSON values.
-            where: What a message begins with, for example the file.
+            where: The object, as messages name it, for example "card.json: parameters".
 
         Raises:
-            UserError: A field is missing, unknown or of another kind; it is named.
+            UserError: A field is missing, unknown or of another type. The message names it.
         """
-        _check_fields(where, values, _FIELD_KINDS, optional=_ASKED)
-        made = dict(values)
-        for name, kind in (("rules", Rules), ("encoding", Encoding)):
-            made[name] = _made(f"{where}.{name}", kind, values[name])
-        if made["own"] is not None:
-            _check_fields(f"{where}.own", made["own"], _OWN_KINDS)
-            made["own"] = OwnSiteRecord(**{**made["own"], "splits": tuple(made["own"]["splits"])})
-        for name in _RANGES:
-            if values.get(name):
-                low, high = values[name]
-                made[name] = (low, high)
-        for name in _RANGES_BY_NAME:
-            made[name] = {key: (low, high) for key, (low, high) in values.get(name, {}).items()}
-        for name in ("sites", *_NAMES):
-            made[name] = tuple(values.get(name, ()))
-        varied = {f.name: made.pop(f.name) for f in fields(Variation) if f.name in made}
-        return cls(variation=Variation(**varied), **made)
+        if not isinstance(values, Mapping):
+            raise UserError(f"{where}: expected an object, got {shown(values)}")
+        varied = {field.name for field in fields(Variation)} & values.keys()
+        variation = dataclass_of(Variation, {name: values[name] for name in varied}, where)
+        others = {name: value for name, value in values.items() if name not in varied}
+        if (edition := others.get("keypoint_edition")) != keypoints.EDITION:
+            raise UserError(f"{where}.keypoint_edition: expected {keypoints.EDITION}, got {shown(edition)}")
+        return dataclass_of(cls, {**others, "variation": variation}, where)
 
 
 @dataclass(frozen=True)
@@ -160,125 +139,3 @@ class DatasetPlan:
         parameters = Parameters.from_dict(values.get("parameters"), f"{path}: parameters")
         check_takes(path, values.get("takes"))
         return cls(parameters, tuple(RecordingInfo(*row) for row in values["takes"]))
-
-
-# ----------------------------------------------------------------------------------------------- kinds of JSON values
-
-
-@dataclass(frozen=True)
-class _Kind:
-    """A kind of JSON value: its name in messages, and whether a value is one."""
-
-    name: str
-    holds: Callable[[Any], bool]
-
-
-def _is_whole(value: Any) -> bool:
-    return isinstance(value, int) and not isinstance(value, bool)
-
-
-def _is_text(value: Any) -> bool:
-    return isinstance(value, str)
-
-
-def _is_range(value: Any) -> bool:
-    return isinstance(value, list) and len(value) == 2 and all(map(is_number, value))
-
-
-def _object_of(holds: Callable[[Any], bool]) -> Callable[[Any], bool]:
-    return lambda value: isinstance(value, dict) and all(map(holds, value.values()))
-
-
-_TEXT: Final = _Kind("text", _is_text)
-_WHOLE_NUMBER: Final = _Kind("a whole number", _is_whole)
-_EDITION: Final = _Kind(str(keypoints.EDITION), lambda value: value == keypoints.EDITION)
-_NUMBER: Final = _Kind("a number", is_number)
-_SWITCH: Final = _Kind("true or false", lambda value: isinstance(value, bool))
-_OBJECT: Final = _Kind("an object", lambda value: isinstance(value, dict))
-_OBJECT_OR_NULL: Final = _Kind("an object or null", lambda value: isinstance(value, dict | None))
-_NUMBER_OR_NULL: Final = _Kind("a number or null", lambda value: value is None or is_number(value))
-_RANGE_OR_NULL: Final = _Kind("a pair of numbers or null", lambda value: value is None or _is_range(value))
-_TEXTS: Final = _Kind("names", lambda value: isinstance(value, list) and all(map(_is_text, value)))
-_TEXT_BY_NAME: Final = _Kind("an object of texts", _object_of(_is_text))
-_COUNT_BY_NAME: Final = _Kind("an object of whole numbers", _object_of(_is_whole))
-_RANGE_BY_NAME: Final = _Kind("an object of pairs of numbers", _object_of(_is_range))
-
-_RANGES: Final = ("traffic", "largest_vehicle", "distractors", "lit_objects")
-"""Fields that hold a range or None."""
-_RANGES_BY_NAME: Final = ("settings", "night", "cameras")
-"""Fields that hold ranges by their names."""
-_NAMES: Final = ("weather", "time_of_day")
-"""Fields that hold names that were asked for."""
-_ASKED: Final = ("night", "vehicle_share", "largest_vehicle", "lit_objects", "further_models", "road_users", *_NAMES)
-"""Fields that are written only where they were asked for."""
-_FIELD_KINDS: Final[Mapping[str, _Kind]] = {
-    "preset": _TEXT,
-    "seed": _WHOLE_NUMBER,
-    "sites": _TEXTS,
-    "frames": _COUNT_BY_NAME,
-    "recordings": _WHOLE_NUMBER,
-    "interval_s": _NUMBER,
-    "size": _TEXT,
-    "fov_deg": _NUMBER,
-    "renderer": _TEXT,
-    "driver": _TEXT,
-    "rules": _OBJECT,
-    "settings": _RANGE_BY_NAME,
-    "night": _RANGE_BY_NAME,
-    "cameras": _RANGE_BY_NAME,
-    "keypoint_edition": _EDITION,
-    "vehicles": _TEXT_BY_NAME,
-    "vehicle_share": _NUMBER_OR_NULL,
-    "weather": _TEXTS,
-    "time_of_day": _TEXTS,
-    "shape_jitter": _SWITCH,
-    "views": _WHOLE_NUMBER,
-    "largest_vehicle": _RANGE_OR_NULL,
-    "traffic": _RANGE_OR_NULL,
-    "town_jitter": _SWITCH,
-    "distractors": _RANGE_OR_NULL,
-    "lit_objects": _RANGE_OR_NULL,
-    "seasons": _SWITCH,
-    "further_models": _SWITCH,
-    "road_users": _SWITCH,
-    "randomised": _NUMBER,
-    "own": _OBJECT_OR_NULL,
-    "encoding": _OBJECT,
-    "format": _TEXT,
-    "licence": _TEXT,
-    "versions": _TEXT_BY_NAME,
-}
-"""Kind of each field, of `Parameters` and of `Variation`, in the order in which files have them."""
-_OWN_KINDS: Final[Mapping[str, _Kind]] = {
-    "file": _TEXT,
-    "digests": _TEXT_BY_NAME,
-    "town": _TEXT,
-    "photograph": _SWITCH,
-    "splits": _TEXTS,
-}
-
-
-def _check_fields(where: str, values: Any, kinds: Mapping[str, _Kind], optional: Sequence[str] = ()) -> None:
-    """Raise a UserError unless `values` is an object with fields of these kinds, but for `optional`, and no others."""
-    if not isinstance(values, dict):
-        raise UserError(f"{where}: expected an object, got {_shortened(values)}")
-    for name, kind in kinds.items():
-        if name not in (*values, *optional) or (name in values and not kind.holds(values[name])):
-            raise UserError(f"{where}.{name}: expected {kind.name}, got {_shortened(values.get(name))}")
-    for name in values.keys() - kinds.keys():
-        raise UserError(f"{where}.{name}: is a field that this version of skope does not know")
-
-
-def _made(where: str, kind: type[Any], values: Mapping[str, Any]) -> Any:
-    """An instance of a dataclass of plain values; a UserError says which fields it has, or which value is wrong."""
-    names = [f.name for f in fields(kind)]
-    if values.keys() != set(names):
-        raise UserError(f"{where}: expected {', '.join(names)}, got {_shortened(values)}")
-    try:
-        return kind(**values)
-    except (UserError, TypeError) as error:
-        raise UserError(f"{where}: {error}") from None
-
-
-def _shortened(value: Any) -> str:
-    return "nothing" if value is None else f"{value!r:.60}"

@@ -23,6 +23,7 @@ from skope.gen.scene.recording import RecordingPlan
 from skope.gen.towns.sites import Site, site, sites
 from skope.gen.traffic.sumo import step_for
 from skope.gen.vehicles.fleet import fleet
+from skope.records import check_whole
 from skope.schema import WEATHERS
 from skope.types import Range
 
@@ -158,12 +159,9 @@ class DatasetRequest:
         for name in p.sites:
             self.site(name)
         for frames in p.frames.values():
-            if frames < 1:
-                raise UserError(f"--frames: expected a whole number from 1, got {frames}")
-        if p.recordings < 1:
-            raise UserError(f"--recordings: expected a whole number from 1, got {p.recordings}")
-        if p.seed < 0:
-            raise UserError(f"--seed: expected a whole number from 0, got {p.seed}")
+            check_whole("--frames", frames, 1)
+        check_whole("--recordings", p.recordings, 1)
+        check_whole("--seed", p.seed)
         if not 5 <= p.fov_deg <= 150:
             raise UserError(f"--fov: expected degrees from 5 to 150, got {p.fov_deg}")
         step_for(p.interval_s)
@@ -180,8 +178,7 @@ class DatasetRequest:
             if len(set(asked)) < len(asked):
                 raise UserError(f"{flag}: expected different names, got {','.join(asked)}")
         self._check_vehicles()
-        if not 0 <= (views := p.variation.views) <= 16:
-            raise UserError(f"--views: expected a whole number from 0 to 16, got {views}")
+        check_whole("--views", p.variation.views, 0, 16)
         if p.variation.largest_vehicle:
             camera_sampling.check_largest_vehicle(p.variation.largest_vehicle)
         if self.own:

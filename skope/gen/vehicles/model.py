@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from skope import keypoints
-from skope.field_checks import array
 from skope.gen.mesh import Mesh, merged, simplified
 from skope.gen.vehicles.shape import Dimensions
+from skope.records import check_array
 from skope.types import Array
 
 
@@ -46,8 +46,8 @@ class Sidecar:
     """(33,) -1 below, 0 in, +1 above the plane of the wheel centres."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "distances", array("distances", self.distances, keypoints.K, 4))
-        object.__setattr__(self, "side", array("side", self.side, keypoints.K))
+        object.__setattr__(self, "distances", check_array("distances", self.distances, keypoints.K, 4))
+        object.__setattr__(self, "side", check_array("side", self.side, keypoints.K))
 
     @classmethod
     def of(cls, points: ArrayLike, wheels: ArrayLike | None = None) -> Self:

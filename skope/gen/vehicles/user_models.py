@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from skope import keypoints
 from skope.errors import UserError, one_of
-from skope.field_checks import array, is_number
 from skope.files.atomic import write_bytes
 from skope.files.json_files import check_version, read_json
 from skope.files.safe_names import name as check_name
@@ -23,6 +22,7 @@ from skope.gen.mesh import Mesh
 from skope.gen.vehicles.marked_models import Marked
 from skope.gen.vehicles.model import Derived, Sidecar
 from skope.gen.vehicles.shape import Dimensions
+from skope.records import check_array, check_number, dataclass_of, is_number
 from skope.schema import VEHICLE_TYPES
 from skope.types import Array
 
@@ -158,7 +158,7 @@ def load_model(name: str) -> AddedVehicle:
             vehicle_type=one_of("vehicle_type", row["vehicle_type"], VEHICLE_TYPES),
             shape=_read_dimensions(row["shape"]),
             mass=check_mass("mass", row["mass"]),
-            points=array("keypoints", row["keypoints"], keypoints.K, 3),
+            points=check_array("keypoints", row["keypoints"], keypoints.K, 3),
             digest=_digest(path),
             mesh=mesh,
             wheel=wheel,
@@ -178,10 +178,9 @@ def check_mass(field: str, kilograms: Any) -> float:
 
 
 def _read_dimensions(told: Mapping[str, Any]) -> Dimensions:
-    shape = Dimensions(**told)
+    shape = dataclass_of(Dimensions, told, "shape")
     for name, metres in shape.to_dict().items():
-        if not float(array(f"shape.{name}", metres, 1)[0]) >= 0:
-            raise UserError(f"shape.{name}: expected metres from 0, got {metres!r:.60}")
+        check_number(f"shape.{name}", metres)
     return shape
 
 

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 from skope.errors import UserError
-from skope.field_checks import is_number
+from skope.records import is_number
 from skope.site.mark_limits import LONGEST_NAME
 
 NO_NAME: Final = f"expected a name of one line and up to {LONGEST_NAME} letters"

@@ -145,10 +145,10 @@ def test_other_light_or_traffic_is_other_work(tmp_path: Path) -> None:
     Store(tmp_path).begin(first.dataset_plan())
     for other, said in (
         (asked(weather=("rain",), vehicles={"suv": ""}, vehicle_share=0.3), "vehicle_share = 0.2, now 0.3"),
-        (asked(vehicles={"suv": ""}, vehicle_share=0.2), r'weather = \["rain"\], now null'),
+        (asked(vehicles={"suv": ""}, vehicle_share=0.2), r'weather = \["rain"\], now \[\]'),
         (
             asked(weather=("rain",), time_of_day=("noon",), vehicles={"suv": ""}, vehicle_share=0.2),
-            "time_of_day = null",
+            r"time_of_day = \[\]",
         ),
     ):
         with pytest.raises(UserError, match=said):
