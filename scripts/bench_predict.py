@@ -39,7 +39,7 @@ from skope.detector.checkpoint import load_weights
 from skope.detector.detect import as_tensor
 from skope.detector.network_settings import Settings
 from skope.detector.predictor import Predictor
-from skope.footage.confirmation import WEAK, Confirmation
+from skope.footage.confirmation import CONFIRMATION, Confirmation
 from skope.footage.predict_footage import found_in
 from skope.footage.predict_job import PredictJob
 from skope.schema import AnnotationFile, Image, Result
@@ -76,7 +76,9 @@ STAGES: Final = {
 
 def predictor_of(options: argparse.Namespace, way: str, size: int) -> Predictor:
     backend, precision = WAYS[way]
-    settings = Settings(device=options.device, backend=backend, precision=precision, min_size=size, min_score=WEAK)
+    settings = Settings(
+        device=options.device, backend=backend, precision=precision, min_size=size, min_score=CONFIRMATION.weak_score
+    )
     return Predictor.load(options.checkpoint, settings, Console(quiet=True))
 
 

@@ -23,10 +23,10 @@ import cv2
 import numpy as np
 
 from skope.camera.model import Camera
-from skope.camera.motion.camera_motion import MOTION, turned_camera
+from skope.camera.motion.camera_motion import MOTION_KEY, turned_camera
 from skope.camera.motion.camera_shake import SwayWatch, record_of
 from skope.camera.motion.view_changes import Looks
-from skope.camera.uncertain_camera import PLACE_SHARE, radius_of
+from skope.camera.uncertain_camera import UNCERTAINTY, radius_of
 from skope.dataset import coco
 from skope.dataset.folder import CHANGES, read_image
 from skope.pose.camera_error import with_camera_error
@@ -128,7 +128,7 @@ def shaken(file: AnnotationFile, pictures: "Pictures", sway_px: float, bump_px: 
     ]
     info = {
         **({CHANGES: [change.to_dict() for change in changes]} if changes else {}),
-        **({MOTION: motion.to_dict()} if motion else {}),
+        **({MOTION_KEY: motion.to_dict()} if motion else {}),
     }
     said = f"{motion.median_px:.2f} px" if motion else "still"
     said += "".join(f", moved at {change.time_s:.1f} s" for change in changes)
@@ -169,7 +169,7 @@ def errors_of(scene: Scene) -> Errors:
                 continue
             off = float(np.linalg.norm((poses.position[i] - truth.box_3d.center)[:2]))
             places.append(off)
-            within.append(off <= float(radius_of(poses.covariance[i, :2, :2], PLACE_SHARE)))
+            within.append(off <= float(radius_of(poses.covariance[i, :2, :2], UNCERTAINTY.place_coverage)))
     labels = {(a.image_id, a.track_id): a for a in scene.file.annotations}
     ids = [image.id for image in scene.file.images]
     speeds = []

@@ -46,7 +46,7 @@ from skope.traffic.event_probability import crossing_doubts, usual_step
 from skope.traffic.gates import GateCrossing, direction_names
 from skope.traffic.image_counts import count_in_image
 from skope.traffic.measure import measure
-from skope.traffic.observation import FOOTAGE, Observation, read_observation
+from skope.traffic.observation import FOOTAGE_FILE, Observation, read_observation
 from skope.traffic.traffic_report import TrafficReport
 from skope.types import Array
 
@@ -119,7 +119,9 @@ def reports(folder: Path, *, true_keypoints: bool) -> Iterator[tuple[str, Traffi
             ways.append((f"{detections.name} points", [str(detections), "--camera", str(marked)]))
     for name, words in ways:
         out = folder / "tracks" / name.replace(" ", "_")
-        if not (out / FOOTAGE).is_file() and not run_skope("eval", "track", *words, "--ground", "0", "--out", str(out)):
+        if not (out / FOOTAGE_FILE).is_file() and not run_skope(
+            "eval", "track", *words, "--ground", "0", "--out", str(out)
+        ):
             print(f"{folder.name}: {name}: not tracked")
             continue
         observation, tracks = read_observation(out), read_tracks(out / TRACKS_CSV)

@@ -15,7 +15,7 @@ from functools import partial
 import numpy as np
 
 from skope.camera.calibrate import calibrate
-from skope.camera.evidence import UNEVEN_M, Evidence, MarkedLength, MarkedPoint, ParallelLines
+from skope.camera.evidence import MARKING_ERRORS, Evidence, MarkedLength, MarkedPoint, ParallelLines
 from skope.camera.ground_plane import ground_places
 from skope.camera.model import Camera, Distortion
 from skope.camera.uncertain_camera import UncertainCamera
@@ -75,7 +75,7 @@ def points(camera: Camera, count: int, rng: np.random.Generator, wrong: bool = F
         chosen.append(int(rng.choice(len(places), p=apart**2 / (apart**2).sum())))
     out = []
     for k, i in enumerate(chosen):
-        place = places[i] + rng.normal(0, [0.1, 0.1, UNEVEN_M])
+        place = places[i] + rng.normal(0, [0.1, 0.1, MARKING_ERRORS.height_m])
         pixel = pixels[i] + rng.normal(0, 1.5, 2)
         if wrong and k == 0:  # the next corner of the marking was clicked
             angle = rng.uniform(0, 2 * math.pi)

@@ -27,7 +27,7 @@ from site_calibration import (
 
 from skope import keypoints
 from skope.camera.calibrate import calibrate
-from skope.camera.evidence import UNEVEN_M, Evidence
+from skope.camera.evidence import MARKING_ERRORS, Evidence
 from skope.camera.fit.bundle_adjustment import VehicleViews
 from skope.camera.fit.camera_doubts import why_not
 from skope.camera.fit.camera_unknowns import UNKNOWN_NAMES
@@ -91,7 +91,7 @@ def _sighting(
     camera: Camera, shapes: Shapes, kind: int, shape: Array, R: Array, place: Array, rng: np.random.Generator
 ) -> tuple[Array, float] | None:
     """(33, 3) keypoints of a vehicle with their noise, and its standard deviation; None: it shows too little."""
-    points = shape @ R.T + place + [0, 0, rng.normal(0, UNEVEN_M)]
+    points = shape @ R.T + place + [0, 0, rng.normal(0, MARKING_ERRORS.height_m)]
     pixels, _, valid = camera.project(points)
     eye = (camera.position - place) @ R
     shown = valid & camera.inside(pixels) & facing(shapes, np.array([kind]), shape[None], eye[None])[0]

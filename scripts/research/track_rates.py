@@ -27,7 +27,7 @@ import numpy as np
 
 from skope import boxes
 from skope.dataset import coco
-from skope.pose.keypoint_views import MATCH_IOU
+from skope.pose.keypoint_views import VIEW_ERRORS
 from skope.schema import Annotation, AnnotationFile, Result
 
 NOISE_PX = 2.0
@@ -138,7 +138,7 @@ def matched(truth: Sequence[Annotation], found: Sequence[tuple[str, Any]]) -> di
     out: dict[int, str] = {}
     for index in np.argsort(-overlap, axis=None):
         t, f = divmod(int(index), len(found))
-        if overlap[t, f] < MATCH_IOU:
+        if overlap[t, f] < VIEW_ERRORS.match_iou:
             break
         if truth[t].id not in out and found[f][0] not in out.values():
             out[truth[t].id] = found[f][0]

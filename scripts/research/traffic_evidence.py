@@ -23,9 +23,9 @@ from skope.dataset import coco
 from skope.schema import CATEGORIES, AnnotationFile, Labelled
 from skope.tracks.track import Track
 from skope.traffic.gates import GateCrossing
-from skope.traffic.observation import FOOTAGE
+from skope.traffic.observation import FOOTAGE_FILE
 from skope.traffic.traffic_report import TrafficReport
-from skope.traffic.write_report import SUMMARY
+from skope.traffic.write_report import SUMMARY_FILE
 
 LABELS: Final = "labels.json"
 SEEN: Final = "seen"
@@ -51,12 +51,12 @@ def run_skope(*words: str) -> None:
 
 def reported(folder: Path, out: Path, true_keypoints: bool) -> None:
     """Track the clip and measure its traffic with the commands of every user; what is done is not done again."""
-    if not (out / "tracks" / FOOTAGE).is_file():
+    if not (out / "tracks" / FOOTAGE_FILE).is_file():
         camera = ["--camera", str(folder / LABELS)]
         noisy = ["--annotations", str(folder / LABELS), "--noise", NOISE_PX]
         what = noisy if true_keypoints else [str(folder / SEEN), *camera]
         run_skope("eval", "track", *what, "--ground", GROUND, "--out", str(out / "tracks"))
-    if not (out / "report" / SUMMARY).is_file():
+    if not (out / "report" / SUMMARY_FILE).is_file():
         run_skope("eval", "traffic", str(out / "tracks"), "--site", str(folder / SITE), "--out", str(out / "report"))
 
 

@@ -32,8 +32,8 @@ import numpy as np
 
 from skope.camera.model import Camera
 from skope.files.json_files import write_json
-from skope.tracks.csv_file import COLUMNS, TRACKS_CSV
-from skope.traffic.observation import FOOTAGE, Observation
+from skope.tracks.csv_file import TRACK_COLUMNS, TRACKS_CSV
+from skope.traffic.observation import FOOTAGE_FILE, Observation
 from skope.types import Array
 
 PER_HOUR: Final = 800
@@ -111,7 +111,7 @@ def make_tracks(
     blind = [(share * end_s, until * end_s) for share, until in (GAPS if broken else ())]
     moved_s = MOVED_FROM * end_s if broken else math.inf
     with (folder / TRACKS_CSV).open("w", encoding="utf-8", newline="") as file:
-        writer = csv.DictWriter(file, COLUMNS, restval="0", lineterminator="\n")
+        writer = csv.DictWriter(file, TRACK_COLUMNS, restval="0", lineterminator="\n")
         writer.writeheader()
         for begin_s, arm in arrivals(rng, hours * 3600):
             way = list(drive(rng, number + 1, begin_s, arm, fps))
@@ -138,7 +138,7 @@ def write_footage(folder: Path, times: Array, begins: datetime, moved_s: float =
         camera=Camera.looking([0.0, -90.0, 25.0], yaw=math.pi / 2, pitch_down=0.3, size=(1280, 720)),
         begins=begins,
     )
-    write_json(folder / FOOTAGE, watched.to_dict())
+    write_json(folder / FOOTAGE_FILE, watched.to_dict())
 
 
 def split_tracks(whole: Path, folders: Sequence[Path], part_s: float, fps: float) -> None:
@@ -150,7 +150,7 @@ def split_tracks(whole: Path, folders: Sequence[Path], part_s: float, fps: float
             write_footage(folder, np.arange(round(part_s * fps)) / fps, BEGINS + timedelta(seconds=k * part_s))
             file = files.enter_context((folder / TRACKS_CSV).open("w", encoding="utf-8", newline=""))
             writers.append(csv.writer(file, lineterminator="\n"))
-            writers[-1].writerow(COLUMNS)
+            writers[-1].writerow(TRACK_COLUMNS)
         for row in csv.DictReader(files.enter_context((whole / TRACKS_CSV).open(encoding="utf-8", newline=""))):
             k = min(int((float(row["time_s"]) + 1e-6) // part_s), len(folders) - 1)
             writers[k].writerow({**row, "time_s": f"{float(row['time_s']) - k * part_s:.4f}"}.values())

@@ -28,16 +28,16 @@ from skope.files.json_files import read_json
 from skope.schema import VEHICLE
 from skope.site.site_file import read_site
 from skope.tracks.csv_file import TRACKS_CSV, read_tracks
-from skope.tracks.track import KMH
+from skope.tracks.track import KMH_PER_MPS
 from skope.traffic.conflicts import conflicts
 from skope.traffic.count_uncertainty import CountInterval
-from skope.traffic.gate_counts import ALL, expected
+from skope.traffic.gate_counts import ALL_CLASSES, expected
 from skope.traffic.gates import direction_names
 from skope.traffic.measure import measure
 from skope.traffic.normal_distribution import INTERVAL_SIGMAS
 from skope.traffic.observation import Observation, read_observation
-from skope.traffic.turning_movements import NOWHERE
-from skope.traffic.write_report import SUMMARY
+from skope.traffic.turning_movements import NO_GATE
+from skope.traffic.write_report import SUMMARY_FILE
 
 RESULTS: Final = "results.json"
 KINDS: Final = {"all": (True, False), "vehicles": (True,), "others": (False,)}
@@ -70,12 +70,12 @@ def score_clip(folder: Path, *, true_keypoints: bool, clip: Mapping[str, Any]) -
     """Everything that is measured of a clip."""
     this = clip_of(folder, true_keypoints=true_keypoints, clip=clip)
     pairs = paired(this)
-    summary = read_json(folder / ("true" if true_keypoints else "found") / "report" / SUMMARY)
+    summary = read_json(folder / ("true" if true_keypoints else "found") / "report" / SUMMARY_FILE)
     return {
         "clip": dict(clip),
         "true_tracks_joined": sum(bool(one.joined) for one in this.real.trajectories),
         "counts": count_rows(
-            this, [one for one in summary["counts"] if one["class"] == ALL], this.real.observation.times_s
+            this, [one for one in summary["counts"] if one["class"] == ALL_CLASSES], this.real.observation.times_s
         ),
         "turning": turning_rows(this),
         "speeds": speed_rows(this),
@@ -143,7 +143,7 @@ def expected_of(clip: Clip, side: Mapping[str, Any], chosen: Sequence[bool]) -> 
         for one in told.counts_total
         if (one.gate, one.direction) == (side["gate"], side["direction"])
     }
-    total = totals[ALL if len(chosen) > 1 or not chosen[0] else VEHICLE]
+    total = totals[ALL_CLASSES if len(chosen) > 1 or not chosen[0] else VEHICLE]
     if len(chosen) > 1 or chosen[0]:
         return total.expected
     there = [
@@ -154,7 +154,7 @@ def expected_of(clip: Clip, side: Mapping[str, Any], chosen: Sequence[bool]) -> 
     direction = side_of(side, clip)
     kinds = told.unseen.kinds_at(total.gate, direction)[1:]
     most = partial(told.unseen.most, total.gate, direction, total.interval)
-    return expected(there, kinds, most, ALL, {name for kind in kinds for name in kind.classes})
+    return expected(there, kinds, most, ALL_CLASSES, {name for kind in kinds for name in kind.classes})
 
 
 def side_of(side: Mapping[str, Any], clip: Clip) -> int:
@@ -169,7 +169,7 @@ def turning_rows(clip: Clip) -> list[Row]:
         {
             (one.origin, one.destination, one.class_name): one
             for one in report.turning_total
-            if NOWHERE not in (one.origin, one.destination)
+            if NO_GATE not in (one.origin, one.destination)
         }
         for report in (clip.real, clip.told)
     )
@@ -199,7 +199,7 @@ def speed_rows(clip: Clip) -> list[Row]:
     rows = []
     for where, one in real.items():
         own = [
-            KMH * c.speed
+            KMH_PER_MPS * c.speed
             for c in clip.real.crossings
             if f"{c.gate} ({c.direction_name})" == where and c.trajectory.class_name not in ("bicycle", "pedestrian")
         ]
@@ -209,7 +209,7 @@ def speed_rows(clip: Clip) -> list[Row]:
             true = float(np.quantile(own, share))
             row: Row = {"where": where, "name": name, "number": one.number, "truth": true, "told": None}
             if value is not None and low is not None and high is not None:
-                row |= {"told": KMH * value, "holds": KMH * low <= true <= KMH * high}
+                row |= {"told": KMH_PER_MPS * value, "holds": KMH_PER_MPS * low <= true <= KMH_PER_MPS * high}
             rows.append(row)
     return rows
 

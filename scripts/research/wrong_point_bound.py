@@ -16,8 +16,8 @@ from site_calibration import CAMERAS, SIZE, points, true_camera
 
 from skope.camera.evidence import Evidence
 from skope.camera.evidence_terms import point_term, terms_of
-from skope.camera.uncertain_camera import PARAMETERS, values_of
-from skope.camera.weighted_fit import SCALES, fit_terms
+from skope.camera.uncertain_camera import CAMERA_PARAMETERS, values_of
+from skope.camera.weighted_fit import SEARCH_SCALES, fit_terms
 
 ASIDE_M = 2.0
 ONE_IN = 50
@@ -35,11 +35,11 @@ def main() -> None:
             camera = true_camera(*row, rng)
             evidence = Evidence(SIZE, points=points(camera, COUNT, rng, wrong=True))
             terms, begin = terms_of(evidence), values_of(camera)
-            none = fit_terms(terms, begin, PARAMETERS, SIZE).log_evidence(SCALES)
+            none = fit_terms(terms, begin, CAMERA_PARAMETERS, SIZE).log_evidence(SEARCH_SCALES)
             each = []
             for i, point in enumerate(evidence.points):
                 moved = [*terms[:i], point_term(replace(point, sigma_m=ASIDE_M)), *terms[i + 1 :]]
-                each.append(fit_terms(moved, begin, PARAMETERS, SIZE).log_evidence(SCALES))
+                each.append(fit_terms(moved, begin, CAMERA_PARAMETERS, SIZE).log_evidence(SEARCH_SCALES))
             first = each[0] == max(each)
             forced += first
             found += first and each[0] - math.log(ONE_IN - 1) > none

@@ -60,14 +60,14 @@ def locate(detections: "Detections", camera: Camera, *, ground: float | None = 0
     from skope.dataset.camera_of_file import sized
     from skope.pose.estimate_pose import locate as solve
     from skope.pose.keypoint_views import view_of
-    from skope.pose.pose_records import INTERPOLATED, Located
+    from skope.pose.pose_records import INTERPOLATED_REASON, Located
 
     own = sized(camera, detections.size, "image")
     view = view_of(detections)
     road = None if ground is None else Ground(height=ground)
     found = ~view.interpolated
     poses = solve(own, view.found[found], sigma_px=view.sigma_px[found], ground=road, cut=view.cut[found])
-    return Located(view, own, poses if found.all() else poses.among(found, INTERPOLATED))
+    return Located(view, own, poses if found.all() else poses.among(found, INTERPOLATED_REASON))
 
 
 def track(frames: "Iterable[Located]", times_s: Sequence[float]) -> "Tracks":

@@ -23,29 +23,41 @@ from skope.camera.evidence import Evidence, MarkedPoint
 from skope.camera.evidence_terms import EvidenceTerm, point_term, terms_of
 from skope.camera.model import Camera
 from skope.camera.other_cameras import likely_cameras, spread_around
-from skope.camera.pose_from_points import FEWEST, fit_camera_to_points
+from skope.camera.pose_from_points import FEWEST_POINTS, fit_camera_to_points
 from skope.camera.uncertain_camera import (
-    PARAMETERS,
-    PLACE_SHARE,
+    CAMERA_PARAMETERS,
+    UNCERTAINTY,
     UncertainCamera,
     camera_of_parameters,
     radius_of,
     values_of,
 )
-from skope.camera.weighted_fit import CHECKED_POINTS, SCALES, WeightedFit, best_fit, camera_starts, fit_terms
+from skope.camera.weighted_fit import FIT_STARTS, SEARCH_SCALES, WeightedFit, best_fit, camera_starts, fit_terms
 from skope.errors import UserError
 from skope.types import Array
 
-_WRONG: Final = 0.02
-"""Share of wrong ones among the points that people mark: one in fifty."""
-_ASIDE_M: Final = (3.5, 30.0)
-"""Standard deviations of wrong points, metres along x and y: aside by a lane's width, or anywhere."""
-_DOUBTED: Final = 8
-"""So many points at most may be wrong, those that the others contradict most."""
-_POINTS_PER_WRONG: Final = 4
-"""One point in so many may be wrong at most."""
-_TOLD: Final = 0.05
-"""Probability from which it is told that a point may be wrong."""
+
+@dataclass(frozen=True)
+class WrongPointPrior:
+    """Prior of wrong points among those that people mark, and thresholds of what is reported."""
+
+    probability: float = 0.02
+    """Prior probability that a marked point is wrong."""
+    error_m: tuple[float, float] = (3.5, 30.0)
+    """Standard deviations of a wrong point, metres along x and y. It is off by a lane's width, or lies anywhere."""
+    most_points: int = 8
+    """Maximum number of points that are examined: those that the others contradict most."""
+    points_per_wrong: int = 4
+    """Number of points for each one that may be wrong."""
+    reported: float = 0.05
+    """Probability from which a point is reported as possibly wrong."""
+    surprising: float = 0.01
+    """Residuals less likely than this widen the covariance."""
+    other_camera: float = 0.05
+    """Probability from which another camera is reported."""
+
+
+WRONG_POINTS: Final = WrongPointPrior()
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,17 +93,19 @@ def with_wrong_points(
         fit: The likeliest camera if no point is wrong.
         unknown: Names of the parameters that are.
     """
-    scales = SCALES[[PARAMETERS.index(name) for name in unknown]]
+    scales = SEARCH_SCALES[[CAMERA_PARAMETERS.index(name) for name in unknown]]
 
     def hypothesis(wrong: frozenset[int], starts: Sequence[Array]) -> _Hypothesis:
         """The likeliest of how far aside the wrong points are."""
         tried = []
-        for aside in _ASIDE_M:
+        for aside in WRONG_POINTS.error_m:
             moved = list(terms)
             for i in wrong:
                 moved[i] = point_term(replace(evidence.points[i], sigma_m=aside))
             best = best_fit(moved, starts, unknown, evidence.size)
-            odds = len(wrong) * math.log(_WRONG / (1 - _WRONG) / len(_ASIDE_M))
+            odds = len(wrong) * math.log(
+                WRONG_POINTS.probability / (1 - WRONG_POINTS.probability) / len(WRONG_POINTS.error_m)
+            )
             tried.append(_Hypothesis(wrong, best, best.log_evidence(scales) + odds))
             if not any(np.linalg.norm(best.blocks[i]) > 2.5 for i in wrong):
                 break
@@ -101,7 +115,7 @@ def with_wrong_points(
     none = _Hypothesis(frozenset(), fit, fit.log_evidence(scales))
     found, doubted = [none], _doubted(fit, len(evidence.points))
     best = none
-    while len(best.wrong) < len(evidence.points) // _POINTS_PER_WRONG:
+    while len(best.wrong) < len(evidence.points) // WRONG_POINTS.points_per_wrong:
         further = [
             hypothesis(best.wrong | {i}, [best.fit.at, *_pose_without(evidence, best.wrong | {i})])
             for i in doubted
@@ -139,8 +153,8 @@ def _doubts(names: Sequence[str], best: _Hypothesis, found: Sequence[_Hypothesis
     chance = [
         sum(weight for one, weight in zip(found, share, strict=True) if i in one.wrong) for i in range(len(names))
     ]
-    others = [names[i] for i in range(len(names)) if chance[i] >= _TOLD and i not in best.wrong]
-    unsure = [names[i] for i in sorted(best.wrong) if chance[i] < 1 - _TOLD]
+    others = [names[i] for i in range(len(names)) if chance[i] >= WRONG_POINTS.reported and i not in best.wrong]
+    unsure = [names[i] for i in sorted(best.wrong) if chance[i] < 1 - WRONG_POINTS.reported]
     if unsure and others:
         return (
             f"point {' and '.join(unsure)} contradicts the others and is left out, but they agree nearly as well "
@@ -164,13 +178,13 @@ def _doubted(fit: WeightedFit, count: int) -> list[int]:
         rows = slice(first[i], first[i + 1])
         free = np.eye(len(fit.blocks[i])) - hat[rows, rows] + 1e-9 * np.eye(len(fit.blocks[i]))
         gains.append(float(fit.blocks[i] @ np.linalg.solve(free, fit.blocks[i])))
-    return [int(i) for i in np.argsort(gains)[::-1][:_DOUBTED]]
+    return [int(i) for i in np.argsort(gains)[::-1][: WRONG_POINTS.most_points]]
 
 
 def _pose_without(evidence: Evidence, wrong: frozenset[int]) -> list[Array]:
     """Values of `PARAMETERS` that the other points alone show."""
     kept = [point for i, point in enumerate(evidence.points) if i not in wrong]
-    if len(kept) < FEWEST:
+    if len(kept) < FEWEST_POINTS:
         return []
     try:
         pose = fit_camera_to_points([point.pixel for point in kept], [point.place for point in kept], evidence.size)
@@ -179,12 +193,8 @@ def _pose_without(evidence: Evidence, wrong: frozenset[int]) -> list[Array]:
     return [values_of(pose.camera)]
 
 
-_FREE: Final = ("x", "y", "yaw")
-"""Parameters of the world's origin and axes, which points alone can tell."""
-_SURPRISE: Final = 0.01
-"""Residuals that are less likely than this widen the covariance."""
-_OTHER: Final = 0.05
-"""Probability of other cameras from which they are told of."""
+FREE_PARAMETERS: Final = ("x", "y", "yaw")
+"""Parameters of the world's origin and axes. Only points determine them."""
 
 
 @dataclass(frozen=True)
@@ -229,26 +239,26 @@ def calibrate(evidence: Evidence, *, start: Camera | None = None, check: bool = 
     scaled = evidence.points or evidence.lengths or any(v.metres for v in evidence.verticals)
     if not scaled and not any("z" in belief.of for belief in evidence.beliefs):
         raise UserError("calibration: nothing tells metres: mark points with places or a known length")
-    if 0 < len(evidence.points) < FEWEST and not (evidence.lengths or evidence.parallels or evidence.beliefs):
-        raise UserError(f"calibration: expected {FEWEST} points or more, got {len(evidence.points)}")
-    unknown = tuple(name for name in PARAMETERS if len(evidence.points) >= 2 or name not in _FREE)
+    if 0 < len(evidence.points) < FEWEST_POINTS and not (evidence.lengths or evidence.parallels or evidence.beliefs):
+        raise UserError(f"calibration: expected {FEWEST_POINTS} points or more, got {len(evidence.points)}")
+    unknown = tuple(name for name in CAMERA_PARAMETERS if len(evidence.points) >= 2 or name not in FREE_PARAMETERS)
     terms = terms_of(evidence)
     fit = best_fit(terms, camera_starts(evidence, start, terms), unknown, evidence.size)
     if not math.isfinite(fit.cost):
         raise UserError("calibration: no camera agrees with what is marked; are two points swapped?")
     outliers, doubts, spread = tuple[str, ...](), tuple[str, ...](), np.zeros((len(unknown), len(unknown)))
-    if check and len(evidence.points) >= CHECKED_POINTS:
+    if check and len(evidence.points) >= FIT_STARTS.checked_points:
         judged = with_wrong_points(evidence, terms, fit, unknown)
         fit, outliers, doubts, spread = judged.fit, judged.wrong, judged.doubts, judged.spread
         terms = [term for term in terms if term.kind != "point" or term.name not in outliers]
-    elif start is None and len(evidence.points) >= FEWEST:
+    elif start is None and len(evidence.points) >= FEWEST_POINTS:
         likely, chances = likely_cameras(evidence, terms, fit, unknown)
         fit, spread = likely[0], spread_around(likely[0], likely[1:], chances[1:].tolist(), unknown)
-        if chances[0] < 1 - _OTHER:
+        if chances[0] < 1 - WRONG_POINTS.other_camera:
             doubts = ("the points suit another camera too: places are as uncertain as both leave them; mark more",)
     camera = camera_of_parameters(fit.at, evidence.size)
     excess = _excess(fit, len(evidence.parallels))
-    covariance = excess**2 * fit.covariance(SCALES[[PARAMETERS.index(name) for name in unknown]]) + spread
+    covariance = excess**2 * fit.covariance(SEARCH_SCALES[[CAMERA_PARAMETERS.index(name) for name in unknown]]) + spread
     calibration = SiteCalibration(camera, unknown, covariance, _residuals(terms, camera), outliers, ())
     if excess > 1:
         doubts = (
@@ -265,7 +275,7 @@ def _excess(fit: WeightedFit, groups: int) -> float:
     Of each of the `groups` of parallel lines one direction is free.
     """
     spare = max(1, len(fit.J) - groups - fit.J.shape[1])
-    return math.sqrt(fit.cost / spare) if chi2.sf(fit.cost, spare) < _SURPRISE else 1.0
+    return math.sqrt(fit.cost / spare) if chi2.sf(fit.cost, spare) < WRONG_POINTS.surprising else 1.0
 
 
 def _residuals(terms: Sequence[EvidenceTerm], camera: Camera) -> tuple[Residual, ...]:
@@ -282,11 +292,12 @@ def _residuals(terms: Sequence[EvidenceTerm], camera: Camera) -> tuple[Residual,
 
 def _warnings(evidence: Evidence, calibration: SiteCalibration) -> tuple[str, ...]:
     out, places = [], np.array([point.place for point in evidence.points]).reshape(-1, 3)
-    if FEWEST <= len(places) < CHECKED_POINTS and not (evidence.lengths or evidence.beliefs):
+    if FEWEST_POINTS <= len(places) < FIT_STARTS.checked_points and not (evidence.lengths or evidence.beliefs):
         out.append(
-            f"{len(places)} points: a wrong one among them cannot be found; {CHECKED_POINTS} or more check each other"
+            f"{len(places)} points: a wrong one among them cannot be found; {FIT_STARTS.checked_points} or more "
+            f"check each other"
         )
-    if len(places) >= FEWEST:
+    if len(places) >= FEWEST_POINTS:
         spread = np.linalg.svd(places[:, :2] - places[:, :2].mean(axis=0), compute_uv=False)
         if spread[1] < 0.1 * spread[0]:
             out.append("the points lie nearly on one line: places beside it are not known")
@@ -314,7 +325,7 @@ def left_out_errors(evidence: Evidence, calibration: SiteCalibration) -> dict[st
     out = {}
     for point in evidence.points:
         others = tuple(one for one in good if one is not point)
-        if len(others) < FEWEST:
+        if len(others) < FEWEST_POINTS:
             continue
         if len(others) == len(good):
             out[point.name] = left_out_error(point, calibration)
@@ -335,4 +346,6 @@ def left_out_error(point: MarkedPoint, camera: UncertainCamera) -> LeftOutError:
     rise = point.sigma_z_m * away[:2] / away[2] if away[2] else np.zeros(2)
     covariance = camera.place_covariance(point.pixel, height, point.sigma_px)
     covariance = covariance + point.sigma_m**2 * np.eye(2) + np.outer(rise, rise)
-    return LeftOutError(float(np.linalg.norm((place - point.place)[:2])), float(radius_of(covariance, PLACE_SHARE)))
+    return LeftOutError(
+        float(np.linalg.norm((place - point.place)[:2])), float(radius_of(covariance, UNCERTAINTY.place_coverage))
+    )

@@ -85,8 +85,8 @@ def uncertain_of_json(path: Path, document: dict[str, Any], camera: Camera) -> U
 
 _OPENCV_BEGINS: Final = (b"%YAML", b"<?xml", b"{")
 """How the files begin that OpenCV reads as they are."""
-_COMMENT: Final = re.compile(r"(^|\s)#[^\"']*$")
-"""A comment in YAML; a # in quotes begins none."""
+YAML_COMMENT: Final = re.compile(r"(^|\s)#[^\"']*$")
+"""A comment in YAML. A # inside quotes begins none."""
 _K_NAMES: Final = ("camera_matrix", "cameraMatrix", "K", "intrinsic_matrix", "M1")
 _DISTORTION_NAMES: Final = (
     *("distortion_coefficients", "distCoeffs", "dist_coeffs", "D", "D1"),
@@ -182,7 +182,7 @@ def _as_opencv_yaml(text: str) -> str:
 
     Raises ValueError where the first key is indented more than another one: OpenCV's reader never ends there.
     """
-    lines = [_COMMENT.sub("", line).rstrip() for line in text.splitlines() if not line.startswith(("%", "---"))]
+    lines = [YAML_COMMENT.sub("", line).rstrip() for line in text.splitlines() if not line.startswith(("%", "---"))]
     body = textwrap.dedent("\n".join(re.sub(r"^( *)- ", r"\1  - ", line) for line in lines if line))
     if body[:1].isspace():
         raise ValueError("not YAML")

@@ -15,12 +15,20 @@ from skope.errors import UserError
 from skope.records import is_number
 from skope.types import Array
 
-MARKED_PX: Final = 1.5
-"""Standard deviation with which people mark a point in an image, pixels an axis."""
-MEASURED_M: Final = 0.1
-"""Standard deviation of a place that was read off a map or measured, metres along x and y."""
-UNEVEN_M: Final = 0.03
-"""Standard deviation of a road's height over its plane, metres."""
+
+@dataclass(frozen=True)
+class MarkingErrors:
+    """Default standard deviations of marks."""
+
+    pixel: float = 1.5
+    """Of a point marked in an image, pixels per axis."""
+    place_m: float = 0.1
+    """Of a position read off a map or surveyed, metres along x and y."""
+    height_m: float = 0.03
+    """Of the road's height over its plane, metres."""
+
+
+MARKING_ERRORS: Final = MarkingErrors()
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,10 +39,10 @@ class MarkedPoint:
     """(2,) pixels."""
     place: Array
     """(3,) metres."""
-    sigma_px: float = MARKED_PX
-    sigma_m: float = MEASURED_M
+    sigma_px: float = MARKING_ERRORS.pixel
+    sigma_m: float = MARKING_ERRORS.place_m
     """Of x and y, metres."""
-    sigma_z_m: float = UNEVEN_M
+    sigma_z_m: float = MARKING_ERRORS.height_m
     """Of z, metres; more for points above the road whose heights were not measured well."""
     name: str = ""
 
@@ -51,7 +59,7 @@ class MarkedLength:
     """(2, 2) its ends, pixels."""
     metres: float
     sigma_m: float = 0.05
-    sigma_px: float = MARKED_PX
+    sigma_px: float = MARKING_ERRORS.pixel
     name: str = ""
 
     def __post_init__(self) -> None:
@@ -65,7 +73,7 @@ class ParallelLines:
 
     lines: Array
     """(L, 2, 2) two points of each, pixels."""
-    sigma_px: float = MARKED_PX
+    sigma_px: float = MARKING_ERRORS.pixel
     name: str = ""
 
     def __post_init__(self) -> None:
@@ -84,7 +92,7 @@ class Vertical:
     metres: float | None = None
     """Its height, if that is known."""
     sigma_m: float = 0.1
-    sigma_px: float = MARKED_PX
+    sigma_px: float = MARKING_ERRORS.pixel
     name: str = ""
 
     def __post_init__(self) -> None:

@@ -13,13 +13,12 @@ import numpy as np
 from skope.camera.evidence import Evidence, MarkedLength, MarkedPoint, ParallelLines, Vertical
 from skope.camera.ground_plane import ground_places, ground_slopes
 from skope.camera.model import Camera
-from skope.camera.uncertain_camera import PARAMETERS, slopes, values_of
+from skope.camera.uncertain_camera import CAMERA_PARAMETERS, slopes, values_of
 from skope.types import Array
 
-_LENS: Final = (("k1", -0.1, 0.2), ("roll", 0.0, 0.2), ("focal", None, 1.0))
-"""Mean and standard deviation of cameras at roads; None: a focal length as long as images are wide.
-
-Most lenses are between a rectilinear one, whose k1 is 0, and an equidistant fisheye: tan a - (tan a)^3 / 3 = a, nearly.
+LENS_PRIORS: Final = (("k1", -0.1, 0.2), ("roll", 0.0, 0.2), ("focal", None, 1.0))
+"""Parameter, mean and standard deviation of roadside cameras. None: a focal length of the image's width. Most
+lenses lie between a rectilinear one (k1 = 0) and an equidistant fisheye: tan a - (tan a)^3 / 3 is nearly a.
 """
 
 
@@ -142,7 +141,7 @@ def _vertical_term(vertical: Vertical) -> EvidenceTerm:
 
 
 def _gaussian_term(kind: str, name: str, of: Sequence[str], mean: Array, covariance: Array) -> EvidenceTerm:
-    which = [PARAMETERS.index(parameter) for parameter in of]
+    which = [CAMERA_PARAMETERS.index(parameter) for parameter in of]
 
     def residual(camera: Camera) -> Array:
         return np.asarray(values_of(camera)[which] - mean)
@@ -158,7 +157,7 @@ def terms_of(evidence: Evidence) -> list[EvidenceTerm]:
     out += [
         _gaussian_term("belief", belief.name, belief.of, belief.mean, belief.covariance) for belief in evidence.beliefs
     ]
-    for name, mean, sigma in _LENS:
+    for name, mean, sigma in LENS_PRIORS:
         center = math.log(evidence.size[0]) if mean is None else mean
         out.append(_gaussian_term("lens", name, (name,), np.array([center]), np.array([[sigma**2]])))
     return out

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -9,18 +10,32 @@ from numpy.typing import ArrayLike
 
 from skope.types import Array
 
-_A: Final = 6378137.0
-_F: Final = 1 / 298.257223563
-"""WGS84's equatorial radius, metres, and flattening."""
-_E2: Final = _F * (2 - _F)
-_UTM_SCALE: Final = 0.9996
-_UTM_EAST_M: Final = 500_000.0
-_UTM_SOUTH_M: Final = 1e7
-"""UTM's scale and easting on a zone's central meridian, and its northing on the equator of the southern zones."""
-_NEWTON_STEPS: Final = 20
-_NEWTON_M: Final = 1e-5
-_NEWTON_DEG: Final = 1e-6
-"""An inverse is exact to a hundredth of a millimetre; its slopes are taken over a tenth of a metre."""
+
+@dataclass(frozen=True)
+class Ellipsoid:
+    """Ellipsoid WGS84, UTM projection and the accuracy of their inverses."""
+
+    radius_m: float = 6378137.0
+    """Equatorial radius, metres."""
+    flattening: float = 1 / 298.257223563
+    """Flattening."""
+    eccentricity_2: float = flattening * (2 - flattening)
+    """Square of the first eccentricity."""
+    utm_scale: float = 0.9996
+    """Scale of UTM on the central meridian."""
+    utm_east_m: float = 500_000.0
+    """Easting of UTM on the central meridian, metres."""
+    utm_south_m: float = 1e7
+    """Northing of UTM on the equator in southern zones, metres."""
+    newton_steps: int = 20
+    """Maximum number of Newton steps of an inverse."""
+    newton_m: float = 1e-5
+    """Accuracy of an inverse, metres."""
+    newton_deg: float = 1e-6
+    """Step of its derivatives, degrees."""
+
+
+ELLIPSOID: Final = Ellipsoid()
 
 
 def local_metres(longitude_deg: ArrayLike, latitude_deg: ArrayLike, origin_deg: tuple[float, float]) -> Array:
@@ -44,12 +59,12 @@ def local_metres(longitude_deg: ArrayLike, latitude_deg: ArrayLike, origin_deg: 
 def _cartesian(longitude_deg: ArrayLike, latitude_deg: ArrayLike) -> Array:
     """(..., 3) metres from the Earth's middle, of places on the ellipsoid."""
     turn, tilt = np.radians(longitude_deg), np.radians(latitude_deg)
-    across = _A / np.sqrt(1 - _E2 * np.sin(tilt) ** 2)
+    across = ELLIPSOID.radius_m / np.sqrt(1 - ELLIPSOID.eccentricity_2 * np.sin(tilt) ** 2)
     return np.stack(
         [
             across * np.cos(tilt) * np.cos(turn),
             across * np.cos(tilt) * np.sin(turn),
-            across * (1 - _E2) * np.sin(tilt),
+            across * (1 - ELLIPSOID.eccentricity_2) * np.sin(tilt),
         ],
         axis=-1,
     )
@@ -66,11 +81,11 @@ def utm_scale(easting: float, northing: float, *, south: bool = False) -> float:
         south: The zone is of the southern hemisphere, whose northings count from 10 000 km south of the equator.
     """
     # The latitude to a tenth of a degree is enough: the radius follows it slowly.
-    tilt = ((northing - _UTM_SOUTH_M) if south else northing) / (_UTM_SCALE * 6367449.0)
-    across = _A / math.sqrt(1 - _E2 * math.sin(tilt) ** 2)
-    along = across * (1 - _E2) / (1 - _E2 * math.sin(tilt) ** 2)
-    q = (easting - _UTM_EAST_M) ** 2 / (2 * across * along * _UTM_SCALE**2)
-    return _UTM_SCALE * (1 + q + q**2 / 6)
+    tilt = ((northing - ELLIPSOID.utm_south_m) if south else northing) / (ELLIPSOID.utm_scale * 6367449.0)
+    across = ELLIPSOID.radius_m / math.sqrt(1 - ELLIPSOID.eccentricity_2 * math.sin(tilt) ** 2)
+    along = across * (1 - ELLIPSOID.eccentricity_2) / (1 - ELLIPSOID.eccentricity_2 * math.sin(tilt) ** 2)
+    q = (easting - ELLIPSOID.utm_east_m) ** 2 / (2 * across * along * ELLIPSOID.utm_scale**2)
+    return ELLIPSOID.utm_scale * (1 + q + q**2 / 6)
 
 
 def utm_metres(longitude_deg: ArrayLike, latitude_deg: ArrayLike, zone: int, *, south: bool = False) -> Array:
@@ -86,7 +101,11 @@ def utm_metres(longitude_deg: ArrayLike, latitude_deg: ArrayLike, zone: int, *, 
         south: Northings are those of the southern hemisphere, which count from 10 000 km south of the equator.
     """
     turn = np.radians(np.asarray(longitude_deg, dtype=np.float64) - (6 * zone - 183))
-    sine, e, n = np.sin(np.radians(latitude_deg)), math.sqrt(_E2), _F / (2 - _F)
+    sine, e, n = (
+        np.sin(np.radians(latitude_deg)),
+        math.sqrt(ELLIPSOID.eccentricity_2),
+        ELLIPSOID.flattening / (2 - ELLIPSOID.flattening),
+    )
     conformal = np.sinh(np.arctanh(sine) - e * np.arctanh(e * sine))
     xi = np.arctan2(conformal, np.cos(turn))
     eta = np.arcsinh(np.sin(turn) / np.hypot(conformal, np.cos(turn)))
@@ -100,8 +119,10 @@ def utm_metres(longitude_deg: ArrayLike, latitude_deg: ArrayLike, zone: int, *, 
     for j, share in enumerate(series, start=1):
         north = north + share * np.sin(2 * j * xi) * np.cosh(2 * j * eta)
         east = east + share * np.cos(2 * j * xi) * np.sinh(2 * j * eta)
-    radius = _UTM_SCALE * _A / (1 + n) * (1 + n**2 / 4 + n**4 / 64)
-    return np.stack([radius * east + _UTM_EAST_M, radius * north + (_UTM_SOUTH_M if south else 0.0)], axis=-1)
+    radius = ELLIPSOID.utm_scale * ELLIPSOID.radius_m / (1 + n) * (1 + n**2 / 4 + n**4 / 64)
+    return np.stack(
+        [radius * east + ELLIPSOID.utm_east_m, radius * north + (ELLIPSOID.utm_south_m if south else 0.0)], axis=-1
+    )
 
 
 def geographic(metres: ArrayLike, forward: Callable[[Array, Array], Array], near_deg: tuple[float, float]) -> Array:
@@ -117,16 +138,16 @@ def geographic(metres: ArrayLike, forward: Callable[[Array, Array], Array], near
     """
     wanted = np.asarray(metres, dtype=np.float64)
     found = np.broadcast_to(np.asarray(near_deg, dtype=np.float64), wanted.shape).copy()
-    for _ in range(_NEWTON_STEPS):
+    for _ in range(ELLIPSOID.newton_steps):
         off = forward(found[..., 0], found[..., 1]) - wanted
         if not np.isfinite(off).all():
             break
-        if not off.size or np.abs(off).max() < _NEWTON_M:
+        if not off.size or np.abs(off).max() < ELLIPSOID.newton_m:
             return found
         columns = []
         for axis in range(2):
             moved = found.copy()
-            moved[..., axis] += _NEWTON_DEG
-            columns.append((forward(moved[..., 0], moved[..., 1]) - off - wanted) / _NEWTON_DEG)
+            moved[..., axis] += ELLIPSOID.newton_deg
+            columns.append((forward(moved[..., 0], moved[..., 1]) - off - wanted) / ELLIPSOID.newton_deg)
         found -= np.linalg.solve(np.stack(columns, axis=-1), off[..., None])[..., 0]
     raise ValueError("these places are not where the projection is good")

@@ -12,22 +12,25 @@ from skope.camera.model import Distortion
 from skope.errors import AssumptionWarning, UserError
 from skope.types import Array
 
-_FISHEYE: Final = ("fisheye", "equidistant", "kannala_brandt", "opencv_fisheye")
-_BROWN: Final = ("plumb_bob", "radtan", "brown", "opencv", "rational_polynomial")
+FISHEYE_NAMES: Final = ("fisheye", "equidistant", "kannala_brandt", "opencv_fisheye")
+"""Names of the equidistant fisheye model."""
+BROWN_NAMES: Final = ("plumb_bob", "radtan", "brown", "opencv", "rational_polynomial")
+"""Names of Brown's model."""
 _MODEL_OF: Final = {
-    **dict.fromkeys((*_FISHEYE, "kannala_brandt4", "kannala_brandt8", "kb4", "kb8"), "fisheye"),
-    **dict.fromkeys((*_BROWN, "brown_conrady", "radial_tangential", "full_opencv"), "brown"),
+    **dict.fromkeys((*FISHEYE_NAMES, "kannala_brandt4", "kannala_brandt8", "kb4", "kb8"), "fisheye"),
+    **dict.fromkeys((*BROWN_NAMES, "brown_conrady", "radial_tangential", "full_opencv"), "brown"),
     **dict.fromkeys(("none", "no_distortion"), "none"),
 }
 """Each name with its model: ROS's, Kalibr's, OpenCV's, COLMAP's, ORB-SLAM's and RealSense's."""
 _MODEL_OF_LETTERS: Final = {name.replace("_", ""): model for name, model in _MODEL_OF.items()}
-_PROJECTIONS: Final = ("", "pinhole", "simplepinhole", "perspective")
-"""Names that leave the distortion open, without underscores."""
-_KEYS: Final = ("distortion_model", "fisheye_model", "camera_model", "model")
+PROJECTION_NAMES: Final = ("", "pinhole", "simplepinhole", "perspective")
+"""Names that do not determine the distortion, without underscores."""
+MODEL_KEYS: Final = ("distortion_model", "fisheye_model", "camera_model", "model")
+"""Keys under which files name the lens model."""
 _DEVICE_KEY: Final = "model"
 """Key that may also hold the name of the device."""
-_AMBIGUOUS: Final = 4
-"""Number of coefficients that both models take."""
+SHARED_COUNT: Final = 4
+"""Number of coefficients that both models have."""
 
 
 def lens_model(path: Path, values: Mapping[str, Any]) -> str | None:
@@ -45,7 +48,7 @@ def lens_model(path: Path, values: Mapping[str, Any]) -> str | None:
     """
     found: dict[str, str] = {}
     unknown = []
-    for key in _KEYS:
+    for key in MODEL_KEYS:
         value = values.get(key)
         model = _model_of(key, value)
         if model:
@@ -57,7 +60,7 @@ def lens_model(path: Path, values: Mapping[str, Any]) -> str | None:
     if unknown:
         raise UserError(
             f"{path}: {unknown[0]}: {_shown(values[unknown[0]])} is no lens model that skope reads: expected one of "
-            f"{', '.join(_FISHEYE)} (fisheye) or {', '.join(_BROWN)} (Brown)"
+            f"{', '.join(FISHEYE_NAMES)} (fisheye) or {', '.join(BROWN_NAMES)} (Brown)"
         )
     for key, other in zip(found, list(found)[1:], strict=False):
         if found[key] != found[other]:
@@ -93,9 +96,9 @@ def distortion(
     if not coefficients.any() and model != "fisheye":
         return Distortion()
     if model == "none":
-        key = next(key for key in _KEYS if _model_of(key, values.get(key)) == "none")
+        key = next(key for key in MODEL_KEYS if _model_of(key, values.get(key)) == "none")
         raise UserError(f"{path}: distortion coefficients: expected none, as {key} is {_shown(values[key])}")
-    if model is None and len(coefficients) == _AMBIGUOUS:
+    if model is None and len(coefficients) == SHARED_COUNT:
         _assume_brown(path, coefficients, K, size)
     try:
         return Distortion(model or "brown", tuple(coefficients.tolist()))
@@ -133,7 +136,7 @@ def _model_of(key: str, value: Any) -> str | None:
     if key == "fisheye_model" and isinstance(value, int | float):
         return "fisheye" if value else "brown"
     letters = re.sub(r"[-_\s]", "", value).lower() if isinstance(value, str) else "?"
-    return "" if letters in _PROJECTIONS else _MODEL_OF_LETTERS.get(letters)
+    return "" if letters in PROJECTION_NAMES else _MODEL_OF_LETTERS.get(letters)
 
 
 def _shown(value: Any) -> str:

@@ -20,18 +20,30 @@ from skope.errors import UserError, one_of
 from skope.types import Array, Mask
 
 DISTORTION_MODELS: Final = ("none", "brown", "fisheye")
-_COUNTS: Final = {"none": (0,), "brown": (4, 5, 8, 12), "fisheye": (4,)}
-_NEAR: Final = 1e-6
-_SAME_ASPECT: Final = 0.01
-"""Largest relative difference of two aspect ratios that count as the same."""
+COEFFICIENT_COUNTS: Final = {"none": (0,), "brown": (4, 5, 8, 12), "fisheye": (4,)}
+"""Numbers of coefficients of each distortion model."""
+
+
+@dataclass(frozen=True)
+class CameraNumerics:
+    """Numerical limits of projection."""
+
+    near_m: float = 1e-6
+    """Least depth of a point before the camera, metres."""
+    same_aspect: float = 0.01
+    """Largest relative difference of two aspect ratios that count as equal."""
+    block: int = 1 << 13
+    """Number of points that are distorted at once."""
+
+
+CAMERA_NUMERICS: Final = CameraNumerics()
+
 """Points nearer than this to the camera's plane count as behind it."""
-_BLOCK: Final = 1 << 13
-"""Points that are distorted at once."""
 
 
 def same_aspect(size: tuple[int, int], other: tuple[int, int]) -> bool:
     """Whether two images (width, height) have the same aspect ratio, within 1%."""
-    return abs(size[0] * other[1] - other[0] * size[1]) <= _SAME_ASPECT * size[0] * other[1]
+    return abs(size[0] * other[1] - other[0] * size[1]) <= CAMERA_NUMERICS.same_aspect * size[0] * other[1]
 
 
 def _first_positive_root(coefficients: list[float]) -> float:
@@ -51,7 +63,7 @@ class Distortion:
 
     def __post_init__(self) -> None:
         one_of("distortion.model", self.model, DISTORTION_MODELS)
-        counts = _COUNTS[self.model]
+        counts = COEFFICIENT_COUNTS[self.model]
         if len(self.coefficients) not in counts:
             expected = " or ".join(map(str, counts))
             raise UserError(
@@ -191,8 +203,8 @@ def _by_blocks(of: Callable[[Array, Array], tuple[Array, Array, Mask]], xy: Arra
     """
     points = np.asarray(xy, dtype=np.float64).reshape(-1, 2)
     out, mask = np.empty_like(points), np.empty(len(points), dtype=bool)
-    for begin in range(0, len(points), _BLOCK):
-        part = slice(begin, begin + _BLOCK)
+    for begin in range(0, len(points), CAMERA_NUMERICS.block):
+        part = slice(begin, begin + CAMERA_NUMERICS.block)
         x, y = np.ascontiguousarray(points[part].T)
         out[part, 0], out[part, 1], mask[part] = of(x, y)
     return out.reshape(xy.shape), mask.reshape(xy.shape[:-1])
@@ -340,7 +352,7 @@ class Camera:
         """
         p = self.to_camera(points_world)
         z = p[..., 2]
-        front = z > _NEAR
+        front = z > CAMERA_NUMERICS.near_m
         ideal = p[..., :2] / np.where(front, z, 1.0)[..., None]
         distorted, monotonic = self.distortion.distort(np.where(front[..., None], ideal, 0.0))
         valid = front & monotonic

@@ -6,6 +6,7 @@ where several are likely, the covariance of the likeliest holds the others too.
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -14,16 +15,25 @@ from skope.camera.evidence import Evidence
 from skope.camera.evidence_terms import EvidenceTerm
 from skope.camera.model import Distortion
 from skope.camera.pose_from_points import centred, fit_camera_to_points
-from skope.camera.uncertain_camera import PARAMETERS, values_of
-from skope.camera.weighted_fit import SCALES, WeightedFit, fit_terms
+from skope.camera.uncertain_camera import CAMERA_PARAMETERS, values_of
+from skope.camera.weighted_fit import SEARCH_SCALES, WeightedFit, fit_terms
 from skope.errors import UserError
 from skope.types import Array
 
-_LENGTHS: Final = (0.45, 0.7, 1.1, 2.6)
-_BENDS: Final = (0.0, -0.2)
-"""Focal lengths, in widths of the image, and first coefficients of distortion that the search begins with."""
-_SAME: Final = 0.02
-"""Cameras that differ by less are one, in `SCALES`."""
+
+@dataclass(frozen=True)
+class OtherCameraStarts:
+    """First cameras of the search for other solutions."""
+
+    focal_widths: tuple[float, float, float, float] = (0.45, 0.7, 1.1, 2.6)
+    """Focal lengths, in widths of the image."""
+    distortions: tuple[float, float] = (0.0, -0.2)
+    """First coefficients of the distortion."""
+    same_camera: float = 0.02
+    """Cameras that differ by less are one, in units of `SEARCH_SCALES`."""
+
+
+OTHER_CAMERAS: Final = OtherCameraStarts()
 
 
 def likely_cameras(
@@ -37,12 +47,15 @@ def likely_cameras(
         fit: One such camera.
         unknown: Names of the parameters that are.
     """
-    scales = SCALES[[PARAMETERS.index(name) for name in unknown]]
+    scales = SEARCH_SCALES[[CAMERA_PARAMETERS.index(name) for name in unknown]]
     fits = [fit, *(fit_terms(terms, at, unknown, evidence.size) for at in _starts(evidence))]
     fits = sorted((one for one in fits if math.isfinite(one.cost)), key=lambda one: -one.log_evidence(scales))
     apart: list[WeightedFit] = []
     for one in fits:
-        if all((np.abs(_between(one, other, PARAMETERS)) > _SAME * SCALES).any() for other in apart):
+        if all(
+            (np.abs(_between(one, other, CAMERA_PARAMETERS)) > OTHER_CAMERAS.same_camera * SEARCH_SCALES).any()
+            for other in apart
+        ):
             apart.append(one)
     odds = np.array([one.log_evidence(scales) for one in apart])
     chance = np.exp(odds - odds.max())
@@ -64,8 +77,8 @@ def spread_around(
         (P, P) what is added to the covariance of `own`, in the parameters' units; no direction's variance is made
         smaller.
     """
-    columns = [PARAMETERS.index(name) for name in unknown]
-    scales = SCALES[columns]
+    columns = [CAMERA_PARAMETERS.index(name) for name in unknown]
+    scales = SEARCH_SCALES[columns]
     spread = np.zeros((len(columns), len(columns)))
     for one, chance in zip(others, chances, strict=True):
         away = _between(one, own, unknown)
@@ -78,7 +91,7 @@ def spread_around(
 
 def _between(one: WeightedFit, other: WeightedFit, names: Sequence[str]) -> Array:
     """(P,) by what parameters of two cameras differ; yaw is an angle: a turn more or less is none."""
-    away = (one.at - other.at)[[PARAMETERS.index(name) for name in names]]
+    away = (one.at - other.at)[[CAMERA_PARAMETERS.index(name) for name in names]]
     return np.where(np.array(names) == "yaw", (away + math.pi) % (2 * math.pi) - math.pi, away)
 
 
@@ -86,9 +99,9 @@ def _starts(evidence: Evidence) -> list[Array]:
     """Values of `PARAMETERS` of cameras with several lenses that see the points where they are marked, or near."""
     uv, places = [point.pixel for point in evidence.points], [point.place for point in evidence.points]
     out = []
-    for bend in _BENDS:
+    for bend in OTHER_CAMERAS.distortions:
         lens = Distortion("brown", (bend, 0.0, 0.0, 0.0)) if bend else Distortion()
-        for length in _LENGTHS:
+        for length in OTHER_CAMERAS.focal_widths:
             K = centred(evidence.size, length * evidence.size[0])
             try:
                 out.append(values_of(fit_camera_to_points(uv, places, evidence.size, K=K, distortion=lens).camera))

@@ -11,23 +11,42 @@ from typing import Any, Final
 
 import numpy as np
 
-from skope.camera.evidence import MARKED_PX, MEASURED_M, UNEVEN_M, MarkedPoint
+from skope.camera.evidence import MARKING_ERRORS, MarkedPoint
 from skope.camera.geographic import local_metres, utm_scale
 from skope.errors import UserError
 from skope.files.csv_files import read_csv
 from skope.files.json_files import read_json
 from skope.types import Array
 
-_COLUMNS: Final = ("column", "row", "x", "y", "z")
-_GEOGRAPHIC: Final = ("column", "row", "longitude", "latitude")
-_SIGMAS: Final = {"sigma_px": MARKED_PX, "sigma_m": MEASURED_M, "sigma_z_m": UNEVEN_M}
-_OTVISION: Final = ("x_px", "y_px", "hemisphere", "zone_utm", "lon_utm", "lat_utm")
-_WIDEST_PX: Final = 1e5
-_FARTHEST_M: Final = 1e8
-_APART_M: Final = 20_000.0
-"""Points that are farther from one another are not of one camera."""
-_STRETCHED: Final = 5e-4
-"""UTM's scale is told where it differs from 1 by more than inside a zone."""
+METRIC_COLUMNS: Final = ("column", "row", "x", "y", "z")
+"""Columns of a file with metres."""
+GEOGRAPHIC_COLUMNS: Final = ("column", "row", "longitude", "latitude")
+"""Columns of a file with longitude and latitude."""
+DEFAULT_SIGMAS: Final = {
+    "sigma_px": MARKING_ERRORS.pixel,
+    "sigma_m": MARKING_ERRORS.place_m,
+    "sigma_z_m": MARKING_ERRORS.height_m,
+}
+"""Columns of standard deviations, with their defaults."""
+OTVISION_COLUMNS: Final = ("x_px", "y_px", "hemisphere", "zone_utm", "lon_utm", "lat_utm")
+"""Columns of OTVision's files."""
+
+
+@dataclass(frozen=True)
+class PointFileLimits:
+    """Limits of coordinates in files of points."""
+
+    widest_px: float = 1e5
+    """Largest column or row, pixels."""
+    farthest_m: float = 1e8
+    """Largest coordinate, metres."""
+    spread_m: float = 20_000.0
+    """Points farther apart do not belong to one camera, metres."""
+    stretched: float = 5e-4
+    """Difference of UTM's scale from 1 that is reported. Inside a zone it is smaller."""
+
+
+POINT_FILES: Final = PointFileLimits()
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -61,10 +80,10 @@ def read_points(path: Path) -> PointFile:
 def _table(path: Path) -> PointFile:
     names, rows = read_csv(path)
     geographic = "longitude" in names and "x" not in names
-    needed = _GEOGRAPHIC if geographic else _COLUMNS
+    needed = GEOGRAPHIC_COLUMNS if geographic else METRIC_COLUMNS
     if missing := [name for name in needed if name not in names]:
         raise UserError(f"{path}: column {missing[0]}: missing; expected {','.join(needed)}")
-    numbers = [name for name in (*needed, "z", *_SIGMAS) if name in names]
+    numbers = [name for name in (*needed, "z", *DEFAULT_SIGMAS) if name in names]
     values = {name: np.zeros(len(rows)) for name in numbers}
     for k, row in enumerate(rows):
         for name in numbers:
@@ -78,7 +97,7 @@ def _table(path: Path) -> PointFile:
     else:
         xy = np.column_stack([values["x"], values["y"]])
     pixels = np.column_stack([values["column"], values["row"]])
-    sigmas = {name: values.get(name, np.full(len(rows), default)) for name, default in _SIGMAS.items()}
+    sigmas = {name: values.get(name, np.full(len(rows), default)) for name, default in DEFAULT_SIGMAS.items()}
     return _made(path, labels, pixels, np.column_stack([xy, z]), sigmas, world, said)
 
 
@@ -103,7 +122,7 @@ def _otvision(path: Path) -> PointFile:
     rows: list[tuple[float, ...]] = []
     zones = set[str]()
     for name, row in document.items():
-        if missing := [key for key in _OTVISION if key not in row]:
+        if missing := [key for key in OTVISION_COLUMNS if key not in row]:
             raise UserError(f"{path}: {name}.{missing[0]}: missing")
         zone, half = row["zone_utm"], row["hemisphere"]
         if isinstance(zone, bool) or not isinstance(zone, int) or not 1 <= zone <= 60:
@@ -131,13 +150,13 @@ def _otvision(path: Path) -> PointFile:
         f"UTM zone {zone_half}: the world's (0, 0) is at easting {origin[0]:.0f}, northing {origin[1]:.0f}; the points "
         "have no heights: the road is taken to be a plane"
     ]
-    if abs(scale - 1) > _STRETCHED:
+    if abs(scale - 1) > POINT_FILES.stretched:
         said.append(
             f"so far from the middle of zone {zone_half} a metre on the road is {scale:.5f} m of the map's: distances "
             f"and speeds are too {'large' if scale > 1 else 'small'} by {abs(scale - 1):.2%}"
         )
     places = np.column_stack([values[:, 2:] - origin, np.zeros(len(values))])
-    sigmas = {name: np.full(len(values), default) for name, default in _SIGMAS.items()}
+    sigmas = {name: np.full(len(values), default) for name, default in DEFAULT_SIGMAS.items()}
     return _made(path, list(document), values[:, :2], places, sigmas, world, tuple(said))
 
 
@@ -158,10 +177,12 @@ def _made(
             raise UserError(f"{path}: name: {name!r} is the name of two points")
         if not name.isprintable() or len(name) > 200:
             raise UserError(f"{path}: name: expected one line and up to 200 letters")
-    if (np.abs(pixels) > _WIDEST_PX).any():
-        raise UserError(f"{path}: expected pixels within {_WIDEST_PX:g}")
-    if (np.abs(places) > _FARTHEST_M).any() or (len(places) and np.ptp(places, axis=0).max() > _APART_M):
-        raise UserError(f"{path}: points lie more than {_APART_M / 1000:g} km apart")
+    if (np.abs(pixels) > POINT_FILES.widest_px).any():
+        raise UserError(f"{path}: expected pixels within {POINT_FILES.widest_px:g}")
+    if (np.abs(places) > POINT_FILES.farthest_m).any() or (
+        len(places) and np.ptp(places, axis=0).max() > POINT_FILES.spread_m
+    ):
+        raise UserError(f"{path}: points lie more than {POINT_FILES.spread_m / 1000:g} km apart")
     points = []
     for k, name in enumerate(names):
         try:

@@ -11,10 +11,10 @@ from skope.camera.model import Camera, Distortion
 from skope.errors import UserError
 from skope.types import Array
 
-FEWEST: Final = 4
-"""Points that a camera needs."""
-_FOCAL: Final = np.geomspace(0.3, 8.0, 48)
-"""Focal lengths that are tried first, as multiples of the image's width: fields of view from 118 to 7 degrees."""
+FEWEST_POINTS: Final = 4
+"""Smallest number of points for a camera."""
+FOCAL_GRID: Final = np.geomspace(0.3, 8.0, 48)
+"""Focal lengths that are tried first, in widths of the image: fields of view from 118 to 7 degrees."""
 
 
 _MARKED_PX: Final = 1.0
@@ -97,11 +97,11 @@ def fit_camera_to_points(
     """
     uv, xyz = np.asarray(pixels, dtype=np.float64), np.asarray(points_world, dtype=np.float64)
     lens = distortion or Distortion()
-    if len(uv) < FEWEST:
-        raise UserError(f"control points: expected {FEWEST} or more, got {len(uv)}")
+    if len(uv) < FEWEST_POINTS:
+        raise UserError(f"control points: expected {FEWEST_POINTS} or more, got {len(uv)}")
     if np.linalg.svd(xyz - xyz.mean(axis=0), compute_uv=False)[1] < 1e-3:
         raise UserError("control points: they lie on one line")
-    tried = [K] if K is not None else [centred(size, share * size[0]) for share in _FOCAL]
+    tried = [K] if K is not None else [centred(size, share * size[0]) for share in FOCAL_GRID]
     fits = [fit for intrinsics in tried if (fit := _posed(uv, xyz, size, intrinsics, lens)) is not None]
     if not fits:
         raise UserError("control points: no camera sees them so; are some swapped?")

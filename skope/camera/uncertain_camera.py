@@ -15,19 +15,29 @@ from skope.camera.model import Camera, Distortion
 from skope.errors import UserError
 from skope.types import Array
 
-PARAMETERS: Final = ("focal", "k1", "x", "y", "z", "pitch", "roll", "yaw")
-"""Logarithm of the focal length in pixels, first coefficient of the radial distortion, place (metres), pitch downwards,
-roll and yaw (radians) of a camera."""
+CAMERA_PARAMETERS: Final = ("focal", "k1", "x", "y", "z", "pitch", "roll", "yaw")
+"""Logarithm of the focal length in pixels, first coefficient of the radial distortion, position (metres), downward
+pitch, roll and yaw (radians) of a camera.
+"""
 _OTHER_NAMES: Final = {"log_focal": "focal", "log_height": "z"}
 """Names in files of parameters that are worked out from vehicles; a height's logarithm is a share of it."""
-_STEPS: Final = dict(zip(PARAMETERS, (1e-5, 1e-5, 1e-4, 1e-4, 1e-4, 1e-6, 1e-6, 1e-6), strict=True))
-"""Steps of numeric derivatives."""
-PLACE_SHARE: Final = 0.9
-"""Share of cases in which a place lies within its stated error."""
-_BESIDE_M: Final = 0.5
-"""Over so many metres to either side it is seen how the camera's error stretches the road."""
-_NEAR_M: Final = 60.0
-"""Places that are farther from the camera do not count in how well distances are known."""
+PARAMETER_STEPS: Final = dict(zip(CAMERA_PARAMETERS, (1e-5, 1e-5, 1e-4, 1e-4, 1e-4, 1e-6, 1e-6, 1e-6), strict=True))
+"""Steps of numerical derivatives."""
+
+
+@dataclass(frozen=True)
+class UncertaintyLimits:
+    """How a camera's uncertainty becomes errors of positions and distances."""
+
+    place_coverage: float = 0.9
+    """Nominal coverage of the stated error of a position."""
+    beside_m: float = 0.5
+    """Half of the segment over which the stretch of the road by the camera's error is computed, metres."""
+    near_m: float = 60.0
+    """Positions farther from the camera do not count in the accuracy of distances, metres."""
+
+
+UNCERTAINTY: Final = UncertaintyLimits()
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,14 +49,15 @@ class UncertainCamera:
 
     camera: Camera
     parameters: tuple[str, ...]
-    """Those of `PARAMETERS` that are uncertain; without points the world begins under the camera, x ahead of it."""
+    """Those of `CAMERA_PARAMETERS` that are uncertain; without points the world begins under the camera, x ahead of
+    it."""
     covariance: Array
     """(P, P) of `parameters`, in their units."""
 
     def __post_init__(self) -> None:
-        unknown = [name for name in self.parameters if name not in PARAMETERS]
+        unknown = [name for name in self.parameters if name not in CAMERA_PARAMETERS]
         if unknown or len(set(self.parameters)) < len(self.parameters):
-            raise UserError(f"covariance: of: expected names among {', '.join(PARAMETERS)}, each once")
+            raise UserError(f"covariance: of: expected names among {', '.join(CAMERA_PARAMETERS)}, each once")
         matrix, count = np.asarray(self.covariance, dtype=np.float64), len(self.parameters)
         if matrix.shape != (count, count) or not np.isfinite(matrix).all():
             raise UserError(f"covariance: matrix: expected {count} rows of {count} finite numbers")
@@ -78,7 +89,7 @@ class UncertainCamera:
 
     def belief(self, name: str) -> Belief:
         """The knowledge of the camera as evidence for another calibration."""
-        which = [PARAMETERS.index(parameter) for parameter in self.parameters]
+        which = [CAMERA_PARAMETERS.index(parameter) for parameter in self.parameters]
         return Belief(self.parameters, values_of(self.camera)[which], self.covariance, name)
 
     def of_camera(self, camera: Camera) -> "UncertainCamera":
@@ -87,7 +98,7 @@ class UncertainCamera:
 
     def widened(self, added: Mapping[tuple[str, ...], Array]) -> "UncertainCamera":
         """The camera with further, independent errors: covariances by the names of the parameters that they are of."""
-        names = tuple(name for name in PARAMETERS if any(name in part for part in (self.parameters, *added)))
+        names = tuple(name for name in CAMERA_PARAMETERS if any(name in part for part in (self.parameters, *added)))
         covariance = np.zeros((len(names), len(names)))
         for part, of_part in ((self.parameters, self.covariance), *added.items()):
             at = [names.index(name) for name in part]
@@ -127,7 +138,7 @@ class UncertainCamera:
             height: z of the plane that they lie on, metres.
             sigma_px: Standard deviation of the pixels themselves, an axis.
         """
-        return radius_of(self.place_covariance(pixels, height, sigma_px), PLACE_SHARE)
+        return radius_of(self.place_covariance(pixels, height, sigma_px), UNCERTAINTY.place_coverage)
 
     def covariance_at(self, places: ArrayLike, slope: ArrayLike = (0.0, 0.0)) -> Array:
         """(..., 2, 2) covariance that the camera's error gives x and y of places (..., 3) on the road, square metres.
@@ -153,10 +164,10 @@ class UncertainCamera:
             (..., 2, 2) in m²/s²; NaN where the camera does not see the place.
         """
         at, v = np.asarray(places, dtype=np.float64), np.asarray(velocities, dtype=np.float64)
-        steps = _BESIDE_M * np.column_stack([np.eye(2), np.asarray(slope, dtype=np.float64)])
+        steps = UNCERTAINTY.beside_m * np.column_stack([np.eye(2), np.asarray(slope, dtype=np.float64)])
         beside = np.stack([at + steps[0], at - steps[0], at + steps[1], at - steps[1]])
         ahead_x, behind_x, ahead_y, behind_y = self._by_parameters_at(beside, slope)
-        stretched = np.stack([ahead_x - behind_x, ahead_y - behind_y], axis=-1) / (2 * _BESIDE_M)
+        stretched = np.stack([ahead_x - behind_x, ahead_y - behind_y], axis=-1) / (2 * UNCERTAINTY.beside_m)
         V = (stretched @ v[..., None, :, None])[..., 0]
         return np.asarray(V @ self.covariance @ np.swapaxes(V, -1, -2))
 
@@ -164,7 +175,7 @@ class UncertainCamera:
         """Relative standard deviation of short ways on the road z = 0, at the ninth in ten of its places near by."""
         u, v = np.meshgrid(*(np.linspace(0.05, 0.95, 9) * side for side in (self.camera.width, self.camera.height)))
         places = self.places(np.stack([u.ravel(), v.ravel()], axis=-1))
-        near = np.linalg.norm(places[:, :2] - self.camera.position[:2], axis=1) < _NEAR_M
+        near = np.linalg.norm(places[:, :2] - self.camera.position[:2], axis=1) < UNCERTAINTY.near_m
         shares = []
         for way in np.eye(2):
             C = self.covariance_of_velocities(places[near], np.tile(way, (int(near.sum()), 1)))
@@ -181,7 +192,7 @@ class UncertainCamera:
 
     def _by_parameters(self, pixels: Array, **plane: ArrayLike) -> Array:
         """(..., 2, P) derivatives of the places that pixels (..., 2) show on a plane, as `ground_places` takes it."""
-        steps = np.array([_STEPS[name] for name in self.parameters])
+        steps = np.array([PARAMETER_STEPS[name] for name in self.parameters])
 
         def moved(step: Array) -> Array:
             camera = moved_camera(self.camera, dict(zip(self.parameters, (step * steps).tolist(), strict=True)))
@@ -191,7 +202,7 @@ class UncertainCamera:
 
 
 def camera_of_parameters(values: Array, size: tuple[int, int]) -> Camera:
-    """The camera of values (8,) of `PARAMETERS`, with the principal point in the image's middle."""
+    """The camera of values (8,) of `CAMERA_PARAMETERS`, with the principal point in the image's middle."""
     focal, k1, x, y, z, pitch, roll, yaw = values.tolist()
     lens = Distortion("brown", (k1, 0.0, 0.0, 0.0)) if k1 else Distortion()
     fov = 2 * math.atan(size[0] / 2 / math.exp(focal))
@@ -199,17 +210,17 @@ def camera_of_parameters(values: Array, size: tuple[int, int]) -> Camera:
 
 
 def values_of(camera: Camera) -> Array:
-    """(8,) values of `PARAMETERS` of a camera."""
+    """(8,) values of `CAMERA_PARAMETERS` of a camera."""
     yaw, pitch, roll = camera.angles
     k1 = camera.distortion.coefficients[0] if camera.distortion.model != "none" else 0.0
     return np.array([math.log(camera.K[0, 0]), k1, *camera.position, pitch, roll, yaw])
 
 
 def moved_camera(camera: Camera, steps: Mapping[str, float]) -> Camera:
-    """A camera whose `PARAMETERS` are larger by `steps`; what they do not say of it stays."""
+    """A camera whose `CAMERA_PARAMETERS` are larger by `steps`; what they do not say of it stays."""
     values = values_of(camera)
     for name, step in steps.items():
-        values[PARAMETERS.index(name)] += step
+        values[CAMERA_PARAMETERS.index(name)] += step
     focal, k1, x, y, z, pitch, roll, yaw = values.tolist()
     lens = camera.distortion
     if k1 and "k1" in steps:

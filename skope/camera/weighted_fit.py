@@ -11,29 +11,40 @@ from scipy.optimize import least_squares
 from skope.camera.evidence import Evidence
 from skope.camera.evidence_terms import EvidenceTerm, covariances_of, residuals_of
 from skope.camera.model import Camera
-from skope.camera.pose_from_points import FEWEST, fit_camera_to_points
-from skope.camera.uncertain_camera import PARAMETERS, camera_of_parameters, values_of
+from skope.camera.pose_from_points import FEWEST_POINTS, fit_camera_to_points
+from skope.camera.uncertain_camera import CAMERA_PARAMETERS, camera_of_parameters, values_of
 from skope.errors import UserError
 from skope.types import Array
 
-_TILTS_DEG: Final = (4.0, 10.0, 18.0, 28.0, 40.0, 55.0)
-_LENGTHS: Final = (0.45, 0.7, 1.1, 1.7, 2.6, 4.0)
-"""Focal lengths that the search begins with, in widths of the image."""
-_HEIGHT_M: Final = 6.0
-_ROUNDS: Final = 4
-"""Rounds in which the weights follow the camera."""
-_STEPS: Final = 60
-"""Steps of a round at most."""
-_FINALISTS: Final = 2
-"""So many starts are followed to the end."""
-_FIRST_STEPS: Final = 12
-"""Steps after which they are chosen."""
-SCALES: Final = np.array([0.1, 0.05, 1.0, 1.0, 0.5, 0.05, 0.05, 0.05])
-"""Scales of `PARAMETERS` in steps of the search."""
-_LEAST_TOLD: Final = 1e-8
-"""Information on a parameter that stands for none, in squares of `SCALES`."""
-CHECKED_POINTS: Final = 6
-"""From so many points on, one that contradicts the others is found."""
+
+@dataclass(frozen=True)
+class FitStarts:
+    """First cameras and limits of the weighted fit to marks."""
+
+    pitches_deg: tuple[float, ...] = (4.0, 10.0, 18.0, 28.0, 40.0, 55.0)
+    """Downward pitch angles at which the search begins, degrees."""
+    focal_widths: tuple[float, ...] = (0.45, 0.7, 1.1, 1.7, 2.6, 4.0)
+    """Focal lengths at which the search begins, in widths of the image."""
+    height_m: float = 6.0
+    """Height over the road at which the search begins, metres."""
+    rounds: int = 4
+    """Rounds in which the weights follow the camera."""
+    most_steps: int = 60
+    """Maximum number of steps of a round."""
+    finalists: int = 2
+    """Number of starts that are followed to the end."""
+    first_steps: int = 12
+    """Number of steps after which these are chosen."""
+    least_information: float = 1e-8
+    """Information on a parameter that stands for none, in inverse squares of `SEARCH_SCALES`."""
+    checked_points: int = 6
+    """Number of points from which one that contradicts the others is found."""
+
+
+FIT_STARTS: Final = FitStarts()
+
+SEARCH_SCALES: Final = np.array([0.1, 0.05, 1.0, 1.0, 0.5, 0.05, 0.05, 0.05])
+"""Scales of `CAMERA_PARAMETERS` in steps of the search."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,12 +69,14 @@ class WeightedFit:
         """
         told, axes = np.linalg.eigh((self.J * scales).T @ (self.J * scales))
         axes = axes * scales[:, None]
-        return np.asarray((axes / np.maximum(told, _LEAST_TOLD)) @ axes.T)
+        return np.asarray((axes / np.maximum(told, FIT_STARTS.least_information)) @ axes.T)
 
     def log_evidence(self, scales: Array) -> float:
         """Logarithm of how likely the evidence is whatever the camera, but for a constant (Laplace's approximation)."""
         told = np.linalg.eigvalsh((self.J * scales).T @ (self.J * scales))
-        return float(-self.cost / 2 + self.log_weights - np.log(np.maximum(told, _LEAST_TOLD)).sum() / 2)
+        return float(
+            -self.cost / 2 + self.log_weights - np.log(np.maximum(told, FIT_STARTS.least_information)).sum() / 2
+        )
 
 
 def best_fit(
@@ -80,9 +93,9 @@ def best_fit(
     Returns:
         The solution of least cost; its cost is infinite where none of the starts leads to one.
     """
-    if len(starts) > _FINALISTS:
-        begun = [fit_terms(terms, at, unknown, size, rounds=1, steps=_FIRST_STEPS) for at in starts]
-        starts = [fit.at for fit in sorted(begun, key=lambda fit: fit.cost)[:_FINALISTS]]
+    if len(starts) > FIT_STARTS.finalists:
+        begun = [fit_terms(terms, at, unknown, size, rounds=1, steps=FIT_STARTS.first_steps) for at in starts]
+        starts = [fit.at for fit in sorted(begun, key=lambda fit: fit.cost)[: FIT_STARTS.finalists]]
     return min((fit_terms(terms, at, unknown, size) for at in starts), key=lambda fit: fit.cost)
 
 
@@ -92,8 +105,8 @@ def fit_terms(
     unknown: Sequence[str],
     size: tuple[int, int],
     *,
-    rounds: int = _ROUNDS,
-    steps: int = _STEPS,
+    rounds: int = FIT_STARTS.rounds,
+    steps: int = FIT_STARTS.most_steps,
 ) -> WeightedFit:
     """Solve for the unknown parameters; weights are those of the camera of the round before.
 
@@ -108,7 +121,7 @@ def fit_terms(
     Returns:
         The solution; its cost is infinite where a mark has no place under the camera that is reached.
     """
-    columns = [PARAMETERS.index(name) for name in unknown]
+    columns = [CAMERA_PARAMETERS.index(name) for name in unknown]
     at, fit = begun.copy(), None
     for _ in range(rounds):
         camera = camera_of_parameters(at, size)
@@ -124,12 +137,12 @@ def fit_terms(
             return np.concatenate([W @ off for W, off in zip(weights, residuals_of(terms, camera), strict=True)])
 
         try:
-            fit = least_squares(residuals, at[columns], x_scale=SCALES[columns], method="trf", max_nfev=steps)
+            fit = least_squares(residuals, at[columns], x_scale=SEARCH_SCALES[columns], method="trf", max_nfev=steps)
         except (ValueError, np.linalg.LinAlgError):
             return WeightedFit(at, math.inf, np.zeros((1, len(columns))))
         step, at = fit.x - at[columns], at.copy()
         at[columns] = fit.x
-        if (np.abs(step) < 1e-6 * SCALES[columns]).all():
+        if (np.abs(step) < 1e-6 * SEARCH_SCALES[columns]).all():
             break
     assert fit is not None
     ends = np.cumsum([len(W) for W in weights])[:-1]
@@ -154,12 +167,12 @@ def camera_starts(evidence: Evidence, start: Camera | None, terms: Sequence[Evid
     """
     if start is not None:
         return [values_of(start)]
-    if len(evidence.points) >= FEWEST:
+    if len(evidence.points) >= FEWEST_POINTS:
         uv = np.array([point.pixel for point in evidence.points])
         places = np.array([point.place for point in evidence.points])
         # With one wrong point all may be led astray: each is left out once.
         keep = [np.arange(len(uv))]
-        if len(uv) >= CHECKED_POINTS:
+        if len(uv) >= FIT_STARTS.checked_points:
             keep += [np.delete(np.arange(len(uv)), i) for i in range(len(uv))]
         out = []
         for rows in keep:
@@ -171,9 +184,9 @@ def camera_starts(evidence: Evidence, start: Camera | None, terms: Sequence[Evid
             raise UserError("calibration: no camera sees the points so; do they lie on one line, or are two swapped?")
         return sorted(out, key=lambda at: _capped_cost(terms, camera_of_parameters(at, evidence.size)))[:2]
     grid = [
-        np.array([math.log(share * evidence.size[0]), 0, 0, 0, _HEIGHT_M, math.radians(tilt), 0, 0])
-        for share in _LENGTHS
-        for tilt in _TILTS_DEG
+        np.array([math.log(share * evidence.size[0]), 0, 0, 0, FIT_STARTS.height_m, math.radians(tilt), 0, 0])
+        for share in FIT_STARTS.focal_widths
+        for tilt in FIT_STARTS.pitches_deg
     ]
     return sorted(grid, key=lambda at: _smooth_cost(terms, camera_of_parameters(at, evidence.size)))[:6]
 

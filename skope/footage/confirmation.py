@@ -13,20 +13,42 @@ import numpy as np
 
 from skope import boxes as box_math
 from skope.schema import Found
-from skope.tracking.box_links import LOST_S, BoxLinks, size_of
+from skope.tracking.box_links import LINK_LIMITS, BoxLinks, size_of
 from skope.types import Array, Integers32
 
 SizeSample = tuple[float, float, float]
 """Place of a box on the road, x and y, and its size there, the square root of its area; pixels."""
 
-_FEWEST_DRIVERS: Final = 4
-"""So many vehicles must have driven before they tell how large others are."""
-_TYPICAL: Final = 0.25
-"""Relative standard deviation of vehicles' sizes at one place."""
-_SPREADS: Final = 2.0
-_SIZE_FACTOR: Final = 2.0
-"""A vehicle differs from the expected size by this factor at most, and by so many standard deviations of that."""
-_FIT_ROUNDS: Final = 10
+
+@dataclass(frozen=True)
+class ConfirmationLimits:
+    """Limits from which detections are confirmed by others."""
+
+    fewest_moving: int = 4
+    """Smallest number of moving vehicles that give the expected size of others."""
+    size_sigma: float = 0.25
+    """Relative standard deviation of vehicle sizes at one position."""
+    size_sigmas: float = 2.0
+    """Largest difference from the expected size, in standard deviations of it."""
+    size_factor: float = 2.0
+    """Largest ratio to the expected size."""
+    fit_rounds: int = 10
+    """Rounds of the robust fit of sizes."""
+    weak_score: float = 0.2
+    """Detections above this score continue a vehicle that has higher scores in other frames."""
+    fewest_frames: int = 3
+    """Smallest number of frames with high scores."""
+    fewest_key_frames: int = 2
+    """The same if the detector runs on key frames only."""
+    high_share: float = 0.8
+    """A vehicle keeps its weak detections if more than this share of its detections have high scores."""
+    standing_sizes: float = 0.3
+    """A vehicle that never moves by more of its size stands."""
+    moving_sizes: float = 1.0
+    """A vehicle that moves by more of its size drives."""
+
+
+CONFIRMATION: Final = ConfirmationLimits()
 
 
 class ExpectedSizes:
@@ -37,7 +59,7 @@ class ExpectedSizes:
 
     def __init__(self, vehicles: Sequence[Sequence[SizeSample]]) -> None:
         """`vehicles` are the samples of each vehicle that drove."""
-        self._enough = len(vehicles) >= _FEWEST_DRIVERS
+        self._enough = len(vehicles) >= CONFIRMATION.fewest_moving
         if self._enough:
             samples = np.array([sample for samples in vehicles for sample in samples])
             self._parameters, self._covariance = _fitted(samples)
@@ -49,8 +71,8 @@ class ExpectedSizes:
         *place, size = sample
         at = np.array([1.0, *place])
         expected = float(at @ self._parameters)
-        spread = _SPREADS * float(np.sqrt(at @ self._covariance @ at))
-        return (expected - spread) / _SIZE_FACTOR < size < (expected + spread) * _SIZE_FACTOR
+        spread = CONFIRMATION.size_sigmas * float(np.sqrt(at @ self._covariance @ at))
+        return (expected - spread) / CONFIRMATION.size_factor < size < (expected + spread) * CONFIRMATION.size_factor
 
 
 def _fitted(samples: Array) -> tuple[Array, Array]:
@@ -60,27 +82,12 @@ def _fitted(samples: Array) -> tuple[Array, Array]:
     """
     design = np.column_stack([np.ones(len(samples)), samples[:, :2]]) / samples[:, 2:]
     weights = np.ones(len(samples))
-    for _ in range(_FIT_ROUNDS):
+    for _ in range(CONFIRMATION.fit_rounds):
         normal = design.T @ (design * weights[:, None])
         parameters = np.linalg.lstsq(normal, design.T @ weights, rcond=None)[0]
         errors = np.abs(design @ parameters - 1)
-        weights = np.minimum(1.0, _TYPICAL / np.maximum(errors, 1e-9))
-    return np.asarray(parameters), np.asarray(_TYPICAL**2 * np.linalg.pinv(normal))
-
-
-WEAK: Final = 0.2
-"""Detections above this continue a vehicle that is seen more surely in other frames."""
-
-_FEWEST_FRAMES: Final = 3
-"""A vehicle is seen surely in so many frames, or there is none."""
-_FEWEST_KEYS: Final = 2
-"""The same where the detector sees key frames only."""
-_NEARLY_ALWAYS: Final = 0.8
-"""A vehicle keeps its weak detections if more than this share of its detections are sure."""
-_STANDS_SIZES: Final = 0.3
-"""A vehicle that never moves by more of its size stands."""
-_DRIVES_SIZES: Final = 1.0
-"""A vehicle that moves by more of its size drives."""
+        weights = np.minimum(1.0, CONFIRMATION.size_sigma / np.maximum(errors, 1e-9))
+    return np.asarray(parameters), np.asarray(CONFIRMATION.size_sigma**2 * np.linalg.pinv(normal))
 
 
 @dataclass(slots=True)
@@ -131,7 +138,7 @@ class Confirmation:
     def __init__(self, score: float, *, every: int = 1) -> None:
         """Detections above `score` are sure; the detector sees each `every`-th frame."""
         self._sure = score
-        self._fewest = _FEWEST_FRAMES if every == 1 else _FEWEST_KEYS
+        self._fewest = CONFIRMATION.fewest_frames if every == 1 else CONFIRMATION.fewest_key_frames
         self._links = BoxLinks()
         self._vehicles: dict[int, _Vehicle] = {}
         """By number; those that were lost before they were surely seen are gone."""
@@ -154,7 +161,7 @@ class Confirmation:
 
     def _forget(self, time_s: float) -> None:
         """End vehicles that were lost."""
-        lost = {i for i in self._open if time_s - self._vehicles[i].time_s > LOST_S}
+        lost = {i for i in self._open if time_s - self._vehicles[i].time_s > LINK_LIMITS.lost_s}
         self._open -= lost
         for i in lost:
             if self._vehicles[i].sure < self._fewest:
@@ -166,11 +173,13 @@ class Confirmation:
         Vehicles are numbered in the order in which they are first seen.
         """
         seen = {i: one for i, one in self._vehicles.items() if one.sure >= self._fewest}
-        sizes = ExpectedSizes([one.samples for one in seen.values() if one.moved > _DRIVES_SIZES])
+        sizes = ExpectedSizes([one.samples for one in seen.values() if one.moved > CONFIRMATION.moving_sizes])
         stay = {
-            i for i, one in seen.items() if one.moved > _STANDS_SIZES or sizes.allow((*one.samples[0][:2], one.size))
+            i
+            for i, one in seen.items()
+            if one.moved > CONFIRMATION.standing_sizes or sizes.allow((*one.samples[0][:2], one.size))
         }
-        constant = {i for i in stay if seen[i].sure > _NEARLY_ALWAYS * seen[i].found}
+        constant = {i for i in stay if seen[i].sure > CONFIRMATION.high_share * seen[i].found}
         names = {number: name for name, number in enumerate(sorted(stay))}
         return [
             np.array(

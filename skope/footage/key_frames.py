@@ -25,27 +25,38 @@ from skope.types import Array, Floats32, Pixels
 
 ImageWithPixels = tuple[Image, Pixels]
 
-INTERVAL_S: Final = 0.5
-"""Key frames are so far apart, seconds."""
 
-_WINDOW: Final = (15, 15)
-_PYRAMID_LEVELS: Final = 4
-_RETURN_PX: Final = 0.5
-"""A point that is followed to the next frame and back has to come out so near to where it began."""
-_GRID_SHARES: Final = (0.2, 0.4, 0.6, 0.8)
-"""Beside the keypoints a grid of points is followed: shares of the box's edges."""
-_BODY: Final = (0.35, 0.5, 0.65)
-"""Of people on foot and on two wheels only these shares of the width: beside them the road shows."""
-_FEWEST_POINTS: Final = 4
-"""A vehicle is lost where fewer of its points can be followed."""
-_ASIDE_SHARE: Final = 0.02
-"""Points move with their vehicle that are so near to where it takes them, as a share of its size, a pixel at least."""
-_GROWTH: Final = 1.25
-"""From frame to frame a vehicle grows or shrinks by no more than this factor."""
-_SAME_IOU: Final = 0.3
-"""IoU from which a vehicle that was followed to the other key frame is the one that is found there."""
-_SMALLEST_PX: Final = 4.0
-"""Boxes with a shorter edge inside the image are left out."""
+@dataclass(frozen=True)
+class KeyFrameLimits:
+    """Key frames, and the limits of following vehicles between them."""
+
+    interval_s: float = 0.5
+    """Time between key frames, seconds."""
+    window_px: tuple[int, int] = (15, 15)
+    """Sides of the window that is tracked around a point, pixels."""
+    pyramid_levels: int = 4
+    """Levels of the image pyramid."""
+    round_trip_px: float = 0.5
+    """Largest distance of a point from its start after it was tracked to the next frame and back, pixels."""
+    grid_shares: tuple[float, float, float, float] = (0.2, 0.4, 0.6, 0.8)
+    """Grid of points that are tracked in addition to keypoints, as shares of the box's edges."""
+    body_shares: tuple[float, float, float] = (0.35, 0.5, 0.65)
+    """Shares of the width for pedestrians and two-wheelers. Beside them the road shows."""
+    fewest_points: int = 4
+    """Smallest number of tracked points of a vehicle."""
+    deviation_share: float = 0.02
+    """Largest deviation of a point from its vehicle's motion, as a share of the vehicle's size, at least a pixel."""
+    growth: float = 1.25
+    """Largest factor by which a vehicle grows or shrinks from frame to frame."""
+    same_iou: float = 0.3
+    """Least IoU of a vehicle tracked from one key frame with its detection in the next."""
+    smallest_px: float = 4.0
+    """Boxes with a shorter edge inside the image are left out, pixels."""
+
+
+KEY_FRAME_LIMITS: Final = KeyFrameLimits()
+
+
 _NO_POINTS: Final = np.zeros((0, 2), dtype=np.float32)
 
 
@@ -137,7 +148,7 @@ class _Place:
     def moved(self, motion: Array) -> "_Place | None":
         """Moved by a (2, 3) turn, scale and shift; None where it grows by more than vehicles do."""
         scale = float(np.hypot(motion[0, 0], motion[1, 0]))
-        if not 1 / _GROWTH < scale < _GROWTH:
+        if not 1 / KEY_FRAME_LIMITS.growth < scale < KEY_FRAME_LIMITS.growth:
             return None
         corners = self.box.reshape(2, 2)
         middle = corners.mean(axis=0)
@@ -148,7 +159,7 @@ class _Place:
     def result(self, image: Image, like: AnyResult, score: float) -> AnyResult | None:
         """`like` at this place of an image, with another score; None where hardly anything of it is inside."""
         box = np.clip(self.box, 0.0, [image.width, image.height] * 2)
-        if (box[2:] - box[:2]).min() < _SMALLEST_PX:
+        if (box[2:] - box[:2]).min() < KEY_FRAME_LIMITS.smallest_px:
             return None
         bbox = box_math.xyxy_to_xywh(box[None])[0]
         there = replace(like, image_id=image.id, bbox=bbox, score=score, interpolated=True)
@@ -185,8 +196,8 @@ def _points(vehicle: AnyResult) -> Floats32:
     at = _keypoints(vehicle)[:, :2]
     low, high = vehicle.bbox[:2], vehicle.bbox[:2] + vehicle.bbox[2:]
     inside = ((at > low) & (at < high)).all(axis=1)
-    across = _GRID_SHARES if isinstance(vehicle, Result) else _BODY
-    grid = low + np.stack(np.meshgrid(across, _GRID_SHARES), axis=-1).reshape(-1, 2) * vehicle.bbox[2:]
+    across = KEY_FRAME_LIMITS.grid_shares if isinstance(vehicle, Result) else KEY_FRAME_LIMITS.body_shares
+    grid = low + np.stack(np.meshgrid(across, KEY_FRAME_LIMITS.grid_shares), axis=-1).reshape(-1, 2) * vehicle.bbox[2:]
     return np.concatenate([at[inside], grid]).astype(np.float32)
 
 
@@ -195,21 +206,30 @@ def _flow(before: Pixels, after: Pixels, points: Floats32) -> Floats32:
     if not len(points):
         return points
     follow: Any = cv2.calcOpticalFlowPyrLK  # its types ask for an array to write to
-    there, found, _ = follow(before, after, points[:, None], None, winSize=_WINDOW, maxLevel=_PYRAMID_LEVELS)
-    again, found_again, _ = follow(after, before, there, None, winSize=_WINDOW, maxLevel=_PYRAMID_LEVELS)
+    there, found, _ = follow(
+        before,
+        after,
+        points[:, None],
+        None,
+        winSize=KEY_FRAME_LIMITS.window_px,
+        maxLevel=KEY_FRAME_LIMITS.pyramid_levels,
+    )
+    again, found_again, _ = follow(
+        after, before, there, None, winSize=KEY_FRAME_LIMITS.window_px, maxLevel=KEY_FRAME_LIMITS.pyramid_levels
+    )
     away = np.linalg.norm(again[:, 0] - points, axis=1)
-    good = (found[:, 0] > 0) & (found_again[:, 0] > 0) & (away < _RETURN_PX)
+    good = (found[:, 0] > 0) & (found_again[:, 0] > 0) & (away < KEY_FRAME_LIMITS.round_trip_px)
     return np.where(good[:, None], there[:, 0], np.float32(np.nan))
 
 
 def _step(place: _Place | None, old: Floats32, new: Floats32) -> _Place | None:
     """A vehicle moved as most of its points are; None where they are too few."""
-    if place is None or len(old) < _FEWEST_POINTS:
+    if place is None or len(old) < KEY_FRAME_LIMITS.fewest_points:
         return None
-    aside = max(1.0, _ASIDE_SHARE * float(np.ptp(old, axis=0).max()))
+    aside = max(1.0, KEY_FRAME_LIMITS.deviation_share * float(np.ptp(old, axis=0).max()))
     motion: Any
     motion, agreeing = cv2.estimateAffinePartial2D(old, new, method=cv2.RANSAC, ransacReprojThreshold=aside)
-    return place.moved(motion) if motion is not None and agreeing.sum() >= _FEWEST_POINTS else None
+    return place.moved(motion) if motion is not None and agreeing.sum() >= KEY_FRAME_LIMITS.fewest_points else None
 
 
 def _same(first: Sequence[AnyResult], ahead: Sequence[Way], last: Sequence[AnyResult]) -> list[tuple[int, int]]:
@@ -223,7 +243,10 @@ def _same(first: Sequence[AnyResult], ahead: Sequence[Way], last: Sequence[AnyRe
             continue
         ends = np.array([[place for place in ahead[i] if place is not None][-1].box for i in before])
         there = box_math.xywh_to_xyxy(np.array([last[j].bbox for j in after]))
-        out += [(before[i], after[j]) for i, j in cheapest_pairs(1 - box_math.iou(ends, there), 1 - _SAME_IOU)]
+        out += [
+            (before[i], after[j])
+            for i, j in cheapest_pairs(1 - box_math.iou(ends, there), 1 - KEY_FRAME_LIMITS.same_iou)
+        ]
     return out
 
 

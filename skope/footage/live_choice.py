@@ -15,8 +15,8 @@ from skope.schema import AnyResult, Image
 from skope.terminal.console import Console
 from skope.types import Pixels
 
-_LOOKS: Final = 3
-"""A detector's rate is that of the median of so many looks at a frame, after one that is not timed."""
+TIMED_FRAMES: Final = 3
+"""Number of frames whose median time gives a detector's rate, after one that is not timed."""
 
 
 class FrameDetector(Protocol):
@@ -116,7 +116,7 @@ class LiveChoice:
 def _rate(predictor: Predictor, image: Image, pixels: Pixels) -> float:
     """Looks a second at a frame."""
     seconds = []
-    for _ in range(1 + _LOOKS):
+    for _ in range(1 + TIMED_FRAMES):
         begun = time.perf_counter()
         list(predictor.each(iter([(image, pixels)])))
         seconds.append(time.perf_counter() - begun)

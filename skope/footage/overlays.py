@@ -2,6 +2,7 @@
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
 from pathlib import Path, PurePath
 from typing import Any, Final
 
@@ -32,12 +33,21 @@ _BLURRED_PARTS: Final = tuple(
     )
 )
 """Windscreen, rear window, side windows, and the lower middle of either end, where plates are."""
-_BLUR_CELLS: Final = 8
-"""A plate is about a quarter of a vehicle's width: nothing smaller than an eighth survives."""
-_UPPER: Final = 0.4
-"""Share of the box of somebody on foot or on two wheels that holds the head, whatever the posture."""
-_CELLS_OF_HEADS: Final = 3
-"""A head is about a third as wide as the box at most."""
+
+
+@dataclass(frozen=True)
+class BlurCells:
+    """Resolution of anonymised parts."""
+
+    vehicle_cells: int = 8
+    """Cells across a vehicle. A plate is about a quarter of its width; nothing smaller than an eighth survives."""
+    head_share: float = 0.4
+    """Share of the box of a pedestrian or rider that holds the head in any posture."""
+    head_cells: int = 3
+    """Cells across that part. A head is at most about a third as wide as the box."""
+
+
+BLUR_CELLS: Final = BlurCells()
 
 
 def blurred(image: Pixels, found: Iterable[Result], road_users: Iterable[RoadUserResult] = ()) -> Pixels:
@@ -50,9 +60,9 @@ def blurred(image: Pixels, found: Iterable[Result], road_users: Iterable[RoadUse
     """
     out = image.copy()
     for user in road_users:
-        patch, _ = _around(out, user.bbox * [1, 1, 1, _UPPER])
+        patch, _ = _around(out, user.bbox * [1, 1, 1, BLUR_CELLS.head_share])
         if patch.size:
-            patch[:] = _averaged(patch, _CELLS_OF_HEADS)
+            patch[:] = _averaged(patch, BLUR_CELLS.head_cells)
     for result in found:
         patch, (x0, y0) = _around(out, result.bbox)
         if not patch.size:
@@ -61,7 +71,7 @@ def blurred(image: Pixels, found: Iterable[Result], road_users: Iterable[RoadUse
         for part in _BLURRED_PARTS:
             corners = np.clip(result.keypoints[list(part), :2] - [x0, y0], -1e4, 1e4)
             cv2.fillConvexPoly(mask, cv2.convexHull(np.rint(corners).astype(np.int32)), 1)
-        patch[mask > 0] = _averaged(patch, _BLUR_CELLS)[mask > 0]
+        patch[mask > 0] = _averaged(patch, BLUR_CELLS.vehicle_cells)[mask > 0]
     return out
 
 

@@ -14,7 +14,7 @@ from typing import Any, Final, Protocol
 
 import numpy as np
 
-from skope.camera.motion.camera_motion import MOTION, CameraMotion
+from skope.camera.motion.camera_motion import MOTION_KEY, CameraMotion
 from skope.camera.motion.camera_shake import SwayWatch, motion_of_row, motion_to_row, record_of
 from skope.camera.motion.followed_views import with_homographies
 from skope.camera.motion.frame_contrast import sight_rows
@@ -46,7 +46,7 @@ from skope.footage.overlays import KeepRule, write_overlay
 from skope.footage.predict_job import PROGRESS_FILE, Linked, NumbersByCategory, PredictJob, claim, found_at
 from skope.schema import CATEGORIES, AnnotationFile, AnyResult, Image
 from skope.terminal.console import Console, counted
-from skope.tracking.box_links import FARTHEST_S
+from skope.tracking.box_links import LINK_LIMITS
 from skope.types import Pixels
 from skope.video.footage import Footage
 
@@ -271,7 +271,7 @@ def _info(
     if changed:
         info[CHANGES] = [change.to_dict() for change in changed]
     if sways:
-        info[MOTION] = sways.to_dict()
+        info[MOTION_KEY] = sways.to_dict()
     return info
 
 
@@ -366,7 +366,7 @@ def _kept(job: PredictJob, progress: Progress, images: Sequence[Image]) -> KeepR
     """
     times = [image.time_s for image in images if image.time_s is not None]
     interval = float(np.median(np.diff(times))) if job.links and len(times) > 1 else math.inf
-    if interval > FARTHEST_S:
+    if interval > LINK_LIMITS.frame_gap_s:
         return lambda row: [result for result in row["results"] if result["score"] > job.score]
     numbering = NumbersByCategory(
         partial(Confirmation, job.score, every=job.key_every) if job.confirms else partial(Linked, job.score)

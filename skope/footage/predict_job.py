@@ -17,10 +17,10 @@ from skope.detector.network_settings import Settings
 from skope.files.atomic import sha256_of
 from skope.files.json_files import read_json
 from skope.files.output_folders import WORK, claim_output
-from skope.footage.confirmation import WEAK
-from skope.footage.key_frames import INTERVAL_S
+from skope.footage.confirmation import CONFIRMATION
+from skope.footage.key_frames import KEY_FRAME_LIMITS
 from skope.schema import CATEGORIES, AnyResult, Found
-from skope.tracking.box_links import FARTHEST_S, BoxLinks
+from skope.tracking.box_links import LINK_LIMITS, BoxLinks
 from skope.types import Integers32
 from skope.video.footage import FOUND_AT, Footage
 
@@ -110,15 +110,15 @@ class PredictJob:
         Vehicles are followed through the frames of a recorded video that are dense enough for that; a live stream's
         come as they can.
         """
-        dense = self.footage.fps is not None and self.footage.fps * FARTHEST_S >= 1
+        dense = self.footage.fps is not None and self.footage.fps * LINK_LIMITS.frame_gap_s >= 1
         if self.every_frame or not dense or choose_device(self.settings.device).type != "cpu":
             return 1
-        return max(1, round(INTERVAL_S * (self.footage.fps or 0.0)))
+        return max(1, round(KEY_FRAME_LIMITS.interval_s * (self.footage.fps or 0.0)))
 
     @property
     def least_score(self) -> float:
         """Score from which the detector makes detections: weak ones continue vehicles of a video."""
-        return min(self.score, WEAK) if self.confirms else self.score
+        return min(self.score, CONFIRMATION.weak_score) if self.confirms else self.score
 
     @property
     def confirms(self) -> bool:
@@ -128,7 +128,7 @@ class PredictJob:
     @property
     def links(self) -> bool:
         """Whether vehicles are followed from frame to frame."""
-        dense = self.footage.fps is None or self.footage.fps * FARTHEST_S >= 1
+        dense = self.footage.fps is None or self.footage.fps * LINK_LIMITS.frame_gap_s >= 1
         return self.footage.clip is not None and dense
 
 

@@ -22,8 +22,8 @@ from skope.types import Array
 
 CALIBRATED_FIELD: Final = "camera_calibrated"
 """Under this name `skope eval predict` hands on of which seconds of which footage their camera was calibrated."""
-COVARIANCE: Final = "camera_covariance"
-"""Under this name `skope eval predict` hands on, in the `info` of its frames, how well their camera is known."""
+COVARIANCE_KEY: Final = "camera_covariance"
+"""Key in `info` of the frames: the covariance of their camera."""
 
 
 def camera_info(path: Path) -> dict[str, Any]:
@@ -31,7 +31,7 @@ def camera_info(path: Path) -> dict[str, Any]:
     known = read_uncertain_camera(path)
     seconds = calibrated_seconds(path)
     return {
-        **({COVARIANCE: known.covariance_dict()} if known else {}),
+        **({COVARIANCE_KEY: known.covariance_dict()} if known else {}),
         **({CALIBRATED_FIELD: seconds} if seconds else {}),
     }
 
@@ -55,13 +55,13 @@ def camera_of_info(name: str, info: Mapping[str, Any], camera: Camera | None) ->
     """
     if camera is None:
         return None
-    told = info.get(COVARIANCE)
+    told = info.get(COVARIANCE_KEY)
     if not isinstance(told, Mapping):
         return None
     try:
         return UncertainCamera.from_dict(camera, told)
     except UserError as error:
-        raise UserError(f"{name}: info.{COVARIANCE}: {error}") from None
+        raise UserError(f"{name}: info.{COVARIANCE_KEY}: {error}") from None
 
 
 def with_camera_error(poses: Poses, known: UncertainCamera | None, ground: Ground | None) -> Poses:

@@ -14,12 +14,24 @@ from numpy.typing import NDArray
 
 from skope.camera.ground_plane import Ground
 from skope.pose import observations
-from skope.pose.observations import NEAREST_M, Observed
+from skope.pose.observations import KEYPOINT_WEIGHTS, Observed
 from skope.pose.shape_model import Shapes
 from skope.types import Array, Mask
 
-IMPOSSIBLE: Final = 1e9
-"""Cost of what cannot be."""
+
+@dataclass(frozen=True)
+class StartErrors:
+    """Error model of closed-form poses."""
+
+    impossible_cost: float = 1e9
+    """Cost of an impossible pose."""
+    misfit_m: float = 0.12
+    """Standard deviation of a keypoint from the mean of its body type, metres."""
+    log_size: float = 0.08
+    """Standard deviation of the logarithm of a vehicle's size over the mean of its type."""
+
+
+START_ERRORS: Final = StartErrors()
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,12 +63,6 @@ class Starts:
             )
 
         return Starts(together(self.p), together(self.R), together(self.cost))
-
-
-_MISFIT: Final = 0.12
-"""Standard deviation of a keypoint from its type's mean, metres."""
-_SCALE: Final = 0.08
-"""Standard deviation of the logarithm of a vehicle's size over its type's mean."""
 
 
 def on_ground(seen: Observed, shapes: Shapes, ground: Ground, chosen: Mask | None = None) -> Starts:
@@ -107,12 +113,12 @@ def on_ground(seen: Observed, shapes: Shapes, ground: Ground, chosen: Mask | Non
         world[..., 1] = solution[..., 1:2] + s * x + c * y
         world[..., 2] = z
         seen_from = world @ R.T + t
-        depth = np.maximum(seen_from[..., 2], NEAREST_M)
+        depth = np.maximum(seen_from[..., 2], KEYPOINT_WEIGHTS.nearest_m)
         if last:
             break
         w = np.concatenate([weight, weight], axis=1)[:, None] / np.concatenate([depth, depth], axis=-1) ** 2
     # Cost of the misfit, and of a size that vehicles of the type do not have.
-    cost = _cost(seen, seen_from) + (np.log(size) / _SCALE) ** 2
+    cost = _cost(seen, seen_from) + (np.log(size) / START_ERRORS.log_size) ** 2
     # The starts as positions and rotation matrices.
     zero = np.zeros_like(c[..., 0])
     R_wv = np.stack(
@@ -136,7 +142,8 @@ def placed_anywhere(seen: Observed, shapes: Shapes, chosen: Mask | None = None) 
         chosen: (N, 33) which keypoints to place it by; None: all that count.
 
     Returns:
-        (N, T) starts in the camera's frame; `IMPOSSIBLE` costs what has fewer than four keypoints, or no solution.
+        (N, T) starts in the camera's frame; `START_ERRORS.impossible_cost` costs what has fewer than four keypoints,
+        or no solution.
     """
     mask = seen.counted if chosen is None else chosen
     n, kinds = len(mask), len(shapes.types)
@@ -156,16 +163,16 @@ def placed_anywhere(seen: Observed, shapes: Shapes, chosen: Mask | None = None) 
             if good and np.isfinite(shift).all() and np.isfinite(turn).all():
                 p[i, k], R[i, k], found[i, k] = shift[:, 0], cv2.Rodrigues(turn)[0], True
     points = np.einsum("nkij,kmj->nkmi", R, shapes.mean[:, :-1]) + p[:, :, None]
-    return Starts(p, R, np.where(found, _cost(seen, points), IMPOSSIBLE))
+    return Starts(p, R, np.where(found, _cost(seen, points), START_ERRORS.impossible_cost))
 
 
 def _cost(seen: Observed, points: Array) -> Array:
     """Cost (N, T) of vehicles whose keypoints lie at `points` (N, T, 33, 3) in the camera frame, metres."""
     depth = points[..., 2]
-    near = np.maximum(depth, NEAREST_M)
+    near = np.maximum(depth, KEYPOINT_WEIGHTS.nearest_m)
     away = (points[..., :2] / near[..., None] - seen.xy[:, None]) * seen.focal
-    variance = seen.variance[:, None] + (seen.focal.mean() * _MISFIT / near) ** 2
+    variance = seen.variance[:, None] + (seen.focal.mean() * START_ERRORS.misfit_m / near) ** 2
     squared = (away**2).sum(axis=-1) / variance
-    behind = ((depth <= NEAREST_M) & seen.counted[:, None]).any(axis=-1)
+    behind = ((depth <= KEYPOINT_WEIGHTS.nearest_m) & seen.counted[:, None]).any(axis=-1)
     cost = (observations.cost(squared) * seen.counted[:, None]).sum(axis=-1)
-    return np.asarray(np.where(behind, IMPOSSIBLE, cost))
+    return np.asarray(np.where(behind, START_ERRORS.impossible_cost, cost))

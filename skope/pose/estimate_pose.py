@@ -22,47 +22,57 @@ from numpy.typing import ArrayLike, NDArray
 from skope import keypoints
 from skope.camera.ground_plane import Ground
 from skope.camera.model import Camera
-from skope.pose.fit_body_types import FEWEST_KEYPOINTS, INLIER, agreeing_share, best_types
+from skope.pose.fit_body_types import FEWEST_KEYPOINTS, INLIER_VARIANCES, agreeing_share, best_types
 from skope.pose.levenberg_marquardt import Fits
 from skope.pose.observations import Observed, observe
-from skope.pose.search import EXCHANGES, RIVAL, retry_exchanged, retry_from_subsets, without_hidden
+from skope.pose.search import EXCHANGE_FLAGS, POSE_SEARCH, retry_exchanged, retry_from_subsets, without_hidden
 from skope.pose.shape_model import Shapes, fleet_shapes
 from skope.types import Array
 
-REFUSALS: Final = ("few_keypoints", "on_a_line", "no_fit", "inconsistent", "uncertain")
-"""Why a vehicle has no pose: fewer keypoints than a pose needs; keypoints on one line; nothing in front of the camera
-fits; more than 60% of the keypoints contradict the rest; the covariance says that the answer is worth nothing."""
-POSE_FLAGS: Final = (*EXCHANGES, "outliers", "heading_in_doubt", "end_in_doubt", "cut")
+REJECTIONS: Final = ("few_keypoints", "on_a_line", "no_fit", "inconsistent", "uncertain")
+"""Reasons why a vehicle has no pose: too few keypoints; keypoints on one line; nothing in front of the camera fits;
+more than 60% of the keypoints contradict the rest; the covariance is too large to be useful.
+"""
+POSE_FLAGS: Final = (*EXCHANGE_FLAGS, "outliers", "heading_in_doubt", "end_in_doubt", "cut")
 """Reasons to distrust a pose: keypoints that fit only with left and right, or front and rear, or both taken for each
 other; some keypoints left out; another heading fits about as well; the keypoints that are seen belong to the end that
 faces away from the camera; the image shows a part of the vehicle only."""
 
-_CHUNK_VEHICLES: Final = 128
-"""Vehicles that are worked out together; not all at once, so that memory stays small."""
-_AGREE: Final = 0.4
-"""Share of the keypoints that must agree with a pose. Detectors that learn from visible keypoints alone put hidden
-ones, half of all, anywhere, with a high score."""
-_DOUBT: Final = 0.8
-"""Share of agreeing keypoints under which other starts are tried."""
-_HEADING_COST_GAP: Final = 6.0
-"""Difference of cost within which another heading is as good."""
-_HOPELESS: Final = 1e5
-"""Cost from which a fit is impossible."""
-_BESIDE_M: Final = 6.0
-"""Metres before or behind a vehicle's middle from which a camera sees one end of it and not the other."""
-_LAMP_MARGIN: Final = 0.4
-"""The lamps of the other end contradict a pose if they are more probable by this much."""
-_WORST_HEADING: Final = math.radians(25)
-"""Largest standard deviation of a heading that is worth something."""
-_WORST_DISTANCE: Final = 0.1
-"""Largest standard deviation of the position as a share of the distance, at least 1 m."""
+
+@dataclass(frozen=True)
+class PoseLimits:
+    """Limits of poses that are accepted."""
+
+    chunk_vehicles: int = 128
+    """Number of vehicles that are computed together. It limits memory."""
+    agreement: float = 0.4
+    """Smallest share of the keypoints that must agree with a pose. Detectors that learn from visible keypoints
+    alone put the hidden half anywhere, with a high score.
+    """
+    doubt: float = 0.8
+    """Share of agreeing keypoints below which other starts are tried."""
+    heading_cost_gap: float = 6.0
+    """Difference of cost within which another heading is as good."""
+    impossible_cost: float = 1e5
+    """Cost from which a fit is impossible."""
+    beside_m: float = 6.0
+    """Distance before or behind a vehicle's middle from which a camera sees only one of its ends, metres."""
+    lamp_margin: float = 0.4
+    """The lamps of the other end contradict a pose if their probability is higher by this much."""
+    heading_rad: float = math.radians(25)
+    """Largest useful standard deviation of a heading, radians."""
+    distance_share: float = 0.1
+    """Largest useful standard deviation of the position, as a share of the distance; at least 1 m."""
+
+
+POSE_LIMITS: Final = PoseLimits()
 
 
 _FRONT_LAMPS: Final = [i for i, name in enumerate(keypoints.NAMES) if name.startswith(("headlight", "front_logo"))]
 _REAR_LAMPS: Final = [i for i, name in enumerate(keypoints.NAMES) if name.startswith("taillight")]
 
 
-_MEASURED: Final = ("T_world_vehicle", "points", "size_lwh", "covariance", "rms_px")
+NUMERIC_FIELDS: Final = ("T_world_vehicle", "points", "size_lwh", "covariance", "rms_px")
 """Fields of `Poses` that are numbers, NaN for a vehicle without a pose."""
 
 
@@ -86,7 +96,7 @@ class Poses:
     rms_px: Array
     """(N,) root mean square distance in the image of the keypoints that agree, pixels."""
     refusal: tuple[str | None, ...]
-    """(N,) one of `REFUSALS` for a vehicle without a pose, else None."""
+    """(N,) one of `REJECTIONS` for a vehicle without a pose, else None."""
     flags: tuple[tuple[str, ...], ...]
     """(N,) those of `POSE_FLAGS` that hold for each vehicle."""
 
@@ -120,7 +130,7 @@ class Poses:
 
         return replace(
             self,
-            **{name: spread(getattr(self, name), np.nan) for name in _MEASURED},
+            **{name: spread(getattr(self, name), np.nan) for name in NUMERIC_FIELDS},
             used=spread(self.used, False),
             types=shared_out(self.types, ""),
             refusal=shared_out(self.refusal, refusal),
@@ -130,7 +140,7 @@ class Poses:
     def without_refused(self) -> Self:
         """The same with NaN for the numbers of vehicles that are refused."""
         refused = np.array([reason is not None for reason in self.refusal], dtype=bool)
-        blank = {name: getattr(self, name).copy() for name in _MEASURED}
+        blank = {name: getattr(self, name).copy() for name in NUMERIC_FIELDS}
         for values in blank.values():
             values[refused] = np.nan
         return replace(self, **blank)
@@ -174,7 +184,7 @@ def locate(
         level = locate(camera, found, sigma_px=sigma, ground=flat, shapes=space, cut=at_edge)
         return level.moved(ground.T_world_level)
     rng = np.random.default_rng(0)  # which subsets are tried must not depend on what was run before
-    parts = [slice(i, i + _CHUNK_VEHICLES) for i in range(0, len(found), _CHUNK_VEHICLES)]
+    parts = [slice(i, i + POSE_LIMITS.chunk_vehicles) for i in range(0, len(found), POSE_LIMITS.chunk_vehicles)]
     chunks = [_locate_chunk(camera, found[part], sigma[part], at_edge[part], ground, space, rng) for part in parts]
     return _joined(chunks).without_refused()
 
@@ -198,13 +208,13 @@ def _locate_chunk(
     fits = best_types(seen, shapes, ground)
     exchanged: dict[int, str] = {}
     doubted: set[int] = set()
-    doubtful = (agreeing_share(seen, fits) < _DOUBT) | (fits.cost[:, 0] > _HOPELESS)
+    doubtful = (agreeing_share(seen, fits) < POSE_LIMITS.doubt) | (fits.cost[:, 0] > POSE_LIMITS.impossible_cost)
     poor = np.flatnonzero((doubtful | cut) & (seen.count >= FEWEST_KEYPOINTS[ground is not None]))
     if poor.size:
         retry_from_subsets(seen, fits, poor, shapes, ground, rng)
         whole = seen.take(poor)
         seen, margin = without_hidden(camera, seen, fits, poor, cut[poor], shapes, ground)
-        doubted.update(poor[margin < RIVAL].tolist())
+        doubted.update(poor[margin < POSE_SEARCH.rival_gap].tolist())
         seen = retry_exchanged(seen, whole, fits, poor, shapes, ground, exchanged)
     return _to_poses(camera, seen, fits, shapes, ground, exchanged, doubted, cut)
 
@@ -220,7 +230,7 @@ def _to_poses(
     cut: NDArray[np.bool_],
 ) -> Poses:
     squared = fits.squared[:, 0]
-    used = (squared <= INLIER) & seen.counted
+    used = (squared <= INLIER_VARIANCES) & seen.counted
     agreeing = used.sum(axis=1)
     # Where residuals are larger than `sigma_px` promises, the covariance grows by their excess (reduced chi-squared).
     excess = np.where(used, squared, 0.0).sum(axis=1) + (fits.a[:, 0] ** 2).sum(axis=1)
@@ -258,30 +268,35 @@ def _refusals(
 ) -> tuple[str | None, ...]:
     distance = np.linalg.norm(T[:, :3, 3] - camera.position, axis=1)
     spread = np.sqrt(np.maximum(np.linalg.eigvalsh(covariance[:, :3, :3])[:, -1], 0))
-    unsure = (spread > np.maximum(1.0, _WORST_DISTANCE * distance)) | (covariance[:, 3, 3] > _WORST_HEADING**2)
+    unsure = (spread > np.maximum(1.0, POSE_LIMITS.distance_share * distance)) | (
+        covariance[:, 3, 3] > POSE_LIMITS.heading_rad**2
+    )
     reasons = (
         seen.count < fewest,
         seen.on_a_line(),
-        ~(np.isfinite(T).all(axis=(1, 2)) & (fits.cost[:, 0] < _HOPELESS)),
-        agreeing < np.maximum(fewest, _AGREE * seen.count),
+        ~(np.isfinite(T).all(axis=(1, 2)) & (fits.cost[:, 0] < POSE_LIMITS.impossible_cost)),
+        agreeing < np.maximum(fewest, POSE_LIMITS.agreement * seen.count),
         unsure | ~np.isfinite(spread),
     )
     found = np.stack([*reasons, np.ones(len(T), dtype=bool)])
-    return tuple((*REFUSALS, None)[i] for i in found.argmax(axis=0))
+    return tuple((*REJECTIONS, None)[i] for i in found.argmax(axis=0))
 
 
 def _doubts(
     camera: Camera, seen: Observed, fits: Fits, T: Array, i: int, exchanged: str | None, doubted: bool
 ) -> tuple[str, ...]:
-    agree = (fits.squared[i, 0] <= INLIER) & seen.counted[i]
+    agree = (fits.squared[i, 0] <= INLIER_VARIANCES) & seen.counted[i]
     forward = fits.R[i, :, :, 0]
     elsewhere = forward @ forward[0] < math.cos(0.5)
     ahead = float((camera.position - T[:3, 3]) @ T[:3, 0])
     shown = float(seen.probability[i, _FRONT_LAMPS].mean() - seen.probability[i, _REAR_LAMPS].mean())
     doubts = {
-        "outliers": agree.sum() < _DOUBT * seen.counted[i].sum(),
-        "heading_in_doubt": doubted or (elsewhere & (fits.cost[i] < fits.cost[i, 0] + _HEADING_COST_GAP)).any(),
-        "end_in_doubt": abs(ahead) > _BESIDE_M and abs(shown) > _LAMP_MARGIN and ahead * shown < 0,
+        "outliers": agree.sum() < POSE_LIMITS.doubt * seen.counted[i].sum(),
+        "heading_in_doubt": doubted
+        or (elsewhere & (fits.cost[i] < fits.cost[i, 0] + POSE_LIMITS.heading_cost_gap)).any(),
+        "end_in_doubt": abs(ahead) > POSE_LIMITS.beside_m
+        and abs(shown) > POSE_LIMITS.lamp_margin
+        and ahead * shown < 0,
     }
     return (*((exchanged,) if exchanged else ()), *(name for name, holds in doubts.items() if holds))
 

@@ -17,7 +17,7 @@ Kinds = NDArray[np.intp]
 
 FEWEST_KEYPOINTS: Final = {True: 4, False: 6}
 """Keypoints that a pose needs, with (True) and without (False) a known ground."""
-INLIER: Final = 9.0
+INLIER_VARIANCES: Final = 9.0
 """Squared distance, in variances, up to which a keypoint agrees."""
 _KEPT_TYPES: Final = 2
 """Body types that go on from the start."""
@@ -69,5 +69,5 @@ def best_types(seen: Observed, shapes: Shapes, ground: Ground | None) -> Fits:
 
 def agreeing_share(seen: Observed, fits: Fits) -> Array:
     """(N,) share of the keypoints that count which agree with the best fit."""
-    agree = (fits.squared[:, 0] <= INLIER) & seen.counted
+    agree = (fits.squared[:, 0] <= INLIER_VARIANCES) & seen.counted
     return np.asarray(agree.sum(axis=1) / np.maximum(seen.count, 1))

@@ -13,8 +13,8 @@ from skope import keypoints
 from skope.camera.calibration_files import read_uncertain_camera
 from skope.camera.ground_plane import Ground
 from skope.camera.model import Camera
-from skope.camera.motion.camera_motion import TURNS, CameraMotion, motion_of_info
-from skope.camera.motion.view_registration import MOVING, KnownView, read_views, view_numbers
+from skope.camera.motion.camera_motion import TURN_ANGLES, CameraMotion, motion_of_info
+from skope.camera.motion.view_registration import REGISTRATION, KnownView, read_views, view_numbers
 from skope.camera.uncertain_camera import UncertainCamera
 from skope.dataset import coco
 from skope.dataset.camera_of_file import read_camera, sized
@@ -32,19 +32,28 @@ from skope.types import Array
 if TYPE_CHECKING:
     from skope.detections import Detections
 
-MATCH_IOU: Final = 0.6
-"""IoU from which a detection's box and a ground-truth vehicle's belong together."""
-_SIGMA_SHARE: Final = 0.02
-"""Standard deviation of a predicted keypoint as a share of its box's longer edge, at least a pixel."""
-_EDGE_SHARE: Final = 0.04
-"""Largest distance from the image's edge to a predicted box that it cuts, as a share of the box's longer edge."""
-_EDGE_PX: Final = 4.0
-"""Least of that distance, pixels."""
-_PUSHED_SHARE: Final = 0.02
-"""Largest distance of a keypoint from the edge that cuts its box to be taken for one that the detector pushed there, as
-a share of the box's longer edge."""
-_PUSHED_PX: Final = 2.0
-"""Least of that distance, pixels."""
+
+@dataclass(frozen=True)
+class ViewErrors:
+    """Error model of predicted keypoints and boxes."""
+
+    match_iou: float = 0.6
+    """IoU from which a detection belongs to a ground-truth vehicle."""
+    sigma_share: float = 0.02
+    """Standard deviation of a predicted keypoint as a share of its box's longer edge, at least a pixel."""
+    edge_share: float = 0.04
+    """Largest distance from the image's edge to a predicted box that it cuts, as a share of the box's longer edge."""
+    edge_px: float = 4.0
+    """Least of that distance, pixels."""
+    pushed_share: float = 0.02
+    """Largest distance of a keypoint from the edge that cuts its box to be taken as pushed there by the detector,
+    as a share of the box's longer edge.
+    """
+    pushed_px: float = 2.0
+    """Least of that distance, pixels."""
+
+
+VIEW_ERRORS: Final = ViewErrors()
 
 
 @dataclass(frozen=True, eq=False)
@@ -188,9 +197,9 @@ class Scene:
         """Detections above `score`, in file order, each with the ground-truth vehicle that it matches."""
         here = {image.id for image in self.file.images}
         kept = [result for result in self.results or () if result.score > score and result.image_id in here]
-        matches = match(self.file, kept, score=score, thresholds=(MATCH_IOU,))
+        matches = match(self.file, kept, score=score, thresholds=(VIEW_ERRORS.match_iou,))
         partner: list[Annotation | None] = [None] * len(kept)
-        for result, vehicle in zip(matches.det_result, matches.taken[MATCH_IOU], strict=True):
+        for result, vehicle in zip(matches.det_result, matches.taken[VIEW_ERRORS.match_iou], strict=True):
             if vehicle >= 0:
                 partner[result] = matches.vehicles[vehicle]
         return list(zip(kept, partner, strict=True))
@@ -227,16 +236,18 @@ def _predicted(image: Image, pairs: list[tuple[Result, Annotation | None]], sigm
     found = np.array([r.keypoints for r in results]).reshape(-1, keypoints.K, 3)
     boxes = np.array([r.bbox for r in results]).reshape(-1, 4)
     spread = (
-        np.maximum(1.0, _SIGMA_SHARE * boxes[:, 2:].max(axis=1, initial=0.0))
+        np.maximum(1.0, VIEW_ERRORS.sigma_share * boxes[:, 2:].max(axis=1, initial=0.0))
         if sigma is None
         else np.full(len(boxes), sigma)
     )
     scores = np.array([r.score for r in results])
     longer = boxes[:, 2:].max(axis=1, initial=0.0)
-    reached = _margins(image, boxes) <= np.maximum(_EDGE_PX, _EDGE_SHARE * longer)[:, None]
+    reached = _margins(image, boxes) <= np.maximum(VIEW_ERRORS.edge_px, VIEW_ERRORS.edge_share * longer)[:, None]
     # Detectors put keypoints that lie beyond the image at its edge, with high scores: those do not count.
     edges = _margins(image, np.concatenate([found[..., :2], np.zeros_like(found[..., :2])], axis=-1))
-    at_edge = (edges <= np.maximum(_PUSHED_PX, _PUSHED_SHARE * longer)[:, None, None]) & reached[:, None]
+    at_edge = (edges <= np.maximum(VIEW_ERRORS.pushed_px, VIEW_ERRORS.pushed_share * longer)[:, None, None]) & reached[
+        :, None
+    ]
     found[..., 2] = np.where(at_edge.any(axis=-1), 0.0, found[..., 2])
     truth = tuple(vehicle for _, vehicle in pairs)
     interpolated = np.array([r.interpolated for r in results], dtype=bool)
@@ -326,7 +337,7 @@ def _longest_view(file: AnnotationFile) -> tuple[AnnotationFile, str | None]:
     part = _parts(file, views)
     if part is None:
         return file, None
-    kept = np.flatnonzero(part == int(np.bincount(part[part != MOVING]).argmax()))
+    kept = np.flatnonzero(part == int(np.bincount(part[part != REGISTRATION.moving_view]).argmax()))
     begin, end = (file.images[i].time_s for i in (kept[0], kept[-1]))
     words = (
         f"{file.name}: the view changes ({counted(len(views) - 1, 'time')}); taken is the longest part, "
@@ -366,7 +377,7 @@ def _other_views(file: AnnotationFile, calibrated: object, camera: Camera | None
             raise UserError(f"{file.name}: calibrated.seconds: expected two numbers") from None
         times = [image.time_s or 0.0 for image in file.images]
         first = int(np.searchsorted(times, middle).clip(0, len(part) - 1))
-    valid = int(next((k for k in part[first:] if k != MOVING), 0))
+    valid = int(next((k for k in part[first:] if k != REGISTRATION.moving_view), 0))
     if (part == valid).all():
         return _OtherViews()
     found = {} if camera is None else _turned_views(views, valid, sized(camera, _shape(file), file.name))
@@ -386,7 +397,7 @@ def _other_views(file: AnnotationFile, calibrated: object, camera: Camera | None
             f"; {counted(len(lost), 'other image')} {'has' if len(lost) == 1 else 'have'} no metres "
             "(`skope eval camera --refit` finds a moved camera's pose)"
         )
-    vaguest = max(found.values(), key=lambda view: float(np.trace(view.added[TURNS])), default=None)
+    vaguest = max(found.values(), key=lambda view: float(np.trace(view.added[TURN_ANGLES])), default=None)
     return _OtherViews(lost, turned, vaguest.added if vaguest else {}, words)
 
 

@@ -15,17 +15,25 @@ from scipy.spatial.transform import Rotation
 from skope import keypoints
 from skope.camera.ground_plane import Ground
 from skope.pose import observations
-from skope.pose.closed_form_starts import IMPOSSIBLE, Starts
-from skope.pose.observations import NEAREST_M, Observed
+from skope.pose.closed_form_starts import START_ERRORS, Starts
+from skope.pose.observations import KEYPOINT_WEIGHTS, Observed
 from skope.pose.shape_model import Shapes
 from skope.types import Array
 
-_MOST_ITERATIONS: Final = 12
-"""Steps of the optimiser at most."""
-_BEHIND: Final = 1e6
-"""Squared distance of a keypoint that would lie behind the camera."""
-_SETTLED: Final = 1e-5
-"""A fit is settled when a step lowers its cost by less than this share of it."""
+
+@dataclass(frozen=True)
+class OptimiserLimits:
+    """Limits of the optimiser."""
+
+    most_iterations: int = 12
+    """Maximum number of steps."""
+    behind_cost: float = 1e6
+    """Squared distance that stands for a keypoint behind the camera."""
+    settled: float = 1e-5
+    """A fit is settled when a step lowers its cost by less than this share."""
+
+
+OPTIMISER: Final = OptimiserLimits()
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,7 +152,7 @@ class _Problem:
         damping = np.full(len(p), 1e-3)
         cost, squared, variance, normal, gradient = self._linearised(p, R, a)
         live = np.arange(len(p))
-        for _ in range(_MOST_ITERATIONS):
+        for _ in range(OPTIMISER.most_iterations):
             # Solve (H + damping diag H) step = -gradient for the vehicles that are not settled.
             part = self._part(live)
             H = normal[live].copy()
@@ -168,7 +176,7 @@ class _Problem:
                 mine[good] = other[better]
             damping[live] *= np.where(better, 0.1, 10.0)
             # Leave those whose last step gained next to nothing, and those that not even a tiny step makes better.
-            live = live[~(better & (gained < _SETTLED * (1 + cost[live]))) & (damping[live] < 1e8)]
+            live = live[~(better & (gained < OPTIMISER.settled * (1 + cost[live]))) & (damping[live] < 1e8)]
             if not live.size:
                 break
         # Back from the k columns to all keypoints.
@@ -178,7 +186,7 @@ class _Problem:
         all_squared[row, self._which] = squared
         all_variance[row, self._which] = variance
         if self._ground is None:
-            cost = np.where(_from_above(p, R), cost, IMPOSSIBLE)
+            cost = np.where(_from_above(p, R), cost, START_ERRORS.impossible_cost)
         return Fits(p, R, a, self._kind, cost, all_squared, all_variance, normal)
 
     def _part(self, rows: NDArray[np.intp]) -> "_Problem":
@@ -202,12 +210,12 @@ class _Problem:
         world = body @ np.swapaxes(R, -1, -2) + p[:, None]
         x, y, z = np.moveaxis(world @ self._T[:3, :3].T + self._T[:3, 3], -1, 0)
         # How far they are from where they were found, pixels, and how much that counts (Cauchy's distribution).
-        front = z > NEAREST_M
-        near = np.where(front, z, NEAREST_M)
+        front = z > KEYPOINT_WEIGHTS.nearest_m
+        near = np.where(front, z, KEYPOINT_WEIGHTS.nearest_m)
         fx, fy = self._focal
         away = np.stack([fx * (x / near - self._xy[..., 0]), fy * (y / near - self._xy[..., 1])], axis=-1)
         variance = self._measured + self._rest / near**2
-        squared = np.where(front, (away**2).sum(axis=-1) / variance, _BEHIND)
+        squared = np.where(front, (away**2).sum(axis=-1) / variance, OPTIMISER.behind_cost)
         weight = np.where(front & self._counted, observations.weight(squared) / variance, 0.0)
         # Derivatives of the two image coordinates by a shift along the world's axes, then along the vehicle's.
         Rc = self._T[:3, :3]

@@ -14,27 +14,35 @@ from skope import keypoints
 from skope.camera.model import Camera
 from skope.types import Array, Mask
 
-_TAIL: Final = 9.0
-"""Squared distance, in variances, at which a keypoint's weight is half."""
+
+@dataclass(frozen=True)
+class KeypointWeights:
+    """Weights of keypoints in a pose."""
+
+    tail_variances: float = 9.0
+    """Squared distance, in variances, at which the weight of a keypoint is one half."""
+    least_probability: float = 0.2
+    """Keypoints below this probability are not used."""
+    nearest_m: float = 0.5
+    """Least depth of a keypoint before the camera, metres."""
+    thinness: float = 0.04
+    """Breadth over length of the keypoints in the image below which they lie on a line."""
+
+
+KEYPOINT_WEIGHTS: Final = KeypointWeights()
 
 
 def cost(squared: Array) -> Array:
     """Twice the negative log likelihood of distances that are given squared and in variances, but for a constant."""
-    return np.asarray(_TAIL * np.log1p(squared / _TAIL))
+    return np.asarray(KEYPOINT_WEIGHTS.tail_variances * np.log1p(squared / KEYPOINT_WEIGHTS.tail_variances))
 
 
 def weight(squared: Array) -> Array:
     """The weight of such distances in least squares that are iterated until they have the same minimum, 0 to 1."""
-    return np.asarray(1 / (1 + squared / _TAIL))
+    return np.asarray(1 / (1 + squared / KEYPOINT_WEIGHTS.tail_variances))
 
 
-LEAST_PROBABILITY: Final = 0.2
-"""Keypoints below this do not count."""
-NEAREST_M: Final = 0.5
-"""Depth from which a keypoint is taken to lie before the camera, metres."""
 _PER_VEHICLE: Final = ("xy", "variance", "counted", "probability")
-_THIN: Final = 0.04
-"""Breadth over length of keypoints in the image below which they count as lying on a line."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,7 +97,7 @@ class Observed:
         middle = np.einsum("nk,nki->ni", weight, self.xy)
         away = (self.xy - middle[:, None]) * self.focal
         scatter = np.linalg.eigvalsh(np.einsum("nk,nki,nkj->nij", weight, away, away))
-        return np.asarray(scatter[:, 0] < _THIN**2 * scatter[:, 1] + 1e-9)
+        return np.asarray(scatter[:, 0] < KEYPOINT_WEIGHTS.thinness**2 * scatter[:, 1] + 1e-9)
 
 
 def observe(camera: Camera, found: Array, sigma: Array) -> Observed:
@@ -104,7 +112,7 @@ def observe(camera: Camera, found: Array, sigma: Array) -> Observed:
     pixels = np.where(np.isfinite(found[..., :2]), found[..., :2], 0.0)
     rays, valid = camera.rays(pixels)
     focal = np.array([camera.K[0, 0], camera.K[1, 1]])
-    counted = valid & (probability >= LEAST_PROBABILITY)
+    counted = valid & (probability >= KEYPOINT_WEIGHTS.least_probability)
     xy = np.where(counted[..., None], rays[..., :2], 0.0)
     stretch = np.ones(found.shape[:2])
     if camera.distortion.model != "none":
@@ -114,6 +122,10 @@ def observe(camera: Camera, found: Array, sigma: Array) -> Observed:
         a, b = right - left, up - down
         area = np.abs(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])
         stretch = np.where(counted & np.isfinite(area) & (area > 0), area, 1.0)
-    variance = (np.maximum(sigma, 1e-3) ** 2)[:, None] * stretch / np.clip(probability, LEAST_PROBABILITY, 1.0)
+    variance = (
+        (np.maximum(sigma, 1e-3) ** 2)[:, None]
+        * stretch
+        / np.clip(probability, KEYPOINT_WEIGHTS.least_probability, 1.0)
+    )
     assert xy.shape[1] == keypoints.K
     return Observed(xy, variance, counted, np.clip(probability, 0, 1), focal, camera.T_camera_world)

@@ -20,16 +20,34 @@ from skope.files.json_files import write_json
 from skope.files.progress import Progress
 from skope.pose.camera_error import with_camera_error
 from skope.pose.keypoint_views import Scene
-from skope.pose.pose_records import INTERPOLATED, Located, locate_view, records, write_poses
+from skope.pose.pose_records import INTERPOLATED_REASON, Located, locate_view, records, write_poses
 from skope.schema import Annotation, Box3D
 from skope.terminal.console import Console, text_table
 from skope.types import Array
 
-DISTANCES: Final = ((0.0, 10.0), (10.0, 20.0), (20.0, 30.0), (30.0, 40.0), (40.0, 60.0), (60.0, math.inf))
-OCCLUSION_BANDS: Final = ((0.0, 0.1), (0.1, 0.4), (0.4, 1.01))
-BENDS_DEG: Final = ((0.0, 5.0), (5.0, 20.0), (20.0, math.inf))
-"""Bands of the angle between an articulated vehicle and its trailer."""
-QUANTILES: Final = (50, 90, 99)
+
+@dataclass(frozen=True)
+class PoseErrorBands:
+    """Bands by which errors of poses are reported."""
+
+    distances_m: tuple[tuple[float, float], ...] = (
+        (0.0, 10.0),
+        (10.0, 20.0),
+        (20.0, 30.0),
+        (30.0, 40.0),
+        (40.0, 60.0),
+        (60.0, math.inf),
+    )
+    """Bands of the distance from the camera, metres."""
+    occlusions: tuple[tuple[float, float], ...] = ((0.0, 0.1), (0.1, 0.4), (0.4, 1.01))
+    """Bands of the hidden share."""
+    bends_deg: tuple[tuple[float, float], ...] = ((0.0, 5.0), (5.0, 20.0), (20.0, math.inf))
+    """Bands of the angle between an articulated vehicle and its trailer, degrees."""
+    percentiles: tuple[int, int, int] = (50, 90, 99)
+    """Percentiles of the errors."""
+
+
+ERROR_BANDS: Final = PoseErrorBands()
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,9 +139,12 @@ def pose_summary(errors: PoseErrors) -> dict[str, Any]:
     Articulated vehicles, of which the pose is that of the part before the hinge, are listed by how far they bend too.
     """
     out: dict[str, Any] = {"all": _cell(errors)}
-    groups = [("distance", DISTANCES, errors.distance), ("occlusion", OCCLUSION_BANDS, errors.occlusion)]
+    groups = [
+        ("distance", ERROR_BANDS.distances_m, errors.distance),
+        ("occlusion", ERROR_BANDS.occlusions, errors.occlusion),
+    ]
     if np.isfinite(errors.bend).any():
-        groups.append(("articulation", BENDS_DEG, errors.bend))
+        groups.append(("articulation", ERROR_BANDS.bends_deg, errors.bend))
     for name, bands, values in groups:
         out[name] = {_band(low, high): _cell(errors.where((values >= low) & (values < high))) for low, high in bands}
     return out
@@ -138,7 +159,7 @@ def _cell(errors: PoseErrors) -> dict[str, Any]:
     cell: dict[str, Any] = {"vehicles": len(good), "refused": int((~good).sum())}
     for name in ("position", "heading", "axis", "size"):
         values = getattr(errors, name)[good]
-        cell[name] = {str(q): float(np.percentile(values, q)) for q in QUANTILES} if values.size else None
+        cell[name] = {str(q): float(np.percentile(values, q)) for q in ERROR_BANDS.percentiles} if values.size else None
     cell["iou"] = float(np.median(errors.iou[good])) if good.any() else None
     return cell
 
@@ -204,7 +225,7 @@ def locate_footage(job: PoseJob, console: Console) -> Iterator[str]:
     reasons.update(row["refused"] for row in rows())
     for path in write_poses(job.out, rows):
         yield f"wrote {path}"
-    between = reasons.pop(INTERPOLATED, 0)
+    between = reasons.pop(INTERPOLATED_REASON, 0)
     found = reasons.total()
     besides = f"; {between} more were followed between key frames and have none" if between else ""
     yield f"{reasons[None]} poses of {found} vehicles; {found - reasons[None]} refused{besides}"

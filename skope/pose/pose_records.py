@@ -20,8 +20,8 @@ from skope.pose.estimate_pose import Poses, locate
 from skope.pose.keypoint_views import Scene, View
 from skope.types import Array
 
-INTERPOLATED: Final = "interpolated"
-"""Why a vehicle has no pose that was followed from other frames: its keypoints measure nothing anew."""
+INTERPOLATED_REASON: Final = "interpolated"
+"""Reason why a vehicle between key frames has no pose: its keypoints are no new measurement."""
 _BOX_CORNERS: Final = np.array(list(itertools.product((0.5, -0.5), (0.5, -0.5), (0.0, 1.0))))
 """(8, 3) corners of a vehicle's box in its own frame, in lengths, widths and heights: front before rear, left before
 right, low before high."""
@@ -54,7 +54,9 @@ def locate_view(view: View, scene: Scene) -> Located:
     )
     # From frame to frame another error: unlike the calibration's, it is part of what tells places apart.
     poses = with_camera_error(poses, scene.sway_in(image), scene.road_in(image))
-    return Located(view, camera, poses if found.all() else poses.among(found, MOVED_REASON if moved else INTERPOLATED))
+    return Located(
+        view, camera, poses if found.all() else poses.among(found, MOVED_REASON if moved else INTERPOLATED_REASON)
+    )
 
 
 def corners_of(T_world_vehicle: Array, size_lwh: Array) -> Array:

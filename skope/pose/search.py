@@ -4,7 +4,7 @@ Tried are random subsets of the keypoints, the keypoints without those that the 
 with sides or ends of the vehicle exchanged.
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -21,23 +21,36 @@ from skope.types import Array, Mask
 
 RowNumbers = NDArray[np.intp]
 
-EXCHANGES: Final = ("sides_exchanged", "ends_exchanged", "turned_around")
-"""Flags of keypoints that fit only with left and right, or front and rear, or both taken for each other."""
-_SUBSETS: Final = {True: 24, False: 4}
-"""Random starts, with and without a known ground."""
-_SUBSET: Final = 6
-"""Keypoints of a random start."""
-_BETTER: Final = 12.0
-"""Labels count as exchanged if the cost (twice the negative log likelihood) is lower by this much."""
-_HIDDEN: Final = 9.0
-"""Cost of a keypoint that is unrelated to the pose, uniform over the box: about the box's area over that of the
-keypoint's own uncertainty, as a log likelihood."""
-RIVAL: Final = 30.0
-"""Difference of cost within which the opposite heading leaves doubt: 2% of the right ones, half of the wrong."""
-_HIDDEN_ROUNDS: Final = 2
-"""Rounds in which the hidden keypoints are worked out from a pose and the pose is fitted again without them."""
-_ORDERS: Final = (list(FLIP), list(OTHER_END), [FLIP[i] for i in OTHER_END])
-"""Order of the keypoints after each of `EXCHANGES`."""
+EXCHANGE_FLAGS: Final = ("sides_exchanged", "ends_exchanged", "turned_around")
+"""Flags of keypoints that fit only with left and right exchanged, front and rear, or both."""
+RANDOM_STARTS: Final = {True: 24, False: 4}
+"""Number of random starts, with and without a known ground."""
+
+
+@dataclass(frozen=True)
+class PoseSearch:
+    """Starts of the search for a pose, and costs by which labels count as exchanged."""
+
+    start_keypoints: int = 6
+    """Number of keypoints of a random start."""
+    exchange_gap: float = 12.0
+    """Labels count as exchanged if the cost (twice the negative log likelihood) falls by this much."""
+    hidden_cost: float = 9.0
+    """Cost of a keypoint unrelated to the pose, uniform over the box: about the box's area over that of the
+    keypoint's own uncertainty, as a log likelihood.
+    """
+    rival_gap: float = 30.0
+    """Difference of cost within which the opposite heading leaves doubt: 2% of the right headings, half of the
+    wrong ones.
+    """
+    hidden_rounds: int = 2
+    """Number of times that the hidden keypoints are determined from a pose and the pose is fitted without them."""
+
+
+POSE_SEARCH: Final = PoseSearch()
+
+EXCHANGED_ORDERS: Final = (list(FLIP), list(OTHER_END), [FLIP[i] for i in OTHER_END])
+"""Order of the keypoints for each of `EXCHANGE_FLAGS`."""
 
 
 def retry_from_subsets(
@@ -53,9 +66,9 @@ def retry_from_subsets(
         ground: The road; None: unknown.
         rng: Draws the keypoints.
     """
-    times = _SUBSETS[ground is not None]
+    times = RANDOM_STARTS[ground is not None]
     some, again = seen.take(poor), seen.take(np.tile(poor, times))
-    starts = vehicle_starts(again, shapes, ground, again.subsets(_SUBSET, rng)).gathered(times)
+    starts = vehicle_starts(again, shapes, ground, again.subsets(POSE_SEARCH.start_keypoints, rng)).gathered(times)
     better = refined(some, shapes, ground, starts, np.tile(np.arange(len(shapes.types)), times))
     fits.replace_where(poor, better, better.cost[:, 0] < fits.cost[poor, 0])
 
@@ -65,7 +78,8 @@ def without_hidden(
 ) -> tuple[Observed, Array]:
     """Fit the vehicles `poor` without the keypoints that their own bodies hide, as they stand and turned around.
 
-    Detectors give hidden keypoints high scores too. One that is left out may lie anywhere, at the cost `_HIDDEN`.
+    Detectors give hidden keypoints high scores too. One that is left out may lie anywhere, at the cost
+    `POSE_SEARCH.hidden_cost`.
 
     Args:
         camera: The camera.
@@ -85,13 +99,13 @@ def without_hidden(
     rival = np.full(len(poor), np.inf)  # the least cost of heading the other way
     for turned in (False, True):
         guess, reached = best.take(every), np.full(len(poor), np.inf)
-        for attempt in range(_HIDDEN_ROUNDS):
+        for attempt in range(POSE_SEARCH.hidden_rounds):
             shown = _shown(camera, guess, shapes, ground, turned=turned and not attempt)
             shown &= _inside(camera, guess, shapes, ground) | ~cut[:, None]
             enough = (some.counted & shown).sum(axis=1) >= FEWEST_KEYPOINTS[ground is not None]
             tried = replace(some, counted=some.counted & (shown | ~enough[:, None]))
             guess = best_types(tried, shapes, ground)
-            whole = np.where(enough, guess.cost[:, 0] + _HIDDEN * (some.count - tried.count), np.inf)
+            whole = np.where(enough, guess.cost[:, 0] + POSE_SEARCH.hidden_cost * (some.count - tried.count), np.inf)
             reached = np.minimum(reached, np.where(_opposite(guess, best), whole, np.inf))
             wins = whole < cost
             rival = np.where(wins & _opposite(guess, best), cost, rival)
@@ -143,16 +157,16 @@ def retry_exchanged(
         poor: Which vehicles to fit.
         shapes: The body types.
         ground: Where the road is; None: unknown.
-        exchanged: Vehicle -> which of `EXCHANGES` its fit has; is added to.
+        exchanged: Vehicle -> which of `EXCHANGE_FLAGS` its fit has; is added to.
 
     Returns:
         `seen` with the labels that fit clearly better.
     """
-    for name, order in zip(EXCHANGES, _ORDERS, strict=True):
+    for name, order in zip(EXCHANGE_FLAGS, EXCHANGED_ORDERS, strict=True):
         some = whole.relabelled(order)
         other = best_types(some, shapes, ground)
         left_out = whole.count - seen.count[poor]
-        wins = other.cost[:, 0] < fits.cost[poor, 0] + _HIDDEN * left_out - _BETTER
+        wins = other.cost[:, 0] < fits.cost[poor, 0] + POSE_SEARCH.hidden_cost * left_out - POSE_SEARCH.exchange_gap
         fits.replace_where(poor, other, wins)
         seen = seen.with_rows(poor[wins], some.take(np.flatnonzero(wins)))
         exchanged |= dict.fromkeys(poor[wins].tolist(), name)

@@ -13,19 +13,30 @@ from scipy.optimize import least_squares
 
 from skope.camera.ground_plane import ground_places
 from skope.camera.model import Camera
-from skope.camera.motion.camera_motion import TURNS, covariance_of_turns, turned_camera
+from skope.camera.motion.camera_motion import TURN_ANGLES, covariance_of_turns, turned_camera
 from skope.camera.motion.view_registration import ViewHomography, is_inside, transformed
 from skope.types import Array
 
-_LARGEST_OFF_PX: Final = 0.5
-"""Largest distance of pixels from where a turn puts them, root mean square per axis, in images `_OFF_WIDTH_PX` wide."""
-_OFF_WIDTH_PX: Final = 1280
-_NEAR_M: Final = 60.0
-"""The road within this distance tells a turn of the camera from a move, metres."""
-_FEWEST_NEAR: Final = 8
-"""Smallest number of grid points on that road."""
-_GRID: Final = (24, 16)
-"""Columns and rows of grid points at which the homography is compared with a turn."""
+
+@dataclass(frozen=True)
+class TurnLimits:
+    """Limits within which a homography is a turn of the camera."""
+
+    residual_px: float = 0.5
+    """Largest root mean square distance of pixels from where a turn puts them, per axis, in images `image_width_px`
+    wide.
+    """
+    image_width_px: int = 1280
+    """Image width to which `residual_px` refers, pixels."""
+    near_m: float = 60.0
+    """The road within this distance distinguishes a turn from a move, metres."""
+    fewest_near: int = 8
+    """Smallest number of grid points on that road."""
+    grid: tuple[int, int] = (24, 16)
+    """Columns and rows of grid points at which the homography is compared with a turn."""
+
+
+TURN_LIMITS: Final = TurnLimits()
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,18 +64,20 @@ def turned_view(camera: Camera, homography: ViewHomography) -> TurnedView | None
         tell a turn from a move.
     """
     size = (camera.width, camera.height)
-    u, v = ((np.arange(count) + 0.5) / count * side for count, side in zip(_GRID, size, strict=True))
+    u, v = ((np.arange(count) + 0.5) / count * side for count, side in zip(TURN_LIMITS.grid, size, strict=True))
     before = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
     after = transformed(homography.matrix, before)
     rays, valid = camera.rays(before)
     kept = is_inside(after, size) & valid
     before, after = before[kept], after[kept]
     distance = np.linalg.norm(ground_places(camera, before) - camera.position, axis=1)
-    near = distance[distance < _NEAR_M]
-    if len(near) < _FEWEST_NEAR:
+    near = distance[distance < TURN_LIMITS.near_m]
+    if len(near) < TURN_LIMITS.fewest_near:
         return None
     away = rays[kept] @ camera.T_camera_world[:3, :3] + camera.position
-    allowed = max(_LARGEST_OFF_PX * max(1.0, camera.width / _OFF_WIDTH_PX), 2 * homography.corner_error_px)
+    allowed = max(
+        TURN_LIMITS.residual_px * max(1.0, camera.width / TURN_LIMITS.image_width_px), 2 * homography.corner_error_px
+    )
     for zooms in (False, True):
         turned, zoom, off_px = _turn(camera, away, after, homography.matrix, zooms=zooms)
         if off_px <= allowed:
@@ -112,7 +125,7 @@ def _added(turned: Camera, off_px: float, homography: ViewHomography, near_m: fl
     # A move of the camera by this distance changes the image of that road by the same number of pixels.
     hidden_m = error_px * near_m / float(turned.K[0, 0])
     return {
-        TURNS: covariance_of_turns(turned, (error_px, error_px, error_turn)),
+        TURN_ANGLES: covariance_of_turns(turned, (error_px, error_px, error_turn)),
         ("x", "y", "z"): hidden_m**2 * np.eye(3),
         ("focal",): np.array([[error_turn**2]]),
     }

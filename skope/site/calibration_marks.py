@@ -8,17 +8,7 @@ from typing import Final, TypeVar
 import numpy as np
 
 from skope.camera.calibration_files import read_uncertain_camera
-from skope.camera.evidence import (
-    MARKED_PX,
-    MEASURED_M,
-    UNEVEN_M,
-    Belief,
-    Evidence,
-    MarkedLength,
-    MarkedPoint,
-    ParallelLines,
-    Vertical,
-)
+from skope.camera.evidence import MARKING_ERRORS, Belief, Evidence, MarkedLength, MarkedPoint, ParallelLines, Vertical
 from skope.errors import UserError
 from skope.records import Table
 from skope.site.gates_zones_lanes import checked_name
@@ -147,9 +137,9 @@ def _point(row: Table, name: str) -> MarkedPoint:
     return MarkedPoint(
         _pixels(row, "pixel", 1)[0],
         np.array([*where, 0.0][:3]),
-        sigma_px=_sigma(row, "sigma_px", MARKED_PX),
-        sigma_m=_sigma(row, "sigma_m", MEASURED_M),
-        sigma_z_m=_sigma(row, "sigma_z_m", UNEVEN_M),
+        sigma_px=_sigma(row, "sigma_px", MARKING_ERRORS.pixel),
+        sigma_m=_sigma(row, "sigma_m", MARKING_ERRORS.place_m),
+        sigma_z_m=_sigma(row, "sigma_z_m", MARKING_ERRORS.height_m),
         name=name,
     )
 
@@ -159,7 +149,7 @@ def _length(row: Table, name: str) -> MarkedLength:
         _pixels(row, "pixels", 2),
         row.number("metres", low=LENGTH_M[0], high=LENGTH_M[1]),
         sigma_m=_sigma(row, "sigma_m", MARKED_LENGTH_SIGMA_M),
-        sigma_px=_sigma(row, "sigma_px", MARKED_PX),
+        sigma_px=_sigma(row, "sigma_px", MARKING_ERRORS.pixel),
         name=name,
     )
 
@@ -169,7 +159,7 @@ def _parallel(row: Table, name: str) -> ParallelLines:
     if not isinstance(lines, list) or len(lines) < 2 or not all(isinstance(line, list) for line in lines):
         raise row.wrong("lines", "expected two or more lines of two pixels each")
     marked = [_ends(row, line) for line in lines]
-    return ParallelLines(np.array(marked), sigma_px=_sigma(row, "sigma_px", MARKED_PX), name=name)
+    return ParallelLines(np.array(marked), sigma_px=_sigma(row, "sigma_px", MARKING_ERRORS.pixel), name=name)
 
 
 def _ends(row: Table, line: object) -> list[list[float]]:
@@ -188,7 +178,7 @@ def _vertical(row: Table, name: str) -> Vertical:
         _pixels(row, "pixels", 2),
         metres=row.number("metres", low=VERTICAL_M[0], high=VERTICAL_M[1]) if "metres" in row else None,
         sigma_m=_sigma(row, "sigma_m", 0.1),
-        sigma_px=_sigma(row, "sigma_px", MARKED_PX),
+        sigma_px=_sigma(row, "sigma_px", MARKING_ERRORS.pixel),
         name=name,
     )
 

@@ -1,6 +1,7 @@
 """Tracks seen from above, as one picture: where vehicles drove, how fast, and where they stood at one moment."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -22,30 +23,43 @@ if TYPE_CHECKING:
     from matplotlib.colors import Colormap, Normalize
     from matplotlib.figure import Figure
 
-_DPI: Final = 150
-_WIDTH_INCHES: Final = 10.0
-"""Inches."""
+
+@dataclass(frozen=True)
+class MapStyle:
+    """Appearance of the map from above."""
+
+    dpi: int = 150
+    """Dots per inch."""
+    width_inches: float = 10.0
+    """Width, inches."""
+    margin_m: float = 10.0
+    """Margin around what is drawn, metres."""
+    extent_sigma_m: float = 1.5
+    """Positions with a larger standard deviation do not extend the map, metres. Distant ones would make it small."""
+    many_tracks: int = 20
+    """Number of tracks above which lines are thinner, with one arrowhead, and only drawn vehicles are labelled."""
+    tallest: float = 0.85
+    """Largest height over width."""
+    flattest: float = 0.45
+    """Least height over width."""
+    road_cells: int = 1500
+    """Cells of the road's image along its longer side."""
+    kept_cells: int = 1200
+    """Cells of the road's image that is kept for other maps, along its longer side."""
+    kept_quality: int = 70
+    """JPEG quality of that image."""
+    driving_kmh: float = 5.0
+    """Speed below which a vehicle does not count in the usual driving speed, km/h."""
+    standing_m: float = 4.0
+    """Length of a track below which it has no direction of travel, metres."""
+    wedge: tuple[tuple[float, float], ...] = ((0.85, 0.0), (0.1, 0.7), (0.1, -0.7))
+    """Corners of the wedge that points to a vehicle's front, in halves of its length and width."""
+
+
+MAP_STYLE: Final = MapStyle()
+
 _MAP_PLACE: Final = {"left": 0.055, "right": 0.895, "top": 0.85, "bottom": 0.5}
 """Place of the map: shares of the picture's width to the left and right, inches at the top and bottom."""
-_MARGIN_M: Final = 10.0
-_SURE_M: Final = 1.5
-"""The map is of the places that are known as well as this, one standard deviation: farther ones would make it small."""
-_MANY: Final = 20
-"""More tracks than these have thinner lines with one arrowhead, and labels only where their vehicles are drawn."""
-_TALLEST: Final = 0.85
-_FLATTEST: Final = 0.45
-"""Height of the map over its width, at most and at least."""
-_ROAD_CELLS: Final = 1500
-"""Cells of the road's picture along its longer side."""
-_FEWER_CELLS: Final = 1200
-_KEPT_ROAD: Final = 70
-"""Cells of the road's picture that is kept for other maps, along its longer side, and how well its file keeps it."""
-_DRIVING_KMH: Final = 5.0
-"""A slower vehicle may stand, and says nothing of how fast vehicles drive."""
-_STANDS_M: Final = 4.0
-"""A track shorter than this has no direction of travel."""
-_WEDGE: Final = ((0.85, 0.0), (0.1, 0.7), (0.1, -0.7))
-"""Wedge that points to a vehicle's front, in halves of its length and width."""
 
 
 def draw(
@@ -70,22 +84,22 @@ def draw(
     from matplotlib.figure import Figure
 
     low, high = extent([*tracks, *road_users], camera.position[:2])
-    map_width = _WIDTH_INCHES * (_MAP_PLACE["right"] - _MAP_PLACE["left"])
+    map_width = MAP_STYLE.width_inches * (_MAP_PLACE["right"] - _MAP_PLACE["left"])
     map_height = map_width * float(high[1] - low[1]) / float(high[0] - low[0])
     height = map_height + _MAP_PLACE["top"] + _MAP_PLACE["bottom"]
-    figure = Figure(figsize=(_WIDTH_INCHES, height), dpi=_DPI)
+    figure = Figure(figsize=(MAP_STYLE.width_inches, height), dpi=MAP_STYLE.dpi)
     FigureCanvasAgg(figure)  # labels are measured before anything is written
     axes = figure.add_axes(
-        (_MAP_PLACE["left"], _MAP_PLACE["bottom"] / height, map_width / _WIDTH_INCHES, map_height / height),
+        (_MAP_PLACE["left"], _MAP_PLACE["bottom"] / height, map_width / MAP_STYLE.width_inches, map_height / height),
         xlim=(low[0], high[0]),
         ylim=(low[1], high[1]),
     )
     if ground is not None:
-        cell = float((high - low).max()) / _ROAD_CELLS
+        cell = float((high - low).max()) / MAP_STYLE.road_cells
         _draw_view(axes, GroundView(camera=camera, ground=ground, low=low, high=high, cell_m=cell), road)
     colors, norm = _speed_colors(tracks)
     for track in tracks:
-        _draw_path(axes, track, colors, norm, many=len(tracks) > _MANY)
+        _draw_path(axes, track, colors, norm, many=len(tracks) > MAP_STYLE.many_tracks)
     frame = _fullest_frame(tracks)
     for one in road_users:
         _draw_road_user(axes, one, frame)
@@ -93,7 +107,7 @@ def draw(
     for track, i in present:
         _draw_vehicle(axes, track, i, colors(norm(track.speed[i] * 3.6)))
     taken = [map_signs.draw_camera(axes, camera), map_signs.draw_key(axes, tracks, camera)]
-    labelled = tracks if len(tracks) <= _MANY else [track for track, _ in present]
+    labelled = tracks if len(tracks) <= MAP_STYLE.many_tracks else [track for track, _ in present]
     map_signs.draw_labels(axes, tracks, labelled, {track.number: i for track, i in present}, taken)
     map_signs.draw_frame(axes)
     _write_heading(figure, tracks, road_users, None if not present else float(present[0][0].times_s[present[0][1]]))
@@ -113,9 +127,9 @@ def road_picture(tracks: Sequence[Track], camera: Camera, ground: Ground, road: 
         road: (H, W, 3) the empty road as the camera shows it.
     """
     low, high = extent(tracks, camera.position[:2])
-    cell = float((high - low).max()) / _FEWER_CELLS
+    cell = float((high - low).max()) / MAP_STYLE.kept_cells
     view = GroundView(camera=camera, ground=ground, low=low, high=high, cell_m=cell)
-    _, jpeg = cv2.imencode(".jpg", view.pale(road)[..., 0], [cv2.IMWRITE_JPEG_QUALITY, _KEPT_ROAD])
+    _, jpeg = cv2.imencode(".jpg", view.pale(road)[..., 0], [cv2.IMWRITE_JPEG_QUALITY, MAP_STYLE.kept_quality])
     (west, south), (east, north) = low.tolist(), high.tolist()
     return RoadPicture(jpeg.tobytes(), (west, south), (east, north))
 
@@ -143,11 +157,11 @@ def _write_heading(
 
 def extent(tracks: Sequence[Track], camera_xy: Array) -> tuple[Array, Array]:
     """Corners (2,) of the map: sure places and the camera, with a margin, in a shape that fills the picture."""
-    sure = [t.xy[t.position_sigma <= _SURE_M] for t in tracks]
+    sure = [t.xy[t.position_sigma <= MAP_STYLE.extent_sigma_m] for t in tracks]
     places = np.concatenate([camera_xy[None], *(sure if sum(map(len, sure)) else (t.xy for t in tracks))])
-    low, high = places.min(axis=0) - _MARGIN_M, places.max(axis=0) + _MARGIN_M
+    low, high = places.min(axis=0) - MAP_STYLE.margin_m, places.max(axis=0) + MAP_STYLE.margin_m
     width, height = high - low
-    wanted = np.array([max(width, height / _TALLEST), max(height, width * _FLATTEST)])
+    wanted = np.array([max(width, height / MAP_STYLE.tallest), max(height, width * MAP_STYLE.flattest)])
     middle = (low + high) / 2
     return middle - wanted / 2, middle + wanted / 2
 
@@ -167,7 +181,7 @@ def _speed_colors(tracks: Sequence[Track]) -> "tuple[Colormap, Normalize]":
     whole = mpl.colormaps["plasma"]
     colors = mpl.colors.LinearSegmentedColormap.from_list("speed", whole(np.linspace(0.02, 0.86, 64)))
     speeds = np.concatenate([np.zeros(1), *(track.speed for track in tracks)]) * 3.6
-    driving = speeds[speeds >= min(_DRIVING_KMH, speeds.max())]
+    driving = speeds[speeds >= min(MAP_STYLE.driving_kmh, speeds.max())]
     top = 10.0 * np.ceil(max(10.0, float(np.percentile(driving, 98))) / 10)
     return colors, mpl.colors.Normalize(0, top)
 
@@ -210,7 +224,7 @@ def _draw_path(axes: "Axes", track: Track, colors: "Colormap", norm: "Normalize"
     lines.set_array(track.speed[1:] * 3.6)
     axes.add_collection(lines)
     way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(xy, axis=0), axis=1))])
-    if way[-1] < _STANDS_M:
+    if way[-1] < MAP_STYLE.standing_m:
         return
     size = (0.6 if many else 0.95) * map_signs.unit_m(axes)
     for share in (1.0,) if many else (0.5, 1.0):
@@ -235,7 +249,10 @@ def _draw_vehicle(axes: "Axes", track: Track, i: int, color: Any) -> None:
     """A vehicle's outline as it stands in its i-th frame, with a wedge towards its front."""
     from matplotlib.patches import Polygon
 
-    outline, wedge = map_signs.vehicle_points(track, i, map_signs.OUTLINE), map_signs.vehicle_points(track, i, _WEDGE)
+    outline, wedge = (
+        map_signs.vehicle_points(track, i, map_signs.MAP_SYMBOLS.outline),
+        map_signs.vehicle_points(track, i, MAP_STYLE.wedge),
+    )
     axes.add_patch(
         Polygon(outline, facecolor=color, edgecolor=map_signs.INK_COLOR, linewidth=1.2, joinstyle="round", zorder=6)
     )

@@ -2,6 +2,7 @@
 
 import itertools
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from typing import Final, TypeVar
 
 import cv2
@@ -18,12 +19,24 @@ from skope.tracks.track import Track
 from skope.types import Array, Pixels
 
 T = TypeVar("T", bound=Track)
-_LONGER_PX: Final = 1200
-"""Pixels of the video's longer side."""
-_INK: Final = (27, 39, 51)
-_CAMERA_COLOR: Final = (194, 24, 91)
-_TRAIL_S: Final = 2.0
-"""For how long the way behind a vehicle is drawn, seconds."""
+
+
+@dataclass(frozen=True)
+class MapVideoStyle:
+    """Appearance of the video from above."""
+
+    longer_px: int = 1200
+    """Longer side of the video, pixels."""
+    ink: tuple[int, int, int] = (27, 39, 51)
+    """Colour of texts, RGB."""
+    camera_color: tuple[int, int, int] = (194, 24, 91)
+    """Colour of the camera, RGB."""
+    trail_s: float = 2.0
+    """Length of the drawn trail behind a vehicle, seconds."""
+
+
+MAP_VIDEO_STYLE: Final = MapVideoStyle()
+
 _LABEL_FONT: Final = cv2.FONT_HERSHEY_SIMPLEX
 
 
@@ -32,7 +45,7 @@ class _Map:
 
     def __init__(self, tracks: Sequence[Track], camera: Camera, ground: Ground | None, road: Pixels | None) -> None:
         low, high = extent(tracks, camera.position[:2])
-        self._low, self._scale = low, _LONGER_PX / float((high - low).max())
+        self._low, self._scale = low, MAP_VIDEO_STYLE.longer_px / float((high - low).max())
         # Encoders want even sides.
         self._width, self._height = (2 * round(v / 2) for v in (high - low) * self._scale)
         self.background: Pixels = np.full((self._height, self._width, 3), 255, dtype=np.uint8)
@@ -41,8 +54,8 @@ class _Map:
             pale = view.pale(road)
             self.background = np.asarray(cv2.resize(pale, (self._width, self._height)), dtype=np.uint8)
         spot = self.at(camera.position[:2]).tolist()
-        cv2.circle(self.background, spot, 7, _CAMERA_COLOR, -1, cv2.LINE_AA)
-        put_text(self.background, "camera", (spot[0] + 12, spot[1] + 5), _CAMERA_COLOR)
+        cv2.circle(self.background, spot, 7, MAP_VIDEO_STYLE.camera_color, -1, cv2.LINE_AA)
+        put_text(self.background, "camera", (spot[0] + 12, spot[1] + 5), MAP_VIDEO_STYLE.camera_color)
         self._draw_scale()
 
     def at(self, places: Array) -> NDArray[np.int32]:
@@ -64,10 +77,10 @@ class _Map:
 
     def _draw_scale(self) -> None:
         """A bar of a round length at the lower right."""
-        metres = max(bar for bar in map_signs.BARS_M if bar <= max(1, self._width / self._scale / 5))
+        metres = max(bar for bar in map_signs.MAP_SYMBOLS.bars_m if bar <= max(1, self._width / self._scale / 5))
         right, low = self._width - 20, self._height - 20
         left = right - round(metres * self._scale)
-        cv2.line(self.background, (left, low), (right, low), _INK, 4)
+        cv2.line(self.background, (left, low), (right, low), MAP_VIDEO_STYLE.ink, 4)
         put_text(self.background, f"{metres} m", (left, low - 10))
 
 
@@ -103,11 +116,11 @@ def birdseye_frames(
 def _draw(picture: Pixels, shown: _Map, track: Track, i: int) -> None:
     """A vehicle in its i-th frame, and the way that it has come."""
     color = PALETTE[track.number % len(PALETTE)]
-    since = int(np.searchsorted(track.times_s, track.times_s[i] - _TRAIL_S))
+    since = int(np.searchsorted(track.times_s, track.times_s[i] - MAP_VIDEO_STYLE.trail_s))
     cv2.polylines(picture, [shown.at(track.position[since : i + 1, :2])], False, color, 2, cv2.LINE_AA)
-    outline = shown.at(np.array(map_signs.vehicle_points(track, i, map_signs.OUTLINE)))
+    outline = shown.at(np.array(map_signs.vehicle_points(track, i, map_signs.MAP_SYMBOLS.outline)))
     cv2.fillPoly(picture, [outline], color, cv2.LINE_AA)
-    cv2.polylines(picture, [outline], True, _INK, 1, cv2.LINE_AA)
+    cv2.polylines(picture, [outline], True, MAP_VIDEO_STYLE.ink, 1, cv2.LINE_AA)
     middle, front = shown.at(np.array(map_signs.vehicle_points(track, i, ((0.0, 0.0), (1.0, 0.0)))))
     cv2.line(picture, middle.tolist(), front.tolist(), (255, 255, 255), 2, cv2.LINE_AA)
     x, y = outline.max(axis=0)[0], outline.min(axis=0)[1]
@@ -117,16 +130,20 @@ def _draw(picture: Pixels, shown: _Map, track: Track, i: int) -> None:
 def _draw_dot(picture: Pixels, shown: _Map, track: Track, i: int) -> None:
     """Somebody on foot or on two wheels in the track's i-th frame, and the way behind."""
     color = PALETTE[track.number % len(PALETTE)]
-    since = int(np.searchsorted(track.times_s, track.times_s[i] - _TRAIL_S))
+    since = int(np.searchsorted(track.times_s, track.times_s[i] - MAP_VIDEO_STYLE.trail_s))
     cv2.polylines(picture, [shown.at(track.position[since : i + 1, :2])], False, color, 1, cv2.LINE_AA)
     x, y = shown.at(track.position[i, :2]).tolist()
     cv2.circle(picture, (x, y), 5, color, -1, cv2.LINE_AA)
-    cv2.circle(picture, (x, y), 5, _INK, 1, cv2.LINE_AA)
+    cv2.circle(picture, (x, y), 5, MAP_VIDEO_STYLE.ink, 1, cv2.LINE_AA)
     put_text(picture, f"{track.category[0]} {map_signs.label(track, i)}", (x + 7, y - 3))
 
 
 def put_text(
-    picture: Pixels, text: str, place: tuple[int, int], color: tuple[int, int, int] = _INK, size: float = 0.45
+    picture: Pixels,
+    text: str,
+    place: tuple[int, int],
+    color: tuple[int, int, int] = MAP_VIDEO_STYLE.ink,
+    size: float = 0.45,
 ) -> None:
     """Write a text with a white edge, moved where it would leave the picture.
 

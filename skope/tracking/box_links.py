@@ -15,8 +15,26 @@ from skope import boxes as box_math
 from skope.schema import Found
 from skope.types import Array, Integers32
 
-_OUT_OF_REACH: Final = 1e6
-"""Stands for infinity, which the assignment does not take."""
+
+@dataclass(frozen=True)
+class LinkLimits:
+    """Limits of linking boxes from frame to frame."""
+
+    unreachable_cost: float = 1e6
+    """Stands for infinity, which the assignment does not accept."""
+    frame_gap_s: float = 0.3
+    """Frames farther apart are not linked by boxes, seconds."""
+    lost_s: float = 1.0
+    """A vehicle that was not detected for this long is another one when it comes back, seconds."""
+    reach_sizes: float = 0.7
+    """Largest distance of a vehicle from its predicted position, in its sizes."""
+    first_reach_sizes: float = 1.5
+    """The same before its speed is known."""
+    size_ratio: float = 1.8
+    """Largest ratio of the sizes of a vehicle's boxes in two frames."""
+
+
+LINK_LIMITS: Final = LinkLimits()
 
 
 def cheapest_pairs(cost: Array, below: float) -> list[tuple[int, int]]:
@@ -26,20 +44,8 @@ def cheapest_pairs(cost: Array, below: float) -> list[tuple[int, int]]:
         cost: (N, M) what each pair costs, far less than a million; infinite where there can be none.
         below: Only pairs that cost less are returned.
     """
-    pairs = zip(*linear_sum_assignment(np.minimum(cost, _OUT_OF_REACH)), strict=True)
+    pairs = zip(*linear_sum_assignment(np.minimum(cost, LINK_LIMITS.unreachable_cost)), strict=True)
     return [(int(row), int(column)) for row, column in pairs if cost[row, column] < below]
-
-
-FARTHEST_S: Final = 0.3
-"""Frames that are farther apart say nothing of each other: vehicles cannot be linked by their boxes."""
-LOST_S: Final = 1.0
-"""A vehicle that is not seen for so long is another one when it comes back, seconds."""
-_REACH_SIZES: Final = 0.7
-"""Largest distance of a vehicle from its expected place, in its sizes."""
-_FIRST_REACH: Final = 1.5
-"""The same while its speed is not known."""
-_ALIKE: Final = 1.8
-"""Boxes of one vehicle in two frames differ in size by this factor at most."""
 
 
 @dataclass(slots=True)
@@ -107,7 +113,7 @@ class BoxLinks:
         Returns:
             (N,) the number of each box's vehicle.
         """
-        self._live = {i: one for i, one in self._live.items() if time_s - one.time_s <= LOST_S}
+        self._live = {i: one for i, one in self._live.items() if time_s - one.time_s <= LINK_LIMITS.lost_s}
         rectangles = box_math.xywh_to_xyxy(boxes)
         followed = [None] * len(boxes) if followed is None else followed
         numbers = np.full(len(boxes), -1, dtype=np.int32)
@@ -138,10 +144,12 @@ class BoxLinks:
         known = [self._live[i] for i in vehicles]
         expected = np.array([one.expected(time_s) for one in known])
         size = np.array([size_of(one.box) for one in known])[:, None]
-        reach = np.array([_REACH_SIZES if one.seen > 1 else _FIRST_REACH for one in known])[:, None]
+        reach = np.array([LINK_LIMITS.reach_sizes if one.seen > 1 else LINK_LIMITS.first_reach_sizes for one in known])[
+            :, None
+        ]
         away = np.linalg.norm((_middles(expected)[:, None] - _middles(rectangles)[None]), axis=-1) / size
         ratio = np.sqrt(box_math.area(rectangles))[None] / size
-        cost = np.where((away < reach) & (np.maximum(ratio, 1 / ratio) < _ALIKE), away, np.inf)
+        cost = np.where((away < reach) & (np.maximum(ratio, 1 / ratio) < LINK_LIMITS.size_ratio), away, np.inf)
         return [(vehicles[v], d) for v, d in cheapest_pairs(cost, np.inf)]
 
 

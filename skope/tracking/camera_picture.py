@@ -6,6 +6,7 @@ Under the right camera lanes have their true width everywhere, and boxes stand o
 import itertools
 import math
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
@@ -25,10 +26,31 @@ from skope.tracks.track import Track
 from skope.types import Array, Pixels
 from skope.video.footage import Cut, open_footage
 
-_LABELLED: Final = 0.05
-"""Boxes that are longer than this share of the picture's width have words beside them: far ones lie close together."""
-_THICK: Final = 2
-"""Lines of boxes, pixels."""
+
+@dataclass(frozen=True)
+class CameraPictureSettings:
+    """Appearance of the picture of a camera's calibration."""
+
+    labelled_share: float = 0.05
+    """Boxes longer than this share of the image width are labelled. Distant boxes lie close together."""
+    line_px: int = 2
+    """Lines of boxes, pixels."""
+    grid_m: tuple[int, ...] = (1, 2, 5, 10, 20, 50)
+    """Distances of the grid's lines."""
+    grid_lines: int = 12
+    """The grid has about so many lines away from the camera."""
+    across_m: float = 5.0
+    """Lines along the way are so far apart at most: a lane and a half."""
+    farthest_m: float = 150.0
+    letters_px: int = 18
+    """Distances are written so far apart at least, pixels."""
+    score: float = 0.5
+    grid_color: tuple[int, int, int] = (255, 255, 255)
+    horizon_color: tuple[int, int, int] = (255, 120, 40)
+    box_color: tuple[int, int, int] = (90, 235, 120)
+
+
+CAMERA_PICTURE_SETTINGS: Final = CameraPictureSettings()
 
 
 def overlay_frames(
@@ -67,28 +89,15 @@ def with_tracks_drawn(pixels: Pixels, present: Sequence[tuple[Track, int]]) -> P
         x, y, w, h = track.boxes[i].tolist()
         color = PALETTE[track.number % len(PALETTE)]
         corners = np.rint([[x, y], [x + w, y], [x + w, y + h], [x, y + h]]).astype(np.int32)
-        cv2.polylines(picture, [corners], True, color, _THICK, cv2.LINE_AA)
-        if max(w, h) < _LABELLED * picture.shape[1]:
+        cv2.polylines(picture, [corners], True, color, CAMERA_PICTURE_SETTINGS.line_px, cv2.LINE_AA)
+        if max(w, h) < CAMERA_PICTURE_SETTINGS.labelled_share * picture.shape[1]:
             continue
         number, _, speed = map_signs.label(track, i).partition("  ")
         put_text(picture, "  ".join(filter(None, (f"{number} {track.class_name}", speed))), (round(x), round(y) - 5))
     return picture
 
 
-_GRID_M: Final = (1, 2, 5, 10, 20, 50)
-"""Distances of the grid's lines."""
-_GRID_LINES: Final = 12
-"""The grid has about so many lines away from the camera."""
-_ACROSS_M: Final = 5.0
-"""Lines along the way are so far apart at most: a lane and a half."""
-_FARTHEST_M: Final = 150.0
-_LETTERS_PX: Final = 18
-"""Distances are written so far apart at least, pixels."""
-_SCORE: Final = 0.5
-_GRID: Final = (255, 255, 255)
-_HORIZON: Final = (255, 120, 40)
-_BOX: Final = (90, 235, 120)
-_EDGES: Final = tuple((a, b) for a, b in itertools.combinations(range(8), 2) if bin(a ^ b).count("1") == 1)
+BOX_EDGES: Final = tuple((a, b) for a, b in itertools.combinations(range(8), 2) if bin(a ^ b).count("1") == 1)
 """Corners of a box that an edge joins; their numbers count in ends, sides and heights."""
 
 
@@ -103,7 +112,9 @@ def draw_camera_picture(scene: Scene, folder: Path) -> Pixels | None:
         UserError: The footage is not there any more, or cannot be read.
     """
     source = footage_of(folder, scene.file.info)
-    view = max(scene.views(score=_SCORE), key=lambda one: int((~one.interpolated).sum()), default=None)
+    view = max(
+        scene.views(score=CAMERA_PICTURE_SETTINGS.score), key=lambda one: int((~one.interpolated).sum()), default=None
+    )
     if source is None or view is None:
         return None
     camera = scene.camera_of(view.image)
@@ -113,8 +124,8 @@ def draw_camera_picture(scene: Scene, folder: Path) -> Pixels | None:
     located = locate_view(view, scene)
     for i in np.flatnonzero(located.good).tolist():
         corners = corners_of(located.poses.T_world_vehicle[i], located.poses.size_lwh[i])
-        for a, b in _EDGES:
-            _draw_line(picture, camera, corners[[a, b]], _BOX, 2)
+        for a, b in BOX_EDGES:
+            _draw_line(picture, camera, corners[[a, b]], CAMERA_PICTURE_SETTINGS.box_color, 2)
     return picture
 
 
@@ -133,22 +144,27 @@ def _draw_grid(picture: Pixels, camera: Camera) -> None:
     ahead = np.array([math.cos(yaw), math.sin(yaw), 0.0])
     left = np.array([-ahead[1], ahead[0], 0.0])
     foot = np.array([*camera.position[:2], 0.0])
-    reach = min(_FARTHEST_M, 12 * float(camera.position[2]))
-    step = next((m for m in _GRID_M if reach / m <= _GRID_LINES), _GRID_M[-1])
+    reach = min(CAMERA_PICTURE_SETTINGS.farthest_m, 12 * float(camera.position[2]))
+    step = next(
+        (m for m in CAMERA_PICTURE_SETTINGS.grid_m if reach / m <= CAMERA_PICTURE_SETTINGS.grid_lines),
+        CAMERA_PICTURE_SETTINGS.grid_m[-1],
+    )
     away = np.arange(0.0, reach + 0.1, 0.5)
     side = np.arange(-reach / 2, reach / 2 + 0.1, 0.5)
-    for k in np.arange(-reach / 2, reach / 2 + 0.1, min(step, _ACROSS_M)).tolist():
-        _draw_line(picture, camera, foot + left * k + ahead * away[:, None], _GRID, 1)
+    for k in np.arange(-reach / 2, reach / 2 + 0.1, min(step, CAMERA_PICTURE_SETTINGS.across_m)).tolist():
+        _draw_line(picture, camera, foot + left * k + ahead * away[:, None], CAMERA_PICTURE_SETTINGS.grid_color, 1)
     below = picture.shape[0]
-    for k in range(1, _GRID_LINES + 1):
-        _draw_line(picture, camera, foot + ahead * k * step + left * side[:, None], _GRID, 1)
+    for k in range(1, CAMERA_PICTURE_SETTINGS.grid_lines + 1):
+        _draw_line(
+            picture, camera, foot + ahead * k * step + left * side[:, None], CAMERA_PICTURE_SETTINGS.grid_color, 1
+        )
         pixel, _, valid = camera.project((foot + ahead * k * step)[None])
-        if valid[0] and camera.inside(pixel)[0] and pixel[0, 1] < below - _LETTERS_PX:
+        if valid[0] and camera.inside(pixel)[0] and pixel[0, 1] < below - CAMERA_PICTURE_SETTINGS.letters_px:
             below = float(pixel[0, 1])
             put_text(picture, f"{k * step} m", (round(float(pixel[0, 0])) + 4, round(float(pixel[0, 1])) - 3))
     turn = np.linspace(-math.pi / 2, math.pi / 2, 181)[:, None]
     far = foot + 1e6 * (np.cos(turn) * ahead + np.sin(turn) * left) + [0.0, 0.0, float(camera.position[2])]
-    _draw_line(picture, camera, far, _HORIZON, 2)
+    _draw_line(picture, camera, far, CAMERA_PICTURE_SETTINGS.horizon_color, 2)
 
 
 def _draw_line(picture: Pixels, camera: Camera, points: Array, color: tuple[int, int, int], thick: int) -> None:

@@ -6,7 +6,7 @@ pedestrian.
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -16,10 +16,22 @@ from skope.tracking.tracker_inputs import PoseMeasurement
 from skope.tracking.tracks import OpenTrack
 from skope.types import Array
 
-INSIDE: Final = 0.6
-"""Two boxes are one road user's where so much of the smaller one lies in the other one,"""
-FOOT: Final = 0.35
-"""and they stand as near as this, in sizes of the larger one: its width, or half its height."""
+
+@dataclass(frozen=True)
+class DuplicateLimits:
+    """Limits from which two detections or tracks are one road user."""
+
+    inside_share: float = 0.6
+    """Share of the smaller box inside the larger one from which both may be one road user."""
+    foot_sizes: float = 0.35
+    """Largest distance between the feet of both, in sizes of the larger box: its width, or half its height."""
+    duplicate_s: float = 0.5
+    """Two tracks at one position for this long are one vehicle, seconds."""
+    shadowing_m: float = 2.0
+    """A duplicate within this median distance of the kept track is dropped from its start, metres."""
+
+
+DUPLICATE_LIMITS: Final = DuplicateLimits()
 
 
 def inside_and_apart(one: Array, other: Array) -> tuple[Array, Array]:
@@ -42,12 +54,6 @@ def inside_and_apart(one: Array, other: Array) -> tuple[Array, Array]:
 def feet(rectangles: Array) -> Array:
     """(N, 2) the middles of the lower edges of boxes (N, 4): x, y, width, height."""
     return np.asarray(rectangles[:, :2] + rectangles[:, 2:] * [0.5, 1.0])
-
-
-_DUPLICATE_S: Final = 0.5
-"""Two tracks that have been in one place for so long are one vehicle, seconds."""
-_SHADOWING_M: Final = 2.0
-"""A duplicate that stayed within this median distance of the kept track, metres, is dropped from its start."""
 
 
 def encloses(track: OpenTrack, place: Array, covariance: Array) -> bool:
@@ -96,7 +102,7 @@ def give_up_duplicates(live: Sequence[OpenTrack], time_s: float) -> list[OpenTra
         around = next((one for one in kept_tracks if encloses(one, mean[:2], spread[:2, :2])), None)
         if around is None or around is not track.surrounding:
             track.surrounding, track.surrounded_s = around, time_s
-        if around is None or time_s - track.surrounded_s < _DUPLICATE_S:
+        if around is None or time_s - track.surrounded_s < DUPLICATE_LIMITS.duplicate_s:
             kept_tracks.append(track)
         else:
             _hand_over(track, around)
@@ -115,7 +121,7 @@ def _hand_over(duplicate: OpenTrack, kept: OpenTrack) -> None:
         for step in before
         if step.detection is not None
     ]
-    if not duplicate.parts and float(np.median(apart or [0.0])) < _SHADOWING_M:
+    if not duplicate.parts and float(np.median(apart or [0.0])) < DUPLICATE_LIMITS.shadowing_m:
         before = []
     for step in duplicate.steps[len(before) :]:
         if step.detection is None:

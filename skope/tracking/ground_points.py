@@ -12,19 +12,29 @@ from skope.camera.model import Camera
 from skope.pose.camera_error import camera_errors
 from skope.pose.keypoint_views import Scene
 from skope.schema import Image, RoadUser, RoadUserResult
-from skope.tracking.duplicates import FOOT, INSIDE, feet, inside_and_apart
+from skope.tracking.duplicates import DUPLICATE_LIMITS, feet, inside_and_apart
 from skope.types import Array
 
-_SHARES: Final = (0.03, 0.06)
-"""Standard deviations of the lower edge's middle, across and up, as shares of a predicted box's longer edge, at least
-a pixel: measured on generated footage by day, at night and in rain."""
-_LEAST_PX: Final = 1.0
-_LABELLED_PX: Final = 0.5
-"""The same of a labelled box, pixels."""
-_EDGE_PX: Final = 2.0
-"""A box that ends so near to the image's lower edge is cut there: it does not show the feet."""
-_FARTHEST_SIGMA_M: Final = 5.0
-"""Places that are less certain than this, one standard deviation in the worst direction, say nothing."""
+
+@dataclass(frozen=True)
+class FootErrors:
+    """Error model of the foot of a box."""
+
+    box_shares: tuple[float, float] = (0.03, 0.06)
+    """Standard deviations of the middle of the lower edge, across and up, as shares of a predicted box's longer
+    edge. Measured on generated footage by day, at night and in rain.
+    """
+    least_px: float = 1.0
+    """Least standard deviation, pixels."""
+    labelled_px: float = 0.5
+    """Standard deviation of a labelled box, pixels."""
+    edge_px: float = 2.0
+    """A box that ends this close to the image's lower edge is cut there and does not show the feet, pixels."""
+    largest_sigma_m: float = 5.0
+    """Positions with a larger standard deviation in the worst direction are not used, metres."""
+
+
+FOOT_ERRORS: Final = FootErrors()
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -97,7 +107,7 @@ def _in_image(
     out = []
     for group in _one_each(found, boxes):
         one, point = found[group[0]], points[group[0]]
-        shown = point if stand[group[0], 1] < image.height - _EDGE_PX else None
+        shown = point if stand[group[0], 1] < image.height - FOOT_ERRORS.edge_px else None
         if isinstance(one, RoadUser):  # as with vehicles, labels do not tell who is who
             out.append(Sight(one.category_id, one.bbox, 1.0, (), {one.category_id: 1.0}, shown))
         else:
@@ -114,8 +124,8 @@ def _in_image(
 def _spread(one: RoadUser | RoadUserResult) -> tuple[float, float]:
     """Standard deviations of where a box stands, across and up, pixels."""
     if isinstance(one, RoadUser):
-        return _LABELLED_PX, _LABELLED_PX
-    across, up = (max(_LEAST_PX, share * one.bbox[2:].max()) for share in _SHARES)
+        return FOOT_ERRORS.labelled_px, FOOT_ERRORS.labelled_px
+    across, up = (max(FOOT_ERRORS.least_px, share * one.bbox[2:].max()) for share in FOOT_ERRORS.box_shares)
     return across, up
 
 
@@ -126,7 +136,7 @@ def _one_each(found: Sequence[RoadUser | RoadUserResult], boxes: Array) -> list[
     for i in sorted(range(len(found)), key=lambda i: -scores[i]):
         first = boxes[[group[0] for group in groups]].reshape(-1, 4)
         inside, apart = inside_and_apart(first, np.broadcast_to(boxes[i], first.shape))
-        same = np.flatnonzero((inside >= INSIDE) & (apart <= FOOT))
+        same = np.flatnonzero((inside >= DUPLICATE_LIMITS.inside_share) & (apart <= DUPLICATE_LIMITS.foot_sizes))
         if len(same) and isinstance(found[i], RoadUserResult):
             groups[same[0]].append(i)
         else:
@@ -162,7 +172,9 @@ def ground_points(camera: Camera, ground: Ground, pixels: Array, sigma_px: Array
     covariances = moved @ moved.swapaxes(1, 2) + rise[:, :, None] * rise[:, None]
     out: list[GroundPoint | None] = []
     for place, covariance in zip(places, covariances, strict=True):
-        known = bool(np.isfinite(covariance).all()) and np.linalg.eigvalsh(covariance)[-1] < _FARTHEST_SIGMA_M**2
+        known = (
+            bool(np.isfinite(covariance).all()) and np.linalg.eigvalsh(covariance)[-1] < FOOT_ERRORS.largest_sigma_m**2
+        )
         height = ground.height + float((place - ground.about) @ ground.slope)
         out.append(GroundPoint(place, covariance, height) if known else None)
     return out

@@ -19,12 +19,24 @@ from skope.schema import AnnotationFile
 from skope.types import Array, Pixels
 from skope.video.footage import FOUND_AT, Cut, open_footage
 
-_FRAMES: Final = 25
-"""Frames that the picture is made of."""
-_SECONDS: Final = 120.0
-"""They are taken of so much footage: reading on through hours would take minutes."""
-_ROUNDING_S: Final = 0.01
-"""Files round the times of their frames: the last one shall be in."""
+
+@dataclass(frozen=True)
+class GroundImage:
+    """How the image of the empty road is made."""
+
+    frames: int = 25
+    """Number of frames."""
+    seconds: float = 120.0
+    """Part of the footage from which they are taken, seconds. Reading hours would take minutes."""
+    rounding_s: float = 0.01
+    """Rounding of the frame times in files, seconds."""
+    contrast_share: float = 0.62
+    """Share of the image's contrast that remains, so that drawings stand out."""
+    fading_m: tuple[float, float] = (0.6, 2.5)
+    """Size of a pixel on the road up to which it is shown in full, and from which it is not shown, metres."""
+
+
+GROUND_IMAGE: Final = GroundImage()
 
 
 def empty_road(folder: Path, file: AnnotationFile) -> Pixels | None:
@@ -48,9 +60,9 @@ def empty_road(folder: Path, file: AnnotationFile) -> Pixels | None:
     times = [image.time_s for image in file.images if image.time_s is not None]
     shown = view_numbers(read_views(file.name, file.info), times).tolist()
     times = [time_s for time_s, view in zip(times, shown, strict=True) if view == shown[0]] or [0.0, math.inf]
-    span = Cut(start_s=times[0], end_s=min(times[-1], times[0] + _SECONDS) + _ROUNDING_S)
+    span = Cut(start_s=times[0], end_s=min(times[-1], times[0] + GROUND_IMAGE.seconds) + GROUND_IMAGE.rounding_s)
     footage = open_footage(str(source), span)
-    footage.cut = replace(span, every=max(1, len(footage) // _FRAMES))
+    footage.cut = replace(span, every=max(1, len(footage) // GROUND_IMAGE.frames))
     frames = [pixels for _, pixels in footage.frames()]
     return median_of(frames) if frames else None
 
@@ -61,12 +73,6 @@ def footage_of(folder: Path, info: Mapping[str, Any]) -> Path | None:
         return folder / found_at
     video = info.get("video")
     return folder / Path(video).name if isinstance(video, str) else None
-
-
-_PALE: Final = 0.62
-"""Share of the picture's own contrast that is left: what is drawn over it has to stand out."""
-_COARSE_M: Final = (0.6, 2.5)
-"""A pixel that covers so much of the road, metres, is shown in full, and from the second figure on not at all."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -110,8 +116,8 @@ class GroundView:
         at = (np.nan_to_num(self.pixels, nan=-1e4) - 0.5).clip(-1e4, 1e4).astype(np.float32)
         grey = cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY)
         above = cv2.remap(grey, at[..., 0], at[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-        fine, none = _COARSE_M
-        share = _PALE * self.seen * np.clip((none - self._metres_a_pixel()) / (none - fine), 0, 1)
+        fine, none = GROUND_IMAGE.fading_m
+        share = GROUND_IMAGE.contrast_share * self.seen * np.clip((none - self._metres_a_pixel()) / (none - fine), 0, 1)
         shown = np.rint(255 - share * (255 - above.astype(np.float64))).astype(np.uint8)
         return np.repeat(shown[..., None], 3, axis=-1)
 

@@ -8,7 +8,7 @@ independent and does not know this one.
 """
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -17,8 +17,28 @@ from numpy.typing import NDArray
 from skope.tracks.track import Track
 from skope.types import Array
 
-_LOWEST_CAMERA_M: Final = 1.0
-"""Least height of a camera over the road, metres."""
+
+@dataclass(frozen=True)
+class HeadingModel:
+    """Noise model of headings."""
+
+    lowest_camera_m: float = 1.0
+    """Least height of a camera over the road, metres."""
+    memory_s: float = 1.5
+    """Time constant of a rate of turn, seconds."""
+    moving_mps: float = 1.5
+    """Speed from which the direction of travel gives the heading, m/s."""
+    turn_change: float = 0.35
+    """Change of a driving vehicle's rate of turn per second, rad/s."""
+    turning_mps: float = 5.0
+    """Speed from which `turn_change` holds, m/s. It falls in proportion below."""
+    least_sigma_rad: float = math.radians(0.5)
+    """Least standard deviation of a measured heading, radians."""
+    outlier_variances: float = 9.0
+    """Squared distance, in variances, from which a heading gets less weight."""
+
+
+HEADING_MODEL: Final = HeadingModel()
 
 
 def with_body_error(track: Track, camera_position: Array, height_sigma_m: float) -> Track:
@@ -31,7 +51,7 @@ def with_body_error(track: Track, camera_position: Array, height_sigma_m: float)
     """
     line = track.xy - camera_position[:2]
     distance = np.maximum(np.linalg.norm(line, axis=1), 1e-9)
-    height = np.maximum(_LOWEST_CAMERA_M, camera_position[2] - track.position[:, 2])
+    height = np.maximum(HEADING_MODEL.lowest_camera_m, camera_position[2] - track.position[:, 2])
     ray = line / distance[:, None]
     # What seems farther by a share of the distance seems faster by that share, along the line of sight.
     towards = np.einsum("mi,mi->m", track.velocity, ray) ** 2 / np.maximum(track.speed, 1e-9)
@@ -40,20 +60,6 @@ def with_body_error(track: Track, camera_position: Array, height_sigma_m: float)
         body_error=track.body_error + ray * (distance / height * height_sigma_m)[:, None],
         speed_sigma=np.hypot(track.speed_sigma, towards / height * height_sigma_m),
     )
-
-
-_MEMORY_S: Final = 1.5
-"""Time for which a rate of turn lasts, seconds."""
-_MOVING: Final = 1.5
-"""Speed from which the direction of travel says where the front is, m/s."""
-_TURN: Final = 0.35
-"""Change of a driving vehicle's rate of turn in a second, radians a second."""
-_TURNING: Final = 5.0
-"""Speed from which `_TURN` holds, m/s; a slower vehicle's rate of turn changes less, in proportion."""
-_TREMOR: Final = math.radians(0.5)
-"""Least standard deviation of a measured heading, radians."""
-_OUTLYING: Final = 9.0
-"""Squared distance, in variances, from which a heading counts less."""
 
 
 def smoothed_headings(times_s: Array, measured: Array, sigma: Array, velocity: Array) -> Array:
@@ -74,7 +80,7 @@ def smoothed_headings(times_s: Array, measured: Array, sigma: Array, velocity: A
     seen = np.isfinite(measured)
     unit = np.where(seen, np.exp(1j * np.where(seen, measured, 0.0)), 0)
     travel: NDArray[np.complex128] = velocity[:, 0] + 1j * velocity[:, 1]
-    moving = np.flatnonzero(seen & (np.abs(travel) > _MOVING))
+    moving = np.flatnonzero(seen & (np.abs(travel) > HEADING_MODEL.moving_mps))
     if moving.size:
         unit[moving] = unit[moving] * _sense(unit[moving], travel[moving])
         unit = unit * _sense(unit, unit[_nearest(moving, len(unit))])
@@ -93,13 +99,13 @@ def _turning(times_s: Array, measured: Array, sigma: Array, speed: Array) -> Arr
     # Forwards: predict and update. A covariance ((a, b), (b, c)) is kept as (a, b, c).
     ahead, after, moves = [], [], []
     first = int(np.flatnonzero(np.isfinite(measured))[0])
-    mean, spread = (float(measured[first]), 0.0), (float(sigma[first]) ** 2, 0.0, _TURN**2)
+    mean, spread = (float(measured[first]), 0.0), (float(sigma[first]) ** 2, 0.0, HEADING_MODEL.turn_change**2)
     before = float(times_s[0])
     for time_s, z, error, v in zip(times_s.tolist(), measured.tolist(), sigma.tolist(), speed.tolist(), strict=True):
         dt, before = time_s - before, time_s
-        fade = math.exp(-dt / _MEMORY_S)
-        reach = _MEMORY_S * (1 - fade)
-        q = (_TURN * min(1.0, max(v / _TURNING, 0.02))) ** 2 * dt
+        fade = math.exp(-dt / HEADING_MODEL.memory_s)
+        reach = HEADING_MODEL.memory_s * (1 - fade)
+        q = (HEADING_MODEL.turn_change * min(1.0, max(v / HEADING_MODEL.turning_mps, 0.02))) ** 2 * dt
         (h, w), (a, b, c) = mean, spread
         mean = (h + reach * w, fade * w)
         spread = (
@@ -112,8 +118,8 @@ def _turning(times_s: Array, measured: Array, sigma: Array, speed: Array) -> Arr
         if not math.isnan(z):
             (h, w), (a, b, c) = mean, spread
             off = (z - h + math.pi) % (2 * math.pi) - math.pi
-            noise = error**2 + _TREMOR**2
-            noise *= max(1.0, off**2 / (_OUTLYING * (a + noise)))  # what is far off pulls less
+            noise = error**2 + HEADING_MODEL.least_sigma_rad**2
+            noise *= max(1.0, off**2 / (HEADING_MODEL.outlier_variances * (a + noise)))  # what is far off pulls less
             gain, turn = a / (a + noise), b / (a + noise)
             mean = (h + gain * off, w + turn * off)
             spread = (a * (1 - gain), b * (1 - gain), c - turn * b)

@@ -3,7 +3,7 @@ metres."""
 
 from collections import defaultdict
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
@@ -17,26 +17,37 @@ from skope.metrics.read_inputs import read_all_results
 from skope.schema import CATEGORIES, VEHICLE, AnnotationFile
 from skope.site.gates_zones_lanes import Gate
 from skope.site.traffic_settings import UNKNOWN
-from skope.tracking.duplicates import FOOT, INSIDE, feet, inside_and_apart
+from skope.tracking.duplicates import DUPLICATE_LIMITS, feet, inside_and_apart
 from skope.tracking.track_flags import box_never_moved
 from skope.tracks.track import Track
 from skope.traffic.observation import Observation, checked_sight, read_begins
 from skope.types import Array
 
-_FOOT_SIGMA_SHARE: Final = 0.03
-"""Standard deviation of the lower edge's middle, as a share of a box's longer edge, and a pixel at least."""
-_FEWEST_BOXES: Final = 3
-_SHORTEST_S: Final = 0.4
-"""A road user that is seen in fewer boxes, or for less time (seconds), does not count."""
-_TOGETHER_SHARE: Final = 0.5
-"""Two tracks are one road user's where their boxes are in the median, over so much of the shorter track."""
-_LEAST_VISIBLE: Final = 0.9
-"""A view is observed if it shows this share of each gate."""
-_POINTS_ON_GATE: Final = 200
-_MOVING_S: Final = 1.0
-"""A camera is advised to be counted apart this long after a change of view whose end is not known, seconds."""
-_DRIFT: Final = 0.3
-"""Largest change of the distance between the feet of two boxes of one road user, in sizes of the larger one."""
+
+@dataclass(frozen=True)
+class ImageTrackLimits:
+    """Limits of tracks in the image."""
+
+    foot_sigma_share: float = 0.03
+    """Standard deviation of the middle of the lower edge, as a share of the box's longer edge, at least a pixel."""
+    fewest_boxes: int = 3
+    """Smallest number of boxes of a track that counts."""
+    shortest_s: float = 0.4
+    """Shortest duration of a track that counts, seconds."""
+    together_share: float = 0.5
+    """Two tracks are one road user if this share of the shorter one lies in the other."""
+    least_visible: float = 0.9
+    """Share of each gate that a view must show to count as observed."""
+    gate_points: int = 200
+    """Number of points on a gate that are projected."""
+    moving_s: float = 1.0
+    """After a change of view whose end is not known, the camera is taken to move for this long, seconds."""
+    drift_sizes: float = 0.3
+    """Largest change of the distance between the feet of two boxes of one road user, in sizes of the larger one."""
+
+
+IMAGE_TRACKS: Final = ImageTrackLimits()
+
 MotRow = tuple[float, float, float, float, float]
 """Time (s), column and row of the middle of a box's lower edge, and the box's width and height, pixels."""
 
@@ -93,10 +104,10 @@ def _followed_views(file: AnnotationFile, gates: Sequence[Gate]) -> tuple[list[K
     views, notes = read_views(file.name, file.info), list[str]()
     size = (file.images[0].width, file.images[0].height) if file.images else (1, 1)
     for k, view in enumerate(views[1:], start=1):
-        why, start_s = "it is not surely known where the gates lie in its view", view.begin_s + _MOVING_S
+        why, start_s = "it is not surely known where the gates lie in its view", view.begin_s + IMAGE_TRACKS.moving_s
         if view.from_first is not None:
             shares = {gate.name: _visible_share(np.array(gate.pixels), view.from_first.matrix, size) for gate in gates}
-            hidden = [name for name, share in shares.items() if share < _LEAST_VISIBLE]
+            hidden = [name for name, share in shares.items() if share < IMAGE_TRACKS.least_visible]
             if not hidden:
                 notes.append(
                     f"the camera was moved at {view.begin_s:.1f} s: from {view.settled_s:.1f} s on, gates are counted "
@@ -116,7 +127,7 @@ def _followed_views(file: AnnotationFile, gates: Sequence[Gate]) -> tuple[list[K
 
 def _visible_share(line: Array, matrix: Array, size: tuple[int, int]) -> float:
     """Share of a line (2, 2) in the image of the first view that another view shows too; 1 where it is not in it."""
-    along = np.linspace(line[0], line[1], _POINTS_ON_GATE)
+    along = np.linspace(line[0], line[1], IMAGE_TRACKS.gate_points)
     along = along[is_inside(along, size)]
     return float(is_inside(transformed(matrix, along), size).mean()) if len(along) else 1.0
 
@@ -154,14 +165,18 @@ def _without_doubles(tracks: list[tuple[int, Array]]) -> list[tuple[int, Array]]
 
 def _is_double(rows: Array, longer: Array) -> bool:
     _, own, other = np.intersect1d(rows[:, 0], longer[:, 0], return_indices=True)
-    if len(own) < max(1.0, _TOGETHER_SHARE * len(rows)):
+    if len(own) < max(1.0, IMAGE_TRACKS.together_share * len(rows)):
         return False
     first, second = _boxes(rows[own]), _boxes(longer[other])
     inside, apart = inside_and_apart(first, second)
     # Two boxes of one vehicle keep their places in it; a car passes along the lorry that its box lies in.
     offset = (feet(first) - feet(second)) / np.maximum(first[:, 2:], second[:, 2:])
     drift = np.ptp(np.percentile(offset, (10, 90), axis=0), axis=0).max()
-    return bool(np.median(inside) >= INSIDE and np.median(apart) <= FOOT and drift <= _DRIFT)
+    return bool(
+        np.median(inside) >= DUPLICATE_LIMITS.inside_share
+        and np.median(apart) <= DUPLICATE_LIMITS.foot_sizes
+        and drift <= IMAGE_TRACKS.drift_sizes
+    )
 
 
 def _boxes(rows: Array) -> Array:
@@ -174,7 +189,7 @@ def _trajectory(number: int, category_id: int, rows: Array) -> Track:
     """Of rows (M, 5): seconds, place, width and height of the box."""
     times, place = rows[:, 0], rows[:, 1:3]
     velocity = np.gradient(place, times, axis=0) if len(times) > 1 else np.zeros_like(place)
-    sigma = np.maximum(1.0, _FOOT_SIGMA_SHARE * rows[:, 3:].max(axis=1))
+    sigma = np.maximum(1.0, IMAGE_TRACKS.foot_sigma_share * rows[:, 3:].max(axis=1))
     category = CATEGORIES[category_id - 1]
     return Track(
         number=number,
@@ -189,6 +204,6 @@ def _trajectory(number: int, category_id: int, rows: Array) -> Track:
         speed_sigma=np.full(len(times), np.nan),
         located=np.ones(len(times), dtype=bool),
         boxes=_boxes(rows),
-        confirmed=len(times) >= _FEWEST_BOXES and bool(times[-1] - times[0] >= _SHORTEST_S),
+        confirmed=len(times) >= IMAGE_TRACKS.fewest_boxes and bool(times[-1] - times[0] >= IMAGE_TRACKS.shortest_s),
         flags=("never_moved",) if box_never_moved(_boxes(rows), times) else (),
     )

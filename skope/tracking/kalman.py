@@ -6,6 +6,7 @@ Prediction is Singer's model, smoothing is Rauch, Tung and Striebel's.
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -16,23 +17,34 @@ from skope.types import Array
 State = tuple[Array, Array]
 """Mean (6,) and covariance (6, 6) of a vehicle's state."""
 
-GATE: Final = 16.0
-"""Squared distance, in variances, from which a measurement is no longer believed to belong to a track."""
-_JERK: Final = 1.0
-"""Spectral density of the change of acceleration, m^2 / s^5: hard braking within a second or two."""
-_MEMORY_S: Final = 1.5
-"""Time constant with which an acceleration fades, seconds."""
-_SPEED: Final = 15.0
-"""Standard deviation of the speed along its heading of a vehicle that is seen for the first time, m/s."""
-_SIDEWAYS_SPEED: Final = 2.0
-"""Standard deviation of the speed to its sides of a vehicle that is seen for the first time, m/s."""
-_ACCELERATION: Final = 2.0
-"""Standard deviation of the acceleration of a vehicle that is seen for the first time, m/s^2."""
-_SLIDE: Final = 0.5
-"""Standard deviation of a standing vehicle's speed to its side, m/s."""
-_SLIP: Final = 0.15
-"""Share of a driving vehicle's speed that is added to `_SLIDE`: in a turn its middle does not move where its front
-points."""
+
+@dataclass(frozen=True)
+class KalmanSettings:
+    """Noise model of the Kalman filter."""
+
+    gate_variances: float = 16.0
+    """Squared Mahalanobis distance from which a measurement is not assigned to a track."""
+    jerk_density: float = 1.0
+    """Spectral density of the change of acceleration, m^2 / s^5. The value allows hard braking within one or two
+    seconds.
+    """
+    memory_s: float = 1.5
+    """Time constant of the decay of an acceleration, seconds."""
+    speed_mps: float = 15.0
+    """Standard deviation of a new vehicle's speed along its heading, m/s."""
+    sideways_speed_mps: float = 2.0
+    """Standard deviation of a new vehicle's lateral speed, m/s."""
+    acceleration_mps2: float = 2.0
+    """Standard deviation of a new vehicle's acceleration, m/s^2."""
+    slide_mps: float = 0.5
+    """Standard deviation of a standing vehicle's lateral speed, m/s."""
+    slip_ratio: float = 0.15
+    """Share of the speed that is added to `slide_mps`. The middle of a turning vehicle does not move along its
+    heading.
+    """
+
+
+KALMAN_SETTINGS: Final = KalmanSettings()
 
 
 def first_state(pose: PoseMeasurement) -> State:
@@ -41,9 +53,9 @@ def first_state(pose: PoseMeasurement) -> State:
     spread = np.zeros((6, 6))
     spread[:2, :2] = pose.covariance
     ahead = np.array([math.cos(pose.heading), math.sin(pose.heading)])
-    aside = math.hypot(_SIDEWAYS_SPEED, _SPEED * min(pose.heading_sigma, 1.0))
-    spread[2:4, 2:4] = aside**2 * np.eye(2) + (_SPEED**2 - aside**2) * np.outer(ahead, ahead)
-    spread[4:, 4:] = _ACCELERATION**2 * np.eye(2)
+    aside = math.hypot(KALMAN_SETTINGS.sideways_speed_mps, KALMAN_SETTINGS.speed_mps * min(pose.heading_sigma, 1.0))
+    spread[2:4, 2:4] = aside**2 * np.eye(2) + (KALMAN_SETTINGS.speed_mps**2 - aside**2) * np.outer(ahead, ahead)
+    spread[4:, 4:] = KALMAN_SETTINGS.acceleration_mps2**2 * np.eye(2)
     return mean, spread
 
 
@@ -58,7 +70,7 @@ def first_state_at(place: Array, covariance: Array, speed_sigma: float) -> State
     spread = np.zeros((6, 6))
     spread[:2, :2] = covariance
     spread[2:4, 2:4] = speed_sigma**2 * np.eye(2)
-    spread[4:, 4:] = _ACCELERATION**2 * np.eye(2)
+    spread[4:, 4:] = KALMAN_SETTINGS.acceleration_mps2**2 * np.eye(2)
     return np.array([*place, 0, 0, 0, 0], dtype=np.float64), spread
 
 
@@ -68,10 +80,10 @@ def motion(dt: float) -> tuple[Array, Array]:
     Acceleration fades away, so that what is unseen rolls on. The noise is that of constant acceleration (Bar-Shalom et
     al. 2001, section 6.2.3), the model's own for short steps.
     """
-    fade = math.exp(-dt / _MEMORY_S)
-    to_speed = _MEMORY_S * (1 - fade)
-    F1 = np.array([[1, dt, _MEMORY_S * (dt - to_speed)], [0, 1, to_speed], [0, 0, fade]])
-    Q1 = _JERK * np.array(
+    fade = math.exp(-dt / KALMAN_SETTINGS.memory_s)
+    to_speed = KALMAN_SETTINGS.memory_s * (1 - fade)
+    F1 = np.array([[1, dt, KALMAN_SETTINGS.memory_s * (dt - to_speed)], [0, 1, to_speed], [0, 0, fade]])
+    Q1 = KALMAN_SETTINGS.jerk_density * np.array(
         [[dt**5 / 20, dt**4 / 8, dt**3 / 6], [dt**4 / 8, dt**3 / 3, dt**2 / 2], [dt**3 / 6, dt**2 / 2, dt]]
     )
     both = np.eye(2)  # x and y move alike
@@ -124,10 +136,10 @@ def _rolling(mean: Array, spread: Array, pose: PoseMeasurement) -> State:
     aside = np.array([0, 0, -math.sin(pose.heading), math.cos(pose.heading), 0, 0])
     speed = float(np.linalg.norm(mean[2:4]))
     slides = float(aside @ mean)
-    variance = _SLIDE**2 + (speed * math.hypot(_SLIP, pose.heading_sigma)) ** 2
+    variance = KALMAN_SETTINGS.slide_mps**2 + (speed * math.hypot(KALMAN_SETTINGS.slip_ratio, pose.heading_sigma)) ** 2
     across = spread @ aside
     total = float(aside @ across) + variance
-    if slides**2 > GATE * total:  # the pose's heading must be wrong
+    if slides**2 > KALMAN_SETTINGS.gate_variances * total:  # the pose's heading must be wrong
         return mean, spread
     gain = across / total
     kept = np.eye(len(mean)) - np.outer(gain, aside)

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -19,14 +20,24 @@ if TYPE_CHECKING:
 INK_COLOR: Final = "#1b2733"
 FAINT_COLOR: Final = "#6b7783"
 CAMERA_COLOR: Final = "#c2185b"
-OUTLINE: Final = ((1.0, 1.0), (1.0, -1.0), (-1.0, -1.0), (-1.0, 1.0))
-"""A vehicle's corners, in halves of its length and width."""
+
+
+@dataclass(frozen=True)
+class MapSymbols:
+    """Symbols on the map from above."""
+
+    outline: tuple[tuple[float, float], ...] = ((1.0, 1.0), (1.0, -1.0), (-1.0, -1.0), (-1.0, 1.0))
+    """Corners of a vehicle, in halves of its length and width."""
+    driving_mps: float = 0.5
+    """Speed from which a vehicle drives, m/s."""
+    bars_m: tuple[int, ...] = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
+    """Lengths of the scale bar, metres."""
+
+
+MAP_SYMBOLS: Final = MapSymbols()
+
 ROAD_USERS: Final = {"bicycle": "#00796b", "motorcycle": "#e65100", "pedestrian": "#5e35b1"}
 """Colours of the categories that have no outline."""
-_DRIVES_MPS: Final = 0.5
-"""A vehicle that is faster drives, m/s."""
-BARS_M: Final = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
-"""Lengths that a scale bar may have."""
 
 
 def unit_m(axes: "Axes") -> float:
@@ -105,7 +116,9 @@ def draw_labels(
         taken: Boxes that are not free, pixels of the figure.
     """
     # Window coordinates of matplotlib: pixels from the bottom left.
-    drawn = [vehicle_points(track, present[track.number], OUTLINE) for track in tracks if track.number in present]
+    drawn = [
+        vehicle_points(track, present[track.number], MAP_SYMBOLS.outline) for track in tracks if track.number in present
+    ]
     taken = [*taken, *(_box_around(axes.transData.transform(outline)) for outline in drawn)]
     ways = axes.transData.transform(np.concatenate([track.xy for track in tracks] or [np.zeros((0, 2))]))
     inside = axes.get_window_extent()
@@ -137,7 +150,7 @@ def draw_labels(
 
 def label(track: Track, i: int) -> str:
     """A track's number, with the speed that who moves has in its i-th frame, and its 95% interval."""
-    if track.speed[i] <= _DRIVES_MPS:
+    if track.speed[i] <= MAP_SYMBOLS.driving_mps:
         return f"#{track.number}"
     return f"#{track.number}  {track.speed[i] * 3.6:.0f} ± {2 * track.speed_sigma[i] * 3.6:.0f} km/h"
 
@@ -174,7 +187,7 @@ def draw_key(axes: "Axes", tracks: Sequence[Track], camera: Camera) -> "Bbox":
 
     (x0, x1), (y0, y1) = axes.get_xlim(), axes.get_ylim()
     unit = unit_m(axes)
-    length = max(bar for bar in BARS_M if bar <= max(1, (x1 - x0) / 5))
+    length = max(bar for bar in MAP_SYMBOLS.bars_m if bar <= max(1, (x1 - x0) / 5))
     size = np.array([length + 4 * unit, 7 * unit])
     places = np.concatenate([camera.position[None, :2], *(t.xy for t in tracks)])
     inset = 1.5 * unit

@@ -18,41 +18,53 @@ from skope.tracking import kalman
 from skope.tracking.box_links import cheapest_pairs
 from skope.tracking.ground_points import GroundPoint, Sight
 from skope.tracking.headings import with_body_error
-from skope.tracking.kalman import GATE, State
+from skope.tracking.kalman import KALMAN_SETTINGS, State
 from skope.tracking.track_flags import box_never_moved
 from skope.tracks.track import Track
 from skope.types import Array
 
 Link = tuple[int, int]
 """Category and number of a road user, as a detector's results have them."""
-_SPEEDS: Final = {"bicycle": 5.0, "motorcycle": 12.0, "pedestrian": 1.5}
-"""Standard deviation of the speed of somebody who is seen for the first time, m/s."""
-_SLACK_M: Final = 0.3
-"""Added to every prediction's standard deviation when road users are told apart."""
-_LOST_S: Final = 1.0
-"""A road user that is not seen for so long, seconds, is somebody else when coming back."""
-_LAG_S: Final = 20.0
-"""A sight so long ago, seconds, is not changed by later ones."""
-_LINKED: Final = 36.0
-"""A sight with a track's number joins it if it is nearer than this, in variances: a number jumps from one who walks to
-another where they meet."""
-_ON_FOOT: Final = 4.0
-"""A road user whose median speed is higher, m/s, is on wheels and not on foot, whatever the boxes say."""
+FIRST_SPEED_SIGMAS: Final = {"bicycle": 5.0, "motorcycle": 12.0, "pedestrian": 1.5}
+"""Standard deviation of a new road user's speed by category, m/s."""
+
+
+@dataclass(frozen=True)
+class FootTrackLimits:
+    """Limits and noise of tracks of pedestrians and two-wheelers."""
+
+    slack_m: float = 0.3
+    """Added to the standard deviation of each prediction when detections are assigned, metres."""
+    lost_s: float = 1.0
+    """A track ends when its road user was not detected for this long, seconds."""
+    lag_s: float = 20.0
+    """Detections older than this are final, seconds."""
+    link_variances: float = 36.0
+    """A detection with a track's number joins it within this squared distance, in variances. Numbers jump between
+    pedestrians who meet.
+    """
+    foot_mps: float = 4.0
+    """Median speed above which a road user is on wheels, whatever the boxes say, m/s."""
+    other_category_cost: float = 4.0
+    """Added to the squared distance, in variances, of a detection of another category than the track's."""
+    fewest_positions: int = 3
+    """Smallest number of positions of a track."""
+    shortest_s: float = 0.4
+    """Shortest duration of a track, seconds."""
+    half_wheelbase_m: float = 0.6
+    """Distance from the middle of a two-wheeler to the wheel on which its box stands if it comes or goes, metres."""
+    moving_sigmas: float = 2.0
+    """A road user has a heading if its speed is this many standard deviations, and `least_speed_mps`."""
+    least_speed_mps: float = 0.5
+    """Least speed with a heading, m/s."""
+
+
+FOOT_TRACKS: Final = FootTrackLimits()
+
 _ON_WHEELS: Final = (CATEGORIES.index("bicycle") + 1, CATEGORIES.index("motorcycle") + 1)
-_OTHER_KIND: Final = 4.0
-"""Added to the squared distance, in variances, of a sight of another category than the track's."""
-_FEWEST_PLACES: Final = 3
-"""A track has at least so many places."""
-_SHORTEST_S: Final = 0.4
-"""A track lasts at least this long."""
 _HEIGHTS_M: Final = {"bicycle": 0.06, "motorcycle": 0.06, "pedestrian": 0.1}
 """Standard deviation of the height over the road at which boxes end all the way: a kerb is 10 to 15 cm high, and a box
 that ends too low by 3% of its height does so in frame after frame."""
-_HALF_WHEELBASE_M: Final = 0.6
-"""A two-wheeler's box stands on the nearer wheel, so far from its middle where it comes or goes."""
-_MOVES: Final = 2.0
-"""A road user has a heading if its speed is this many standard deviations, and `_LEAST_SPEED`, m/s."""
-_LEAST_SPEED: Final = 0.5
 
 
 def of_body(track: Track, camera_position: Array) -> Track:
@@ -67,7 +79,7 @@ def of_body(track: Track, camera_position: Array) -> Track:
     if track.category != PEDESTRIAN:
         along = np.abs(np.cos(track.heading - np.arctan2(line[:, 1], line[:, 0])))
         # Whether a standing two-wheeler faces the camera is not known.
-        shift = _HALF_WHEELBASE_M * np.where(np.isnan(along), 0.5, along)
+        shift = FOOT_TRACKS.half_wheelbase_m * np.where(np.isnan(along), 0.5, along)
         position[:, :2] += line * (shift / np.maximum(np.linalg.norm(line, axis=1), 1e-9))[:, None]
     return with_body_error(replace(track, position=position), camera_position, _HEIGHTS_M[track.category])
 
@@ -75,7 +87,7 @@ def of_body(track: Track, camera_position: Array) -> Track:
 def _headings(velocity: Array, speed_sigma: Array) -> Array:
     """(M,) directions of motion, radians, counter-clockwise from world x; NaN where there may be no motion."""
     speed = np.linalg.norm(velocity, axis=1)
-    moves = speed > np.maximum(_LEAST_SPEED, _MOVES * speed_sigma)
+    moves = speed > np.maximum(FOOT_TRACKS.least_speed_mps, FOOT_TRACKS.moving_sigmas * speed_sigma)
     return np.where(moves, np.arctan2(velocity[:, 1], velocity[:, 0]), np.nan)
 
 
@@ -125,7 +137,7 @@ class _Open:
     def category(self, speed: float) -> str:
         """Its category, by how sure the sights are and by its speed in the median, m/s."""
         on_foot = CATEGORIES[self.category_id - 1] == PEDESTRIAN
-        if on_foot and speed > _ON_FOOT:
+        if on_foot and speed > FOOT_TRACKS.foot_mps:
             return CATEGORIES[max(_ON_WHEELS, key=lambda category_id: self.scores[category_id]) - 1]
         return CATEGORIES[self.category_id - 1]
 
@@ -151,7 +163,7 @@ class _Open:
         rows = np.array(self.rows)
         located = np.isfinite(rows[:, 10])
         times, velocity, speed_sigma = rows[:, 1], rows[:, 4:6], rows[:, 9]
-        if located.sum() < _FEWEST_PLACES or times[-1] - times[0] < _SHORTEST_S:
+        if located.sum() < FOOT_TRACKS.fewest_positions or times[-1] - times[0] < FOOT_TRACKS.shortest_s:
             return None
         category = self.category(float(np.median(np.hypot(*velocity[located].T))))
         detected = np.isfinite(rows[:, 15])
@@ -191,8 +203,8 @@ def follow_road_users(
     before = times_s[0] if times_s else 0.0
     for frame, (sights, time_s) in enumerate(zip(images, times_s, strict=True)):
         F, Q = kalman.motion(time_s - before)
-        ended += [track for track in live if time_s - track.last_s > _LOST_S]
-        live = [track for track in live if time_s - track.last_s <= _LOST_S]
+        ended += [track for track in live if time_s - track.last_s > FOOT_TRACKS.lost_s]
+        live = [track for track in live if time_s - track.last_s <= FOOT_TRACKS.lost_s]
         for track in live:
             ahead = kalman.predicted_state(track.state, F, Q)
             track.steps.append(_Step(frame, time_s, F, ahead, ahead))
@@ -205,8 +217,8 @@ def follow_road_users(
             if known is not None:
                 _own(owners, known, sight.links, live)
         for track in live:
-            if time_s - track.steps[0].time_s > 2 * _LAG_S:
-                track.settle(time_s - _LAG_S)
+            if time_s - track.steps[0].time_s > 2 * FOOT_TRACKS.lag_s:
+                track.settle(time_s - FOOT_TRACKS.lag_s)
         before = time_s
     tracks = [track for track in map(_Open.finished, ended + live) if track is not None]
     tracks.sort(key=lambda track: int(track.frames[0]))
@@ -221,7 +233,7 @@ def _own(owners: dict[Link, _Open], track: _Open, links: Sequence[Link], live: S
 
 
 def _begun(frame: int, time_s: float, sight: Sight, point: GroundPoint) -> _Open:
-    speed = _SPEEDS[CATEGORIES[sight.category_id - 1]]
+    speed = FIRST_SPEED_SIGMAS[CATEGORIES[sight.category_id - 1]]
     state = kalman.first_state_at(point.place, point.covariance, speed)
     begun = _Open([_Step(frame, time_s, np.eye(6), state, state, sight)], time_s)
     begun.scores.update(sight.scores)
@@ -245,7 +257,7 @@ def _pairs(
     free = [track for track in live if id(track) not in taken]
     rest = [(i, sight) for i, sight in enumerate(sights) if i not in of_sight and sight.point is not None]
     points = [(sight.category_id, sight.point) for _, sight in rest if sight.point is not None]
-    for row, column in cheapest_pairs(_distances(free, points), GATE):
+    for row, column in cheapest_pairs(_distances(free, points), KALMAN_SETTINGS.gate_variances):
         of_sight[rest[column][0]] = free[row]
     return [(of_sight.get(i), sight) for i, sight in enumerate(sights)]
 
@@ -254,7 +266,7 @@ def _may_be(track: _Open, sight: Sight) -> bool:
     """Whether a sight with the track's number may be it: where it stands, if that is known, is no jump."""
     if sight.point is None:
         return True
-    return float(_distances([track], [(track.category_id, sight.point)])[0, 0]) < _LINKED
+    return float(_distances([track], [(track.category_id, sight.point)])[0, 0]) < FOOT_TRACKS.link_variances
 
 
 def _distances(tracks: Sequence[_Open], points: Sequence[tuple[int, GroundPoint]]) -> Array:
@@ -267,7 +279,7 @@ def _distances(tracks: Sequence[_Open], points: Sequence[tuple[int, GroundPoint]
     places = np.array([point.place for _, point in points]).reshape(1, -1, 2)
     covariances = np.array([point.covariance for _, point in points]).reshape(1, -1, 2, 2)
     away = places - means
-    total = spreads + covariances + _SLACK_M**2 * np.eye(2)
+    total = spreads + covariances + FOOT_TRACKS.slack_m**2 * np.eye(2)
     squared = np.einsum("tpi,tpij,tpj->tp", away, np.linalg.inv(total), away)
     alike = np.equal.outer([track.category_id for track in tracks], [category for category, _ in points])
-    return np.asarray(squared + np.where(alike, 0.0, _OTHER_KIND))
+    return np.asarray(squared + np.where(alike, 0.0, FOOT_TRACKS.other_category_cost))

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -22,49 +22,60 @@ TRACK_FLAGS: Final = ("two_poses", "never_moved", "impossible_motion", "against_
 - `implausible_speed`: the vehicles around it are much faster or slower.
 """
 
-_FEW: Final = 2
-"""Poses of a track that tell little."""
-_STANDS_M: Final = 1.5
-"""A track that stays nearer than this to its median place in 95% of its frames never moved, metres."""
-_STANDS_SIZES: Final = 0.25
-"""The same for boxes in the image, in square roots of the box's area. In footage of two junctions the 20
-vehicles that stood stayed within 0.16 of these, and all people on foot moved by more than 0.5."""
-_STANDS_GROWTH: Final = 1.3
-"""A box whose size changes by more than this factor, between its 5th and 95th percentiles, moved towards the camera or
-away."""
-_STANDS_S: Final = 5.0
-"""A track that never moved was seen for this long at least, seconds."""
-_END_ROWS: Final = 3
-"""Number of rows at the begin and end of a track whose median says whether it came from elsewhere, or left."""
-_FORCE: Final = 9.0
-"""Acceleration, along or across, that no vehicle reaches, m/s^2."""
-_FORCE_S: Final = 0.5
-"""It has to last so long, seconds."""
-_DIRECTION_MPS: Final = 3.0
-"""Speed from which directions count, m/s."""
-_BESIDE_M: Final = 1.5
-"""A vehicle that passes so near to where another one was drives where that does, metres."""
-_FEWEST_OTHERS: Final = 5
-"""So many others drive the other way."""
-_OPPOSITE: Final = math.radians(150)
-_LOOKED_AT: Final = 128
-"""So many of those who pass near are looked at first."""
-_FLOW_S: Final = 60.0
-"""Other tracks within this time of a track at a spot are the flow around it, seconds."""
-_FLOW_TRACKS: Final = 10
-"""Maximum number of tracks in that flow: those nearest in time, so that a queue is compared with itself."""
-_FLOW_ROWS: Final = 64
-"""Maximum number of rows of a cell, nearest in time before and after, in which these tracks are looked for."""
-_FLOW_SPOTS: Final = 16
-"""Maximum number of spots of a track at which its speed is compared."""
-_FLOW_ANGLE: Final = math.radians(45)
-"""Largest difference of direction from tracks in the same flow; tracks slower than `_DIRECTION_MPS` have none."""
-_FLOW_FACTOR: Final = 1.8
-"""A speed is implausible if it differs from the median of the flow by this factor at least."""
-_FLOW_SIGMAS: Final = 3.0
-"""It also differs by this many standard deviations of the flow and of the track's own speed."""
-_MAD_SIGMA: Final = 1.4826
-"""Standard deviation of a normal distribution in units of its median absolute deviation."""
+
+@dataclass(frozen=True)
+class FlagLimits:
+    """Limits from which a track is flagged."""
+
+    few_poses: int = 2
+    """Number of poses of a track with little evidence."""
+    standing_m: float = 1.5
+    """A track that stays within this distance of its median position in 95% of its frames never moved, metres."""
+    standing_sizes: float = 0.25
+    """The same for boxes in the image, in square roots of the box's area. In footage of two junctions the 20
+    standing vehicles stayed within 0.16, and all pedestrians moved by more than 0.5.
+    """
+    standing_growth: float = 1.3
+    """Ratio of the 95th to the 5th percentile of a box's size from which it moved towards the camera or away."""
+    standing_s: float = 5.0
+    """Least duration of a track that never moved, seconds."""
+    end_rows: int = 3
+    """Number of rows at the start and end of a track whose median tells whether it came from elsewhere, or left."""
+    acceleration_mps2: float = 9.0
+    """Acceleration, along or across, that no vehicle reaches, m/s^2."""
+    acceleration_s: float = 0.5
+    """Least duration of such an acceleration, seconds."""
+    direction_mps: float = 3.0
+    """Speed from which directions count, m/s."""
+    same_path_m: float = 1.5
+    """A vehicle that passes within this distance of another one's position uses the same path, metres."""
+    fewest_others: int = 5
+    """Smallest number of vehicles in the other direction."""
+    opposite_rad: float = math.radians(150)
+    """Least angle between opposite directions, radians."""
+    first_neighbours: int = 128
+    """Number of vehicles on the same path that are examined first."""
+    flow_s: float = 60.0
+    """Tracks within this time of a track at a spot are the flow around it, seconds."""
+    flow_tracks: int = 10
+    """Maximum number of tracks in that flow: those nearest in time, so that a queue is compared with itself."""
+    flow_rows: int = 64
+    """Maximum number of rows of a cell, nearest in time before and after, in which these tracks are searched for."""
+    flow_spots: int = 16
+    """Maximum number of spots of a track at which its speed is compared."""
+    flow_angle_rad: float = math.radians(45)
+    """Largest difference of direction from tracks in the same flow, radians. Tracks slower than `direction_mps`
+    have none.
+    """
+    flow_factor: float = 1.8
+    """A speed is implausible if it differs from the median of the flow by this factor or more."""
+    flow_sigmas: float = 3.0
+    """It also differs by this many standard deviations of the flow and of the track's own speed."""
+    mad_sigma: float = 1.4826
+    """Standard deviation of a normal distribution in units of its median absolute deviation."""
+
+
+FLAG_LIMITS: Final = FlagLimits()
 
 
 def flagged(tracks: Sequence[Track]) -> list[Track]:
@@ -81,7 +92,7 @@ def flagged(tracks: Sequence[Track]) -> list[Track]:
     out = []
     for track in parts:
         holds = {
-            "two_poses": int(track.located.sum()) <= _FEW,
+            "two_poses": int(track.located.sum()) <= FLAG_LIMITS.few_poses,
             "never_moved": track.number in never_moved,
             "impossible_motion": "impossible_motion" in track.flags,
             "against_traffic": track.number in against,
@@ -107,7 +118,7 @@ def _runs(holds: NDArray[np.bool_]) -> list[NDArray[np.intp]]:
 
 
 def _never_moved(track: Track) -> bool:
-    return _stays(track.xy, track.times_s, _STANDS_M)
+    return _stays(track.xy, track.times_s, FLAG_LIMITS.standing_m)
 
 
 def box_never_moved(boxes: Array, times_s: Array) -> bool:
@@ -127,33 +138,35 @@ def box_never_moved(boxes: Array, times_s: Array) -> bool:
     sizes = np.sqrt(boxes[:, 2] * boxes[:, 3])
     small, large = np.percentile(sizes, [5, 95])
     middles = boxes[:, :2] + boxes[:, 2:] / 2
-    return bool(large <= _STANDS_GROWTH * small) and _stays(middles, times_s, _STANDS_SIZES * float(np.median(sizes)))
+    return bool(large <= FLAG_LIMITS.standing_growth * small) and _stays(
+        middles, times_s, FLAG_LIMITS.standing_sizes * float(np.median(sizes))
+    )
 
 
 def _stays(places: Array, times_s: Array, reach: float) -> bool:
     """Whether places (M, 2) stay within `reach` of their median for some time, also at the begin and at the end."""
     middle = np.median(places, axis=0)
     farthest = np.percentile(np.linalg.norm(places - middle, axis=1), 95)
-    ends = [np.median(rows, axis=0) for rows in (places[:_END_ROWS], places[-_END_ROWS:])]
+    ends = [np.median(rows, axis=0) for rows in (places[: FLAG_LIMITS.end_rows], places[-FLAG_LIMITS.end_rows :])]
     came_or_left = max(float(np.linalg.norm(end - middle)) for end in ends) > reach
-    return bool(times_s[-1] - times_s[0] >= _STANDS_S and farthest < reach and not came_or_left)
+    return bool(times_s[-1] - times_s[0] >= FLAG_LIMITS.standing_s and farthest < reach and not came_or_left)
 
 
 def _impossible(track: Track) -> NDArray[np.bool_]:
     """(M,) in which frames it accelerates, brakes or turns for some time harder than tyres can."""
-    hard = np.asarray(np.linalg.norm(track.acceleration, axis=1) > _FORCE)
+    hard = np.asarray(np.linalg.norm(track.acceleration, axis=1) > FLAG_LIMITS.acceleration_mps2)
     steps = np.diff(track.times_s, prepend=track.times_s[0])
     for run in _runs(hard):
-        if steps[run].sum() < _FORCE_S:
+        if steps[run].sum() < FLAG_LIMITS.acceleration_s:
             hard[run] = False
     return hard
 
 
 def _against_traffic(tracks: Sequence[Track]) -> set[int]:
     """Numbers of tracks of which most of the way lies where several others drive the other way, and none along."""
-    moving = [(track, np.flatnonzero(track.speed > _DIRECTION_MPS)) for track in tracks]
+    moving = [(track, np.flatnonzero(track.speed > FLAG_LIMITS.direction_mps)) for track in tracks]
     moving = [(track, rows) for track, rows in moving if rows.size]
-    if len(moving) <= _FEWEST_OTHERS:
+    if len(moving) <= FLAG_LIMITS.fewest_others:
         return set()
     places = np.concatenate([track.xy[rows] for track, rows in moving])
     ahead = np.concatenate([_directions(track, rows) for track, rows in moving])
@@ -161,13 +174,13 @@ def _against_traffic(tracks: Sequence[Track]) -> set[int]:
     alone = np.zeros(len(places), dtype=bool)
     for here, near in _by_cell(places):
         # Nearly all have somebody along among a few of those near: an hour has thousands beside each place.
-        few = near[:: math.ceil(len(near) / _LOOKED_AT)]
+        few = near[:: math.ceil(len(near) / FLAG_LIMITS.first_neighbours)]
         along = (ahead[here] @ ahead[few].T > 0) & (owner[here, None] != owner[few])
         for i in here[~along.any(axis=1)]:
             others = near[owner[near] != owner[i]]
             cosine = ahead[others] @ ahead[i]
-            opposite = np.unique(owner[others[cosine < math.cos(_OPPOSITE)]])
-            alone[i] = len(opposite) >= _FEWEST_OTHERS and not (cosine > 0).any()
+            opposite = np.unique(owner[others[cosine < math.cos(FLAG_LIMITS.opposite_rad)]])
+            alone[i] = len(opposite) >= FLAG_LIMITS.fewest_others and not (cosine > 0).any()
     return {track.number for k, (track, _) in enumerate(moving) if alone[owner == k].mean() > 0.5}
 
 
@@ -176,7 +189,7 @@ def _implausible_speeds(tracks: Sequence[Track]) -> set[int]:
 
     Spots are counted and not moments: a vehicle that waits at a light has the speed of the flow along most of its way.
     """
-    if len(tracks) <= _FEWEST_OTHERS:
+    if len(tracks) <= FLAG_LIMITS.fewest_others:
         return set()
     rows = [_spots(track) for track in tracks]
     places = np.concatenate([track.xy[own] for track, own in zip(tracks, rows, strict=True)])
@@ -184,37 +197,41 @@ def _implausible_speeds(tracks: Sequence[Track]) -> set[int]:
     speeds = np.concatenate([track.speed[own] for track, own in zip(tracks, rows, strict=True)])
     sigmas = np.concatenate([track.speed_sigma[own] for track, own in zip(tracks, rows, strict=True)])
     velocities = np.concatenate([track.velocity[own] for track, own in zip(tracks, rows, strict=True)])
-    slow = speeds < _DIRECTION_MPS  # headings of such tracks are often wrong, by 180 degrees too
-    ahead = velocities / np.maximum(speeds, _DIRECTION_MPS)[:, None]
+    slow = speeds < FLAG_LIMITS.direction_mps  # headings of such tracks are often wrong, by 180 degrees too
+    ahead = velocities / np.maximum(speeds, FLAG_LIMITS.direction_mps)[:, None]
     owner = np.repeat(np.arange(len(tracks)), [len(own) for own in rows])
-    compared = np.concatenate([_spread_evenly(len(own), _FLOW_SPOTS) for own in rows])
+    compared = np.concatenate([_spread_evenly(len(own), FLAG_LIMITS.flow_spots) for own in rows])
     contradicted = np.zeros(len(places), dtype=bool)
     for here, near in _by_cell(places):
         near = near[np.argsort(times[near], kind="stable")]
         at = np.searchsorted(times[near], times[here])
         for i, middle in zip(here[compared[here]].tolist(), at[compared[here]].tolist(), strict=True):
-            window = near[max(0, middle - _FLOW_ROWS) : middle + _FLOW_ROWS]
+            window = near[max(0, middle - FLAG_LIMITS.flow_rows) : middle + FLAG_LIMITS.flow_rows]
             apart_s = np.abs(times[window] - times[i])
-            flow = (owner[window] != owner[i]) & (apart_s <= _FLOW_S)
-            flow &= slow[i] | slow[window] | (ahead[window] @ ahead[i] > math.cos(_FLOW_ANGLE))
+            flow = (owner[window] != owner[i]) & (apart_s <= FLAG_LIMITS.flow_s)
+            flow &= slow[i] | slow[window] | (ahead[window] @ ahead[i] > math.cos(FLAG_LIMITS.flow_angle_rad))
             nearest = window[flow][np.argsort(apart_s[flow], kind="stable")]
             _, first = np.unique(owner[nearest], return_index=True)
-            others = speeds[nearest[np.sort(first)[:_FLOW_TRACKS]]]
-            contradicted[i] = len(others) >= _FEWEST_OTHERS and _contradicts(others, float(speeds[i]), float(sigmas[i]))
+            others = speeds[nearest[np.sort(first)[: FLAG_LIMITS.flow_tracks]]]
+            contradicted[i] = len(others) >= FLAG_LIMITS.fewest_others and _contradicts(
+                others, float(speeds[i]), float(sigmas[i])
+            )
     return {track.number for k, track in enumerate(tracks) if contradicted[compared & (owner == k)].mean() > 0.5}
 
 
 def _contradicts(others: Array, speed: float, sigma: float) -> bool:
     """Whether the speeds of a flow (N,) contradict a speed that has the standard deviation `sigma`, m/s."""
     median = float(np.median(others))
-    spread = _MAD_SIGMA * float(np.median(np.abs(others - median)))
+    spread = FLAG_LIMITS.mad_sigma * float(np.median(np.abs(others - median)))
     slower, faster = sorted((speed, median))
-    return faster > _FLOW_FACTOR * slower and faster - slower > _FLOW_SIGMAS * math.hypot(spread, sigma)
+    return faster > FLAG_LIMITS.flow_factor * slower and faster - slower > FLAG_LIMITS.flow_sigmas * math.hypot(
+        spread, sigma
+    )
 
 
 def _spots(track: Track) -> NDArray[np.intp]:
-    """The middle row of each stay of a track in a square of `_BESIDE_M`."""
-    cells = np.floor(track.xy / _BESIDE_M)
+    """The middle row of each stay of a track in a square of `FLAG_LIMITS.same_path_m`."""
+    cells = np.floor(track.xy / FLAG_LIMITS.same_path_m)
     change = np.flatnonzero((np.diff(cells, axis=0) != 0).any(axis=1)) + 1
     return np.array([run[len(run) // 2] for run in np.split(np.arange(len(cells)), change)])
 
@@ -227,8 +244,9 @@ def _spread_evenly(count: int, most: int) -> NDArray[np.bool_]:
 
 
 def _by_cell(places: Array) -> Iterator[tuple[NDArray[np.intp], NDArray[np.intp]]]:
-    """The indices into places (P, 2) in each square of `_BESIDE_M`, and those in it and the squares around it."""
-    cells = np.floor(places / _BESIDE_M).astype(np.int64)
+    """The indices into places (P, 2) in each square of `FLAG_LIMITS.same_path_m`, and those in it and the squares
+    around it."""
+    cells = np.floor(places / FLAG_LIMITS.same_path_m).astype(np.int64)
     found, number = np.unique(cells, axis=0, return_inverse=True)
     order = np.argsort(number.ravel(), kind="stable")
     members = np.split(order, np.cumsum(np.bincount(number.ravel()))[:-1])

@@ -32,7 +32,7 @@ from skope.tracking.vehicle_tracker import follow
 from skope.tracks.csv_file import TRACKS_CSV, as_written, write_tracks
 from skope.tracks.frame_files import mot_row, write_fcd, write_mot
 from skope.tracks.track import Track
-from skope.traffic.observation import FOOTAGE, Observation, checked_sight, read_begins
+from skope.traffic.observation import FOOTAGE_FILE, Observation, checked_sight, read_begins
 from skope.traffic.road_picture import empty_road_picture, write_empty_road_picture, write_road_picture
 from skope.video.write import write_video
 
@@ -79,8 +79,8 @@ def follow_footage(job: TrackJob, console: Console) -> Iterator[str]:
     write_mot(job.out / "mot.txt", [track for track in every if track.category == VEHICLE])
     write_fcd(job.out / "fcd.xml", every, times)
     observation = observation_of(scene, times, begins)
-    write_bytes(job.out / FOOTAGE, json_bytes(observation.to_dict()))
-    written = [TRACKS_CSV, "mot.txt", "fcd.xml", FOOTAGE, "birdseye.png"]
+    write_bytes(job.out / FOOTAGE_FILE, json_bytes(observation.to_dict()))
+    written = [TRACKS_CSV, "mot.txt", "fcd.xml", FOOTAGE_FILE, "birdseye.png"]
     shown = [observation.with_camera_error(track) for track in every]  # each by itself
     tracks = [track for track in shown if track.category == VEHICLE]
     road_users = [track for track in shown if track.category != VEHICLE]

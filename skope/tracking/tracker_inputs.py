@@ -6,11 +6,11 @@ from typing import Any, Final
 
 import numpy as np
 
-from skope.pose.pose_records import INTERPOLATED, Located
+from skope.pose.pose_records import INTERPOLATED_REASON, Located
 from skope.types import Array
 
-_FLOOR: Final = 0.05
-"""Least standard deviation of a measured place, metres: shape errors stay the same from frame to frame."""
+LEAST_SIGMA_M: Final = 0.05
+"""Least standard deviation of a measured position, metres. Shape errors are the same from frame to frame."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -58,7 +58,7 @@ def detections_of(image: Located, *, linked: bool = True) -> list[Detection]:
     for i, good in enumerate(image.good):
         pose = PoseMeasurement(
             place=poses.position[i, :2],
-            covariance=poses.covariance[i, :2, :2] + _FLOOR**2 * np.eye(2),
+            covariance=poses.covariance[i, :2, :2] + LEAST_SIGMA_M**2 * np.eye(2),
             height=float(poses.position[i, 2]),
             heading=float(poses.yaw[i]),
             heading_sigma=float(np.sqrt(poses.covariance[i, 3, 3])),
@@ -68,7 +68,7 @@ def detections_of(image: Located, *, linked: bool = True) -> list[Detection]:
         vehicle = view.truth[i]
         truth = vehicle.track_id if vehicle else None
         link = int(view.tracks[i]) if linked and view.tracks[i] >= 0 else None
-        refused = poses.refusal[i] if poses.refusal[i] != INTERPOLATED else None
+        refused = poses.refusal[i] if poses.refusal[i] != INTERPOLATED_REASON else None
         out.append(Detection(view.boxes[i], float(view.scores[i]), truth, pose if good else None, link, refused))
     return out
 

@@ -26,34 +26,43 @@ OF_BODY_TYPE: Final[Mapping[str, str]] = {
     "articulated_bus": "bus",
 }
 """Classes of body types that are no cars."""
-_INDEPENDENT: Final = 5.0
-"""Poses of one vehicle are wrong together: a track has as much to say as so many that are independent, at most."""
-_UNSURE: Final = 0.6
-"""Confidence from which a class is named."""
+
+
+@dataclass(frozen=True)
+class TrackLimits:
+    """Limits of tracks that are reported."""
+
+    independent_poses: float = 5.0
+    """Maximum number of independent poses that a track is worth. Poses of one vehicle share errors."""
+    class_confidence: float = 0.6
+    """Confidence from which a class is named."""
+    box_s: float = 0.5
+    """Time for which a track's last box still locates it in the image, and for which boxes alone extend it,
+    seconds.
+    """
+    fewest_poses: int = 2
+    """Smallest number of poses of a track."""
+    shortest_s: float = 0.4
+    """Shortest duration of a track, seconds."""
+
+
+TRACK_LIMITS: Final = TrackLimits()
 
 
 def vehicle_class(body_types: Mapping[str, int]) -> tuple[str, float]:
     """The class of a track, of whose poses so many have each body type, and its confidence, 0 to 1.
 
     The share of the poses that agree is drawn towards a half, the more the fewer they are. A class that is less sure
-    than `_UNSURE` is unknown.
+    than `TRACK_LIMITS.class_confidence` is unknown.
     """
     votes = dict.fromkeys(VEHICLE_CLASS_NAMES, 0)
     for name, number in body_types.items():
         votes[OF_BODY_TYPE.get(name, "car")] += number
     total = sum(votes.values())
     best = max(votes, key=votes.__getitem__)
-    independent = min(float(total), _INDEPENDENT)
+    independent = min(float(total), TRACK_LIMITS.independent_poses)
     confidence = (votes[best] / max(1, total) * independent + 0.5) / (independent + 1)
-    return (best if confidence >= _UNSURE else "unknown", confidence)
-
-
-_BOX_S: Final = 0.5
-"""Seconds for which a track's last box still locates it in the image, and for which boxes alone extend it."""
-_CONFIRMED_POSES: Final = 2
-"""A track has at least this many poses."""
-_CONFIRMED_S: Final = 0.4
-"""A track lasts at least this long, seconds."""
+    return (best if confidence >= TRACK_LIMITS.class_confidence else "unknown", confidence)
 
 
 @dataclass(eq=False, slots=True)
@@ -151,7 +160,7 @@ class OpenTrack:
     def box(self, time_s: float) -> Array | None:
         """(4,) the last box seen, unless it is old by `time_s`: then None."""
         for step in reversed(self.steps):
-            if time_s - step.time_s > _BOX_S:
+            if time_s - step.time_s > TRACK_LIMITS.box_s:
                 break
             if step.detection is not None:
                 return step.detection.bbox
@@ -191,7 +200,7 @@ class OpenTrack:
 
     def _lasts_until(self, step: TrackStep) -> bool:
         since_s = step.time_s - self.last_pose_s
-        return since_s <= 0 or (since_s <= _BOX_S and step.detection is not None and self.successor is None)
+        return since_s <= 0 or (since_s <= TRACK_LIMITS.box_s and step.detection is not None and self.successor is None)
 
     def _keep(self, count: int) -> None:
         """Smooth, and keep the first `count` steps as they then are, after the way to the very first one."""
@@ -205,12 +214,16 @@ class OpenTrack:
     def confirmed(self) -> bool:
         """Whether an ended track has been seen often and long enough to be a vehicle."""
         times = [part.times_s for part in self.parts if len(part.times_s)]
-        return self.poses >= _CONFIRMED_POSES and bool(times) and bool(times[-1][-1] - times[0][0] >= _CONFIRMED_S)
+        return (
+            self.poses >= TRACK_LIMITS.fewest_poses
+            and bool(times)
+            and bool(times[-1][-1] - times[0][0] >= TRACK_LIMITS.shortest_s)
+        )
 
 
 def is_confirmed(times_s: Array) -> bool:
     """Whether a vehicle with poses at these times (P,) was seen often and long enough to be one."""
-    return len(times_s) >= _CONFIRMED_POSES and bool(times_s[-1] - times_s[0] >= _CONFIRMED_S)
+    return len(times_s) >= TRACK_LIMITS.fewest_poses and bool(times_s[-1] - times_s[0] >= TRACK_LIMITS.shortest_s)
 
 
 def begin(

@@ -26,22 +26,54 @@ from skope import boxes as box_math
 from skope.tracking import kalman
 from skope.tracking.box_links import cheapest_pairs
 from skope.tracking.duplicates import encloses, give_up_duplicates, inside_vehicle
-from skope.tracking.kalman import GATE
+from skope.tracking.kalman import KALMAN_SETTINGS
 from skope.tracking.tracker_inputs import Detection, PoseMeasurement
 from skope.tracking.tracks import OpenTrack, Sighting, TrackStep, begin, finished
 from skope.tracks.track import Track
 from skope.types import Array
 
-_PACE_S: Final = 0.3
-"""The last box and the newest one older by so much tell how fast a vehicle moves in the image, seconds."""
-_FASTER: Final = 2.0
-"""It may have stopped, or moved on so many times as fast: in the image vehicles that come near grow faster."""
-_ASIDE_DIAGONALS: Final = 0.6
-"""Largest distance of a vehicle from that way at once, in diagonals of its box."""
-_SWERVES: Final = 0.7
-"""Growth of that distance in a second: it may have turned."""
-_FIRST: Final = (1.0, 8.0)
-"""The same two for one that has been seen once: 8 lengths a second are 130 km/h."""
+
+@dataclass(frozen=True)
+class TrackerLimits:
+    """Limits of the assignment of detections to tracks of vehicles."""
+
+    pace_s: float = 0.3
+    """Least time between two boxes that give a vehicle's speed in the image, seconds."""
+    faster: float = 2.0
+    """Largest factor of that speed since. Vehicles that come near grow faster in the image."""
+    lateral_diagonals: float = 0.6
+    """Largest lateral distance of a vehicle from its predicted path at once, in diagonals of its box."""
+    lateral_growth: float = 0.7
+    """Growth of that distance per second. The vehicle may have turned."""
+    first_diagonals: tuple[float, float] = (1.0, 8.0)
+    """The same two for a vehicle that was detected once: 8 lengths per second are 130 km/h."""
+    new_vehicle_cost: float = 2 * math.log(20_000.0)
+    """Cost of a new vehicle, twice a negative log likelihood: one in 20 000 m^2."""
+    gate_slack_m: float = 0.5
+    """Added to the standard deviation of each prediction when detections are assigned, metres."""
+    swerve_mps2: float = 6.0
+    """Acceleration with which a vehicle may have turned or braked since its last pose, m/s^2."""
+    swerve_s: float = 1.0
+    """Longest duration of that acceleration, seconds."""
+    continuing_iou: float = 0.3
+    """Least IoU by which a box without a pose continues a track."""
+    jump_iou: float = 0.5
+    """Least IoU by which a box continues a track though its pose is elsewhere."""
+    fresh_s: float = 0.15
+    """Time for which a box alone locates a vehicle in the image, seconds."""
+    clear_ratio: float = 2.0
+    """Two boxes are one vehicle's if their IoU is this many times the next best IoU of either."""
+    most_jumps: int = 3
+    """Number of poses elsewhere after which the vehicle is there."""
+    lost_s: float = 3.0
+    """A track ends when no pose of it was found for this long, seconds."""
+    approach_s: float = 0.5
+    """Time before a vehicle's first pose for which its boxes belong to its track, seconds."""
+    lag_s: float = 20.0
+    """Frames older than this are final, seconds."""
+
+
+TRACKER_LIMITS: Final = TrackerLimits()
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -75,12 +107,12 @@ def whereabouts(track: OpenTrack, time_s: float) -> Whereabouts | None:
     x, y = _middle(last.detection.bbox)
     gap, diagonal = time_s - last.time_s, _diagonal(last.detection.bbox)
     if older is None or older.detection is None:
-        aside, later = _FIRST
+        aside, later = TRACKER_LIMITS.first_diagonals
         return Whereabouts((x, y), (0.0, 0.0), diagonal, aside + later * gap)
     before_x, before_y = _middle(older.detection.bbox)
-    times = _FASTER * gap / (last.time_s - older.time_s)
+    times = TRACKER_LIMITS.faster * gap / (last.time_s - older.time_s)
     way = (times * (x - before_x), times * (y - before_y))
-    return Whereabouts((x, y), way, diagonal, _ASIDE_DIAGONALS + _SWERVES * gap)
+    return Whereabouts((x, y), way, diagonal, TRACKER_LIMITS.lateral_diagonals + TRACKER_LIMITS.lateral_growth * gap)
 
 
 def _seen(steps: Sequence[TrackStep]) -> tuple[TrackStep | None, TrackStep | None]:
@@ -93,7 +125,7 @@ def _seen(steps: Sequence[TrackStep]) -> tuple[TrackStep | None, TrackStep | Non
             last = step
             continue
         older = step
-        if last.time_s - step.time_s >= _PACE_S:
+        if last.time_s - step.time_s >= TRACKER_LIMITS.pace_s:
             break
     return last, older
 
@@ -112,31 +144,6 @@ __all__ = ["Track", "follow"]
 
 Posed = tuple[Detection, PoseMeasurement]
 """A detection that has a pose, and the pose."""
-
-_NEW: Final = 2 * math.log(20_000.0)
-"""Cost of taking a detection for a new vehicle, twice a negative log likelihood: one in 20 000 m^2."""
-GATE_SLACK_M: Final = 0.5
-"""Metres added to every prediction's standard deviation when vehicles are told apart."""
-_SWERVE: Final = 6.0
-"""Acceleration with which a vehicle may have turned or braked since its last pose, m/s^2."""
-_SWERVE_S: Final = 1.0
-"""For how long at most it may have done so, seconds."""
-_CONTINUING_IOU: Final = 0.3
-"""Least IoU by which a box without a pose continues a track."""
-_JUMP_OVERLAP: Final = 0.5
-"""Least IoU by which a box continues a track though its pose is elsewhere."""
-_FRESH_S: Final = 0.15
-"""For how long a box says where in the image a vehicle is by itself, seconds."""
-_CLEAR: Final = 2.0
-"""Two boxes are one vehicle's when their IoU is at least this many times the next best IoU of either."""
-_JUMPS: Final = 3
-"""After so many poses elsewhere that is where the vehicle is."""
-_LOST_S: Final = 3.0
-"""A track ends when no pose of it was seen for so long, seconds."""
-_APPROACH_S: Final = 0.5
-"""For how long before a vehicle's first pose its boxes belong to its track, seconds."""
-_LAG_S: Final = 20.0
-"""A frame so long ago, seconds, is not changed by later ones."""
 
 
 def follow(images: Iterable[Sequence[Detection]], times_s: Sequence[float]) -> list[Track]:
@@ -167,18 +174,18 @@ def follow(images: Iterable[Sequence[Detection]], times_s: Sequence[float]) -> l
                 track.predict(frame, time_s, F, Q)
         new, without_track = _associate(live, image, time_s)
         live += [track.successor for track in live if track.successor is not None]
-        ended = {id(track) for track in live if track.successor or time_s - track.last_pose_s > _LOST_S}
+        ended = {id(track) for track in live if track.successor or time_s - track.last_pose_s > TRACKER_LIMITS.lost_s}
         ended |= {id(track) for track in give_up_duplicates([t for t in live if id(t) not in ended], time_s)}
         for track in live:
             if id(track) in ended:
                 track.end()
                 done.append(track)
-            elif time_s - track.steps[0].time_s > 2 * _LAG_S:
-                track.settle(time_s - _LAG_S)
+            elif time_s - track.steps[0].time_s > 2 * TRACKER_LIMITS.lag_s:
+                track.settle(time_s - TRACKER_LIMITS.lag_s)
         live = [track for track in live if id(track) not in ended]
         live += [begin(frame, time_s, *pair, _approach(pair[0], recent)) for pair in new]
         recent.append((frame, time_s, without_track))
-        while time_s - recent[0][1] > _APPROACH_S:
+        while time_s - recent[0][1] > TRACKER_LIMITS.approach_s:
             recent.popleft()
         before = time_s
     for track in live:
@@ -197,7 +204,7 @@ def _approach(detection: Detection, recent: deque[tuple[int, float, list[Detecti
         overlap = box_math.iou(
             box_math.xywh_to_xyxy(detection.bbox[None]), box_math.xywh_to_xyxy(np.array([one.bbox for one in boxes]))
         )[0]
-        if overlap.max() < _CONTINUING_IOU:
+        if overlap.max() < TRACKER_LIMITS.continuing_iou:
             break
         detection = boxes.pop(int(overlap.argmax()))
         out.append((frame, time_s, detection))
@@ -226,12 +233,12 @@ def _associate(live: list[OpenTrack], image: Sequence[Detection], time_s: float)
             live[t].update(*posed[s])
             cost[t], cost[:, s] = np.inf, np.inf
             del left[s]
-    for t, s in cheapest_pairs(cost, _NEW):
+    for t, s in cheapest_pairs(cost, TRACKER_LIMITS.new_vehicle_cost):
         live[t].update(*posed[s])
         del left[s]
     unposed = [detection for detection in image if detection.pose is None]
-    given_unposed = {id(detection) for detection in _by_box(live, unposed, _CONTINUING_IOU, time_s)}
-    for given in _by_box(live, [detection for detection, _ in left.values()], _JUMP_OVERLAP, time_s):
+    given_unposed = {id(detection) for detection in _by_box(live, unposed, TRACKER_LIMITS.continuing_iou, time_s)}
+    for given in _by_box(live, [detection for detection, _ in left.values()], TRACKER_LIMITS.jump_iou, time_s):
         del left[next(s for s, (detection, _) in left.items() if detection is given)]
     new = _without_duplicates(live, list(left.values()))
     return new, [detection for detection in unposed if id(detection) not in given_unposed]
@@ -255,9 +262,9 @@ def _clear_pairs(live: Sequence[OpenTrack], posed: Sequence[Posed], time_s: floa
         box_math.xywh_to_xyxy(np.array([detection.bbox for detection, _ in posed])),
     )
     out = []
-    for k, s in np.argwhere(overlap >= _JUMP_OVERLAP).tolist():
+    for k, s in np.argwhere(overlap >= TRACKER_LIMITS.jump_iou).tolist():
         others = max(np.delete(overlap[k], s).max(initial=0.0), np.delete(overlap[:, s], k).max(initial=0.0))
-        if overlap[k, s] >= _CLEAR * others:
+        if overlap[k, s] >= TRACKER_LIMITS.clear_ratio * others:
             out.append((fresh[k][0], s))
     return out
 
@@ -265,7 +272,7 @@ def _clear_pairs(live: Sequence[OpenTrack], posed: Sequence[Posed], time_s: floa
 def _fresh_box(track: OpenTrack, time_s: float) -> Array | None:
     """(4,) the box of the image before, if that was a moment ago."""
     before = track.steps[-2] if len(track.steps) > 1 else None
-    if before is None or before.detection is None or time_s - before.time_s > _FRESH_S:
+    if before is None or before.detection is None or time_s - before.time_s > TRACKER_LIMITS.fresh_s:
         return None
     return before.detection.bbox
 
@@ -298,14 +305,18 @@ def _cost(track: OpenTrack, pose: PoseMeasurement) -> float:
     """Twice the negative log likelihood of a pose where the track should be; infinite out of its reach."""
     mean, spread = track.state
     away = pose.place - mean[:2]
-    unseen_s = min(_SWERVE_S, track.steps[-1].time_s - track.last_pose_s)
-    S = spread[:2, :2] + pose.covariance + (GATE_SLACK_M**2 + (_SWERVE * unseen_s**2 / 2) ** 2) * np.eye(2)
+    unseen_s = min(TRACKER_LIMITS.swerve_s, track.steps[-1].time_s - track.last_pose_s)
+    S = (
+        spread[:2, :2]
+        + pose.covariance
+        + (TRACKER_LIMITS.gate_slack_m**2 + (TRACKER_LIMITS.swerve_mps2 * unseen_s**2 / 2) ** 2) * np.eye(2)
+    )
     # Mahalanobis distance and log determinant of a 2 x 2 matrix, written out: numpy is slow on small matrices.
     (a, b), (_, d) = S.tolist()
     x, y = away.tolist()
     det = a * d - b * b
     squared = (d * x * x - 2 * b * x * y + a * y * y) / det
-    return squared + math.log(4 * math.pi**2 * det) if squared < GATE else math.inf
+    return squared + math.log(4 * math.pi**2 * det) if squared < KALMAN_SETTINGS.gate_variances else math.inf
 
 
 def _by_box(live: list[OpenTrack], rest: list[Detection], least: float, time_s: float) -> list[Detection]:
@@ -336,7 +347,7 @@ def _take_by_box(track: OpenTrack, detection: Detection) -> None:
     step.detection = replace(detection, pose=None)
     if detection.pose is not None:
         track.elsewhere[step.frame] = detection
-        if len(track.elsewhere) >= _JUMPS:
+        if len(track.elsewhere) >= TRACKER_LIMITS.most_jumps:
             track.successor = _successor(track)
 
 

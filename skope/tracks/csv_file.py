@@ -7,7 +7,7 @@ degrees counter-clockwise from world x. An empty cell has no value.
 import csv
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -21,19 +21,29 @@ from skope.tracks.track import Track
 from skope.types import Array
 
 TRACKS_CSV: Final = "tracks.csv"
-COLUMNS: Final = (
+TRACK_COLUMNS: Final = (
     *("track", "category", "class", "class_confidence", "body_type", "frame", "time_s", "detected", "located"),
     *("x", "y", "z", "heading_deg", "speed", "vx", "vy", "ax", "ay", "sigma_speed"),
     *("sigma_xx", "sigma_xy", "sigma_yy", "body_error_x", "body_error_y", "length", "width", "height", "flags"),
 )
-_DERIVED: Final = frozenset({"speed"})
-"""Columns for readers of the file that `read_tracks` works out from others."""
-_TIME_DIGITS: Final = 4
-_LENGTH_DIGITS: Final = 3
-_VARIANCE_DIGITS: Final = 6
-_DEGREE_DIGITS: Final = 2
-_SIZE_DIGITS: Final = 2
-_SHARE_DIGITS: Final = 2
+DERIVED_COLUMNS: Final = frozenset({"speed"})
+"""Columns for readers of the file. `read_tracks` computes them from others."""
+
+
+@dataclass(frozen=True)
+class TrackDigits:
+    """Digits after the decimal point in tracks.csv."""
+
+    time: int = 4
+    length: int = 3
+    variance: int = 6
+    degrees: int = 2
+    size: int = 2
+    share: int = 2
+
+
+TRACK_DIGITS: Final = TrackDigits()
+
 CsvRow = dict[str, str]
 
 
@@ -43,18 +53,18 @@ def as_written(track: Track) -> Track:
     A track in memory and the same track read from its file are then equal to the last digit.
     """
     metres = ("position", "velocity", "acceleration", "speed_sigma", "body_error")
-    columns: dict[str, Any] = {name: _rounded(getattr(track, name), _LENGTH_DIGITS) for name in metres}
+    columns: dict[str, Any] = {name: _rounded(getattr(track, name), TRACK_DIGITS.length) for name in metres}
     sizes: dict[str, Any] = {
-        name: None if value is None else round(float(value), _SIZE_DIGITS)
+        name: None if value is None else round(float(value), TRACK_DIGITS.size)
         for name, value in zip(("length", "width", "height"), track.size_lwh.tolist(), strict=True)
         if math.isfinite(value)
     }
     return replace(
         track,
-        class_confidence=round(float(track.class_confidence), _SHARE_DIGITS),
-        times_s=np.round(track.times_s, _TIME_DIGITS),
-        heading=np.radians(_rounded(np.degrees(track.heading), _DEGREE_DIGITS)),
-        covariance=_rounded(track.covariance, _VARIANCE_DIGITS),
+        class_confidence=round(float(track.class_confidence), TRACK_DIGITS.share),
+        times_s=np.round(track.times_s, TRACK_DIGITS.time),
+        heading=np.radians(_rounded(np.degrees(track.heading), TRACK_DIGITS.degrees)),
+        covariance=_rounded(track.covariance, TRACK_DIGITS.variance),
         **columns,
         **sizes,
     )
@@ -78,14 +88,14 @@ def write_tracks(path: Path, tracks: Sequence[Track], frame_index: Sequence[int]
     """
     with replacing(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(COLUMNS)
+        writer.writerow(TRACK_COLUMNS)
         for track in tracks:
             writer.writerows(_rows(as_written(track), frame_index))
 
 
 def _rows(track: Track, frame_index: Sequence[int] | None) -> Iterator[list[Any]]:
-    head = [track.number, track.category, track.class_name, f"{track.class_confidence:.{_SHARE_DIGITS}f}"]
-    tail = [*(_cell(v, _SIZE_DIGITS) for v in track.size_lwh.tolist()), " ".join(track.flags)]
+    head = [track.number, track.category, track.class_name, f"{track.class_confidence:.{TRACK_DIGITS.share}f}"]
+    tail = [*(_cell(v, TRACK_DIGITS.size) for v in track.size_lwh.tolist()), " ".join(track.flags)]
     degrees = np.degrees(track.heading)
     motion = np.column_stack([track.speed, track.velocity, track.acceleration, track.speed_sigma]).tolist()
     spreads = track.covariance.reshape(-1, 4)[:, [0, 1, 3]].tolist()
@@ -94,14 +104,14 @@ def _rows(track: Track, frame_index: Sequence[int] | None) -> Iterator[list[Any]
             *head,
             track.body_type,
             frame if frame_index is None else frame_index[frame],
-            f"{track.times_s[i]:.{_TIME_DIGITS}f}",
+            f"{track.times_s[i]:.{TRACK_DIGITS.time}f}",
             int(track.detected[i]),
             int(track.located[i]),
-            *(_cell(v, _LENGTH_DIGITS) for v in track.position[i]),
-            _cell(degrees[i], _DEGREE_DIGITS),
-            *(_cell(v, _LENGTH_DIGITS) for v in motion[i]),
-            *(_cell(v, _VARIANCE_DIGITS) for v in spreads[i]),
-            *(_cell(v, _LENGTH_DIGITS) for v in track.body_error[i]),
+            *(_cell(v, TRACK_DIGITS.length) for v in track.position[i]),
+            _cell(degrees[i], TRACK_DIGITS.degrees),
+            *(_cell(v, TRACK_DIGITS.length) for v in motion[i]),
+            *(_cell(v, TRACK_DIGITS.variance) for v in spreads[i]),
+            *(_cell(v, TRACK_DIGITS.length) for v in track.body_error[i]),
             *tail,
         ]
 
@@ -129,7 +139,9 @@ def _groups(path: Path) -> Iterator[list[CsvRow]]:
     try:
         with path.open(encoding="utf-8-sig", newline="") as file:
             reader = csv.DictReader(file)
-            missing = [name for name in COLUMNS if name not in (reader.fieldnames or ()) and name not in _DERIVED]
+            missing = [
+                name for name in TRACK_COLUMNS if name not in (reader.fieldnames or ()) and name not in DERIVED_COLUMNS
+            ]
             if missing:
                 raise UserError(f"{path}: expected a column {missing[0]}")
             rows: list[CsvRow] = []

@@ -29,10 +29,19 @@ USUAL_SIZE_M: Final[Mapping[str, tuple[float, float]]] = {
 """Length and width by category, metres, of road users whose own size is not measured."""
 VEHICLE_LENGTH_SIGMA_M: Final = 0.3
 """Standard deviation of a vehicle's measured length, metres."""
-KMH: Final = 3.6
-"""km/h in 1 m/s."""
-_OPTIONAL: Final = ("acceleration", "body_error", "detected", "frames", "boxes", "scores", "truth_ids")
-_PER_MOMENT: Final = ("times_s", "position", "velocity", "heading", "covariance", "speed_sigma", "located", *_OPTIONAL)
+KMH_PER_MPS: Final = 3.6
+"""km/h per m/s."""
+OPTIONAL_FIELDS: Final = ("acceleration", "body_error", "detected", "frames", "boxes", "scores", "truth_ids")
+_PER_MOMENT: Final = (
+    "times_s",
+    "position",
+    "velocity",
+    "heading",
+    "covariance",
+    "speed_sigma",
+    "located",
+    *OPTIONAL_FIELDS,
+)
 """Fields that have a row per moment."""
 
 

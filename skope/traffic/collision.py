@@ -15,10 +15,26 @@ from skope.traffic.footprints import FootprintPath, footprint_corners, meeting
 from skope.traffic.normal_distribution import at_most
 from skope.types import Array
 
-_OVER_S: Final = 1.0
-"""A deceleration is that over so long: shorter ones are mostly errors of the places."""
-_LEAST: Final = 0.5
-"""Braking that is less probable than this is not listed."""
+
+@dataclass(frozen=True)
+class CollisionLimits:
+    """Limits of times to collision and of braking."""
+
+    braking_s: float = 1.0
+    """Duration over which a deceleration is measured, seconds. Shorter ones are mostly position errors."""
+    least_probability: float = 0.5
+    """Probability below which braking is not listed."""
+    rear_end_deg: float = 30.0
+    """Two road users whose headings differ by less follow each other, degrees (SSAM)."""
+    straight_s: float = 0.2
+    """Duration for which paths are taken as straight, seconds."""
+    passed_s: float = 6.0
+    """Time within which the first road user has left the crossing of two paths, seconds."""
+    block_rows: int = 50
+    """Number of moments that are computed together. It bounds memory."""
+
+
+COLLISION_LIMITS: Final = CollisionLimits()
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -47,25 +63,27 @@ def hard_brakings(trajectories: Sequence[Track], settings: TrafficSettings) -> l
     for trajectory in trajectories:
         if is_in_traffic(trajectory) and has_plausible_speed(trajectory) and trajectory.category != PEDESTRIAN:
             hardest = _hardest(trajectory, settings.hard_braking_ms2)
-            if hardest is not None and hardest.probability > _LEAST:
+            if hardest is not None and hardest.probability > COLLISION_LIMITS.least_probability:
                 found.append(hardest)
     return sorted(found, key=lambda one: one.time_s)
 
 
 def _hardest(trajectory: Track, limit: float) -> HardBraking | None:
     times = trajectory.times_s
-    begins = times[times + _OVER_S <= times[-1]]
+    begins = times[times + COLLISION_LIMITS.braking_s <= times[-1]]
     if not len(begins):
         return None
-    drop = trajectory.at(trajectory.speed, begins) - trajectory.at(trajectory.speed, begins + _OVER_S)
+    drop = trajectory.at(trajectory.speed, begins) - trajectory.at(
+        trajectory.speed, begins + COLLISION_LIMITS.braking_s
+    )
     k = int(drop.argmax())
     # A gap in the track is bridged by a straight line, which brakes evenly: there it is seen nowhere.
-    if not trajectory.located[(times >= begins[k]) & (times <= begins[k] + _OVER_S)].any():
+    if not trajectory.located[(times >= begins[k]) & (times <= begins[k] + COLLISION_LIMITS.braking_s)].any():
         return None
-    ends = np.array([begins[k], begins[k] + _OVER_S])
-    sigma = math.hypot(*trajectory.at(trajectory.speed_sigma, ends)) / _OVER_S
-    hardest = float(drop[k]) / _OVER_S
-    middle = float(begins[k]) + _OVER_S / 2
+    ends = np.array([begins[k], begins[k] + COLLISION_LIMITS.braking_s])
+    sigma = math.hypot(*trajectory.at(trajectory.speed_sigma, ends)) / COLLISION_LIMITS.braking_s
+    hardest = float(drop[k]) / COLLISION_LIMITS.braking_s
+    middle = float(begins[k]) + COLLISION_LIMITS.braking_s / 2
     return HardBraking(
         trajectory=trajectory,
         time_s=middle,
@@ -74,16 +92,6 @@ def _hardest(trajectory: Track, limit: float) -> HardBraking | None:
         sigma=sigma,
         probability=at_most((hardest - limit) / sigma) if sigma > 0 else float(hardest > limit),
     )
-
-
-REAR_END_DEG: Final = 30.0
-"""Two that head in directions which differ by less drive one behind the other (SSAM)."""
-_LEG_S: Final = 0.2
-"""Ways are taken to be straight for so long."""
-_PASSED_S: Final = 6.0
-"""By then whoever is first has left the place where ways cross."""
-_PART: Final = 50
-"""Moments that are looked at together, which bounds the memory."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,7 +129,7 @@ def times_to_collision(
     """
     legs, ways = _ways((one, other), rows, horizon_s, doubt)
     begin, end = meeting(*ways[0], *ways[1])
-    met = (begin <= end) & (end >= 0) & (begin <= _LEG_S)
+    met = (begin <= end) & (end >= 0) & (begin <= COLLISION_LIMITS.straight_s)
     seconds = np.where(met, legs + np.maximum(begin, 0), np.inf).min(axis=1)
     return np.asarray(np.where(seconds <= horizon_s, seconds, np.inf))
 
@@ -133,7 +141,10 @@ def _ways(
     doubt: Doubt | None,
 ) -> tuple[Array, list[tuple[Array, Array]]]:
     """The ways ahead of two: when their L legs begin (L,), and corners (K, L, 4, 2), velocities (K, L, 2)."""
-    legs = np.asarray(np.arange(int(np.ceil(horizon_s / _LEG_S)) + 1) * _LEG_S, dtype=np.float64)
+    legs = np.asarray(
+        np.arange(int(np.ceil(horizon_s / COLLISION_LIMITS.straight_s)) + 1) * COLLISION_LIMITS.straight_s,
+        dtype=np.float64,
+    )
     ways = []
     for k, path in enumerate(paths):
         speed = path.speed[rows[k]] if doubt is None else doubt.speeds[k]
@@ -141,7 +152,7 @@ def _ways(
         place, facing = path.ahead(index, speed[:, None] * legs)
         place = place if doubt is None else place + doubt.shifts[k][:, None]
         boxes = footprint_corners(place[:, :-1], facing[:, :-1], path.size)
-        ways.append((boxes, np.diff(place, axis=1) / _LEG_S))
+        ways.append((boxes, np.diff(place, axis=1) / COLLISION_LIMITS.straight_s))
     return legs[:-1], ways
 
 
@@ -171,10 +182,10 @@ def deceleration_to_avoid(
     """
     speeds = doubt.speeds if doubt else (one.speed[rows[0]], other.speed[rows[1]])
     ahead = np.isfinite(seconds)
-    along = angle_deg(one.facing[rows[0]], other.facing[rows[1]]) < REAR_END_DEG
+    along = angle_deg(one.facing[rows[0]], other.facing[rows[1]]) < COLLISION_LIMITS.rear_end_deg
     out = np.where(ahead & along, np.abs(speeds[0] - speeds[1]) / (2 * np.maximum(seconds, 0.05)), 0.0)
     crossing = np.flatnonzero(ahead & ~along)
-    for part in np.split(crossing, range(_PART, len(crossing), _PART)):
+    for part in np.split(crossing, range(COLLISION_LIMITS.block_rows, len(crossing), COLLISION_LIMITS.block_rows)):
         chosen = None if doubt is None else doubt.only(part)
         out[part] = _across(one, other, (rows[0][part], rows[1][part]), (speeds[0][part], speeds[1][part]), chosen)
     return np.asarray(out)
@@ -188,7 +199,7 @@ def _across(
     doubt: Doubt | None,
 ) -> Array:
     """(K,) m/s^2 by which the one that gets later to where both drive lets the other one leave before."""
-    legs, ways = _ways((one, other), rows, _PASSED_S, doubt)
+    legs, ways = _ways((one, other), rows, COLLISION_LIMITS.passed_s, doubt)
     stays = _stay(legs, ways[0], ways[1][0]), _stay(legs, ways[1], ways[0][0])
     out = np.zeros(len(rows[0]))
     for second, first in ((0, 1), (1, 0)):
@@ -210,8 +221,8 @@ def _stay(legs: Array, way: tuple[Array, Array], places: Array) -> tuple[Array, 
     moving = np.broadcast_to(way[0][:, :, None], (*shape, 4, 2))
     velocity = np.broadcast_to(way[1][:, :, None], (*shape, 2))
     begin, end = meeting(moving, velocity, np.broadcast_to(places[:, None], (*shape, 4, 2)), np.zeros((*shape, 2)))
-    met = (begin <= end) & (end >= 0) & (begin <= _LEG_S)
+    met = (begin <= end) & (end >= 0) & (begin <= COLLISION_LIMITS.straight_s)
     since = legs[:, None]
     enter = np.where(met, since + np.maximum(begin, 0), np.inf).min(axis=(1, 2))
-    leave = np.where(met, since + np.minimum(end, _LEG_S), -np.inf).max(axis=(1, 2))
+    leave = np.where(met, since + np.minimum(end, COLLISION_LIMITS.straight_s), -np.inf).max(axis=(1, 2))
     return enter, np.where(np.isfinite(enter), leave, np.inf)

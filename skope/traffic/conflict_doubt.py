@@ -1,7 +1,7 @@
 """Uncertainty of a conflict: by other places and speeds that the two may have had."""
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -16,24 +16,32 @@ from skope.traffic.footprints import FootprintPath
 from skope.traffic.normal_distribution import COUNT_INTERVAL_LEVEL, INTERVAL_SIGMAS
 from skope.types import Array
 
-STEP_S: Final = 0.1
-"""Pairs are looked at so often, as SSAM does."""
-HORIZON_S: Final = 3.0
-"""Decelerations count collisions that are ahead so far, seconds, or as far as a conflict's."""
-_SAMPLES: Final = 200
-"""So many draws of places and speeds tell how uncertain a time to collision is."""
-_FEWER: Final = 60
-"""And so many a deceleration, which takes longer."""
 
-_FEWEST_PLACES: Final = 10
-_SHORTEST_S: Final = 2.0
-"""A road user in a conflict has so many places, and is followed for so long at least, seconds;"""
-_AROUND_S: Final = 1.0
-_LONGEST_GAP_S: Final = 0.6
-"""from so long before the conflict until so long after it there is no longer time without a place (a detector that sees
-key frames alone sees two a second);"""
-_WORST_M: Final = 0.5
-"""and the place is known so well then, one standard deviation."""
+@dataclass(frozen=True)
+class ConflictDoubt:
+    """Limits of tracks in conflicts, and draws for their uncertainty."""
+
+    step_s: float = 0.1
+    """Time step at which pairs are examined, seconds, as in SSAM."""
+    horizon_s: float = 3.0
+    """Collisions up to this far ahead count for decelerations, seconds, or as far as a conflict's."""
+    samples: int = 200
+    """Number of draws of positions and speeds for the uncertainty of a time to collision."""
+    braking_samples: int = 60
+    """The same for a deceleration, which takes longer."""
+    fewest_positions: int = 10
+    """Smallest number of positions of a road user in a conflict."""
+    shortest_s: float = 2.0
+    """Shortest track of a road user in a conflict, seconds."""
+    around_s: float = 1.0
+    """Time before and after a conflict in which gaps are searched for, seconds."""
+    longest_gap_s: float = 0.6
+    """Longest gap between positions in it, seconds. A detector on key frames gives two positions per second."""
+    worst_sigma_m: float = 0.5
+    """Largest standard deviation of a position in it, metres."""
+
+
+CONFLICT_DOUBT: Final = ConflictDoubt()
 
 
 def is_followed(trajectory: Track, time_s: float) -> bool:
@@ -42,13 +50,13 @@ def is_followed(trajectory: Track, time_s: float) -> bool:
     Of pieces of tracks, and of what a detector takes for a vehicle for a moment, nearly all conflicts are none.
     """
     times = trajectory.times_s[trajectory.located]
-    if len(times) < _FEWEST_PLACES or times[-1] - times[0] < _SHORTEST_S:
+    if len(times) < CONFLICT_DOUBT.fewest_positions or times[-1] - times[0] < CONFLICT_DOUBT.shortest_s:
         return False
-    margin_s = _AROUND_S - _LONGEST_GAP_S
+    margin_s = CONFLICT_DOUBT.around_s - CONFLICT_DOUBT.longest_gap_s
     if not times[0] <= time_s - margin_s <= time_s + margin_s <= times[-1]:
         return False
-    gap_s = trajectory.longest_gap(time_s, _AROUND_S)
-    return gap_s <= _LONGEST_GAP_S and trajectory.sigma_at(time_s) <= _WORST_M
+    gap_s = trajectory.longest_gap(time_s, CONFLICT_DOUBT.around_s)
+    return gap_s <= CONFLICT_DOUBT.longest_gap_s and trajectory.sigma_at(time_s) <= CONFLICT_DOUBT.worst_sigma_m
 
 
 def ttc_doubt(
@@ -100,10 +108,12 @@ def hardest_needed(
     if not len(drac) or drac.max() <= 0:
         return (math.nan,) * 3
     k = int(drac.argmax())
-    index, doubt = _drawn(one, other, (int(rows[0][k]), int(rows[1][k])), rng, _FEWER)
+    index, doubt = _drawn(one, other, (int(rows[0][k]), int(rows[1][k])), rng, CONFLICT_DOUBT.braking_samples)
     ahead = times_to_collision(one, other, index, _farthest_s(settings), doubt)
     # The camera's error is one for both: it stretches distances and speeds alike, so that times stay.
-    scale = np.maximum(0.0, 1 + common_sigma * rng.standard_normal(_FEWER)) if common_sigma else 1.0
+    scale = (
+        np.maximum(0.0, 1 + common_sigma * rng.standard_normal(CONFLICT_DOUBT.braking_samples)) if common_sigma else 1.0
+    )
     return float(drac[k]), *_middle(scale * deceleration_to_avoid(one, other, index, ahead, doubt))
 
 
@@ -127,7 +137,7 @@ def surely_encroaches(one: FootprintPath, other: FootprintPath, i: int, j: int, 
             max(0.1, extent - 2 * INTERVAL_SIGMAS * math.sqrt(max(0.0, float(side @ spread @ side))))
             for extent, side in zip(path.size, sides, strict=True)
         ]
-        shrunk.append(FootprintPath(replace(path.trajectory, length=size[0], width=size[1]), STEP_S))
+        shrunk.append(FootprintPath(replace(path.trajectory, length=size[0], width=size[1]), CONFLICT_DOUBT.step_s))
     return by_places(shrunk[0], shrunk[1], most_s + 1.0) is not None
 
 
@@ -159,11 +169,15 @@ def in_order(times: tuple[float, float], reached: Encroachment) -> tuple[float, 
 
 def _farthest_s(settings: TrafficSettings) -> float:
     """Seconds ahead for which drawn collisions are looked for: much farther than the one that was found."""
-    return 4 * max(settings.ttc_s, HORIZON_S)
+    return 4 * max(settings.ttc_s, CONFLICT_DOUBT.horizon_s)
 
 
 def _drawn(
-    one: FootprintPath, other: FootprintPath, rows: tuple[int, int], rng: np.random.Generator, count: int = _SAMPLES
+    one: FootprintPath,
+    other: FootprintPath,
+    rows: tuple[int, int],
+    rng: np.random.Generator,
+    count: int = CONFLICT_DOUBT.samples,
 ) -> tuple[tuple[NDArray[np.intp], NDArray[np.intp]], Doubt]:
     """A moment `count` times, with places and speeds drawn as uncertain as they are."""
     shifts, speeds = [], []

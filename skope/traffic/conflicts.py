@@ -15,10 +15,9 @@ from skope.schema import PEDESTRIAN
 from skope.site.gates_zones_lanes import Zone
 from skope.site.traffic_settings import TrafficSettings
 from skope.tracks.track import Track, has_plausible_speed, is_in_traffic
-from skope.traffic.collision import REAR_END_DEG, angle_deg, times_to_collision
+from skope.traffic.collision import COLLISION_LIMITS, angle_deg, times_to_collision
 from skope.traffic.conflict_doubt import (
-    HORIZON_S,
-    STEP_S,
+    CONFLICT_DOUBT,
     hardest_needed,
     in_order,
     is_followed,
@@ -31,10 +30,20 @@ from skope.traffic.footprints import FootprintPath, footprint_paths, overlap
 from skope.traffic.zones import inside_polygon
 from skope.types import Array
 
-_DRIVES: Final = 1.0
-"""One of two in a conflict is as fast as this, m/s."""
-_ROWS: Final = 400
-"""Moments that are looked at together, which bounds the memory."""
+
+@dataclass(frozen=True)
+class ConflictLimits:
+    """Limits of conflicts."""
+
+    moving_mps: float = 1.0
+    """Least speed of one of the two road users, m/s."""
+    block_rows: int = 400
+    """Number of moments that are computed together. It bounds memory."""
+    crossing_deg: float = 80.0
+    """Angle from which paths cross (SSAM), degrees. Between `rear_end_deg` and this it is a lane change."""
+
+
+CONFLICT_LIMITS: Final = ConflictLimits()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -98,7 +107,7 @@ def meeting_of(one: FootprintPath, other: FootprintPath, settings: TrafficSettin
         return None
     # Two that turn one behind the other head elsewhere at any moment, but not at any place.
     ways_deg = _angle_of_ways(one, other, i, j)
-    if not close and ways_deg < REAR_END_DEG:
+    if not close and ways_deg < COLLISION_LIMITS.rear_end_deg:
         return None  # one behind the other: that is a gap
     if not close and not surely_encroaches(one, other, i, j, settings.pet_s):
         return None
@@ -126,14 +135,17 @@ def _approaches(
 ) -> tuple[tuple[NDArray[np.intp], NDArray[np.intp]], Array]:
     """The rows of moments at which the two are near, and the times to their collision."""
     a, b = rows_together(one, other)
-    horizon = max(settings.ttc_s, HORIZON_S)
+    horizon = max(settings.ttc_s, CONFLICT_DOUBT.horizon_s)
     speeds = one.speed[a] + other.speed[b]
     reach = one.radius + other.radius + speeds * horizon
     close = (np.linalg.norm(one.place[a] - other.place[b], axis=1) < reach) & (
-        np.maximum(one.speed[a], other.speed[b]) >= _DRIVES
+        np.maximum(one.speed[a], other.speed[b]) >= CONFLICT_LIMITS.moving_mps
     )
     rows = a[close], b[close]
-    parts = [(rows[0][k : k + _ROWS], rows[1][k : k + _ROWS]) for k in range(0, len(rows[0]), _ROWS)]
+    parts = [
+        (rows[0][k : k + CONFLICT_LIMITS.block_rows], rows[1][k : k + CONFLICT_LIMITS.block_rows])
+        for k in range(0, len(rows[0]), CONFLICT_LIMITS.block_rows)
+    ]
     seconds = [times_to_collision(one, other, part, horizon) for part in parts]
     return rows, np.concatenate([np.zeros(0), *seconds])
 
@@ -152,10 +164,6 @@ def _row(path: FootprintPath, time_s: float) -> int:
 def _behind(one: FootprintPath, other: FootprintPath, i: int, j: int) -> bool:
     """Whether `one` sees `other` ahead."""
     return bool((other.place[j] - one.place[i]) @ one.facing[i] > 0)
-
-
-_CROSSING_DEG: Final = 80.0
-"""From this angle on ways cross (SSAM); between that and `REAR_END_DEG` lanes change."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -229,7 +237,7 @@ def conflicts(
         The conflicts by time, and how many pairs were left out.
     """
     followed = [one for one in trajectories if is_in_traffic(one) and has_plausible_speed(one)]
-    made = footprint_paths(followed, STEP_S)
+    made = footprint_paths(followed, CONFLICT_DOUBT.step_s)
     found, overlapping, unsteady = [], 0, 0
     for one, other in _pairs(made, settings.pet_s):
         if not near(one, other, max(settings.pet_s, settings.ttc_s)):
@@ -281,7 +289,7 @@ def _conflict(
     """The conflict of two who meet, with how uncertain it is."""
     one, other, reached, (i, j) = meeting.one, meeting.other, meeting.reached, meeting.moment
     angle = float(angle_deg(one.facing[i], other.facing[j])) if meeting.close else meeting.ways_deg
-    area = by_area(one, other, float(one.times_s[i])) if meeting.ways_deg >= REAR_END_DEG else None
+    area = by_area(one, other, float(one.times_s[i])) if meeting.ways_deg >= COLLISION_LIMITS.rear_end_deg else None
     told = ttc_doubt(one, other, (i, j), settings, rng) if meeting.close else (math.nan,) * 3
     hardest, drac_low, drac_high = hardest_needed(
         one, other, meeting.rows, meeting.seconds, settings, rng, common_sigma
@@ -311,6 +319,6 @@ def _conflict(
 
 
 def _kind(angle: float) -> str:
-    if angle < REAR_END_DEG:
+    if angle < COLLISION_LIMITS.rear_end_deg:
         return "rear end"
-    return "crossing" if angle > _CROSSING_DEG else "lane change"
+    return "crossing" if angle > CONFLICT_LIMITS.crossing_deg else "lane change"

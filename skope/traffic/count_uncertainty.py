@@ -26,9 +26,9 @@ Beta: TypeAlias = tuple[float, float]
 """Parameters a and b of a Beta distribution of a share; (0, 1): the share is 0."""
 _SIDE_LEVEL: Final = 1 - (1 - COUNT_INTERVAL_LEVEL) / 2
 """Level of each of the two quantiles."""
-_MASS: Final = 0.9999
-"""Share of a distribution's probability that is computed; the rest is put at its last number."""
-_LONGEST: Final = 2**20
+COMPUTED_MASS: Final = 0.9999
+"""Share of a distribution's probability that is computed. The rest is put at its last number."""
+LARGEST_COUNT: Final = 2**20
 """Largest number that is computed."""
 
 
@@ -102,7 +102,7 @@ def missed_pmf(counted: int, missed: Beta) -> Array:
         k = np.arange(size, dtype=np.float64)
         log = gammaln(successes + k) - gammaln(k + 1) - gammaln(successes)
         pmf = np.exp(log + betaln(seen + successes, unseen + k) - betaln(seen, unseen))
-        if pmf.sum() >= _MASS or size >= _LONGEST:
+        if pmf.sum() >= COMPUTED_MASS or size >= LARGEST_COUNT:
             pmf[-1] += max(0.0, 1 - pmf.sum())
             return np.asarray(pmf)
         size *= 2

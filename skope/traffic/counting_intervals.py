@@ -11,8 +11,8 @@ from skope.site.site_file import year_doubt
 if TYPE_CHECKING:
     from skope.site.site_file import SiteParts
 
-_PRECISE: Final = timedelta(seconds=1)
-"""Precision to which a change of clocks is found; they change at whole seconds."""
+CLOCK_STEP: Final = timedelta(seconds=1)
+"""Precision to which a change of clocks is found. They change at whole seconds."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,7 +103,7 @@ def _around(at: datetime, zone: tzinfo, minutes: int) -> tuple[datetime, datetim
     begin, end = first, first + size
     if _offset(begin, zone) != offset:
         begin = _change(begin, at, zone)
-    if _offset(end - _PRECISE, zone) != offset:
+    if _offset(end - CLOCK_STEP, zone) != offset:
         end = _change(at, end, zone)
     return begin, end
 
@@ -116,9 +116,9 @@ def _offset(at: datetime, zone: tzinfo) -> timedelta:
 
 def _change(before: datetime, after: datetime, zone: tzinfo) -> datetime:
     """The first second, in UTC, at which the clock goes as it does at `after` and not as at `before`."""
-    low, high = 0, int((after - before) / _PRECISE) + 1
+    low, high = 0, int((after - before) / CLOCK_STEP) + 1
     was = _offset(before, zone)
     while high - low > 1:
         middle = (low + high) // 2
-        low, high = (middle, high) if _offset(before + middle * _PRECISE, zone) == was else (low, middle)
-    return (before + high * _PRECISE).replace(microsecond=0)
+        low, high = (middle, high) if _offset(before + middle * CLOCK_STEP, zone) == was else (low, middle)
+    return (before + high * CLOCK_STEP).replace(microsecond=0)

@@ -13,14 +13,22 @@ import numpy as np
 from skope.traffic.footprints import FootprintPath, footprint_corners, overlap
 from skope.types import Array
 
-_FINE: Final = 10
-"""Between two moments it is looked at so many more."""
-_AROUND_S: Final = 10.0
-"""Before and after the two are nearest, their areas are looked at for so long."""
-_BATCH: Final = 10
-"""So many steps of time between the two are looked at together."""
-_COARSE: Final = 5
-"""First it is looked at every so many-th moment whether ways come near each other at all."""
+
+@dataclass(frozen=True)
+class EncroachmentSearch:
+    """Resolution of the search for post-encroachment times."""
+
+    fine_steps: int = 10
+    """Number of moments between two positions that are examined."""
+    around_s: float = 10.0
+    """Time before and after the least distance in which areas are compared, seconds."""
+    batch_steps: int = 10
+    """Number of time steps that are examined together."""
+    coarse_step: int = 5
+    """Step of the first pass, which finds whether paths come near each other."""
+
+
+ENCROACHMENT: Final = EncroachmentSearch()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,10 +52,10 @@ def near(one: FootprintPath, other: FootprintPath, most_s: float) -> bool:
         other: Another one.
         most_s: Longest time between the two, seconds.
     """
-    rows, columns = slice(None, None, _COARSE), slice(None, None, _COARSE)
+    rows, columns = slice(None, None, ENCROACHMENT.coarse_step), slice(None, None, ENCROACHMENT.coarse_step)
     away = np.linalg.norm(one.place[rows, None] - other.place[None, columns], axis=-1)
     late = np.abs(one.times_s[rows, None] - other.times_s[None, columns])
-    step_s = float(one.times_s[1] - one.times_s[0]) * _COARSE
+    step_s = float(one.times_s[1] - one.times_s[0]) * ENCROACHMENT.coarse_step
     reach = one.radius + other.radius + step_s * (float(one.speed.max()) + float(other.speed.max()))
     return bool(((away < reach) & (late <= most_s + step_s)).any())
 
@@ -78,7 +86,7 @@ def _after(first: FootprintPath, second: FootprintPath, most_s: float, swapped: 
     shift = int(first.ticks[0] - second.ticks[0])
     every = np.arange(round(most_s / step_s) + 1)
     # Some of the times at once, the least ones first: mostly one batch is enough, or nobody is near at all.
-    for late in np.split(every, range(_BATCH, len(every), _BATCH)):
+    for late in np.split(every, range(ENCROACHMENT.batch_steps, len(every), ENCROACHMENT.batch_steps)):
         i, j = np.broadcast_arrays(rows[:, None], rows[:, None] + shift + late)
         there = (j >= 0) & (j < len(second.ticks))
         i, j = i[there], j[there]
@@ -95,7 +103,7 @@ def _finer(
     first: FootprintPath, second: FootprintPath, first_s: float, second_s: float, step_s: float, swapped: bool
 ) -> Encroachment:
     """The least time between moments around those at which the footprints overlap."""
-    shifts = np.arange(-_FINE, _FINE + 1) * step_s / _FINE
+    shifts = np.arange(-ENCROACHMENT.fine_steps, ENCROACHMENT.fine_steps + 1) * step_s / ENCROACHMENT.fine_steps
     here = np.clip(first_s + shifts, *first.times_s[[0, -1]])
     there = np.clip(second_s + shifts, *second.times_s[[0, -1]])
     a, b = footprint_corners(*first.at(here), first.size), footprint_corners(*second.at(there), second.size)
@@ -134,7 +142,7 @@ def by_area(one: FootprintPath, other: FootprintPath, about_s: float) -> Encroac
 
 
 def _during(path: FootprintPath, about_s: float) -> Array:
-    return np.flatnonzero(np.abs(path.times_s - about_s) <= _AROUND_S)  # type: ignore[return-value]
+    return np.flatnonzero(np.abs(path.times_s - about_s) <= ENCROACHMENT.around_s)  # type: ignore[return-value]
 
 
 def _stay(path: FootprintPath, rows: Array, shapes: Any, area: Any) -> tuple[float, float]:

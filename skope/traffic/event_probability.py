@@ -19,35 +19,47 @@ from skope.site.traffic_settings import CLASSES, OF_VEHICLES
 from skope.tracks.track import Track, worst_sigma
 from skope.traffic.count_uncertainty import Beta
 
-MIN_COUNTED_PROBABILITY: Final = 0.5
-"""A less probable event is not counted."""
-_MOST_POSITIONS: Final = 48
-"""Number of positions above which more do not make an event more probable."""
-_DOUBTED: Final = 0.75
-"""Factor for a track with one of `_DOUBTS`."""
-_DOUBTS: Final = frozenset({"two_poses", "impossible_motion", "against_traffic"})
-_SHORT_S: Final = 0.5
-"""A crossing is in doubt if the track has been located for less than this before it, or after it, seconds."""
-_AROUND_S: Final = 1.5
-"""Half of the period around a crossing that is searched for gaps, seconds."""
-_GAP_S: Final = 0.5
-"""A crossing is in doubt if there is a longer gap around it than this and the usual step, seconds."""
-_USUAL_STEP_S: Final = 0.1
-"""Time between positions if no track tells it, seconds."""
-_FASTEST: Final[Mapping[str, float]] = {"bicycle": 16.0, "pedestrian": 6.0}
-"""Speed at a crossing, m/s, above which a track jumps from one road user to another."""
-_JUMPS: Final = 0.1
-"""Factor for such a crossing."""
-_SAME_VEHICLE: Final = (6.13, -3.55, -1.54)
-"""Log odds that a track is one vehicle from one gate to the next: intercept; log(0.1 s + longest gap); log(1 s + time).
-Of 526 such tracks 13 had gone over to another vehicle, 12 of them in a gap of at least 1 s."""
-_SAME_WALKER: Final = (-1.91, -4.54)
-"""The same for pedestrians: intercept; log(0.05 m + largest standard deviation of the position). Of 43 tracks 25 had
-gone over to another pedestrian."""
-_SAME_RIDER: Final = 0.976
-"""The same for two-wheelers: 41 of 42 tracks were one."""
-_FEW_LOST: Final = 2
-"""Number of lost tracks that any gate may have."""
+
+@dataclass(frozen=True)
+class EventFactors:
+    """Factors of the probability that an event is real."""
+
+    counted_probability: float = 0.5
+    """Probability below which an event is not counted."""
+    most_positions: int = 48
+    """Number of positions above which an event gets no more probable."""
+    doubted: float = 0.75
+    """Factor for a track with one of `DOUBTED_FLAGS`."""
+    short_s: float = 0.5
+    """A crossing is in doubt if the track was located for less than this before it, or after it, seconds."""
+    around_s: float = 1.5
+    """Half of the period around a crossing that is searched for gaps, seconds."""
+    gap_s: float = 0.5
+    """A crossing is in doubt if there is a longer gap around it than this and the usual step, seconds."""
+    usual_step_s: float = 0.1
+    """Time between positions if no track gives it, seconds."""
+    jumping: float = 0.1
+    """Factor for such a crossing."""
+    same_vehicle: tuple[float, float, float] = (6.13, -3.55, -1.54)
+    """Coefficients of the log odds that a track is one vehicle from one gate to the next: intercept; log(0.1 s +
+    longest gap); log(1 s + time). Of 526 such tracks 13 had switched to another vehicle, 12 of them in a gap of at
+    least 1 s.
+    """
+    same_pedestrian: tuple[float, float] = (-1.91, -4.54)
+    """The same for pedestrians: intercept; log(0.05 m + largest standard deviation of the position). Of 43 tracks
+    25 had switched to another pedestrian.
+    """
+    same_rider: float = 0.976
+    """Probability for two-wheelers: 41 of 42 tracks were one."""
+    few_lost: int = 2
+    """Number of lost tracks that any gate may have."""
+
+
+EVENT_FACTORS: Final = EventFactors()
+
+DOUBTED_FLAGS: Final = frozenset({"two_poses", "impossible_motion", "against_traffic"})
+FASTEST_MPS: Final[Mapping[str, float]] = {"bicycle": 16.0, "pedestrian": 6.0}
+"""Speed at a crossing above which a track jumps from one road user to another, m/s."""
 _TWO_WHEELED: Final = frozenset({"bicycle", "motorcycle"})
 
 
@@ -79,7 +91,7 @@ class MissRateGroup:
             crossed: Number that was counted there.
             lost: Number of tracks that were lost there.
         """
-        return self.too_small or (self.rejects_losing_gates and lost > max(_FEW_LOST, crossed))
+        return self.too_small or (self.rejects_losing_gates and lost > max(EVENT_FACTORS.few_lost, crossed))
 
 
 @cache
@@ -140,7 +152,7 @@ def event_probability(track: Track) -> float:
 
     By Laplace's rule of succession over the moments at which a position was measured.
     """
-    positions = min(int(track.located.sum()), _MOST_POSITIONS)
+    positions = min(int(track.located.sum()), EVENT_FACTORS.most_positions)
     return (positions + 1) / (positions + 2) * undoubted(track)
 
 
@@ -155,8 +167,8 @@ def crossing_probability(track: Track, time_s: float, step_s: float, *, metres: 
     """
     kind = "vehicle" if track.category == VEHICLE else "others"
     real, number = rates()["metres" if metres else "image"]["real"][kind][crossing_doubts(track, time_s, step_s)]
-    jumps = metres and float(track.at(track.speed, time_s)) > _FASTEST.get(track.category, math.inf)
-    return float((real + 1) / (number + 2) * undoubted(track) * (_JUMPS if jumps else 1.0))
+    jumps = metres and float(track.at(track.speed, time_s)) > FASTEST_MPS.get(track.category, math.inf)
+    return float((real + 1) / (number + 2) * undoubted(track) * (EVENT_FACTORS.jumping if jumps else 1.0))
 
 
 def crossing_doubts(track: Track, time_s: float, step_s: float) -> int:
@@ -171,8 +183,8 @@ def crossing_doubts(track: Track, time_s: float, step_s: float) -> int:
         step_s: Usual time between positions in the footage.
     """
     times = track.times_s[track.located]
-    short = min(time_s - float(times[0]), float(times[-1]) - time_s) < _SHORT_S
-    gap = track.longest_gap(time_s, _AROUND_S) - step_s > _GAP_S
+    short = min(time_s - float(times[0]), float(times[-1]) - time_s) < EVENT_FACTORS.short_s
+    gap = track.longest_gap(time_s, EVENT_FACTORS.around_s) - step_s > EVENT_FACTORS.gap_s
     return int(short) + int(gap)
 
 
@@ -186,15 +198,15 @@ def same_probability(track: Track, begin_s: float, end_s: float, step_s: float) 
         step_s: Usual time between positions in the footage (`usual_step`).
     """
     if track.category in _TWO_WHEELED:
-        return _SAME_RIDER
+        return EVENT_FACTORS.same_rider
     if track.category == VEHICLE:
         gap_s = max(0.0, track.longest_gap((begin_s + end_s) / 2, (end_s - begin_s) / 2) - step_s)
-        constant, of_gap, of_time = _SAME_VEHICLE
+        constant, of_gap, of_time = EVENT_FACTORS.same_vehicle
         logit = constant + of_gap * math.log(0.1 + gap_s) + of_time * math.log(1 + end_s - begin_s)
     else:
         between = track.times_s[(track.times_s > begin_s) & (track.times_s < end_s)]
         covariances = track.at(track.total_covariance, np.array([begin_s, *between, end_s]))
-        constant, of_sigma = _SAME_WALKER
+        constant, of_sigma = EVENT_FACTORS.same_pedestrian
         logit = constant + of_sigma * math.log(0.05 + float(worst_sigma(covariances).max()))
     return float(expit(logit))
 
@@ -203,10 +215,10 @@ def usual_step(tracks: Sequence[Track]) -> float:
     """Median time between positions of all tracks, seconds; 0.1 without any."""
     steps = [np.diff(one.times_s[one.located]) for one in tracks]
     every = np.concatenate([np.zeros(0), *steps])
-    return float(np.median(every)) if len(every) else _USUAL_STEP_S
+    return float(np.median(every)) if len(every) else EVENT_FACTORS.usual_step_s
 
 
 def undoubted(track: Track) -> float:
     """Factor for the flags of a track, and for having been joined."""
-    doubted = _DOUBTED if _DOUBTS & set(track.flags) else 1.0
+    doubted = EVENT_FACTORS.doubted if DOUBTED_FLAGS & set(track.flags) else 1.0
     return doubted * track.joined_probability

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from skope.tracks.track import Track
 from skope.types import Array
 
-_CORNERS: Final = np.array([[0.5, 0.5], [0.5, -0.5], [-0.5, -0.5], [-0.5, 0.5]])
+UNIT_CORNERS: Final = np.array([[0.5, 0.5], [0.5, -0.5], [-0.5, -0.5], [-0.5, 0.5]])
 _NODE_M: Final = 0.3
 """A path has a node wherever its road user has got so much farther: places that jitter make it no longer."""
 
@@ -23,7 +23,7 @@ def footprint_corners(place: Array, facing: Array, size: tuple[float, float]) ->
         size: Length and width, metres.
     """
     across = np.stack([-facing[..., 1], facing[..., 0]], axis=-1)
-    offsets = _CORNERS * size
+    offsets = UNIT_CORNERS * size
     along, aside = offsets[:, :1] * facing[..., None, :], offsets[:, 1:] * across[..., None, :]
     return np.asarray(place[..., None, :] + along + aside)
 

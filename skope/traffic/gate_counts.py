@@ -52,9 +52,9 @@ def passenger_cars(crossings: Sequence[GateCrossing], factors: Mapping[str, floa
     return None if factors is None else round(sum(factors[one.trajectory.class_name] for one in crossings), 3)
 
 
-ALL: Final = "all"
-_WHOLE: Final = 0.999
-"""An interval of which so much was observed was observed."""
+ALL_CLASSES: Final = "all"
+OBSERVED_SHARE: Final = 0.999
+"""Fraction of an interval that must be observed for its count to be complete."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,9 +67,9 @@ class Count:
     gate: str
     direction: str
     lane: str
-    """A lane's name, "" for who is in none, or `ALL`."""
+    """A lane's name, "" for who is in none, or `ALL_CLASSES`."""
     class_name: str
-    """A class, `VEHICLE` for those on more than two wheels, or `ALL`."""
+    """A class, `VEHICLE` for those on more than two wheels, or `ALL_CLASSES`."""
     count: int | None
     """None: nothing was observed."""
     expected: CountInterval | None
@@ -89,7 +89,7 @@ def observed_word(interval: ClockInterval, observed_s: float) -> str:
     """All, part or nothing."""
     if observed_s <= 0:
         return "nothing"
-    return "all" if observed_s >= _WHOLE * (interval.end_s - interval.begin_s) else "part"
+    return "all" if observed_s >= OBSERVED_SHARE * (interval.end_s - interval.begin_s) else "part"
 
 
 def interval_counts(
@@ -142,8 +142,8 @@ def interval_counts(
                         classes = classes_of(class_name, settings)
                         told = row_interval([*own, *perhaps], unseen, (gate.name, k), interval, lane, classes)
                     pce = None
-                    if observed_s > 0 and class_name == ALL:
-                        in_lane = [one for one in own if lane in (ALL, one.lane)]
+                    if observed_s > 0 and class_name == ALL_CLASSES:
+                        in_lane = [one for one in own if lane in (ALL_CLASSES, one.lane)]
                         pce = passenger_cars(in_lane, factors[gate.name, k])
                     out.append(
                         Count(
@@ -164,35 +164,35 @@ def interval_counts(
 def _kinds(lanes: Sequence[str], settings: TrafficSettings, *, by_class: bool) -> Iterator[tuple[str, str]]:
     """The lane and class of each row."""
     for name in row_classes(settings):
-        yield ALL, name
+        yield ALL_CLASSES, name
     if by_class:
         for name in settings.classes:
-            yield ALL, name
+            yield ALL_CLASSES, name
     if lanes:
         for lane in (*lanes, ""):
-            yield lane, ALL
+            yield lane, ALL_CLASSES
 
 
 def row_classes(settings: TrafficSettings) -> tuple[str, ...]:
-    """`ALL`, and `VEHICLE` where vehicles and others are counted."""
+    """`ALL_CLASSES`, and `VEHICLE` where vehicles and others are counted."""
     mixed = not OF_VEHICLES.isdisjoint(settings.classes) and not OF_VEHICLES.issuperset(settings.classes)
-    return (ALL, VEHICLE) if mixed else (ALL,)
+    return (ALL_CLASSES, VEHICLE) if mixed else (ALL_CLASSES,)
 
 
 def classes_of(class_name: str, settings: TrafficSettings) -> frozenset[str]:
     """The classes that a row is of."""
     if class_name == VEHICLE:
         return OF_VEHICLES & set(settings.classes)
-    return frozenset(settings.classes) if class_name == ALL else frozenset({class_name})
+    return frozenset(settings.classes) if class_name == ALL_CLASSES else frozenset({class_name})
 
 
 def _number(crossings: Sequence[GateCrossing], lane: str, classes: Collection[str]) -> int:
-    return sum(lane in (ALL, one.lane) and one.trajectory.class_name in classes for one in crossings)
+    return sum(lane in (ALL_CLASSES, one.lane) and one.trajectory.class_name in classes for one in crossings)
 
 
 def is_in_row(crossing: GateCrossing, lane: str, classes: Collection[str]) -> bool:
-    """Whether a crossing is counted in a row of a lane (or `ALL`) and classes."""
-    return crossing.counts and lane in (ALL, crossing.lane) and crossing.trajectory.class_name in classes
+    """Whether a crossing is counted in a row of a lane (or `ALL_CLASSES`) and classes."""
+    return crossing.counts and lane in (ALL_CLASSES, crossing.lane) and crossing.trajectory.class_name in classes
 
 
 def row_interval(
@@ -210,7 +210,7 @@ def row_interval(
         unseen: Road users that may have been missed.
         side: Name of the gate, and direction.
         interval: The interval.
-        lane: Name of a lane, or `ALL`.
+        lane: Name of a lane, or `ALL_CLASSES`.
         classes: The classes of the row.
 
     Returns:
@@ -247,7 +247,7 @@ def expected(
         crossings: Of the gate, direction and interval, also those that are not counted.
         kinds: The miss rates at the gate.
         most: Maps classes to the number of lost tracks of them that may have crossed.
-        lane: Name of a lane, or `ALL`.
+        lane: Name of a lane, or `ALL_CLASSES`.
         classes: The classes of the row.
         shifts: Differences of the row's count under other cameras (`CountDistribution.shifts`).
 
@@ -290,7 +290,7 @@ def distribution_of(
 
 
 def _in_lane(crossing: GateCrossing, lane: str) -> float:
-    if lane == ALL:
+    if lane == ALL_CLASSES:
         return 1.0
     if crossing.lane == lane:
         return crossing.lane_probability

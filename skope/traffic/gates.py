@@ -15,32 +15,42 @@ from skope.schema import VEHICLE
 from skope.site.gates_zones_lanes import Gate, Outline, gate_at_size, line_on_road
 from skope.site.traffic_settings import TrafficSettings
 from skope.tracks.track import VEHICLE_LENGTH_SIGMA_M, Track, is_in_traffic
-from skope.traffic.event_probability import MIN_COUNTED_PROBABILITY, crossing_probability, usual_step
+from skope.traffic.event_probability import EVENT_FACTORS, crossing_probability, usual_step
 from skope.traffic.lanes import LaneMap
 from skope.traffic.normal_distribution import at_most
 from skope.traffic.observation import Observation
 from skope.traffic.passages import Passage, passages
 from skope.types import Array
 
-_CAMERA_DRAWS: Final = 24
-"""Number of other cameras under which surveyed gates are counted again."""
-_GATE_SPOTS: Final = 9
-"""Number of points of a surveyed gate that are projected."""
-_SEED: Final = 0
-_SLOWEST: Final = 0.05
-"""Speed along the normal, m/s, under which a place says nothing more of the time."""
 
-_SURE: Final = 3.0
-"""The hysteresis is so many standard deviations of a place along the normal at least: who stands jitters by that."""
-_NEAR_M: Final = 5.0
-"""So near to a gate it counts how certain places are."""
+@dataclass(frozen=True)
+class GateLimits:
+    """Limits of crossings."""
+
+    camera_draws: int = 24
+    """Number of other cameras under which surveyed gates are counted again."""
+    gate_spots: int = 9
+    """Number of points of a surveyed gate that are projected."""
+    seed: int = 0
+    """Seed of these cameras."""
+    slowest_mps: float = 0.05
+    """Speed along the normal below which a position does not refine the time, m/s."""
+    hysteresis_sigmas: float = 3.0
+    """Least hysteresis, in standard deviations of a position along the normal. A standing vehicle jitters by that."""
+    near_m: float = 5.0
+    """Positions within this distance of a gate set its hysteresis, metres."""
+    vehicle_leave: float = 2.0
+    """A vehicle has left a line at this many times the least travel from it; other road users at once."""
+    beside_probability: float = 0.05
+    """A crossing with a lower probability of being within the gate passes beside its end, and the reverse."""
+
+
+GATE_LIMITS: Final = GateLimits()
+
+
 _ALONG_M: Final = {"bus": 0.6, "bicycle": 0.6, "lorry": 0.15}
 """By so much the middles of some bodies are off along the way besides, all the way, one standard deviation: of 16, 36
 and 12 in generated clips by 0.2, 0.5 and 0 m in the median, and by 0.54, 0.45 and 0.17 m from there."""
-_LEAVE_OF_VEHICLES: Final = 2.0
-"""A vehicle has left a line if it went this many times the least travel from it; others if they went once."""
-_BESIDE: Final = 0.05
-"""A crossing that is less probably through the gate than this goes past its end without doubt, and the reverse."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -82,7 +92,7 @@ class GateCrossing:
     @cached_property
     def end_sigma_s(self) -> float:
         """Standard deviation of the times of front and rear, seconds."""
-        return math.hypot(self.sigma_s, VEHICLE_LENGTH_SIGMA_M / 2 / max(self.speed, _SLOWEST))
+        return math.hypot(self.sigma_s, VEHICLE_LENGTH_SIGMA_M / 2 / max(self.speed, GATE_LIMITS.slowest_mps))
 
 
 def direction_names(gate: Gate) -> tuple[str, str]:
@@ -127,16 +137,16 @@ def gates_of_other_cameras(gates: Sequence[Gate], observation: Observation) -> l
         observation: The recording, with its camera and how well it is known.
 
     Returns:
-        `_CAMERA_DRAWS` times the gates that have no pixels; nothing where there are none, or the camera's error is not
-        known.
+        `GATE_LIMITS.camera_draws` times the gates that have no pixels; nothing where there are none, or the camera's
+        error is not known.
     """
     surveyed = [gate for gate in gates if gate.line and not gate.pixels]
     known = observation.uncertainty
     if not surveyed or known is None or not known.covariance.any():
         return []
     ground = observation.ground or Ground()
-    rng = np.random.default_rng(_SEED)
-    steps = rng.multivariate_normal(np.zeros(len(known.parameters)), known.covariance, _CAMERA_DRAWS)
+    rng = np.random.default_rng(GATE_LIMITS.seed)
+    steps = rng.multivariate_normal(np.zeros(len(known.parameters)), known.covariance, GATE_LIMITS.camera_draws)
     cameras = [moved_camera(known.camera, dict(zip(known.parameters, row, strict=True))) for row in steps.tolist()]
     return [tuple(_seen_by(gate, true, known.camera, ground) for gate in surveyed) for true in cameras]
 
@@ -147,7 +157,7 @@ def _seen_by(gate: Gate, true: Camera, used: Camera, ground: Ground) -> Gate:
     Where one of its ends is not in view, it moves as the nearest point of the gate that is.
     """
     ends = np.array(gate.line)
-    spots = ends[0] + np.linspace(0, 1, _GATE_SPOTS)[:, None] * (ends[1] - ends[0])
+    spots = ends[0] + np.linspace(0, 1, GATE_LIMITS.gate_spots)[:, None] * (ends[1] - ends[0])
     pixels, _, valid = true.project(np.column_stack([spots, ground.heights(spots)]))
     found = ground_places(used, np.where(valid[:, None], pixels, 0.0), ground.height, slope=ground.slope,
                           about=ground.about)[:, :2]  # fmt: skip
@@ -232,7 +242,7 @@ def _of_one(
         if metres:
             sigma = _sigma(_axis(gate)[1], trajectory.at(trajectory.total_covariance, passage.time_s))
             between = at_most(at / sigma) - at_most((at - length) / sigma) if sigma > 0 else between
-        if inside or between > _BESIDE:
+        if inside or between > GATE_LIMITS.beside_probability:
             found.append(_crossing(trajectory, gate, passage, lanes, rule, (inside, between), step_s, metres))
     return found
 
@@ -242,10 +252,10 @@ def _rule(trajectory: Track, gate: Gate, signed: Array, settings: TrafficSetting
 
     Only noise lets a standing road user jitter across the line: what shifts the whole track does not.
     """
-    near = trajectory.covariance[np.abs(signed) < _NEAR_M]
+    near = trajectory.covariance[np.abs(signed) < GATE_LIMITS.near_m]
     normal = normal_of(gate)
     spread = float(np.median(np.einsum("i,mij,j->m", normal, near, normal))) if len(near) else 0.0
-    hysteresis = max(settings.hysteresis_m, _SURE * math.sqrt(max(0.0, spread)))
+    hysteresis = max(settings.hysteresis_m, GATE_LIMITS.hysteresis_sigmas * math.sqrt(max(0.0, spread)))
     return {"hysteresis": hysteresis, "least_travel": max(settings.least_travel_m, hysteresis)}
 
 
@@ -260,7 +270,7 @@ def leaving_distance(trajectory: Track, least_travel: float) -> float:
         least_travel: Distance of `TrafficSettings.least_travel_m`, or more where positions are noisier. The result has
             its unit.
     """
-    return least_travel * (_LEAVE_OF_VEHICLES if trajectory.category == VEHICLE else 1.0)
+    return least_travel * (GATE_LIMITS.vehicle_leave if trajectory.category == VEHICLE else 1.0)
 
 
 def _sigma(direction: Array, covariance: Array) -> float:
@@ -291,12 +301,12 @@ def _crossing(
     velocity = trajectory.at(trajectory.velocity, time_s)
     covariance = trajectory.at(trajectory.total_covariance, time_s)
     sigma_m = _sigma(normal, covariance)
-    across = max(abs(float(normal @ velocity)), _SLOWEST)
+    across = max(abs(float(normal @ velocity)), GATE_LIMITS.slowest_mps)
     place = trajectory.at(trajectory.xy, time_s)
     lane, lane_probability = lanes.lane_at(place, covariance)
     sure = at_most(passage.depth / sigma_m) if sigma_m > 0 else 1.0
     real = crossing_probability(trajectory, time_s, step_s, metres=metres)
-    doubts = {"begins": passage.begins, "ends": passage.ends, "beside": between < 1 - _BESIDE}
+    doubts = {"begins": passage.begins, "ends": passage.ends, "beside": between < 1 - GATE_LIMITS.beside_probability}
     return GateCrossing(
         trajectory=trajectory,
         gate=gate.name,
@@ -313,14 +323,14 @@ def _crossing(
         lane_probability=lane_probability,
         probability=real * sure * between,
         doubt=" ".join(word for word, holds in doubts.items() if holds),
-        counts=inside and real >= MIN_COUNTED_PROBABILITY,
+        counts=inside and real >= EVENT_FACTORS.counted_probability,
     )
 
 
 def _along_s(trajectory: Track, velocity: Array, *, metres: bool) -> float:
     """By how much a crossing's time is off since the body's middle is off along its way, one standard deviation."""
     off = _ALONG_M.get(trajectory.class_name, 0.0) if metres else 0.0
-    return off / max(float(np.linalg.norm(velocity)), _SLOWEST)
+    return off / max(float(np.linalg.norm(velocity)), GATE_LIMITS.slowest_mps)
 
 
 def _end_time(trajectory: Track, gate: Gate, places: Array, passage: Passage, rule: dict[str, float]) -> float:

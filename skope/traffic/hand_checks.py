@@ -20,21 +20,40 @@ from skope.site.gates_zones_lanes import Gate
 from skope.site.traffic_settings import TrafficSettings
 from skope.traffic.count_uncertainty import Beta, CountDistribution, CountErrors, CountInterval, in_words
 from skope.traffic.event_probability import MissRateGroup
-from skope.traffic.gate_counts import ALL, distribution_of
+from skope.traffic.gate_counts import ALL_CLASSES, distribution_of
 from skope.traffic.gates import GateCrossing
 from skope.traffic.hand_count_file import HandCount
 from skope.traffic.missed_crossings import Unseen
 
 SignedGate = tuple[str, int]
 """Name of a gate, and direction."""
-_SAME_SIDE: Final = 0.9
-_SAME_GATE: Final = 0.4
-_SAME_SITE: Final = 0.05
-"""Weights of a manual count at the same gate and direction, in the other direction, and at other gates."""
-_MOST_TRIALS: Final = 150.0
-"""Number of trials that manual counts are worth at most: rates change with light and weather."""
-_REAL_TRIALS: Final = 8.0
-"""Number of trials that the usual share of real crossings is worth."""
+
+
+@dataclass(frozen=True)
+class ManualCountModel:
+    """Weights and errors of manual counts."""
+
+    same_direction: float = 0.9
+    """Weight of a manual count at the same gate and direction."""
+    same_gate: float = 0.4
+    """Weight of a manual count at the same gate in the other direction."""
+    same_site: float = 0.05
+    """Weight of a manual count at another gate."""
+    most_trials: float = 150.0
+    """Maximum number of trials that manual counts are worth. Rates change with light and weather."""
+    real_trials: float = 8.0
+    """Number of trials that the usual share of real crossings is worth."""
+    hour_s: float = 3600.0
+    """Seconds per hour."""
+    end_variance: float = 0.2
+    """Variance of a manual count's error at the ends of its period (chosen, not measured)."""
+    relative_error: float = 0.02
+    """Relative error of a manual count (chosen, not measured)."""
+    contradiction: float = 0.001
+    """A manual count contradicts the expectation if fewer than this share would be as far from it."""
+
+
+MANUAL_COUNTS: Final = ManualCountModel()
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -95,14 +114,16 @@ def _updated(
     for other, trials in told:
         if number in trials:
             total.add(trials[number], _weight(side, other))
-    scale = min(1.0, _MOST_TRIALS / max(1.0, total.missed + total.seen))
+    scale = min(1.0, MANUAL_COUNTS.most_trials / max(1.0, total.missed + total.seen))
     a, b = kind.missed
     c, d = kind.came
     return replace(
         kind,
         missed=(a + scale * total.missed, b + scale * total.seen),
         came=(c + scale * total.came, d + scale * total.stayed),
-        real=kind.real * (_REAL_TRIALS + scale * total.seen) / (_REAL_TRIALS + scale * (total.seen + total.false)),
+        real=kind.real
+        * (MANUAL_COUNTS.real_trials + scale * total.seen)
+        / (MANUAL_COUNTS.real_trials + scale * (total.seen + total.false)),
         rejects_losing_gates=kind.rejects_losing_gates and not counted,
         too_small=kind.too_small and not counted,
     )
@@ -110,8 +131,8 @@ def _updated(
 
 def _weight(side: SignedGate, other: SignedGate) -> float:
     if side == other:
-        return _SAME_SIDE
-    return _SAME_GATE if side[0] == other[0] else _SAME_SITE
+        return MANUAL_COUNTS.same_direction
+    return MANUAL_COUNTS.same_gate if side[0] == other[0] else MANUAL_COUNTS.same_site
 
 
 def _trials(one: CountEvidence) -> dict[int, _Trials]:
@@ -145,14 +166,6 @@ def _odds(share: Beta) -> float:
     return share[0] / share[1]
 
 
-_HOUR_S: Final = 3600.0
-_END_VARIANCE: Final = 0.2
-_SLIPS: Final = 0.02
-"""Variance of a manual count's error at the ends of its period, and its relative error (chosen, not measured)."""
-_CONTRADICTS: Final = 0.001
-"""A hand count as far from what is expected as fewer than this share of them would be contradicts it."""
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class HandCheck:
     """A count by hand, and what skope says of the same gate, direction, classes and time."""
@@ -171,7 +184,7 @@ class HandCheck:
     def geh(self) -> float:
         """The GEH statistic of the two as vehicles per hour (Design Manual for Roads and Bridges, volume 12)."""
         interval = self.hand.interval
-        hourly = _HOUR_S / (interval.end_s - interval.begin_s)
+        hourly = MANUAL_COUNTS.hour_s / (interval.end_s - interval.begin_s)
         together = self.count + self.hand.number
         return math.sqrt(hourly * 2 * (self.count - self.hand.number) ** 2 / together) if together else 0.0
 
@@ -287,7 +300,7 @@ def _errors(
     for k, kind in enumerate(unseen.kinds_at(hand.gate, hand.direction)):
         counted = hand.classes & set(settings.classes)
         whole = replace(kind, rejects_losing_gates=False, too_small=False)
-        found = distribution_of(own, [whole], _most(hand, unseen), ALL, counted)
+        found = distribution_of(own, [whole], _most(hand, unseen), ALL_CLASSES, counted)
         if found is not None:
             (out[k],) = found.errors
     return out
@@ -298,13 +311,13 @@ def _distribution(
 ) -> CountDistribution | None:
     """skope's count beside a manual one, with its errors; None where counts have no interval either."""
     kinds = unseen.kinds_at(hand.gate, hand.direction)
-    return distribution_of(own, kinds, _most(hand, unseen), ALL, hand.classes & set(settings.classes))
+    return distribution_of(own, kinds, _most(hand, unseen), ALL_CLASSES, hand.classes & set(settings.classes))
 
 
 def _contradicts(number: int, found: CountDistribution) -> bool:
     """Whether hardly any manual count would be as far away, by what was seen alone."""
     first, pmf = found.number_pmf()
     true = first + np.arange(len(pmf))
-    sigma = np.hypot(math.sqrt(_END_VARIANCE), _SLIPS * true)
+    sigma = np.hypot(math.sqrt(MANUAL_COUNTS.end_variance), MANUAL_COUNTS.relative_error * true)
     fewer, more = (float(pmf @ ndtr(sign * (number - true + sign * 0.5) / sigma)) for sign in (1, -1))
-    return 2 * min(fewer, more) < _CONTRADICTS
+    return 2 * min(fewer, more) < MANUAL_COUNTS.contradiction

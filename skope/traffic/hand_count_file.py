@@ -11,16 +11,27 @@ from skope.files.csv_files import read_csv
 from skope.site.gates_zones_lanes import Gate
 from skope.site.traffic_settings import CLASSES, UNKNOWN, TrafficSettings
 from skope.traffic.counting_intervals import ClockInterval
-from skope.traffic.gate_counts import ALL
+from skope.traffic.gate_counts import ALL_CLASSES
 from skope.traffic.gates import direction_names
 from skope.traffic.observation import Observation
-from skope.traffic.speeds import MOTOR, MOTOR_CLASSES
+from skope.traffic.speeds import MOTOR_CLASSES, MOTOR_TRAFFIC
 
-_COLUMNS: Final = ("gate", "direction", "class", "begin", "end", "count")
-_SLACK_S: Final = 1.0
-"""A time may lie so far outside the footage: who counts goes by whole seconds or minutes."""
-_MOST: Final = 100_000
-_SHOWN: Final = 40
+COUNT_COLUMNS: Final = ("gate", "direction", "class", "begin", "end", "count")
+
+
+@dataclass(frozen=True)
+class ManualCountLimits:
+    """Limits of a file of manual counts."""
+
+    slack_s: float = 1.0
+    """Largest time outside the footage, seconds. People count by whole seconds or minutes."""
+    most_crossings: int = 100_000
+    """Maximum count in a row."""
+    shown_letters: int = 40
+    """Letters of a wrong value in a message."""
+
+
+MANUAL_COUNT_LIMITS: Final = ManualCountLimits()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,7 +51,9 @@ class HandCount:
     @property
     def classes(self) -> frozenset[str]:
         """Classes that were counted."""
-        return {ALL: frozenset(CLASSES), MOTOR: MOTOR_CLASSES}.get(self.class_name, frozenset({self.class_name}))
+        return {ALL_CLASSES: frozenset(CLASSES), MOTOR_TRAFFIC: MOTOR_CLASSES}.get(
+            self.class_name, frozenset({self.class_name})
+        )
 
 
 def read_hand_counts(
@@ -64,8 +77,8 @@ def read_hand_counts(
         UserError: The file cannot be read, or a value is wrong; the message names file, line and column.
     """
     names, rows = read_csv(path)
-    if missing := [name for name in _COLUMNS if name not in names]:
-        raise UserError(f"{path}: column {missing[0]}: missing; expected {','.join(_COLUMNS)}")
+    if missing := [name for name in COUNT_COLUMNS if name not in names]:
+        raise UserError(f"{path}: column {missing[0]}: missing; expected {','.join(COUNT_COLUMNS)}")
     found: list[HandCount] = []
     for line, row in enumerate(rows, start=2):
         one = _hand_count(_Line(path, line, row), gates, settings, start, observation)
@@ -96,7 +109,10 @@ class _Line:
         text = self.cells[column] or ""
         text = text if text in known else text.strip()
         if text not in known:
-            raise self.wrong(column, f"expected one of {', '.join(known) or 'none'}, got {text!r:.{_SHOWN}}")
+            raise self.wrong(
+                column,
+                f"expected one of {', '.join(known) or 'none'}, got {text!r:.{MANUAL_COUNT_LIMITS.shown_letters}}",
+            )
         return text
 
 
@@ -107,15 +123,24 @@ def _hand_count(
     directions = direction_names(next(gate for gate in gates if gate.name == name))
     direction = line.one_of("direction", directions)
     counted = [one for one in settings.classes if one != UNKNOWN]
-    class_name = line.one_of("class", ["", ALL, MOTOR, *counted]) or ALL
+    class_name = line.one_of("class", ["", ALL_CLASSES, MOTOR_TRAFFIC, *counted]) or ALL_CLASSES
     begin_s, end_s = (_seconds(line, column, start, observation) for column in ("begin", "end"))
     if end_s <= begin_s:
         raise line.wrong("end", f"expected a time after begin ({line.text('begin')}), got {line.text('end')}")
-    if end_s - begin_s - observation.seconds_in(begin_s, end_s) > _SLACK_S:
+    if end_s - begin_s - observation.seconds_in(begin_s, end_s) > MANUAL_COUNT_LIMITS.slack_s:
         raise line.wrong("begin", "not all from here to end was observed: frames are missing, or the camera was moved")
     text = line.text("count")
-    if not (text.isascii() and text.isdecimal() and len(text) <= len(str(_MOST)) and int(text) <= _MOST):
-        raise line.wrong("count", f"expected a whole number from 0 to {_MOST}, got {text!r:.{_SHOWN}}")
+    if not (
+        text.isascii()
+        and text.isdecimal()
+        and len(text) <= len(str(MANUAL_COUNT_LIMITS.most_crossings))
+        and int(text) <= MANUAL_COUNT_LIMITS.most_crossings
+    ):
+        raise line.wrong(
+            "count",
+            f"expected a whole number from 0 to {MANUAL_COUNT_LIMITS.most_crossings}, got "
+            f"{text!r:.{MANUAL_COUNT_LIMITS.shown_letters}}",
+        )
     begin, end = (None if start is None else _after(start, one) for one in (begin_s, end_s))
     return HandCount(
         gate=name,
@@ -145,15 +170,25 @@ def _seconds(line: _Line, column: str, start: datetime | None, observation: Obse
     first, last = float(observation.spans[0, 0]), float(observation.spans[-1, 1])
     text = line.text(column)
     said = _said_seconds(line, column, start, first, last)
-    within = sorted({min(max(one, first), last) for one in said if first - _SLACK_S <= one <= last + _SLACK_S})
+    within = sorted(
+        {
+            min(max(one, first), last)
+            for one in said
+            if first - MANUAL_COUNT_LIMITS.slack_s <= one <= last + MANUAL_COUNT_LIMITS.slack_s
+        }
+    )
     if not within:
         span = f"{first:.1f} to {last:.1f} s"
         if start is not None:
             clock = (_after(start, one).isoformat(timespec="seconds") for one in (first, last))
             span += f", {' to '.join(clock)}"
-        raise line.wrong(column, f"{text!r:.{_SHOWN}} is not within the footage ({span})")
+        raise line.wrong(column, f"{text!r:.{MANUAL_COUNT_LIMITS.shown_letters}} is not within the footage ({span})")
     if len(within) > 1:
-        raise line.wrong(column, f"{text!r:.{_SHOWN}} comes more than once in the footage: give the day and the offset")
+        raise line.wrong(
+            column,
+            f"{text!r:.{MANUAL_COUNT_LIMITS.shown_letters}} comes more than once in the footage: give the day "
+            f"and the offset",
+        )
     return within[0]
 
 
@@ -170,7 +205,9 @@ def _said_seconds(line: _Line, column: str, start: datetime | None, first: float
     moment = _moment(text)
     if moment is None:
         raise line.wrong(
-            column, f"expected seconds, a time like 10:15:00 or 2026-11-26T10:15:00, got {text!r:.{_SHOWN}}"
+            column,
+            f"expected seconds, a time like 10:15:00 or 2026-11-26T10:15:00, got "
+            f"{text!r:.{MANUAL_COUNT_LIMITS.shown_letters}}",
         )
     if start is None:
         raise line.wrong(column, "expected seconds: neither start in the site nor --begins says when the footage began")

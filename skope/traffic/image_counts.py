@@ -1,7 +1,7 @@
 """Counts by gates in the image, where nothing gives metres: who crossed which, and nothing else."""
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from datetime import datetime
 from typing import TYPE_CHECKING, Final
 
@@ -29,15 +29,24 @@ from skope.traffic.turning_movements import movements, turning_counts
 if TYPE_CHECKING:
     from skope.site.site_file import SiteParts
 
-_HYSTERESIS: Final = 3.0
-"""In standard deviations of where a box stands."""
-_ROW_GROUPS: Final = 12
-"""Number of groups of boxes, by the row of their foot, whose median heights tell how large vehicles are in a row."""
-_FEWEST_BOXES: Final = 5 * _ROW_GROUPS
-"""Number of boxes below which they do not tell it."""
-_NEAR_PX: Final = 50.0
-"""A gate is seen near where somebody is this near to it, pixels."""
-_WHY: Final = (
+
+@dataclass(frozen=True)
+class ImageGateLimits:
+    """Limits of crossings in the image."""
+
+    hysteresis_sigmas: float = 3.0
+    """Hysteresis, in standard deviations of a box's foot."""
+    row_groups: int = 12
+    """Number of groups of boxes, by the row of their foot, whose median heights give the size of vehicles in a row."""
+    fewest_boxes: int = 5 * row_groups
+    """Number of boxes below which they do not give it."""
+    near_px: float = 50.0
+    """A road user this close to a gate shows that the gate is in view, pixels."""
+
+
+IMAGE_GATES: Final = ImageGateLimits()
+
+NO_METRES: Final = (
     "no metres: nothing calibrates the camera. Counts are of boxes' feet over gates in the image; speeds, headways, "
     "queues, delays and conflicts are refused (`skope eval site` calibrates a camera)"
 )
@@ -82,7 +91,7 @@ def count_in_image(
         key=lambda one: one.time_s,
     )
     kinds = {gate.name: image_miss_rate_groups(_vehicle_px(tracks, gate)) for gate in gates}
-    missed = unseen(tracks, gates, every, observation, settings, _NEAR_PX, kinds)
+    missed = unseen(tracks, gates, every, observation, settings, IMAGE_GATES.near_px, kinds)
     crossed = [one for one in every if one.counts]
     checks = hand_checks(hand_counts, crossed, missed, settings)
     missed = counts_adjusted_by_hand(checks, crossed, missed, gates, settings)
@@ -120,7 +129,7 @@ def count_in_image(
         brakings=(),
         metres=False,
     )
-    why = (_WHY,) if len(known) == len(counts) else (_WHY, _NO_CLASSES)
+    why = (NO_METRES,) if len(known) == len(counts) else (NO_METRES, _NO_CLASSES)
     return replace(report, refused=(*why, *remarks_on_counts(report)))
 
 
@@ -134,9 +143,9 @@ def _vehicle_px(tracks: Sequence[Track], gate: Gate) -> float | None:
     rows = np.concatenate([np.zeros(0), *(-one.xy[:, 1] for one in vehicles)])
     heights = np.concatenate([np.zeros(0), *(one.boxes[:, 3] for one in vehicles)])
     rows, heights = rows[np.isfinite(heights)], heights[np.isfinite(heights)]
-    if len(rows) < _FEWEST_BOXES or np.ptp(rows) == 0:
+    if len(rows) < IMAGE_GATES.fewest_boxes or np.ptp(rows) == 0:
         return None
-    groups = np.array_split(np.argsort(rows, kind="stable"), _ROW_GROUPS)
+    groups = np.array_split(np.argsort(rows, kind="stable"), IMAGE_GATES.row_groups)
     medians = np.array([(np.median(rows[own]), np.median(heights[own])) for own in groups])
     slope, constant = np.polyfit(medians[:, 0], medians[:, 1], 1)
     return float(constant + slope * -np.mean(gate.line, axis=0)[1])
@@ -145,4 +154,8 @@ def _vehicle_px(tracks: Sequence[Track], gate: Gate) -> float | None:
 def _in_pixels(track: Track, settings: TrafficSettings) -> TrafficSettings:
     """Settings of a crossing in pixels, by how exactly it is known where this track's box stands."""
     sigma = float(np.median(np.sqrt(track.covariance[:, 0, 0])))
-    return replace(settings, hysteresis_m=_HYSTERESIS * sigma, least_travel_m=2 * _HYSTERESIS * sigma)
+    return replace(
+        settings,
+        hysteresis_m=IMAGE_GATES.hysteresis_sigmas * sigma,
+        least_travel_m=2 * IMAGE_GATES.hysteresis_sigmas * sigma,
+    )

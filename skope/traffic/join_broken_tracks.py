@@ -8,7 +8,7 @@ just there. Only likely pairs are joined; the probability is kept, and goes into
 import math
 from collections import defaultdict
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -16,22 +16,32 @@ import numpy as np
 from skope.schema import VEHICLE
 from skope.tracks.track import Track, concatenated, worst_sigma
 
-_LONGEST_S: Final = 8.0
-"""A road user that is not seen for longer, seconds, is somebody else."""
-_OVERLAP_S: Final = 0.6
-"""A track goes on by its box for half a second when another one has already begun."""
-_SWERVE: Final = 1.5
-"""Standard deviation of the acceleration of somebody who is not seen, along and across, m/s^2."""
-_UNEVEN: Final = 1.5
-"""And of how far it deviates from an even one meanwhile, m/s^2."""
-_MOST_M: Final = 8.0
-"""Largest standard deviation of where somebody should be that still says who begins there, metres."""
-_STRANGER: Final = 2e-5
-"""Road users that begin for no other reason in the middle of the road, per square metre and second."""
-_SIZE_SIGMA: Final = 0.08
-"""Standard deviation of a measured length, as a share."""
-_LIKELY: Final = 0.8
-"""Probability from which two tracks are joined."""
+
+@dataclass(frozen=True)
+class JoinLimits:
+    """Limits of joining broken tracks."""
+
+    longest_gap_s: float = 8.0
+    """Longest gap between two tracks of one road user, seconds."""
+    overlap_s: float = 0.6
+    """Longest overlap of two tracks, seconds. A track continues by its box for half a second after another has
+    begun.
+    """
+    acceleration_mps2: float = 1.5
+    """Standard deviation of the acceleration in a gap, along and across, m/s^2."""
+    unevenness_mps2: float = 1.5
+    """Standard deviation of its deviation from an even acceleration, m/s^2."""
+    largest_sigma_m: float = 8.0
+    """Largest useful standard deviation of the predicted position, metres."""
+    new_per_m2_s: float = 2e-5
+    """Rate of new road users that begin on the road for other reasons, per square metre and second."""
+    size_sigma: float = 0.08
+    """Relative standard deviation of a measured length."""
+    probability: float = 0.8
+    """Probability from which two tracks are joined."""
+
+
+JOIN_LIMITS: Final = JoinLimits()
 
 
 def join_trajectories(tracks: Sequence[Track]) -> list[Track]:
@@ -62,15 +72,15 @@ def _likely_pairs(ordered: Sequence[Track]) -> list[tuple[float, int, int]]:
     by_end, by_begin = defaultdict[int, float](float), defaultdict[int, float](float)
     for i, before in enumerate(ordered):
         end_s = float(before.times_s[-1])
-        low, high = np.searchsorted(begins, [end_s - _OVERLAP_S, end_s + _LONGEST_S])
+        low, high = np.searchsorted(begins, [end_s - JOIN_LIMITS.overlap_s, end_s + JOIN_LIMITS.longest_gap_s])
         for j in range(int(low), int(high)):
             if i != j and (value := _likelihood(before, ordered[j])) > 0:
                 likelihood[i, j] = value
                 by_end[i] += value
                 by_begin[j] += value
-    stranger = _STRANGER * _LONGEST_S
+    stranger = JOIN_LIMITS.new_per_m2_s * JOIN_LIMITS.longest_gap_s
     pairs = [(value / (by_end[i] + by_begin[j] - value + stranger), i, j) for (i, j), value in likelihood.items()]
-    return sorted((pair for pair in pairs if pair[0] >= _LIKELY), reverse=True)
+    return sorted((pair for pair in pairs if pair[0] >= JOIN_LIMITS.probability), reverse=True)
 
 
 def _likelihood(before: Track, after: Track) -> float:
@@ -80,22 +90,27 @@ def _likelihood(before: Track, after: Track) -> float:
     if before.category != VEHICLE and "never_moved" in {*before.flags, *after.flags}:
         return 0.0  # an object that a detector takes for somebody: who passes it is another
     kept = _until(before, float(after.times_s[0]))
-    if kept is None or kept.times_s[-1] < before.times_s[-1] - _OVERLAP_S:
+    if kept is None or kept.times_s[-1] < before.times_s[-1] - JOIN_LIMITS.overlap_s:
         return 0.0
     before = kept
     gap = float(after.times_s[0] - before.times_s[-1])
     # Whoever speeds up, brakes or turns evenly goes as far as at the mean of the two velocities.
     missing = after.xy[0] - before.xy[-1] - (before.velocity[-1] + after.velocity[0]) / 2 * gap
     sigma_v = math.hypot(float(before.speed_sigma[-1]), float(after.speed_sigma[0])) / 2
-    sigma_v = math.hypot(sigma_v, _UNEVEN * gap / 4)
+    sigma_v = math.hypot(sigma_v, JOIN_LIMITS.unevenness_mps2 * gap / 4)
     spread = before.covariance[-1] + after.covariance[0] + (sigma_v * gap) ** 2 * np.eye(2)
-    if worst_sigma(spread) > _MOST_M:
+    if worst_sigma(spread) > JOIN_LIMITS.largest_sigma_m:
         return 0.0
     turned = after.velocity[0] - before.velocity[-1]
-    slack = float(before.speed_sigma[-1]) ** 2 + float(after.speed_sigma[0]) ** 2 + 0.25 + (_SWERVE * gap) ** 2
+    slack = (
+        float(before.speed_sigma[-1]) ** 2
+        + float(after.speed_sigma[0]) ** 2
+        + 0.25
+        + (JOIN_LIMITS.acceleration_mps2 * gap) ** 2
+    )
     total = float(missing @ np.linalg.solve(spread, missing)) + float(turned @ turned) / slack
     if before.length and after.length:
-        sigma = math.sqrt(2) * _SIZE_SIGMA * (before.length + after.length) / 2
+        sigma = math.sqrt(2) * JOIN_LIMITS.size_sigma * (before.length + after.length) / 2
         total += ((before.length - after.length) / sigma) ** 2
     density = 1 / (2 * math.pi * math.sqrt(max(1e-12, float(np.linalg.det(spread)))))
     return density * math.exp(-total / 2) if total < 16 else 0.0

@@ -14,15 +14,26 @@ from skope.tracks.track import Track, is_in_traffic
 from skope.traffic.normal_distribution import at_most
 from skope.types import Array
 
-_WIDTH_M: Final = 3.5
-"""Of a lane that does not say how wide it is."""
-_STAYS_S: Final = 1.0
-"""A road user that is in a lane for less time, seconds, has not changed to it."""
-_BETWEEN_S: Final = 3.0
-"""Between two lanes no longer than this is a change from one to the other."""
-_ALONGSIDE: Final = math.cos(math.radians(45))
-"""Lanes in one direction: those that meet at a larger angle are two arms of a junction, and no change."""
-_NONE: Final = -1
+
+@dataclass(frozen=True)
+class LaneLimits:
+    """Limits of lane changes."""
+
+    width_m: float = 3.5
+    """Width of a lane that states none, metres."""
+    stay_s: float = 1.0
+    """Least time in a lane for a change to it, seconds."""
+    between_s: float = 3.0
+    """Longest time between two lanes for a change from one to the other, seconds."""
+    parallel_cos: float = math.cos(math.radians(45))
+    """Cosine of the largest angle between lanes of one direction. Lanes at a larger angle are two arms of a
+    junction.
+    """
+    no_lane: int = -1
+    """Number of no lane."""
+
+
+LANE_LIMITS: Final = LaneLimits()
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -46,7 +57,7 @@ class LaneMap:
     def __init__(self, lanes: Sequence[Lane]) -> None:
         self.lanes = tuple(lanes)
         self._lines = [_without_repeats(np.array(lane.line)) for lane in lanes]
-        self._half = np.array([(lane.width or _WIDTH_M) / 2 for lane in lanes])
+        self._half = np.array([(lane.width or LANE_LIMITS.width_m) / 2 for lane in lanes])
 
     def indices(self, places: Array, least: float = 0.0) -> tuple[NDArray[np.int64], Array, Array]:
         """The lane of each place (M, 2): index or -1, distance to its middle (M,), and (M, 2) where it leads there.
@@ -56,7 +67,7 @@ class LaneMap:
         """
         if not self.lanes:
             count = len(places)
-            return np.full(count, _NONE), np.full(count, np.inf), np.zeros((count, 2))
+            return np.full(count, LANE_LIMITS.no_lane), np.full(count, np.inf), np.zeros((count, 2))
         found = [_from_line(line, places) for line in self._lines]
         away = np.stack([distance for distance, _ in found])
         ways = np.stack([way for _, way in found])
@@ -64,7 +75,7 @@ class LaneMap:
         best = share.argmin(axis=0)
         column = np.arange(len(places))
         inside = np.isfinite(share[best, column])
-        return np.where(inside, best, _NONE), away[best, column], ways[best, column]
+        return np.where(inside, best, LANE_LIMITS.no_lane), away[best, column], ways[best, column]
 
     def along(self, lane: int, places: Array) -> Array:
         """(M,) how far along the lane of this index places (M, 2) lie, metres from its begin."""
@@ -80,7 +91,7 @@ class LaneMap:
     def lane_at(self, place: Array, covariance: Array) -> tuple[str, float]:
         """Name of the lane at a place (2,), "" where there is none, and the probability that it is right."""
         index, away, way = self.indices(place[None])
-        if index[0] == _NONE:
+        if index[0] == LANE_LIMITS.no_lane:
             return "", 1.0
         across = np.array([-way[0, 1], way[0, 0]])
         sigma = math.sqrt(max(1e-12, float(across @ covariance @ across)))
@@ -133,17 +144,17 @@ def _changes(trajectory: Track, lanes: LaneMap, hysteresis_m: float) -> list[Lan
     times = trajectory.times_s
     runs: list[NDArray[np.intp]] = []
     for run in np.split(np.arange(len(index)), np.flatnonzero(np.diff(index)) + 1):
-        if index[run[0]] != _NONE:
+        if index[run[0]] != LANE_LIMITS.no_lane:
             if runs and index[runs[-1][0]] == index[run[0]]:
                 runs[-1] = np.arange(runs[-1][0], run[-1] + 1)
             else:
                 runs.append(run)
-    runs = [run for run in runs if times[run[-1]] - times[run[0]] >= _STAYS_S]
+    runs = [run for run in runs if times[run[-1]] - times[run[0]] >= LANE_LIMITS.stay_s]
     out = []
     for before, after in itertools.pairwise(runs):
         left, entered = before[-1], after[0]
-        changed = index[left] != index[entered] and times[entered] - times[left] <= _BETWEEN_S
-        if not changed or float(ways[left] @ ways[entered]) < _ALONGSIDE:
+        changed = index[left] != index[entered] and times[entered] - times[left] <= LANE_LIMITS.between_s
+        if not changed or float(ways[left] @ ways[entered]) < LANE_LIMITS.parallel_cos:
             continue
         time_s = float(times[left] + times[entered]) / 2
         sure = [

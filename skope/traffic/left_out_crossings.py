@@ -9,7 +9,7 @@ import numpy as np
 
 from skope.site.gates_zones_lanes import Gate
 from skope.tracks.track import Track
-from skope.traffic.gate_counts import ALL
+from skope.traffic.gate_counts import ALL_CLASSES
 from skope.traffic.gates import GateCrossing, direction_names, may_count, signed_distances
 from skope.traffic.traffic_report import TrafficReport
 
@@ -41,7 +41,9 @@ def left_out_crossings(report: TrafficReport) -> dict[tuple[str, str], list[Left
         for direction, left_out in _of_gate(report, gate):
             if begin_s <= left_out.time_s < end_s:
                 found.setdefault((gate.name, direction_names(gate)[direction]), []).append(left_out)
-    counted = {(row.gate, row.direction): row.count or 0 for row in report.counts_total if row.class_name == ALL}
+    counted = {
+        (row.gate, row.direction): row.count or 0 for row in report.counts_total if row.class_name == ALL_CLASSES
+    }
     return {
         side: sorted(rows, key=lambda row: row.time_s)
         for side, rows in found.items()

@@ -28,22 +28,36 @@ from skope.traffic.observation import Observation
 from skope.types import Array
 
 LENGTH_BINS: Final = ("short", "medium", "long")
-UNTOLD: Final = "unknown"
-"""Name for vehicles that are in no bin with `TOLD`."""
-TOLD: Final = 0.8
-"""A vehicle is counted in a bin that it is in with this probability, or more."""
-LONGEST_M: Final = 12.0
-"""No vehicle longer than this was among those that errors were measured on."""
-WHY_NOT: Final = f"no interval: errors of lengths were measured on vehicles of up to {LONGEST_M:g} m"
-_ERRORS: Final = {"car": ((0.75, 0.02), (0.245, 0.14)), "van": ((0.75, 0.02), (0.248, 0.055))}
-_OF_OTHERS: Final = ((0.5, 0.03), (0.46, 0.09))
-"""Shares of tracks, and the standard deviation of their lengths' errors, relative; the rest may have any length."""
-_LONGEST_CAR_M: Final = 6.2
-"""No car is longer, but by mistake; large errors of cars are of short ones."""
-_ANY_M: Final = (3.0, 13.0)
-"""Lengths of those whose body was mistaken."""
-_MAY: Final = 0.02
-"""A vehicle that was lost may have been in a bin that its track is in with this probability."""
+NO_BIN: Final = "unknown"
+"""Name of the bin of vehicles whose length is too uncertain."""
+
+
+@dataclass(frozen=True)
+class LengthModel:
+    """Errors of lengths, and limits of length bins."""
+
+    bin_probability: float = 0.8
+    """Probability from which a vehicle is counted in a bin."""
+    longest_measured_m: float = 12.0
+    """Longest vehicle among those on which errors were measured, metres."""
+    other_errors: tuple[tuple[float, float], tuple[float, float]] = ((0.5, 0.03), (0.46, 0.09))
+    """Shares of tracks with the standard deviation of their lengths' errors, relative. The rest may have any
+    length.
+    """
+    longest_car_m: float = 6.2
+    """Longest car, metres. Large errors of cars are of short ones."""
+    mistaken_m: tuple[float, float] = (3.0, 13.0)
+    """Lengths of vehicles whose body type was mistaken, metres."""
+    possible_probability: float = 0.02
+    """A lost vehicle may be in a bin if its track is in it with this probability."""
+
+
+LENGTH_MODEL: Final = LengthModel()
+
+WHY_NOT: Final = (
+    f"no interval: errors of lengths were measured on vehicles of up to {LENGTH_MODEL.longest_measured_m:g} m"
+)
+CLASS_ERRORS: Final = {"car": ((0.75, 0.02), (0.245, 0.14)), "van": ((0.75, 0.02), (0.248, 0.055))}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,14 +70,14 @@ class LengthCount:
     gate: str
     direction: str
     bin_name: str
-    """Of `LENGTH_BINS`, or `UNTOLD`."""
+    """Of `LENGTH_BINS`, or `NO_BIN`."""
     between_m: tuple[float, float] | None
-    """From which length to which, metres; None for `UNTOLD`."""
+    """From which length to which, metres; None for `NO_BIN`."""
     count: int | None
     """None: nothing was observed."""
     expected: CountInterval | None
-    """Between which numbers the truth is; None where counts of vehicles have none, for `UNTOLD`, which no vehicle is in
-    truth, and for bins of vehicles that are longer than `LONGEST_M`."""
+    """Between which numbers the truth is; None where counts of vehicles have none, for `NO_BIN`, which no vehicle is in
+    truth, and for bins of vehicles that are longer than `LENGTH_MODEL.longest_measured_m`."""
 
 
 def bounds_m(limits_m: Sequence[float]) -> tuple[tuple[float, float], ...]:
@@ -80,7 +94,7 @@ def length_sigma_m(trajectory: Track, common_sigma: float | None) -> float:
     assert trajectory.length is not None
     length = trajectory.length
     parts = _errors(trajectory)
-    low, high = (end - length for end in _ANY_M)
+    low, high = (end - length for end in LENGTH_MODEL.mistaken_m)
     strayed = (high**3 - low**3) / (3 * (high - low))
     square = sum(share * (sigma * length) ** 2 for share, sigma in parts) + _rest(parts) * strayed
     return math.hypot(math.sqrt(square), (common_sigma or 0.0) * length)
@@ -107,16 +121,17 @@ def length_bin(trajectory: Track, limits_m: Sequence[float], common_sigma: float
         common_sigma: As `length_sigma_m` takes it.
 
     Returns:
-        The most probable bin, or `UNTOLD` where its probability is less than `TOLD`; and that probability.
+        The most probable bin, or `NO_BIN` where its probability is less than `LENGTH_MODEL.bin_probability`; and that
+        probability.
     """
     chances = bin_probabilities(trajectory, limits_m, common_sigma)
     return _bin_of(chances), float(chances.max())
 
 
 def _bin_of(chances: Array) -> str:
-    """The bin of somebody for whom each is so probable (3,), or `UNTOLD`."""
+    """The bin of somebody for whom each is so probable (3,), or `NO_BIN`."""
     most = int(np.argmax(chances))
-    return LENGTH_BINS[most] if chances[most] >= TOLD else UNTOLD
+    return LENGTH_BINS[most] if chances[most] >= LENGTH_MODEL.bin_probability else NO_BIN
 
 
 def has_length(trajectory: Track) -> bool:
@@ -160,9 +175,11 @@ def length_counts(
             for k, direction in enumerate(direction_names(gate)):
                 own = [one for one in there if (one.gate, one.direction) == (gate.name, k)]
                 known = observed_s > 0 and gate.name not in unseen.gates
-                between = _between(own, chances, names, (gate.name, k), interval, limits, unseen) if known else _NONE
+                between = (
+                    _between(own, chances, names, (gate.name, k), interval, limits, unseen) if known else NO_LIMITS
+                )
                 for name, bounds, expected in zip(
-                    (*LENGTH_BINS, UNTOLD), (*bounds_m(limits), None), between, strict=True
+                    (*LENGTH_BINS, NO_BIN), (*bounds_m(limits), None), between, strict=True
                 ):
                     number = sum(one.counts and names[one] == name for one in own)
                     out.append(
@@ -180,7 +197,7 @@ def length_counts(
     return out
 
 
-_NONE: Final = (None, None, None, None)
+NO_LIMITS: Final = (None, None, None, None)
 Chances = dict[GateCrossing | Vanished, Array]
 """Probability of each bin, by crossing or vanished track."""
 
@@ -194,30 +211,34 @@ def _between(
     limits_m: Sequence[float],
     unseen: Unseen,
 ) -> tuple[CountInterval | None, ...]:
-    """The intervals of the bins at a gate, by the crossings there and by who was lost, and none of `UNTOLD`."""
+    """The intervals of the bins at a gate, by the crossings there and by who was lost, and none of `NO_BIN`."""
     (kind,) = (one for one in unseen.kinds_at(*side) if one.classes == OF_VEHICLES)
     most = partial(unseen.most, *side, interval, kind.classes)
     if kind.loses(sum(one.counts for one in own), most()):
-        return _NONE
+        return NO_LIMITS
 
     here = [one for one in unseen.vanished if (one.gate, one.direction) == side]
 
     def told() -> Iterator[CountInterval | None]:
         for k, (shortest, _) in enumerate(bounds_m(limits_m)):
-            may = tuple(one for one in here if one in chances and chances[one][k] >= _MAY)
+            may = tuple(one for one in here if one in chances and chances[one][k] >= LENGTH_MODEL.possible_probability)
             lost = replace(unseen, vanished=may).most(*side, interval, kind.classes)
             each = {one: kind.real * one.probability * float(chances[one][k]) for one in own}
             inside = {one for one in own if one.counts and names[one] == LENGTH_BINS[k]}
             false = [1 - each[one] for one in own if one in inside]
             uncounted = [each[one] for one in own if one not in inside and each[one] > 0]
             errors = CountErrors(false, uncounted, lost, kind.came, kind.missed)
-            yield None if shortest >= LONGEST_M else CountDistribution(len(false), [errors]).interval()
+            yield (
+                None
+                if shortest >= LENGTH_MODEL.longest_measured_m
+                else CountDistribution(len(false), [errors]).interval()
+            )
 
     return (*told(), None)
 
 
 def _errors(trajectory: Track) -> tuple[tuple[float, float], ...]:
-    return _ERRORS.get(trajectory.class_name, _OF_OTHERS)
+    return CLASS_ERRORS.get(trajectory.class_name, LENGTH_MODEL.other_errors)
 
 
 def _rest(parts: Sequence[tuple[float, float]]) -> float:
@@ -228,9 +249,9 @@ def _shorter_than(trajectory: Track, limit_m: float, common_sigma: float) -> flo
     """Probability that a vehicle is shorter than this in truth."""
     assert trajectory.length is not None
     parts = _errors(trajectory)
-    low, high = _ANY_M
+    low, high = LENGTH_MODEL.mistaken_m
     strayed = min(1.0, max(0.0, (limit_m - low) / (high - low)))
-    longest = _LONGEST_CAR_M if trajectory.class_name == "car" else math.inf
+    longest = LENGTH_MODEL.longest_car_m if trajectory.class_name == "car" else math.inf
     told_m = min(trajectory.length, longest)
 
     def below(sigma: float, length_m: float) -> float:

@@ -35,8 +35,8 @@ from skope.traffic.zones import visits
 if TYPE_CHECKING:
     from skope.site.site_file import SiteParts
 
-_SEED: Final = 0
-"""The draws that tell how uncertain conflicts are begin here: the same tracks give the same report."""
+DRAW_SEED: Final = 0
+"""Seed of the draws for the uncertainty of conflicts. The same tracks give the same report."""
 
 
 def measure(
@@ -78,7 +78,7 @@ def measure(
     sections = section_passes(moved)
     speeds = speed_groups(crossed, sections, intervals, observation)
     search = conflicts(
-        trajectories, settings, np.random.default_rng(_SEED), site.zones, observation.common_sigma or 0.0
+        trajectories, settings, np.random.default_rng(DRAW_SEED), site.zones, observation.common_sigma or 0.0
     )
     late = delays(sections, speeds, settings)
     names = [lane.name for lane in site.lanes]

@@ -20,13 +20,20 @@ from skope.traffic.event_probability import MissRateGroup, miss_rate_groups
 from skope.traffic.gates import GateCrossing, may_count, signed_distances
 from skope.traffic.observation import Observation
 
-_SOON_S: Final = 3.0
-"""A road user that would be at the gate within this time after the track ends, seconds, may have crossed it; or has
-come from there so long before it begins."""
-_SLOWEST: Final = 0.5
-"""A road user that moved along the gate's normal by less than this when lost, m/s, was on no way across it."""
-NEAR_M: Final = 10.0
-"""A gate within this of which nobody was ever seen is one that the camera may not see, metres."""
+
+@dataclass(frozen=True)
+class MissedLimits:
+    """Limits of crossings that may have been missed."""
+
+    soon_s: float = 3.0
+    """Time after the end, or before the start, of a track within which it may have crossed a gate, seconds."""
+    slowest_mps: float = 0.5
+    """Speed along the gate's normal below which a lost road user was not about to cross it, m/s."""
+    near_m: float = 10.0
+    """A gate within this distance of which nobody was detected may be out of view, metres."""
+
+
+MISSED_LIMITS: Final = MissedLimits()
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -101,7 +108,7 @@ def unseen(
     crossings: Sequence[GateCrossing],
     observation: Observation,
     settings: TrafficSettings,
-    near: float = NEAR_M,
+    near: float = MISSED_LIMITS.near_m,
     kinds: Mapping[str, tuple[MissRateGroup, ...]] | None = None,
     other_cameras: Mapping[str, Sequence[Sequence[GateCrossing]]] | None = None,
 ) -> Unseen:
@@ -149,10 +156,10 @@ def _would_cross(trajectory: Track, gate: Gate, begins: bool, observation: Obser
     places = np.stack([trajectory.xy[row], trajectory.xy[row] + velocity])
     (signed, ahead), (along, later) = signed_distances(gate, places)
     across = ahead - signed
-    if abs(across) < _SLOWEST:
+    if abs(across) < MISSED_LIMITS.slowest_mps:
         return []
     after_s = float(-signed / across)
-    if not (-_SOON_S < after_s <= 0 if begins else 0 <= after_s < _SOON_S):
+    if not (-MISSED_LIMITS.soon_s < after_s <= 0 if begins else 0 <= after_s < MISSED_LIMITS.soon_s):
         return []
     at = along + (later - along) * after_s
     length = math.dist(*gate.line)

@@ -22,15 +22,26 @@ from skope.tracks.track import Track
 from skope.traffic.counting_intervals import time_of
 from skope.types import Array
 
-FOOTAGE: Final = "footage.json"
+FOOTAGE_FILE: Final = "footage.json"
 """File of `skope eval track` on its footage, beside the tracks."""
-_VERSION: Final = 1
+
+
+@dataclass(frozen=True)
+class ObservationLimits:
+    """Limits of gaps in an observation."""
+
+    version: int = 1
+    """Version of the file."""
+    gap_s: float = 1.0
+    """Frames farther apart than this, and than `gap_steps` usual steps, have a gap between them, seconds."""
+    gap_steps: float = 3.0
+    cut_s: float = 1.0
+    """What begins or ends this close to an end of the footage, or to a gap, is cut by it, seconds."""
+
+
+OBSERVATION: Final = ObservationLimits()
+
 _WITH_OFFSET: Final = "2026-11-26T10:00:00+01:00"
-_GAP_S: Final = 1.0
-"""Between frames that are farther apart than this, and than `_GAP_STEPS` usual steps, nothing was observed."""
-_GAP_STEPS: Final = 3.0
-_CUT_S: Final = 1.0
-"""Something that begins or ends so near to an end of the footage, or to a gap in it, is cut by that, seconds."""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -76,7 +87,7 @@ class Observation:
         steps = np.diff(self.times_s)
         usual = _usual_step(self.times_s)
         moved = np.diff(np.searchsorted(self.moved_s, self.times_s)) > 0
-        cuts = np.flatnonzero((steps > max(_GAP_S, _GAP_STEPS * usual)) | moved)
+        cuts = np.flatnonzero((steps > max(OBSERVATION.gap_s, OBSERVATION.gap_steps * usual)) | moved)
         begins = self.times_s[np.concatenate([[0], cuts + 1]).astype(int)]
         ends = self.times_s[np.concatenate([cuts, [len(self.times_s) - 1]]).astype(int)]
         return np.stack([begins, ends + usual], axis=1)
@@ -115,7 +126,7 @@ class Observation:
 
     def is_cut(self, time_s: float) -> bool:
         """Whether what begins or ends at a time is cut by the footage or by a gap in it, not lost."""
-        return not len(self.spans) or bool(np.abs(self.spans - time_s).min() < _CUT_S)
+        return not len(self.spans) or bool(np.abs(self.spans - time_s).min() < OBSERVATION.cut_s)
 
     def pixels_per_metre(self, place: Array) -> float | None:
         """Pixels of a metre across the line of sight at a place (2,) of the road; None: not known.
@@ -159,7 +170,7 @@ class Observation:
     def to_dict(self) -> dict[str, Any]:
         """Content of `footage.json`."""
         return {
-            "version": _VERSION,
+            "version": OBSERVATION.version,
             "source": self.source,
             "times_s": [round(float(time), 4) for time in self.times_s],
             "moved_times_s": [round(float(time), 4) for time in self.moved_s],
@@ -192,7 +203,9 @@ def held_s(times_s: Array, begin_s: float, end_s: float, further_s: Sequence[flo
 def _ends(times_s: Array) -> Array:
     """(N,) until when each frame of a recording stands."""
     usual = _usual_step(times_s)
-    return np.asarray(times_s + np.append(np.minimum(np.diff(times_s), _GAP_STEPS * usual), usual)[: len(times_s)])
+    return np.asarray(
+        times_s + np.append(np.minimum(np.diff(times_s), OBSERVATION.gap_steps * usual), usual)[: len(times_s)]
+    )
 
 
 def _usual_step(times_s: Array) -> float:
@@ -202,7 +215,7 @@ def _usual_step(times_s: Array) -> float:
 
 def track_files(folder: Path) -> list[Path]:
     """The files that a report of a folder of tracks is made from."""
-    return [folder / TRACKS_CSV, folder / FOOTAGE]
+    return [folder / TRACKS_CSV, folder / FOOTAGE_FILE]
 
 
 def read_observation(folder: Path) -> Observation:
@@ -211,13 +224,13 @@ def read_observation(folder: Path) -> Observation:
     Raises:
         UserError: It is missing or wrong; the message names the file and the field.
     """
-    path = folder / FOOTAGE
+    path = folder / FOOTAGE_FILE
     if not path.is_file():
         raise UserError(f"{path}: no such file; `skope eval track` writes it beside the tracks")
     document = read_json(path)
     if not isinstance(document, dict):
         raise UserError(f"{path}: expected an object")
-    check_version(path, document.get("version"), _VERSION)
+    check_version(path, document.get("version"), OBSERVATION.version)
     times = _numbers(path, document, "times_s")
     if (np.diff(times) <= 0).any():
         raise UserError(f"{path}: times_s: expected times that rise from frame to frame")

@@ -12,13 +12,22 @@ from typing import Any, Final
 
 from skope.schema import VEHICLE
 from skope.traffic.counting_intervals import ClockInterval
-from skope.traffic.gate_counts import ALL, classes_of, observed_word, row_classes
+from skope.traffic.gate_counts import ALL_CLASSES, classes_of, observed_word, row_classes
 from skope.traffic.traffic_report import TrafficReport
 
-_HOUR_MINUTES: Final = 60
-_QUARTER_MINUTES: Final = 15
-_ROUNDING_S: Final = 1e-6
-_FACTOR_DIGITS: Final = 3
+
+@dataclass(frozen=True)
+class PeakPeriods:
+    """Periods of the peak hour factor."""
+
+    hour_minutes: int = 60
+    quarter_minutes: int = 15
+    rounding_s: float = 1e-6
+    """Rounding of times, seconds."""
+    factor_digits: int = 3
+
+
+PEAK_PERIODS: Final = PeakPeriods()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,8 +68,8 @@ def peak_hours(report: TrafficReport) -> list[PeakHour]:
     hours = _observed_hours(report)
     found = []
     for (gate, direction), volumes in _volumes(report, class_name).items():
-        first = max(hours, key=lambda k: sum(volumes[k : k + _HOUR_MINUTES // minutes]))
-        own = volumes[first : first + _HOUR_MINUTES // minutes]
+        first = max(hours, key=lambda k: sum(volumes[k : k + PEAK_PERIODS.hour_minutes // minutes]))
+        own = volumes[first : first + PEAK_PERIODS.hour_minutes // minutes]
         begin, end = report.intervals[first], report.intervals[first + len(own) - 1]
         found.append(
             PeakHour(
@@ -80,13 +89,13 @@ def peak_hours(report: TrafficReport) -> list[PeakHour]:
 
 def peak_hour_class(report: TrafficReport) -> str:
     """`VEHICLE`, or `ALL` if the site counts vehicles alone, or none."""
-    return VEHICLE if VEHICLE in row_classes(report.site.traffic) else ALL
+    return VEHICLE if VEHICLE in row_classes(report.site.traffic) else ALL_CLASSES
 
 
 def why_no_peak_hour(report: TrafficReport) -> str:
     """The reason why there is no peak hour; empty if there is one."""
     minutes = report.site.traffic.interval_minutes
-    if _HOUR_MINUTES % minutes:
+    if PEAK_PERIODS.hour_minutes % minutes:
         return f"{minutes}-minute intervals do not divide an hour (traffic.interval_minutes)"
     if not _observed_hours(report):
         longest = max((len(run) for run in _observed_runs(report)), default=0) * minutes
@@ -100,7 +109,7 @@ def why_no_peak_hour(report: TrafficReport) -> str:
 def why_no_factor(report: TrafficReport) -> str:
     """The reason why peak hours have no peak-hour factor; empty if they have one."""
     minutes = report.site.traffic.interval_minutes
-    if _QUARTER_MINUTES % minutes:
+    if PEAK_PERIODS.quarter_minutes % minutes:
         return f"{minutes}-minute intervals do not divide 15 minutes (traffic.interval_minutes)"
     return ""
 
@@ -121,7 +130,7 @@ def peak_hours_in_json(report: TrafficReport) -> dict[str, Any]:
             "begin_s": round(hour.begin_s, 3),
             "volume": hour.volume,
             "highest_15_minutes": hour.highest_15_minutes,
-            "factor": None if hour.factor is None else round(hour.factor, _FACTOR_DIGITS),
+            "factor": None if hour.factor is None else round(hour.factor, PEAK_PERIODS.factor_digits),
         }
         for hour in peak_hours(report)
     ]
@@ -130,15 +139,15 @@ def peak_hours_in_json(report: TrafficReport) -> dict[str, Any]:
 
 def _highest_quarter(volumes: Sequence[int], minutes: int) -> int | None:
     """Highest volume of 15 consecutive minutes, of volumes of intervals; None if intervals do not divide 15 minutes."""
-    if _QUARTER_MINUTES % minutes:
+    if PEAK_PERIODS.quarter_minutes % minutes:
         return None
-    size = _QUARTER_MINUTES // minutes
+    size = PEAK_PERIODS.quarter_minutes // minutes
     return max(sum(volumes[k : k + size]) for k in range(len(volumes) - size + 1))
 
 
 def _observed_hours(report: TrafficReport) -> list[int]:
     """Indices of the intervals at which 60 fully observed minutes begin."""
-    size = _HOUR_MINUTES // report.site.traffic.interval_minutes
+    size = PEAK_PERIODS.hour_minutes // report.site.traffic.interval_minutes
     return [k for run in _observed_runs(report) for k in run[: max(0, len(run) - size + 1)]]
 
 
@@ -148,7 +157,7 @@ def _observed_runs(report: TrafficReport) -> Iterator[range]:
     for k in range(len(report.intervals) + 1):
         usable = k < len(report.intervals) and _is_full(report, report.intervals[k])
         follows = usable and (
-            k == begin or abs(report.intervals[k].begin_s - report.intervals[k - 1].end_s) < _ROUNDING_S
+            k == begin or abs(report.intervals[k].begin_s - report.intervals[k - 1].end_s) < PEAK_PERIODS.rounding_s
         )
         if follows:
             continue
@@ -160,7 +169,7 @@ def _observed_runs(report: TrafficReport) -> Iterator[range]:
 def _is_full(report: TrafficReport, interval: ClockInterval) -> bool:
     """Whether an interval was fully observed and is not cut short by a change of clocks."""
     seconds = interval.end_s - interval.begin_s
-    full_length = abs(seconds - 60 * report.site.traffic.interval_minutes) < _ROUNDING_S
+    full_length = abs(seconds - 60 * report.site.traffic.interval_minutes) < PEAK_PERIODS.rounding_s
     observed_s = report.observation.seconds_in(interval.begin_s, interval.end_s)
     return full_length and observed_word(interval, observed_s) == "all"
 
@@ -179,6 +188,6 @@ def _volumes(report: TrafficReport, class_name: str) -> dict[tuple[str, str], li
         site[max(0, bisect.bisect_right(begins_s, crossing.time_s) - 1)] += 1
     volumes = {("", ""): site}
     for row in report.counts:
-        if (row.lane, row.class_name) == (ALL, class_name):
+        if (row.lane, row.class_name) == (ALL_CLASSES, class_name):
             volumes.setdefault((row.gate, row.direction), []).append(row.count or 0)
     return volumes

@@ -16,25 +16,25 @@ from numpy.typing import NDArray
 
 from skope.schema import PEDESTRIAN
 from skope.site.traffic_settings import TrafficSettings
-from skope.tracks.track import KMH, Track, worst_sigma
+from skope.tracks.track import KMH_PER_MPS, Track, worst_sigma
 from skope.traffic.count_uncertainty import CountInterval, count_interval
 from skope.traffic.counting_intervals import ClockInterval
 from skope.traffic.event_probability import event_probability, queue_miss_rate
 from skope.traffic.lanes import LaneMap
 from skope.traffic.normal_distribution import INTERVAL_SIGMAS
 from skope.traffic.observation import Observation
-from skope.traffic.speeds import MOTOR, SectionPass, SpeedGroup
+from skope.traffic.speeds import MOTOR_TRAFFIC, SectionPass, SpeedGroup
 from skope.types import Array
 
 _STEP_S: Final = 1.0
 """Queues are looked at so often."""
 _STOP_S: Final = 1.0
 """A road user that is slow for less time, seconds, has not stopped."""
-_SHIFTS: Final = (-INTERVAL_SIGMAS, -INTERVAL_SIGMAS / 2, INTERVAL_SIGMAS / 2, INTERVAL_SIGMAS)
-"""Speeds are tried so many standard deviations away: what is one stop at one speed may be two or none at another."""
+SPEED_SHIFTS: Final = (-INTERVAL_SIGMAS, -INTERVAL_SIGMAS / 2, INTERVAL_SIGMAS / 2, INTERVAL_SIGMAS)
+"""Shifts of the speeds that are tried, in standard deviations. One stop at one speed may be two or none at another."""
 Queue = tuple[float, float, tuple[float, ...]]
 """Length and its standard deviation, metres, and how probable each of the vehicles is."""
-_NOBODY: Final[Queue] = (0.0, 0.0, ())
+NO_QUEUE: Final[Queue] = (0.0, 0.0, ())
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -107,7 +107,7 @@ def stops(
     if not len(rows):
         return 0, 0.0
     speed = trajectory.speed[rows] + shift * trajectory.speed_sigma[rows]
-    slow = standing(speed, settings.stop_kmh / KMH, 2 * settings.stop_kmh / KMH)
+    slow = standing(speed, settings.stop_kmh / KMH_PER_MPS, 2 * settings.stop_kmh / KMH_PER_MPS)
     runs = np.split(np.arange(len(rows)), np.flatnonzero(np.diff(slow)) + 1)
     lengths = [float(times[rows[run[-1]]] - times[rows[run[0]]]) for run in runs if slow[run[0]]]
     lasting = [length for length in lengths if length >= _STOP_S]
@@ -141,7 +141,7 @@ def queues(
         if not here:
             continue
         for lane, of_moment in zip(lanes.lanes, found, strict=True):
-            queue = [of_moment.get(moment, _NOBODY) for moment in here]
+            queue = [of_moment.get(moment, NO_QUEUE) for moment in here]
             k = max(range(len(here)), key=lambda k: queue[k][0])
             length, sigma, chances = queue[k]
             bounds = [_between(one[2]) for one in queue]
@@ -179,7 +179,7 @@ def _in_lane(
         if not trajectory.confirmed or trajectory.category == PEDESTRIAN:
             continue
         there = moments[(moments >= trajectory.times_s[0]) & (moments <= trajectory.times_s[-1])]
-        begin, end = settings.queue_speed_kmh / KMH, settings.queue_end_kmh / KMH
+        begin, end = settings.queue_speed_kmh / KMH_PER_MPS, settings.queue_end_kmh / KMH_PER_MPS
         # A speed that is not known so well is no sign of standing.
         slow = standing(trajectory.speed + np.where(trajectory.speed_sigma > begin / 2, end, 0.0), begin, end)
         there = there[trajectory.at(slow.astype(float), there) > 0.5] if len(there) and slow.any() else there[:0]
@@ -229,7 +229,7 @@ def delays(sections: Sequence[SectionPass], groups: Sequence[SpeedGroup], settin
     free: dict[str, tuple[float, float]] = {}
     for group in groups:
         v85 = group.percentiles["v85"]
-        if group.kind == "section" and group.interval is None and group.class_name == MOTOR and v85.value:
+        if group.kind == "section" and group.interval is None and group.class_name == MOTOR_TRAFFIC and v85.value:
             assert v85.low is not None
             assert v85.high is not None
             free[group.where] = v85.value, (v85.high - v85.low) / 2 / INTERVAL_SIGMAS
@@ -240,9 +240,9 @@ def delays(sections: Sequence[SectionPass], groups: Sequence[SpeedGroup], settin
         assert destination is not None
         told_of = origin.trajectory, origin.time_s, destination.time_s, settings
         number, stopped_s = stops(*told_of)
-        numbers = [number, *(stops(*told_of, shift)[0] for shift in _SHIFTS)]
+        numbers = [number, *(stops(*told_of, shift)[0] for shift in SPEED_SHIFTS)]
         told = settings.free_flow_kmh
-        speed, sigma = (told / KMH, 0.0) if told else free.get(one.name, (math.nan, math.nan))
+        speed, sigma = (told / KMH_PER_MPS, 0.0) if told else free.get(one.name, (math.nan, math.nan))
         out.append(
             Delay(
                 section=one,

@@ -24,7 +24,7 @@ from skope.terminal.console import counted
 from skope.tracks.csv_file import TRACKS_CSV, read_tracks
 from skope.tracks.track import Track
 from skope.traffic.counting_intervals import local_start, local_time, time_of
-from skope.traffic.observation import FOOTAGE, Observation, read_observation
+from skope.traffic.observation import FOOTAGE_FILE, Observation, read_observation
 from skope.types import Array
 
 if TYPE_CHECKING:
@@ -84,13 +84,22 @@ def _zone(site: "SiteFile") -> ZoneInfo | None:
     return ZoneInfo(site.time_zone) if site.time_zone else None
 
 
-_INEXACT_S: Final = 1.0
-"""Recorders name files by whole seconds: what seems to begin so long before the one before it has ended follows it."""
-_WORTH_SAYING_S: Final = 0.05
+@dataclass(frozen=True)
+class RecordingLimits:
+    """Precision of the times of recordings."""
+
+    inexact_s: float = 1.0
+    """Largest overlap of two recordings, seconds. Recorders name files by whole seconds."""
+    reported_s: float = 0.05
+    """Shift of a recording that is reported, seconds."""
+    time_digits: int = 6
+    """Digits of times: microseconds, so that a moment has one number in all recordings."""
+
+
+RECORDING_LIMITS: Final = RecordingLimits()
+
 _LONGEST_SPAN: Final = timedelta(days=31)
 """From the begin of the first recording to that of the last one: more is rather a mistake in a date."""
-_TIME_DIGITS: Final = 6
-"""Times are rounded to microseconds, so that a moment is the same number whichever recording it is in."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -201,7 +210,7 @@ def recording_lines(recordings: Sequence[SiteRecording], observation: Observatio
             f"{len(guessed)} of {len(recordings)} recordings are taken to begin when the names of their footage say "
             f"({first.source!r}: {first.begin.isoformat(timespec='seconds')}): a guess, which --begins replaces"
         )
-    if late := [one for one in recordings if one.late_s >= _WORTH_SAYING_S]:
+    if late := [one for one in recordings if one.late_s >= RECORDING_LIMITS.reported_s]:
         yield (
             f"{len(late)} of {len(recordings)} recordings begin up to {max(one.late_s for one in late):.2f} s before "
             f"the one before has ended ({late[0].folder} is the first): they are taken to follow it"
@@ -263,7 +272,7 @@ def _check(placed: Sequence[_Placed]) -> None:
     folders, contents = dict[Path, Path](), dict[str, Path]()
     for one in placed:
         if not len(one.observation.times_s) + len(one.observation.moved_s):
-            raise UserError(f"{one.folder / FOOTAGE}: times_s: holds no frame")
+            raise UserError(f"{one.folder / FOOTAGE_FILE}: times_s: holds no frame")
         if one.folder.resolve() in folders:
             raise UserError(f"{one.folder}: is given twice")
         folders[one.folder.resolve()] = one.folder
@@ -295,7 +304,7 @@ def _one_after_the_other(placed: Sequence[_Placed]) -> Iterator[tuple[_Placed, f
     before: _Placed | None = None
     for one in placed:
         late_s = 0.0 if before is None else max(0.0, _seconds(before.at(1), one.at(0)))
-        if before is not None and late_s > _INEXACT_S:
+        if before is not None and late_s > RECORDING_LIMITS.inexact_s:
             begins, ends = (time.isoformat(timespec="seconds") for time in (one.at(0), before.at(1)))
             raise UserError(
                 f"{one.folder}: begins at {begins}, before {before.folder} has ended ({ends}): recordings of one "
@@ -333,7 +342,7 @@ def _in_report(observation: Observation, begin_s: float) -> Observation:
 
 
 def _at(times_s: Array, begin_s: float) -> Array:
-    return np.asarray(np.round(times_s + begin_s, _TIME_DIGITS))
+    return np.asarray(np.round(times_s + begin_s, RECORDING_LIMITS.time_digits))
 
 
 def _later(time: datetime, seconds: float) -> datetime:

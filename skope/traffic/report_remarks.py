@@ -15,19 +15,40 @@ from skope.traffic.gates import signed_distances
 from skope.traffic.hand_checks import hand_lines
 from skope.traffic.observation import Observation, held_s
 from skope.traffic.recordings import recording_lines
-from skope.traffic.turning_movements import NOWHERE, on_foot
+from skope.traffic.turning_movements import NO_GATE, on_foot
 from skope.types import Array, Mask
 
 if TYPE_CHECKING:
     from skope.traffic.traffic_report import TrafficReport
 
 
-DARK: Final = 0.1
-"""Pictures of a lower mean brightness show hardly anything. Of 386 generated ones, of all hours and weathers, the
-darkest two have 0.089 (a road without lamps) and 0.097; nights with lamps 0.105 and more, as cameras expose longer."""
-FLAT: Final = 0.015
-"""Pictures of lower contrast show hardly anything. The thickest fog of those pictures, in which only the nearest
-vehicles can be told, has 0.010 and 0.012, other fog 0.031 and more, photographs of a car park from above 0.022."""
+@dataclass(frozen=True)
+class RemarkLimits:
+    """Limits from which a report warns."""
+
+    dark: float = 0.1
+    """Mean brightness below which images show hardly anything. Of 386 generated images of all hours and weathers,
+    the darkest two have 0.089 (a road without lamps) and 0.097; nights with lamps have 0.105 and more.
+    """
+    flat: float = 0.015
+    """Contrast below which images show hardly anything. The thickest fog of these images has 0.010 and 0.012, other
+    fog 0.031 and more, photographs of a car park from above 0.022.
+    """
+    lost_s: float = 0.5
+    """Unobserved time within the footage that is worth a warning, seconds."""
+    beside_m: float = 2.0
+    """Tracks that begin or end this close to a gate may be missed by it, metres."""
+    many_share: float = 0.1
+    """Share of such tracks among its crossings that is worth a warning."""
+    few_tracks: int = 3
+    """Least number of such tracks."""
+    least_visible: float = 0.9
+    """Smallest share of a gate that a turned camera must show, of what it showed before, without a warning."""
+    gate_points: int = 100
+    """Number of points on a gate that are projected."""
+
+
+REMARK_LIMITS: Final = RemarkLimits()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,7 +85,7 @@ def sight_in(observation: Observation, begin_s: float, end_s: float) -> SightIn:
         return SightIn(
             dark_s=None, flat_s=None, moved_s=moved_s, poor_s=moved_s or None, brightness=None, contrast=None
         )
-    dark, flat = brightness < DARK, contrast < FLAT
+    dark, flat = brightness < REMARK_LIMITS.dark, contrast < REMARK_LIMITS.flat
     frames = np.concatenate([[-np.inf], every])
     of_moved = np.isin(frames[np.searchsorted(every, times, side="right")], observation.moved_s)
     return SightIn(
@@ -93,18 +114,6 @@ def sight_lines(observation: Observation) -> Iterator[str]:
         )
 
 
-_LOST_S: Final = 0.5
-"""So much that was not observed within the footage is worth a warning."""
-_BESIDE_M: Final = 2.0
-"""Tracks that begin or end so near to a gate are perhaps missed by it."""
-_MANY: Final = 0.1
-"""So many of them, as a share of its crossings, are worth a warning; and `_FEW` at least."""
-_FEW: Final = 3
-_LEAST_VISIBLE: Final = 0.9
-"""Smallest share of a gate that a turned camera must show, of what it showed before, without a warning."""
-_POINTS_ON_GATE: Final = 100
-
-
 def remarks(report: "TrafficReport") -> Iterator[str]:
     """The sentences, of a report in metres."""
     if not report.gates:
@@ -118,7 +127,7 @@ def remarks(report: "TrafficReport") -> Iterator[str]:
         yield "speeds: nothing says how well the camera is known: the error that it gives all is not in their intervals"
     yield from recording_lines(report.recordings, observation)
     lost = sum(observation.spans[1:, 0] - observation.spans[:-1, 1])
-    if lost >= _LOST_S:
+    if lost >= REMARK_LIMITS.lost_s:
         yield f"{lost:.0f} s within the footage were not observed: what happened then is counted nowhere"
     if any(np.isnan(one.delay_s) for one in report.delays):
         yield "delays: too few vehicles tell the speed of free flow (traffic.free_flow_kmh of the site says it)"
@@ -164,7 +173,7 @@ def remarks_on_counts(report: "TrafficReport") -> Iterator[str]:
             )
     if missed.doubtful:
         yield f"{len(missed.doubtful)} crossings are more probably none than one: they are in the intervals alone"
-    between = any(NOWHERE not in (one.origin, one.destination) for one in report.turning_total)
+    between = any(NO_GATE not in (one.origin, one.destination) for one in report.turning_total)
     if between and any(on_foot(one) for one in report.movements):
         yield (
             "movements: tracks of people go over to others who walk beside: how many of all went from gate to gate is "
@@ -192,13 +201,13 @@ def _of_turned_cameras(gate: Gate, observation: Observation) -> Iterator[str]:
     """Warnings where a camera was turned so that it shows less of a gate than before."""
     for part in observation.parts or (observation,):
         height = part.ground.height if part.ground else 0.0
-        line = np.linspace(gate.line[0], gate.line[1], _POINTS_ON_GATE)
-        places = np.column_stack([line, np.full(_POINTS_ON_GATE, height)])
+        line = np.linspace(gate.line[0], gate.line[1], REMARK_LIMITS.gate_points)
+        places = np.column_stack([line, np.full(REMARK_LIMITS.gate_points, height)])
         before = None if part.camera is None else _shows(part.camera, places)
         for from_s, camera in part.turned:
             if before is not None and before.any():
                 share = float(_shows(camera, places)[before].mean())
-                if share < _LEAST_VISIBLE:
+                if share < REMARK_LIMITS.least_visible:
                     yield (
                         f"gate {gate.name!r}: the camera was turned, and from {from_s:.1f} s on it shows {share:.0%} "
                         "of what it showed of the gate: counts from then on are too low"
@@ -219,16 +228,17 @@ def _of_gate(gate: Gate, report: "TrafficReport") -> Iterator[str]:
             signed, along = signed_distances(gate, one.xy[[row]])
             length = math.dist(*gate.line)
             cut = report.observation.is_cut(one.times_s[row])
-            number += bool(abs(signed[0]) < _BESIDE_M and 0 <= along[0] <= length and not cut)
+            number += bool(abs(signed[0]) < REMARK_LIMITS.beside_m and 0 <= along[0] <= length and not cut)
     total = sum(one.gate == gate.name for one in report.crossings)
-    if number >= max(_FEW, _MANY * total):
+    if number >= max(REMARK_LIMITS.few_tracks, REMARK_LIMITS.many_share * total):
         yield (
-            f"gate {gate.name!r}: {number} tracks begin or end within {_BESIDE_M:g} m of it ({total} crossings): many "
+            f"gate {gate.name!r}: {number} tracks begin or end within {REMARK_LIMITS.beside_m:g} m of it "
+            f"({total} crossings): many "
             "may be missed; move it to where vehicles are seen on both sides"
         )
     perhaps = (*report.crossings, *report.unseen.doubtful)
     beside = sum("beside" in one.doubt and one.gate == gate.name for one in perhaps)
-    if beside >= max(_FEW, _MANY * total):
+    if beside >= max(REMARK_LIMITS.few_tracks, REMARK_LIMITS.many_share * total):
         yield (
             f"gate {gate.name!r}: {beside} road users pass so near to its ends that they go through it or past it: "
             "let it end where nobody walks, as before a pavement or behind it"

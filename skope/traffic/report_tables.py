@@ -12,20 +12,20 @@ from typing import Any, Final
 
 import numpy as np
 
-from skope.tracks.track import KMH, Track
+from skope.tracks.track import KMH_PER_MPS, Track
 from skope.traffic.count_uncertainty import in_cells
 from skope.traffic.counting_intervals import ClockInterval
 from skope.traffic.gate_counts import observed_word
 from skope.traffic.gates import GateCrossing
-from skope.traffic.length_bins import LONGEST_M, WHY_NOT, LengthCount, has_length, length_bin, length_sigma_m
+from skope.traffic.length_bins import LENGTH_MODEL, WHY_NOT, LengthCount, has_length, length_bin, length_sigma_m
 from skope.traffic.otc_classes import OTC_CLASSES
 from skope.traffic.report_remarks import sight_in
-from skope.traffic.speeds import PERCENTILES
+from skope.traffic.speeds import SPEED_PERCENTILES
 from skope.traffic.traffic_report import TrafficReport
 
 TableRow = Sequence[Any]
-_RECORDING: Final = " recording"
-"""A column more where there are several recordings."""
+RECORDING_COLUMN: Final = " recording"
+"""An additional column if there are several recordings."""
 
 
 @dataclass(frozen=True)
@@ -91,7 +91,7 @@ def _events(report: TrafficReport) -> ReportTable:
         for one in report.crossings:
             place = one.place.tolist() if report.metres else [one.place[0], -one.place[1]]
             speed_sigma = report.observation.total_sigma(one.speed_sigma, one.speed)
-            ends = (one.speed * KMH, speed_sigma * KMH, one.front_s, one.rear_s)
+            ends = (one.speed * KMH_PER_MPS, speed_sigma * KMH_PER_MPS, one.front_s, one.rear_s)
             tail = (*place, *(ends if report.metres else (None,) * 4), None, one.probability, one.doubt)
             tail = (*tail, *_length(report, one.trajectory))
             who = ("gate", one.sigma_s, *_who(one.trajectory), one.gate, one.direction_name, one.lane)
@@ -118,7 +118,7 @@ def _events(report: TrafficReport) -> ReportTable:
     return _table(
         "event time_s time sigma_s track class class_confidence place direction lane x y speed_kmh speed_sigma_kmh "
         f"front_s rear_s dwell_s probability remark otc_class length_m length_sigma_m length_bin "
-        f"length_bin_probability{_RECORDING if report.recordings else ''}",
+        f"length_bin_probability{RECORDING_COLUMN if report.recordings else ''}",
         ((row[0], time_s, clock(report, time_s), *row[1:], *_recording(report, time_s)) for time_s, row in ordered),
     )
 
@@ -144,8 +144,8 @@ def _trajectories(report: TrafficReport) -> ReportTable:
             for i, time_s in enumerate(shown.times_s.tolist()):
                 yield (
                     *(one.number, one.class_name, time_s, clock(report, time_s)),
-                    *(*shown.xy[i].tolist(), math.degrees(shown.heading[i]), float(shown.speed[i]) * KMH),
-                    *(float(shown.position_sigma[i]), float(shown.speed_sigma[i]) * KMH),
+                    *(*shown.xy[i].tolist(), math.degrees(shown.heading[i]), float(shown.speed[i]) * KMH_PER_MPS),
+                    *(float(shown.position_sigma[i]), float(shown.speed_sigma[i]) * KMH_PER_MPS),
                     *(one.length, one.width, int(shown.located[i])),
                     *(" ".join(map(str, one.joined)), one.joined_probability, " ".join(one.flags)),
                     *_recording(report, time_s),
@@ -153,7 +153,7 @@ def _trajectories(report: TrafficReport) -> ReportTable:
 
     return _table(
         "track class time_s time x y heading_deg speed_kmh sigma_position sigma_speed_kmh length width located "
-        f"joined joined_probability flags{_RECORDING if report.recordings else ''}",
+        f"joined joined_probability flags{RECORDING_COLUMN if report.recordings else ''}",
         rows(),
     )
 
@@ -217,7 +217,7 @@ def _lengths(report: TrafficReport) -> ReportTable:
                 *_of_interval(one.interval),
                 *(one.observed, one.gate, one.direction, one.bin_name, *_bounds(one), one.count),
                 *in_cells(one.expected),
-                WHY_NOT if one.between_m and one.between_m[0] >= LONGEST_M else None,
+                WHY_NOT if one.between_m and one.between_m[0] >= LENGTH_MODEL.longest_measured_m else None,
             )
             for one in report.lengths
         ),
@@ -260,14 +260,14 @@ def _turning(report: TrafficReport) -> ReportTable:
 
 
 def _speeds(report: TrafficReport) -> ReportTable:
-    names = " ".join(f"{name}_kmh {name}_low_kmh {name}_high_kmh" for name in PERCENTILES)
+    names = " ".join(f"{name}_kmh {name}_low_kmh {name}_high_kmh" for name in SPEED_PERCENTILES)
 
     def rows() -> Iterator[TableRow]:
         for group in report.speeds:
             cells: list[Any] = []
-            for name in PERCENTILES:
+            for name in SPEED_PERCENTILES:
                 one = group.percentiles[name]
-                cells += [None if v is None else v * KMH for v in (one.value, one.low, one.high)]
+                cells += [None if v is None else v * KMH_PER_MPS for v in (one.value, one.low, one.high)]
             why = "; ".join(f"{name}: {one.refused}" for name, one in group.percentiles.items() if one.refused)
             yield (
                 *_of_interval(group.interval),
@@ -333,7 +333,10 @@ def _delays(report: TrafficReport) -> ReportTable:
             yield (
                 *(first.time_s, clock(report, first.time_s), first.trajectory.number, first.trajectory.class_name),
                 *(section.name, section.length_m, section.seconds, section.seconds_sigma),
-                *(section.speed * KMH, report.observation.total_sigma(section.speed_sigma, section.speed) * KMH),
+                *(
+                    section.speed * KMH_PER_MPS,
+                    report.observation.total_sigma(section.speed_sigma, section.speed) * KMH_PER_MPS,
+                ),
                 *(one.stops, *in_cells(one.stops_between), one.stopped_s, one.delay_s, one.sigma_s),
             )
 

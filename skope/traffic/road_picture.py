@@ -14,11 +14,24 @@ from skope.types import Array, Pixels
 
 EMPTY_ROAD_FILE: Final = "empty_road.jpg"
 EMPTY_ROAD_SIZE_FILE: Final = "empty_road.json"
-_LONGEST_PX: Final = 1280
-_QUALITY: Final = 85
-_MIN_FRAMES: Final = 10
-_MIN_SECONDS: Final = 10.0
-"""Minimum length of the footage. In less, slow road users cover the same pixels in most frames and stay visible."""
+
+
+@dataclass(frozen=True)
+class RoadImage:
+    """How the image of the empty road is made."""
+
+    longer_px: int = 1280
+    """Longer side, pixels."""
+    jpeg_quality: int = 85
+    fewest_frames: int = 10
+    """Smallest number of frames."""
+    shortest_s: float = 10.0
+    """Minimum length of the footage, seconds. In less, slow road users cover the same pixels in most frames and
+    stay visible.
+    """
+
+
+ROAD_IMAGE: Final = RoadImage()
 
 
 @dataclass(frozen=True)
@@ -42,10 +55,11 @@ def empty_road_picture(road: Pixels, times_s: Sequence[float] | Array) -> EmptyR
     """
     from skope.page.image_viewer import encoded_jpeg
 
-    if len(times_s) < _MIN_FRAMES or times_s[-1] - times_s[0] < _MIN_SECONDS:
+    if len(times_s) < ROAD_IMAGE.fewest_frames or times_s[-1] - times_s[0] < ROAD_IMAGE.shortest_s:
         return None
     return EmptyRoadPicture(
-        encoded_jpeg(road, longest=_LONGEST_PX, quality=_QUALITY), (int(road.shape[1]), int(road.shape[0]))
+        encoded_jpeg(road, longest=ROAD_IMAGE.longer_px, quality=ROAD_IMAGE.jpeg_quality),
+        (int(road.shape[1]), int(road.shape[0])),
     )
 
 
@@ -67,8 +81,8 @@ def read_empty_road_picture(folder: Path) -> EmptyRoadPicture | None:
     return EmptyRoadPicture((folder / EMPTY_ROAD_FILE).read_bytes(), (size[0], size[1]))
 
 
-PICTURE: Final = "road.jpg"
-_PLACE: Final = "road.json"
+ROAD_FILE: Final = "road.jpg"
+ROAD_PLACE_FILE: Final = "road.json"
 
 
 @dataclass(frozen=True)
@@ -84,16 +98,16 @@ class RoadPicture:
 
 def write_road_picture(folder: Path, picture: RoadPicture) -> list[str]:
     """Write a picture and where it lies to a folder of tracks; returns the files' names."""
-    write_bytes(folder / PICTURE, picture.jpeg)
-    write_json(folder / _PLACE, {"low": list(picture.low), "high": list(picture.high)})
-    return [PICTURE, _PLACE]
+    write_bytes(folder / ROAD_FILE, picture.jpeg)
+    write_json(folder / ROAD_PLACE_FILE, {"low": list(picture.low), "high": list(picture.high)})
+    return [ROAD_FILE, ROAD_PLACE_FILE]
 
 
 def read_road_picture(folder: Path) -> RoadPicture | None:
     """The picture in a folder of tracks; None where there is none, or nothing says where it lies: maps do without."""
-    if not (folder / PICTURE).is_file() or not (folder / _PLACE).is_file():
+    if not (folder / ROAD_FILE).is_file() or not (folder / ROAD_PLACE_FILE).is_file():
         return None
-    document = read_json(folder / _PLACE)
+    document = read_json(folder / ROAD_PLACE_FILE)
     corners = [_corner(document.get(name)) for name in ("low", "high")] if isinstance(document, dict) else [None]
     if (
         corners[0] is None
@@ -101,7 +115,7 @@ def read_road_picture(folder: Path) -> RoadPicture | None:
         or not all(a < b for a, b in zip(corners[0], corners[-1], strict=True))
     ):
         return None
-    return RoadPicture((folder / PICTURE).read_bytes(), corners[0], corners[-1])
+    return RoadPicture((folder / ROAD_FILE).read_bytes(), corners[0], corners[-1])
 
 
 def _corner(value: Any) -> tuple[float, float] | None:

@@ -24,14 +24,24 @@ from skope.traffic.normal_distribution import COUNT_INTERVAL_LEVEL, INTERVAL_SIG
 from skope.traffic.observation import Observation
 from skope.traffic.turning_movements import Movement
 
-PERCENTILES: Final[Mapping[str, float]] = {"v15": 0.15, "v50": 0.50, "v85": 0.85}
-_LEAST_RATIO: Final = 0.5
-"""Errors hide how speeds vary if true ones would vary by less than this share of the measured variance."""
+SPEED_PERCENTILES: Final[Mapping[str, float]] = {"v15": 0.15, "v50": 0.50, "v85": 0.85}
 
 
-_SHAPE: Final = 0.15
-"""Standard deviation of what drawing leaves wrong where speeds are not normally distributed, as a share of the spread
-that is taken out; from simulations with skewed speeds."""
+@dataclass(frozen=True)
+class SpeedModel:
+    """Errors of speed distributions."""
+
+    least_ratio: float = 0.5
+    """Share of the measured variance below which the variance of true speeds is hidden by errors."""
+    shape_sigma: float = 0.15
+    """Standard deviation of the error if speeds are not normally distributed, as a share of the spread that is
+    removed; from simulations with skewed speeds.
+    """
+    step_m: float = 1.0
+    """Step in which path lengths are measured, metres. Shorter ones would add up the jitter of positions."""
+
+
+SPEED_MODEL: Final = SpeedModel()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,7 +59,7 @@ class Percentile:
 def speed_percentiles(
     speeds: Sequence[float], sigmas: Sequence[float], common_sigma: float | None
 ) -> dict[str, Percentile]:
-    """The percentiles of `PERCENTILES`, by their names.
+    """The percentiles of `SPEED_PERCENTILES`, by their names.
 
     Args:
         speeds: As measured, m/s.
@@ -60,18 +70,18 @@ def speed_percentiles(
     values = np.sort(np.asarray(speeds, dtype=np.float64))
     n = len(values)
     if n == 0:
-        return {name: _refused("no vehicle") for name in PERCENTILES}
+        return {name: _refused("no vehicle") for name in SPEED_PERCENTILES}
     shared = 0.0 if common_sigma is None else common_sigma
     noise, spread = float(np.square(np.asarray(sigmas)).mean()), float(values.var(ddof=1)) if n > 1 else 0.0
     ratio = 1.0 if noise == 0 else 1 - noise / spread if spread > 0 else -1.0
     middle = float(np.median(values))
     out = {}
-    for name, share in PERCENTILES.items():
+    for name, share in SPEED_PERCENTILES.items():
         ranks = order_ranks(n, share)
         if ranks is None:
             least = math.ceil(math.log((1 - COUNT_INTERVAL_LEVEL) / 2) / math.log(max(share, 1 - share)))
             out[name] = _refused(f"{n} vehicles: an interval needs {least}")
-        elif ratio < _LEAST_RATIO and share != 0.5:
+        elif ratio < SPEED_MODEL.least_ratio and share != 0.5:
             out[name] = _refused("speeds vary hardly more than they are uncertain")
         else:
             drawn = math.sqrt(max(0.0, ratio)) if share != 0.5 else 1.0
@@ -79,7 +89,7 @@ def speed_percentiles(
                 middle + drawn * (float(x) - middle) for x in (np.quantile(values, share), *values[list(ranks)])
             )
             doubt = _ratio_sigma(ratio, n) * abs(float(np.quantile(values, share)) - middle)
-            shape = _SHAPE * min(1.0, 1 - ratio) * math.sqrt(spread)
+            shape = SPEED_MODEL.shape_sigma * min(1.0, 1 - ratio) * math.sqrt(spread)
             widen = INTERVAL_SIGMAS * math.hypot(doubt, shape, shared * value)
             out[name] = Percentile(
                 value=value,
@@ -115,11 +125,9 @@ def order_ranks(n: int, share: float) -> tuple[int, int] | None:
     return int(lows[-1]), int(highs[0])
 
 
-MOTOR: Final = "motor"
+MOTOR_TRAFFIC: Final = "motor"
 """All classes of vehicles and motorcycles together."""
 MOTOR_CLASSES: Final = frozenset(CLASSES) - {"bicycle", PEDESTRIAN}
-_RULER_M: Final = 1.0
-"""Ways are measured in steps of this: shorter ones would add up what places jitter."""
 _Measured = TypeVar("_Measured")
 
 
@@ -153,7 +161,7 @@ class SpeedGroup:
     where: str
     """Gate and direction; of a section both."""
     class_name: str
-    """A class, or `MOTOR`."""
+    """A class, or `MOTOR_TRAFFIC`."""
     number: int
     percentiles: dict[str, Percentile]
     common_known: bool
@@ -196,14 +204,14 @@ def way(trajectory: Track, begin_s: float, end_s: float) -> float:
         end_s: The other time, seconds.
 
     Returns:
-        Metres, in steps of `_RULER_M` and more: shorter ones would add up what places jitter.
+        Metres, in steps of `SPEED_MODEL.step_m` and more: shorter ones would add up what places jitter.
     """
     inner = trajectory.times_s[(trajectory.times_s > begin_s) & (trajectory.times_s < end_s)]
     places = trajectory.at(trajectory.xy, np.array([begin_s, *inner, end_s]))
     total, at = 0.0, places[0]
     for place in places[1:-1]:
         step = math.dist(at, place)
-        if step >= _RULER_M:
+        if step >= SPEED_MODEL.step_m:
             total, at = total + step, place
     return total + math.dist(at, places[-1])
 
@@ -239,7 +247,7 @@ def speed_groups(
             own = [of(row) for row in rows if where(row) == place]
             for interval in (None, *intervals):
                 there = [row for row in own if interval is None or interval.begin_s <= row[0] < interval.end_s]
-                classes = (MOTOR, *CLASSES) if interval is None else (MOTOR,)
+                classes = (MOTOR_TRAFFIC, *CLASSES) if interval is None else (MOTOR_TRAFFIC,)
                 for name in classes:
                     chosen = [row for row in there if _is(row[1], name)]
                     if chosen:
@@ -278,4 +286,4 @@ def _class_of(movement: Movement) -> str:
 
 
 def _is(class_name: str, group: str) -> bool:
-    return class_name in MOTOR_CLASSES if group == MOTOR else class_name == group
+    return class_name in MOTOR_CLASSES if group == MOTOR_TRAFFIC else class_name == group

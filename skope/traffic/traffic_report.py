@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING
 
 from skope.site.gates_zones_lanes import Gate
 from skope.terminal.console import text_table
-from skope.tracks.track import KMH, Track
+from skope.tracks.track import KMH_PER_MPS, Track
 from skope.traffic.collision import HardBraking
 from skope.traffic.conflicts import ConflictSearch
 from skope.traffic.count_uncertainty import count_interval, in_words
 from skope.traffic.counting_intervals import ClockInterval
-from skope.traffic.gate_counts import ALL, Count
+from skope.traffic.gate_counts import ALL_CLASSES, Count
 from skope.traffic.gates import GateCrossing
 from skope.traffic.hand_checks import HandCheck
 from skope.traffic.headways import Headway, Occupancy
@@ -22,8 +22,8 @@ from skope.traffic.missed_crossings import Unseen
 from skope.traffic.observation import Observation
 from skope.traffic.queues import Delay, QueueRecord
 from skope.traffic.recordings import SiteRecording
-from skope.traffic.speeds import MOTOR, Percentile, SectionPass, SpeedGroup
-from skope.traffic.turning_movements import NOWHERE, Movement, TurningCount
+from skope.traffic.speeds import MOTOR_TRAFFIC, Percentile, SectionPass, SpeedGroup
+from skope.traffic.turning_movements import NO_GATE, Movement, TurningCount
 from skope.traffic.zones import ZoneVisit
 
 if TYPE_CHECKING:
@@ -106,11 +106,11 @@ def _gates(report: TrafficReport) -> Iterator[list[str]]:
     speeds = {
         one.where: one.percentiles
         for one in report.speeds
-        if one.kind == "spot" and one.interval is None and one.class_name == MOTOR
+        if one.kind == "spot" and one.interval is None and one.class_name == MOTOR_TRAFFIC
     }
     for one in report.counts_total:
         told = in_words(one.expected)
-        found = speeds.get(f"{one.gate} ({one.direction})", {}) if one.class_name == ALL else {}
+        found = speeds.get(f"{one.gate} ({one.direction})", {}) if one.class_name == ALL_CLASSES else {}
         yield [
             *(one.gate, one.direction, one.class_name, str(one.count or 0), told),
             *(_speed(found.get(name)) for name in ("v50", "v85")),
@@ -128,13 +128,13 @@ def _by_hand(report: TrafficReport) -> Iterator[list[str]]:
 def _speed(one: Percentile | None) -> str:
     if one is None or one.value is None or one.low is None or one.high is None:
         return "-"
-    return f"{one.value * KMH:.1f} ({one.low * KMH:.1f} to {one.high * KMH:.1f})"
+    return f"{one.value * KMH_PER_MPS:.1f} ({one.low * KMH_PER_MPS:.1f} to {one.high * KMH_PER_MPS:.1f})"
 
 
 def _movements(report: TrafficReport) -> Iterator[list[str]]:
     """The pairs of gates that somebody was seen at both of, over the whole footage."""
     for one in report.turning_total:
-        if NOWHERE not in (one.origin, one.destination):
+        if NO_GATE not in (one.origin, one.destination):
             sides = [f"{gate} ({direction})" for gate, direction in (one.origin, one.destination)]
             told = in_words(one.expected)
             yield [*sides, one.class_name, str(one.count or 0), told]

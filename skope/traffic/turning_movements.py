@@ -16,7 +16,7 @@ from skope.site.traffic_settings import TrafficSettings
 from skope.tracks.track import Track
 from skope.traffic.count_uncertainty import CountDistribution, CountErrors, CountInterval
 from skope.traffic.counting_intervals import ClockInterval
-from skope.traffic.event_probability import MIN_COUNTED_PROBABILITY, MissRateGroup, same_probability
+from skope.traffic.event_probability import EVENT_FACTORS, MissRateGroup, same_probability
 from skope.traffic.gate_counts import classes_of, row_classes
 from skope.traffic.gates import GateCrossing, direction_names
 from skope.traffic.missed_crossings import Unseen
@@ -24,12 +24,12 @@ from skope.traffic.observation import Observation
 
 GateDirection = tuple[str, str]
 """A gate and the name of a direction."""
-_LOST: Final = (0.2, 0.2)
-"""The share of the lost who went a way, as a Beta distribution: nothing says which."""
-_NOBODY: Final = (0.0, 1.0)
-"""The share that is missed, where nobody is."""
-NOWHERE: Final[GateDirection] = ("", "")
-"""Not seen at a gate before, or after."""
+LOST_PRIOR: Final = (0.2, 0.2)
+"""Beta distribution of the share of lost road users on each movement."""
+NOTHING_MISSED: Final = (0.0, 1.0)
+"""Beta distribution of the missed share if nobody is there."""
+NO_GATE: Final[GateDirection] = ("", "")
+"""No gate before, or after."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -91,7 +91,7 @@ def on_foot(movement: Movement) -> bool:
 
 
 def _side(crossing: GateCrossing | None) -> GateDirection:
-    return NOWHERE if crossing is None else (crossing.gate, crossing.direction_name)
+    return NO_GATE if crossing is None else (crossing.gate, crossing.direction_name)
 
 
 def movements(
@@ -126,7 +126,7 @@ def _between(before: GateCrossing | None, after: GateCrossing | None, step_s: fl
     if before is None or after is None or step_s is None:
         return [Movement(origin=before, destination=after)]
     same = same_probability(before.trajectory, before.time_s, after.time_s, step_s)
-    if same >= MIN_COUNTED_PROBABILITY:
+    if same >= EVENT_FACTORS.counted_probability:
         return [Movement(origin=before, destination=after, same=same)]
     return [Movement(origin=before, destination=None), Movement(origin=None, destination=after)]
 
@@ -159,14 +159,14 @@ def turning_counts(
         for gate in chosen
         for k, name in enumerate(direction_names(gate))
     }
-    order = {side: k for k, side in enumerate([*((g.name, d) for g in chosen for d in direction_names(g)), NOWHERE])}
+    order = {side: k for k, side in enumerate([*((g.name, d) for g in chosen for d in direction_names(g)), NO_GATE])}
     pairs = sorted({one.sides for one in found}, key=lambda pair: (order[pair[0]], order[pair[1]]))
     out = []
     for interval in intervals:
         observed = observation.seconds_in(interval.begin_s, interval.end_s) > 0
         there = [one for one in found if interval.begin_s <= one.time_s < interval.end_s]
         for pair in pairs:
-            alike = None if not observed or NOWHERE in pair else _missed_more(kinds[pair[0]], kinds[pair[1]])
+            alike = None if not observed or NO_GATE in pair else _missed_more(kinds[pair[0]], kinds[pair[1]])
             for class_name in row_classes(settings):
                 classes = classes_of(class_name, settings)
                 members = [one for one in there if one.trajectory.class_name in classes]
@@ -210,8 +210,8 @@ def _expected(
         if kind.too_small:
             return None
         false = [1 - kind.real * one.probability for one in own if one.sides == pair]
-        lost = sum(one.sides == (pair[0], NOWHERE) for one in own)
+        lost = sum(one.sides == (pair[0], NO_GATE) for one in own)
         # Where only lost ones may have gone this way, none is missed in addition: those who are seen tell that.
-        missed = kind.missed if false or not lost else _NOBODY
-        errors.append(CountErrors(false, possible=lost, came=_LOST, missed=missed))
+        missed = kind.missed if false or not lost else NOTHING_MISSED
+        errors.append(CountErrors(false, possible=lost, came=LOST_PRIOR, missed=missed))
     return CountDistribution(sum(len(one.false) for one in errors), errors).interval()

@@ -19,8 +19,8 @@ from skope.traffic.traffic_report import TrafficReport
 from skope.version import __version__
 
 _TABLE_DIGITS: Final = 3
-SUMMARY: Final = "summary.json"
-"""Written last: where it is, the report is whole."""
+SUMMARY_FILE: Final = "summary.json"
+"""The file is written last: if it exists, the report is complete."""
 
 
 def write_traffic_report(
@@ -41,8 +41,8 @@ def write_traffic_report(
     for name, table in report_tables(report).items():
         written.append(out / f"{name}.csv")
         write_csv(written[-1], table.columns, table.rows, digits=_TABLE_DIGITS)
-    write_json(out / SUMMARY, report_summary(report, tracks=tracks, revision=revision))
-    return [*written, out / SUMMARY]
+    write_json(out / SUMMARY_FILE, report_summary(report, tracks=tracks, revision=revision))
+    return [*written, out / SUMMARY_FILE]
 
 
 def _recordings(report: TrafficReport) -> list[dict[str, Any]]:

@@ -9,7 +9,7 @@ import pytest
 
 from skope.camera.calibrate import calibrate
 from skope.camera.evidence import (
-    UNEVEN_M,
+    MARKING_ERRORS,
     Belief,
     Evidence,
     MarkedLength,
@@ -21,7 +21,7 @@ from skope.camera.evidence import (
 from skope.camera.evidence_terms import EvidenceTerm
 from skope.camera.ground_plane import ground_places
 from skope.camera.model import Camera, Distortion
-from skope.camera.uncertain_camera import PARAMETERS, radius_of, values_of
+from skope.camera.uncertain_camera import CAMERA_PARAMETERS, radius_of, values_of
 from skope.camera.weighted_fit import WeightedFit, fit_terms
 from skope.errors import UserError
 from skope.types import Array
@@ -42,7 +42,7 @@ def known(*names: str, sigma: float = 1e-7) -> Belief:
     yaw, pitch, roll = CAMERA.angles
     values = dict(
         zip(
-            PARAMETERS,
+            CAMERA_PARAMETERS,
             [math.log(CAMERA.K[0, 0]), LENS.coefficients[0], *CAMERA.position, pitch, roll, yaw],
             strict=True,
         )
@@ -140,7 +140,7 @@ def test_four_points_that_suit_two_cameras_give_the_likelier_one_and_hold_both()
 def test_where_no_weights_can_be_told_there_is_no_fit() -> None:
     """As where a camera stands on its head and sees a mark where its lens ends."""
     term = EvidenceTerm("point", "", lambda _: np.zeros(2), lambda _: np.array([[1.0, 2.0], [2.0, 1.0]]))
-    assert fit_terms([term], values_of(CAMERA), PARAMETERS, SIZE).cost == math.inf
+    assert fit_terms([term], values_of(CAMERA), CAMERA_PARAMETERS, SIZE).cost == math.inf
 
 
 def test_a_wrong_point_is_named_and_left_out() -> None:
@@ -219,7 +219,7 @@ def test_stated_errors_are_those_of_repeated_calibrations() -> None:
     rng, at = np.random.default_rng(5), np.array([[700.0, 300.0], [300.0, 600.0]])
     found, stated = [], []
     for _ in range(40):
-        off = rng.normal(0, [0.1, 0.1, UNEVEN_M], (8, 3))
+        off = rng.normal(0, [0.1, 0.1, MARKING_ERRORS.height_m], (8, 3))
         points = marked_points(PIXELS + rng.normal(0, 1.5, (8, 2)), on_road(PIXELS) + off)
         one = calibrate(Evidence(SIZE, points=points), start=CAMERA, check=False)
         found.append(one.places(at))

@@ -10,7 +10,7 @@ import pytest
 from skope.camera.calibration_files import read_uncertain_camera
 from skope.camera.ground_plane import ground_places
 from skope.camera.model import Camera, Distortion
-from skope.camera.uncertain_camera import PARAMETERS, UncertainCamera, moved_camera, values_of
+from skope.camera.uncertain_camera import CAMERA_PARAMETERS, UncertainCamera, moved_camera, values_of
 from skope.errors import UserError
 from skope.types import Array
 from tests.samples import within
@@ -30,19 +30,19 @@ def known() -> UncertainCamera:
     A = np.random.default_rng(1).normal(size=(8, 8)) + 2 * np.eye(8)
     C = A @ A.T
     C /= np.sqrt(np.outer(np.diag(C), np.diag(C)))
-    return UncertainCamera(CAMERA, PARAMETERS, C * np.outer(SIGMAS, SIGMAS))
+    return UncertainCamera(CAMERA, CAMERA_PARAMETERS, C * np.outer(SIGMAS, SIGMAS))
 
 
 def drawn(count: int) -> list[Camera]:
     """Cameras as their covariance has them, in antithetic pairs: the mean of what is linear is exact."""
     one = known()
     steps = np.random.default_rng(2).multivariate_normal(np.zeros(8), one.covariance, count // 2)
-    return [moved_camera(CAMERA, dict(zip(PARAMETERS, step, strict=True))) for step in (*steps, *-steps)]
+    return [moved_camera(CAMERA, dict(zip(CAMERA_PARAMETERS, step, strict=True))) for step in (*steps, *-steps)]
 
 
 def test_moved_cameras_have_the_values_that_they_were_moved_to() -> None:
     step = np.array([0.02, 0.01, 1.0, -2.0, 0.5, 0.03, -0.02, 0.1])
-    moved = moved_camera(CAMERA, dict(zip(PARAMETERS, step, strict=True)))
+    moved = moved_camera(CAMERA, dict(zip(CAMERA_PARAMETERS, step, strict=True)))
     assert values_of(moved) == pytest.approx(values_of(CAMERA) + step)
     # The principal point and the pixels' shape stay.
     assert moved.K[:2, 2].tolist() == CAMERA.K[:2, 2].tolist()

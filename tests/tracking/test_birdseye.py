@@ -119,7 +119,7 @@ def test_labels_lie_neither_on_each_other_nor_on_vehicles() -> None:
     map_signs.draw_labels(axes, tracks, tracks, {t.number: 0 for t in tracks}, [])
     boxes = [text.get_window_extent() for text in axes.texts]
     assert len(boxes) > 10
-    vehicles = [axes.transData.transform(map_signs.vehicle_points(t, 0, map_signs.OUTLINE)) for t in tracks]
+    vehicles = [axes.transData.transform(map_signs.vehicle_points(t, 0, map_signs.MAP_SYMBOLS.outline)) for t in tracks]
     for a, b in itertools.combinations(boxes, 2):
         assert not a.overlaps(b)
     for box, corners in itertools.product(boxes, vehicles):

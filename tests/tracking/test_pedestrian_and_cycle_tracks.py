@@ -19,7 +19,7 @@ from skope.dataset import coco
 from skope.pose.keypoint_views import read_scene
 from skope.schema import AnnotationFile, RoadUserResult
 from skope.tracking.ground_points import GroundPoint, Sight, ground_points, sights_of
-from skope.tracking.pedestrian_and_cycle_tracks import follow_road_users, of_body
+from skope.tracking.pedestrian_and_cycle_tracks import FOOT_TRACKS, follow_road_users, of_body
 from skope.tracks.track import Track
 from tests.conftest import files_of
 from tests.samples import make_road_user
@@ -254,7 +254,7 @@ def test_a_long_track_is_the_same_in_parts(monkeypatch: pytest.MonkeyPatch) -> N
     times = np.arange(0, 30, 0.2).tolist()
     people = [(PEDESTRIAN, lambda t: (10 * math.cos(0.1 * t), 10 * math.sin(0.1 * t)))]
     (whole,) = follow_road_users(walked(people, times), times)
-    monkeypatch.setattr("skope.tracking.pedestrian_and_cycle_tracks._LAG_S", 8.0)
+    monkeypatch.setattr("skope.tracking.pedestrian_and_cycle_tracks.FOOT_TRACKS", replace(FOOT_TRACKS, lag_s=8.0))
     (parts,) = follow_road_users(walked(people, times), times)
     assert parts.position == pytest.approx(whole.position, abs=0.02)
     assert parts.speed_sigma == pytest.approx(whole.speed_sigma, abs=0.02)

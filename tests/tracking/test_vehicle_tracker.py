@@ -20,7 +20,7 @@ from skope.tracking import kalman, track_footage
 from skope.tracking.headings import smoothed_headings
 from skope.tracking.tracker_inputs import Detection, PoseMeasurement, detection_from_dict, detection_to_dict
 from skope.tracking.tracks import Track
-from skope.tracking.vehicle_tracker import follow
+from skope.tracking.vehicle_tracker import TRACKER_LIMITS, follow
 from tests.eval.cli.test_footage import rows_of
 from tests.sightings import drive
 
@@ -242,7 +242,7 @@ def test_what_was_seen_long_ago_is_as_if_all_were_smoothed_at_once(monkeypatch: 
     times = (np.arange(500) / 5).tolist()
     paths = [turning(6.0, 40.0), straight(0.3, 60.0)]
     in_parts = follow(seen(paths, times), times)
-    monkeypatch.setattr("skope.tracking.vehicle_tracker._LAG_S", 1e9)
+    monkeypatch.setattr("skope.tracking.vehicle_tracker.TRACKER_LIMITS", replace(TRACKER_LIMITS, lag_s=1e9))
     at_once = follow(seen(paths, times), times)
     for one, other in zip(in_parts, at_once, strict=True):
         for name in ("position", "velocity", "acceleration", "heading"):

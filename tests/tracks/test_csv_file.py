@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from skope.errors import UserError
-from skope.tracks.csv_file import COLUMNS, as_written, read_tracks, write_tracks
+from skope.tracks.csv_file import TRACK_COLUMNS, as_written, read_tracks, write_tracks
 from skope.tracks.track import Track
 from tests.traffic.drives import drive
 
@@ -89,7 +89,7 @@ def test_a_byte_order_mark_is_not_part_of_the_first_column(tmp_path: Path) -> No
 
 def test_no_track_is_a_file_with_a_head(tmp_path: Path) -> None:
     write_tracks(tmp_path / "a.csv", [])
-    assert (tmp_path / "a.csv").read_text() == ",".join(COLUMNS) + "\n"
+    assert (tmp_path / "a.csv").read_text() == ",".join(TRACK_COLUMNS) + "\n"
     assert read_tracks(tmp_path / "a.csv") == []
 
 
@@ -113,7 +113,7 @@ def test_a_wrong_cell_is_named_with_line_and_column(tmp_path: Path, column: str,
     write_tracks(path, [drive(1, [[float(k), 0.0] for k in range(4)])])
     head, first, *rest = path.read_text().splitlines()
     cells = first.split(",")
-    cells[COLUMNS.index(column)] = cell
+    cells[TRACK_COLUMNS.index(column)] = cell
     rows = [",".join(cells), *rest] if column != "track" else [row.replace("1,", "x,", 1) for row in (first, *rest)]
     path.write_text("\n".join([head, *rows]) + "\n")
     with pytest.raises(UserError) as error:

@@ -13,12 +13,12 @@ from skope.site.traffic_settings import TrafficSettings
 from skope.tracks.track import Track
 from skope.traffic.counting_intervals import clock_intervals
 from skope.traffic.event_probability import usual_step
-from skope.traffic.gate_counts import ALL, interval_counts
+from skope.traffic.gate_counts import ALL_CLASSES, interval_counts
 from skope.traffic.gates import gate_crossings
 from skope.traffic.lanes import LaneMap
 from skope.traffic.missed_crossings import Unseen
 from skope.traffic.observation import Observation
-from skope.traffic.turning_movements import NOWHERE, movements, turning_counts
+from skope.traffic.turning_movements import NO_GATE, movements, turning_counts
 from tests.traffic.drives import GATE, drive, straight, watched
 
 BERLIN = ZoneInfo("Europe/Berlin")
@@ -61,7 +61,7 @@ def test_nothing_counted_and_nothing_observed_are_told_apart() -> None:
     start = datetime(2026, 11, 26, 10, 0, tzinfo=BERLIN)
     found = gate_crossings([straight(1, (-30, 0), (10, 0), 6, begin_s=4600)], [GATE], NO_LANES, TrafficSettings())
     rows = interval_counts(found, [GATE], [], clock_intervals(start, 0, 4800, 15), seen, TrafficSettings(), Unseen())
-    west = [(one.observed, one.count) for one in rows if (one.direction, one.class_name) == ("west", ALL)]
+    west = [(one.observed, one.count) for one in rows if (one.direction, one.class_name) == ("west", ALL_CLASSES)]
     assert west == [("all", 0), *[("nothing", None)] * 4, ("part", 1)]
     assert all((one.expected is None) == (one.count is None) for one in rows if one.class_name != "unknown")
     assert seen.together(10.0, 890.0)
@@ -79,7 +79,7 @@ def test_one_class_for_each_track_and_classes_add_up() -> None:
     found = gate_crossings(tracks, [GATE], NO_LANES, settings)
     rows = interval_counts(found, [GATE], [], clock_intervals(None, 0, 200, 15), watched(200), settings, Unseen())
     by_class = {one.class_name: one for one in rows if one.direction == "west"}
-    assert by_class.pop(ALL).count == 40
+    assert by_class.pop(ALL_CLASSES).count == 40
     assert by_class.pop("vehicle").count == int((names != "pedestrian").sum())
     assert sum(one.count or 0 for one in by_class.values()) == 40
     assert {name: one.count for name, one in by_class.items() if one.count} == {
@@ -128,7 +128,7 @@ def test_movements_with_u_turns_add_up_to_the_gates_counts() -> None:
     moved = movements(found, settings)
     intervals = clock_intervals(None, 0, 520, 1)
     every = turning_counts(moved, ARMS, intervals, watched(520), settings, Unseen())
-    rows, vehicles = ([one for one in every if one.class_name == name] for name in (ALL, "vehicle"))
+    rows, vehicles = ([one for one in every if one.class_name == name] for name in (ALL_CLASSES, "vehicle"))
     assert [one.count for one in vehicles] == [one.count for one in rows]  # there is nobody else
     per_gate = interval_counts(found, ARMS, [], intervals, watched(520), settings, Unseen())
     for arm, direction in itertools.product(names, ("in", "out")):
@@ -137,7 +137,7 @@ def test_movements_with_u_turns_add_up_to_the_gates_counts() -> None:
         assert sum(one.count or 0 for one in rows if one.origin == side) == total
         assert sum(one.count or 0 for one in rows if one.destination == side) == total
         for interval in intervals:  # and interval by interval, where somebody comes from
-            told = [one.count for one in per_gate if (one.gate, one.direction, one.class_name) == (*side, ALL)
+            told = [one.count for one in per_gate if (one.gate, one.direction, one.class_name) == (*side, ALL_CLASSES)
                     and one.interval == interval]  # fmt: skip
             assert told == [sum(one.count or 0 for one in rows if (one.origin, one.interval) == (side, interval))]
     whole = [track for track in tracks if len(track.times_s) == 80]
@@ -149,7 +149,7 @@ def test_movements_with_u_turns_add_up_to_the_gates_counts() -> None:
         pair = (origin, "in"), (destination, "out")
         assert sum(one.count or 0 for one in rows if (one.origin, one.destination) == pair) == wanted
         assert wanted or origin != destination, "W to W as well"
-    lost = [one for one in rows if one.destination == NOWHERE and one.origin[1] == "in"]
+    lost = [one for one in rows if one.destination == NO_GATE and one.origin[1] == "in"]
     assert sum(one.count or 0 for one in lost) > 20
     assert all(one.expected is None for one in lost)
 
@@ -186,7 +186,7 @@ def test_who_walks_beside_others_makes_no_movement() -> None:
         for covariance in [np.tile(sigma**2 * np.eye(2), (80, 1, 1))]
     ]
     found = movements(gate_crossings(walkers, ARMS, NO_LANES, settings), settings, 0.1)
-    between = [one.trajectory.number for one in found if NOWHERE not in one.sides]
+    between = [one.trajectory.number for one in found if NO_GATE not in one.sides]
     assert between == [1]
 
 
@@ -200,13 +200,13 @@ def test_where_people_walk_movements_are_known_of_vehicles_alone() -> None:
         for one in turning_counts(found, ARMS, clock_intervals(None, 0, 60, 1), watched(60), settings, Unseen())
         if one.origin == ("west", "in")
     }
-    assert told["east", ALL] is None, "one of those who walk may have come from there"
+    assert told["east", ALL_CLASSES] is None, "one of those who walk may have come from there"
     assert told["east", "vehicle"] is not None
-    assert told["north", ALL] is not None
+    assert told["north", ALL_CLASSES] is not None
 
 
 def test_movements_count_between_the_gates_that_are_named() -> None:
     settings = TrafficSettings(turning=("north", "south"))
     tracks = [turn(1, "north", "east", 0), turn(2, "north", "south", 5), turn(3, "west", "south", 9)]
     found = movements(gate_crossings(tracks, ARMS, NO_LANES, settings), settings)
-    assert [one.sides for one in found if NOWHERE not in one.sides] == [(("north", "in"), ("south", "out"))]
+    assert [one.sides for one in found if NO_GATE not in one.sides] == [(("north", "in"), ("south", "out"))]

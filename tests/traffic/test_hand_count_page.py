@@ -25,7 +25,7 @@ from skope.site.traffic_settings import CLASSES
 from skope.tracks.csv_file import TRACKS_CSV, write_tracks
 from skope.traffic.image_counts import count_in_image
 from skope.traffic.measure import measure
-from skope.traffic.observation import FOOTAGE, Observation
+from skope.traffic.observation import FOOTAGE_FILE, Observation
 from skope.traffic.page.hand_count import LETTERS, hand_count_data, hand_count_panel, packed_times
 from skope.traffic.page.page import traffic_page
 from skope.traffic.recordings import SiteRecording
@@ -71,7 +71,7 @@ def write_folder(folder: Path) -> None:
         cars.append(along_x(number, x[near], times[near]))
         cars[-1].position[:, 1] = -2 * way
     write_tracks(folder / TRACKS_CSV, cars)
-    write_json(folder / FOOTAGE, Observation(times_s=times, source="clip.mp4", common_sigma=0.01).to_dict())
+    write_json(folder / FOOTAGE_FILE, Observation(times_s=times, source="clip.mp4", common_sigma=0.01).to_dict())
 
 
 def write_clip(path: Path, code: str, seconds: float = SECONDS) -> None:

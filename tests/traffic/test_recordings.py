@@ -22,7 +22,7 @@ from skope.files.json_files import write_json
 from skope.site.site_file import parse_site
 from skope.tracks.csv_file import TRACKS_CSV, write_tracks
 from skope.tracks.track import Track
-from skope.traffic.observation import FOOTAGE, Observation, held_s
+from skope.traffic.observation import FOOTAGE_FILE, Observation, held_s
 from skope.traffic.recordings import begin_in_name
 from skope.traffic.report_tables import report_tables
 from tests.sightings import drive
@@ -84,7 +84,7 @@ def write(folder: str, tracks: Sequence[Track], begin_s: float, end_s: float, **
     write_tracks(path / TRACKS_CSV, [replace(one, times_s=one.times_s - begin_s) for one in parts])
     times = np.arange(round((end_s - begin_s) * FPS)) / FPS
     values: dict[str, Any] = {"source": folder, "common_sigma": 0.01, "camera": camera_at(-20.0, 800.0)}
-    write_json(path / FOOTAGE, Observation(times_s=times, **{**values, **known}).to_dict())
+    write_json(path / FOOTAGE_FILE, Observation(times_s=times, **{**values, **known}).to_dict())
     return path
 
 

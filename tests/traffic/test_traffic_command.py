@@ -29,7 +29,7 @@ from skope.tracking.track_list import Tracks
 from skope.tracking.vehicle_tracker import follow
 from skope.tracks.csv_file import TRACKS_CSV, read_tracks, write_tracks
 from skope.traffic.measure import measure
-from skope.traffic.observation import FOOTAGE, Observation
+from skope.traffic.observation import FOOTAGE_FILE, Observation
 from skope.traffic.report_tables import report_tables
 from skope.video.write import write_video
 from tests.eval.cli.test_footage import numbered_video
@@ -303,7 +303,7 @@ def test_memory_folder_and_read_back_tracks_give_one_report(tracks: AnnotationFi
     folder.mkdir()
     watch = Observation(times_s=np.array(times), common_sigma=0.013)
     write_tracks(folder / TRACKS_CSV, made)
-    write_json(folder / FOOTAGE, watch.to_dict())
+    write_json(folder / FOOTAGE_FILE, watch.to_dict())
     site = site_of(tracks)
     in_memory = door.measure_traffic(Tracks(made, watch), site)
     read_back = door.measure_traffic(Tracks(read_tracks(folder / TRACKS_CSV), watch), site)

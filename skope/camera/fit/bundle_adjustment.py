@@ -27,45 +27,60 @@ from skope.camera.fit.normal_equations import Linearised, Parts, summed
 from skope.camera.ground_plane import Ground
 from skope.pose import closed_form_starts, observations
 from skope.pose.closed_form_starts import Starts
-from skope.pose.observations import LEAST_PROBABILITY, observe
+from skope.pose.observations import KEYPOINT_WEIGHTS, observe
 from skope.pose.shape_model import Shapes, facing
 from skope.types import Array, Mask
 
-_STRIDE: Final = np.array([0.3, 0.2, 0.1, 0.3, 0.05])
-"""The camera's unknowns change by so much at most in a step."""
-_OFFSET: Final = 0.04
-"""Standard deviation of a keypoint's offset, metres an axis."""
-_HIDDEN: Final = 6.0
-"""Cost of a keypoint that the body hides: without one, cameras that see little would win."""
-_MIDDLE_OFFSET: Final = 0.001
-"""The same, to the side, of keypoints in the vehicle's middle."""
-_BEHIND: Final = 1e6
-"""Squared distance of a keypoint that would lie behind the camera."""
-_START_CAP: Final = 300.0
-"""Largest cost of a view where the vehicle's body type is chosen."""
+LARGEST_STEP: Final = np.array([0.3, 0.2, 0.1, 0.3, 0.05])
+"""Largest change of the camera's unknowns in a step."""
+
+
+@dataclass(frozen=True)
+class AdjustmentLimits:
+    """Noise model and limits of the bundle adjustment."""
+
+    offset_m: float = 0.04
+    """Standard deviation of a keypoint's offset from its body type, metres per axis."""
+    hidden_cost: float = 6.0
+    """Cost of a keypoint that the body hides. Without it, cameras that see little would win."""
+    middle_offset_m: float = 0.001
+    """Standard deviation of the lateral offset of a keypoint in the vehicle's plane of symmetry, metres."""
+    behind_cost: float = 1e6
+    """Squared distance that stands for a keypoint behind the camera."""
+    view_cost_cap: float = 300.0
+    """Largest cost of a view while the body type is chosen."""
+    first_damping: float = 1e-3
+    """Damping of the first step."""
+    last_damping: float = 1e4
+    """Damping at which the search stops."""
+    most_steps: int = 20
+    """Maximum number of steps of a search for everything but body types."""
+    type_rounds: int = 3
+    """Maximum number of rounds in which body types are chosen again."""
+    least_gain: float = 0.01
+    """The search ends after a round that gains less than this share."""
+    shape_steps: int = 6
+    """Steps of a search for shapes and positions alone."""
+    visibility_steps: int = 3
+    """Number of steps after which the hidden keypoints are determined again."""
+    settled: float = 1e-5
+    """The search ends when a step lowers the cost by less than this share."""
+
+
+ADJUSTMENT: Final = AdjustmentLimits()
+
 START_ROAD: Final = Ground(height_sigma=0.03, tilt_sigma=math.radians(0.7))
 """On it vehicles are placed before they are adjusted."""
-_FIRST_DAMPING: Final = 1e-3
-_STUCK: Final = 1e4
-"""Damping from which the search gives up."""
-_MOST_STEPS: Final = 20
-"""Steps of a search for everything but body types, at most."""
-_TYPE_ROUNDS: Final = 3
-"""Rounds at most in which body types are chosen anew."""
-_LITTLE: Final = 0.01
-"""A round that gains less is the last."""
-_FEW_STEPS: Final = 6
-"""Steps of a search for shapes and places alone."""
-_LOOK_AGAIN: Final = 3
-"""Steps after which it is worked out anew which keypoints bodies hide."""
-_SETTLED: Final = 1e-5
-"""The search ends when a step lowers the cost by less than this share of it."""
 
-_GROUPS: Final = sorted({tuple(sorted((i, other))) for i, other in enumerate(keypoints.FLIP)})
-"""Keypoints with their mirror images; those in the vehicle's middle are their own."""
-_GROUP: Final = np.array([next(g for g, pair in enumerate(_GROUPS) if i in pair) for i in range(keypoints.K)])
+MIRROR_PAIRS: Final = sorted({tuple(sorted((i, other))) for i, other in enumerate(keypoints.FLIP)})
+"""Keypoints with their mirror images. A keypoint in the plane of symmetry is its own."""
+PAIR_OF_KEYPOINT: Final = np.array(
+    [next(g for g, pair in enumerate(MIRROR_PAIRS) if i in pair) for i in range(keypoints.K)]
+)
+"""(33,) index into `MIRROR_PAIRS`."""
 _SIDE_SIGNS: Final = np.array([-1.0 if name.endswith("_right") else 1.0 for name in keypoints.NAMES])
-_UNKNOWNS: Final = len(UNKNOWN_NAMES) + 3 * len(_GROUPS)
+UNKNOWN_COUNT: Final = len(UNKNOWN_NAMES) + 3 * len(MIRROR_PAIRS)
+"""Number of unknowns of camera and shape."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -196,26 +211,28 @@ class BundleAdjustment:
         known = known or Known()
         self._views, self._shapes = views, views.shapes
         self._directions = np.moveaxis(views.shapes.directions[:, :, :-1], 1, -1)  # (T, 33, 3, M)
-        rest = _UNKNOWNS - len(UNKNOWN_NAMES)
+        rest = UNKNOWN_COUNT - len(UNKNOWN_NAMES)
         self._free = np.flatnonzero(np.concatenate([known.sigma > 0, np.ones(rest, dtype=bool)]))
         self._center = np.concatenate([known.center, np.zeros(rest)])
-        self._seen = views.found[..., 2] >= LEAST_PROBABILITY
-        self._variance = (views.sigma_px**2)[:, None] / np.clip(views.found[..., 2], LEAST_PROBABILITY, 1.0)
+        self._seen = views.found[..., 2] >= KEYPOINT_WEIGHTS.least_probability
+        self._variance = (views.sigma_px**2)[:, None] / np.clip(
+            views.found[..., 2], KEYPOINT_WEIGHTS.least_probability, 1.0
+        )
         self._prior = known.precision(_offset_sigma())
 
     def begun(self, camera: Array) -> Bundle:
         """Vehicles placed under a camera (5,) in closed form, each of the body type whose mean fits its views."""
         starts = self._starts(camera)
-        cost = self._by_vehicle(np.minimum(starts.cost, _START_CAP)) - 2 * np.log(self._shapes.share)
-        shared = np.concatenate([camera, np.zeros(_UNKNOWNS - len(camera))])
+        cost = self._by_vehicle(np.minimum(starts.cost, ADJUSTMENT.view_cost_cap)) - 2 * np.log(self._shapes.share)
+        shared = np.concatenate([camera, np.zeros(UNKNOWN_COUNT - len(camera))])
         return self._placed(shared, starts, cost.argmin(axis=1))
 
     def refined(self, bundle: Bundle) -> Solved:
         """Search on from a bundle, by turns for the body types and for all else."""
-        best = self.solve(self.with_likeliest_types(bundle), _MOST_STEPS)
-        for _ in range(_TYPE_ROUNDS):
-            again = self.solve(self.with_likeliest_types(best.bundle), _MOST_STEPS)
-            if again.cost > best.cost - _LITTLE:
+        best = self.solve(self.with_likeliest_types(bundle), ADJUSTMENT.most_steps)
+        for _ in range(ADJUSTMENT.type_rounds):
+            again = self.solve(self.with_likeliest_types(best.bundle), ADJUSTMENT.most_steps)
+            if again.cost > best.cost - ADJUSTMENT.least_gain:
                 break
             same = (again.bundle.kind == best.bundle.kind).all()
             best = again
@@ -225,11 +242,11 @@ class BundleAdjustment:
 
     def solve(self, bundle: Bundle, steps: int) -> Solved:
         """Search on from a bundle: camera, offsets, shapes and places, with the body types that it has."""
-        vehicle, damping = self._views.vehicle, np.full(self._views.count, _FIRST_DAMPING)
+        vehicle, damping = self._views.vehicle, np.full(self._views.count, ADJUSTMENT.first_damping)
         counted = self._counted(bundle)
         here = self._linearised(bundle, counted)
         for step in range(steps):
-            if step and step % _LOOK_AGAIN == 0:
+            if step and step % ADJUSTMENT.visibility_steps == 0:
                 counted = self._counted(bundle)
                 here = self._linearised(bundle, counted)
             parts = here.without_poses(vehicle, bundle.shape, damping)
@@ -238,13 +255,13 @@ class BundleAdjustment:
             there = self._linearised(ahead, counted)
             gain = self._total(here, bundle) - self._total(there, ahead)
             if gain > 0:
-                settled = gain < _SETTLED * self._total(here, bundle)
+                settled = gain < ADJUSTMENT.settled * self._total(here, bundle)
                 bundle, here, damping = ahead, there, damping / 5
-                if settled and step > _LOOK_AGAIN:
+                if settled and step > ADJUSTMENT.visibility_steps:
                     break
             else:
                 damping = damping * 8
-                if damping[0] > _STUCK:
+                if damping[0] > ADJUSTMENT.last_damping:
                     break
         parts, each = self._whole(here, bundle)
         cost = self._prior_cost(bundle) + float(each.sum())
@@ -263,12 +280,12 @@ class BundleAdjustment:
 
     def _fitted(self, bundle: Bundle) -> tuple[Bundle, Array]:
         """The bundle with likelier shapes and places, and (N,) what each vehicle costs so."""
-        vehicle, still = self._views.vehicle, np.zeros(_UNKNOWNS)
-        damping = np.full(self._views.count, _FIRST_DAMPING)
+        vehicle, still = self._views.vehicle, np.zeros(UNKNOWN_COUNT)
+        damping = np.full(self._views.count, ADJUSTMENT.first_damping)
         counted = self._counted(bundle)
         here = self._linearised(bundle, counted, by="nothing")
-        for step in range(_FEW_STEPS):
-            if step == _LOOK_AGAIN:
+        for step in range(ADJUSTMENT.shape_steps):
+            if step == ADJUSTMENT.visibility_steps:
                 counted = self._counted(bundle)
                 here = self._linearised(bundle, counted, by="nothing")
             parts = here.without_poses(vehicle, bundle.shape, damping)
@@ -289,9 +306,9 @@ class BundleAdjustment:
         normal = parts.information.sum(axis=0) + np.diag(self._prior)
         normal += np.diag(damping * np.diag(normal) + 1e-9)
         pull = parts.pull.sum(axis=0) + self._prior * (shared - self._center)
-        step = np.zeros(_UNKNOWNS)
+        step = np.zeros(UNKNOWN_COUNT)
         step[self._free] = -np.linalg.solve(normal[np.ix_(self._free, self._free)], pull[self._free])
-        step[: len(UNKNOWN_NAMES)] = np.clip(step[: len(UNKNOWN_NAMES)], -_STRIDE, _STRIDE)
+        step[: len(UNKNOWN_NAMES)] = np.clip(step[: len(UNKNOWN_NAMES)], -LARGEST_STEP, LARGEST_STEP)
         return step
 
     def _total(self, here: Linearised, bundle: Bundle) -> float:
@@ -352,8 +369,8 @@ class BundleAdjustment:
         pictured = Pictured.of(camera, views.size, world)
         away = pictured.pixels - views.found[..., :2]
         variance = self._variance + (focal * self._shapes.rest[kind] / pictured.near) ** 2
-        squared = np.where(pictured.front, (away**2).sum(axis=-1) / variance, _BEHIND)
-        each = np.where(counted, observations.cost(squared), _HIDDEN * self._seen)
+        squared = np.where(pictured.front, (away**2).sum(axis=-1) / variance, ADJUSTMENT.behind_cost)
+        each = np.where(counted, observations.cost(squared), ADJUSTMENT.hidden_cost * self._seen)
         vehicle_cost = self._by_vehicle(each.sum(axis=1)) + (bundle.shape**2).sum(axis=1)
         weight = np.where(counted & pictured.front, observations.weight(squared) / variance, 0.0)
         # Derivatives of the image by a shift in the world, by the pose, by the shape.
@@ -367,11 +384,11 @@ class BundleAdjustment:
         if by == "height":
             by_shape, by_shared = by_shape[..., :0], by_world[..., 2:]
         elif by == "shared":
-            by_shared = np.zeros((*away.shape, _UNKNOWNS))
+            by_shared = np.zeros((*away.shape, UNKNOWN_COUNT))
             # Places are multiples of the height, and grow with it.
             by_shared[..., : len(UNKNOWN_NAMES)] = by_camera(camera, views.size, world, foot)
             mirrored = np.stack([np.ones_like(_SIDE_SIGNS), _SIDE_SIGNS, np.ones_like(_SIDE_SIGNS)], axis=-1)
-            column = len(UNKNOWN_NAMES) + 3 * _GROUP[:, None] + np.arange(3)
+            column = len(UNKNOWN_NAMES) + 3 * PAIR_OF_KEYPOINT[:, None] + np.arange(3)
             for k in range(keypoints.K):
                 by_shared[:, k, :, column[k]] = np.moveaxis(by_body[:, k] * mirrored[k], -1, 0)
         return Linearised.of(squared, vehicle_cost, weight, away, by_pose, by_shape, by_shared)
@@ -379,13 +396,13 @@ class BundleAdjustment:
 
 def _offset_sigma() -> Array:
     """(G, 3) standard deviations of the keypoints' offsets, metres."""
-    sigma = np.full((len(_GROUPS), 3), _OFFSET)
-    sigma[[one == other for one, other in _GROUPS], 1] = _MIDDLE_OFFSET
+    sigma = np.full((len(MIRROR_PAIRS), 3), ADJUSTMENT.offset_m)
+    sigma[[one == other for one, other in MIRROR_PAIRS], 1] = ADJUSTMENT.middle_offset_m
     return sigma
 
 
 def _offsets(shared: Array) -> Array:
     """(33, 3) the offset of each keypoint in the vehicle frame, metres."""
-    offsets = shared[len(UNKNOWN_NAMES) :].reshape(-1, 3)[_GROUP]
+    offsets = shared[len(UNKNOWN_NAMES) :].reshape(-1, 3)[PAIR_OF_KEYPOINT]
     offsets[:, 1] *= _SIDE_SIGNS
     return np.asarray(offsets)

@@ -2,43 +2,53 @@
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
-from skope.camera.fit.camera_unknowns import FOCAL, HEIGHT, UNKNOWN_STEP, camera_of_unknowns, on_road
+from skope.camera.fit.camera_unknowns import FOCAL, HEIGHT, RAY_LIMITS, camera_of_unknowns, on_road
 from skope.camera.fit.fit_camera import CameraEstimate, gain_of_pixel_width
 from skope.camera.uncertain_camera import slopes
-from skope.pose.fit_body_types import INLIER
+from skope.pose.fit_body_types import INLIER_VARIANCES
 from skope.types import Array
 
-_LEAST_AGREEMENT: Final = 0.92
-"""Share of the keypoints that are not hidden which must agree; of right cameras it is 0.95 to 1."""
-_UNEVEN_SIGMAS: Final = 0.6
-"""Largest median distance of views from the road, in standard deviations."""
-_UNKNOWN: Final = 0.12
-"""Standard deviation of ways on the road, as a share of them, from which a camera is worth nothing."""
-_UNKNOWN_FOCAL: Final = 0.3
-"""The same of the focal length."""
-_AS_LIKELY: Final = 6.0
-"""A camera that is behind by less (twice the log likelihood) may be the right one."""
-_OTHER: Final = 0.1
-"""Ways on the road that differ by more, as a share of them, make another camera."""
-_SQUEEZED: Final = 4 / 3
-"""Width of a pixel, in its heights, where a recorder has squeezed a wide picture to 4:3."""
-_SQUARE: Final = 30.0
-"""Pixels are taken to be so wide if the vehicles are likelier by more then (twice the log likelihood)."""
-_TURNED_RAD: Final = math.radians(6.0)
-"""Angle between the way that vehicles go and where they head, in the median, from which the road is no plane or the
-camera another."""
-_WAY_M: Final = 3.0
-"""Least way between two views that tells a direction, metres."""
-_FEWEST_WAYS: Final = 5
-"""Least number of such ways."""
-_ABOVE: Final = 0.05
-"""Share of the vehicles' lower edges that may lie above the horizon."""
-_AHEAD_M: Final = 2.0
-"""Length of the ways on the road by which distances are told, metres."""
+
+@dataclass(frozen=True)
+class DoubtLimits:
+    """Limits beyond which a camera found from vehicles is rejected."""
+
+    least_agreement: float = 0.92
+    """Smallest share of the visible keypoints that must agree. Correct cameras have 0.95 to 1."""
+    unevenness_sigmas: float = 0.6
+    """Largest median distance of views from the road, in standard deviations."""
+    distance_sigma: float = 0.12
+    """Relative standard deviation of distances on the road from which a camera is useless."""
+    focal_sigma: float = 0.3
+    """Relative standard deviation of the focal length from which a camera is useless."""
+    likelihood_gap: float = 6.0
+    """A camera that is behind by less (twice the log likelihood) may be the right one."""
+    different_distance: float = 0.1
+    """Relative difference of distances on the road that makes another camera."""
+    squeezed_aspect: float = 4 / 3
+    """Width of a pixel over its height where a recorder has squeezed a wide image to 4:3."""
+    squeezed_gap: float = 30.0
+    """Gain of likelihood (twice the logarithm) from which pixels are taken as squeezed."""
+    heading_gap_rad: float = math.radians(6.0)
+    """Median angle between direction of travel and heading from which the road is not a plane or the camera is
+    wrong.
+    """
+    least_travel_m: float = 3.0
+    """Least distance between two views that gives a direction of travel, metres."""
+    fewest_directions: int = 5
+    """Smallest number of such directions."""
+    above_horizon: float = 0.05
+    """Largest share of vehicles whose lower edge lies above the horizon."""
+    segment_m: float = 2.0
+    """Length of the segments of road by which distances are compared, metres."""
+
+
+DOUBT_LIMITS: Final = DoubtLimits()
 
 
 def why_not(estimate: CameraEstimate, lower_edges: Array) -> str | None:
@@ -62,15 +72,15 @@ def why_not(estimate: CameraEstimate, lower_edges: Array) -> str | None:
 
 def sigma_of_ways(estimate: CameraEstimate) -> float:
     """Relative standard deviation of ways that the vehicles go on the road, at the ninth in ten of their places."""
-    J = slopes(lambda unknowns: _log_ways(estimate, unknowns), estimate.solved.bundle.camera, UNKNOWN_STEP)
+    J = slopes(lambda unknowns: _log_ways(estimate, unknowns), estimate.solved.bundle.camera, RAY_LIMITS.step)
     variance = np.einsum("bi,ij,bj->b", J, estimate.covariance, J)
     return float(np.sqrt(np.percentile(variance, 90)))
 
 
 def _disagreement(estimate: CameraEstimate) -> str | None:
     solved = estimate.solved
-    share = float((solved.squared <= INLIER)[solved.counted].mean())
-    if share >= _LEAST_AGREEMENT:
+    share = float((solved.squared <= INLIER_VARIANCES)[solved.counted].mean())
+    if share >= DOUBT_LIMITS.least_agreement:
         return None
     return (
         f"under the likeliest one {1 - share:.0%} of their keypoints lie where they cannot: the road is no plane, the "
@@ -79,7 +89,7 @@ def _disagreement(estimate: CameraEstimate) -> str | None:
 
 
 def _uneven(estimate: CameraEstimate) -> str | None:
-    if estimate.unevenness <= _UNEVEN_SIGMAS:
+    if estimate.unevenness <= DOUBT_LIMITS.unevenness_sigmas:
         return None
     return "the vehicles do not stand on one plane, or the lens bends straight lines more than one coefficient says"
 
@@ -88,14 +98,14 @@ def _over_the_horizon(estimate: CameraEstimate, lower_edges: Array) -> str | Non
     rays, valid = estimate.camera.rays(lower_edges)
     up = (rays @ estimate.camera.T_camera_world[:3, 2])[valid]
     share = float((up > 0).mean()) if up.size else 0.0
-    if share <= _ABOVE:
+    if share <= DOUBT_LIMITS.above_horizon:
         return None
     return f"under the likeliest one {share:.0%} of all vehicles would stand above the horizon"
 
 
 def _unknown(estimate: CameraEstimate) -> str | None:
     ways, focal = sigma_of_ways(estimate), math.sqrt(estimate.covariance[FOCAL, FOCAL])
-    if ways <= _UNKNOWN and focal <= _UNKNOWN_FOCAL:
+    if ways <= DOUBT_LIMITS.distance_sigma and focal <= DOUBT_LIMITS.focal_sigma:
         return None
     return (
         f"distances along the road are known within {2 * ways:.0%}, the focal length within {2 * focal:.0%} (95%); "
@@ -105,10 +115,10 @@ def _unknown(estimate: CameraEstimate) -> str | None:
 
 def _as_likely(estimate: CameraEstimate) -> str | None:
     rival, best = estimate.rival, estimate.solved.bundle.camera
-    if rival is None or rival.behind > _AS_LIKELY:
+    if rival is None or rival.behind > DOUBT_LIMITS.likelihood_gap:
         return None
     apart = float(np.median(np.abs(_log_ways(estimate, rival.unknowns) - _log_ways(estimate, best))))
-    if apart <= _OTHER:
+    if apart <= DOUBT_LIMITS.different_distance:
         return None
     heights = sorted(math.exp(unknowns[HEIGHT]) for unknowns in (best, rival.unknowns))
     return f"two are about as likely, {heights[0]:.1f} m and {heights[1]:.1f} m over the road"
@@ -122,21 +132,22 @@ def _sideways(estimate: CameraEstimate) -> str | None:
     way = places[order][1:] - places[order][:-1]
     heading = np.exp(1j * bundle.pose[order, 2])
     middle = heading[1:] + heading[:-1]
-    told = same & (np.linalg.norm(way, axis=1) > _WAY_M) & (np.abs(middle) > 1)
-    if told.sum() < _FEWEST_WAYS:
+    told = same & (np.linalg.norm(way, axis=1) > DOUBT_LIMITS.least_travel_m) & (np.abs(middle) > 1)
+    if told.sum() < DOUBT_LIMITS.fewest_directions:
         return None
     turn = np.angle((way[told, 0] + 1j * way[told, 1]) * np.conj(middle[told]))
     away = np.minimum(np.abs(turn), math.pi - np.abs(turn))  # who heads the other way is turned around, not aside
-    if np.median(away) <= _TURNED_RAD:
+    if np.median(away) <= DOUBT_LIMITS.heading_gap_rad:
         return None
     return f"under the likeliest one vehicles move {math.degrees(np.median(away)):.0f} degrees aside of where they head"
 
 
 def _squeezed(estimate: CameraEstimate) -> str | None:
-    if gain_of_pixel_width(estimate, _SQUEEZED) <= _SQUARE:
+    if gain_of_pixel_width(estimate, DOUBT_LIMITS.squeezed_aspect) <= DOUBT_LIMITS.squeezed_gap:
         return None
     return (
-        f"the vehicles fit better if a pixel is {_SQUEEZED:.2f} times as wide as high: bring the images to the shape "
+        f"the vehicles fit better if a pixel is {DOUBT_LIMITS.squeezed_aspect:.2f} times as wide as high: bring "
+        f"the images to the shape "
         "that the camera saw"
     )
 
@@ -146,7 +157,7 @@ def _log_ways(estimate: CameraEstimate, unknowns: Array) -> Array:
     bundle, size = estimate.solved.bundle, estimate.views.size
     begin = np.column_stack([bundle.pose[:, :2] * math.exp(bundle.camera[HEIGHT]), np.zeros(len(bundle.pose))])
     heading = bundle.pose[:, 2]
-    end = begin + _AHEAD_M * np.column_stack([np.cos(heading), np.sin(heading), np.zeros_like(heading)])
+    end = begin + DOUBT_LIMITS.segment_m * np.column_stack([np.cos(heading), np.sin(heading), np.zeros_like(heading)])
     camera = camera_of_unknowns(unknowns, size)
     a, b = (on_road(camera, estimate.camera.project(points)[0]) for points in (begin, end))
     return np.asarray(np.log(np.linalg.norm(b - a, axis=1) + 1e-9))

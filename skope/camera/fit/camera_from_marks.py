@@ -19,13 +19,23 @@ from skope.site.site_file import read_site
 from skope.terminal.console import counted
 from skope.types import Array
 
-_DISTANCES_M: Final = (10.0, 20.0, 40.0, 60.0, 100.0)
-"""Distances from the camera's foot at which errors of places are told."""
-_WORTHLESS: Final = 0.25
-"""Errors that are larger than this share of the distance tell nothing."""
-_ARC: Final = np.linspace(-math.pi / 2, math.pi / 2, 61)
-_WRONG_SIGMAS: Final = 3.0
-"""A point that lies so many standard deviations off is to be looked at again."""
+
+@dataclass(frozen=True)
+class MarkReportLimits:
+    """Distances and limits of the report on a camera from marks."""
+
+    distances_m: tuple[float, ...] = (10.0, 20.0, 40.0, 60.0, 100.0)
+    """Distances from the camera's foot at which position errors are reported, metres."""
+    useless_share: float = 0.25
+    """Errors larger than this share of the distance are not reported."""
+    doubtful_sigmas: float = 3.0
+    """Residual from which a point is to be checked, in standard deviations."""
+
+
+MARK_REPORT: Final = MarkReportLimits()
+
+SECTOR_ANGLES: Final = np.linspace(-math.pi / 2, math.pi / 2, 61)
+"""Directions around the camera's foot, radians."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -181,12 +191,12 @@ def place_errors(found: UncertainCamera) -> str:
     """Uncertainty of places on the road, at the worst of those that lie so far from the camera, in words."""
     yaw, foot = found.camera.angles[0], found.camera.position[:2]
     told, farthest = [], ""
-    for distance in _DISTANCES_M:
+    for distance in MARK_REPORT.distances_m:
         pixels = _seen_at(found, yaw, foot, distance)
         if not len(pixels):
             continue
         error = float(np.max(np.nan_to_num(found.place_error(pixels), nan=math.inf)))
-        if error > _WORTHLESS * distance:
+        if error > MARK_REPORT.useless_share * distance:
             farthest = f"; from {distance:g} m on by more than a quarter of the distance"
             break
         told.append(f"{error:.2g} m at {distance:g} m")
@@ -197,7 +207,7 @@ def place_errors(found: UncertainCamera) -> str:
 
 def _seen_at(found: UncertainCamera, yaw: float, foot: Array, distance: float) -> Array:
     """(N, 2) pixels of places at a distance from the camera's foot that the image shows."""
-    angles = yaw + _ARC
+    angles = yaw + SECTOR_ANGLES
     ring = np.column_stack([foot + distance * np.column_stack([np.cos(angles), np.sin(angles)]), np.zeros(len(angles))])
     pixels, _, valid = found.camera.project(ring)
     return np.asarray(pixels[valid & found.camera.inside(pixels)])

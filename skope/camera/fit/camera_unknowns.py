@@ -9,18 +9,27 @@ import numpy as np
 from skope.camera.ground_plane import ground_places
 from skope.camera.model import Camera, Distortion
 from skope.camera.uncertain_camera import slopes
-from skope.pose.observations import NEAREST_M
+from skope.pose.observations import KEYPOINT_WEIGHTS
 from skope.types import Array, Mask
 
 UNKNOWN_NAMES: Final = ("log_focal", "pitch", "roll", "log_height", "k1")
 """The camera's unknowns: natural logarithms of pixels and metres, radians."""
 FOCAL, PITCH, ROLL, HEIGHT, K1 = range(len(UNKNOWN_NAMES))
-UNKNOWN_STEP: Final = 1e-4
-"""Step of the differences that tell derivatives by the camera's unknowns."""
-_LEAST_FALL: Final = 1e-3
-"""A ray that goes down by less of its depth meets the road as if it went down by so much."""
-_FARTHEST_RADIUS: Final = 2.0
-"""Distortion grows no more beyond this distance from the axis, at a depth of 1."""
+
+
+@dataclass(frozen=True)
+class RayLimits:
+    """Numerical limits of rays and derivatives."""
+
+    step: float = 1e-4
+    """Step of numerical derivatives by the camera's unknowns."""
+    least_fall: float = 1e-3
+    """Least descent of a ray, as a share of its depth. A flatter ray is treated as if it fell by this much."""
+    distortion_radius: float = 2.0
+    """Distance from the axis, at depth 1, beyond which distortion does not grow."""
+
+
+RAY_LIMITS: Final = RayLimits()
 
 
 def camera_of_unknowns(unknowns: Array, size: tuple[int, int]) -> Camera:
@@ -39,7 +48,7 @@ def camera_of_unknowns(unknowns: Array, size: tuple[int, int]) -> Camera:
 
 def on_road(camera: Camera, pixels: Array) -> Array:
     """(P, 2) places on the road z = 0, metres, that pixels (P, 2) show; those above the horizon are very far away."""
-    return ground_places(camera, pixels, least_fall=_LEAST_FALL)[..., :2]
+    return ground_places(camera, pixels, least_fall=RAY_LIMITS.least_fall)[..., :2]
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,11 +87,11 @@ class Pictured:
         )
         R = turn @ np.stack([right, np.cross(forward, right), forward])
         x, y, depth = np.moveaxis((world - [0.0, 0.0, math.exp(camera[HEIGHT])]) @ R.T, -1, 0)
-        near = np.maximum(depth, NEAREST_M)
+        near = np.maximum(depth, KEYPOINT_WEIGHTS.nearest_m)
         x, y = x / near, y / near
-        grown = 1 + camera[K1] * np.minimum(x**2 + y**2, _FARTHEST_RADIUS**2)
+        grown = 1 + camera[K1] * np.minimum(x**2 + y**2, RAY_LIMITS.distortion_radius**2)
         pixels = math.exp(camera[FOCAL]) * np.stack([x * grown, y * grown], axis=-1) + np.array(size) / 2
-        return cls(camera, R, x, y, near, depth > NEAREST_M, grown, pixels)
+        return cls(camera, R, x, y, near, depth > KEYPOINT_WEIGHTS.nearest_m, grown, pixels)
 
     def by_world(self) -> Array:
         """(B, P, 2, 3) derivatives of the pixels by a shift in the world."""
@@ -111,5 +120,5 @@ def by_camera(camera: Array, size: tuple[int, int], world: Array, foot: Array) -
     return slopes(
         lambda at: Pictured.of(at, size, world + (math.exp(at[HEIGHT]) - height) * foot[:, None]).pixels,
         camera,
-        UNKNOWN_STEP,
+        RAY_LIMITS.step,
     )

@@ -23,34 +23,48 @@ from skope.types import Array
 
 _FOCAL_GRID: Final = np.geomspace(0.34, 2.9, 10)
 """Focal lengths of the grid, as multiples of the image's width: fields of view from 112 to 20 degrees."""
-_PITCH: Final = np.radians([3, 8, 14, 21, 29, 38, 48, 60, 74])
-"""Tilts of the grid, downwards."""
-_HEIGHT: Final = (2.6, 3.7, 5.2, 7.4, 10.5, 15.0, 22.0)
-"""Heights of the grid over the road, metres."""
-_JUDGED: Final = (20, 60)
-"""Views by which the grid is judged, and then the best of it, at most."""
-_JUDGED_AGAIN: Final = 100
-"""Number of cameras of the grid that are judged by more views."""
-_CAP: Final = 150.0
-"""Largest cost of a view, so that a false detection does not decide."""
-_START_DISTANCE: Final = 0.45
-"""Cameras of the grid that are nearer to one another than this, in logarithms and twice radians, are one start."""
-_STARTS: Final = 10
-"""Number of cameras of the grid, the best ones, that are adjusted."""
-_REFINED: Final = 4
-"""Number of those for which full fits choose the body types of their vehicles."""
-_SAME_UNKNOWNS: Final = 0.02
-"""Cameras whose unknowns differ by less than this are one."""
-_INFLATION: Final = 1.5
-"""Standard deviations are this much larger than what differences between vehicles tell: with this and the two below,
-95% intervals hold the truth of generated cameras as often (docs/from-camera-to-tracks.md)."""
-_FOCAL_FLOOR: Final = 0.03
-"""Standard deviation of the focal length, and of what goes with it, that stays with many vehicles, as a share."""
-_FLOOR: Final = np.array([0.0, 0.0, math.radians(0.5), 0.04, 0.01])
-"""The same of the other unknowns: all vehicles of a country are larger or smaller than those of the shape space, which
-nothing in the image tells, and lenses are bent by more than one coefficient says."""
-_FIRST_STEPS: Final = 10
-"""Steps by which each start is adjusted before the best are known."""
+GRID_PITCHES: Final = np.radians([3, 8, 14, 21, 29, 38, 48, 60, 74])
+"""Downward pitch angles of the grid, radians."""
+
+
+@dataclass(frozen=True)
+class CameraSearch:
+    """Grid of first cameras and limits of the search for a camera from vehicles."""
+
+    heights_m: tuple[float, ...] = (2.6, 3.7, 5.2, 7.4, 10.5, 15.0, 22.0)
+    """Heights of the grid over the road, metres."""
+    judged_views: tuple[int, int] = (20, 60)
+    """Maximum number of views that judge the grid, and then its best cameras."""
+    judged_again: int = 100
+    """Number of cameras of the grid that are judged by more views."""
+    view_cost_cap: float = 150.0
+    """Largest cost of a view, so that a false detection does not decide."""
+    start_distance: float = 0.45
+    """Cameras of the grid closer than this are one start. Distances are in logarithms and in twice the angle in
+    radians.
+    """
+    starts: int = 10
+    """Number of cameras of the grid that are adjusted."""
+    refined: int = 4
+    """Number of these whose vehicles get body types by full fits."""
+    same_unknowns: float = 0.02
+    """Cameras whose unknowns differ by less than this are one."""
+    sigma_factor: float = 1.5
+    """Factor of standard deviations over those that differences between vehicles give. With it and the two floors
+    below, 95% intervals cover 95% of generated cameras (docs/from-camera-to-tracks.md).
+    """
+    focal_floor: float = 0.03
+    """Least relative standard deviation of the focal length, however many vehicles there are."""
+    first_steps: int = 10
+    """Steps by which each start is adjusted before the best are chosen."""
+
+
+CAMERA_SEARCH: Final = CameraSearch()
+
+SIGMA_FLOORS: Final = np.array([0.0, 0.0, math.radians(0.5), 0.04, 0.01])
+"""Least standard deviations of the other unknowns. All vehicles of a country may be larger or smaller than the
+shape space, and lenses bend in more than one coefficient.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,9 +136,9 @@ def fit_camera_to_vehicles(views: VehicleViews, known: Known | None = None) -> C
     """
     known = known or Known()
     adjustment = BundleAdjustment(views, known)
-    begun = [adjustment.solve(adjustment.begun(at), _FIRST_STEPS) for at in _starts(views, known)]
+    begun = [adjustment.solve(adjustment.begun(at), CAMERA_SEARCH.first_steps) for at in _starts(views, known)]
     begun.sort(key=lambda solved: solved.cost)
-    fits = [adjustment.refined(solved.bundle) for solved in _distinct(begun)[:_REFINED]]
+    fits = [adjustment.refined(solved.bundle) for solved in _distinct(begun)[: CAMERA_SEARCH.refined]]
     best, *others = _distinct(sorted(fits, key=lambda solved: solved.cost))
     return CameraEstimate(
         camera=camera_of_unknowns(best.bundle.camera, views.size),
@@ -159,8 +173,8 @@ def _widened(covariance: Array) -> Array:
     """A covariance of the unknowns with what all vehicles have wrong together."""
     with_focal = covariance[:, FOCAL] / covariance[FOCAL, FOCAL] if covariance[FOCAL, FOCAL] > 0 else np.zeros(5)
     with_focal = np.where(np.arange(len(with_focal)) == K1, 0.0, with_focal)
-    common = _FOCAL_FLOOR**2 * np.outer(with_focal, with_focal) + np.diag(_FLOOR**2)
-    return np.asarray(_INFLATION**2 * covariance + common)
+    common = CAMERA_SEARCH.focal_floor**2 * np.outer(with_focal, with_focal) + np.diag(SIGMA_FLOORS**2)
+    return np.asarray(CAMERA_SEARCH.sigma_factor**2 * covariance + common)
 
 
 def _starts(views: VehicleViews, known: Known) -> list[Array]:
@@ -179,26 +193,28 @@ def _starts(views: VehicleViews, known: Known) -> list[Array]:
 
     grid = [
         np.where(known.sigma < np.inf, known.center, [math.log(f * views.size[0]), pitch, 0.0, math.log(height), 0.0])
-        for f, pitch, height in itertools.product(_FOCAL_GRID, _PITCH, _HEIGHT)
+        for f, pitch, height in itertools.product(_FOCAL_GRID, GRID_PITCHES, CAMERA_SEARCH.heights_m)
     ]
     out: list[Array] = []
-    for at in best(best(grid, _JUDGED[0])[:_JUDGED_AGAIN], _JUDGED[1]):
-        if all(np.abs((at - other) * [1, 2, 0, 1, 0]).sum() > _START_DISTANCE for other in out):
+    for at in best(
+        best(grid, CAMERA_SEARCH.judged_views[0])[: CAMERA_SEARCH.judged_again], CAMERA_SEARCH.judged_views[1]
+    ):
+        if all(np.abs((at - other) * [1, 2, 0, 1, 0]).sum() > CAMERA_SEARCH.start_distance for other in out):
             out.append(at)
-        if len(out) == _STARTS:
+        if len(out) == CAMERA_SEARCH.starts:
             break
     return out
 
 
 def capped(cost: Array) -> Array:
-    """Costs of views that level off at `_CAP`, still smooth."""
-    return np.asarray(_CAP * np.tanh(np.minimum(cost, 1e6) / _CAP))
+    """Costs of views that level off at `CAMERA_SEARCH.view_cost_cap`, still smooth."""
+    return np.asarray(CAMERA_SEARCH.view_cost_cap * np.tanh(np.minimum(cost, 1e6) / CAMERA_SEARCH.view_cost_cap))
 
 
 def _distinct(solved: list[Solved]) -> list[Solved]:
     """Of those that have come to one camera the first."""
     out: list[Solved] = []
     for one in solved:
-        if all(np.abs(one.bundle.camera - other.bundle.camera).max() > _SAME_UNKNOWNS for other in out):
+        if all(np.abs(one.bundle.camera - other.bundle.camera).max() > CAMERA_SEARCH.same_unknowns for other in out):
             out.append(one)
     return out

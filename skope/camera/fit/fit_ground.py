@@ -27,22 +27,32 @@ from skope.schema import Image
 from skope.terminal.console import counted
 from skope.types import Array
 
-_SLOPE: Final = 0.05
-"""Standard deviation of a road's slope: 8% is steep."""
-_LOWEST: Final = 0.5
-"""Height of a camera over the road, metres, from which the search begins at least."""
-_FEWEST_ON_ROAD: Final = 3
-"""Vehicles that a road needs; a known camera tells more of each than an unknown one."""
-_FEWEST_PLACES: Final = 3
-"""Places that a plane goes through."""
-_TRIED_SIGMAS_M: Final = (0.04, 0.08, 0.16, 0.32, 0.64)
-"""Standard deviations of the road's height over its plane, metres, that are tried."""
-_WEIGHT_ROUNDS: Final = 5
-"""Rounds of reweighting for the first plane."""
-_VEHICLES: Final = 40
-"""So many vehicles are used at most."""
-_CLEAR: Final = 5.0
-"""The level z = 0 is given up only if a view contradicts another plane by this much less (twice the log likelihood)."""
+
+@dataclass(frozen=True)
+class GroundSearch:
+    """Prior and limits of the search for the road's plane."""
+
+    slope_sigma: float = 0.05
+    """Standard deviation of a road's slope. A slope of 0.08 is steep."""
+    lowest_camera_m: float = 0.5
+    """Least height of the camera over the road at which the search begins, metres."""
+    fewest_vehicles: int = 3
+    """Smallest number of vehicles. A known camera gets more from each than an unknown one."""
+    fewest_places: int = 3
+    """Smallest number of positions for a plane."""
+    tried_sigmas_m: tuple[float, ...] = (0.04, 0.08, 0.16, 0.32, 0.64)
+    """Standard deviations of the road's height over its plane that are tried, metres."""
+    weight_rounds: int = 5
+    """Rounds of reweighting for the first plane."""
+    most_vehicles: int = 40
+    """Maximum number of vehicles that are used."""
+    clear_gap: float = 5.0
+    """The plane z = 0 is replaced only if the views fit another plane better by this much (twice the log
+    likelihood).
+    """
+
+
+GROUND_SEARCH: Final = GroundSearch()
 
 
 @dataclass(frozen=True)
@@ -137,11 +147,18 @@ def _fit(scene: Scene, asked: str, *, score: float, noise: float, sigma_px: floa
     """
     assert scene.ground is not None
     camera = scene.camera_of(scene.file.images[0])
-    views = sample_vehicles(scene, _VEHICLES, score=score, noise=noise, sigma_px=sigma_px, fewest=_FEWEST_ON_ROAD).views
+    views = sample_vehicles(
+        scene,
+        GROUND_SEARCH.most_vehicles,
+        score=score,
+        noise=noise,
+        sigma_px=sigma_px,
+        fewest=GROUND_SEARCH.fewest_vehicles,
+    ).views
     begun = _through_free_fits(views, camera)
     if asked == "auto":
         level, other = (_adjusted(views, camera, ground, free=False).cost for ground in (scene.ground, begun))
-        if level - other < _CLEAR * len(views.found):
+        if level - other < GROUND_SEARCH.clear_gap * len(views.found):
             return None
     return fit_ground(views, camera, begun)
 
@@ -174,9 +191,11 @@ def _adjusted(views: VehicleViews, camera: Camera, ground: Ground, *, free: bool
     """The likeliest vehicles on a road under a known camera, or on a road near it where that is `free`."""
     focal = math.sqrt(camera.K[0, 0] * camera.K[1, 1])
     level, _ = levelled(camera, ground)
-    at = np.array([math.log(focal), *level.angles[1:], math.log(max(level.position[2], _LOWEST)), 0.0])
+    at = np.array(
+        [math.log(focal), *level.angles[1:], math.log(max(level.position[2], GROUND_SEARCH.lowest_camera_m)), 0.0]
+    )
     center = np.array([at[FOCAL], *camera.angles[1:], 0.0, 0.0])
-    slope = math.atan(_SLOPE)
+    slope = math.atan(GROUND_SEARCH.slope_sigma)
     sigma = np.array([0.0, slope, slope, np.inf, 0.0]) if free else np.zeros(len(at))
     rays, valid = camera.rays(views.found[..., :2])
     ideal = rays[..., :2] * focal + np.array(views.size) / 2
@@ -199,22 +218,22 @@ def _through_free_fits(views: VehicleViews, camera: Camera) -> Ground:
     """A plane through the places that vehicles have by their size alone, those far from it counting less and less."""
     poses = locate(camera, views.found, sigma_px=views.sigma_px, ground=None, shapes=views.shapes)
     good = np.array([reason is None for reason in poses.refusal])
-    if good.sum() >= _FEWEST_PLACES:
+    if good.sum() >= GROUND_SEARCH.fewest_places:
         points, sigma = poses.position[good], np.sqrt(np.maximum(poses.covariance[good, 2, 2], 0.01))
     else:
         points, sigma = poses.position, np.ones(len(poses.position))
     middle = np.median(points[:, :2], axis=0)
     A = np.column_stack([np.ones(len(points)), points[:, :2] - middle])
-    prior = np.diag([0.0, 1.0, 1.0]) / _SLOPE**2
+    prior = np.diag([0.0, 1.0, 1.0]) / GROUND_SEARCH.slope_sigma**2
     weight = 1 / sigma**2
     at = np.zeros(3)
-    for _ in range(_WEIGHT_ROUNDS):
+    for _ in range(GROUND_SEARCH.weight_rounds):
         normal = (A.T * weight) @ A + prior
         at = np.linalg.solve(normal, (A.T * weight) @ points[:, 2])
         weight = 1 / (sigma**2 + (A @ at - points[:, 2]) ** 2)
     return Ground(
         height=float(at[0]),
-        height_sigma=_TRIED_SIGMAS_M[2],
+        height_sigma=GROUND_SEARCH.tried_sigmas_m[2],
         tilt_sigma=math.radians(1.5),
         slope=(float(at[1]), float(at[2])),
         about=(float(middle[0]), float(middle[1])),
@@ -230,4 +249,4 @@ def _unevenness(views: VehicleViews, camera: Camera, ground: Ground) -> float:
         _, spread = np.linalg.slogdet(fits.normal[:, 0])
         return float((capped(fits.cost[:, 0]) + spread).sum() + 2 * len(spread) * math.log(sigma))
 
-    return min(_TRIED_SIGMAS_M, key=surprise)
+    return min(GROUND_SEARCH.tried_sigmas_m, key=surprise)

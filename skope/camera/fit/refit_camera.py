@@ -22,7 +22,7 @@ from skope.camera.fit.camera_from_marks import evidence_of, place_errors
 from skope.camera.fit.write_camera import write_camera
 from skope.camera.ground_plane import ground_places
 from skope.camera.model import Camera
-from skope.camera.motion.camera_motion import TURNS, covariance_of_turns, turned_camera
+from skope.camera.motion.camera_motion import TURN_ANGLES, covariance_of_turns, turned_camera
 from skope.camera.motion.camera_shake import SwayWatch
 from skope.camera.motion.image_shift import FollowedCorners, ImageMotion, ReferencePicture, SmallPicture
 from skope.camera.uncertain_camera import UncertainCamera, moved_camera
@@ -32,20 +32,28 @@ from skope.terminal.console import counted
 from skope.types import Array, Pixels
 from skope.video.footage import Cut, open_footage
 
-_MATCHED_WIDTH_PX: Final = 1280
-"""Corners are followed in pictures that are so wide at most, pixels."""
-_AS_WELL: Final = 2.0
-"""A turn explains what corners do if it leaves no more than so many times what a free bending of the picture leaves."""
-_LEAST_PX: Final = 0.3
-"""Least that such a bending is taken to leave, pixels of pictures `_MATCHED_WIDTH_PX` wide: corners are followed so
-exactly."""
-_NEAR_M: Final = 60.0
-"""The road up to there tells whether a camera was moved too; its nearer half must agree."""
-_FEWEST_MATCHES: Final = 8
-_LEAST_SHARE: Final = 0.5
-"""Share of the corners there that must be where a turn puts them: traffic hides some."""
-_REST_S: Final = 3.0
-"""Over so long it is seen where a swaying camera is at rest."""
+
+@dataclass(frozen=True)
+class RefitLimits:
+    """Limits of following a camera that was turned."""
+
+    image_width_px: int = 1280
+    """Largest width of the images in which corners are matched. Limits in pixels are pixels of these."""
+    residual_ratio: float = 2.0
+    """A turn explains the motion of corners if its residual is at most this many times that of a free homography."""
+    least_residual_px: float = 0.3
+    """Least residual of such a homography, pixels. Corners are matched this precisely."""
+    near_m: float = 60.0
+    """The road within this distance distinguishes a turn from a move, metres. Its nearer half must agree."""
+    fewest_matches: int = 8
+    """Smallest number of matched corners there."""
+    least_share: float = 0.5
+    """Smallest share of these corners that must agree with a turn. Traffic hides some."""
+    rest_s: float = 3.0
+    """Duration over which the rest position of a shaking camera is averaged, seconds."""
+
+
+REFIT_LIMITS: Final = RefitLimits()
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,7 +141,7 @@ def registration(before: Pixels, after: Pixels, known: UncertainCamera, name: st
     Raises:
         UserError: A turn does not explain what is seen.
     """
-    first, moved = (SmallPicture.of(pixels, _MATCHED_WIDTH_PX) for pixels in (before, after))
+    first, moved = (SmallPicture.of(pixels, REFIT_LIMITS.image_width_px) for pixels in (before, after))
     reference = ReferencePicture(first)
     motion, followed = reference.motion(moved), reference.followed(moved)
     if motion is None or followed is None:
@@ -143,9 +151,11 @@ def registration(before: Pixels, after: Pixels, known: UncertainCamera, name: st
     camera, off = _turn(known.camera, rays, corners, motion)
     # Half the squares of normal errors an axis have a median of 0.69 variances.
     off_px = math.sqrt(float(np.median((off**2).sum(axis=1))) / (2 * math.log(2)))
-    scale = max(1.0, known.camera.width / _MATCHED_WIDTH_PX)
+    scale = max(1.0, known.camera.width / REFIT_LIMITS.image_width_px)
     lens = _by_the_lens(known, camera, rays)
-    allowed = math.hypot(_AS_WELL * max(corners.sigma_px, _LEAST_PX * scale), lens)
+    allowed = math.hypot(
+        REFIT_LIMITS.residual_ratio * max(corners.sigma_px, REFIT_LIMITS.least_residual_px * scale), lens
+    )
     if not off_px <= allowed:
         raise UserError(
             f"{name}: the image has changed otherwise than by a turn of the camera ({off_px:.1f} px off, at most "
@@ -163,14 +173,14 @@ def _near_road(old: Camera, turned: Camera, corners: FollowedCorners, within_px:
     places = ground_places(old, corners.all_before)
     away = np.linalg.norm(places - old.position, axis=1)
     seen, _, valid = turned.project(np.where(np.isfinite(places), places, old.position))
-    there = np.flatnonzero(valid & turned.inside(seen) & (away < _NEAR_M))
-    if len(there) < _FEWEST_MATCHES:
+    there = np.flatnonzero(valid & turned.inside(seen) & (away < REFIT_LIMITS.near_m))
+    if len(there) < REFIT_LIMITS.fewest_matches:
         raise UserError(f"{name}: too few corners on the road near by to tell a turn of the camera from a move")
-    nearer = there[np.argsort(away[there])][: max(_FEWEST_MATCHES, len(there) // 2)]
+    nearer = there[np.argsort(away[there])][: max(REFIT_LIMITS.fewest_matches, len(there) // 2)]
     apart = np.linalg.norm(corners.all_before[nearer, None] - corners.before, axis=-1)
     match = apart.argmin(axis=1)
     good = (apart.min(axis=1) < 0.01) & (np.linalg.norm(corners.after[match] - seen[nearer], axis=1) < within_px)
-    if good.mean() < _LEAST_SHARE:
+    if good.mean() < REFIT_LIMITS.least_share:
         raise UserError(
             f"{name}: of the road near by {good.mean():.0%} is found again where a turn of the camera puts it: it was "
             "moved or zoomed, or much hides the road; mark points in the new picture"
@@ -256,7 +266,7 @@ def turned_known(known: UncertainCamera, registered: Registration) -> UncertainC
     # A camera that is moved by so much sees corners near by as far off as they are.
     hidden = registered.off_px * registered.near_m / float(known.camera.K[0, 0])
     return known.of_camera(registered.camera).widened(
-        {TURNS: covariance_of_turns(registered.camera, sigmas), ("x", "y", "z"): hidden**2 * np.eye(3)}
+        {TURN_ANGLES: covariance_of_turns(registered.camera, sigmas), ("x", "y", "z"): hidden**2 * np.eye(3)}
     )
 
 
@@ -292,7 +302,7 @@ def _frame(source: str, *, at_rest: bool) -> Pixels:
     """A picture, or a frame of a video: the first, or of a swaying camera that which is nearest to where it rests."""
     name, seconds = _split(source)
     begin = seconds or 0.0
-    footage = open_footage(name, Cut(start_s=begin, end_s=begin + _REST_S))
+    footage = open_footage(name, Cut(start_s=begin, end_s=begin + REFIT_LIMITS.rest_s))
     if footage.clip is not None and footage.clip.live:
         raise UserError(f"{name}: a live stream cannot be read again; record it to a file first")
     if footage.clip is None and (seconds is not None or len(footage.images) > 1):

@@ -11,25 +11,33 @@ from skope import boxes as box_math
 from skope.camera.fit.bundle_adjustment import VehicleViews
 from skope.errors import UserError
 from skope.pose.keypoint_views import Scene, View
-from skope.pose.observations import LEAST_PROBABILITY
+from skope.pose.observations import KEYPOINT_WEIGHTS
 from skope.pose.shape_model import fleet_shapes
-from skope.tracking.box_links import LOST_S, BoxLinks
+from skope.tracking.box_links import LINK_LIMITS, BoxLinks
 from skope.types import Array, Mask
 
-FEWEST_VEHICLES: Final = 5
-"""Vehicles that a camera needs."""
-_POINTS: Final = 8
-"""Keypoints that a view must show."""
-_LEAST_EDGE_PX: Final = 48.0
-"""Pixels that a view's box must measure along its longer edge."""
-_HIDING_IOU: Final = 0.1
-"""Overlap (IoU) with another box from which one vehicle may hide the other."""
-_VIEWS: Final = 6
-"""Views of a vehicle at most."""
-_IMAGES: Final = 500
-"""So many images tell where vehicles stand in the image, at most."""
-_STRIDE: Final = 0.3
-"""Views of a vehicle are so far apart at least, in lengths of its box's longer edge."""
+
+@dataclass(frozen=True)
+class SampleLimits:
+    """Limits of the views of vehicles that calibrate a camera."""
+
+    fewest_vehicles: int = 5
+    """Smallest number of vehicles for a camera."""
+    fewest_keypoints: int = 8
+    """Smallest number of visible keypoints of a view."""
+    least_edge_px: float = 48.0
+    """Smallest longer edge of a view's box, pixels."""
+    hiding_iou: float = 0.1
+    """Overlap (IoU) with another box from which one vehicle may hide the other."""
+    most_views: int = 6
+    """Maximum number of views of a vehicle."""
+    most_images: int = 500
+    """Maximum number of images in which standing vehicles are searched for."""
+    view_distance: float = 0.3
+    """Least distance between views of a vehicle, in lengths of the longer edge of its box."""
+
+
+SAMPLE_LIMITS: Final = SampleLimits()
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +64,13 @@ class _Candidate:
 
 
 def sample_vehicles(
-    scene: Scene, count: int, *, score: float, noise: float, sigma_px: float | None, fewest: int = FEWEST_VEHICLES
+    scene: Scene,
+    count: int,
+    *,
+    score: float,
+    noise: float,
+    sigma_px: float | None,
+    fewest: int = SAMPLE_LIMITS.fewest_vehicles,
 ) -> Sample:
     """Draw vehicles that show enough, moving ones first, and views of each that are apart from one another.
 
@@ -81,7 +95,7 @@ def sample_vehicles(
 
     of_vehicle: dict[int, list[_Candidate]] = {}
     known, lower = True, list[Array]()
-    every = 1 + len(scene.file.images) // _IMAGES
+    every = 1 + len(scene.file.images) // SAMPLE_LIMITS.most_images
     for i, (view, numbers) in enumerate(numbered_views()):
         if (view.image.width, view.image.height) != size:
             raise UserError(f"{scene.file.name}: {view.image.file_name}: images of one camera have one size")
@@ -96,7 +110,8 @@ def sample_vehicles(
             of_vehicle.setdefault(number, []).append(candidate)
     if len(of_vehicle) < fewest:
         raise UserError(
-            f"{scene.file.name}: {len(of_vehicle)} vehicles show {_POINTS} keypoints on {_LEAST_EDGE_PX:g} px or more, "
+            f"{scene.file.name}: {len(of_vehicle)} vehicles show {SAMPLE_LIMITS.fewest_keypoints} keypoints on "
+            f"{SAMPLE_LIMITS.least_edge_px:g} px or more, "
             f"clear of others and of the image's edge; {fewest} are needed"
         )
     spread = {number: _spread_out(candidates) for number, candidates in of_vehicle.items()}
@@ -120,7 +135,7 @@ def _numbered(views: Iterator[View]) -> Iterator[tuple[View, NDArray[np.int64]]]
     for view in views:
         numbers, time_s = view.tracks, view.image.time_s
         if (numbers < 0).any():
-            near = before_s is not None and time_s is not None and 0 < time_s - before_s <= LOST_S
+            near = before_s is not None and time_s is not None and 0 < time_s - before_s <= LINK_LIMITS.lost_s
             if time_s is not None and (near or before_s is None):
                 numbers = links.add_boxes(time_s, view.boxes).astype(np.int64)
         before_s = time_s
@@ -129,20 +144,22 @@ def _numbered(views: Iterator[View]) -> Iterator[tuple[View, NDArray[np.int64]]]
 
 def _shows_enough(view: View) -> Mask:
     """(N,) which vehicles show enough keypoints, large enough, with nothing before them."""
-    large = view.boxes[:, 2:].max(axis=1, initial=0) >= _LEAST_EDGE_PX
-    many = (view.found[..., 2] > LEAST_PROBABILITY).sum(axis=1) >= _POINTS
+    large = view.boxes[:, 2:].max(axis=1, initial=0) >= SAMPLE_LIMITS.least_edge_px
+    many = (view.found[..., 2] > KEYPOINT_WEIGHTS.least_probability).sum(axis=1) >= SAMPLE_LIMITS.fewest_keypoints
     rectangles = box_math.xywh_to_xyxy(view.boxes)
     overlap = box_math.iou(rectangles, rectangles) * (1 - np.eye(len(rectangles)))
-    return np.asarray(large & many & ~view.cut & ~view.interpolated & (overlap.max(axis=1, initial=0) < _HIDING_IOU))
+    return np.asarray(
+        large & many & ~view.cut & ~view.interpolated & (overlap.max(axis=1, initial=0) < SAMPLE_LIMITS.hiding_iou)
+    )
 
 
 def _spread_out(candidates: Sequence[_Candidate]) -> list[_Candidate]:
     """Views evenly along a vehicle's way through the image; one of a vehicle that stands."""
     middles = np.array([one.middle for one in candidates])
     way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(middles, axis=0), axis=1))])
-    if np.ptp(middles, axis=0).max() < _STRIDE * candidates[0].edge:  # a detector's boxes tremble
+    if np.ptp(middles, axis=0).max() < SAMPLE_LIMITS.view_distance * candidates[0].edge:  # a detector's boxes tremble
         return [candidates[len(candidates) // 2]]
     edge = float(np.median([one.edge for one in candidates]))
-    count = int(min(_VIEWS, 1 + way[-1] // (_STRIDE * edge)))
+    count = int(min(SAMPLE_LIMITS.most_views, 1 + way[-1] // (SAMPLE_LIMITS.view_distance * edge)))
     wanted = np.linspace(0, way[-1], count) if count > 1 else np.array([way[-1] / 2])
     return [candidates[i] for i in sorted({int(np.abs(way - w).argmin()) for w in wanted})]

@@ -18,7 +18,7 @@ import numpy as np
 from skope.camera.fit import fit_camera
 from skope.camera.fit.bundle_adjustment import Known
 from skope.camera.fit.camera_doubts import sigma_of_ways, why_not
-from skope.camera.fit.camera_unknowns import FOCAL, HEIGHT, UNKNOWN_NAMES, UNKNOWN_STEP, camera_of_unknowns, on_road
+from skope.camera.fit.camera_unknowns import FOCAL, HEIGHT, RAY_LIMITS, UNKNOWN_NAMES, camera_of_unknowns, on_road
 from skope.camera.fit.fit_camera import CameraEstimate
 from skope.camera.fit.vehicle_sample import sample_vehicles
 from skope.camera.model import Camera
@@ -30,13 +30,26 @@ from skope.pose.keypoint_views import Scene
 from skope.terminal.console import counted
 from skope.types import Array
 
-_MARKED_PX: Final = 1.0
-"""Standard deviation of a marked end, pixels along each axis."""
-_MEASURED: Final = 0.01
-"""The same of a measured length, as a share of it."""
-_CONTRADICTS: Final = 3.0
-"""Deviations between a length and what the vehicles say of it, from which one of them is wrong."""
-_STEP_PX: Final = 0.1
+
+@dataclass(frozen=True)
+class KnownLengthErrors:
+    """Errors of lengths and camera properties that the user gives."""
+
+    end_px: float = 1.0
+    """Standard deviation of a marked end of a length, pixels per axis."""
+    length_share: float = 0.01
+    """Relative standard deviation of a measured length."""
+    contradiction: float = 3.0
+    """Difference between a length and its estimate from vehicles, in standard deviations, from which one of them is
+    wrong.
+    """
+    step_px: float = 0.1
+    """Step of numerical derivatives, pixels."""
+    property_share: float = 0.02
+    """Relative standard deviation of a given height or field of view."""
+
+
+LENGTH_ERRORS: Final = KnownLengthErrors()
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,11 +76,11 @@ def corrected(estimate: CameraEstimate, lengths: Sequence[KnownLength]) -> Camer
     size = estimate.views.size
     for length in lengths:
         says = float(length.log_under(unknowns, size))
-        slope = slopes(partial(length.log_under, size=size), unknowns, UNKNOWN_STEP)
+        slope = slopes(partial(length.log_under, size=size), unknowns, RAY_LIMITS.step)
         across = covariance @ slope
         variance = float(slope @ across) + _variance(length, unknowns, size)
         away = math.log(length.metres) - says
-        if not abs(away) < _CONTRADICTS * math.sqrt(variance):
+        if not abs(away) < LENGTH_ERRORS.contradiction * math.sqrt(variance):
             (a, b), (c, d) = length.ends.tolist()
             raise UserError(
                 f"--length {a:g},{b:g},{c:g},{d:g},{length.metres:g}: under the camera that the vehicles tell this is "
@@ -91,12 +104,8 @@ def _variance(length: KnownLength, unknowns: Array, size: tuple[int, int]) -> fl
     def marked(ends: Array) -> Array:
         return replace(length, ends=ends.reshape(2, 2)).log_under(unknowns, size)
 
-    by_ends = slopes(marked, length.ends.ravel(), _STEP_PX)
-    return float(by_ends @ by_ends) * _MARKED_PX**2 + _MEASURED**2
-
-
-_KNOWN_SHARE: Final = 0.02
-"""Standard deviation of a height or a field of view that somebody gives, as a share of it."""
+    by_ends = slopes(marked, length.ends.ravel(), LENGTH_ERRORS.step_px)
+    return float(by_ends @ by_ends) * LENGTH_ERRORS.end_px**2 + LENGTH_ERRORS.length_share**2
 
 
 class VehicleCamera(NamedTuple):
@@ -252,9 +261,12 @@ def known_of(height: float | None, fov_deg: float | None, width: int) -> Known:
     known = Known()
     center, sigma = known.center.copy(), known.sigma.copy()
     if height is not None:
-        center[HEIGHT], sigma[HEIGHT] = math.log(height), _KNOWN_SHARE
+        center[HEIGHT], sigma[HEIGHT] = math.log(height), LENGTH_ERRORS.property_share
     if fov_deg is not None:
-        center[FOCAL], sigma[FOCAL] = math.log(width / 2 / math.tan(math.radians(fov_deg) / 2)), _KNOWN_SHARE
+        center[FOCAL], sigma[FOCAL] = (
+            math.log(width / 2 / math.tan(math.radians(fov_deg) / 2)),
+            LENGTH_ERRORS.property_share,
+        )
     return Known(center, sigma)
 
 

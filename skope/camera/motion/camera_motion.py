@@ -15,17 +15,17 @@ import numpy as np
 
 from skope.camera.model import Camera
 from skope.camera.motion.image_shift import ImageMotion
-from skope.camera.uncertain_camera import PARAMETERS, UncertainCamera, values_of
+from skope.camera.uncertain_camera import CAMERA_PARAMETERS, UncertainCamera, values_of
 from skope.errors import UserError
 from skope.schema import Image
 from skope.types import Array
 
-MOTION: Final = "camera_motion"
-"""Under this name the `info` of frames says how the camera swayed: what `CameraMotion.to_dict` makes."""
+MOTION_KEY: Final = "camera_motion"
+"""Key in `info` of the frames: the camera shake, as `CameraMotion.to_dict` writes it."""
 MOVED_REASON: Final = "camera_moved"
 """Reason for a vehicle without a place: the camera was moved after it had been calibrated."""
-TURNS: Final = ("pitch", "roll", "yaw")
-"""Parameters of a camera that a turn changes."""
+TURN_ANGLES: Final = ("pitch", "roll", "yaw")
+"""Camera parameters that a turn changes."""
 _DIFFERENCE_STEPS: Final = np.array([0.5, 0.5, 1e-3])
 """Steps of numeric derivatives by x and y (pixels) and turn (radians)."""
 
@@ -89,12 +89,12 @@ class CameraMotion:
         """Remaining uncertainty of the camera in a frame: from frame to frame another error."""
         motion = self.frames.get(image_id)
         sigmas = self.sway if motion is None else (motion.sigma_px, motion.sigma_px, motion.sigma_turn)
-        return UncertainCamera(self.camera_in(camera, image_id), TURNS, covariance_of_turns(camera, sigmas))
+        return UncertainCamera(self.camera_in(camera, image_id), TURN_ANGLES, covariance_of_turns(camera, sigmas))
 
     def at_rest(self, camera: Camera, known: UncertainCamera | None) -> UncertainCamera:
         """Uncertainty of the camera at rest, which was calibrated somewhere in its sway."""
         known = known or UncertainCamera(camera, (), np.zeros((0, 0)))
-        return known.of_camera(camera).widened({TURNS: covariance_of_turns(camera, self.sway)})
+        return known.of_camera(camera).widened({TURN_ANGLES: covariance_of_turns(camera, self.sway)})
 
     def to_dict(self) -> dict[str, Any]:
         """The sway as `from_dict` reads it: pixels to 0.0001, angles to 1e-7 radians."""
@@ -124,13 +124,13 @@ class CameraMotion:
             or not np.isfinite([x, y, turn]).all()
             or (rows[:, 4:] < 0).any()
         ):
-            raise UserError(f"{name}: info.{MOTION}: expected sway, and frames of six numbers each")
+            raise UserError(f"{name}: info.{MOTION_KEY}: expected sway, and frames of six numbers each")
         return cls({int(row[0]): ImageMotion(*row[1:].tolist()) for row in rows}, (x, y, turn))
 
 
 def motion_of_info(name: str, info: Mapping[str, Any]) -> CameraMotion | None:
     """Sway of the frames' camera, as their `info` says; None: it stood still. Raises UserError."""
-    told = info.get(MOTION)
+    told = info.get(MOTION_KEY)
     return CameraMotion.from_dict(name, told) if isinstance(told, Mapping) else None
 
 
@@ -156,7 +156,7 @@ def turned_camera(camera: Camera, x: float, y: float, turn: float) -> Camera:
 
 def covariance_of_turns(camera: Camera, sigmas: tuple[float, float, float]) -> Array:
     """(3, 3) covariance of pitch, roll and yaw, by standard deviations of x, y (pixels) and turn (radians)."""
-    which = [PARAMETERS.index(name) for name in TURNS]
+    which = [CAMERA_PARAMETERS.index(name) for name in TURN_ANGLES]
     columns = []
     for step in np.diag(_DIFFERENCE_STEPS):
         ahead, behind = (values_of(turned_camera(camera, *(sign * step).tolist()))[which] for sign in (1, -1))

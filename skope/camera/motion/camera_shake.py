@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skope.camera.motion.camera_motion import CameraMotion
-from skope.camera.motion.image_shift import MOVED_SHARE, ImageMotion, ReferencePicture, SmallPicture
+from skope.camera.motion.image_shift import SHIFT_LIMITS, ImageMotion, ReferencePicture, SmallPicture
 from skope.camera.motion.view_changes import ViewChange, changes
 from skope.errors import UserError
 from skope.schema import Image
@@ -29,8 +29,30 @@ from skope.types import Array, Pixels
 
 _ONE_THREAD: Final = {f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "MKL")}
 """Variables that keep libraries of linear algebra to one thread: for matrices as small as these more are slower."""
-_END_S: Final = 10.0
-"""A process whose pipes are closed has ended by then."""
+
+
+@dataclass(frozen=True)
+class ShakeLimits:
+    """Limits of measuring camera shake."""
+
+    end_s: float = 10.0
+    """Time within which the measuring process ends after its pipes are closed, seconds."""
+    still_px: float = 0.1
+    """Standard deviation of the shift, pixels per axis of an image `still_width_px` wide, below which the camera is
+    still. Keypoints are ten times as uncertain.
+    """
+    still_width_px: int = 640
+    rayleigh_95: float = 2.448
+    """Radius that contains 95% of shifts, in standard deviations per axis."""
+    around_s: float = 3.0
+    """Duration before and after a move over which the mean image position is compared, seconds. Masts vibrate
+    several times in it.
+    """
+    fewest_frames: int = 3
+    """Smallest number of frames of such a mean."""
+
+
+SHAKE_LIMITS: Final = ShakeLimits()
 
 
 class MotionProcess:
@@ -93,7 +115,7 @@ class MotionProcess:
 
     def _ended(self) -> UserError:
         with contextlib.suppress(subprocess.TimeoutExpired):
-            code = self._process.wait(_END_S)
+            code = self._process.wait(SHAKE_LIMITS.end_s)
             if code >= 0:
                 return UserError(
                     f"a process that measures the camera's sway ended by itself, with exit code {code}: does "
@@ -125,18 +147,6 @@ def answer_pictures(answers_fd: int) -> None:
                 answer = error
             pickle.dump(answer, answers)
             answers.flush()
-
-
-_STILL_PX: Final = 0.1
-"""A camera stands still whose image moves by less, one standard deviation an axis in a picture 640 pixels wide:
-keypoints are ten times as uncertain."""
-_STILL_WIDTH: Final = 640
-_RAYLEIGH_95: Final = 2.448
-"""Within so many of these standard deviations 95% of shifts lie."""
-_AROUND_S: Final = 3.0
-"""Over so long before and after a move the image's mean place is compared: masts sway several times meanwhile."""
-_FEWEST_FRAMES: Final = 3
-"""Frames that such a mean needs."""
 
 
 class SwayWatch:
@@ -230,8 +240,8 @@ class SwayRecord:
         if not known.any():
             return None
         away = np.linalg.norm(values[known, :2], axis=1)
-        still = _STILL_PX * max(1.0, self.width / _STILL_WIDTH)
-        if np.percentile(away, 95) <= _RAYLEIGH_95 * still:
+        still = SHAKE_LIMITS.still_px * max(1.0, self.width / SHAKE_LIMITS.still_width_px)
+        if np.percentile(away, 95) <= SHAKE_LIMITS.rayleigh_95 * still:
             return None
         frames = {
             number: replace(motion, x=float(row[0]), y=float(row[1]), turn=float(row[2]))
@@ -250,8 +260,8 @@ class SwayRecord:
 
     def _unmeasured(self, time_s: float) -> bool:
         """Whether too few frames tell where the image lies from a time on."""
-        soon = (self.times_s >= time_s) & (self.times_s < time_s + _AROUND_S)
-        return int(np.isfinite(self._values[soon, 0]).sum()) < _FEWEST_FRAMES
+        soon = (self.times_s >= time_s) & (self.times_s < time_s + SHAKE_LIMITS.around_s)
+        return int(np.isfinite(self._values[soon, 0]).sum()) < SHAKE_LIMITS.fewest_frames
 
     def _moves(self) -> list[ViewChange]:
         """Changes of the view: times from which on the mean place of the image, over some seconds, is another one.
@@ -265,22 +275,24 @@ class SwayRecord:
         places, times = np.array(rows, dtype=np.float64).reshape(-1, 4), self.times_s[known]
         if not len(times):
             return []
-        ends = np.searchsorted(times, times + _AROUND_S)
+        ends = np.searchsorted(times, times + SHAKE_LIMITS.around_s)
         # Windows that the footage cuts short say less.
-        whole = (ends - np.arange(len(times)) >= _FEWEST_FRAMES) & (times + _AROUND_S <= times[-1] + 1e-6)
+        whole = (ends - np.arange(len(times)) >= SHAKE_LIMITS.fewest_frames) & (
+            times + SHAKE_LIMITS.around_s <= times[-1] + 1e-6
+        )
         sums = np.concatenate([np.zeros((1, 4)), np.cumsum(places, axis=0)])
         means = (sums[ends] - sums[: len(times)]) / np.maximum(ends - np.arange(len(times)), 1)[:, None]
         out, begin = list[ViewChange](), 0
         while begin < len(times) and whole[begin]:
-            away = np.linalg.norm(means - means[begin], axis=1) > MOVED_SHARE * self.width
+            away = np.linalg.norm(means - means[begin], axis=1) > SHIFT_LIMITS.moved_share * self.width
             later = np.flatnonzero(away & whole & (np.arange(len(times)) > begin))
             if not len(later):
                 break
-            low = max(begin, int(np.searchsorted(times, times[later[0]] - _AROUND_S)))
-            at = low + _split(places[low : np.searchsorted(times, times[later[0]] + 2 * _AROUND_S)])
+            low = max(begin, int(np.searchsorted(times, times[later[0]] - SHAKE_LIMITS.around_s)))
+            at = low + _split(places[low : np.searchsorted(times, times[later[0]] + 2 * SHAKE_LIMITS.around_s)])
             if whole[at]:
                 shift = float(np.linalg.norm(means[at] - places[low:at].mean(axis=0))) / self.width
-                if shift > MOVED_SHARE:
+                if shift > SHIFT_LIMITS.moved_share:
                     out.append(ViewChange(float(times[at]), cut=False, shift=shift))
             begin = max(at, begin + 1)
         return out

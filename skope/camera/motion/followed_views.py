@@ -9,7 +9,7 @@ from typing import Final
 
 import numpy as np
 
-from skope.camera.motion.image_shift import MOVED_SHARE, ImageMotion, ReferencePicture, SmallPicture
+from skope.camera.motion.image_shift import SHIFT_LIMITS, ImageMotion, ReferencePicture, SmallPicture
 from skope.camera.motion.view_changes import ViewChange
 from skope.camera.motion.view_registration import ViewHomography, register, transformed
 from skope.errors import UserError
@@ -17,17 +17,26 @@ from skope.pictures.median import median_of
 from skope.types import Pixels
 from skope.video.footage import Cut, Footage
 
-_PICTURE_S: Final = 20.0
-"""Longest part of a view that its picture is made of, seconds."""
-_PICTURE_FRAMES: Final = 25
-_MARGIN_S: Final = 1.0
-"""Frames that are nearer to a change of view are left out of pictures, seconds: the camera may still be moving."""
-_MARGIN_SHARE: Final = 0.25
-"""Largest such margin, as a share of the view's duration."""
-_AROUND_S: Final = 3.0
-"""Within this time before and after a change the movement is searched for, seconds."""
-_OLDER_VIEWS: Final = 3
-"""Number of earlier views that a new view is compared with, the latest first."""
+
+@dataclass(frozen=True)
+class FollowedViewLimits:
+    """Images and times by which views of a moved camera are connected."""
+
+    image_s: float = 20.0
+    """Longest part of a view from which its image is made, seconds."""
+    image_frames: int = 25
+    """Number of frames of that image."""
+    margin_s: float = 1.0
+    """Frames closer than this to a change of view are left out, seconds. The camera may still be moving."""
+    margin_share: float = 0.25
+    """Largest such margin, as a share of the view's duration."""
+    around_s: float = 3.0
+    """The movement is searched for within this time before and after a change, seconds."""
+    older_views: int = 3
+    """Number of earlier views that a new view is compared with, the latest first."""
+
+
+FOLLOWED_VIEWS: Final = FollowedViewLimits()
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +79,7 @@ def _groups(changes: Sequence[ViewChange]) -> list[list[ViewChange]]:
     """The changes, those together that follow one another at once: a camera that is moved step by step."""
     out = list[list[ViewChange]]()
     for change in changes:
-        if out and change.time_s - out[-1][-1].time_s < _AROUND_S:
+        if out and change.time_s - out[-1][-1].time_s < FOLLOWED_VIEWS.around_s:
             out[-1].append(change)
         else:
             out.append([change])
@@ -91,12 +100,15 @@ def _follow(
     """
     first, last = group[0], group[-1]
     new = _picture(footage, last.time_s, stop_s, late=False)
-    for view in reversed(followed[-_OLDER_VIEWS:]):
+    for view in reversed(followed[-FOLLOWED_VIEWS.older_views :]):
         old = _picture(footage, view.begin_s, view.end_s, late=True)
         found = None if old is None or new is None else register(old, new)
         if old is None or new is None or found is None:
             continue
-        low_s, high_s = max(before_s, first.time_s - _AROUND_S), min(stop_s, last.time_s + _AROUND_S)
+        low_s, high_s = (
+            max(before_s, first.time_s - FOLLOWED_VIEWS.around_s),
+            min(stop_s, last.time_s + FOLLOWED_VIEWS.around_s),
+        )
         left_s, settled_s = _movement(_part(footage, low_s, high_s), last.time_s, old, new)
         middle = np.array([new.shape[1], new.shape[0]]) / 2
         shift = float(np.linalg.norm(transformed(found.matrix, middle) - middle)) / new.shape[1]
@@ -112,13 +124,15 @@ def _follow(
 
 def _picture(footage: Footage, begin_s: float, end_s: float, *, late: bool) -> Pixels | None:
     """(H, W, 3) a view without its traffic, of its first seconds or, `late`, its last; None: it has no frames."""
-    margin = min(_MARGIN_S, _MARGIN_SHARE * (end_s - begin_s))
+    margin = min(FOLLOWED_VIEWS.margin_s, FOLLOWED_VIEWS.margin_share * (end_s - begin_s))
     low, high = begin_s + margin, end_s - margin
-    low, high = (max(low, high - _PICTURE_S), high) if late else (low, min(high, low + _PICTURE_S))
+    low, high = (
+        (max(low, high - FOLLOWED_VIEWS.image_s), high) if late else (low, min(high, low + FOLLOWED_VIEWS.image_s))
+    )
     if not low < high:
         return None
     part = _part(footage, low, high)
-    part.cut = replace(part.cut, every=max(1, len(part) // _PICTURE_FRAMES))
+    part.cut = replace(part.cut, every=max(1, len(part) // FOLLOWED_VIEWS.image_frames))
     frames = [pixels for _, pixels in part.frames()]
     same = [pixels for pixels in frames if pixels.shape == frames[0].shape]
     return median_of(same) if same else None
@@ -168,4 +182,4 @@ def _is_at_rest(distance: float | None, to_other: float | None) -> bool | None:
     """Whether a frame lies where a view does, by its distances from it and from another view; None: not known."""
     if distance is None:
         return None
-    return distance <= MOVED_SHARE and (to_other is None or distance <= to_other)
+    return distance <= SHIFT_LIMITS.moved_share and (to_other is None or distance <= to_other)

@@ -1,6 +1,7 @@
 """Brightness and contrast of a video's frames: whether the camera saw anything in them."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Final
 
 import cv2
@@ -9,12 +10,20 @@ import numpy as np
 from skope.camera.motion.view_changes import unpacked_look
 from skope.types import Pixels
 
-_SQUARE_PX: Final = 9
-"""Contrast is that of squares of so many pixels of the small picture."""
-_BLACK: Final = 0.02
-"""Brightness that is added where contrast is set against it: noise in the dark is no contrast."""
-_CONTRAST_PERCENT: Final = 75
-"""So many percent of the squares have less contrast than what is taken: an empty road has hardly any."""
+
+@dataclass(frozen=True)
+class ContrastMeasure:
+    """How the contrast of a frame is measured."""
+
+    square_px: int = 9
+    """Side of the squares whose contrast is measured, pixels of the small image."""
+    black: float = 0.02
+    """Brightness that is added to the denominator. Noise in the dark is not contrast."""
+    percentile: int = 75
+    """Percentile of the squares' contrast that is reported. An empty road has hardly any contrast."""
+
+
+CONTRAST_MEASURE: Final = ContrastMeasure()
 
 
 def sight_rows(looks: Sequence[tuple[float, str]]) -> list[list[float]]:
@@ -29,8 +38,8 @@ def brightness_and_contrast(grey: Pixels) -> tuple[float, float]:
     of all have less than.
     """
     values = grey.astype(np.float32) / 255
-    size = (_SQUARE_PX, _SQUARE_PX)
+    size = (CONTRAST_MEASURE.square_px, CONTRAST_MEASURE.square_px)
     mean = cv2.blur(values, size)
     deviation = np.sqrt(np.maximum(cv2.blur(values * values, size) - mean * mean, 0))
-    contrast = np.percentile(deviation / (mean + _BLACK), _CONTRAST_PERCENT)
+    contrast = np.percentile(deviation / (mean + CONTRAST_MEASURE.black), CONTRAST_MEASURE.percentile)
     return round(float(values.mean()), 4), round(float(contrast), 4)

@@ -17,54 +17,64 @@ from numpy.typing import NDArray
 
 from skope.types import Array, Pixels
 
-COARSE_WIDTH: Final = 160
-"""Width of the pictures that are held against each other as a whole, pixels."""
-MOVED_SHARE: Final = 0.006
-"""A view has moved by more than this share of the image's width, or has not."""
-_BLOCKS: Final = (6, 10)
-"""Rows and columns of blocks in which pictures are compared: traffic hides some of them, not all."""
-_SAME_CORRELATION: Final = 0.6
-"""Correlation of edges from which two blocks show the same."""
-_BARE: Final = 0.3
-"""Deviation of edges, in that of the whole picture, under which a block shows nothing."""
-_SAME_SHARE: Final = 0.2
-"""Share of the blocks that show the same from which two pictures show one view."""
-_AS_WELL: Final = 0.9
-"""A view that fits as well where it was, but for this factor, has not moved."""
-_STRONG: Final = 0.03
-"""Strength of edges, as a share of white, under which a picture is too even to tell."""
 
-_FINE_WIDTH: Final = 640
-"""Width of the pictures in which corners are followed, pixels at most."""
-_MOST_CORNERS: Final = 300
-_APART_PX: Final = 10.0
-"""Corners are so far apart at least, pixels of these pictures."""
-_BLUR_PX: Final = 8.0
-"""Standard deviation of the surroundings in which contrast is evened out, pixels of these pictures."""
-_BLUR_STEP: Final = 4
-"""Surroundings are worked out in pixels so many times as large, which takes a sixth of the time."""
-_WINDOW: Final = 15
-"""Side of what is followed around a corner, pixels."""
-_THERE_AND_BACK_PX: Final = 0.3
-"""A corner that is followed back must come out so near to where it was."""
-_FEWEST_CORNERS: Final = 12
-"""So many corners must move together, and this share of all that the first picture has: what fills the image and
-drives by has few of them."""
-_LEAST_SHARE: Final = 0.3
-_FIT_ROUNDS: Final = 12
-_FLOOR_PX: Final = 0.03
-"""Standard deviation that stays however many corners there are: pictures are interpolated in steps of 1/32 pixel, and
-all corners are off by that together."""
-_VAGUE_PX: Final = 0.5
-"""A shift whose standard deviation is larger, in pixels of these pictures, is not known."""
+@dataclass(frozen=True)
+class ShiftLimits:
+    """Limits of comparing images and of tracking corners between them."""
+
+    coarse_width_px: int = 160
+    """Width of the images that are compared as a whole, pixels."""
+    moved_share: float = 0.006
+    """A view has moved if it moved by more than this share of the image's width."""
+    blocks: tuple[int, int] = (6, 10)
+    """Rows and columns of blocks in which images are compared. Traffic hides some blocks, but not all."""
+    same_correlation: float = 0.6
+    """Correlation of edges from which two blocks show the same."""
+    bare_ratio: float = 0.3
+    """Deviation of edges, relative to the whole image, below which a block shows nothing."""
+    same_share: float = 0.2
+    """Share of equal blocks from which two images show one view."""
+    unmoved_ratio: float = 0.9
+    """A view has not moved if its old position fits at least this share as well."""
+    least_edges: float = 0.03
+    """Strength of edges, as a share of white, below which an image has too little texture."""
+    fine_width_px: int = 640
+    """Largest width of the images in which corners are tracked, pixels."""
+    most_corners: int = 300
+    """Maximum number of corners."""
+    corner_distance_px: float = 10.0
+    """Least distance between corners, pixels of these images."""
+    blur_px: float = 8.0
+    """Standard deviation of the neighbourhood in which contrast is normalised, pixels of these images."""
+    blur_step: int = 4
+    """The neighbourhood is computed in pixels this many times as large. That takes a sixth of the time."""
+    window_px: int = 15
+    """Side of the window that is tracked around a corner, pixels."""
+    round_trip_px: float = 0.3
+    """Largest distance of a corner from its start after it was tracked forth and back, pixels."""
+    fewest_corners: int = 12
+    """Smallest number of corners that must move together. A vehicle that fills the image has few of them."""
+    least_share: float = 0.3
+    """Smallest share of the first image's corners that must move together."""
+    fit_rounds: int = 12
+    """Rounds of the robust fit."""
+    floor_px: float = 0.03
+    """Standard deviation that remains with any number of corners. Images are interpolated in steps of 1/32 pixel,
+    and all corners share that error.
+    """
+    vague_px: float = 0.5
+    """A shift with a larger standard deviation is not known, pixels of these images."""
+
+
+SHIFT_LIMITS: Final = ShiftLimits()
 
 
 # -------------------------------------------------------------------------------------------------- whole pictures
 
 
 def small_grey(pixels: Pixels) -> Pixels:
-    """A picture (H, W, 3) RGB as a small grey one, `COARSE_WIDTH` wide."""
-    return _shrunk(_grey(pixels), COARSE_WIDTH)
+    """A picture (H, W, 3) RGB as a small grey one, `SHIFT_LIMITS.coarse_width_px` wide."""
+    return _shrunk(_grey(pixels), SHIFT_LIMITS.coarse_width_px)
 
 
 def _grey(pixels: Pixels) -> Pixels:
@@ -81,7 +91,7 @@ def edges(grey: Pixels) -> Array | None:
     """(H, W) strength of edges of a small grey picture, of mean 0 and deviation 1; None where there are hardly any."""
     smooth = cv2.GaussianBlur(grey.astype(np.float32) / 255, (0, 0), 1.0)
     strength = np.hypot(cv2.Sobel(smooth, cv2.CV_32F, 1, 0), cv2.Sobel(smooth, cv2.CV_32F, 0, 1))
-    if strength.mean() < _STRONG:
+    if strength.mean() < SHIFT_LIMITS.least_edges:
         return None
     root = np.sqrt(strength)  # lamps and white cars shall not decide
     return np.asarray((root - root.mean()) / root.std(), dtype=np.float64)
@@ -98,16 +108,16 @@ def coarse_shift(one: Array, other: Array) -> tuple[float, float] | None:
     back = np.array([[1.0, 0.0, -x], [0.0, 1.0, -y]])
     aligned: Any = cv2.warpAffine(other, back, (width, height), flags=cv2.INTER_LINEAR)
     here, there = (_agreement(one, picture) for picture in (other, aligned))
-    if max(here, there) < _SAME_SHARE:
+    if max(here, there) < SHIFT_LIMITS.same_share:
         return None
-    return (0.0, 0.0) if here >= _AS_WELL * there else (x / width, y / width)
+    return (0.0, 0.0) if here >= SHIFT_LIMITS.unmoved_ratio * there else (x / width, y / width)
 
 
 def _agreement(one: Array, other: Array) -> float:
     """Share of the blocks of two pictures, of those that show something, in which their edges correlate."""
     firsts = [
         [part[0] for part in np.array_split(np.arange(size), min(parts, size))]
-        for size, parts in zip(one.shape, _BLOCKS, strict=True)
+        for size, parts in zip(one.shape, SHIFT_LIMITS.blocks, strict=True)
     ]
     pixels = _block_sums(np.ones_like(one), firsts)
 
@@ -117,11 +127,11 @@ def _agreement(one: Array, other: Array) -> float:
 
     a, b = means(one), means(other)
     a_variance, b_variance = means(one * one) - a * a, means(other * other) - b * b
-    shows = np.maximum(a_variance, b_variance) >= _BARE**2
+    shows = np.maximum(a_variance, b_variance) >= SHIFT_LIMITS.bare_ratio**2
     if not shows.any():
         return 0.0
     deviations = np.sqrt(np.clip(a_variance * b_variance, 1e-18, None))
-    return float((means(one * other) - a * b >= _SAME_CORRELATION * deviations)[shows].mean())
+    return float((means(one * other) - a * b >= SHIFT_LIMITS.same_correlation * deviations)[shows].mean())
 
 
 def _block_sums(picture: Array, firsts: list[list[int]]) -> Array:
@@ -171,19 +181,19 @@ class SmallPicture:
     size: tuple[int, int]
     """Width and height of the picture itself, pixels."""
     coarse: Pixels
-    """(h, w) grey, `COARSE_WIDTH` wide: compared as a whole."""
+    """(h, w) grey, `SHIFT_LIMITS.coarse_width_px` wide: compared as a whole."""
     fine: Pixels
     """(h, w) grey: corners are followed in it."""
     scale: float
     """Width of `fine`, as a share of the picture's."""
 
     @classmethod
-    def of(cls, pixels: Pixels, width: int = _FINE_WIDTH) -> "SmallPicture":
+    def of(cls, pixels: Pixels, width: int = SHIFT_LIMITS.fine_width_px) -> "SmallPicture":
         """Make it of (H, W, 3) RGB; corners are followed in a picture `width` pixels wide at most."""
         size, grey = (pixels.shape[1], pixels.shape[0]), _grey(pixels)
         scale = min(1.0, width / size[0])
         fine = grey if scale == 1 else _shrunk(grey, round(size[0] * scale))
-        return cls(size, _shrunk(grey, COARSE_WIDTH), fine, scale)
+        return cls(size, _shrunk(grey, SHIFT_LIMITS.coarse_width_px), fine, scale)
 
 
 class ReferencePicture:
@@ -194,7 +204,9 @@ class ReferencePicture:
         self._scale = picture.scale
         self._edges = edges(picture.coarse)
         self._even = _evened(picture.fine)
-        found: Any = cv2.goodFeaturesToTrack(self._even, _MOST_CORNERS, 0.01, _APART_PX, blockSize=7)
+        found: Any = cv2.goodFeaturesToTrack(
+            self._even, SHIFT_LIMITS.most_corners, 0.01, SHIFT_LIMITS.corner_distance_px, blockSize=7
+        )
         self._corners = np.asarray(np.zeros((0, 2)) if found is None else found.reshape(-1, 2), dtype=np.float32)
 
     def motion(self, picture: SmallPicture) -> ImageMotion | None:
@@ -203,7 +215,7 @@ class ReferencePicture:
         Raises ValueError where the sizes differ.
         """
         fit = self._fit(picture)
-        if fit is None or fit.sigma_px > _VAGUE_PX:
+        if fit is None or fit.sigma_px > SHIFT_LIMITS.vague_px:
             return None
         shrunk = self._scale
         return ImageMotion(
@@ -213,7 +225,7 @@ class ReferencePicture:
     def followed(self, picture: SmallPicture) -> FollowedCorners | None:
         """The corners that move together up to another picture; None as in `motion`."""
         fit = self._fit(picture)
-        if fit is None or fit.sigma_px > _VAGUE_PX:
+        if fit is None or fit.sigma_px > SHIFT_LIMITS.vague_px:
             return None
         # Corners are at pixels that count their centres as whole numbers.
         before, after, every = ((xy + 0.5) / self._scale for xy in (fit.before, fit.after, self._corners.astype(float)))
@@ -224,17 +236,17 @@ class ReferencePicture:
             raise ValueError(f"expected a picture of {self.size}, got {picture.size}")
         there = edges(picture.coarse)
         shift = coarse_shift(self._edges, there) if self._edges is not None and there is not None else None
-        if shift is None or len(self._corners) < _FEWEST_CORNERS:
+        if shift is None or len(self._corners) < SHIFT_LIMITS.fewest_corners:
             return None
         even = _evened(picture.fine)
         begin = (self._corners + np.array(shift) * self.size[0] * self._scale).astype(np.float32)
         after, good = _follow(self._even, even, self._corners, begin)
         back, home = _follow(even, self._even, after, self._corners)
-        near = np.linalg.norm(back - self._corners, axis=1) < _THERE_AND_BACK_PX
+        near = np.linalg.norm(back - self._corners, axis=1) < SHIFT_LIMITS.round_trip_px
         kept = good & home & near
-        if kept.sum() < _FEWEST_CORNERS:
+        if kept.sum() < SHIFT_LIMITS.fewest_corners:
             return None
-        least = max(_FEWEST_CORNERS, math.ceil(_LEAST_SHARE * len(self._corners)))
+        least = max(SHIFT_LIMITS.fewest_corners, math.ceil(SHIFT_LIMITS.least_share * len(self._corners)))
         return _fitted(self._corners[kept].astype(float), after[kept].astype(float), self._even.shape, least)
 
 
@@ -257,12 +269,14 @@ class _Fit:
 def _evened(grey: Pixels) -> Pixels:
     """A grey picture whose contrast is the same everywhere, so that light and shade do not count."""
     height, width = grey.shape
-    coarse = (max(1, width // _BLUR_STEP), max(1, height // _BLUR_STEP))
+    coarse = (max(1, width // SHIFT_LIMITS.blur_step), max(1, height // SHIFT_LIMITS.blur_step))
 
     def around(picture: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Means around each pixel, in pixels `_BLUR_STEP` times as large: they vary so slowly."""
+        """Means around each pixel, in pixels `SHIFT_LIMITS.blur_step` times as large: they vary so slowly."""
         larger: Any = cv2.resize(picture, coarse, interpolation=cv2.INTER_AREA)
-        return np.asarray(cv2.GaussianBlur(larger, (0, 0), _BLUR_PX / _BLUR_STEP), dtype=np.float32)
+        return np.asarray(
+            cv2.GaussianBlur(larger, (0, 0), SHIFT_LIMITS.blur_px / SHIFT_LIMITS.blur_step), dtype=np.float32
+        )
 
     away = grey.astype(np.float32)
     away -= cv2.resize(around(away), (width, height), interpolation=cv2.INTER_LINEAR)
@@ -279,7 +293,7 @@ def _follow(
         other,
         np.ascontiguousarray(points, dtype=np.float32),
         np.ascontiguousarray(begin, dtype=np.float32).copy(),
-        winSize=(_WINDOW, _WINDOW),
+        winSize=(SHIFT_LIMITS.window_px, SHIFT_LIMITS.window_px),
         maxLevel=2,
         criteria=(cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 40, 0.003),
         flags=cv2.OPTFLOW_USE_INITIAL_FLOW,
@@ -297,7 +311,7 @@ def _fitted(before: Array, after: Array, shape: tuple[int, ...], least: int) -> 
     # A turned camera's shift grows towards the edges by about as much again; that of one that stands still does not.
     bend = float(np.hypot(*middle)) + 1e-3
     weight, spread = np.exp(-np.linalg.norm(way - middle, axis=1)), 1.0
-    for _ in range(_FIT_ROUNDS):
+    for _ in range(SHIFT_LIMITS.fit_rounds):
         told = np.repeat(weight, 2)[:, None] * design
         # What is known of the bend counts as much as a corner that is as uncertain as these.
         normal = design.T @ told + np.diag([0.0] * 4 + [(spread / bend) ** 2] * 6)
@@ -310,14 +324,14 @@ def _fitted(before: Array, after: Array, shape: tuple[int, ...], least: int) -> 
         return None
     spread = max(math.sqrt(float((off[together] ** 2).mean() / 2)), 0.01)
     covariance = spread**2 * np.linalg.inv(normal + 1e-9 * np.eye(len(normal)))
-    sigma = math.sqrt(max(covariance[0, 0], covariance[1, 1]) + _FLOOR_PX**2)
+    sigma = math.sqrt(max(covariance[0, 0], covariance[1, 1]) + SHIFT_LIMITS.floor_px**2)
     return _Fit(
         x=float(values[0]),
         y=float(values[1]),
         turn=float(values[2]) / half,
         growth=float(values[3]) / half,
         sigma_px=sigma,
-        sigma_turn=math.sqrt(covariance[2, 2] + _FLOOR_PX**2) / half,
+        sigma_turn=math.sqrt(covariance[2, 2] + SHIFT_LIMITS.floor_px**2) / half,
         spread=spread,
         before=before[together],
         after=after[together],

@@ -13,16 +13,25 @@ from typing import Any, Final
 import cv2
 import numpy as np
 
-from skope.camera.motion.image_shift import MOVED_SHARE, coarse_shift, edges, small_grey
+from skope.camera.motion.image_shift import SHIFT_LIMITS, coarse_shift, edges, small_grey
 from skope.camera.motion.view_registration import ViewHomography
 from skope.schema import Image
 from skope.types import Array, Pixels
 
-EVERY_S: Final = 0.5
-"""Looks are so far apart, seconds."""
-_JPEG_QUALITY: Final = 80
-_LASTS: Final = 4
-"""Looks that a change has to last to be a new view."""
+
+@dataclass(frozen=True)
+class ViewChangeLimits:
+    """Sampling of footage for changes of view."""
+
+    interval_s: float = 0.5
+    """Time between compared frames, seconds."""
+    jpeg_quality: int = 80
+    """Quality of the kept frames."""
+    lasting_frames: int = 4
+    """Number of compared frames that a change must last to be a new view."""
+
+
+VIEW_CHANGES: Final = ViewChangeLimits()
 
 
 @dataclass(frozen=True)
@@ -78,7 +87,9 @@ class Looks:
     def watch(self, frames: Iterable[tuple[Image, Pixels]]) -> Iterator[tuple[Image, Pixels]]:
         """The frames as they come."""
         for image, pixels in frames:
-            if image.time_s is not None and (self._last_s is None or image.time_s - self._last_s >= EVERY_S - 1e-6):
+            if image.time_s is not None and (
+                self._last_s is None or image.time_s - self._last_s >= VIEW_CHANGES.interval_s - 1e-6
+            ):
                 self._last_s = image.time_s
                 self.taken[image.id] = _packed(pixels)
             yield image, pixels
@@ -102,14 +113,14 @@ def changes(looks: Sequence[tuple[float, str]], stays: Callable[[float], bool] =
             reference = shown
             continue
         moved = _moved(reference, shown)
-        if moved is not None and moved <= MOVED_SHARE:
+        if moved is not None and moved <= SHIFT_LIMITS.moved_share:
             pending = []
             continue
         # What is pending counts as one change only while it shows one view.
         if pending and not _shows(pending[0][1], shown):
             pending = []
         pending.append((time_s, shown, moved))
-        if len(pending) >= _LASTS:
+        if len(pending) >= VIEW_CHANGES.lasting_frames:
             began_s, shown, shift = pending[0]
             pending = []
             if shift is not None and not stays(began_s):
@@ -121,11 +132,11 @@ def changes(looks: Sequence[tuple[float, str]], stays: Callable[[float], bool] =
 
 def _shows(one: Array, other: Array) -> bool:
     moved = _moved(one, other)
-    return moved is not None and moved <= MOVED_SHARE
+    return moved is not None and moved <= SHIFT_LIMITS.moved_share
 
 
 def _packed(pixels: Pixels) -> str:
-    _, encoded = cv2.imencode(".jpg", small_grey(pixels), [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
+    _, encoded = cv2.imencode(".jpg", small_grey(pixels), [cv2.IMWRITE_JPEG_QUALITY, VIEW_CHANGES.jpeg_quality])
     return base64.b64encode(encoded.tobytes()).decode()
 
 

@@ -20,23 +20,38 @@ from skope.dataset.folder import CHANGES
 from skope.errors import UserError
 from skope.types import Array, Mask, Pixels
 
-_WORKING_WIDTH_PX: Final = 1280
-"""Largest width of the pictures that are compared. Limits in pixels are pixels of these pictures."""
-_FEATURE_RATIO: Final = 0.8
-"""Largest distance of a feature to its match, as a share of that to the second best match (Lowe's ratio test)."""
-_FEWEST_FEATURES: Final = 20
-"""Smallest number of features that agree with the first homography."""
-_FEATURE_PX: Final = 3.0
-"""Largest distance of a feature from where the first homography puts it."""
-_LARGEST_RESIDUAL_PX: Final = 1.0
-_LARGEST_CORNER_ERROR_PX: Final = 1.0
-_SMALLEST_OVERLAP: Final = 0.6
-_GRID_PARTS: Final = 4
-"""Rows and columns of parts into which the overlap of both views is divided."""
-_FEWEST_PARTS: Final = 9
-"""Smallest number of these parts that have corners: more than half, so that a lorry beside the camera is not enough."""
-_FEWEST_PER_PART: Final = 3
-"""Smallest number of corners in such a part."""
+
+@dataclass(frozen=True)
+class RegistrationLimits:
+    """Limits of the homography between two views."""
+
+    image_width_px: int = 1280
+    """Largest width of the compared images. Limits in pixels are pixels of these."""
+    feature_ratio: float = 0.8
+    """Largest distance of a feature to its match, as a share of that to the second best match (Lowe's ratio test)."""
+    fewest_features: int = 20
+    """Smallest number of features that agree with the first homography."""
+    feature_px: float = 3.0
+    """Largest distance of a feature from where the first homography puts it, pixels."""
+    residual_px: float = 1.0
+    """Largest residual of the final homography, pixels."""
+    corner_error_px: float = 1.0
+    """Largest standard deviation of an image corner under the homography, pixels."""
+    least_overlap: float = 0.6
+    """Smallest share of the image that both views show."""
+    grid_parts: int = 4
+    """Rows and columns of parts into which the overlap of both views is divided."""
+    fewest_parts: int = 9
+    """Smallest number of these parts that have corners: more than half, so that a lorry beside the camera is not
+    enough.
+    """
+    fewest_per_part: int = 3
+    """Smallest number of corners in such a part."""
+    moving_view: int = -1
+    """Number of the view of frames that were taken while the camera moved."""
+
+
+REGISTRATION: Final = RegistrationLimits()
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +105,7 @@ def register(before: Pixels, after: Pixels) -> ViewHomography | None:
     size = (before.shape[1], before.shape[0])
     if after.shape != before.shape:
         return None
-    first, second = (SmallPicture.of(pixels, _WORKING_WIDTH_PX) for pixels in (before, after))
+    first, second = (SmallPicture.of(pixels, REGISTRATION.image_width_px) for pixels in (before, after))
     rough = _of_features(first, second)
     if rough is None or not _overlaps(rough, size):
         return None
@@ -98,7 +113,7 @@ def register(before: Pixels, after: Pixels) -> ViewHomography | None:
     halves = np.array([[1, 0, -0.5], [0, 1, -0.5], [0, 0, 1.0]])
     back = halves @ np.linalg.inv(rough) @ np.linalg.inv(halves)
     warped: Any = cv2.warpPerspective(after, back, size, flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    corners = ReferencePicture(first).followed(SmallPicture.of(warped, _WORKING_WIDTH_PX))
+    corners = ReferencePicture(first).followed(SmallPicture.of(warped, REGISTRATION.image_width_px))
     if corners is None:
         return None
     there = transformed(rough, corners.after)
@@ -110,17 +125,19 @@ def _of_features(first: SmallPicture, second: SmallPicture) -> Array | None:
     """(3, 3) homography in pixels of the pictures that most shared features agree with; None where too few do."""
     sift = cv2.SIFT.create(nfeatures=4000)
     (points, descriptors), (others, descriptions) = (sift.detectAndCompute(one.fine, None) for one in (first, second))
-    if min(len(points), len(others)) < _FEWEST_FEATURES:
+    if min(len(points), len(others)) < REGISTRATION.fewest_features:
         return None
     pairs = cv2.BFMatcher().knnMatch(descriptors, descriptions, k=2)
-    good = [pair[0] for pair in pairs if len(pair) == 2 and pair[0].distance < _FEATURE_RATIO * pair[1].distance]
-    if len(good) < _FEWEST_FEATURES:
+    good = [
+        pair[0] for pair in pairs if len(pair) == 2 and pair[0].distance < REGISTRATION.feature_ratio * pair[1].distance
+    ]
+    if len(good) < REGISTRATION.fewest_features:
         return None
     before = (np.array([points[match.queryIdx].pt for match in good]) + 0.5) / first.scale
     after = (np.array([others[match.trainIdx].pt for match in good]) + 0.5) / second.scale
     cv2.setRNGSeed(0)
-    matrix, agree = cv2.findHomography(before, after, cv2.RANSAC, _FEATURE_PX / first.scale, maxIters=5000)
-    if matrix is None or int(agree.sum()) < _FEWEST_FEATURES:
+    matrix, agree = cv2.findHomography(before, after, cv2.RANSAC, REGISTRATION.feature_px / first.scale, maxIters=5000)
+    if matrix is None or int(agree.sum()) < REGISTRATION.fewest_features:
         return None
     return np.asarray(matrix, dtype=np.float64)
 
@@ -135,7 +152,7 @@ def _overlaps(matrix: Array, size: tuple[int, int]) -> bool:
         across, down = (transformed(H, grid + step) - there for step in np.eye(2))
         upright = across[..., 0] * down[..., 1] - across[..., 1] * down[..., 0] > 0
         shares.append(float((is_inside(there, size) & upright).mean()))
-    return min(shares) >= _SMALLEST_OVERLAP
+    return min(shares) >= REGISTRATION.least_overlap
 
 
 def _checked(before: Array, after: Array, size: tuple[int, int], scale: float) -> ViewHomography | None:
@@ -146,12 +163,12 @@ def _checked(before: Array, after: Array, size: tuple[int, int], scale: float) -
     whole = _fit(before, after)
     if whole is None or halves[0] is None or halves[1] is None or not _overlaps(whole, size):
         return None
-    if _parts_with(before, whole, size) < _FEWEST_PARTS:
+    if _parts_with(before, whole, size) < REGISTRATION.fewest_parts:
         return None
     edges = np.array([[0, 0], [1, 0], [0, 1], [1, 1.0]]) * size
     apart = np.linalg.norm(transformed(halves[0], edges) - transformed(halves[1], edges), axis=1).max()
     residual = float(np.sqrt(((transformed(whole, before) - after) ** 2).mean()))
-    if not (residual * scale < _LARGEST_RESIDUAL_PX and apart * scale < _LARGEST_CORNER_ERROR_PX):
+    if not (residual * scale < REGISTRATION.residual_px and apart * scale < REGISTRATION.corner_error_px):
         return None
     return ViewHomography(whole, residual, float(apart) / 2)
 
@@ -161,9 +178,9 @@ def _parts_with(corners: Array, matrix: Array, size: tuple[int, int]) -> int:
     grid = _grid(size)
     shared = grid[is_inside(transformed(matrix, grid), size)]
     low, high = shared.min(axis=0), shared.max(axis=0)
-    part = np.clip((corners - low) / (high - low) * _GRID_PARTS, 0, _GRID_PARTS - 1).astype(int)
-    counts = np.bincount(part[:, 0] + _GRID_PARTS * part[:, 1], minlength=_GRID_PARTS**2)
-    return int((counts >= _FEWEST_PER_PART).sum())
+    part = np.clip((corners - low) / (high - low) * REGISTRATION.grid_parts, 0, REGISTRATION.grid_parts - 1).astype(int)
+    counts = np.bincount(part[:, 0] + REGISTRATION.grid_parts * part[:, 1], minlength=REGISTRATION.grid_parts**2)
+    return int((counts >= REGISTRATION.fewest_per_part).sum())
 
 
 def _grid(size: tuple[int, int]) -> Array:
@@ -176,10 +193,6 @@ def _fit(before: Array, after: Array) -> Array | None:
     """(3, 3) homography of corners (N, 2) by least squares."""
     matrix = cv2.findHomography(before, after, 0)[0] if len(before) >= 4 else None
     return None if matrix is None else np.asarray(matrix, dtype=np.float64)
-
-
-MOVING: Final = -1
-"""Number in place of a view's, for frames that were taken while the camera was moving."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -231,8 +244,9 @@ def _view(change: Mapping[str, Any]) -> KnownView:
 
 
 def view_numbers(views: Sequence[KnownView], times_s: Sequence[float] | Array) -> NDArray[np.intp]:
-    """(N,) index in `views` of the view that frames at times (N,) show; `MOVING` while the camera was moving."""
+    """(N,) index in `views` of the view that frames at times (N,) show; `REGISTRATION.moving_view` while the camera
+    was moving."""
     times = np.asarray(times_s, dtype=np.float64)
     number = np.searchsorted([view.begin_s for view in views[1:]], times, side="right")
     settled = np.array([view.settled_s for view in views])
-    return np.where(times >= settled[number], number, MOVING)
+    return np.where(times >= settled[number], number, REGISTRATION.moving_view)

@@ -159,7 +159,7 @@ def tracked_footage(
     from skope.footage.predict_job import PredictJob, content_of
     from skope.pose.camera_error import camera_info
     from skope.tracking.track_footage import TrackJob, follow_footage
-    from skope.traffic.observation import FOOTAGE
+    from skope.traffic.observation import FOOTAGE_FILE
 
     assert site.camera is not None
     known = site.camera.known
@@ -169,7 +169,7 @@ def tracked_footage(
     named = {"source": content_of(footage), "checkpoint": str(checkpoint), "camera": camera}
     claim_output(out, command, [site.path], {**options, **named})
     tracks = out / TRACKS_NAME
-    if (tracks / FOOTAGE).is_file() and not list(tracks.glob(".*")):
+    if (tracks / FOOTAGE_FILE).is_file() and not list(tracks.glob(".*")):
         console.say(f"{tracks}: has the tracks of {footage.name}")
         return tracks
     for line in write_camera(out / _CAMERA_NAME, site.camera.camera, besides):

@@ -99,11 +99,11 @@ def _report(
     """Measure what the sources are: tracks in metres, what was found in an image, or footage."""
     from skope.tracks.csv_file import TRACKS_CSV
     from skope.traffic.exports.formats import checked_formats
-    from skope.traffic.observation import FOOTAGE
+    from skope.traffic.observation import FOOTAGE_FILE
 
     formats = checked_formats(also, site, metres=True)
     folder = Path(sources[0])
-    if len(sources) > 1 or (folder / TRACKS_CSV).is_file() or (folder.is_dir() and (folder / FOOTAGE).is_file()):
+    if len(sources) > 1 or (folder / TRACKS_CSV).is_file() or (folder.is_dir() and (folder / FOOTAGE_FILE).is_file()):
         return _report_of_tracks([Path(one) for one in sources], site, begins, hand_count, out, formats)
     start = _only_begin(begins, site)
     if (folder / FRAMES).is_file():

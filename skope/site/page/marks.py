@@ -11,17 +11,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final
 
-from skope.camera.evidence import (
-    MARKED_PX,
-    MEASURED_M,
-    UNEVEN_M,
-    Belief,
-    Evidence,
-    MarkedLength,
-    MarkedPoint,
-    ParallelLines,
-    Vertical,
-)
+from skope.camera.evidence import MARKING_ERRORS, Belief, Evidence, MarkedLength, MarkedPoint, ParallelLines, Vertical
 from skope.errors import UserError
 from skope.site.calibration_marks import beliefs_of
 from skope.site.mark_limits import (
@@ -201,7 +191,7 @@ def _point(entry: _Entry) -> MarkedPoint | None:
                         missing=empty)  # fmt: skip
         else:
             given.append(found)
-    usual = {"sigma_m": MEASURED_M, "sigma_px": MARKED_PX, "sigma_z_m": UNEVEN_M}
+    usual = {"sigma_m": MARKING_ERRORS.place_m, "sigma_px": MARKING_ERRORS.pixel, "sigma_z_m": MARKING_ERRORS.height_m}
     sigmas = {key: entry.number(key, *SIGMA, "", default) for key, default in usual.items()}
     known = {key: sigma for key, sigma in sigmas.items() if sigma is not None}
     if pixel is None or len(given) < 3 or len(known) < len(sigmas):

@@ -10,7 +10,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from skope.camera.evidence import MARKED_PX, MEASURED_M, UNEVEN_M, Belief, MarkedPoint
+from skope.camera.evidence import MARKING_ERRORS, Belief, MarkedPoint
 from skope.camera.model import Camera
 from skope.camera.uncertain_camera import UncertainCamera
 from skope.dataset.camera_of_file import fitted_camera
@@ -172,7 +172,7 @@ def _marks(marks: CalibrationMarks, size: tuple[int, int]) -> dict[str, Any]:
 
 def point_entry(point: MarkedPoint) -> dict[str, Any]:
     """A point in the document, with standard deviations where they are not the usual ones."""
-    usual = {"sigma_m": MEASURED_M, "sigma_px": MARKED_PX, "sigma_z_m": UNEVEN_M}
+    usual = {"sigma_m": MARKING_ERRORS.place_m, "sigma_px": MARKING_ERRORS.pixel, "sigma_z_m": MARKING_ERRORS.height_m}
     own = {
         key: value
         for name, default in usual.items()

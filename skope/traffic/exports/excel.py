@@ -6,6 +6,7 @@ begin like a formula stay text.
 """
 
 import math
+from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -22,12 +23,24 @@ if TYPE_CHECKING:
     from xlsxwriter.worksheet import Worksheet
 
 EXCEL_FILE: Final = "traffic.xlsx"
-_MOST_ROWS: Final = 1_048_575
-"""Below the row of names."""
+
+
+@dataclass(frozen=True)
+class ExcelLayout:
+    """Layout of an Excel sheet."""
+
+    most_rows: int = 1_048_575
+    """Maximum number of rows below the row of names."""
+    column_width: int = 16
+    """Width of a column, characters."""
+    digits: int = 3
+    """Digits after the decimal point."""
+
+
+EXCEL_LAYOUT: Final = ExcelLayout()
+
 _LEFT_OUT: Final = frozenset({"trajectories"})
 """Tables of points and moments, for which a sheet is too small."""
-_WIDTH: Final = 16
-_ROUNDED: Final = 3
 
 
 def write_excel(folder: Path, report: TrafficReport) -> list[Path]:
@@ -63,13 +76,15 @@ class _Formats:
 
 def _write_table(sheet: "Worksheet", name: str, table: ReportTable, formats: _Formats) -> None:
     sheet.freeze_panes(1, 0)
-    sheet.set_column(0, len(table.columns) - 1, _WIDTH)
+    sheet.set_column(0, len(table.columns) - 1, EXCEL_LAYOUT.column_width)
     for column, title in enumerate(table.columns):
         sheet.write_string(0, column, title, formats.head)
     last = 0
     for last, row in enumerate(table.rows, start=1):
-        if last > _MOST_ROWS:
-            raise UserError(f"{name}: more than {_MOST_ROWS} rows, which no sheet holds; measure a shorter time")
+        if last > EXCEL_LAYOUT.most_rows:
+            raise UserError(
+                f"{name}: more than {EXCEL_LAYOUT.most_rows} rows, which no sheet holds; measure a shorter time"
+            )
         for column, value in enumerate(row):
             _write_cell(sheet, last, column, value, formats)
     sheet.autofilter(0, 0, last, len(table.columns) - 1)
@@ -82,7 +97,7 @@ def _write_cell(sheet: "Worksheet", row: int, column: int, value: Any, formats: 
     if isinstance(value, datetime):
         sheet.write_datetime(row, column, value.replace(tzinfo=None), formats.time)
     elif isinstance(value, int | float):
-        sheet.write_number(row, column, round(float(value), _ROUNDED))
+        sheet.write_number(row, column, round(float(value), EXCEL_LAYOUT.digits))
     else:
         sheet.write_string(row, column, str(value))
 
@@ -90,7 +105,7 @@ def _write_cell(sheet: "Worksheet", row: int, column: int, value: Any, formats: 
 def _write_summary(sheet: "Worksheet", report: TrafficReport, formats: _Formats) -> None:
     """Of what this is, the counts of the whole footage, and what could not be measured or should be distrusted."""
     sheet.set_column(0, 0, 30)
-    sheet.set_column(1, 5, _WIDTH)
+    sheet.set_column(1, 5, EXCEL_LAYOUT.column_width)
     observation = report.observation
     row = 0
     for title, value in (

@@ -13,7 +13,7 @@ from skope.files.atomic import replacing
 from skope.files.json_files import json_bytes
 from skope.site.gates_zones_lanes import Outline
 from skope.site.world import on_earth
-from skope.tracks.track import KMH, Track
+from skope.tracks.track import KMH_PER_MPS, Track
 from skope.traffic.count_uncertainty import in_json
 from skope.traffic.gates import direction_names, may_count
 from skope.traffic.length_bins import has_length, length_bin, length_sigma_m
@@ -103,9 +103,9 @@ def _of_track(report: TrafficReport, one: Track, rows: Sequence[int]) -> dict[st
         **_length(report, one),
         "begin": _moment(report, float(one.times_s[0])),
         "times_s": np.round(one.times_s[rows], 3).tolist(),
-        "speed_kmh": np.round(one.speed[rows] * KMH, 2).tolist(),
+        "speed_kmh": np.round(one.speed[rows] * KMH_PER_MPS, 2).tolist(),
         "speed_sigma_kmh": np.round(
-            report.observation.with_camera_error(one.during(np.array(rows))).speed_sigma * KMH, 2
+            report.observation.with_camera_error(one.during(np.array(rows))).speed_sigma * KMH_PER_MPS, 2
         ).tolist(),
     }
 

@@ -13,14 +13,14 @@ import numpy as np
 
 from skope.files.atomic import replacing
 from skope.files.json_files import json_bytes
-from skope.tracks.track import KMH, Track, worst_sigma
+from skope.tracks.track import KMH_PER_MPS, Track, worst_sigma
 from skope.traffic.gates import may_count
 from skope.traffic.report_tables import clock
 from skope.traffic.traffic_report import TrafficReport
 from skope.version import __version__
 
 OPENLABEL_FILE: Final = "traffic.json"
-_WORLD: Final = "world"
+WORLD_FRAME: Final = "world"
 _HEIGHTS_M: Final[Mapping[str, float]] = {"pedestrian": 1.7, "bicycle": 1.7, "motorcycle": 1.6}
 _VEHICLE_M: Final = 1.5
 _VALUE_DIGITS: Final = 3
@@ -40,7 +40,7 @@ def write_openlabel(folder: Path, report: TrafficReport) -> list[Path]:
     path = folder / OPENLABEL_FILE
     with replacing(path) as temporary, temporary.open("wb") as file:
         file.write(b'{"openlabel":{"metadata":' + json_bytes(_metadata(report)).strip())
-        file.write(b',\n"coordinate_systems":' + json_bytes({_WORLD: {"type": "scene_cs", "parent": ""}}).strip())
+        file.write(b',\n"coordinate_systems":' + json_bytes({WORLD_FRAME: {"type": "scene_cs", "parent": ""}}).strip())
         file.write(b',\n"objects":' + json_bytes(_objects(chosen, spans)).strip())
         if len(times):
             file.write(b',\n"frame_intervals":' + json_bytes([_interval(0, len(times))]).strip())
@@ -101,13 +101,13 @@ def _cuboid(one: Track, time_s: float) -> dict[str, Any]:
     height = one.height or _HEIGHTS_M.get(one.category, _VEHICLE_M)
     values = (x, y, height / 2, 0.0, 0.0, math.sin(heading / 2), math.cos(heading / 2), length, width, height)
     sigma = float(worst_sigma(one.at(one.total_covariance, time_s)))
-    speed, speed_sigma = (float(one.at(column, time_s)) * KMH for column in (one.speed, one.speed_sigma))
+    speed, speed_sigma = (float(one.at(column, time_s)) * KMH_PER_MPS for column in (one.speed, one.speed_sigma))
     numbers = {"speed_kmh": speed, "speed_sigma_kmh": speed_sigma, "sigma_position_m": sigma}
     measured = bool(one.length and one.width and one.height)
     return {
         "name": "body",
         "val": [round(value, 6) for value in values],
-        "coordinate_system": _WORLD,
+        "coordinate_system": WORLD_FRAME,
         "attributes": {
             "num": [{"name": name, "val": round(value, _VALUE_DIGITS)} for name, value in numbers.items()],
             "boolean": [{"name": "size_measured", "val": measured}],

@@ -12,6 +12,7 @@ import json
 import math
 import re
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -27,13 +28,22 @@ from skope.traffic.otc_classes import OTC_CLASSES
 from skope.traffic.traffic_report import TrafficReport
 from skope.version import __version__
 
-_MOST_DETECTIONS: Final = 12_000
-"""OTAnalytics leaves out tracks of more detections than these: they are thinned."""
-_HOST: Final = re.compile(r"[A-Za-z0-9]+_.*")
+
+@dataclass(frozen=True)
+class OtanalyticsFormat:
+    """Limits of OTAnalytics' files."""
+
+    most_detections: int = 12_000
+    """OTAnalytics leaves out tracks with more detections. They are thinned."""
+    default_fps: float = 10.0
+    """Frame rate of footage of one frame."""
+    coordinate_digits: int = 4
+
+
+OTANALYTICS_FORMAT: Final = OtanalyticsFormat()
+
+HOST_NAME: Final = re.compile(r"[A-Za-z0-9]+_.*")
 """Names of footage from which OTAnalytics takes a camera's name."""
-_FPS: Final = 10.0
-"""Frames a second of footage of one frame, which says nothing of that."""
-_COORDINATE_DIGITS: Final = 4
 
 
 def write_otanalytics(folder: Path, report: TrafficReport, camera: Camera | None = None) -> list[Path]:
@@ -82,17 +92,19 @@ def _write_tracks(path: Path, report: TrafficReport, tracks: Sequence[Track], vi
 def _metadata(report: TrafficReport, view: OtView) -> dict[str, Any]:
     observation = report.observation
     times = observation.times_s
-    fps = 1 / float(np.median(np.diff(times))) if len(times) > 1 else _FPS
+    fps = 1 / float(np.median(np.diff(times))) if len(times) > 1 else OTANALYTICS_FORMAT.default_fps
     start = _epoch(report) + (float(times[0]) if len(times) else 0.0)
     seconds = float(times[-1] - times[0]) + 1 / fps if len(times) else 0.0
     name = Path(observation.source or "footage.mp4")
     size = {} if view.size is None else dict(zip(("width", "height"), view.size, strict=True))
-    run = hashlib.sha256(json_bytes([str(name), start, np.round(times, _COORDINATE_DIGITS).tolist()])).hexdigest()
+    run = hashlib.sha256(
+        json_bytes([str(name), start, np.round(times, OTANALYTICS_FORMAT.coordinate_digits).tolist()])
+    ).hexdigest()
     return {
         "otdet_version": "1.4",
         "ottrk_version": "1.1",
         "video": {
-            "filename": name.stem if _HOST.fullmatch(name.stem) else f"skope_{name.stem}",
+            "filename": name.stem if HOST_NAME.fullmatch(name.stem) else f"skope_{name.stem}",
             "filetype": name.suffix or ".mp4",
             **size,
             "recorded_fps": fps,
@@ -116,10 +128,10 @@ def _detections(track: Track, report: TrafficReport, view: OtView) -> Iterator[d
     """The moments of a track at which it is in the view's picture."""
     places = view.pixels(track.xy)
     rows = np.flatnonzero(view.inside(places))
-    rows = rows[:: math.ceil(len(rows) / _MOST_DETECTIONS) or 1].tolist()
+    rows = rows[:: math.ceil(len(rows) / OTANALYTICS_FORMAT.most_detections) or 1].tolist()
     frames = 1 + _nearest(report.observation.times_s, track.times_s)
-    geo = None if view.geo is None else np.round(view.geo(track.xy), _COORDINATE_DIGITS).tolist()
-    pixels = np.round(places, _COORDINATE_DIGITS).tolist()
+    geo = None if view.geo is None else np.round(view.geo(track.xy), OTANALYTICS_FORMAT.coordinate_digits).tolist()
+    pixels = np.round(places, OTANALYTICS_FORMAT.coordinate_digits).tolist()
     start = _epoch(report)
     for row in rows:
         yield {
@@ -157,7 +169,11 @@ def flow_document(report: TrafficReport, view: OtView) -> dict[str, Any]:
                 "type": "line",
                 "relative_offset_coordinates": {"section-enter": {"x": 0.5, "y": 0.5}},
                 "coordinates": [
-                    {"x": round(x, _COORDINATE_DIGITS), "y": round(y, _COORDINATE_DIGITS)} for x, y in line
+                    {
+                        "x": round(x, OTANALYTICS_FORMAT.coordinate_digits),
+                        "y": round(y, OTANALYTICS_FORMAT.coordinate_digits),
+                    }
+                    for x, y in line
                 ],
                 "plugin_data": {},
             }

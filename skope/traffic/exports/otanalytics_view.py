@@ -16,16 +16,25 @@ from skope.types import Array
 if TYPE_CHECKING:
     from skope.site.site_file import SiteParts
 
-_LEGS: Final = 64
-"""A gate is cut into so many legs before its image is made: distortion bends it."""
-_STRAIGHT_PX: Final = 0.05
-"""Points of a gate's image that lie so near to a straight leg are left out."""
-_PX_PER_M: Final = 10
-"""Pixels of the picture from above in a metre."""
-_MARGIN_M: Final = 5
-"""The picture from above has so much around what lies in it."""
-_LOCAL: Final = 'LOCAL_CS["metres of the site",UNIT["metre",1]]'
-"""Coordinate system of a site that is not in the grid of a map."""
+
+@dataclass(frozen=True)
+class GateImage:
+    """Resolution of gates and of the image from above."""
+
+    legs: int = 64
+    """Number of parts of a gate that are projected. Distortion bends it."""
+    straight_px: float = 0.05
+    """Points of a gate's image this close to a straight part are left out, pixels."""
+    px_per_m: int = 10
+    """Pixels per metre of the image from above."""
+    margin_m: int = 5
+    """Margin of that image, metres."""
+
+
+GATE_IMAGE: Final = GateImage()
+
+LOCAL_SYSTEM: Final = 'LOCAL_CS["metres of the site",UNIT["metre",1]]'
+"""Coordinate system of a site that is not in a map's grid."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -86,15 +95,15 @@ def plan_view(site: "SiteParts", gates: Sequence[Gate], trajectories: Sequence[T
     shift, crs = _map_of(site)
     everywhere = np.concatenate([*places, np.zeros((0, 2))]) + shift
     low, high = (everywhere.min(axis=0), everywhere.max(axis=0)) if len(everywhere) else (shift, shift)
-    west, south = (math.floor(v) - _MARGIN_M for v in low)
-    east, north = (math.ceil(v) + _MARGIN_M for v in high)
-    width, height = (east - west) * _PX_PER_M, (north - south) * _PX_PER_M
+    west, south = (math.floor(v) - GATE_IMAGE.margin_m for v in low)
+    east, north = (math.ceil(v) + GATE_IMAGE.margin_m for v in high)
+    width, height = (east - west) * GATE_IMAGE.px_per_m, (north - south) * GATE_IMAGE.px_per_m
 
     def geo(places: Array) -> Array:
         return np.asarray(places + shift)
 
     def pixels(places: Array) -> Array:
-        return np.asarray((geo(places) - [west, north]) * [_PX_PER_M, -_PX_PER_M])
+        return np.asarray((geo(places) - [west, north]) * [GATE_IMAGE.px_per_m, -GATE_IMAGE.px_per_m])
 
     return OtView(
         name="plan",
@@ -119,7 +128,7 @@ def _map_of(site: "SiteParts") -> tuple[Array, str]:
     world = site.world or {}
     origin = world.get("origin", {})
     if "easting" not in origin or world.get("axes", "east, north") != "east, north":
-        return np.zeros(2), _LOCAL
+        return np.zeros(2), LOCAL_SYSTEM
     zone = str(world["utm_zone"])
     code = world.get("epsg", (32600 if zone.endswith("N") else 32700) + int(zone[:-1]))
     return np.array([origin["easting"], origin["northing"]]), f"EPSG:{code}"
@@ -135,12 +144,12 @@ def _bent(gate: Gate, pixels: Callable[[Array], Array], size: tuple[int, int]) -
     from shapely import LineString, box, get_parts
 
     ends = np.array(gate.line)
-    line = pixels(ends[0] + np.linspace(0, 1, _LEGS + 1)[:, None] * (ends[1] - ends[0]))
+    line = pixels(ends[0] + np.linspace(0, 1, GATE_IMAGE.legs + 1)[:, None] * (ends[1] - ends[0]))
     valid = np.isfinite(line[:, 0])
     runs = np.split(np.arange(len(line)), np.flatnonzero(np.diff(valid)) + 1)
     drawn = [LineString(line[run]) for run in runs if valid[run[0]] and len(run) > 1]
     parts = [part for one in drawn for part in get_parts(one.intersection(box(0, 0, *size))) if part.length > 0]
-    return _outline(max(parts, key=lambda part: part.length).simplify(_STRAIGHT_PX).coords) if parts else ()
+    return _outline(max(parts, key=lambda part: part.length).simplify(GATE_IMAGE.straight_px).coords) if parts else ()
 
 
 def _outline(points: Iterable[Sequence[float]]) -> Outline:

@@ -12,8 +12,8 @@ from skope.files.atomic import replacing
 from skope.traffic.report_tables import ReportTable, report_tables
 from skope.traffic.traffic_report import TrafficReport
 
-_ROWS: Final = 100_000
-"""Written together, which bounds the memory."""
+BLOCK_ROWS: Final = 100_000
+"""Number of rows that are written together. It bounds memory."""
 
 
 def write_parquet(folder: Path, report: TrafficReport) -> list[Path]:
@@ -38,7 +38,7 @@ def _write(path: Path, table: ReportTable) -> Path:
     from pyarrow.parquet import ParquetWriter
 
     rows = iter(table.rows)
-    first = list(islice(rows, _ROWS))
+    first = list(islice(rows, BLOCK_ROWS))
     schema = pa.schema(
         [(name, _type_of([row[k] for row in first])) for k, name in enumerate(table.columns)],
     )
@@ -48,7 +48,7 @@ def _write(path: Path, table: ReportTable) -> Path:
                 pa.array([_cell(row[k], field.type) for row in first], field.type) for k, field in enumerate(schema)
             ]
             writer.write_table(pa.table(columns, schema=schema))
-            first = list(islice(rows, _ROWS))
+            first = list(islice(rows, BLOCK_ROWS))
             if not first:
                 return path
 

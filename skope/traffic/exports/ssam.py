@@ -6,6 +6,7 @@ corner of all tracks, and times from the footage's first frame.
 """
 
 import struct
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
@@ -19,16 +20,27 @@ from skope.traffic.traffic_report import TrafficReport
 from skope.types import Array
 
 SSAM_FILE: Final = "tracks.trj"
-_STEP_S: Final = 0.1
-"""Step of time in which SSAM looks at collisions, seconds."""
-_VERSION: Final = 3.0
+
+
+@dataclass(frozen=True)
+class SsamFormat:
+    """Values of SSAM's file header."""
+
+    step_s: float = 0.1
+    """Time step at which SSAM examines collisions, seconds."""
+    version: float = 3.0
+    metric: int = 1
+    """Unit: metres."""
+    has_z: int = 1
+    """Vehicles have heights."""
+    margin_m: int = 20
+    """Margin around all positions, metres. SSAM drops what lies outside the stated area."""
+
+
+SSAM_FORMAT: Final = SsamFormat()
+
 _FORMAT, _DIMENSIONS, _TIME_STEP, _VEHICLE = range(4)
-_METRES: Final = 1
-_Z: Final = 1
-"""Vehicles have heights."""
-_MARGIN_M: Final = 20
-"""Around all places: what lies outside the stated area vanishes."""
-_RECORD: Final = np.dtype(
+VEHICLE_RECORD: Final = np.dtype(
     [
         ("type", "u1"),
         ("vehicle", "<i4"),
@@ -46,11 +58,11 @@ def write_ssam(folder: Path, report: TrafficReport) -> list[Path]:
     Vehicles, people on two wheels and on foot are all vehicles there, by their own sizes. Link and lane are 0.
     """
     chosen = [one for one in report.trajectories if may_count(one, report.site.traffic)]
-    paths = [path for path in (FootprintPath(one, _STEP_S) for one in chosen) if len(path.ticks)]
+    paths = [path for path in (FootprintPath(one, SSAM_FORMAT.step_s) for one in chosen) if len(path.ticks)]
     origin, size = _area(paths)
     times = report.observation.times_s
-    first, last = (round(float(times[row]) / _STEP_S) for row in (0, -1)) if len(times) else (0, 0)
-    rows = np.concatenate([np.zeros(0, _RECORD), *(_rows(path, origin) for path in paths)])
+    first, last = (round(float(times[row]) / SSAM_FORMAT.step_s) for row in (0, -1)) if len(times) else (0, 0)
+    rows = np.concatenate([np.zeros(0, VEHICLE_RECORD), *(_rows(path, origin) for path in paths)])
     ticks = np.concatenate([np.zeros(0, np.int64), *(path.ticks for path in paths)]) - first
     order = np.argsort(ticks, kind="stable")
     rows, ticks = rows[order], ticks[order]
@@ -58,10 +70,10 @@ def write_ssam(folder: Path, report: TrafficReport) -> list[Path]:
     bounds = np.searchsorted(ticks, np.arange(steps + 2))
     path = folder / SSAM_FILE
     with replacing(path) as temporary, temporary.open("wb") as file:
-        file.write(struct.pack("<Bcf", _FORMAT, b"L", _VERSION) + struct.pack("<B", _Z))
-        file.write(struct.pack("<BBf4i", _DIMENSIONS, _METRES, 1.0, 0, 0, *size))
+        file.write(struct.pack("<Bcf", _FORMAT, b"L", SSAM_FORMAT.version) + struct.pack("<B", SSAM_FORMAT.has_z))
+        file.write(struct.pack("<BBf4i", _DIMENSIONS, SSAM_FORMAT.metric, 1.0, 0, 0, *size))
         for step in range(steps + 1):
-            file.write(struct.pack("<Bf", _TIME_STEP, step * _STEP_S))
+            file.write(struct.pack("<Bf", _TIME_STEP, step * SSAM_FORMAT.step_s))
             file.write(rows[bounds[step] : bounds[step + 1]].tobytes())
     return [path]
 
@@ -71,14 +83,14 @@ def _area(paths: list[FootprintPath]) -> tuple[Array, tuple[int, int]]:
     places = np.concatenate([np.zeros((0, 2)), *(path.place for path in paths)])
     if not len(places):
         return np.zeros(2), (1, 1)
-    low, high = np.floor(places.min(axis=0)) - _MARGIN_M, np.ceil(places.max(axis=0)) + _MARGIN_M
+    low, high = np.floor(places.min(axis=0)) - SSAM_FORMAT.margin_m, np.ceil(places.max(axis=0)) + SSAM_FORMAT.margin_m
     east, north = (high - low).astype(int).tolist()
     return low, (east, north)
 
 
 def _rows(path: FootprintPath, origin: Array) -> NDArray[np.void]:
     """The records (M,) of a vehicle at its moments."""
-    rows = np.zeros(len(path.ticks), _RECORD)
+    rows = np.zeros(len(path.ticks), VEHICLE_RECORD)
     length, width = path.size
     rows["type"], rows["vehicle"] = _VEHICLE, path.trajectory.number
     half = path.facing * (length / 2)
@@ -86,5 +98,5 @@ def _rows(path: FootprintPath, origin: Array) -> NDArray[np.void]:
         rows[f"{name}_x"], rows[f"{name}_y"] = (places - origin).T
     rows["length"], rows["width"], rows["speed"] = length, width, path.speed
     if len(rows) > 1:
-        rows["acceleration"] = np.gradient(path.speed, _STEP_S)
+        rows["acceleration"] = np.gradient(path.speed, SSAM_FORMAT.step_s)
     return rows

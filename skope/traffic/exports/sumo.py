@@ -14,7 +14,7 @@ import numpy as np
 
 from skope.errors import UserError
 from skope.files.atomic import write_text
-from skope.tracks.track import KMH
+from skope.tracks.track import KMH_PER_MPS
 from skope.traffic.counting_intervals import ClockInterval
 from skope.traffic.gate_counts import observed_word
 from skope.traffic.gates import GateCrossing, direction_names
@@ -23,10 +23,10 @@ from skope.traffic.traffic_report import TrafficReport
 if TYPE_CHECKING:
     from skope.site.site_file import SiteParts
 
-_LIGHT: Final = frozenset({"car", "van", "unknown"})
-_HEAVY: Final = frozenset({"lorry", "bus"})
-"""Detectors tell two kinds of vehicles apart."""
-_MOTOR: Final = _LIGHT | _HEAVY | {"motorcycle"}
+LIGHT_CLASSES: Final = frozenset({"car", "van", "unknown"})
+HEAVY_CLASSES: Final = frozenset({"lorry", "bus"})
+"""Detectors distinguish two kinds of vehicles."""
+MOTOR_CLASSES: Final = LIGHT_CLASSES | HEAVY_CLASSES | {"motorcycle"}
 GateSide = tuple[str, str]
 """A gate and a direction."""
 
@@ -96,7 +96,7 @@ def _turns(
         pairs = Counter(
             one.sides
             for one in report.movements
-            if interval.begin_s <= one.time_s < interval.end_s and one.trajectory.class_name in _MOTOR
+            if interval.begin_s <= one.time_s < interval.end_s and one.trajectory.class_name in MOTOR_CLASSES
         )
         yield _interval(interval, shift)
         for (origin, destination), number in sorted(pairs.items()):
@@ -112,7 +112,7 @@ def _edges(
     for interval in whole:
         yield _interval(interval, shift)
         for side, edge in edges.items():
-            number = len(_crossed(report, interval, side, _MOTOR))
+            number = len(_crossed(report, interval, side, MOTOR_CLASSES))
             yield f'    <edge id={quoteattr(edge)} entered="{number}"/>'
         yield "  </interval>"
 
@@ -131,7 +131,9 @@ def _flows(
     for interval in whole:
         minute = round((interval.begin_s + shift) / 60)
         for side, edge in edges.items():
-            light, heavy = (_crossed(report, interval, side, kinds) for kinds in (_MOTOR - _HEAVY, _HEAVY))
+            light, heavy = (
+                _crossed(report, interval, side, kinds) for kinds in (MOTOR_CLASSES - HEAVY_CLASSES, HEAVY_CLASSES)
+            )
             yield f"{edge};{minute};{len(light)};{len(heavy)};{_speed(light)};{_speed(heavy)}"
 
 
@@ -148,4 +150,4 @@ def _crossed(
 
 
 def _speed(crossings: Sequence[GateCrossing]) -> str:
-    return f"{np.mean([one.speed for one in crossings]) * KMH:.1f}" if crossings else "-1"
+    return f"{np.mean([one.speed for one in crossings]) * KMH_PER_MPS:.1f}" if crossings else "-1"

@@ -14,14 +14,14 @@ import numpy as np
 from skope.page.charts import Axes, Line, chart, histogram
 from skope.page.html_pieces import details, tag
 from skope.schema import VEHICLE
-from skope.tracks.track import KMH
+from skope.tracks.track import KMH_PER_MPS
 from skope.traffic.count_uncertainty import in_words
-from skope.traffic.gate_counts import ALL, Count
+from skope.traffic.gate_counts import ALL_CLASSES, Count
 from skope.traffic.gates import direction_names
 from skope.traffic.page.count_tables import interval_label, side_name, titled_table, with_interval
 from skope.traffic.speeds import MOTOR_CLASSES
 from skope.traffic.traffic_report import TrafficReport
-from skope.traffic.turning_movements import NOWHERE, GateDirection, TurningCount
+from skope.traffic.turning_movements import NO_GATE, GateDirection, TurningCount
 from skope.types import Array
 
 _MAX_INTERVALS: Final = 100
@@ -71,7 +71,7 @@ def _sides(report: TrafficReport) -> tuple[list[GateDirection], list[GateDirecti
     pairs = [
         (row.origin, row.destination)
         for row in report.turning_total
-        if row.count and NOWHERE not in (row.origin, row.destination)
+        if row.count and NO_GATE not in (row.origin, row.destination)
     ]
     return list(dict.fromkeys(origin for origin, _ in pairs)), sorted(
         {destination for _, destination in pairs}, key=_order(report).index
@@ -101,7 +101,7 @@ def _matrix(
 
     def cell(origin: GateDirection, destination: GateDirection) -> str:
         row = cells.get((origin, destination))
-        bounds = "" if row is None or NOWHERE in (origin, destination) else f" <small>{in_words(row.expected)}</small>"
+        bounds = "" if row is None or NO_GATE in (origin, destination) else f" <small>{in_words(row.expected)}</small>"
         return f"{number(origin, destination)}{bounds}"
 
     def total(side: GateDirection, value: int) -> str:
@@ -111,15 +111,15 @@ def _matrix(
     rows = [
         [
             escape(side_name(origin)),
-            *(cell(origin, destination) for destination in (*destinations, NOWHERE)),
-            total(origin, sum(number(origin, destination) for destination in (*destinations, NOWHERE))),
+            *(cell(origin, destination) for destination in (*destinations, NO_GATE)),
+            total(origin, sum(number(origin, destination) for destination in (*destinations, NO_GATE))),
         ]
         for origin in origins
     ]
-    entered = [number(NOWHERE, destination) for destination in destinations]
+    entered = [number(NO_GATE, destination) for destination in destinations]
     rows.append(["not seen before", *map(str, entered), "–", str(sum(entered))])
-    ends = [number(origin, NOWHERE) for origin in origins]
-    columns = [sum(number(origin, destination) for origin in (*origins, NOWHERE)) for destination in destinations]
+    ends = [number(origin, NO_GATE) for origin in origins]
+    columns = [sum(number(origin, destination) for origin in (*origins, NO_GATE)) for destination in destinations]
     foot = ["total", *map(total, destinations, columns), str(sum(ends)), str(sum(columns) + sum(ends))]
     head = ["from", *(f"to {side_name(side)}" for side in destinations), "not seen after", "total"]
     return titled_table(caption, head, rows, foot=foot)
@@ -134,7 +134,7 @@ def _about(report: TrafficReport, origins: Sequence[GateDirection], destinations
     absent = [
         side_name((row.gate, row.direction))
         for row in report.counts_total
-        if row.class_name == ALL
+        if row.class_name == ALL_CLASSES
         and row.count
         and (row.gate, row.direction) not in (*origins, *destinations)
         and (chosen is None or row.gate in chosen)
@@ -162,9 +162,9 @@ def flow_diagram(report: TrafficReport) -> str:
     whole = [
         one
         for one in report.turning_total
-        if one.class_name == (VEHICLE if vehicles else ALL)
+        if one.class_name == (VEHICLE if vehicles else ALL_CLASSES)
         and one.count
-        and NOWHERE not in (one.origin, one.destination)
+        and NO_GATE not in (one.origin, one.destination)
     ]
     if not whole:
         return ""
@@ -280,7 +280,7 @@ def counts_over_time(report: TrafficReport) -> Iterator[str]:
             rows = [
                 one
                 for one in report.counts
-                if (one.gate, one.direction, one.lane, one.class_name) == (gate.name, name, ALL, ALL)
+                if (one.gate, one.direction, one.lane, one.class_name) == (gate.name, name, ALL_CLASSES, ALL_CLASSES)
             ]
             hours = [(one.interval.begin_s + one.interval.end_s) / 2 / 3600 for one in rows]
             flows = [
@@ -309,7 +309,7 @@ def speed_histograms(report: TrafficReport) -> Iterator[str]:
     for gate in report.gates:
         groups = {
             name: [
-                one.speed * KMH
+                one.speed * KMH_PER_MPS
                 for one in report.crossings
                 if (one.gate, one.direction_name) == (gate.name, name) and one.trajectory.class_name in MOTOR_CLASSES
             ]

@@ -13,7 +13,7 @@ from skope.schema import VEHICLE
 from skope.site.traffic_settings import OF_VEHICLES, UNKNOWN
 from skope.traffic.count_uncertainty import in_words
 from skope.traffic.counting_intervals import ClockInterval
-from skope.traffic.gate_counts import ALL, Count, interval_counts
+from skope.traffic.gate_counts import ALL_CLASSES, Count, interval_counts
 from skope.traffic.measure import whole_footage
 from skope.traffic.peak_hour import PeakHour, peak_hours, why_no_factor, why_no_peak_hour
 from skope.traffic.traffic_report import TrafficReport
@@ -66,15 +66,15 @@ def class_tables(report: TrafficReport) -> list[str]:
     if not whole:
         return []
     found = [name for name in report.site.traffic.classes if any(rows[name].count for rows in whole.values())]
-    groups = [name for name in (ALL, VEHICLE) if all(name in rows for rows in whole.values())]
-    groups = [ALL] if OF_VEHICLES.issuperset(found) else groups
+    groups = [name for name in (ALL_CLASSES, VEHICLE) if all(name in rows for rows in whole.values())]
+    groups = [ALL_CLASSES] if OF_VEHICLES.issuperset(found) else groups
     columns = [*groups, *found]
-    has_pce = any(own[ALL].count and own[ALL].pce is not None for own in whole.values())
+    has_pce = any(own[ALL_CLASSES].count and own[ALL_CLASSES].pce is not None for own in whole.values())
     rows = [
         [
             escape(side_name(side)),
             *(with_interval(own[name]) for name in columns),
-            *([_pce_text(own[ALL])] if has_pce else []),
+            *([_pce_text(own[ALL_CLASSES])] if has_pce else []),
         ]
         for side, own in whole.items()
     ]
@@ -107,8 +107,8 @@ def _pce_text(row: Count) -> str:
 
 def _about_pce(report: TrafficReport, whole: dict[GateDirection, dict[str, Count]]) -> str:
     """Sentences on the passenger-car equivalents: the factors, or where and why there are none."""
-    crossed = {side: rows for side, rows in whole.items() if rows[ALL].count}
-    without = [side_name(side) for side, rows in crossed.items() if rows[ALL].pce is None]
+    crossed = {side: rows for side, rows in whole.items() if rows[ALL_CLASSES].count}
+    without = [side_name(side) for side, rows in crossed.items() if rows[ALL_CLASSES].pce is None]
     why = "fewer than half of the vehicles there have a known class"
     if len(without) == len(crossed):
         if not crossed:
@@ -132,27 +132,27 @@ def _by_interval(
     cells: dict[tuple[GateDirection, float, str], Count] = {
         ((row.gate, row.direction), row.interval.begin_s, row.class_name): row
         for row in report.counts
-        if row.lane == ALL
+        if row.lane == ALL_CLASSES
     }
     for side, totals in whole.items():
-        if not totals[ALL].count:
+        if not totals[ALL_CLASSES].count:
             continue
         classes = [name for name in report.site.traffic.classes if totals[name].count]
         own = [{name: cells[side, one.begin_s, name] for name in (*groups, *classes)} for one in intervals]
-        has_pce = totals[ALL].pce is not None
+        has_pce = totals[ALL_CLASSES].pce is not None
         rows = [
             [
-                _observed_label(report, interval, row[ALL]),
+                _observed_label(report, interval, row[ALL_CLASSES]),
                 *(with_interval(row[name]) for name in groups),
                 *(count_text(row[name]) for name in classes),
-                *([_pce_text(row[ALL])] if has_pce else []),
+                *([_pce_text(row[ALL_CLASSES])] if has_pce else []),
             ]
             for interval, row in zip(intervals, own, strict=True)
         ]
         foot = [
             "whole footage",
             *(with_interval(totals[name]) for name in (*groups, *classes)),
-            *([_pce_text(totals[ALL])] if has_pce else []),
+            *([_pce_text(totals[ALL_CLASSES])] if has_pce else []),
         ]
         head = ["from", *map(_heading, (*groups, *classes)), *(["PCE"] if has_pce else [])]
         more = "" if len(report.intervals) <= _MAX_INTERVALS else f", the first {_MAX_INTERVALS} intervals"
@@ -172,7 +172,7 @@ def _observed_label(report: TrafficReport, interval: ClockInterval, row: Count) 
 
 def all_by_interval(report: TrafficReport) -> str:
     """Counts of all by interval: a row per interval, a column per gate and direction; empty for one interval."""
-    own = [row for row in report.counts if (row.lane, row.class_name) == (ALL, ALL)]
+    own = [row for row in report.counts if (row.lane, row.class_name) == (ALL_CLASSES, ALL_CLASSES)]
     sides = list(dict.fromkeys((row.gate, row.direction) for row in own))
     if len(report.intervals) < 2 or not sides:
         return ""

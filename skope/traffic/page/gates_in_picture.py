@@ -10,7 +10,7 @@ import numpy as np
 from skope.camera.model import Camera
 from skope.page.html_pieces import tag
 from skope.traffic.count_uncertainty import in_words
-from skope.traffic.gate_counts import ALL, Count
+from skope.traffic.gate_counts import ALL_CLASSES, Count
 from skope.traffic.page.count_tables import count_text, side_name
 from skope.traffic.page.hand_count import view_of_gates
 from skope.traffic.road_picture import EmptyRoadPicture
@@ -45,7 +45,7 @@ def gates_in_picture(report: TrafficReport, picture: EmptyRoadPicture | None, ca
         return ""
     scale = _WIDTH / picture.size[0]
     height = picture.size[1] * scale
-    totals = [row for row in report.counts_total if row.class_name == ALL]
+    totals = [row for row in report.counts_total if row.class_name == ALL_CLASSES]
     letters = {(row.gate, row.direction): _letter(k) for k, row in enumerate(totals)}
     parts = [
         tag(

@@ -20,9 +20,9 @@ from skope.site.gates_zones_lanes import Gate
 from skope.site.traffic_settings import CLASSES, UNKNOWN
 from skope.traffic.counting_intervals import ClockInterval
 from skope.traffic.exports.otanalytics_view import OtView, image_view, pixel_view
-from skope.traffic.gate_counts import ALL
+from skope.traffic.gate_counts import ALL_CLASSES
 from skope.traffic.gates import direction_names, normal_of
-from skope.traffic.speeds import MOTOR, MOTOR_CLASSES
+from skope.traffic.speeds import MOTOR_CLASSES, MOTOR_TRAFFIC
 from skope.traffic.traffic_report import TrafficReport
 from skope.types import Array
 
@@ -66,7 +66,11 @@ def hand_count_data(report: TrafficReport, camera: Camera | None) -> dict[str, A
 def _kinds(report: TrafficReport) -> list[list[str]]:
     """Names of what can be counted, and the letters of the classes in each."""
     classes = report.site.traffic.classes
-    whole = {ALL: frozenset(CLASSES), MOTOR: MOTOR_CLASSES, **{name: frozenset({name}) for name in classes}}
+    whole = {
+        ALL_CLASSES: frozenset(CLASSES),
+        MOTOR_TRAFFIC: MOTOR_CLASSES,
+        **{name: frozenset({name}) for name in classes},
+    }
     return [
         [name, "".join(LETTERS[one] for one in CLASSES if one in members)]
         for name, members in whole.items()

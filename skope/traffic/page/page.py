@@ -15,10 +15,10 @@ from skope.page import html_document
 from skope.page.html_pieces import details, table, tag
 from skope.schema import VEHICLE
 from skope.terminal.console import counted
-from skope.tracks.track import KMH
+from skope.tracks.track import KMH_PER_MPS
 from skope.traffic.count_uncertainty import in_words
 from skope.traffic.left_out_crossings import left_out_crossings
-from skope.traffic.length_bins import LONGEST_M, UNTOLD
+from skope.traffic.length_bins import LENGTH_MODEL, NO_BIN
 from skope.traffic.normal_distribution import INTERVAL_SIGMAS
 from skope.traffic.page.charts import (
     counts_over_time,
@@ -38,7 +38,7 @@ from skope.traffic.page.hand_count import hand_count_panel
 from skope.traffic.page.road_map import road_map
 from skope.traffic.report_tables import clock
 from skope.traffic.road_picture import EmptyRoadPicture, RoadPicture
-from skope.traffic.speeds import MOTOR, PERCENTILES, Percentile
+from skope.traffic.speeds import MOTOR_TRAFFIC, SPEED_PERCENTILES, Percentile
 from skope.traffic.traffic_report import TrafficReport
 from skope.traffic.turning_movements import TurningCount
 from skope.version import __version__
@@ -160,14 +160,18 @@ def _lengths(report: TrafficReport) -> str:
     cells: dict[tuple[str, str], list[str]] = {}
     for one in report.lengths_total:
         number = "–" if one.count is None else str(one.count)
-        bounds = "" if one.bin_name == UNTOLD else f" <small>{in_words(one.expected)}</small>"
+        bounds = "" if one.bin_name == NO_BIN else f" <small>{in_words(one.expected)}</small>"
         cells.setdefault((one.gate, one.direction), []).append(number + bounds)
     if not any(one.count for one in report.lengths_total):
         return ""
     first, second = report.site.traffic.length_bins_m
     head = ["gate", f"short, up to {first:g} m", f"medium, up to {second:g} m", "long", "not sure"]
     rows = [[escape(f"{gate} ({direction})"), *own] for (gate, direction), own in cells.items()]
-    untold = f"; of those over {LONGEST_M:g} m that is not known" if second >= LONGEST_M else ""
+    untold = (
+        f"; of those over {LENGTH_MODEL.longest_measured_m:g} m that is not known"
+        if second >= LENGTH_MODEL.longest_measured_m
+        else ""
+    )
     return table(head, rows, caption=f"Vehicles by length, with 90% intervals{untold}")
 
 
@@ -188,14 +192,14 @@ def _speeds(report: TrafficReport) -> str:
             [
                 escape(one.where.replace(" -> ", " → ")),
                 *(escape(one.kind), escape(one.class_name), str(one.number)),
-                *(_speed(one.percentiles[name]) for name in PERCENTILES),
+                *(_speed(one.percentiles[name]) for name in SPEED_PERCENTILES),
             ]
             for one in groups
-            if (one.class_name == MOTOR) == together
+            if (one.class_name == MOTOR_TRAFFIC) == together
         ]
         for together in (True, False)
     )
-    head = ["where", "kind", "class", "vehicles", *(f"{name}, km/h" for name in PERCENTILES)]
+    head = ["where", "kind", "class", "vehicles", *(f"{name}, km/h" for name in SPEED_PERCENTILES)]
     caption = "Speeds with enough vehicles (the others are in speeds.csv)"
     shown = table(head, rows, caption=caption) if rows else ""
     return shown + (details("By class", table(head, of_classes, caption="Speeds by class")) if of_classes else "")
@@ -204,7 +208,7 @@ def _speeds(report: TrafficReport) -> str:
 def _speed(one: Percentile) -> str:
     if one.value is None or one.low is None or one.high is None:
         return "–"
-    return f"{one.value * KMH:.1f} <small>{one.low * KMH:.1f} to {one.high * KMH:.1f}</small>"
+    return f"{one.value * KMH_PER_MPS:.1f} <small>{one.low * KMH_PER_MPS:.1f} to {one.high * KMH_PER_MPS:.1f}</small>"
 
 
 def _left_out(report: TrafficReport) -> list[str]:

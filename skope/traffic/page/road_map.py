@@ -13,7 +13,7 @@ from skope.schema import PEDESTRIAN, VEHICLE
 from skope.site.gates_zones_lanes import Outline
 from skope.tracks.track import Track
 from skope.traffic.count_uncertainty import in_words
-from skope.traffic.gate_counts import ALL
+from skope.traffic.gate_counts import ALL_CLASSES
 from skope.traffic.gates import may_count
 from skope.traffic.report_tables import thinned
 from skope.traffic.road_picture import RoadPicture
@@ -147,7 +147,7 @@ def _gate(report: TrafficReport, frame: _Frame, name: str, line: Outline) -> Ite
     told = [
         (one.direction, one.count or 0, in_words(one.expected))
         for one in report.counts_total
-        if one.gate == name and one.class_name == ALL
+        if one.gate == name and one.class_name == ALL_CLASSES
     ]
     tip = f"{name}: " + "; ".join(f"{direction} {count} ({bounds})" for direction, count, bounds in told)
     yield tag("path", d=f"M{ax:.1f} {ay:.1f}L{bx:.1f} {by:.1f}", class_="gate", data_tip=tip)

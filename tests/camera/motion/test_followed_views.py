@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from skope.camera.motion.followed_views import with_homographies
 from skope.camera.motion.view_changes import ViewChange
-from skope.camera.motion.view_registration import MOVING, read_views, register, transformed, view_numbers
+from skope.camera.motion.view_registration import REGISTRATION, read_views, register, transformed, view_numbers
 from skope.dataset import coco
 from skope.keypoints import SKOPE33
 from skope.schema import AnnotationFile, Image
@@ -56,7 +56,14 @@ def test_a_knocked_camera_is_followed_from_where_it_stands_still(tmp_path: Path)
     (first, second) = read_views("a", {"view_changes": [change.to_dict()]})
     assert second.from_first is not None
     assert second.from_first.matrix == pytest.approx(change.from_first.matrix)
-    assert view_numbers([first, second], [0.0, 2.9, 3.0, 3.5, 3.6, 9.0]).tolist() == [0, 0, MOVING, MOVING, 1, 1]
+    assert view_numbers([first, second], [0.0, 2.9, 3.0, 3.5, 3.6, 9.0]).tolist() == [
+        0,
+        0,
+        REGISTRATION.moving_view,
+        REGISTRATION.moving_view,
+        1,
+        1,
+    ]
 
 
 def test_views_are_followed_past_a_cut_to_another_scene(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ from skope.camera.motion.image_shift import small_grey
 from skope.camera.motion.view_changes import Looks
 from skope.dataset.folder import read_image
 from skope.schema import Image
-from skope.traffic.report_remarks import DARK, FLAT
+from skope.traffic.report_remarks import REMARK_LIMITS
 
 DOCS = Path(__file__).parents[3] / "docs"
 
@@ -20,12 +20,12 @@ def test_pictures_in_which_vehicles_are_told_are_neither_dark_nor_flat(name: str
     """Nor is the docs' fog, nor a night with lamps; the same without light, or through much thicker fog, is."""
     picture = read_image(DOCS / name).astype(np.float64)
     brightness, contrast = brightness_and_contrast(small_grey(picture.astype(np.uint8)))
-    assert brightness > DARK
-    assert contrast > FLAT
+    assert brightness > REMARK_LIMITS.dark
+    assert contrast > REMARK_LIMITS.flat
     unlit, _ = brightness_and_contrast(small_grey((0.1 * picture).astype(np.uint8)))
-    assert unlit < DARK
+    assert unlit < REMARK_LIMITS.dark
     _, hidden = brightness_and_contrast(small_grey((210 + 0.03 * picture).astype(np.uint8)))
-    assert hidden < FLAT
+    assert hidden < REMARK_LIMITS.flat
 
 
 def test_squares_of_a_checkerboard() -> None:
