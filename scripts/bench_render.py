@@ -117,7 +117,7 @@ class Peer:
         self.vehicles: dict[int, list[list[int]]] = {}
 
     def add(self, mesh: Any) -> list[int]:
-        from skope.gen.render.materials import MATERIALS
+        from skope.gen.render.materials import MATERIAL_COLORS
 
         bodies = []
         for material, part in mesh.by_material().items():
@@ -130,7 +130,7 @@ class Peer:
                 shape = self.engine.createVisualShape(
                     self.engine.GEOM_MESH,
                     fileName=file.name,
-                    rgbaColor=[*MATERIALS.get(material, (0.5, 0.5, 0.5)), 1],
+                    rgbaColor=[*MATERIAL_COLORS.get(material, (0.5, 0.5, 0.5)), 1],
                     physicsClientId=self.client,
                 )
             bodies.append(self.engine.createMultiBody(0, -1, shape, physicsClientId=self.client))
@@ -149,16 +149,16 @@ class Peer:
                     )
 
     def draw(self) -> None:
-        from skope.gen.render.pixel_windows import CLIP_DEPTH_M
-        from skope.gen.render.tiny_renderer import TINY_FAR_PLANE_M
+        from skope.gen.render.pixel_windows import WINDOW_LIMITS
+        from skope.gen.render.tiny_renderer import TINY_LIMITS
 
         camera = self.recording.camera
         width, height, f = camera.width, camera.height, camera.K[0, 0]
         projection = np.zeros((4, 4))
         projection[0, 0], projection[1, 1] = 2 * f / width, 2 * f / height
         projection[2, 2:] = (
-            -(TINY_FAR_PLANE_M + CLIP_DEPTH_M) / (TINY_FAR_PLANE_M - CLIP_DEPTH_M),
-            -2 * TINY_FAR_PLANE_M * CLIP_DEPTH_M / (TINY_FAR_PLANE_M - CLIP_DEPTH_M),
+            -(TINY_LIMITS.far_m + WINDOW_LIMITS.clip_depth_m) / (TINY_LIMITS.far_m - WINDOW_LIMITS.clip_depth_m),
+            -2 * TINY_LIMITS.far_m * WINDOW_LIMITS.clip_depth_m / (TINY_LIMITS.far_m - WINDOW_LIMITS.clip_depth_m),
         )
         projection[3, 2] = -1
         view = np.diag([1.0, -1.0, -1.0, 1.0]) @ camera.T_camera_world

@@ -28,7 +28,7 @@ from skope.gen.labels.world_keypoints import LOCALIZERS
 from skope.gen.output.frames import SUFFIX_OF_FORMAT
 from skope.gen.output.writers import DATASET_FORMATS
 from skope.gen.pipeline.config import presets
-from skope.gen.render.choose_renderer import RENDERERS
+from skope.gen.render.choose_renderer import RENDERER_CHOICES
 from skope.gen.scene.conditions import TIMES_OF_DAY
 from skope.metrics.keypoint_outcomes import LABELLED, PROTOCOLS
 from skope.metrics.match import BOX_KINDS
@@ -151,7 +151,7 @@ def test_brackets_are_shown(skope: Any, monkeypatch: pytest.MonkeyPatch) -> None
 
 CHOSEN = {
     "--preset": tuple(presets()),
-    "--renderer": RENDERERS,
+    "--renderer": RENDERER_CHOICES,
     "--localizer": LOCALIZERS,
     "--occlusion-rule": OCCLUSION_RULES,
     "--image-format": tuple(SUFFIX_OF_FORMAT),
@@ -301,7 +301,7 @@ def test_the_shell_gets_a_script_that_asks_skope() -> None:
         ("skope e", ["eval"]),
         ("skope gen vehicles ", ["list", "check", "show", "add", "remove"]),
         ("skope gen --ren", ["--renderer"]),
-        ("skope gen --renderer ", list(RENDERERS)),
+        ("skope gen --renderer ", list(RENDERER_CHOICES)),
         ("skope eval --boxes g", ["given"]),
     ],
 )

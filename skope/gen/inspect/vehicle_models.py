@@ -17,7 +17,7 @@ from skope.gen.labels.world_keypoints import trilaterate
 from skope.gen.render.choose_renderer import make_renderer
 from skope.gen.scene.conditions import Conditions
 from skope.gen.scene.recording import RecordedVehicle, Recording
-from skope.gen.scenery.build import STUDIO
+from skope.gen.scenery.build import STUDIO_TOWN
 from skope.gen.vehicles import trailer_motion
 from skope.gen.vehicles.fleet import class_ranges
 from skope.gen.vehicles.model import Vehicle, straight_lwh, straight_mesh
@@ -286,8 +286,8 @@ def parked_recording(vehicle: Vehicle, camera: Camera, bend: float = 0.0) -> Rec
     wheels = np.tile(np.eye(4), (1, 4, 1, 1))
     wheels[0, :, :3, 3] = vehicle.shape.wheel_centers()
     return Recording(
-        town=STUDIO,
-        site=STUDIO.name,
+        town=STUDIO_TOWN,
+        site=STUDIO_TOWN.name,
         name="00",
         split="extra",
         camera=camera,

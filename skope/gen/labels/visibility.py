@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from skope.camera.model import Camera
 from skope.gen.labels.raycast import RayCaster
 from skope.gen.labels.world_keypoints import WorldKeypoints
-from skope.gen.render.frame import STATIC, RenderedFrame
+from skope.gen.render.frame import STATIC_ID, RenderedFrame
 from skope.gen.scene.recording import Moment, body_of
 from skope.types import Array, Mask
 
@@ -91,15 +91,15 @@ def find_hidden(
     edge = (blocked != blocked[0]).any(axis=0) | (shown != shown[0]).any(axis=0)
     # A wheel's centre may be inside the image while the middle of its face, which is tested, is not.
     beyond = inside & np.isnan(gap[0])
-    doubtful = (edge & ~(blocked[0] & (shown[0] == STATIC))) | beyond
+    doubtful = (edge & ~(blocked[0] & (shown[0] == STATIC_ID))) | beyond
     if doubtful.any():
         points = world.tested[doubtful]
         away = np.linalg.norm(points - camera.position, axis=-1)
         hits = RayCaster(moment, [body_of(recorded) for recorded in moment.vehicles], camera).first_hits(points)
         hidden[doubtful] = away - hits > POINT_TOLERANCE
-        hidden |= blocked.all(axis=0) & (shown == STATIC).any(axis=0)
+        hidden |= blocked.all(axis=0) & (shown == STATIC_ID).any(axis=0)
     if beyond.any():
         # No ray meets scenery: the pixel of the wheel's centre shows it, which its own face is before.
         to_center, at_center = behind(view, camera, world.points[beyond])
-        hidden[beyond] |= (at_center[0] == STATIC) & (to_center[0] > VEHICLE_TOLERANCE)
+        hidden[beyond] |= (at_center[0] == STATIC_ID) & (to_center[0] > VEHICLE_TOLERANCE)
     return hidden

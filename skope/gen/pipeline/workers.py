@@ -20,7 +20,7 @@ from skope.gen.output.frames import Encoding, frames_of
 from skope.gen.pipeline.dataset_store import Store
 from skope.gen.render.choose_renderer import make_renderer
 from skope.gen.render.frame import Renderer
-from skope.gen.render.gl.context import WORKER
+from skope.gen.render.gl.context import WORKER_VARIABLE
 from skope.gen.scene import recording as recordings
 from skope.gen.scene.recording import Recording, RecordingInfo, RecordingPlan
 from skope.gen.simulation.simulate import simulate_together
@@ -322,7 +322,7 @@ def _start_worker(number: int, lit_sites: "SimpleQueue[str]") -> None:
     _lit_sites = lit_sites
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     one_thread()
-    os.environ[WORKER] = str(number)
+    os.environ[WORKER_VARIABLE] = str(number)
     parent = parent_process()
     assert parent is not None
 

@@ -2,7 +2,7 @@
 electronics and stream do, which is text, less resolution, processing and compression."""
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from datetime import date, timedelta
 from functools import lru_cache
 from typing import Final
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from skope.gen.render.frame import RenderedFrame, Renderer
 from skope.gen.render.lens import Lens, LensDirt
-from skope.gen.render.night_camera import BLOTCHES_PX, denoised
+from skope.gen.render.night_camera import NIGHT_SENSOR, denoised
 from skope.gen.render.rain_and_snow import Rain, Snowfall
 from skope.gen.render.screen_graphics import ScreenGraphics
 from skope.gen.scene.conditions import DARK_DEG, Conditions
@@ -21,12 +21,29 @@ from skope.gen.scene.random_streams import Stream
 from skope.gen.scene.recording import Recording
 from skope.types import Pixels
 
-_CONTRAST_PIVOT: Final = 118.0
-"""The value that contrast leaves as it is, of 255: that of a surface which returns 18% of the light."""
+
+@dataclass(frozen=True)
+class StreamEffects:
+    """Numerical limits of the camera's effects."""
+
+    contrast_pivot: float = 118.0
+    """Value that contrast leaves unchanged, of 255: that of a surface which reflects 18% of the light."""
+    detail_px: float = 1.2
+    """Standard deviation of the Gaussian that separates the finest detail, pixels of the stream."""
+    overlay_year: int = 2025
+    """Year in overlaid dates."""
+    least_noise: float = 0.3
+    """Noise of rounding to whole values, standard deviation."""
+    table_slack: int = 256
+    """Entries of the tone table beyond its range."""
+    rounding: int = 2
+    """Difference up to which a pixel was not drawn over, of 255."""
+
+
+STREAM_EFFECTS: Final = StreamEffects()
+
 _GREY_WEIGHTS: Final = np.array([0.299, 0.587, 0.114])
 """Weights of red, green and blue in a pixel's brightness (ITU-R BT.601)."""
-_DETAIL_PX: Final = 1.2
-"""Standard deviation of the Gaussian that the finest detail is told apart by, pixels of the stream."""
 
 
 def processed(rgb: Pixels, conditions: Conditions) -> Pixels:
@@ -37,14 +54,14 @@ def processed(rgb: Pixels, conditions: Conditions) -> Pixels:
         grey = np.broadcast_to(_GREY_WEIGHTS, (3, 3))
         rgb = _as_image(cv2.transform(rgb, conditions.saturation * (np.eye(3) - grey) + grey))
     if conditions.sharpening:
-        smooth = cv2.GaussianBlur(rgb, (0, 0), _DETAIL_PX)
+        smooth = cv2.GaussianBlur(rgb, (0, 0), STREAM_EFFECTS.detail_px)
         rgb = _as_image(cv2.addWeighted(rgb, 1 + conditions.sharpening, smooth, -conditions.sharpening, 0))
     return rgb
 
 
 def _tones(contrast: float, black_level: float) -> Pixels:
     """(256,) what each value of the sensor's picture is shown as."""
-    values = _CONTRAST_PIVOT + contrast * (np.arange(256) - _CONTRAST_PIVOT)
+    values = STREAM_EFFECTS.contrast_pivot + contrast * (np.arange(256) - STREAM_EFFECTS.contrast_pivot)
     lifted = black_level + (1 - black_level / 255) * np.clip(values, 0, 255)
     return np.asarray(np.rint(lifted), dtype=np.uint8)
 
@@ -53,7 +70,6 @@ def _as_image(rgb: object) -> Pixels:
     return np.asarray(rgb, dtype=np.uint8)
 
 
-_OVERLAY_YEAR: Final = 2025
 _LABEL_FONT: Final = cv2.FONT_HERSHEY_SIMPLEX
 
 
@@ -83,7 +99,7 @@ def _write_overlay_text(rgb: Pixels, recording: Recording, frame: int) -> None:
     height, width = rgb.shape[:2]
     conditions = recording.conditions
     seconds = round(3600 * conditions.hour + float(recording.times_s[frame]))
-    day = date(_OVERLAY_YEAR, 1, 1) + timedelta(days=int(conditions.day) - 1 + seconds // 86400)
+    day = date(STREAM_EFFECTS.overlay_year, 1, 1) + timedelta(days=int(conditions.day) - 1 + seconds // 86400)
     clock = f"{seconds // 3600 % 24:02d}:{seconds // 60 % 60:02d}:{seconds % 60:02d}"
     scale, margin = width / 1920 * 1.3, round(0.02 * width)
     line = max(1, round(2 * scale))
@@ -95,13 +111,6 @@ def _write_overlay_text(rgb: Pixels, recording: Recording, frame: int) -> None:
         for dx, dy in ((-line, 0), (line, 0), (0, -line), (0, line)):
             cv2.putText(rgb, text, (margin + dx, y + dy), _LABEL_FONT, scale, (20, 20, 20), line, cv2.LINE_AA)
         cv2.putText(rgb, text, (margin, y), _LABEL_FONT, scale, (245, 245, 245), line, cv2.LINE_AA)
-
-
-LEAST_NOISE: Final = 0.3
-"""Rounding to whole values is noise of this standard deviation already."""
-_TABLE_SLACK: Final = 256
-_ROUNDING: Final = 2
-"""A picture that differs by less was not drawn over, of 255."""
 
 
 class Sensor:
@@ -128,7 +137,7 @@ class Sensor:
             view = self._lens.bend(view)
         if self._recording.photograph is not None and self._bent is not None:
             # The photograph itself where nothing was drawn over it, for going through two warps blurs it.
-            untouched = cv2.absdiff(view.rgb, self._bent).max(axis=-1, keepdims=True) <= _ROUNDING
+            untouched = cv2.absdiff(view.rgb, self._bent).max(axis=-1, keepdims=True) <= STREAM_EFFECTS.rounding
             view = replace(view, rgb=np.where(untouched, self._recording.photograph, view.rgb))
         conditions = self._recording.conditions
         rgb = self._dirt.soil(self._snowfall.fall(self._rain.fall(view.rgb, frame), frame))
@@ -163,15 +172,15 @@ def hidden_below(conditions: Conditions, sigma: float | None = None) -> float:
     quality, step = conditions.compression_quality, 0.0
     if quality < 100:
         step = 2 * (50 / quality if quality < 50 else 2 - quality / 50) / conditions.contrast
-    return max(sigma_of(conditions) if sigma is None else sigma, LEAST_NOISE, step)
+    return max(sigma_of(conditions) if sigma is None else sigma, STREAM_EFFECTS.least_noise, step)
 
 
 @lru_cache(maxsize=2)
 def _standard_noise(height: int, width: int, channels: int) -> NDArray[np.float32]:
-    """(height, width, channels) independent noise of standard deviation 1, for an image and `_TABLE_SLACK` pixels
-    more."""
+    """(height, width, channels) independent noise of standard deviation 1, for an image and
+    `STREAM_EFFECTS.table_slack` pixels more."""
     return np.random.default_rng(5).standard_normal(
-        (height + _TABLE_SLACK, width + _TABLE_SLACK, channels), dtype=np.float32
+        (height + STREAM_EFFECTS.table_slack, width + STREAM_EFFECTS.table_slack, channels), dtype=np.float32
     )
 
 
@@ -192,7 +201,8 @@ def _left_noise(height: int, width: int, mono: bool, blotches_px: float) -> NDAr
 
 @lru_cache(maxsize=2)
 def _noise_field(height: int, width: int, sigma: float, gain_db: float, mono: bool) -> NDArray[np.uint8]:
-    """(2, height, width, 3) what noise adds and takes, for an image and `_TABLE_SLACK` pixels more on each axis.
+    """(2, height, width, 3) what noise adds and takes, for an image and `STREAM_EFFECTS.table_slack` pixels more on
+    each axis.
 
     With gain more and more of it is in blotches, as cameras smooth the finest of it away; `mono` has no colours.
     """
@@ -224,7 +234,7 @@ def with_noise(clean: NDArray[np.uint8], recording: Recording, frame: int) -> ND
 
 def _noise_window(clean: NDArray[np.uint8], recording: Recording, frame: int) -> tuple[slice, slice]:
     """Rows and columns of the noise that this frame has, in a field larger than the image."""
-    y, x = recording.rng(Stream.SENSOR_NOISE, frame).integers(0, _TABLE_SLACK, 2)
+    y, x = recording.rng(Stream.SENSOR_NOISE, frame).integers(0, STREAM_EFFECTS.table_slack, 2)
     height, width = clean.shape[:2]
     return slice(y, y + height), slice(x, x + width)
 
@@ -234,7 +244,7 @@ def with_metered_noise(
 ) -> NDArray[np.uint8]:
     """(H, W, 3) with noise of this frame whose standard deviation, (256,), follows from each pixel's value."""
     conditions = recording.conditions
-    blotches_px = BLOTCHES_PX if conditions.denoising > 0 else 0.0
+    blotches_px = NIGHT_SENSOR.blotches_px if conditions.denoising > 0 else 0.0
     field = _left_noise(*clean.shape[:2], grey(conditions), blotches_px)
     own = cv2.multiply(cv2.LUT(clean, noise), field[_noise_window(clean, recording, frame)])
     return np.asarray(cv2.add(clean, own, dtype=cv2.CV_8U), dtype=np.uint8)

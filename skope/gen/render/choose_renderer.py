@@ -8,14 +8,14 @@ from skope.errors import UserError, one_of
 from skope.gen.render.frame import Renderer
 from skope.gen.scene.recording import Recording
 
-RENDERERS: Final = ("auto", "gl", "pybullet")
+RENDERER_CHOICES: Final = ("auto", "gl", "pybullet")
 
 
 def choose_renderer(name: str) -> tuple[str, str, str]:
     """Resolve a `--renderer` flag.
 
     Args:
-        name: One of `RENDERERS`. "auto" is "gl" where an OpenGL context can be created, else "pybullet".
+        name: One of `RENDERER_CHOICES`. "auto" is "gl" where an OpenGL context can be created, else "pybullet".
 
     Returns:
         "gl" or "pybullet"; the driver that it draws with (pixels are the same on the same driver only); a sentence
@@ -24,7 +24,7 @@ def choose_renderer(name: str) -> tuple[str, str, str]:
     Raises:
         UserError: There is no such renderer, or "gl" is asked for and no OpenGL context can be created.
     """
-    if one_of("--renderer", name, RENDERERS) == "pybullet":
+    if one_of("--renderer", name, RENDERER_CHOICES) == "pybullet":
         return "pybullet", "TinyRenderer", "renderer pybullet"
     from skope.gen.render.gl.renderer import device
 

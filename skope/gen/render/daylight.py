@@ -12,22 +12,33 @@ from skope.types import Array
 _OPTICAL_DEPTH: Final = np.array([0.12, 0.19, 0.34])
 """Vertical optical depth of clear air with some haze at red, green and blue, after the 1976 US standard atmosphere and
 25 km of visibility."""
-_TWILIGHT_DEG: Final = 4.5
-"""Degrees that the sun must sink below the horizon for the sky to fade to a tenth."""
-_NIGHT_SKY: Final = 0.0004
-"""Light of the night sky as a share of the sky's at sunset."""
-_CITY_GLOW: Final = 0.000005
-"""Radiance of the air over a town for each unit of a street light's intensity: 0.003 to 0.04 cd/m2 at the horizon."""
-_BOUNCED: Final = 0.00024
-"""Mean radiance of walls, trees and road around a place for each unit of a street light's intensity."""
-_AIRLIGHT: Final = 0.06
-"""Share of the lamps' light on the road with which the air between them shines."""
-_DIM: Final = 0.24
-"""Stops by which an automatic exposure leaves a picture darker than by day, for each stop that the scene is darker."""
-_SNOW_DIMS: Final = 1.4
-"""Share by which an automatic exposure finds a street under snow brighter than another."""
-_FULL_LIGHT: Final = 2.0
-"""Irradiance on the ground from which on it does not."""
+
+
+@dataclass(frozen=True)
+class SkyLight:
+    """Light of sky, city and snow, and how an automatic exposure follows it."""
+
+    twilight_deg: float = 4.5
+    """Degrees that the sun must sink below the horizon for the sky to fade to a tenth."""
+    night_sky: float = 0.0004
+    """Light of the night sky as a share of the sky's at sunset."""
+    city_glow: float = 0.000005
+    """Radiance of the air over a town for each unit of a street light's intensity: 0.003 to 0.04 cd/m2 at the
+    horizon."""
+    bounced: float = 0.00024
+    """Mean radiance of walls, trees and road around a place for each unit of a street light's intensity."""
+    airlight: float = 0.06
+    """Share of the lamps' light on the road with which the air between them shines."""
+    dim_stops: float = 0.24
+    """Stops by which an automatic exposure leaves a picture darker than by day, for each stop that the scene is
+    darker."""
+    snow_dims: float = 1.4
+    """Share by which an automatic exposure finds a street under snow brighter than another."""
+    full_light: float = 2.0
+    """Irradiance on the ground from which an automatic exposure keeps the full brightness."""
+
+
+SKY_LIGHT: Final = SkyLight()
 
 
 def temperature_color(kelvin: float) -> Array:
@@ -88,8 +99,8 @@ class Daylight:
         mass = 1 / (math.sin(elevation) + 0.50572 * (degrees + 6.07995) ** -1.6364)
         risen = max(float(np.clip((height - DARK_DEG) / 3, 0, 1)), 1e-6)
         through = risen * np.exp(-_OPTICAL_DEPTH * mass)
-        dusk = 10 ** (min(height - 2.0, 0.0) / _TWILIGHT_DEG)
-        day = math.sin(elevation) ** 0.6 * max(dusk, _NIGHT_SKY)
+        dusk = 10 ** (min(height - 2.0, 0.0) / SKY_LIGHT.twilight_deg)
+        day = math.sin(elevation) ** 0.6 * max(dusk, SKY_LIGHT.night_sky)
         grey = day * np.array([0.92, 0.97, 1.03])
         # Scattered clouds leave the sun alone; a closed cover spreads what is left of it around the zenith.
         share = float(np.clip((conditions.clouds - 0.5) / 0.5, 0, 1))
@@ -99,10 +110,10 @@ class Daylight:
         overcast = conditions.clouds > OVERCAST
         dark = height < DARK_DEG
         street_light = float(dark) * conditions.street_lighting * 9.0 * temperature_color(conditions.street_light_k)
-        city = street_light * _CITY_GLOW * np.array([1.0, 0.9, 0.8])
+        city = street_light * SKY_LIGHT.city_glow * np.array([1.0, 0.9, 0.8])
         # It is at its strongest when the sun has just set.
         sunset = math.exp(-((height / 4.0) ** 2)) * max(dusk, 0.02) * (1 - closed)
-        stops = 2**conditions.exposure_ev / (1 + _SNOW_DIMS * conditions.snow_cover)
+        stops = 2**conditions.exposure_ev / (1 + SKY_LIGHT.snow_dims * conditions.snow_cover)
         white = temperature_color(6500.0) / temperature_color(conditions.white_balance_k)
         return cls(
             sun_direction=np.array([0.0, 0.0, 1.0]) if overcast or dark else direction,
@@ -117,7 +128,7 @@ class Daylight:
             haze_density=-math.log(0.05) / conditions.visibility_m,
             gains=stops * white / (white @ [0.2126, 0.7152, 0.0722]),
             vignetting=conditions.vignetting,
-            bounced=street_light * _BOUNCED,
+            bounced=street_light * SKY_LIGHT.bounced,
         )
 
     def sky(self, direction: Array) -> Array:
@@ -145,7 +156,7 @@ class Daylight:
     @property
     def haze(self) -> Array:
         """(3,) radiance of the air, which lamps light too."""
-        return np.asarray(self.horizon + _AIRLIGHT * self.lamplight / math.pi)
+        return np.asarray(self.horizon + SKY_LIGHT.airlight * self.lamplight / math.pi)
 
     @property
     def exposure(self) -> Array:
@@ -153,5 +164,5 @@ class Daylight:
         grey, or somewhat below that when there is little light.
         """
         light = float(self.ground_irradiance.mean())
-        dim = min(light / _FULL_LIGHT, 1.0) ** _DIM
+        dim = min(light / SKY_LIGHT.full_light, 1.0) ** SKY_LIGHT.dim_stops
         return np.asarray(self.gains * dim * 0.19 / (0.18 * light / math.pi))

@@ -6,9 +6,9 @@ from typing import Final, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-SKY: Final = -1
+SKY_ID: Final = -1
 """Id of pixels that show the sky."""
-STATIC: Final = 0
+STATIC_ID: Final = 0
 """Id of pixels that show the ground or scenery."""
 
 
@@ -38,7 +38,7 @@ class RenderedFrame:
     slope: NDArray[np.float32]
     """(H, W, 2) change of depth per pixel to the right and down on the surface shown, metres."""
     ids: NDArray[np.int32]
-    """(H, W) `SKY`, `STATIC`, or i + 1 for the moment's i-th road user."""
+    """(H, W) `SKY_ID`, `STATIC_ID`, or i + 1 for the moment's i-th road user."""
     silhouettes: tuple[Silhouette, ...]
     """N silhouettes, in the order of the moment's road users."""
     contrast: NDArray[np.float64]

@@ -4,6 +4,7 @@ It is worked out on a grid coarser than the image, in linear light as the camera
 """
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Final
 
@@ -19,22 +20,32 @@ from skope.gen.scene.recording import Moment
 from skope.gen.scenery.build import Scenery
 from skope.types import Array
 
-GLARE_CELL_PX: Final = 4
-"""Pixels of the image per cell of the grid, on each axis."""
-HAZE_GLARE_M: Final = 2000.0
-"""Lamps glare by day too when the visibility is below this, metres."""
-_STREET_LIGHT: Final = 0.9
-_SIGNAL: Final = 0.4
-_SMEARED: Final = 6.0
-"""Share of lamps' glare that dirty glass spreads far around them, as a factor on its mean there."""
-_FAR_WIDTHS: Final = 0.06
-"""That distance, as a share of the image's width."""
-_FULL: Final = 15.0
-"""Distance up to which lamps glare at their strongest, metres."""
-_LEAST_GLARE: Final = 0.006
-"""Glare that is weaker than this after exposure is not drawn."""
-_SURFACE_SLACK_M: Final = 0.35
-"""Distance by which the surface shown there may be nearer than a lamp without hiding it, metres."""
+
+@dataclass(frozen=True)
+class GlareStrengths:
+    """Glare of lamps by day."""
+
+    cell_px: int = 4
+    """Pixels of the image per cell of the grid, on each axis."""
+    haze_visibility_m: float = 2000.0
+    """Visibility below which lamps glare by day too, metres."""
+    street_light: float = 0.9
+    """Glare of a street light."""
+    signal: float = 0.4
+    """Glare of a traffic signal."""
+    smear_factor: float = 6.0
+    """Share of lamps' glare that dirty glass spreads far around them, as a factor on its mean there."""
+    far_widths: float = 0.06
+    """Distance over which dirty glass spreads glare, as a share of the image's width."""
+    full_within_m: float = 15.0
+    """Distance up to which lamps glare at their strongest, metres."""
+    least_glare: float = 0.006
+    """Glare that is weaker than this after exposure is not drawn."""
+    surface_slack_m: float = 0.35
+    """Distance by which the surface shown there may be nearer than a lamp without hiding it, metres."""
+
+
+GLARE_STRENGTHS: Final = GlareStrengths()
 
 
 class Glare:
@@ -44,17 +55,19 @@ class Glare:
         """`depth` is that of the scenery."""
         self._camera, self._signals = camera, town.signals
         self._dark = conditions.sun_elevation_deg < DARK_DEG
-        self.seen = self._dark or conditions.visibility_m < HAZE_GLARE_M
+        self.seen = self._dark or conditions.visibility_m < GLARE_STRENGTHS.haze_visibility_m
         self._strength = conditions.glare * (1.0 if self._dark else 0.25)
         self._dirt = conditions.lens_dirt
         self._scatter = 3.0 / conditions.visibility_m
-        shape = (-(-camera.height // GLARE_CELL_PX), -(-camera.width // GLARE_CELL_PX), 3)
+        shape = (-(-camera.height // GLARE_STRENGTHS.cell_px), -(-camera.width // GLARE_STRENGTHS.cell_px), 3)
         self._still = np.zeros(shape, dtype=np.float32)
         if self._dark and conditions.street_lighting > 0:
             color = tuple(temperature_color(conditions.street_light_k).tolist())
             down = np.array([0.0, 0.0, -1.0])
             lamps = burning_street_lights(town.lamps, conditions.street_lights_lit)
-            lit = [Lit(-1, lamp, down, color, _STREET_LIGHT * conditions.street_lighting) for lamp in lamps]
+            lit = [
+                Lit(-1, lamp, down, color, GLARE_STRENGTHS.street_light * conditions.street_lighting) for lamp in lamps
+            ]
             self._add_lamps(self._still, lit, depth, None)
 
     def spread(
@@ -66,20 +79,25 @@ class Glare:
         light = self._still.copy()
         self._add_lamps(light, lit_lamps(moment), depth, ids)
         signals = (
-            Lit(-1, center, facing, color, _SIGNAL)
+            Lit(-1, center, facing, color, GLARE_STRENGTHS.signal)
             for center, facing, color in lit_signals(self._camera, moment, self._signals)
         )
         self._add_lamps(light, signals, depth, None)
         if not light.any():
             return rgb
         if self._dirt:
-            light += _SMEARED * self._dirt * _far_around(light)
+            light += GLARE_STRENGTHS.smear_factor * self._dirt * _far_around(light)
         veil = np.rint(255 * np.sqrt(1 - np.exp(-1.6 * light))).astype(np.uint8)
         rows = np.flatnonzero(veil.any(axis=(1, 2)))
-        first, end = GLARE_CELL_PX * int(rows[0]), min(GLARE_CELL_PX * int(rows[-1] + 1), rgb.shape[0])
+        first, end = (
+            GLARE_STRENGTHS.cell_px * int(rows[0]),
+            min(GLARE_STRENGTHS.cell_px * int(rows[-1] + 1), rgb.shape[0]),
+        )
         veil = veil[rows[0] : rows[-1] + 1]
         veil = cv2.resize(
-            veil, (GLARE_CELL_PX * veil.shape[1], GLARE_CELL_PX * veil.shape[0]), interpolation=cv2.INTER_LINEAR
+            veil,
+            (GLARE_STRENGTHS.cell_px * veil.shape[1], GLARE_STRENGTHS.cell_px * veil.shape[0]),
+            interpolation=cv2.INTER_LINEAR,
         )
         veil, under = veil[: end - first, : rgb.shape[1]], rgb[first:end]
         # Screened: what is bright already has less to gain.
@@ -104,14 +122,14 @@ class Glare:
             if self._is_hidden(lamp, pixels[i], float(z[i]), depth, ids):
                 continue
             aimed = 0.35 + 0.65 * max(float(cosines[i]), 0.0) ** 2
-            strength = self._strength * lamp.intensity * aimed * min(1.0, _FULL / away) ** 1.1
+            strength = self._strength * lamp.intensity * aimed * min(1.0, GLARE_STRENGTHS.full_within_m / away) ** 1.1
             color = np.array(lamp.color, dtype=np.float32)
             scale = camera.width / 1920
             through = float(np.exp(-self._scatter * away))
-            _add_spread_light(light, pixels[i] / GLARE_CELL_PX, 2.2 * scale, strength * through * color)
+            _add_spread_light(light, pixels[i] / GLARE_STRENGTHS.cell_px, 2.2 * scale, strength * through * color)
             # Drops of fog send light on in about its own direction.
             halo = strength * (1 - np.exp(-self._scatter * min(away, 60.0))) * 0.5
-            _add_spread_light(light, pixels[i] / GLARE_CELL_PX, 11.0 * scale, halo * color)
+            _add_spread_light(light, pixels[i] / GLARE_STRENGTHS.cell_px, 11.0 * scale, halo * color)
 
     @staticmethod
     def _is_hidden(
@@ -120,14 +138,14 @@ class Glare:
         column, row = pixel.astype(int)
         if ids is not None and ids[row, column] == lamp.index + 1:
             return False
-        return bool(depth[row, column] < z - _SURFACE_SLACK_M)
+        return bool(depth[row, column] < z - GLARE_STRENGTHS.surface_slack_m)
 
 
 def _far_around(light: NDArray[np.float32]) -> NDArray[np.float32]:
     """Light on the grid (h, w, 3), blurred so that little of its places is left."""
     height, width = light.shape[:2]
     small = cv2.resize(light, (max(width // 8, 1), max(height // 8, 1)), interpolation=cv2.INTER_AREA)
-    wide = cv2.GaussianBlur(small, (0, 0), max(_FAR_WIDTHS * small.shape[1], 0.5))
+    wide = cv2.GaussianBlur(small, (0, 0), max(GLARE_STRENGTHS.far_widths * small.shape[1], 0.5))
     return np.asarray(cv2.resize(wide, (width, height), interpolation=cv2.INTER_LINEAR), dtype=np.float32)
 
 
@@ -143,10 +161,10 @@ def _point_spread(radius: int, core: float) -> NDArray[np.float32]:
 def _add_spread_light(light: NDArray[np.float32], center: Array, core: float, color: NDArray[np.float32]) -> None:
     """Add a lamp's spread light around `center`, in cells."""
     peak = float(color.max())
-    if peak < _LEAST_GLARE:
+    if peak < GLARE_STRENGTHS.least_glare:
         return
     core = max(core, 0.7)
-    radius = max(2, int(min(9.0, (peak / _LEAST_GLARE) ** 0.4) * core))
+    radius = max(2, int(min(9.0, (peak / GLARE_STRENGTHS.least_glare) ** 0.4) * core))
     height, width = light.shape[:2]
     x, y = (int(v) for v in np.floor(center))
     x0, y0, x1, y1 = max(x - radius, 0), max(y - radius, 0), min(x + radius + 1, width), min(y + radius + 1, height)

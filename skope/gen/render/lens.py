@@ -1,7 +1,7 @@
 """The lens: its distortion, which is one warp for picture, depth, ids and silhouettes from a view without distortion;
 and dirt on the glass before it, which stays where it is through a recording."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import cv2
@@ -17,9 +17,31 @@ from skope.gen.scene.random_streams import Stream
 from skope.gen.scene.recording import Recording
 from skope.types import Array, Pixels
 
-_LIMIT_PX: Final = 8192
-_MARGIN_PX: Final = 2
-"""Pixels of the pinhole's image beyond what the lens shows."""
+
+@dataclass(frozen=True)
+class LensLimits:
+    """Margins of the lens, and dirt on the glass."""
+
+    largest_px: int = 8192
+    """Largest side of an image, pixels."""
+    margin_px: int = 2
+    """Pixels of the pinhole's image beyond what the lens shows."""
+    specks: int = 60
+    """Number of specks of dust on the dirtiest glass."""
+    smears: int = 14
+    """Number of smears and dried drops on it."""
+    blur_share: float = 0.022
+    """Blur of dirt, as a share of the image's width. Dirt is far out of focus."""
+    darkest: float = 0.45
+    """Share of the light that a speck takes."""
+    thickest: float = 0.85
+    """Share of the picture that is out of focus behind the thickest smear."""
+    veil_share: float = 0.16
+    """Light from all over the picture that dirt spreads, as a share of what it takes."""
+
+
+LENS_LIMITS: Final = LensLimits()
+
 
 _WHOLE_PIXELS: Final = np.zeros((0, 0), dtype=np.uint16)
 """Parts of a pixel between those that OpenCV takes: none."""
@@ -38,11 +60,11 @@ def pinhole_of(camera: Camera) -> Camera:
     if not valid.all():
         raise UserError(f"{name}: folds back inside the image at this field of view")
     focal = camera.K[[0, 1], [0, 1]]
-    low = np.floor(rays[:, :2].min(axis=0) * focal) - _MARGIN_PX
-    high = np.ceil(rays[:, :2].max(axis=0) * focal) + _MARGIN_PX
+    low = np.floor(rays[:, :2].min(axis=0) * focal) - LENS_LIMITS.margin_px
+    high = np.ceil(rays[:, :2].max(axis=0) * focal) + LENS_LIMITS.margin_px
     width, height = (high - low).astype(int).tolist()
-    if max(width, height) > _LIMIT_PX:
-        raise UserError(f"{name}: shows more than a view of {_LIMIT_PX} pixels without distortion")
+    if max(width, height) > LENS_LIMITS.largest_px:
+        raise UserError(f"{name}: shows more than a view of {LENS_LIMITS.largest_px} pixels without distortion")
     K = np.array([[focal[0], 0, -low[0]], [0, focal[1], -low[1]], [0, 0, 1]])
     return replace(camera, width=width, height=height, K=K, distortion=Distortion())
 
@@ -170,23 +192,9 @@ def _window_within(source: Array) -> Window:
     `source` (H, W, 2) is where in the pinhole's image each pixel of the lens is. No edge of the lens' image passes
     through the window: each of the four lies on its own side of it.
     """
-    left, top = np.ceil([source[:, 0, 0].max(), source[0, :, 1].max()]).astype(int) + _MARGIN_PX
-    right, bottom = np.floor([source[:, -1, 0].min(), source[-1, :, 1].min()]).astype(int) - _MARGIN_PX
+    left, top = np.ceil([source[:, 0, 0].max(), source[0, :, 1].max()]).astype(int) + LENS_LIMITS.margin_px
+    right, bottom = np.floor([source[:, -1, 0].min(), source[-1, :, 1].min()]).astype(int) - LENS_LIMITS.margin_px
     return int(left), int(top), int(right), int(bottom)
-
-
-_SPECKS: Final = 60
-"""Specks of dust on the dirtiest glass."""
-_SMEARS: Final = 14
-"""Smears and dried drops on it."""
-_SOFT_SHARE: Final = 0.022
-"""Blur behind dirt, as a share of the image's width: it is far out of focus."""
-_DARKEST: Final = 0.45
-"""Share of the light that a speck takes."""
-_THICKEST: Final = 0.85
-"""Share of the picture that is out of focus behind the thickest smear."""
-_VEIL_SHARE: Final = 0.16
-"""Light from all over the picture that dirt spreads, as a share of what it takes."""
 
 
 class LensDirt:
@@ -207,9 +215,11 @@ class LensDirt:
             return rgb
         height, width = rgb.shape[:2]
         small = smaller(rgb, 8)
-        soft = cv2.GaussianBlur(small, (0, 0), _SOFT_SHARE * small.shape[1]).astype(np.float32)
+        soft = cv2.GaussianBlur(small, (0, 0), LENS_LIMITS.blur_share * small.shape[1]).astype(np.float32)
         mean = soft.mean(axis=(0, 1))
-        soft = np.clip(soft * (1 - _VEIL_SHARE) + _VEIL_SHARE * 1.6 * mean, 0, 255).astype(np.uint8)
+        soft = np.clip(soft * (1 - LENS_LIMITS.veil_share) + LENS_LIMITS.veil_share * 1.6 * mean, 0, 255).astype(
+            np.uint8
+        )
         soft = cv2.resize(soft, (width, height), interpolation=cv2.INTER_LINEAR)
         kept = cv2.multiply(rgb, self._sharp, scale=1 / 255)
         return np.asarray(cv2.add(kept, cv2.multiply(soft, self._soft, scale=1 / 255)), dtype=np.uint8)
@@ -226,18 +236,18 @@ def _dirt(
     """(H, W) share of the picture that is out of focus, and (H, W) share of the light that comes through."""
     width, height = size
     cover, dark = (np.zeros((height, width), dtype=np.float32) for _ in range(2))
-    for x, y, big, tall, turn, thick in rng.uniform(0, 1, (rng.poisson(_SMEARS * amount), 6)).tolist():
+    for x, y, big, tall, turn, thick in rng.uniform(0, 1, (rng.poisson(LENS_LIMITS.smears * amount), 6)).tolist():
         radius = width * (0.008 + 0.06 * big**3)
         axes = (radius, radius * (0.5 + 1.6 * tall * big))
         one = _blob(size, (x * width, y * height), axes, 180 * turn, 0.25 + 0.2 * big)
         cover = np.maximum(cover, one * (0.35 + 0.65 * thick))
-    for x, y, big, thick in rng.uniform(0, 1, (rng.poisson(_SPECKS * amount), 4)).tolist():
+    for x, y, big, thick in rng.uniform(0, 1, (rng.poisson(LENS_LIMITS.specks * amount), 4)).tolist():
         radius = width * (0.001 + 0.004 * big**2)
         dark = np.maximum(dark, _blob(size, (x * width, y * height), (radius, radius), 0.0, 0.6) * thick)
     # A film over all of it, thicker towards the lower rim, where water runs and dries.
     film = 0.12 * amount * (0.4 + 0.6 * np.linspace(0, 1, height, dtype=np.float32)[:, None] ** 3)
-    cover = np.maximum(np.minimum(_THICKEST, cover * (0.5 + 0.5 * amount)), film)
-    return np.asarray(cover, dtype=np.float32), np.asarray(1 - _DARKEST * dark, dtype=np.float32)
+    cover = np.maximum(np.minimum(LENS_LIMITS.thickest, cover * (0.5 + 0.5 * amount)), film)
+    return np.asarray(cover, dtype=np.float32), np.asarray(1 - LENS_LIMITS.darkest * dark, dtype=np.float32)
 
 
 def _blob(

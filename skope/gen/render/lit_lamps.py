@@ -20,8 +20,31 @@ from skope.types import Array
 
 _LAMP_OF_STATE: Final = {"r": 0, "u": 0, "y": 1, "g": 2, "s": 2}
 """The lamp that each of SUMO's states lights; the others light none."""
-_LAMP_COLORS: Final = ((235, 40, 30), (250, 190, 40), (40, 220, 110))
-_LAMP_RADIUS_M: Final = 0.1
+
+
+@dataclass(frozen=True)
+class LampColors:
+    """Colours and sizes of lit lamps, and common failures of street lights."""
+
+    signal_colors: tuple[tuple[int, int, int], ...] = ((235, 40, 30), (250, 190, 40), (40, 220, 110))
+    """Colours of traffic signals: red, amber, green (RGB)."""
+    radius_m: float = 0.1
+    """Radius of a lamp, metres."""
+    cable_m: float = 55.0
+    """Street lights this close mostly fail together, because they share a cable, metres."""
+    cable_share: float = 0.65
+    """Share of a lamp's chance of failure that its cable has."""
+    white: tuple[float, float, float] = (1.0, 0.96, 0.88)
+    """Colour of white lamps."""
+    red: tuple[float, float, float] = (1.0, 0.06, 0.03)
+    """Colour of red lamps."""
+    amber: tuple[float, float, float] = (1.0, 0.45, 0.03)
+    """Colour of amber lamps."""
+    middle_within_m: float = 0.12
+    """Lamps nearer to the vehicle's middle than this count as one, metres."""
+
+
+LAMP_COLORS: Final = LampColors()
 
 
 def lit_signals(
@@ -29,7 +52,7 @@ def lit_signals(
 ) -> Iterator[tuple[Array, Array, tuple[float, float, float]]]:
     """Place, direction and colour of the lamps that are lit and turned to the camera."""
     for signal, lamp in _lit_heads(camera, moment, signals):
-        red, green, blue = ((value / 255) ** 2.2 for value in _LAMP_COLORS[lamp])
+        red, green, blue = ((value / 255) ** 2.2 for value in LAMP_COLORS.signal_colors[lamp])
         yield signal.lamps[lamp], signal.facing, (red, green, blue)
 
 
@@ -65,13 +88,13 @@ def light_signals(
             continue
         at = pixel * fine
         if z < depth[int(at[1]), int(at[0])] + 0.3:
-            radius = max(0.7, _LAMP_RADIUS_M * camera.K[0, 0] / z * fine)
+            radius = max(0.7, LAMP_COLORS.radius_m * camera.K[0, 0] / z * fine)
             center = np.rint((at - 0.5) * 2**SUBPIXEL_BITS).astype(int).tolist()
             cv2.circle(
                 rgb,
                 center,
                 round(radius * 2**SUBPIXEL_BITS),
-                _LAMP_COLORS[lamp],
+                LAMP_COLORS.signal_colors[lamp],
                 -1,
                 cv2.LINE_AA,
                 SUBPIXEL_BITS,
@@ -95,12 +118,6 @@ def light_signals_linear(
     light[rows, columns, :3] += radiance * (shown[rows, columns] / np.float32(255)) ** 2.2
 
 
-_STRETCH_M: Final = 55.0
-"""Lamps this near to each other mostly fail together, as those on one cable do."""
-_SHARED_LUCK: Final = 0.65
-"""Share of a lamp's luck that it has in common with its stretch."""
-
-
 def burning_street_lights(lamps: Array, share: float) -> Array:
     """The street lights (N, 3) that burn where `share` of them (0 to 1) do: the same ones at every call.
 
@@ -108,7 +125,9 @@ def burning_street_lights(lamps: Array, share: float) -> Array:
     """
     if share >= 1:
         return lamps
-    luck = _SHARED_LUCK * _hashed(np.floor(lamps[:, :2] / _STRETCH_M)) + (1 - _SHARED_LUCK) * _hashed(lamps[:, :2])
+    luck = LAMP_COLORS.cable_share * _hashed(np.floor(lamps[:, :2] / LAMP_COLORS.cable_m)) + (
+        1 - LAMP_COLORS.cable_share
+    ) * _hashed(lamps[:, :2])
     first = luck.argsort(kind="stable")[: round(share * len(lamps))]
     return lamps[np.sort(first)]
 
@@ -118,25 +137,20 @@ def _hashed(at: Array) -> Array:
     return np.asarray(np.abs(np.sin(at @ [12.9898, 78.233]) * 43758.5453) % 1.0)
 
 
-_WHITE_LIGHT: Final = (1.0, 0.96, 0.88)
-_RED: Final = (1.0, 0.06, 0.03)
-_AMBER: Final = (1.0, 0.45, 0.03)
 _LAMP_KINDS: Final = {
-    "headlight": ("low_beam", _WHITE_LIGHT, 1.6),
-    "taillight": ("low_beam", _RED, 0.3),
-    "brake_light": ("brake", _RED, 0.8),
-    "indicator_left": ("indicator_left", _AMBER, 0.5),
-    "indicator_right": ("indicator_right", _AMBER, 0.5),
-    "reverse_light": ("reverse", _WHITE_LIGHT, 0.25),
-    "marker_white": ("low_beam", _WHITE_LIGHT, 0.08),
-    "marker_red": ("low_beam", _RED, 0.08),
-    "sign": ("low_beam", _AMBER, 0.1),
-    "sign_taxi_red": ("low_beam", _RED, 0.15),
+    "headlight": ("low_beam", LAMP_COLORS.white, 1.6),
+    "taillight": ("low_beam", LAMP_COLORS.red, 0.3),
+    "brake_light": ("brake", LAMP_COLORS.red, 0.8),
+    "indicator_left": ("indicator_left", LAMP_COLORS.amber, 0.5),
+    "indicator_right": ("indicator_right", LAMP_COLORS.amber, 0.5),
+    "reverse_light": ("reverse", LAMP_COLORS.white, 0.25),
+    "marker_white": ("low_beam", LAMP_COLORS.white, 0.08),
+    "marker_red": ("low_beam", LAMP_COLORS.red, 0.08),
+    "sign": ("low_beam", LAMP_COLORS.amber, 0.1),
+    "sign_taxi_red": ("low_beam", LAMP_COLORS.red, 0.15),
     "sign_taxi_green": ("low_beam", (0.06, 1.0, 0.3), 0.15),
 }
 """Lamps by material: what lights them, their colour, their luminous intensity straight ahead."""
-_MIDDLE_WITHIN_M: Final = 0.12
-"""Lamps nearer to the vehicle's middle than this count as one, metres."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -178,7 +192,7 @@ def _lamps_of(mesh: Mesh, part_index: int) -> Iterator[Lamp]:
         middle = corners.mean(axis=1)
         normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         end = np.sign(middle[:, 0])
-        side = np.where(np.abs(middle[:, 1]) < _MIDDLE_WITHIN_M, 0.0, np.sign(middle[:, 1]))
+        side = np.where(np.abs(middle[:, 1]) < LAMP_COLORS.middle_within_m, 0.0, np.sign(middle[:, 1]))
         for where in sorted({(a, b) for a, b in zip(end.tolist(), side.tolist(), strict=True)}):
             chosen = (end == where[0]) & (side == where[1])
             area = np.linalg.norm(normal[chosen], axis=1)

@@ -16,9 +16,9 @@ from skope.gen.scene.conditions import DARK_DEG, OVERCAST, Conditions
 from skope.gen.towns.town import Town
 from skope.gen.towns.town_style import style
 
-RGB = tuple[float, float, float]
+COLOR_TYPE = tuple[float, float, float]
 
-MATERIALS: Final[dict[str, RGB]] = {
+MATERIAL_COLORS: Final[dict[str, COLOR_TYPE]] = {
     # ground
     "asphalt": (0.36, 0.36, 0.37),
     "asphalt_worn": (0.372, 0.372, 0.38),
@@ -176,7 +176,7 @@ MATERIALS: Final[dict[str, RGB]] = {
     "plate_yellow": (0.86, 0.70, 0.10),
     "seam": (0.16, 0.16, 0.165),
 }
-GLOSS: Final[dict[str, float]] = {
+MATERIAL_ROUGHNESS: Final[dict[str, float]] = {
     "window": 0.08,
     "shop_window": 0.08,
     "zinc": 0.45,
@@ -212,18 +212,33 @@ GLOSS: Final[dict[str, float]] = {
     "plate_yellow": 0.5,
 }
 """Roughness of the materials that shine."""
-BRAKE_LIGHT: Final = (1.0, 0.16, 0.12)
-GROUND: Final = tuple(MATERIALS)[: list(MATERIALS).index("grass") + 1]
+
+
+@dataclass(frozen=True)
+class MaterialPatterns:
+    """Brake light, and random patterns of materials."""
+
+    brake_light: tuple[float, float, float] = (1.0, 0.16, 0.12)
+    """Colour of a lit brake lamp."""
+    changed_share: float = 0.85
+    """Share of materials that have a pattern where there are any."""
+    sizes_m: tuple[float, float] = (0.15, 6.0)
+    """Range of the size of a pattern, metres."""
+
+
+MATERIAL_PATTERNS: Final = MaterialPatterns()
+
+GROUND_MATERIALS: Final = tuple(MATERIAL_COLORS)[: list(MATERIAL_COLORS).index("grass") + 1]
 """Materials that lie on the ground: the first ones of the table."""
 
 
 def materials_between(first: str, last: str) -> tuple[str, ...]:
     """Names of the materials from one to another in the order of the table, both included."""
-    order = list(MATERIALS)
+    order = list(MATERIAL_COLORS)
     return tuple(order[order.index(first) : order.index(last) + 1])
 
 
-def own_color(material: str) -> RGB | None:
+def own_color(material: str) -> COLOR_TYPE | None:
     """The colour of a material that is named by it, such as "#a0b4c8"."""
     if not material.startswith("#"):
         return None
@@ -240,9 +255,9 @@ class Light:
     sun: float
     """Strength of the direct light."""
     ambient: float
-    tint: RGB
-    zenith: RGB
-    horizon: RGB
+    tint: COLOR_TYPE
+    zenith: COLOR_TYPE
+    horizon: COLOR_TYPE
     shadows: bool = True
     haze_density: float = 0.0
     """Extinction of the air, 1/m."""
@@ -269,8 +284,8 @@ class Light:
         low = float(np.clip(1 - conditions.sun_elevation_deg / 35, 0, 1))
         if conditions.clouds > OVERCAST:
             level = 1 - 0.3 * low
-            grey: RGB = (0.80 * level, 0.82 * level, 0.85 * level)
-            horizon: RGB = (0.9 * level, 0.9 * level, 0.9 * level)
+            grey: COLOR_TYPE = (0.80 * level, 0.82 * level, 0.85 * level)
+            horizon: COLOR_TYPE = (0.9 * level, 0.9 * level, 0.9 * level)
             return cls((0.0, 0.0, 1.0), 0.25, 0.72 * level, (0.97, 0.99, 1.0), grey, horizon, shadows=False)
         direction = (
             float(np.cos(elevation) * np.cos(azimuth)),
@@ -316,8 +331,8 @@ class Pattern:
     """A random pattern in place of a material's own colour."""
 
     motif: Motif
-    first: RGB
-    second: RGB
+    first: COLOR_TYPE
+    second: COLOR_TYPE
     size_m: float
     """Size of a check, a stripe or a spot, metres."""
     turn: float
@@ -328,7 +343,7 @@ class Pattern:
 class Palette:
     """Colours of materials."""
 
-    colors: Mapping[str, RGB]
+    colors: Mapping[str, COLOR_TYPE]
     """Colours of all materials, sRGB in 0..1."""
     patterns: Mapping[str, Pattern]
     """Patterns of some of the scenery's materials; vehicles of the same materials do not have them."""
@@ -339,12 +354,12 @@ class Palette:
         return _palette(town)
 
     @property
-    def plain(self) -> Mapping[str, RGB]:
+    def plain(self) -> Mapping[str, COLOR_TYPE]:
         """Colours of the scenery's materials for a renderer without patterns."""
         return {**self.colors, **{name: pattern.first for name, pattern in self.patterns.items()}}
 
 
-USUAL: Final = Palette(MATERIALS, {})
+USUAL_PALETTE: Final = Palette(MATERIAL_COLORS, {})
 """The materials' own colours."""
 _ROAD_MATERIALS: Final = materials_between("asphalt", "bitumen")
 """Materials of the carriageway, which share a pattern and differ in brightness."""
@@ -355,16 +370,13 @@ _FURTHER_MATERIALS: Final = (
     *materials_between("awning_red", "awning_green"),
 )
 """Further materials that may have a pattern."""
-_CHANGED_SHARE: Final = 0.85
-"""Share of materials that have a pattern where there are any."""
-_SIZES_M: Final = (0.15, 6.0)
 
 
 @lru_cache(maxsize=64)
 def _palette(town: Town) -> Palette:
     variant = town.variant
     season = style(town).season if variant and variant.season else None
-    colors = {**MATERIALS, **season.colors} if season else MATERIALS
+    colors = {**MATERIAL_COLORS, **season.colors} if season else MATERIAL_COLORS
     randomised = variant.randomised if variant else 0
     return Palette(colors, _drawn_patterns(np.random.default_rng(randomised)) if randomised else {})
 
@@ -372,28 +384,28 @@ def _palette(town: Town) -> Palette:
 def _drawn_patterns(rng: np.random.Generator) -> Mapping[str, Pattern]:
     road, out = _drawn_pattern(rng), {}
     for name in _ROAD_MATERIALS:
-        lighter = sum(MATERIALS[name]) / sum(MATERIALS["asphalt"])
+        lighter = sum(MATERIAL_COLORS[name]) / sum(MATERIAL_COLORS["asphalt"])
         first, second = (_scaled(color, lighter) for color in (road.first, road.second))
         out[name] = Pattern(road.motif, first, second, road.size_m, road.turn)
     for name in _FURTHER_MATERIALS:
         pattern = _drawn_pattern(rng)
-        if rng.random() < _CHANGED_SHARE:
+        if rng.random() < MATERIAL_PATTERNS.changed_share:
             out[name] = pattern
     return out
 
 
 def _drawn_pattern(rng: np.random.Generator) -> Pattern:
-    low, high = np.log(_SIZES_M)
+    low, high = np.log(MATERIAL_PATTERNS.sizes_m)
     motif = Motif(int(rng.integers(len(Motif))) + 1)
     first, second = _drawn_color(rng), _drawn_color(rng)
     return Pattern(motif, first, second, float(np.exp(rng.uniform(low, high))), float(rng.uniform(0.0, 0.999)))
 
 
-def _drawn_color(rng: np.random.Generator) -> RGB:
+def _drawn_color(rng: np.random.Generator) -> COLOR_TYPE:
     """A colour that is more often pale than bright."""
     return colorsys.hsv_to_rgb(rng.random(), 0.75 * rng.random() ** 1.5, rng.uniform(0.12, 0.85))
 
 
-def _scaled(color: RGB, factor: float) -> RGB:
+def _scaled(color: COLOR_TYPE, factor: float) -> COLOR_TYPE:
     red, green, blue = (min(1.0, factor * channel) for channel in color)
     return red, green, blue

@@ -28,24 +28,62 @@ from skope.gen.render.daylight import Daylight
 from skope.gen.scene.conditions import Conditions
 from skope.types import Array, Pixels
 
-CANDELA_PER_UNIT: Final = 200.0
-"""Luminance at night of a radiance of 1 in the renderer's units, cd/m2: street lights then give 5 to 25 lux."""
-DAY_UNITS: Final = 50.0
-"""How many times more luminance a radiance of 1 means by day (a sun of 100,000 lux has 10)."""
-ROAD_LEVEL: Final = 0.12
-"""Light, where the sensor's range ends at 1, that the road is exposed to at 0 EV: 112 of 255 after the curve."""
-ELECTRONS_PER_CANDELA_SECOND: Final = 20_000.0
-FULL_WELL_ELECTRONS: Final = 15_000.0
-SHORT_EXPOSURE_RANGE: Final = 16.0
-"""How much more light than the long exposure the short one takes."""
-SINGLE_EXPOSURE_RANGE: Final = 6.0
-"""The same for the whole range of a camera that takes one exposure: its curve rolls off to white there."""
-_BALANCE_LIMITS: Final = (0.5, 2.0)
-"""Least and greatest factor of the white balance: cameras leave a part of sodium lamps' colour."""
-_METERED_FROM: Final = 1 / 3
-"""Share of the rows above the part that is metered."""
-_LAMPS_FROM: Final = 0.95
-"""Pixels brighter than this share of the others are lamps, which the metering leaves out."""
+
+@dataclass(frozen=True)
+class NightSensor:
+    """Sensor, exposure, noise and glare of the camera at night."""
+
+    candela_per_unit: float = 200.0
+    """Luminance at night of a radiance of 1 in the renderer's units, cd/m2: street lights then give 5 to 25 lux."""
+    day_units: float = 50.0
+    """How many times more luminance a radiance of 1 means by day (a sun of 100,000 lux has 10)."""
+    road_level: float = 0.12
+    """Light, where the sensor's range ends at 1, that the road is exposed to at 0 EV: 112 of 255 after the curve."""
+    electrons_per_candela_second: float = 20_000.0
+    """Electrons of a pixel per cd/m2 and second."""
+    full_well_electrons: float = 15_000.0
+    """Electrons of a full pixel."""
+    short_exposure_range: float = 16.0
+    """Ratio of the light that the short exposure takes to that of the long one."""
+    single_exposure_range: float = 6.0
+    """The same for the whole range of a camera that takes one exposure: its curve rolls off to white there."""
+    balance_limits: tuple[float, float] = (0.5, 2.0)
+    """Least and greatest factor of the white balance: cameras leave a part of sodium lamps' colour."""
+    metered_from: float = 1 / 3
+    """Share of the rows above the part that is metered."""
+    lamps_from: float = 0.95
+    """Pixels brighter than this share of the others are lamps, which the metering leaves out."""
+    read_electrons: float = 2.5
+    """Read noise, electrons."""
+    usual_noise: float = 1.75
+    """`Conditions.noise` of a usual sensor: others have more or less than the electrons say."""
+    over_frames: float = 0.96
+    """Share of the frames before in the average of the strongest denoising."""
+    edge_deviations: float = 4.0
+    """Differences of this many standard deviations of the noise are edges, which smoothing keeps."""
+    least_edge: float = 32.0
+    """Differences from which on they are edges for the strongest denoising, of 255, where noise is low."""
+    smoothed_px: tuple[int, float] = (9, 4.0)
+    """Width of the window within which areas are smoothed, and the standard deviation, in pixels of half the
+    resolution."""
+    detail_share: float = 0.5
+    """Finer differences than those of half the resolution are taken away up to this share of the least edge."""
+    blotches_px: float = 1.0
+    """Standard deviation of the Gaussian that gives the noise that is left its blotches, pixels."""
+    spreads_px: tuple[float, ...] = (1.2, 3.0, 7.0, 16.0, 45.0)
+    """Standard deviations of the point-spread function in an image 1920 pixels wide."""
+    dirt_share: float = 0.02
+    """Share of light that the dirtiest glass spreads widest."""
+    fog_share: float = 0.12
+    """Share of light that fog spreads over the two widest, at a visibility of `fog_m`."""
+    fog_m: float = 200.0
+    curve_steps: int = 4096
+    """Entries of the tone curve."""
+    brightest_light: float = 1.0 + short_exposure_range
+    """Light at which the curve's table ends; the picture is white long before."""
+
+
+NIGHT_SENSOR: Final = NightSensor()
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,14 +100,14 @@ class Exposure:
     @property
     def full(self) -> float:
         """Light, after `gains`, at which the long exposure is full."""
-        return 1.0 if self.short_share else SINGLE_EXPOSURE_RANGE
+        return 1.0 if self.short_share else NIGHT_SENSOR.single_exposure_range
 
     @property
     def uniforms(self) -> dict[str, Any]:
         """Values for composite.frag.glsl, which works on the light before `gains`."""
         return {
             "u_full": self.full / float(self.gains.mean()),
-            "u_short": (self.short_share, SHORT_EXPOSURE_RANGE),
+            "u_short": (self.short_share, NIGHT_SENSOR.short_exposure_range),
         }
 
 
@@ -84,37 +122,25 @@ def metered(
         conditions: `exposure_ev`, `gain_db`, `shutter_s`, `auto_white_balance` and `short_exposure` are used.
         daylight: The light of the recording.
     """
-    rows = slice(int(_METERED_FROM * len(light)), None, 4)
+    rows = slice(int(NIGHT_SENSOR.metered_from * len(light)), None, 4)
     part, ground = light[rows, ::4], np.isfinite(depth[rows, ::4])
     pixels = part[ground] if ground.any() else part.reshape(-1, 3)
     luminance = pixels.mean(axis=1)
-    road = pixels[luminance <= np.quantile(luminance, _LAMPS_FROM)]
+    road = pixels[luminance <= np.quantile(luminance, NIGHT_SENSOR.lamps_from)]
     level = max(float(np.median(road.mean(axis=1))), 1e-6)
-    wanted = ROAD_LEVEL * 2**conditions.exposure_ev / level
+    wanted = NIGHT_SENSOR.road_level * 2**conditions.exposure_ev / level
     # Electrons for each unit of light, and with them the gain that `wanted` takes.
-    electrons = CANDELA_PER_UNIT / daylight.exposure.mean() * conditions.shutter_s * ELECTRONS_PER_CANDELA_SECOND
-    greatest = electrons * 10 ** (conditions.gain_db / 20) / FULL_WELL_ELECTRONS
+    electrons = (
+        NIGHT_SENSOR.candela_per_unit
+        / daylight.exposure.mean()
+        * conditions.shutter_s
+        * NIGHT_SENSOR.electrons_per_candela_second
+    )
+    greatest = electrons * 10 ** (conditions.gain_db / 20) / NIGHT_SENSOR.full_well_electrons
     gain = min(wanted, greatest)
     color = np.maximum(np.median(road, axis=0), 1e-6)
-    balance = np.clip((color.mean() / color) ** min(conditions.auto_white_balance, 1.0), *_BALANCE_LIMITS)
+    balance = np.clip((color.mean() / color) ** min(conditions.auto_white_balance, 1.0), *NIGHT_SENSOR.balance_limits)
     return Exposure(gain * balance, float(electrons / gain), conditions.short_exposure)
-
-
-_READ_ELECTRONS: Final = 2.5
-_USUAL_NOISE: Final = 1.75
-"""`Conditions.noise` of a usual sensor: others have more or less than the electrons say."""
-_OVER_FRAMES: Final = 0.96
-"""Share of the frames before in the average of the strongest denoising."""
-_EDGE_DEVIATIONS: Final = 4.0
-"""Differences of this many standard deviations of the noise are edges, which smoothing keeps."""
-_LEAST_EDGE: Final = 32.0
-"""Differences from which on they are edges for the strongest denoising, of 255, where noise is low."""
-_SMOOTHED_PX: Final = (9, 4.0)
-"""Width of the window within which areas are smoothed, and the standard deviation, in pixels of half the resolution."""
-_DETAIL_SHARE: Final = 0.5
-"""Finer differences than those of half the resolution are taken away up to this share of the least edge."""
-BLOTCHES_PX: Final = 1.0
-"""Standard deviation of the Gaussian that gives the noise that is left its blotches, pixels."""
 
 
 def noise_by_value(conditions: Conditions, exposure: Exposure, light: Array, shown: Array) -> NDArray[np.float32]:
@@ -128,9 +154,9 @@ def noise_by_value(conditions: Conditions, exposure: Exposure, light: Array, sho
     """
     rise = np.gradient(shown, light)
     electrons = light * exposure.electrons
-    sigma = 255 * rise * np.sqrt(electrons + _READ_ELECTRONS**2) / exposure.electrons
-    before = _OVER_FRAMES * np.sqrt(conditions.denoising)
-    sigma *= conditions.noise / _USUAL_NOISE * np.sqrt((1 - before) / (1 + before))
+    sigma = 255 * rise * np.sqrt(electrons + NIGHT_SENSOR.read_electrons**2) / exposure.electrons
+    before = NIGHT_SENSOR.over_frames * np.sqrt(conditions.denoising)
+    sigma *= conditions.noise / NIGHT_SENSOR.usual_noise * np.sqrt((1 - before) / (1 + before))
     return np.asarray(np.interp(np.arange(256) / 255, shown, sigma), dtype=np.float32)
 
 
@@ -143,18 +169,16 @@ def denoised(rgb: Pixels, noise: NDArray[np.float32], conditions: Conditions) ->
         return rgb
     height, width = rgb.shape[:2]
     typical = float(np.median(noise[rgb[::16, ::16, 1]]))
-    edge = conditions.denoising * max(_EDGE_DEVIATIONS * typical, _LEAST_EDGE)
+    edge = conditions.denoising * max(NIGHT_SENSOR.edge_deviations * typical, NIGHT_SENSOR.least_edge)
     half = cv2.resize(rgb, (-(-width // 2), -(-height // 2)), interpolation=cv2.INTER_AREA)
-    window, deviation = _SMOOTHED_PX
+    window, deviation = NIGHT_SENSOR.smoothed_px
     flat = cv2.bilateralFilter(half, window, edge, deviation)
     smooth = cv2.resize(flat, (width, height), interpolation=cv2.INTER_LINEAR)
     red, green, blue = cv2.split(cv2.absdiff(rgb, smooth))
-    kept = (cv2.max(cv2.max(red, green), blue) > _DETAIL_SHARE * edge).view(np.uint8)
+    kept = (cv2.max(cv2.max(red, green), blue) > NIGHT_SENSOR.detail_share * edge).view(np.uint8)
     return np.asarray(cv2.copyTo(rgb, kept, smooth), dtype=np.uint8)
 
 
-_SPREADS_PX: Final = (1.2, 3.0, 7.0, 16.0, 45.0)
-"""Standard deviations in an image 1920 pixels wide."""
 _SPREAD_SHARES: Final = np.array([0.010, 0.010, 0.008, 0.0025, 0.0008])
 """Share of a lamp's light in each, for a glare of 1. Equal shares would fall off with the
 square of the distance; these fall off faster beyond 15 pixels."""
@@ -162,11 +186,6 @@ _SPREAD_COLORS: Final = np.array(
     [[1.0, 0.95, 1.1], [1.0, 0.9, 1.25], [1.0, 0.88, 1.35], [1.0, 0.9, 1.2], [1.0, 1.0, 1.0]], dtype=np.float32
 )
 """(5, 3) factors on red, green and blue."""
-_DIRT_SHARE: Final = 0.02
-"""Share of light that the dirtiest glass spreads widest."""
-_FOG_SHARE: Final = 0.12
-"""Share that fog spreads over the two widest, at a visibility of `_FOG_M`."""
-_FOG_M: Final = 200.0
 
 
 class VeilingGlare:
@@ -175,10 +194,10 @@ class VeilingGlare:
     def __init__(self, width: int, conditions: Conditions) -> None:
         """`width` is the image's, pixels."""
         self._scale = width / 1920
-        fog = _FOG_SHARE * min(_FOG_M / conditions.visibility_m, 1.0)
+        fog = NIGHT_SENSOR.fog_share * min(NIGHT_SENSOR.fog_m / conditions.visibility_m, 1.0)
         self._shares = conditions.glare * _SPREAD_SHARES
         self._shares[-2:] += 0.5 * fog
-        self._shares[-1] += _DIRT_SHARE * conditions.lens_dirt
+        self._shares[-1] += NIGHT_SENSOR.dirt_share * conditions.lens_dirt
 
     def spread(self, excess: Sequence[NDArray[np.float32]]) -> list[NDArray[np.float32]] | None:
         """Three planes (H, W) of light that is added everywhere; None where there is none to spread.
@@ -192,7 +211,7 @@ class VeilingGlare:
         if not half.any():
             return None
         total = np.zeros((size[1], size[0], 3), dtype=np.float32)
-        for spread_px, share, color in zip(_SPREADS_PX, self._shares, _SPREAD_COLORS, strict=True):
+        for spread_px, share, color in zip(NIGHT_SENSOR.spreads_px, self._shares, _SPREAD_COLORS, strict=True):
             sigma = spread_px * self._scale / 2
             # The wider it is, the coarser the grid that it is worked out on.
             step = max(1, 2 ** int(np.log2(max(sigma / 2, 1.0))))
@@ -204,11 +223,6 @@ class VeilingGlare:
             total += blurred * (np.float32(share) * color)
         planes = cv2.split(total)
         return [np.asarray(cv2.resize(plane, (width, height), interpolation=cv2.INTER_LINEAR)) for plane in planes]
-
-
-_CURVE_STEPS: Final = 4096
-_BRIGHTEST_LIGHT: Final = 1.0 + SHORT_EXPOSURE_RANGE
-"""Light at which the curve's table ends; the picture is white long before."""
 
 
 class NightCamera:
@@ -225,7 +239,9 @@ class NightCamera:
         self.exposure = metered(light, depth, conditions, daylight)
         self._glare = VeilingGlare(light.shape[1], conditions)
         self._gains = np.append(self.exposure.gains, self.exposure.gains.mean()).astype(np.float32)
-        steps = (np.arange(_CURVE_STEPS) / (_CURVE_STEPS - 1)) ** 2 * _BRIGHTEST_LIGHT
+        steps = (
+            np.arange(NIGHT_SENSOR.curve_steps) / (NIGHT_SENSOR.curve_steps - 1)
+        ) ** 2 * NIGHT_SENSOR.brightest_light
         shown = curve(steps)
         self._table = np.rint(255 * shown).astype(np.uint8)
         self.noise = noise_by_value(conditions, self.exposure, steps, shown)
@@ -263,7 +279,7 @@ class NightCamera:
             room = np.maximum(np.float32(self.exposure.full) - part, 0)
             added = (1 - share) * np.minimum(more, room)
             if share:
-                added += share * np.minimum(more, np.float32(SHORT_EXPOSURE_RANGE))
+                added += share * np.minimum(more, np.float32(NIGHT_SENSOR.short_exposure_range))
             shown.append(self._shown(np.asarray(part + added, dtype=np.float32)))
         return _merged(shown)
 
@@ -274,8 +290,10 @@ class NightCamera:
 
     def _shown(self, light: NDArray[np.float32]) -> Pixels:
         """(h, w) values of a plane of light."""
-        steps = np.asarray(cv2.sqrt(light * np.float32((_CURVE_STEPS - 1) ** 2 / _BRIGHTEST_LIGHT)))
-        return np.asarray(self._table[np.minimum(steps, _CURVE_STEPS - 1).astype(np.uint16)])
+        steps = np.asarray(
+            cv2.sqrt(light * np.float32((NIGHT_SENSOR.curve_steps - 1) ** 2 / NIGHT_SENSOR.brightest_light))
+        )
+        return np.asarray(self._table[np.minimum(steps, NIGHT_SENSOR.curve_steps - 1).astype(np.uint16)])
 
 
 def _merged(planes: Sequence[Pixels]) -> Pixels:

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Final
 
@@ -17,14 +18,23 @@ from skope.types import Array
 Window = tuple[int, int, int, int]
 """Columns and rows x0, y0, x1, y1 of the image; may go beyond it."""
 
-CLIP_DEPTH_M: Final = 0.3
-"""Silhouettes are clipped at this depth, metres."""
-TILE: Final = 8
-"""Side of a tile, pixels; what changes in a frame is drawn in whole tiles."""
-_STICKS_OUT: Final = 1.0
-"""No part of a vehicle, be it a mirror or a sign, is farther outside the box of its dimensions than this, metres."""
-CONTACT: Final = 1.8
-"""Distance around itself within which a vehicle takes sky from the road, metres."""
+
+@dataclass(frozen=True)
+class WindowLimits:
+    """Margins of the windows that change in a frame."""
+
+    clip_depth_m: float = 0.3
+    """Silhouettes are clipped at this depth, metres."""
+    tile_px: int = 8
+    """Side of a tile, pixels; what changes in a frame is drawn in whole tiles."""
+    outside_box_m: float = 1.0
+    """No part of a vehicle, be it a mirror or a sign, is farther outside the box of its dimensions than this,
+    metres."""
+    contact_m: float = 1.8
+    """Distance around itself within which a vehicle takes sky from the road, metres."""
+
+
+WINDOW_LIMITS: Final = WindowLimits()
 
 
 def window_of(hull: Array, camera: Camera) -> Window | None:
@@ -60,11 +70,16 @@ def may_be_seen(vehicle: Body, T_world_parts: Array, camera: Camera) -> bool:
         camera: The image's camera.
     """
     length, width, height = vehicle.size_lwh
-    half = [length / 2 + _STICKS_OUT, width / 2 + _STICKS_OUT]
-    corners = [_corners_between(np.array([*np.negative(half), -_STICKS_OUT]), np.array([*half, height + _STICKS_OUT]))]
+    half = [length / 2 + WINDOW_LIMITS.outside_box_m, width / 2 + WINDOW_LIMITS.outside_box_m]
+    corners = [
+        _corners_between(
+            np.array([*np.negative(half), -WINDOW_LIMITS.outside_box_m]),
+            np.array([*half, height + WINDOW_LIMITS.outside_box_m]),
+        )
+    ]
     if vehicle.trailer is not None:
         low, high = vehicle.trailer.corners
-        corners.append(_corners_between(low - _STICKS_OUT, high + _STICKS_OUT))
+        corners.append(_corners_between(low - WINDOW_LIMITS.outside_box_m, high + WINDOW_LIMITS.outside_box_m))
     return window_of(_project(_corners_world(corners, T_world_parts), camera), camera) is not None
 
 
@@ -90,7 +105,9 @@ def shadow_hull_of(vehicle: Body, T_world_parts: Array, camera: Camera, sun_dire
 def _around(corners: Array) -> Array:
     """(8, 3) corners of the ground that what lies in a box takes sky from."""
     middle = (corners.min(axis=0) + corners.max(axis=0)) / 2 * [1, 0, 0]
-    return np.asarray(corners * [1, 1, 0] + np.sign(corners - middle) * [CONTACT, CONTACT, 0])
+    return np.asarray(
+        corners * [1, 1, 0] + np.sign(corners - middle) * [WINDOW_LIMITS.contact_m, WINDOW_LIMITS.contact_m, 0]
+    )
 
 
 def beam_corners(reach: float) -> Array:
@@ -127,11 +144,11 @@ def mirror_hull_of(vehicle: Body, T_world_parts: Array, camera: Camera, mirror: 
 
 def tiles(hulls: Iterable[Array], size: tuple[int, int]) -> NDArray[np.bool_]:
     """(rows, columns) the tiles of an image of `size` (width, height) that polygons touch, and some beside them."""
-    columns, rows = (-(-side // TILE) for side in size)
+    columns, rows = (-(-side // WINDOW_LIMITS.tile_px) for side in size)
     touched = np.zeros((rows, columns), dtype=np.uint8)
     for hull in hulls:
         if len(hull):
-            corners = np.rint((hull / TILE - 0.5) * 2**SUBPIXEL_BITS).astype(np.int32)
+            corners = np.rint((hull / WINDOW_LIMITS.tile_px - 0.5) * 2**SUBPIXEL_BITS).astype(np.int32)
             cv2.fillConvexPoly(touched, corners, 1, shift=SUBPIXEL_BITS)
     # What is filled has its centre in a polygon or lies on its edge.
     return np.asarray(cv2.dilate(touched, np.ones((3, 3), dtype=np.uint8)) > 0)
@@ -142,15 +159,23 @@ def tile_runs(touched: NDArray[np.bool_], size: tuple[int, int]) -> list[Window]
     edges = np.diff(np.pad(touched, ((0, 0), (1, 1))).astype(np.int8), axis=1)
     rows, first = np.nonzero(edges == 1)
     _, end = np.nonzero(edges == -1)
-    low, high = np.stack([first, rows], axis=1) * TILE, np.stack([end, rows + 1], axis=1) * TILE
+    low, high = (
+        np.stack([first, rows], axis=1) * WINDOW_LIMITS.tile_px,
+        np.stack([end, rows + 1], axis=1) * WINDOW_LIMITS.tile_px,
+    )
     return [(x0, y0, x1, y1) for (x0, y0), (x1, y1) in zip(low.tolist(), np.minimum(high, size).tolist(), strict=True)]
 
 
 def tile_mask(touched: NDArray[np.bool_], window: Window) -> NDArray[np.uint8]:
     """(h, w) 1 where the pixels of a window, which begins with a tile, are in one of the tiles, else 0."""
     x0, y0, x1, y1 = window
-    there = touched[y0 // TILE : -(-y1 // TILE), x0 // TILE : -(-x1 // TILE)].view(np.uint8)
-    return np.asarray(there.repeat(TILE, axis=0).repeat(TILE, axis=1)[: y1 - y0, : x1 - x0])
+    there = touched[
+        y0 // WINDOW_LIMITS.tile_px : -(-y1 // WINDOW_LIMITS.tile_px),
+        x0 // WINDOW_LIMITS.tile_px : -(-x1 // WINDOW_LIMITS.tile_px),
+    ].view(np.uint8)
+    return np.asarray(
+        there.repeat(WINDOW_LIMITS.tile_px, axis=0).repeat(WINDOW_LIMITS.tile_px, axis=1)[: y1 - y0, : x1 - x0]
+    )
 
 
 def crossing(a: Window, b: Window) -> bool:
@@ -208,9 +233,9 @@ def _corners_between(low: Array, high: Array) -> Array:
 
 def _in_front(corners: Array) -> Array:
     """Points (N, 3) in the camera frame -> points whose hull is the part of theirs that lies beyond the near plane."""
-    before = corners[:, 2] >= CLIP_DEPTH_M
+    before = corners[:, 2] >= WINDOW_LIMITS.clip_depth_m
     if before.all():
         return corners
     a, b = corners[before][:, None], corners[~before][None]
-    share = (CLIP_DEPTH_M - a[..., 2:]) / (b[..., 2:] - a[..., 2:])
+    share = (WINDOW_LIMITS.clip_depth_m - a[..., 2:]) / (b[..., 2:] - a[..., 2:])
     return np.concatenate([corners[before], (a + share * (b - a)).reshape(-1, 3)])

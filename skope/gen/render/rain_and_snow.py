@@ -1,6 +1,7 @@
 """Rain and falling snow as a camera sees them: streaks in the air and drops on its glass, small soft flakes far away
 and large blurred ones near."""
 
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, Final
 
@@ -12,16 +13,36 @@ from skope.gen.scene.random_streams import Stream
 from skope.gen.scene.recording import Recording
 from skope.types import Pixels
 
-FIELD: Final = 1.25
-"""Size of the field that what falls is drawn on, in sizes of the image; each frame shows a window of it."""
-_STREAKS: Final = 12000
-"""Number of streaks in the field of a 1920x1080 image, in rain of 10 mm/h."""
-_EXPOSED: Final = (0.012, 0.025)
-"""Streaks are as long as in exposures within this range, seconds: cameras expose longer in rain."""
-_DROP_COUNT: Final = 9
-"""Mean number of drops on the glass, in rain of 10 mm/h."""
-_STAYS: Final = 6.0
-"""Seconds that a drop stays."""
+
+@dataclass(frozen=True)
+class FallingWater:
+    """Rain, drops on the glass and snow."""
+
+    field_sizes: float = 1.25
+    """Size of the field that what falls is drawn on, in sizes of the image; each frame shows a window of it."""
+    streaks: int = 12000
+    """Number of streaks in the field of a 1920x1080 image, in rain of 10 mm/h."""
+    exposures_s: tuple[float, float] = (0.012, 0.025)
+    """Streaks are as long as in exposures within this range, seconds: cameras expose longer in rain."""
+    drop_count: int = 9
+    """Mean number of drops on the glass, in rain of 10 mm/h."""
+    drop_stays_s: float = 6.0
+    """Time that a drop stays on the glass, seconds."""
+    flakes: int = 7000
+    """Number of flakes in the field of a 1920x1080 image, in snow of 1 mm/h."""
+    fall_mps: float = 1.3
+    """Speed at which flakes fall, m/s."""
+    flake_focal_px: float = 1100.0
+    """Focal length of the lens that flakes are sized by, pixels of an image 1920 wide."""
+    flake_size_m: float = 0.013
+    """Size of a typical flake, metres."""
+    nearest_m: float = 0.8
+    """Distance of the nearest flakes from the camera, metres."""
+    farthest_m: float = 9.0
+    """Distance of the farthest flakes, metres."""
+
+
+FALLING_WATER: Final = FallingWater()
 
 
 class Rain:
@@ -32,7 +53,7 @@ class Rain:
         self._rate = recording.conditions.rain_mm_h
         size = (recording.camera.width, recording.camera.height)
         rng = recording.rng(Stream.RAIN)
-        shutter = float(np.clip(recording.conditions.shutter_s, *_EXPOSED))
+        shutter = float(np.clip(recording.conditions.shutter_s, *FALLING_WATER.exposures_s))
         if self._rate > 0:
             self._streaks = _streak_field(size, round(self._rate, 3), float(rng.uniform(-0.25, 0.25)), shutter)
 
@@ -47,12 +68,16 @@ class Rain:
         """Drops on the glass show the street upside down, out of focus and small."""
         time = float(self._recording.times_s[frame])
         rng = self._recording.rng(Stream.DROPS_ON_GLASS)
-        span = float(self._recording.times_s[-1]) + 2 * _STAYS
-        count = int(rng.poisson(_DROP_COUNT * (self._rate / 10) ** 0.5 * max(span / _STAYS, 1.0)))
+        span = float(self._recording.times_s[-1]) + 2 * FALLING_WATER.drop_stays_s
+        count = int(
+            rng.poisson(
+                FALLING_WATER.drop_count * (self._rate / 10) ** 0.5 * max(span / FALLING_WATER.drop_stays_s, 1.0)
+            )
+        )
         height, width = rgb.shape[:2]
         soft: Pixels | None = None
         for x, y, size, flat, born in rng.uniform(0, 1, (count, 5)).tolist():
-            if not 0 <= time + _STAYS - born * span < _STAYS:
+            if not 0 <= time + FALLING_WATER.drop_stays_s - born * span < FALLING_WATER.drop_stays_s:
                 continue
             soft = _out_of_focus(rgb) if soft is None else soft
             radius = width * (0.004 + 0.011 * size * size)
@@ -77,10 +102,10 @@ def fallen(rgb: Pixels, field: Pixels, rng: np.random.Generator) -> Pixels:
 @lru_cache(maxsize=2)
 def _streak_field(size: tuple[int, int], rate: float, slant: float, shutter: float) -> Pixels:
     """A field of streaks, from long faint ones of drops near the camera to short ones far away."""
-    width, height = (round(FIELD * side) for side in size)
+    width, height = (round(FALLING_WATER.field_sizes * side) for side in size)
     scale = size[0] / 1920
     rng = np.random.default_rng(17)
-    count = int(_STREAKS * (rate / 10) ** 0.6)
+    count = int(FALLING_WATER.streaks * (rate / 10) ** 0.6)
     field: NDArray[Any] = np.zeros((height, width), dtype=np.uint8)
     # How near: most of what falls is far away.
     near = rng.uniform(0, 1, count) ** 3
@@ -134,19 +159,6 @@ def _draw_drop(rgb: Pixels, soft: Pixels, center: tuple[float, float], radius: f
     window[...] = np.clip(window * (1 - cover) + inside * rim * cover, 0, 255).astype(np.uint8)
 
 
-_FLAKES: Final = 7000
-"""Number of flakes in the field of a 1920x1080 image, in snow of 1 mm/h."""
-_FALL_SPEED: Final = 1.3
-"""Speed at which flakes fall, m/s."""
-_FLAKE_FOCAL_PX: Final = 1100.0
-"""Focal length of the lens that flakes are sized by, pixels of an image 1920 wide."""
-_FLAKE_SIZE_M: Final = 0.013
-"""Typical flake, metres."""
-_NEAREST: Final = 0.8
-"""Nearest flakes to the camera, metres."""
-_FARTHEST: Final = 9.0
-
-
 class Snowfall:
     """The falling snow of one recording."""
 
@@ -169,20 +181,20 @@ class Snowfall:
 @lru_cache(maxsize=2)
 def _flake_field(size: tuple[int, int], rate: float, wind: float, shutter: float) -> Pixels:
     """A field of flakes, each as long as it moves while the shutter is open."""
-    width, height = (round(FIELD * side) for side in size)
+    width, height = (round(FALLING_WATER.field_sizes * side) for side in size)
     scale = size[0] / 1920
     rng = np.random.default_rng(19)
-    count = int(_FLAKES * rate**0.7)
+    count = int(FALLING_WATER.flakes * rate**0.7)
     # Evenly in the volume before the camera: few are near.
-    away = (rng.uniform(_NEAREST**3, _FARTHEST**3, count)) ** (1 / 3)
-    radius = _FLAKE_SIZE_M * rng.uniform(0.4, 1.0, count) * _FLAKE_FOCAL_PX * scale / away / 2
-    way = _FLAKE_FOCAL_PX * scale / away * shutter
+    away = (rng.uniform(FALLING_WATER.nearest_m**3, FALLING_WATER.farthest_m**3, count)) ** (1 / 3)
+    radius = FALLING_WATER.flake_size_m * rng.uniform(0.4, 1.0, count) * FALLING_WATER.flake_focal_px * scale / away / 2
+    way = FALLING_WATER.flake_focal_px * scale / away * shutter
     x, y = rng.uniform(0, width, count), rng.uniform(0, height, count)
     field: NDArray[Any] = np.zeros((height, width), dtype=np.uint8)
     for near in (False, True):
         layer = np.zeros_like(field)
         for k in np.flatnonzero((away < 3.0) == near).tolist():
-            ends = np.array([[x[k], y[k]], [x[k] + wind * way[k], y[k] + _FALL_SPEED * way[k]]])
+            ends = np.array([[x[k], y[k]], [x[k] + wind * way[k], y[k] + FALLING_WATER.fall_mps * way[k]]])
             (x0, y0), (x1, y1) = np.rint(ends * 16).astype(int).tolist()
             # What is smaller than a pixel is fainter.
             strength = int(230 * min(1.0, (2 * radius[k]) ** 2 + 0.3) * (0.8 if near else 1.0))

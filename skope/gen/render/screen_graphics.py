@@ -14,21 +14,43 @@ from skope.types import Pixels
 
 _Draw = Callable[[Pixels, Pixels, np.random.Generator], None]
 
-_FONTS: Final = (cv2.FONT_HERSHEY_SIMPLEX, cv2.FONT_HERSHEY_DUPLEX, cv2.FONT_HERSHEY_COMPLEX, cv2.FONT_HERSHEY_PLAIN)
-_LETTERS: Final = "ABCDEFGHJKLMNPRSTUVWXYZ0123456789"
-_LEAST_OPAQUE: Final = 0.25
-"""Opacity of the faintest watermark."""
-_CAPTIONED: Final = 0.6
-"""Share of the recordings with graphics that also have names of places."""
-_SYLLABLES: Final = (
+CAPTION_FONTS: Final = (
+    cv2.FONT_HERSHEY_SIMPLEX,
+    cv2.FONT_HERSHEY_DUPLEX,
+    cv2.FONT_HERSHEY_COMPLEX,
+    cv2.FONT_HERSHEY_PLAIN,
+)
+CAPTION_LETTERS: Final = "ABCDEFGHJKLMNPRSTUVWXYZ0123456789"
+
+
+@dataclass(frozen=True)
+class OverlayStyle:
+    """Captions and watermarks on the stream."""
+
+    least_opacity: float = 0.25
+    """Opacity of the faintest watermark."""
+    captioned_share: float = 0.6
+    """Share of the recordings with graphics that also have names of places."""
+    least_scale: float = 0.3
+    """Scale of OpenCV's letters below which a name cannot be read."""
+    caption_colors: tuple[tuple[int, int, int], ...] = (
+        (255, 255, 0),
+        (255, 255, 0),
+        (250, 250, 250),
+        (255, 190, 30),
+        (80, 255, 90),
+    )
+    """Colours of captions, RGB."""
+
+
+OVERLAY_STYLE: Final = OverlayStyle()
+
+NAME_SYLLABLES: Final = (
     "AR", "BER", "CAS", "CHAN", "DEL", "EAST", "FOR", "GATE", "HA", "JU", "KAL", "LAN", "MER", "NOR", "O", "PAR",
     "RONG", "SEN", "TON", "VAL", "WOOD", "YARD",
 )  # fmt: skip
-_ROADS: Final = ("", "", "", "", " RD", " AVE", " BRIDGE", " EXIT", " DR 12", " N", " CITY")
-_LEAST_SCALE: Final = 0.3
-"""Scale of OpenCV's letters below which a name cannot be read."""
-_CAPTION_INKS: Final = ((255, 255, 0), (255, 255, 0), (250, 250, 250), (255, 190, 30), (80, 255, 90))
-_POINTER: Final = np.array([(1.0, 0.0), (-0.75, 0.62), (-0.35, 0.0), (-0.75, -0.62)])
+NAME_ENDINGS: Final = ("", "", "", "", " RD", " AVE", " BRIDGE", " EXIT", " DR 12", " N", " CITY")
+ARROW_HEAD: Final = np.array([(1.0, 0.0), (-0.75, 0.62), (-0.35, 0.0), (-0.75, -0.62)])
 """Outline of an arrowhead that points to the right, from its middle to its tip 1 long."""
 
 
@@ -45,10 +67,10 @@ class ScreenGraphics:
             for draw in rng.choice(np.array(_GRAPHIC_KINDS, dtype=object), count):
                 mark = np.zeros_like(cover)
                 draw(ink, mark, rng)
-                opaque = rng.choice([1.0, rng.uniform(_LEAST_OPAQUE, 1.0)])
+                opaque = rng.choice([1.0, rng.uniform(OVERLAY_STYLE.least_opacity, 1.0)])
                 cover = np.maximum(cover, (mark * np.float32(opaque)).astype(np.uint8))
             own = recording.rng(Stream.PLACE_NAMES)
-            if own.random() < _CAPTIONED:
+            if own.random() < OVERLAY_STYLE.captioned_share:
                 _place_names(ink, cover, own)
             covers = np.repeat(cover[..., None], 3, axis=-1)
             self._seen = np.asarray(cv2.bitwise_not(covers), dtype=np.uint8)
@@ -71,7 +93,7 @@ def _color(rng: np.random.Generator) -> tuple[int, int, int]:
 
 
 def _word(rng: np.random.Generator, least: int, most: int) -> str:
-    return "".join(rng.choice(list(_LETTERS), int(rng.integers(least, most + 1))))
+    return "".join(rng.choice(list(CAPTION_LETTERS), int(rng.integers(least, most + 1))))
 
 
 def _corner(shape: tuple[int, ...], size: tuple[int, int], rng: np.random.Generator) -> tuple[int, int]:
@@ -85,7 +107,7 @@ def _corner(shape: tuple[int, ...], size: tuple[int, int], rng: np.random.Genera
 
 def _text(ink: Pixels, mark: Pixels, words: str, at: tuple[int, int], scale: float, rng: np.random.Generator) -> None:
     """Write words with their lower left corner at a place."""
-    font, thick = int(rng.choice(_FONTS)), max(1, round(scale * rng.uniform(1.2, 3.0)))
+    font, thick = int(rng.choice(CAPTION_FONTS)), max(1, round(scale * rng.uniform(1.2, 3.0)))
     cv2.putText(ink, words, at, font, scale, _color(rng), thick, cv2.LINE_AA)
     cv2.putText(mark, words, at, font, scale, 255, thick, cv2.LINE_AA)
 
@@ -167,8 +189,10 @@ class _CaptionStyle:
     @classmethod
     def drawn(cls, width: int, rng: np.random.Generator) -> Self:
         """The style of an operator for pictures of a width."""
-        scale = max(width / 1920 * float(rng.choice([rng.uniform(0.75, 1.3), rng.uniform(1.2, 2.2)])), _LEAST_SCALE)
-        ink = _CAPTION_INKS[int(rng.integers(len(_CAPTION_INKS)))]
+        scale = max(
+            width / 1920 * float(rng.choice([rng.uniform(0.75, 1.3), rng.uniform(1.2, 2.2)])), OVERLAY_STYLE.least_scale
+        )
+        ink = OVERLAY_STYLE.caption_colors[int(rng.integers(len(OVERLAY_STYLE.caption_colors)))]
         font = int(rng.choice([cv2.FONT_HERSHEY_SIMPLEX, cv2.FONT_HERSHEY_DUPLEX]))
         thickness = max(1, round(scale * rng.uniform(1.8, 3.0)))
         return cls(ink, scale, font, thickness, rng.random() < 0.6, rng.random() < 0.85)
@@ -189,7 +213,7 @@ def _place_names(ink: Pixels, cover: Pixels, rng: np.random.Generator) -> None:
     # Two draws lie about the middle more often than one; one name for each strip of the picture.
     count = int(rng.integers(1, 5))
     for k in rng.permutation(count):
-        name = "".join(rng.choice(_SYLLABLES, int(rng.integers(1, 4)))) + str(rng.choice(_ROADS))
+        name = "".join(rng.choice(NAME_SYLLABLES, int(rng.integers(1, 4)))) + str(rng.choice(NAME_ENDINGS))
         lines = name.split(" ", 1) if rng.random() < 0.3 else [name]
         x = width * (k + rng.uniform(0.1, 0.9)) / count
         y = height * (rng.uniform(0.04, 0.96) + rng.uniform(0.04, 0.96)) / 2
@@ -228,7 +252,7 @@ def _caption(
         # From the middle to the frame of the lines, and on.
         edge = toward * float((half / np.maximum(np.abs(toward), 1e-6)).min())
         R = np.array([[toward[0], toward[1]], [-toward[1], toward[0]]])
-        outline = np.rint((np.array(middle) + edge + 1.1 * reach * toward) + reach * _POINTER @ R).astype(np.int32)
+        outline = np.rint((np.array(middle) + edge + 1.1 * reach * toward) + reach * ARROW_HEAD @ R).astype(np.int32)
         for canvas, color in ((ink, style.ink), (cover, (255, 255, 255))):
             cv2.fillPoly(canvas, [outline], color, cv2.LINE_AA)
         for canvas, color in ((ink, (10, 10, 10)), (cover, (255, 255, 255))):

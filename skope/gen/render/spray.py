@@ -4,6 +4,7 @@ It stands behind each vehicle that moves, the denser and longer the faster it go
 what is behind it, the vehicle's own rear included. It is worked out on a grid coarser than the image.
 """
 
+from dataclasses import dataclass
 from typing import Final
 
 import cv2
@@ -11,29 +12,37 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skope.camera.model import Camera
-from skope.gen.render.glare import GLARE_CELL_PX
+from skope.gen.render.glare import GLARE_STRENGTHS
 from skope.gen.scene.conditions import Conditions
 from skope.gen.scene.recording import Moment, body_of
 from skope.types import Array
 
-_LEAST_SPEED: Final = 5.0
-"""Tyres throw up nothing that stays in the air below this, m/s."""
-_FULL_SPEED: Final = 18.0
-"""Speed at which spray is as dense as `_DENSITY` says, m/s."""
-_DENSITY: Final = 1.1
-"""Optical depth through the middle of a puff behind a car at that speed."""
-_LASTS_S: Final = 0.6
-"""Time in which spray thins out to a third."""
-_GONE_S: Final = 1.8
-"""Time after which it is not drawn."""
-_PUFF_SPACING: Final = 0.6
-"""Distance between the puffs of a plume, in widths of the vehicle."""
-_SPRAY_BRIGHTNESS: Final = 0.82
-"""Brightness of spray, as a share of the picture's bright parts."""
-_MOTTLED: Final = 0.55
-"""Variation of the density within a plume, as a share."""
-_TILE: Final = 128
-"""Size of the pattern that mottles plumes, cells."""
+
+@dataclass(frozen=True)
+class SprayModel:
+    """Spray behind vehicles on wet roads."""
+
+    least_mps: float = 5.0
+    """Speed below which tyres throw up nothing that stays in the air, m/s."""
+    full_mps: float = 18.0
+    """Speed at which spray has its full `density`, m/s."""
+    density: float = 1.1
+    """Optical depth through the middle of a puff behind a car at that speed."""
+    decay_s: float = 0.6
+    """Time in which spray thins out to a third."""
+    gone_s: float = 1.8
+    """Time after which it is not drawn."""
+    puff_widths: float = 0.6
+    """Distance between the puffs of a plume, in widths of the vehicle."""
+    brightness: float = 0.82
+    """Brightness of spray, as a share of the picture's bright parts."""
+    variation: float = 0.55
+    """Variation of the density within a plume, as a share."""
+    pattern_cells: int = 128
+    """Size of the pattern of density, cells."""
+
+
+SPRAY_MODEL: Final = SprayModel()
 
 
 class Spray:
@@ -43,11 +52,21 @@ class Spray:
         self._camera = camera
         self._amount = conditions.spray * conditions.wetness
         if self._amount > 0:
-            noise = np.random.default_rng(23).standard_normal((_TILE, _TILE)).astype(np.float32)
-            soft = cv2.GaussianBlur(np.tile(noise, (3, 3)), (0, 0), 2.5)[_TILE : 2 * _TILE, _TILE : 2 * _TILE]
-            mottle = np.clip(1 + _MOTTLED * soft / soft.std(), 0.1, 3.0).astype(np.float32)
+            noise = (
+                np.random.default_rng(23)
+                .standard_normal((SPRAY_MODEL.pattern_cells, SPRAY_MODEL.pattern_cells))
+                .astype(np.float32)
+            )
+            soft = cv2.GaussianBlur(np.tile(noise, (3, 3)), (0, 0), 2.5)[
+                SPRAY_MODEL.pattern_cells : 2 * SPRAY_MODEL.pattern_cells,
+                SPRAY_MODEL.pattern_cells : 2 * SPRAY_MODEL.pattern_cells,
+            ]
+            mottle = np.clip(1 + SPRAY_MODEL.variation * soft / soft.std(), 0.1, 3.0).astype(np.float32)
             # As large as the grid and a tile more: frames show windows of it.
-            tiles = [-(-side // (GLARE_CELL_PX * _TILE)) + 1 for side in (camera.height, camera.width)]
+            tiles = [
+                -(-side // (GLARE_STRENGTHS.cell_px * SPRAY_MODEL.pattern_cells)) + 1
+                for side in (camera.height, camera.width)
+            ]
             self._mottle = np.tile(mottle, tiles)
 
     def drift(
@@ -56,22 +75,24 @@ class Spray:
         """Put the spray of a moment into the picture (H, W, 3), and return it; `depth` (H, W) is the picture's."""
         if self._amount <= 0:
             return rgb
-        shown = np.ascontiguousarray(depth[::GLARE_CELL_PX, ::GLARE_CELL_PX])
+        shown = np.ascontiguousarray(depth[:: GLARE_STRENGTHS.cell_px, :: GLARE_STRENGTHS.cell_px])
         thick = np.zeros(shown.shape, dtype=np.float32)
         for i, (recorded, T) in enumerate(zip(moment.vehicles, moment.T_world_chassis, strict=True)):
             speed = float(np.linalg.norm(moment.velocity[i]))
-            if recorded.labelled and speed > _LEAST_SPEED:
+            if recorded.labelled and speed > SPRAY_MODEL.least_mps:
                 self._add_plume(thick, shown, T, body_of(recorded).size_lwh, speed)
         if not thick.any():
             return rgb
         rows, columns = shown.shape
         # The pattern moves on from frame to frame.
-        y, x = (37 * frame) % _TILE, (53 * frame) % _TILE
+        y, x = (37 * frame) % SPRAY_MODEL.pattern_cells, (53 * frame) % SPRAY_MODEL.pattern_cells
         veil = 255 * (1 - np.exp(-thick * self._mottle[y : y + rows, x : x + columns]))
         veil = cv2.resize(
-            veil.astype(np.uint8), (GLARE_CELL_PX * columns, GLARE_CELL_PX * rows), interpolation=cv2.INTER_LINEAR
+            veil.astype(np.uint8),
+            (GLARE_STRENGTHS.cell_px * columns, GLARE_STRENGTHS.cell_px * rows),
+            interpolation=cv2.INTER_LINEAR,
         )
-        light = _SPRAY_BRIGHTNESS * np.quantile(rgb[::8, ::8].reshape(-1, 3), 0.9, axis=0)
+        light = SPRAY_MODEL.brightness * np.quantile(rgb[::8, ::8].reshape(-1, 3), 0.9, axis=0)
         veiled = np.flatnonzero(veil[: rgb.shape[0]].any(axis=1))
         if len(veiled):
             there = slice(int(veiled[0]), int(veiled[-1]) + 1)
@@ -90,9 +111,13 @@ class Spray:
     ) -> None:
         """Add one vehicle's plume to the optical depth on the grid."""
         length, width, height = size
-        dense = self._amount * _DENSITY * min((speed - _LEAST_SPEED) / (_FULL_SPEED - _LEAST_SPEED), 1.5)
+        dense = (
+            self._amount
+            * SPRAY_MODEL.density
+            * min((speed - SPRAY_MODEL.least_mps) / (SPRAY_MODEL.full_mps - SPRAY_MODEL.least_mps), 1.5)
+        )
         dense *= 1.0 + 0.6 * (height > 2.4)
-        behind = np.arange(0.0, speed * _GONE_S, _PUFF_SPACING * width)
+        behind = np.arange(0.0, speed * SPRAY_MODEL.gone_s, SPRAY_MODEL.puff_widths * width)
         ages = behind / speed
         heights = 0.35 + 0.55 * np.minimum(ages, 1.0)
         back = np.column_stack([-0.42 * length - behind, np.zeros(len(ages)), heights])
@@ -100,17 +125,17 @@ class Spray:
         wheels = np.array([[x * length, y * width, 0.28] for x in (0.30, -0.30) for y in (-0.55, 0.55)])
         places = np.concatenate([back, wheels]) @ T[:3, :3].T + T[:3, 3]
         radii = np.concatenate([radius, np.full(len(wheels), 0.34)])
-        depths = np.concatenate([dense * np.exp(-ages / _LASTS_S), np.full(len(wheels), 0.45 * dense)])
+        depths = np.concatenate([dense * np.exp(-ages / SPRAY_MODEL.decay_s), np.full(len(wheels), 0.45 * dense)])
         pixels, z, valid = self._camera.project(places)
         focal = float(self._camera.K[0, 0])
         for k in np.flatnonzero(valid & (z > 1.0)).tolist():
             _add_puff(
                 thick,
                 shown,
-                pixels[k] / GLARE_CELL_PX,
+                pixels[k] / GLARE_STRENGTHS.cell_px,
                 float(z[k]),
                 float(radii[k]),
-                focal / GLARE_CELL_PX,
+                focal / GLARE_STRENGTHS.cell_px,
                 float(depths[k]),
             )
 

@@ -18,11 +18,20 @@ from numpy.typing import NDArray
 
 from skope.camera.model import Camera
 from skope.gen.mesh import Mesh
-from skope.gen.render.frame import SKY, STATIC, RenderedFrame, Silhouette
+from skope.gen.render.frame import SKY_ID, STATIC_ID, RenderedFrame, Silhouette
 from skope.gen.render.glare import Glare
 from skope.gen.render.lit_lamps import light_signals
-from skope.gen.render.materials import BRAKE_LIGHT, GROUND, MATERIALS, RGB, Light, Palette, grain, own_color
-from skope.gen.render.pixel_windows import CLIP_DEPTH_M, Window, hull_of, window_of
+from skope.gen.render.materials import (
+    COLOR_TYPE,
+    GROUND_MATERIALS,
+    MATERIAL_COLORS,
+    MATERIAL_PATTERNS,
+    Light,
+    Palette,
+    grain,
+    own_color,
+)
+from skope.gen.render.pixel_windows import WINDOW_LIMITS, Window, hull_of, window_of
 from skope.gen.render.spray import Spray
 from skope.gen.scene.recording import LAMPS, Moment, RecordedVehicle, Recording, body_of
 from skope.gen.scenery.build import scenery
@@ -34,17 +43,27 @@ from skope.types import Array
 
 Slices = tuple[slice, slice]
 
-FINE: Final = 3
-TINY_FAR_PLANE_M: Final = 1200.0
-SHADOW: Final = 0.45
-"""Share of the light that a vehicle's shadow takes from the road."""
-WET_LOSS: Final = 0.4
-"""Share of the road's light that water takes."""
+
+@dataclass(frozen=True)
+class TinyRendererLimits:
+    """Resolution and light of pybullet's renderer."""
+
+    samples: int = 3
+    """Samples per pixel and axis."""
+    far_m: float = 1200.0
+    """Distance of the far plane, metres."""
+    shadow: float = 0.45
+    """Share of the light that a vehicle's shadow takes from the road."""
+    wet_loss: float = 0.4
+    """Share of the road's light that water takes."""
+
+
+TINY_LIMITS: Final = TinyRendererLimits()
 
 
 @dataclass(frozen=True, eq=False)
 class _FineLayer:
-    """Samples of a window of the image, `FINE` times as fine as it."""
+    """Samples of a window of the image, `TINY_LIMITS.samples` times as fine as it."""
 
     x: int
     y: int
@@ -58,7 +77,7 @@ class _FineLayer:
     @property
     def window(self) -> Window:
         rows, columns = self.depth.shape
-        return self.x, self.y, self.x + columns // FINE, self.y + rows // FINE
+        return self.x, self.y, self.x + columns // TINY_LIMITS.samples, self.y + rows // TINY_LIMITS.samples
 
     def within(self, window: Window) -> tuple[Slices, Slices] | None:
         """Fine samples of a window that the layer covers, and the layer's own there; None if they do not overlap."""
@@ -66,7 +85,10 @@ class _FineLayer:
         if x0 >= x1 or y0 >= y1:
             return None
         there, own = (
-            (slice((y0 - y) * FINE, (y1 - y) * FINE), slice((x0 - x) * FINE, (x1 - x) * FINE))
+            (
+                slice((y0 - y) * TINY_LIMITS.samples, (y1 - y) * TINY_LIMITS.samples),
+                slice((x0 - x) * TINY_LIMITS.samples, (x1 - x) * TINY_LIMITS.samples),
+            )
             for x, y in (window[:2], (self.x, self.y))
         )
         return there, own
@@ -82,7 +104,7 @@ class _Stage:
         self.parts: list[str] = []
         self._bodies: list[int] = []
 
-    def add(self, mesh: Mesh, colors: Mapping[str, RGB]) -> list[int]:
+    def add(self, mesh: Mesh, colors: Mapping[str, COLOR_TYPE]) -> list[int]:
         """Add a mesh, one body per material; returns the parts' indices."""
         first = len(self._bodies)
         for material, part in mesh.by_material().items():
@@ -101,7 +123,7 @@ class _Stage:
             self.parts.append(material)
         return list(range(first, len(self._bodies)))
 
-    def paint(self, part: int, color: RGB) -> None:
+    def paint(self, part: int, color: COLOR_TYPE) -> None:
         self._engine.changeVisualShape(self._bodies[part], -1, rgbaColor=[*color, 1], physicsClientId=self._client)
 
     def move(self, part: int, T: Array) -> None:
@@ -113,17 +135,17 @@ class _Stage:
     def draw(self, camera: Camera, T_camera_stage: Array, window: Window, light: Light) -> _FineLayer:
         """Draw a window (x0, y0, x1, y1) of the image, in image pixels."""
         x0, y0, x1, y1 = window
-        width, height = (x1 - x0) * FINE, (y1 - y0) * FINE
-        fx, fy = camera.K[0, 0] * FINE, camera.K[1, 1] * FINE
+        width, height = (x1 - x0) * TINY_LIMITS.samples, (y1 - y0) * TINY_LIMITS.samples
+        fx, fy = camera.K[0, 0] * TINY_LIMITS.samples, camera.K[1, 1] * TINY_LIMITS.samples
         # TinyRenderer samples where continuous coordinates, counted from the lower left, are whole: half a sample to
         # the right and up lie the centres.
-        cx, cy = (camera.K[0, 2] - x0) * FINE - 0.5, (camera.K[1, 2] - y0) * FINE + 0.5
+        cx, cy = (camera.K[0, 2] - x0) * TINY_LIMITS.samples - 0.5, (camera.K[1, 2] - y0) * TINY_LIMITS.samples + 0.5
         projection = np.zeros((4, 4))
         projection[0, 0], projection[0, 2] = 2 * fx / width, 1 - 2 * cx / width
         projection[1, 1], projection[1, 2] = 2 * fy / height, 2 * cy / height - 1
         projection[2, 2:] = (
-            -(TINY_FAR_PLANE_M + CLIP_DEPTH_M) / (TINY_FAR_PLANE_M - CLIP_DEPTH_M),
-            -2 * TINY_FAR_PLANE_M * CLIP_DEPTH_M / (TINY_FAR_PLANE_M - CLIP_DEPTH_M),
+            -(TINY_LIMITS.far_m + WINDOW_LIMITS.clip_depth_m) / (TINY_LIMITS.far_m - WINDOW_LIMITS.clip_depth_m),
+            -2 * TINY_LIMITS.far_m * WINDOW_LIMITS.clip_depth_m / (TINY_LIMITS.far_m - WINDOW_LIMITS.clip_depth_m),
         )
         projection[3, 2] = -1
         view = np.diag([1.0, -1.0, -1.0, 1.0]) @ T_camera_stage
@@ -144,7 +166,11 @@ class _Stage:
         )
         part = np.reshape(np.asarray(segmentation, dtype=np.int32), (height, width))
         depth = np.reshape(np.asarray(buffer, dtype=np.float64), (height, width))
-        z = TINY_FAR_PLANE_M * CLIP_DEPTH_M / (TINY_FAR_PLANE_M - (TINY_FAR_PLANE_M - CLIP_DEPTH_M) * depth)
+        z = (
+            TINY_LIMITS.far_m
+            * WINDOW_LIMITS.clip_depth_m
+            / (TINY_LIMITS.far_m - (TINY_LIMITS.far_m - WINDOW_LIMITS.clip_depth_m) * depth)
+        )
         rgb = np.reshape(np.asarray(rgba, dtype=np.uint8), (height, width, 4))[..., :3]
         through = np.exp(-light.haze_density * z).astype(np.float32)[..., None]
         rgb = (rgb * through + 255 * np.array(light.horizon, np.float32) * (1 - through)).astype(np.uint8)
@@ -165,7 +191,7 @@ def _town_stage(town: Town) -> _Stage:
 def _vehicle_stage(vehicle: Body) -> tuple[_Stage, list[list[int]]]:
     """The stage that holds a vehicle, and its parts on the stage for each of its moving parts, its body first."""
     stage = _Stage()
-    colors = {**MATERIALS, "paint": (0.5, 0.5, 0.5)}
+    colors = {**MATERIAL_COLORS, "paint": (0.5, 0.5, 0.5)}
     return stage, [stage.add(mesh, colors) for mesh in vehicle.parts]
 
 
@@ -178,7 +204,9 @@ class TinyRenderer:
         self._image: Window = (0, 0, recording.camera.width, recording.camera.height)
         self._signals = scenery(recording.town).signals
         self._background, self._ground = self._draw_background()
-        depth = self._background.depth[FINE // 2 :: FINE, FINE // 2 :: FINE]
+        depth = self._background.depth[
+            TINY_LIMITS.samples // 2 :: TINY_LIMITS.samples, TINY_LIMITS.samples // 2 :: TINY_LIMITS.samples
+        ]
         self._glare = Glare(self._camera, recording.conditions, scenery(recording.town), depth)
         self._spray = Spray(self._camera, recording.conditions)
 
@@ -188,16 +216,18 @@ class TinyRenderer:
         camera = self._camera
         stage = _town_stage(self._recording.town)
         layer = stage.draw(camera, camera.T_camera_world, self._image, self._light)
-        is_ground = np.array([*(name in GROUND for name in stage.parts), False])  # part -1, the sky, is the last
+        is_ground = np.array(
+            [*(name in GROUND_MATERIALS for name in stage.parts), False]
+        )  # part -1, the sky, is the last
         ground = is_ground[layer.part]
         if (photograph := self._recording.photograph) is not None:
-            fine = photograph.repeat(FINE, axis=0).repeat(FINE, axis=1)
+            fine = photograph.repeat(TINY_LIMITS.samples, axis=0).repeat(TINY_LIMITS.samples, axis=1)
             return _FineLayer(0, 0, fine, layer.depth, layer.part), ground
         rows, columns = np.mgrid[: layer.depth.shape[0], : layer.depth.shape[1]]
-        pixels = (np.stack([columns, rows], axis=-1) + 0.5) / FINE
+        pixels = (np.stack([columns, rows], axis=-1) + 0.5) / TINY_LIMITS.samples
         rgb = layer.rgb.astype(np.float32)
         positions, _ = camera.unproject(pixels, np.where(ground, layer.depth, 0))
-        wet = np.float32(1 - WET_LOSS * self._recording.conditions.wetness)
+        wet = np.float32(1 - TINY_LIMITS.wet_loss * self._recording.conditions.wetness)
         rgb *= np.where(ground, wet * grain(positions[..., :2]), np.float32(1))[..., None]
         sky = layer.part < 0
         rays, _ = camera.rays(pixels[sky])
@@ -224,7 +254,9 @@ class TinyRenderer:
                 red, green, blue = paint.rgb if stage.parts[part] == "paint" else paint.livery
                 stage.paint(part, (red / 255, green / 255, blue / 255))
             if stage.parts[part] == "brake_light":
-                stage.paint(part, BRAKE_LIGHT if lamps & LAMPS["brake"] else MATERIALS["brake_light"])
+                stage.paint(
+                    part, MATERIAL_PATTERNS.brake_light if lamps & LAMPS["brake"] else MATERIAL_COLORS["brake_light"]
+                )
         T_chassis_world = np.linalg.inv(chassis)
         for some, T_world_part in zip(on_stage[1:], T_world_parts[1:], strict=False):
             for part in some:
@@ -245,7 +277,7 @@ class TinyRenderer:
             self._fill_hull(contact, flat)
         if not contact.any():
             return self._background.rgb.copy()
-        shade = 1 - SHADOW * cv2.blur(mask, (3, 3)).astype(np.float32) / 255
+        shade = 1 - TINY_LIMITS.shadow * cv2.blur(mask, (3, 3)).astype(np.float32) / 255
         shade *= 1 - 0.35 * cv2.blur(contact, (7, 7)).astype(np.float32) / 255
         shade = np.where(self._ground, shade, np.float32(1))
         return (self._background.rgb * shade[..., None]).astype(np.uint8)
@@ -253,8 +285,12 @@ class TinyRenderer:
     def _fill_hull(self, mask: NDArray[np.uint8], points: Array) -> None:
         """Fill the convex hull of ground points (N, 3) in a fine mask."""
         pixels, depth, valid = self._camera.project(points)
-        if valid.all() and (depth > CLIP_DEPTH_M).all() and np.abs(pixels).max() < 20 * self._camera.width:
-            hull = cv2.convexHull((pixels * FINE).astype(np.int32))
+        if (
+            valid.all()
+            and (depth > WINDOW_LIMITS.clip_depth_m).all()
+            and np.abs(pixels).max() < 20 * self._camera.width
+        ):
+            hull = cv2.convexHull((pixels * TINY_LIMITS.samples).astype(np.int32))
             cv2.fillConvexPoly(mask, hull, 255)
 
     # ------------------------------------------------------------------------------------------------------- frames
@@ -268,14 +304,16 @@ class TinyRenderer:
         ]
         shaded = self._shadowed_background(moment)
         rgb, depth = shaded.copy(), self._background.depth.copy()
-        ids = np.where(self._background.part >= 0, STATIC, SKY).astype(np.int32)
+        ids = np.where(self._background.part >= 0, STATIC_ID, SKY_ID).astype(np.int32)
         for i, layer in enumerate(layers):
             _draw_layer(layer, self._image, rgb, depth, ids, i + 1)
-        light_signals(rgb, depth, self._camera, moment, self._signals, FINE)
+        light_signals(rgb, depth, self._camera, moment, self._signals, TINY_LIMITS.samples)
         clean = _mean_colors(rgb)
-        middle = ids[FINE // 2 :: FINE, FINE // 2 :: FINE]
+        middle = ids[TINY_LIMITS.samples // 2 :: TINY_LIMITS.samples, TINY_LIMITS.samples // 2 :: TINY_LIMITS.samples]
         contrast = np.array([self._contrast(i, layers, shaded, clean, middle) for i in range(len(layers))])
-        coarse = np.ascontiguousarray(depth[FINE // 2 :: FINE, FINE // 2 :: FINE])
+        coarse = np.ascontiguousarray(
+            depth[TINY_LIMITS.samples // 2 :: TINY_LIMITS.samples, TINY_LIMITS.samples // 2 :: TINY_LIMITS.samples]
+        )
         wet = self._spray.drift(np.rint(clean).astype(np.uint8), coarse, moment, frame)
         return RenderedFrame(
             self._glare.spread(wet, coarse, middle, moment),
@@ -300,7 +338,7 @@ class TinyRenderer:
         if layer is None or place is None:
             return 0.0
         fine = place[0]
-        coarse = tuple(slice(s.start // FINE, s.stop // FINE) for s in fine)
+        coarse = tuple(slice(s.start // TINY_LIMITS.samples, s.stop // TINY_LIMITS.samples) for s in fine)
         visible = ids[coarse] == i + 1
         if not visible.any():
             return 0.0
@@ -358,17 +396,19 @@ def quaternion(R: Array) -> list[float]:
 
 def _mean_colors(rgb: NDArray[np.uint8]) -> NDArray[np.float32]:
     """Fine colours -> image colours, before rounding."""
-    rows, columns = rgb.shape[0] // FINE, rgb.shape[1] // FINE
+    rows, columns = rgb.shape[0] // TINY_LIMITS.samples, rgb.shape[1] // TINY_LIMITS.samples
     return np.asarray(cv2.resize(rgb.astype(np.float32), (columns, rows), interpolation=cv2.INTER_AREA))
 
 
 def _slope(depth: NDArray[np.float32]) -> NDArray[np.float32]:
     """(H, W, 2) slope of the surface at pixel centres, from the fine depth."""
-    m = FINE // 2
+    m = TINY_LIMITS.samples // 2
     inverse = 1 / depth.astype(np.float64)
-    center = inverse[m::FINE, m::FINE]
+    center = inverse[m :: TINY_LIMITS.samples, m :: TINY_LIMITS.samples]
     z = np.divide(1, center, out=np.zeros_like(center), where=center > 0)
-    change = np.stack([_line_slope(inverse[m::FINE]), _line_slope(inverse[:, m::FINE].T).T], axis=-1)
+    change = np.stack(
+        [_line_slope(inverse[m :: TINY_LIMITS.samples]), _line_slope(inverse[:, m :: TINY_LIMITS.samples].T).T], axis=-1
+    )
     return np.asarray(-change * (z * z)[..., None], dtype=np.float32)
 
 
@@ -379,15 +419,20 @@ def _line_slope(inverse: Array) -> Array:
     straightest belong to the surface shown; others reach over an edge to what lies behind or before it.
     """
     padded = np.pad(inverse, ((0, 0), (1, 1)), mode="edge")
-    a, b, c, d, e = (padded[:, k : k + inverse.shape[1] : FINE] for k in range(FINE + 2))
+    a, b, c, d, e = (padded[:, k : k + inverse.shape[1] : TINY_LIMITS.samples] for k in range(TINY_LIMITS.samples + 2))
     slopes = np.stack([c - a, d - b, e - c]) / 2
     bends = np.abs(np.stack([c - 2 * b + a, d - 2 * c + b, e - 2 * d + c]))
     straightest = bends.argmin(axis=0)[None]
     slope, bend = (np.take_along_axis(values, straightest, axis=0)[0] for values in (slopes, bends))
-    return np.asarray(FINE * np.where(bend < 0.25 * np.abs(slope), slope, 0.0))
+    return np.asarray(TINY_LIMITS.samples * np.where(bend < 0.25 * np.abs(slope), slope, 0.0))
 
 
 def _silhouette(layer: _FineLayer | None) -> Silhouette:
     if layer is None:
         return Silhouette(0, 0, np.zeros((0, 0), dtype=bool))
-    return Silhouette(layer.x, layer.y, layer.part[FINE // 2 :: FINE, FINE // 2 :: FINE] >= 0)
+    return Silhouette(
+        layer.x,
+        layer.y,
+        layer.part[TINY_LIMITS.samples // 2 :: TINY_LIMITS.samples, TINY_LIMITS.samples // 2 :: TINY_LIMITS.samples]
+        >= 0,
+    )

@@ -2,6 +2,7 @@
 photograph, ground that shadows fall on and objects that hide the traffic."""
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -9,20 +10,29 @@ import shapely
 from shapely import Polygon
 
 from skope.gen.mesh import Mesh, from_triangles, grid, merged
-from skope.gen.scenery.ground import MARGIN
+from skope.gen.scenery.ground import GROUND_SIZES
 from skope.gen.scenery.quads import Solid
 from skope.gen.towns.land_use import Layout
 from skope.gen.towns.road_graph import RoadGraph
 from skope.gen.towns.town import OwnRoad, PixelOutline, Town
 from skope.types import Array
 
-_GROUND_RADIUS_M: Final = 2000.0
-"""Radius of level ground around the camera, metres."""
-_GROUND_CELL_M: Final = 2.0
-_PLATE_HEIGHT_M: Final = 15.0
-"""Height of what throws a photograph's shadows, metres over the road."""
-_SLOPED_TO_M: Final = 250.0
-"""Radius of ground that is not level around the camera, metres."""
+
+@dataclass(frozen=True)
+class BackdropGround:
+    """Ground behind a photograph."""
+
+    radius_m: float = 2000.0
+    """Radius of level ground around the camera, metres."""
+    cell_m: float = 2.0
+    """Size of its cells, metres."""
+    shading_height_m: float = 15.0
+    """Height over the road of what casts a photograph's shadows, metres."""
+    sloped_radius_m: float = 250.0
+    """Radius of ground that is not level around the camera, metres."""
+
+
+BACKDROP_GROUND: Final = BackdropGround()
 
 
 def backdrop(layout: Layout, road: OwnRoad) -> Mesh:
@@ -33,7 +43,9 @@ def backdrop(layout: Layout, road: OwnRoad) -> Mesh:
 def _ground(layout: Layout, middle: Array) -> Mesh:
     level = layout.ground.level
     reach, count = (
-        (_GROUND_RADIUS_M, 1) if level is not None else (_SLOPED_TO_M, int(2 * _SLOPED_TO_M / _GROUND_CELL_M))
+        (BACKDROP_GROUND.radius_m, 1)
+        if level is not None
+        else (BACKDROP_GROUND.sloped_radius_m, int(2 * BACKDROP_GROUND.sloped_radius_m / BACKDROP_GROUND.cell_m))
     )
     x, y = (np.linspace(at - reach, at + reach, count + 1) for at in middle)
     places = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1)
@@ -61,7 +73,7 @@ def plates(road: OwnRoad, toward_sun: Array) -> Mesh | None:
         rays, _ = camera.rays(_filling_triangles(road, outline))
         directions = rays @ camera.T_camera_world[:3, :3]
         reach = (level - camera.position[2]) / directions[:, 2:]
-        points = camera.position + reach * directions + toward_sun * _PLATE_HEIGHT_M / toward_sun[2]
+        points = camera.position + reach * directions + toward_sun * BACKDROP_GROUND.shading_height_m / toward_sun[2]
         out.append(from_triangles(points, np.arange(len(points)).reshape(-1, 3), "iron"))
     return merged(out) if out else None
 
@@ -93,7 +105,7 @@ def horizon(layout: Layout, rng: np.random.Generator) -> Iterator[Mesh]:
 def _ground_outline(graph: RoadGraph, count: int) -> tuple[Array, Array, Array]:
     """Middle and half sizes of the ground, and (count, 2) directions all around, clockwise."""
     x0, y0, x1, y1 = graph.road.bounds
-    centre, half = np.array([x0 + x1, y0 + y1]) / 2, np.array([x1 - x0, y1 - y0]) / 2 + MARGIN
+    centre, half = np.array([x0 + x1, y0 + y1]) / 2, np.array([x1 - x0, y1 - y0]) / 2 + GROUND_SIZES.margin_m
     angle = np.linspace(0, 2 * np.pi, count)[::-1]
     return centre, half, np.stack([np.cos(angle), np.sin(angle)], axis=1)
 

@@ -2,6 +2,7 @@
 
 import itertools
 from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
@@ -19,11 +20,20 @@ from skope.gen.towns.regions import polygons
 from skope.gen.towns.road_graph import BARRIER, RoadGraph, beside, driven, half_width, right_of
 from skope.types import Array
 
-DECK_THICKNESS_M: Final = 1.1
-"""Thickness of bridge decks, metres."""
-GANTRY_CLEARANCE: Final = 5.7
-"""Clearance under signs over the road, metres."""
-_DECK_CELL_M: Final = 3.0
+
+@dataclass(frozen=True)
+class BridgeSizes:
+    """Sizes of bridges and gantries."""
+
+    deck_thickness_m: float = 1.1
+    """Thickness of bridge decks, metres."""
+    gantry_clearance_m: float = 5.7
+    """Clearance under signs over the road, metres."""
+    deck_cell_m: float = 3.0
+    """Length of the parts of a deck, metres."""
+
+
+BRIDGE_SIZES: Final = BridgeSizes()
 
 
 def structures(layout: Layout) -> Iterator[Mesh]:
@@ -51,8 +61,13 @@ def _bridge(layout: Layout, deck: Polygon, drawn: Any) -> Iterator[Mesh]:
         return lanes.near(places, 40.0)[0]
 
     x0, y0, x1, y1 = deck.buffer(walk).bounds
-    xs, ys = (np.arange(low, high + _DECK_CELL_M, _DECK_CELL_M) for low, high in ((x0, x1), (y0, y1)))
-    cells = np.array([shapely.box(x, y, x + _DECK_CELL_M, y + _DECK_CELL_M) for x in xs for y in ys], dtype=object)
+    xs, ys = (
+        np.arange(low, high + BRIDGE_SIZES.deck_cell_m, BRIDGE_SIZES.deck_cell_m) for low, high in ((x0, x1), (y0, y1))
+    )
+    cells = np.array(
+        [shapely.box(x, y, x + BRIDGE_SIZES.deck_cell_m, y + BRIDGE_SIZES.deck_cell_m) for x in xs for y in ys],
+        dtype=object,
+    )
     marked = drawn.intersection(deck)
     yield from surfaces([Part("marking", marked, True), Part("asphalt", deck.difference(marked), True)], height, cells)
     whole = _widened_deck(layout.graph, deck, walk)
@@ -65,16 +80,16 @@ def _bridge(layout: Layout, deck: Polygon, drawn: Any) -> Iterator[Mesh]:
     )
     for polygon in polygons(beside_lanes):
         for ring in rings(polygon):
-            line = np.array(shapely.segmentize(LineString(ring), _DECK_CELL_M).coords)
+            line = np.array(shapely.segmentize(LineString(ring), BRIDGE_SIZES.deck_cell_m).coords)
             z = height(line) + kerb
             inner = shapely.distance(deck, shapely.points(line)) < 0.05
             is_kerb = inner[:-1] & inner[1:]
             yield _vertical_faces(line, z - kerb, z, is_kerb, "kerb")
-            yield _vertical_faces(line, z - DECK_THICKNESS_M, z, ~is_kerb, "concrete")
+            yield _vertical_faces(line, z - BRIDGE_SIZES.deck_thickness_m, z, ~is_kerb, "concrete")
             outer = shapely.distance(deck, shapely.points(line)) > walk - 0.05
             yield from _edge_parapets(line, z, outer[:-1] & outer[1:])
     soffit = [Part("concrete", whole, False)]
-    for part in surfaces(soffit, lambda places: height(places) - DECK_THICKNESS_M, cells):
+    for part in surfaces(soffit, lambda places: height(places) - BRIDGE_SIZES.deck_thickness_m, cells):
         yield Mesh(part.vertices, -part.normals, part.triangles[:, ::-1], part.materials, part.material)
     yield from _end_faces(deck, height)
     yield from _piers(layout, deck, whole, height)
@@ -117,7 +132,9 @@ def _end_faces(deck: Polygon, height: Any) -> Iterator[Mesh]:
     """The deck's ends under the carriageway."""
     for ring in rings(deck):
         z = height(ring)
-        yield _vertical_faces(ring, z - DECK_THICKNESS_M, z - 0.03, np.ones(len(ring) - 1, dtype=bool), "concrete")
+        yield _vertical_faces(
+            ring, z - BRIDGE_SIZES.deck_thickness_m, z - 0.03, np.ones(len(ring) - 1, dtype=bool), "concrete"
+        )
 
 
 def _piers(layout: Layout, deck: Polygon, whole: Polygon, height: Any) -> Iterator[Mesh]:
@@ -137,7 +154,7 @@ def _piers(layout: Layout, deck: Polygon, whole: Polygon, height: Any) -> Iterat
         heading = float(np.arctan2(*(ahead - places[k])[::-1]))
         half = whole.area / axis.length / 2 - 0.6
         top, foot = (
-            float(height(places[k : k + 1])[0]) - DECK_THICKNESS_M,
+            float(height(places[k : k + 1])[0]) - BRIDGE_SIZES.deck_thickness_m,
             float(layout.ground.beside(places[k : k + 1])[0]),
         )
         beam = box([-0.5, -half, top - foot - 0.8], [0.5, half, top - foot + 0.05], "concrete")
@@ -256,7 +273,7 @@ def _gantry(layout: Layout, edge: Any, at: float, signs: tuple[str, ...]) -> Mes
     middle, heading = beside(edge, s, -half_width(edge))
     right, left = width / 2 + kind.shoulder + 1.0, width / 2 + 1.1
     road_z = float(layout.ground.road(middle[None])[0])
-    low = GANTRY_CLEARANCE + 0.4
+    low = BRIDGE_SIZES.gantry_clearance_m + 0.4
     out = Solid()
     for y in (-right, left):
         out.box("concrete", (-0.5, y - 0.4, -0.5), (0.5, y + 0.4, 0.7), without="-z")
@@ -272,7 +289,11 @@ def _gantry(layout: Layout, edge: Any, at: float, signs: tuple[str, ...]) -> Mes
     share = (width + kind.shoulder) / len(signs)
     for k, color in enumerate(signs):
         y = width / 2 - (k + 0.5) * share
-        half, bottom, top = 0.44 * share, GANTRY_CLEARANCE, GANTRY_CLEARANCE + min(2.9, 0.7 * share)
+        half, bottom, top = (
+            0.44 * share,
+            BRIDGE_SIZES.gantry_clearance_m,
+            BRIDGE_SIZES.gantry_clearance_m + min(2.9, 0.7 * share),
+        )
         out.box("lettering", (-0.62, y - half, bottom), (-0.56, y + half, top))
         out.box(color, (-0.66, y - half + 0.08, bottom + 0.08), (-0.62, y + half - 0.08, top - 0.08), without="+x")
         for row, (reach, thick) in enumerate(((0.8, 0.26), (0.55, 0.22), (0.7, 0.22))):

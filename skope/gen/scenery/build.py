@@ -38,13 +38,23 @@ from skope.gen.towns.road_graph import driven, right_of
 from skope.gen.towns.town import Town
 from skope.types import Array
 
-STUDIO: Final = Town("studio")
+STUDIO_TOWN: Final = Town("studio")
 """An empty place, to look at vehicles."""
-STUDIO_RADIUS: Final = 200.0
-_BEFORE_CROSSINGS: Final = 5.0
-"""Distance from crossings that is kept free of parked vehicles, metres."""
-ARM_CLEARANCE: Final = 16.0
-"""Signals nearer to a camera than this do not hang over the road, metres."""
+
+
+@dataclass(frozen=True)
+class StudioSizes:
+    """Size of the studio and clearances on roads."""
+
+    radius_m: float = 200.0
+    """Radius of the studio, metres."""
+    before_crossings_m: float = 5.0
+    """Distance from crossings that is kept free of parked vehicles, metres."""
+    arm_clearance_m: float = 16.0
+    """Signals nearer to a camera than this do not hang over the road, metres."""
+
+
+STUDIO_SIZES: Final = StudioSizes()
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,14 +122,15 @@ def scenery(town: Town) -> Scenery:
     """Grow everything of a town that does not move, or load it from the cache.
 
     Args:
-        town: A town of the package or a user's road (with a photograph, only ground and occluders); `STUDIO` for an
+        town: A town of the package or a user's road (with a photograph, only ground and occluders); `STUDIO_TOWN` for
+        an
             empty floor.
 
     Returns:
         The scenery; the same town always has the same.
     """
-    if town == STUDIO:
-        r = STUDIO_RADIUS
+    if town == STUDIO_TOWN:
+        r = STUDIO_SIZES.radius_m
         return Scenery(flat([[(-r, -r, 0), (r, -r, 0), (r, r, 0), (-r, r, 0)]], "concrete"), ())
     if town.road and town.road.photograph:
         return Scenery(backdrop(Layout.of(town), town.road), ())
@@ -191,7 +202,9 @@ def _bays_along_kerbs(town: Town, layout: Layout, houses: list[House]) -> list[B
     if not (town.variant and town.variant.seed):
         return []
     stripes = unary_union(list(zebra_stripes(layout.graph)))
-    keep_clear = unary_union([garden_paths(houses)[1], car_parks(houses)[1], stripes.buffer(_BEFORE_CROSSINGS)])
+    keep_clear = unary_union(
+        [garden_paths(houses)[1], car_parks(houses)[1], stripes.buffer(STUDIO_SIZES.before_crossings_m)]
+    )
     return kerb_bays(layout, keep_clear, _generators(town)["kerbside"])
 
 
@@ -277,7 +290,7 @@ def _signals(layout: Layout) -> tuple[tuple[Signal, ...], list[Mesh]]:
                 lathe([(0.0, 0.07), (3.7, 0.06), (3.71, 0.0)], ["pole"] * 2, 8, "z").moved([0.2, 0, 0]),
             ]
             heads = [np.zeros(3)]
-            if len(lanes) > 1 and layout.camera_distance(foot) > ARM_CLEARANCE:
+            if len(lanes) > 1 and layout.camera_distance(foot) > STUDIO_SIZES.arm_clearance_m:
                 reach = 0.7 + lanes[0].getWidth()
                 for k in range(1 if len(lanes) < 4 else 2):
                     heads.append(np.array([0.0, reach + 2 * k * lanes[0].getWidth(), 2.65]))

@@ -9,8 +9,8 @@ from typing import Final
 import numpy as np
 
 from skope.gen.mesh import Mesh, grid, lathe, merged
-from skope.gen.scenery.printed_pictures import LAYER, drawn_color, letters, logo, poster
-from skope.gen.scenery.quads import BELOW, TOWARDS_ROAD, Solid
+from skope.gen.scenery.printed_pictures import LAYER_GAP_M, drawn_color, letters, logo, poster
+from skope.gen.scenery.quads import BELOW_GROUND_M, TOWARDS_ROAD, Solid
 from skope.gen.scenery.roadside_boards import (
     arrow_trailer,
     chevron_boards,
@@ -50,7 +50,7 @@ def shipping_container(rng: np.random.Generator) -> Mesh:
     for at in (-0.8, -0.3, 0.3, 0.8):
         out.box("#888888", (x, at - 0.03, 0.25), (x + 0.06, at + 0.03, top - 0.1), without="-x")
     for corner in ((-x, -y), (-x, y - 0.15), (x - 0.15, -y), (x - 0.15, y - 0.15)):
-        out.box(_DARK_COLOR, (*corner, BELOW), (corner[0] + 0.15, corner[1] + 0.15, 0.16), without="-z")
+        out.box(_DARK_COLOR, (*corner, BELOW_GROUND_M), (corner[0] + 0.15, corner[1] + 0.15, 0.16), without="-z")
     if rng.random() < 0.6:
         word = letters(rng.uniform(0.7, 1.6) * x, rng.uniform(0.25, 0.5), rng)
         out.add(word.placed((0.8 * x, y + 0.05, 1.6), TOWARDS_ROAD))
@@ -67,7 +67,9 @@ def skip(rng: np.random.Generator) -> Mesh:
         out.face(color, *(long if side < 0 else long[::-1]))
         end = [(side * low, -y, 0.1), (side * low, y, 0.1), (side * x, y, top), (side * x, -y, top)]
         out.face(color, *(end if side > 0 else end[::-1]))
-        out.box(_DARK_COLOR, (side * 0.9 * low - 0.1, -y, BELOW), (side * 0.9 * low + 0.1, y, 0.11), without="-z")
+        out.box(
+            _DARK_COLOR, (side * 0.9 * low - 0.1, -y, BELOW_GROUND_M), (side * 0.9 * low + 0.1, y, 0.11), without="-z"
+        )
         out.box(color, (-0.95 * x, side * y - 0.05, top - 0.12), (0.95 * x, side * y + 0.05, top), without="-z")
     heap = [[(a, b, top - 0.2 + rng.uniform(0, 0.35)) for a in np.linspace(-x, x, 6)] for b in np.linspace(-y, y, 4)]
     return merged([out.mesh(), grid(heap, [["gravel"] * 5] * 3)])
@@ -88,7 +90,7 @@ def bins(rng: np.random.Generator) -> Mesh:
             corners = [(end, -0.48, 1.22), (end, 0.48, 1.22), (end, -0.1, 1.5)]
             out.face(lid, *(corners if end > x else corners[::-1]))
         for a, b in ((0.1, -0.4), (1.1, -0.4), (0.1, 0.25), (1.1, 0.25)):
-            out.box(_DARK_COLOR, (x + a, b, BELOW), (x + a + 0.15, b + 0.15, 0.26), without="-z +z")
+            out.box(_DARK_COLOR, (x + a, b, BELOW_GROUND_M), (x + a + 0.15, b + 0.15, 0.26), without="-z +z")
     return out.mesh()
 
 
@@ -97,11 +99,11 @@ def kiosk(rng: np.random.Generator) -> Mesh:
     x, y, top = rng.uniform(1.0, 1.8), rng.uniform(0.9, 1.3), rng.uniform(2.3, 2.8)
     color, band = drawn_color(rng, 0.7), drawn_color(rng)
     out = Solid()
-    out.box(color, (-x, -y, BELOW), (x, y, top), without="-z")
+    out.box(color, (-x, -y, BELOW_GROUND_M), (x, y, top), without="-z")
     out.box(band, (-x - 0.15, -y - 0.15, top), (x + 0.15, y + 0.25, top + 0.5))
     front = Solid()
-    front.pane("shop_window", (-0.8 * x, 0.8 * x), (1.0, 2.0), LAYER)
-    front.add(letters(1.6 * x, 0.28, rng), (-0.8 * x, top + 0.1, 0.25 + LAYER))
+    front.pane("shop_window", (-0.8 * x, 0.8 * x), (1.0, 2.0), LAYER_GAP_M)
+    front.add(letters(1.6 * x, 0.28, rng), (-0.8 * x, top + 0.1, 0.25 + LAYER_GAP_M))
     out.add(front.placed((0.0, y, 0.0), TOWARDS_ROAD))
     out.box(band, (-0.85 * x, y, 2.05), (0.85 * x, y + 0.6, 2.1))
     return out.mesh()
@@ -117,7 +119,7 @@ def crates(rng: np.random.Generator) -> Mesh:
     out = Solid()
     for k in range(int(rng.integers(1, 4))):
         x = 1.3 * k - 1.3
-        out.box("timber", (x, -0.5, BELOW), (x + 1.2, 0.5, 0.15), without="-z")
+        out.box("timber", (x, -0.5, BELOW_GROUND_M), (x + 1.2, 0.5, 0.15), without="-z")
         z, color = 0.15, drawn_color(rng, 0.7)
         for _ in range(int(rng.integers(1, 5))):
             high, shift = rng.uniform(0.25, 0.5), rng.uniform(-0.05, 0.05)
@@ -133,7 +135,7 @@ def covered_heap(rng: np.random.Generator) -> Mesh:
     rows, columns = 9, 13
     u, v = np.meshgrid(np.linspace(-1, 1, columns), np.linspace(-1, 1, rows))
     height = top * (1 - np.maximum(np.abs(u), np.abs(v)) ** 4) * (0.75 + 0.25 * rng.random((rows, columns)))
-    height[[0, -1]] = height[:, [0, -1]] = BELOW
+    height[[0, -1]] = height[:, [0, -1]] = BELOW_GROUND_M
     shape = np.stack([x * u, y * v, height], axis=-1)
     shape[1:-1, 1:-1, :2] += rng.normal(0, 0.03, (rows - 2, columns - 2, 2))
     return grid(shape, [[drawn_color(rng)] * (columns - 1)] * (rows - 1))
@@ -148,11 +150,11 @@ def swap_body(rng: np.random.Generator) -> Mesh:
     out.box(_DARK_COLOR, (-x, -0.5, low - 0.2), (x, 0.5, low), without="+z")
     for a in (-0.75 * x, 0.75 * x):
         for b in (-y + 0.05, y - 0.15):
-            out.box(_DARK_COLOR, (a, b, BELOW), (a + 0.1, b + 0.1, low), without="-z +z")
+            out.box(_DARK_COLOR, (a, b, BELOW_GROUND_M), (a + 0.1, b + 0.1, low), without="-z +z")
     picture = Solid()
     picture.add(logo(rng).placed((0.3, 0.5, 0.0), np.diag([1.2, 1.2, 1.0])))
     picture.add(letters(1.9 * x - 1.8, 0.5, rng), (1.7, 0.9, 0.0))
-    out.add(picture.placed((x, y + LAYER, low), TOWARDS_ROAD))
+    out.add(picture.placed((x, y + LAYER_GAP_M, low), TOWARDS_ROAD))
     return out.mesh()
 
 
@@ -164,8 +166,8 @@ def trailer_frame(rng: np.random.Generator) -> Mesh:
         out.box("zinc", (-x, side, 0.5), (x, side + 0.1, 0.62))
     for at in np.linspace(-x, x - 0.1, 4):
         out.box("zinc", (at, -y, 0.48), (at + 0.1, y, 0.6))
-        out.box("timber", (at, -y, BELOW), (at + 0.25, -y + 0.25, 0.5), without="-z")
-        out.box("timber", (at, y - 0.25, BELOW), (at + 0.25, y, 0.5), without="-z")
+        out.box("timber", (at, -y, BELOW_GROUND_M), (at + 0.25, -y + 0.25, 0.5), without="-z")
+        out.box("timber", (at, y - 0.25, BELOW_GROUND_M), (at + 0.25, y, 0.5), without="-z")
     return merged([out.mesh(), tyres(rng).moved((x + 0.9, 0.0, 0.0))])
 
 
@@ -186,7 +188,7 @@ def transformer(rng: np.random.Generator) -> Mesh:
     x, y, top = rng.uniform(0.9, 1.7), rng.uniform(0.7, 1.1), rng.uniform(1.5, 2.3)
     color = drawn_color(rng, 0.5)
     out = Solid()
-    out.box("concrete", (-x - 0.05, -y - 0.05, BELOW), (x + 0.05, y + 0.05, 0.15), without="-z")
+    out.box("concrete", (-x - 0.05, -y - 0.05, BELOW_GROUND_M), (x + 0.05, y + 0.05, 0.15), without="-z")
     out.box(color, (-x, -y, 0.15), (x, y, top), without="-z")
     out.box(color, (-x - 0.08, -y - 0.08, top), (x + 0.08, y + 0.08, top + 0.12))
     for low, high in ((0.35, 0.75), (top - 0.55, top - 0.2)):
@@ -213,7 +215,7 @@ def barriers(rng: np.random.Generator) -> Mesh:
             color = "sign_red" if stripe % 2 else "sign_white"
             out.box(color, (x + 0.24 * stripe, -0.03, 0.75), (x + 0.24 * (stripe + 1), 0.03, 1.0))
         for at in (x + 0.2, x + 1.6):
-            out.box("iron", (at, -0.03, BELOW), (at + 0.06, 0.03, 0.75), without="-z")
+            out.box("iron", (at, -0.03, BELOW_GROUND_M), (at + 0.06, 0.03, 0.75), without="-z")
             out.box("iron", (at - 0.1, -0.35, -0.1), (at + 0.16, 0.35, 0.1), without="-z")
         for at in (x + 0.1, x + 1.7):
             out.box(lamp, (at, -0.07, 1.0), (at + 0.16, 0.07, 1.2))
@@ -225,7 +227,7 @@ def billboard(rng: np.random.Generator) -> Mesh:
     width, height, low = rng.uniform(2.2, 4.6), rng.uniform(1.6, 3.0), rng.uniform(0.5, 2.2)
     out = Solid()
     for x in (-0.38 * width, 0.38 * width):
-        out.box("iron", (x - 0.07, -0.07, BELOW), (x + 0.07, 0.07, low), without="-z")
+        out.box("iron", (x - 0.07, -0.07, BELOW_GROUND_M), (x + 0.07, 0.07, low), without="-z")
     return _framed(out, width, height, low, rng)
 
 
@@ -233,17 +235,17 @@ def poster_stand(rng: np.random.Generator) -> Mesh:
     """A poster of a person's height between two posts."""
     out = Solid()
     for x in (-0.62, 0.55):
-        out.box("frame_dark", (x, -0.06, BELOW), (x + 0.07, 0.06, 2.35), without="-z")
+        out.box("frame_dark", (x, -0.06, BELOW_GROUND_M), (x + 0.07, 0.06, 2.35), without="-z")
     return _framed(out, 1.1, 1.7, 0.6, rng)
 
 
 def _framed(out: Solid, width: float, height: float, low: float, rng: np.random.Generator) -> Mesh:
     """Add a frame with posters on its front and, more often than not, on its back."""
     out.box("frame_dark", (-width / 2 - 0.05, -0.09, low), (width / 2 + 0.05, 0.09, low + height + 0.1))
-    out.add(poster(width, height, rng).placed((width / 2, 0.09 + LAYER, low + 0.05), TOWARDS_ROAD))
+    out.add(poster(width, height, rng).placed((width / 2, 0.09 + LAYER_GAP_M, low + 0.05), TOWARDS_ROAD))
     if rng.random() < 0.6:
         back = ((1.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, -1.0, 0.0))
-        out.add(poster(width, height, rng).placed((-width / 2, -0.09 - LAYER, low + 0.05), back))
+        out.add(poster(width, height, rng).placed((-width / 2, -0.09 - LAYER_GAP_M, low + 0.05), back))
     return out.mesh()
 
 
@@ -256,9 +258,9 @@ def wall_panel(width: float, height: float, rng: np.random.Generator) -> Mesh:
     else:
         printed = Solid()
         printed.pane(drawn_color(rng), (0.0, width), (0.0, height), 0.0)
-        printed.add(logo(rng).placed((0.1, 0.1 * height, LAYER), np.diag([0.8 * height, 0.8 * height, 1.0])))
-        printed.add(letters(width - 1.3 * height - 0.1, 0.55 * height, rng), (1.15 * height, 0.2 * height, LAYER))
-    out.add(printed.placed((width / 2, thick + LAYER, 0.0), TOWARDS_ROAD))
+        printed.add(logo(rng).placed((0.1, 0.1 * height, LAYER_GAP_M), np.diag([0.8 * height, 0.8 * height, 1.0])))
+        printed.add(letters(width - 1.3 * height - 0.1, 0.55 * height, rng), (1.15 * height, 0.2 * height, LAYER_GAP_M))
+    out.add(printed.placed((width / 2, thick + LAYER_GAP_M, 0.0), TOWARDS_ROAD))
     return out.mesh()
 
 

@@ -23,33 +23,47 @@ from skope.gen.towns.sites import Site, sites_of
 from skope.gen.towns.town import Mast, Town
 from skope.types import Array
 
-PLACED_WITHIN_M: Final = 70.0
-"""Distance from a camera up to which such things are placed, metres."""
-OUT_OF_VIEW: Final = 0.15
-"""Share of them that stands anywhere around a camera, not where it looks."""
-OBJECT_CLEARANCE_M: Final = 0.6
-"""Least distance from the carriageway, metres."""
-LARGEST_SHARE: Final = 0.45
-"""Largest size as a share of the distance from the nearest camera: nothing fills a picture."""
-OPEN_VIEW_M: Final = 24.0
-"""Nothing stands in a camera's view of road that is nearer to it than this, metres."""
-ON_WALLS: Final = 0.4
-"""Share of them that hangs on walls."""
-LIT_ON_WALLS: Final = 0.15
-"""Share of lit objects that hangs on walls, where they are signs."""
-LARGEST_FALL_M: Final = 0.3
-"""Largest fall of the ground under one, metres."""
-OVERHEAD_M: Final = 4.5
-"""Height from which parts of lit objects may hang over the road, metres."""
-_POOL_COLORS: Final = ((1.1, 0.98, 0.8), (1.0, 1.0, 1.0), (0.85, 1.0, 1.2), (0.45, 0.2, 0.18))
-"""Colours of patches of light: of warm, white and cool headlamps, and of tail lamps."""
-_POOL_IRRADIANCE: Final = (0.04, 0.3)
-"""Range of their irradiance, in units of the renderer; a street light gives the road below it about 0.1."""
-_TRIES: Final = 40
-PLACE_SPACING_M: Final = 2.5
-"""Distance between places along roads, metres."""
-_ASPECT: Final = 9 / 16
-"""Height of pictures as a share of their width, as far as a mast tells."""
+
+@dataclass(frozen=True)
+class DistractorLimits:
+    """Places and sizes of things that resemble vehicles."""
+
+    placed_within_m: float = 70.0
+    """Distance from a camera up to which such things are placed, metres."""
+    out_of_view_share: float = 0.15
+    """Share of them that stands anywhere around a camera, not where it looks."""
+    clearance_m: float = 0.6
+    """Least distance from the carriageway, metres."""
+    largest_share: float = 0.45
+    """Largest size as a share of the distance from the nearest camera: nothing fills a picture."""
+    open_view_m: float = 24.0
+    """Nothing stands in a camera's view of road that is nearer to it than this, metres."""
+    on_walls_share: float = 0.4
+    """Share of them that hangs on walls."""
+    lit_on_walls_share: float = 0.15
+    """Share of lit objects that hangs on walls, where they are signs."""
+    largest_fall_m: float = 0.3
+    """Largest fall of the ground under one, metres."""
+    overhead_m: float = 4.5
+    """Height from which parts of lit objects may hang over the road, metres."""
+    pool_colors: tuple[tuple[float, float, float], ...] = (
+        (1.1, 0.98, 0.8),
+        (1.0, 1.0, 1.0),
+        (0.85, 1.0, 1.2),
+        (0.45, 0.2, 0.18),
+    )
+    """Colours of patches of light: of warm, white and cool headlamps, and of tail lamps."""
+    pool_irradiance: tuple[float, float] = (0.04, 0.3)
+    """Range of their irradiance, in units of the renderer; a street light gives the road below it about 0.1."""
+    tries: int = 40
+    """Number of places that are tried for each."""
+    spacing_m: float = 2.5
+    """Distance between places along roads, metres."""
+    aspect: float = 9 / 16
+    """Height of images as a share of their width."""
+
+
+DISTRACTOR_LIMITS: Final = DistractorLimits()
 
 
 def distractors(
@@ -71,11 +85,11 @@ def distractors(
     kinds, shares = list(STANDING_OBJECTS), np.array(list(STANDING_OBJECTS.values()))
     for _ in range(town.variant.distractors):
         view = int(rng.integers(len(views)))
-        if rng.random() < ON_WALLS and (panel := walls.draw(view, room, rng)):
+        if rng.random() < DISTRACTOR_LIMITS.on_walls_share and (panel := walls.draw(view, room, rng)):
             yield panel
             continue
         made = kinds[int(rng.choice(len(kinds), p=shares / shares.sum()))](rng)
-        for _ in range(_TRIES):
+        for _ in range(DISTRACTOR_LIMITS.tries):
             placed = along_roads.draw(view, made.vertices, rng)
             if placed and room.take(*placed, made.vertices):
                 place, heading = placed
@@ -88,7 +102,11 @@ def _surroundings(
 ) -> "tuple[_Room, list[_View], _Roadside, _Walls]":
     """What things are placed in: free room, the cameras' views, roadsides and walls; see `distractors`."""
     masts = town.variant.masts if town.variant else ()
-    near = [house for house in houses if layout.camera_distance(house.center) < PLACED_WITHIN_M + max(house.size)]
+    near = [
+        house
+        for house in houses
+        if layout.camera_distance(house.center) < DISTRACTOR_LIMITS.placed_within_m + max(house.size)
+    ]
     room = _Room(layout, unary_union([blocked, covered(near).buffer(0.4)]), standing)
     views = [_View.of(mast, layout) for mast in masts or map(_mast_at, sites_of(town))]
     return room, views, _Roadside(layout, views), _Walls(views, near)
@@ -113,14 +131,14 @@ def lit_objects(
     kinds, shares = list(LIT_OBJECTS), np.array(list(LIT_OBJECTS.values()))
     for _ in range(town.variant.lit_objects):
         view = int(rng.integers(len(views)))
-        if rng.random() < LIT_ON_WALLS and (panel := walls.draw(view, room, rng)):
+        if rng.random() < DISTRACTOR_LIMITS.lit_on_walls_share and (panel := walls.draw(view, room, rng)):
             yield lit_panel(panel, rng)
             continue
         make = kinds[int(rng.choice(len(kinds), p=shares / shares.sum()))]
         made = make(rng)
         points = made.vertices
-        standing_points = points[points[:, 2] < OVERHEAD_M]
-        for _ in range(_TRIES):
+        standing_points = points[points[:, 2] < DISTRACTOR_LIMITS.overhead_m]
+        for _ in range(DISTRACTOR_LIMITS.tries):
             placed = along_roads.draw(view, standing_points, rng, facing_road=make.__name__ in FACING_ROAD)
             if placed and room.take(*placed, standing_points, points):
                 place, heading = placed
@@ -135,9 +153,9 @@ def light_pools(town: Town, layout: Layout, rng: np.random.Generator) -> Array:
         at = kerb - right_of(heading) * rng.uniform(1.2, 4.5)
         turned = heading + rng.choice([0.0, np.pi]) + rng.normal(0.0, 0.15)
         half_length = rng.uniform(1.5, 5.0)
-        color = np.array(_POOL_COLORS[int(rng.integers(len(_POOL_COLORS)))])
+        color = np.array(DISTRACTOR_LIMITS.pool_colors[int(rng.integers(len(DISTRACTOR_LIMITS.pool_colors)))])
         size = (half_length, min(rng.uniform(0.9, 2.2), half_length))
-        light = rng.uniform(*_POOL_IRRADIANCE) * color
+        light = rng.uniform(*DISTRACTOR_LIMITS.pool_irradiance) * color
         out.append([*at, layout.ground.road(at[None])[0], np.cos(turned), np.sin(turned), *size, *light])
     return np.array(out).reshape(-1, 10)
 
@@ -192,9 +210,11 @@ class _View:
         turned = np.arctan2(away[:, 1], away[:, 0]) - self.yaw
         aside = np.abs((turned + np.pi) % (2 * np.pi) - np.pi)
         down = np.arctan2(self.height - 1.0, distance) - self.pitch
-        upright = np.arctan(_ASPECT * np.tan(self.half_fov))
+        upright = np.arctan(DISTRACTOR_LIMITS.aspect * np.tan(self.half_fov))
         return np.asarray(
-            (aside < 0.95 * self.half_fov) & (np.abs(down) < 0.95 * upright) & (distance < PLACED_WITHIN_M)
+            (aside < 0.95 * self.half_fov)
+            & (np.abs(down) < 0.95 * upright)
+            & (distance < DISTRACTOR_LIMITS.placed_within_m)
         )
 
 
@@ -209,10 +229,16 @@ class _Room:
         self._layout = layout
         graph = layout.graph
         self._street = unary_union(
-            [graph.road.buffer(OBJECT_CLEARANCE_M), layout.sidewalk.buffer(0.1), layout.beside_lanes("shoulder")]
+            [
+                graph.road.buffer(DISTRACTOR_LIMITS.clearance_m),
+                layout.sidewalk.buffer(0.1),
+                layout.beside_lanes("shoulder"),
+            ]
         )
         walls = graph.walled_road.buffer(4.0) if not graph.walled_road.is_empty else graph.walled_road
-        self._blocked = unary_union([self._street, blocked, walls, layout.sightlines(OPEN_VIEW_M), *layout.under_decks])
+        self._blocked = unary_union(
+            [self._street, blocked, walls, layout.sightlines(DISTRACTOR_LIMITS.open_view_m), *layout.under_decks]
+        )
         for region in (self._street, self._blocked):
             shapely.prepare(region)
         self._obstacles = shapely.STRtree(_plans_of_low_triangles(layout, standing))
@@ -226,11 +252,11 @@ class _Room:
         whole = points if whole is None else whole
         low, high = points.min(axis=0), points.max(axis=0)
         size, distance = high - low, self._layout.camera_distance(place)
-        if max(size[0], whole[:, 2].max()) > LARGEST_SHARE * distance:
+        if max(size[0], whole[:, 2].max()) > DISTRACTOR_LIMITS.largest_share * distance:
             return False
         footprint = _plan_of(place, heading, points)
         heights = self._layout.ground.beside(np.array(footprint.exterior.coords))
-        if np.ptp(heights) > LARGEST_FALL_M or self._blocked.intersects(footprint):
+        if np.ptp(heights) > DISTRACTOR_LIMITS.largest_fall_m or self._blocked.intersects(footprint):
             return False
         if len(self._obstacles.query(footprint.buffer(0.1), predicate="intersects")):
             return False
@@ -263,9 +289,9 @@ class _Roadside:
         for edge in layout.graph.edges_of("ground"):
             lane = driven(edge)[0]
             line, kind = LineString(lane.getShape()), layout.graph.kind(edge)
-            if min(line.distance(shapely.Point(view.place)) for view in views) > PLACED_WITHIN_M:
+            if min(line.distance(shapely.Point(view.place)) for view in views) > DISTRACTOR_LIMITS.placed_within_m:
                 continue
-            for s in np.arange(1.0, line.length, PLACE_SPACING_M):
+            for s in np.arange(1.0, line.length, DISTRACTOR_LIMITS.spacing_m):
                 place, heading = beside(edge, float(s), 0.0)
                 places.append(place)
                 headings.append(heading)
@@ -274,7 +300,9 @@ class _Roadside:
         outwards = np.column_stack([np.sin(self._headings), -np.cos(self._headings)])
         beyond = self._places + outwards * (np.array(widths) + 3.0)[:, None]
         self._seen = [np.flatnonzero(view.sees(beyond)) for view in views]
-        self._near = [np.flatnonzero(np.hypot(*(beyond - view.place).T) < PLACED_WITHIN_M) for view in views]
+        self._near = [
+            np.flatnonzero(np.hypot(*(beyond - view.place).T) < DISTRACTOR_LIMITS.placed_within_m) for view in views
+        ]
 
     def draw_kerb(self, view: int, rng: np.random.Generator) -> tuple[Array, float] | None:
         """A place at a kerb that a camera may see, and the road's heading; None where it sees none."""
@@ -290,17 +318,19 @@ class _Roadside:
 
         With `facing_road` the thing stands close to the road, with its y axis towards it.
         """
-        among = self._near[view] if rng.random() < OUT_OF_VIEW else self._seen[view]
+        among = self._near[view] if rng.random() < DISTRACTOR_LIMITS.out_of_view_share else self._seen[view]
         if not len(among):
             return None
         i = int(rng.choice(among))
         if facing_road:
-            offset = self._widths[i] + OBJECT_CLEARANCE_M + 0.05 + points[:, 1].max() + 2.0 * rng.random() ** 2
+            offset = (
+                self._widths[i] + DISTRACTOR_LIMITS.clearance_m + 0.05 + points[:, 1].max() + 2.0 * rng.random() ** 2
+            )
             place = self._places[i] + right_of(self._headings[i]) * offset
             return place, float(self._headings[i])
         along_road = rng.random() < 0.7
         depth = np.ptp(points[:, 1 if along_road else 0])
-        offset = self._widths[i] + 0.3 + depth / 2 + OBJECT_CLEARANCE_M + 14.0 * rng.random() ** 2
+        offset = self._widths[i] + 0.3 + depth / 2 + DISTRACTOR_LIMITS.clearance_m + 14.0 * rng.random() ** 2
         # Fronts look to the left of a heading, which is at the road.
         turned = rng.choice([0.0, 0.0, 0.0, np.pi]) if along_road else rng.choice([-np.pi / 2, np.pi / 2])
         place = self._places[i] + right_of(self._headings[i]) * offset
@@ -378,6 +408,6 @@ def _plans_of_low_triangles(layout: Layout, standing: Mesh) -> NDArray[np.object
     middle = corners.mean(axis=1)
     near = np.zeros(len(corners), dtype=bool)
     for site in layout.sites:
-        near |= np.abs(middle[:, :2] - site.position[:2]).max(axis=1) < PLACED_WITHIN_M + 10.0
+        near |= np.abs(middle[:, :2] - site.position[:2]).max(axis=1) < DISTRACTOR_LIMITS.placed_within_m + 10.0
     low = corners[near][..., 2].min(axis=1) < layout.ground.beside(middle[near, :2]) + layout.style.kerb + 2.5
     return np.asarray(shapely.linearrings(corners[near][low][..., :2]))

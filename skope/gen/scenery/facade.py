@@ -9,12 +9,22 @@ import numpy as np
 from skope.gen.scenery.quads import Solid
 from skope.types import Array
 
-REVEAL: Final = 0.12
-"""Depth of windows in the wall, metres."""
-DOOR: Final = (1.0, 2.15)
-FRAME: Final = 0.06
-PROUD: Final = 0.03
-"""Distance from the wall of what is drawn on it, metres."""
+
+@dataclass(frozen=True)
+class FacadeSizes:
+    """Sizes of windows and doors."""
+
+    reveal_m: float = 0.12
+    """Depth of windows in the wall, metres."""
+    door_m: tuple[float, float] = (1.0, 2.15)
+    """Width and height of a door, metres."""
+    frame_m: float = 0.06
+    """Width of a frame, metres."""
+    layer_m: float = 0.03
+    """Distance from the wall of what is drawn on it, metres."""
+
+
+FACADE_SIZES: Final = FacadeSizes()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,16 +103,18 @@ def facade(
             holes.append((x - style.window[0] / 2, x + style.window[0] / 2, low, low + style.window[1]))
     if door_bay >= 0 and not shop:
         x = middles[door_bay]
-        holes.append((x - DOOR[0] / 2, x + DOOR[0] / 2, 0.15, 0.15 + DOOR[1]))
-        out.add(_door(style, near), (x - DOOR[0] / 2, 0.15, 0.0 if near else PROUD))
+        holes.append(
+            (x - FACADE_SIZES.door_m[0] / 2, x + FACADE_SIZES.door_m[0] / 2, 0.15, 0.15 + FACADE_SIZES.door_m[1])
+        )
+        out.add(_door(style, near), (x - FACADE_SIZES.door_m[0] / 2, 0.15, 0.0 if near else FACADE_SIZES.layer_m))
     if shop:
         front = _ShopFront(width, style, shop, rng, near)
         holes += front.holes
-        out.add(front.solid, (0.0, 0.0, 0.0 if near else PROUD))
+        out.add(front.solid, (0.0, 0.0, 0.0 if near else FACADE_SIZES.layer_m))
     out.faces(style.walls, _wall(width, style.height, holes if near else []))
     if plain:
         for x, y in windows:
-            out.pane("window", (x, x + style.window[0]), (y, y + style.window[1]), PROUD)
+            out.pane("window", (x, x + style.window[0]), (y, y + style.window[1]), FACADE_SIZES.layer_m)
         return out
     _put_windows(out, style, windows, rng, near)
     if near:
@@ -149,18 +161,18 @@ def _window(style: FacadeStyle, look: int, near: bool) -> Solid:
     x0, x1, y0, y1 = 0.0, w, 0.0, h
     if look == 1:
         x0, x1 = 0.24 * w, 0.76 * w
-        out.pane("curtain", (0.0, x0), (0.0, h), -REVEAL)
-        out.pane("curtain", (x1, w), (0.0, h), -REVEAL)
+        out.pane("curtain", (0.0, x0), (0.0, h), -FACADE_SIZES.reveal_m)
+        out.pane("curtain", (x1, w), (0.0, h), -FACADE_SIZES.reveal_m)
     elif look in (2, 3):
         y1 = h * (0.55 if look == 2 else 0.12)
-        out.pane("blind", (0.0, w), (y1, h), -REVEAL)
+        out.pane("blind", (0.0, w), (y1, h), -FACADE_SIZES.reveal_m)
     elif look == 4:
         y0 = 0.5 * h
-        out.pane("curtain", (0.0, w), (0.0, y0), -REVEAL)
-    out.pane("window", (x0, x1), (y0, y1), -REVEAL)
-    _put_window_frame(out, style.frame, (w, h), style.panes, 0.035 - REVEAL)
+        out.pane("curtain", (0.0, w), (0.0, y0), -FACADE_SIZES.reveal_m)
+    out.pane("window", (x0, x1), (y0, y1), -FACADE_SIZES.reveal_m)
+    _put_window_frame(out, style.frame, (w, h), style.panes, 0.035 - FACADE_SIZES.reveal_m)
     out.box(style.dressing, (-0.07, -0.08, 0.0), (w + 0.07, 0.0, 0.07), without="-z")
-    out.recess(style.walls, (0.0, w), (0.0, h), (-REVEAL, 0.0))
+    out.recess(style.walls, (0.0, w), (0.0, h), (-FACADE_SIZES.reveal_m, 0.0))
     if style.lintels:
         out.box(style.dressing, (-0.12, h, 0.0), (w + 0.12, h + 0.2, 0.025), without="-z")
     if style.surrounds:
@@ -178,18 +190,23 @@ def _far_window(style: FacadeStyle, look: int) -> Solid:
     """A window of few triangles: a board of the frame's colour with its panes before it."""
     w, h = style.window
     out = Solid()
-    out.pane(style.frame, (0.0, w), (0.0, h), PROUD)
+    out.pane(style.frame, (0.0, w), (0.0, h), FACADE_SIZES.layer_m)
     columns = min(style.panes[0], 2)
     glass = "blind" if look == 3 else "curtain" if look == 4 else "window"
     for i in range(columns):
-        out.pane(glass, (w * i / columns + FRAME, w * (i + 1) / columns - FRAME), (FRAME, h - FRAME), 2 * PROUD)
+        out.pane(
+            glass,
+            (w * i / columns + FACADE_SIZES.frame_m, w * (i + 1) / columns - FACADE_SIZES.frame_m),
+            (FACADE_SIZES.frame_m, h - FACADE_SIZES.frame_m),
+            2 * FACADE_SIZES.layer_m,
+        )
     return out
 
 
 def _put_window_frame(out: Solid, frame: str, size: tuple[float, float], panes: tuple[int, int], z: float) -> None:
     """A frame around a window and bars that divide it."""
     w, h = size
-    f = FRAME
+    f = FACADE_SIZES.frame_m
     out.pane(frame, (0.0, f), (0.0, h), z)
     out.pane(frame, (w - f, w), (0.0, h), z)
     out.pane(frame, (f, w - f), (0.0, f), z)
@@ -209,7 +226,7 @@ def _put_window_frame(out: Solid, frame: str, size: tuple[float, float], panes: 
 
 def _door(style: FacadeStyle, near: bool) -> Solid:
     """A door with its lower left corner at the origin, a step before it and a hood above."""
-    w, h = DOOR
+    w, h = FACADE_SIZES.door_m
     depth = 0.16 if near else 0.0
     out = Solid()
     out.pane(style.door, (0.0, w), (0.0, h - 0.4), -depth)
@@ -218,7 +235,7 @@ def _door(style: FacadeStyle, near: bool) -> Solid:
     if near:
         out.recess(style.walls, (0.0, w), (0.0, h), (-depth, 0.0))
         _put_window_frame(out, style.frame, (w, h), (1, 1), 0.03 - depth)
-        out.pane(style.frame, (FRAME, w - FRAME), (h - 0.45, h - 0.39), 0.03 - depth)
+        out.pane(style.frame, (FACADE_SIZES.frame_m, w - FACADE_SIZES.frame_m), (h - 0.45, h - 0.39), 0.03 - depth)
         for low, high in ((0.15, 0.75), (0.9, 1.6)):
             for a in (0.14, 0.54):
                 out.box(style.door, (a, low, -depth), (a + 0.32, high, 0.02 - depth), without="-z")

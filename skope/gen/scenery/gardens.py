@@ -17,7 +17,7 @@ from skope.gen.towns.regions import is_free, polygons, rectangle_polygon
 from skope.gen.towns.road_graph import places_along, right_of
 from skope.gen.towns.town_style import drawn_name
 
-SHRUBS: Final = 18
+SHRUB_TRIES: Final = 18
 """Groups of shrubs that are tried on open ground before each camera."""
 OPEN_GROUND: Final = 46.0
 """Distance from a camera up to which open ground is enclosed, metres."""
@@ -86,7 +86,7 @@ def _scattered_shrubs(layout: Layout, taken: Any, rng: np.random.Generator) -> I
     """Low shrubs and beds on open ground that cameras look at from near by, and on islands."""
     shapely.prepare(taken)
     for site in layout.sites:
-        for _ in range(SHRUBS):
+        for _ in range(SHRUB_TRIES):
             angle = np.radians(site.yaw_deg + rng.uniform(-60.0, 60.0))
             at = site.position[:2] + rng.uniform(9.0, OPEN_GROUND) * np.array([np.cos(angle), np.sin(angle)])
             group = int(rng.integers(1, 7))

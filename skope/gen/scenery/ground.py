@@ -22,10 +22,22 @@ from skope.gen.towns.road_graph import RoadGraph
 from skope.gen.towns.terrain import COARSEST
 from skope.types import Array
 
-WALL: Final = 0.4
-"""Height from which a step between carriageway and ground is a retaining wall, metres."""
-_KERB_PIECE_M: Final = 2.0
-"""Length of the pieces that kerbs on slopes are made of, metres."""
+
+@dataclass(frozen=True)
+class GroundSizes:
+    """Sizes of kerbs, walls and the ground."""
+
+    wall_m: float = 0.4
+    """Height from which a step between carriageway and ground is a retaining wall, metres."""
+    kerb_piece_m: float = 2.0
+    """Length of the pieces that kerbs on slopes are made of, metres."""
+    margin_m: float = 320.0
+    """Distance by which the ground goes beyond the network, metres."""
+    gutter_m: float = 0.32
+    """Width of a gutter, metres."""
+
+
+GROUND_SIZES: Final = GroundSizes()
 
 
 def kerbs(layout: Layout) -> Iterator[Mesh]:
@@ -33,11 +45,14 @@ def kerbs(layout: Layout) -> Iterator[Mesh]:
     ground = layout.ground
     decks = unary_union([deck.buffer(layout.deck_edge, join_style="mitre") for deck in layout.graph.decks])
     for ring in rings(shapely.set_precision(layout.graph.ground_road, GRID)):
-        line = ring if ground.flat else np.array(shapely.segmentize(LineString(ring), _KERB_PIECE_M).coords)
+        line = ring if ground.flat else np.array(shapely.segmentize(LineString(ring), GROUND_SIZES.kerb_piece_m).coords)
         low, high = ground.road(line), ground.beside(line) + layout.style.kerb
         under = shapely.intersects(decks, shapely.linestrings(np.stack([line[:-1], line[1:]], axis=1)))
-        for chosen, material in ((high - low <= WALL, "kerb"), (high - low > WALL, "concrete")):
-            strip = chosen[:-1] if material == "kerb" else ~(high - low <= WALL)[:-1]
+        for chosen, material in (
+            (high - low <= GROUND_SIZES.wall_m, "kerb"),
+            (high - low > GROUND_SIZES.wall_m, "concrete"),
+        ):
+            strip = chosen[:-1] if material == "kerb" else ~(high - low <= GROUND_SIZES.wall_m)[:-1]
             if not strip.any() or (material == "kerb" and (high - low)[chosen].max() < 1e-6):
                 continue
             top = high.copy()
@@ -120,11 +135,6 @@ def rings(shape: Any) -> Iterator[Array]:
             yield np.array(ring.coords)
 
 
-MARGIN: Final = 320.0
-"""Distance by which the ground goes beyond the network, metres."""
-GUTTER: Final = 0.32
-
-
 @dataclass(frozen=True)
 class Part:
     """One material's share of the ground."""
@@ -161,7 +171,9 @@ def ground_parts(
     road = shapely.set_precision(graph.ground_road, GRID)
     kerbed = layout.style.kerb > 0
     x0, y0, x1, y1 = road.bounds
-    everywhere = shapely.box(x0 - MARGIN, y0 - MARGIN, x1 + MARGIN, y1 + MARGIN)
+    everywhere = shapely.box(
+        x0 - GROUND_SIZES.margin_m, y0 - GROUND_SIZES.margin_m, x1 + GROUND_SIZES.margin_m, y1 + GROUND_SIZES.margin_m
+    )
     patches, old, seals = repairs(layout, rng)
     street = _share_out(
         road,
@@ -171,7 +183,7 @@ def ground_parts(
             ("bitumen", seals),
             ("asphalt_patch", patches),
             ("asphalt_old", old),
-            ("gutter", road.difference(road.buffer(-GUTTER)) if kerbed else Polygon()),
+            ("gutter", road.difference(road.buffer(-GROUND_SIZES.gutter_m)) if kerbed else Polygon()),
             ("asphalt_polished", tracks(layout, 0.3)),
             ("asphalt_worn", tracks(layout, 0.62)),
             ("asphalt", road),
@@ -262,7 +274,12 @@ def ground_meshes(layout: Layout, parts: Sequence[Part]) -> Iterator[Mesh]:
     """The parts as meshes at the ground's heights, and the kerbs between them."""
     kerb, ground = layout.style.kerb, layout.ground
     x0, y0, x1, y1 = layout.graph.ground_road.bounds
-    bounds = (x0 - MARGIN, y0 - MARGIN, x1 + MARGIN, y1 + MARGIN)
+    bounds = (
+        x0 - GROUND_SIZES.margin_m,
+        y0 - GROUND_SIZES.margin_m,
+        x1 + GROUND_SIZES.margin_m,
+        y1 + GROUND_SIZES.margin_m,
+    )
     cells = None if ground.flat else ground.cells(bounds, layout.graph.ground_road)
     heights: dict[bool, Callable[[Array], Array]] = {
         True: ground.road,

@@ -24,7 +24,7 @@ HOUSE_VIEW_M: Final = 38.0
 HOUSE_FALL_M: Final = 2.2
 """Largest fall of the ground under a house, metres; nothing is built on steeper ground."""
 
-_BRICKS: Final = ("brick", "brick_brown", "brick_buff", "brick_painted")
+BRICK_MATERIALS: Final = ("brick", "brick_brown", "brick_buff", "brick_painted")
 _FACADE_AXES: Final = {
     "front": ((-1.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, 1.0, 0.0)),
     "back": ((1.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, -1.0, 0.0)),
@@ -217,7 +217,7 @@ def _draw_style(kind: BuildingKind, rng: np.random.Generator) -> FacadeStyle:
     if kind.balconies:
         return style
     masonry = not style.walls.startswith("cladding")
-    brick = style.walls in _BRICKS
+    brick = style.walls in BRICK_MATERIALS
     return replace(
         style,
         lintels=brick,
@@ -266,7 +266,7 @@ def _put_roof(out: Solid, house: House, style: FacadeStyle, rng: np.random.Gener
     if house.kind.roof == "flat" or (house.kind.roof == "mixed" and house.terraced and chance < 0.3):
         out.add(roof.flat_roof((x, y), eaves, 0.7 if house.kind.balconies else 0.9, style.walls, style.dressing))
         return
-    stack = "brick" if style.walls not in _BRICKS else style.walls
+    stack = "brick" if style.walls not in BRICK_MATERIALS else style.walls
     ridge = eaves + pitch * y
     mixed = house.kind.roof == "mixed" and not house.terraced
     if mixed and chance < 0.22 and x > y + 0.5:
@@ -291,7 +291,7 @@ def _put_into_slope(
 ) -> None:
     """Dormers or roof windows in the slope towards the street."""
     look, places = rng.random(), np.array([-0.45, 0.45]) * x
-    thickness = roof.THICKNESS
+    thickness = roof.ROOF_THICKNESS_M
     for at in places:
         if look < 0.35:
             front = 0.78 * y

@@ -16,7 +16,7 @@ _WALL_AXES: Final = (
     ((0.0, -1.0, 0.0), (0.0, 0.0, 1.0), (-1.0, 0.0, 0.0)),
 )
 """Axes of front, back, right and left wall: x along the wall, y up, z out of it."""
-_SIGNS: Final = ("fascia_red", "fascia_blue", "fascia_green", "sign_yellow", "fascia_black")
+SIGN_MATERIALS: Final = ("fascia_red", "fascia_blue", "fascia_green", "sign_yellow", "fascia_black")
 
 
 def _wall_origins(half: tuple[float, float]) -> tuple[tuple[tuple[float, float, float], float], ...]:
@@ -120,7 +120,7 @@ def hall(kind: BuildingKind, half: tuple[float, float], near: bool, rng: np.rand
 def _entrance(width: float, top: float, rng: np.random.Generator) -> Solid:
     out = Solid()
     middle, half = width * rng.uniform(0.35, 0.65), 7.0
-    color = str(rng.choice(_SIGNS))
+    color = str(rng.choice(SIGN_MATERIALS))
     out.box(color, (middle - half - 1.0, 0.0, 0.0), (middle + half + 1.0, top + 1.6, 0.7), without="-z")
     out.pane("shop_window", (middle - half, middle + half), (0.2, 3.6), 0.72)
     for x in np.linspace(middle - half, middle + half, 8):

@@ -10,8 +10,8 @@ from typing import Final
 import numpy as np
 
 from skope.gen.mesh import Mesh, box, lathe, merged, tube
-from skope.gen.scenery.printed_pictures import LAYER, drawn_color, filled, filled_disc, letters
-from skope.gen.scenery.quads import BELOW, TOWARDS_ROAD, Solid
+from skope.gen.scenery.printed_pictures import LAYER_GAP_M, drawn_color, filled, filled_disc, letters
+from skope.gen.scenery.quads import BELOW_GROUND_M, TOWARDS_ROAD, Solid
 from skope.gen.scenery.roadside_boards import arrow_trailer, gore_boards, message_board, sign_gantry
 from skope.gen.scenery.street_furniture import bus_shelter
 from skope.gen.scenery.trees import bush
@@ -45,7 +45,9 @@ def globe_lamps(rng: np.random.Generator) -> Mesh:
     if globes % 2:
         centers.append((0.0, 0.0, high + radius * float(rng.uniform(0.8, 2.4))))
     top = centers[-1][2] - radius if globes % 2 else high - radius
-    parts = [lathe([(BELOW, 0.16), (0.5, 0.14), (0.55, 0.07), (top, 0.05), (top + 0.03, 0.0)], [post] * 4, 8, "z")]
+    parts = [
+        lathe([(BELOW_GROUND_M, 0.16), (0.5, 0.14), (0.55, 0.07), (top, 0.05), (top + 0.03, 0.0)], [post] * 4, 8, "z")
+    ]
     for x, y, z in centers:
         foot = z - radius + 0.02
         if x or y:
@@ -72,7 +74,7 @@ def floodlights(rng: np.random.Generator) -> Mesh:
             x = gap * k - half
             out.box("pole", (x - 0.2, 0.05, z - 0.16), (x + 0.2, 0.22, z + 0.16))
             out.box(lamp, (x - 0.17, 0.22, z - 0.13), (x + 0.17, 0.24, z + 0.13), without="-y")
-    column = lathe([(BELOW, 0.14), (high, 0.07), (high + 0.02, 0.0)], ["zinc"] * 2, 8, "z")
+    column = lathe([(BELOW_GROUND_M, 0.14), (high, 0.07), (high + 0.02, 0.0)], ["zinc"] * 2, 8, "z")
     return merged([column, out.mesh()])
 
 
@@ -80,7 +82,7 @@ def low_lamp(rng: np.random.Generator) -> Mesh:
     """A street light so low that it throws a bright patch on the road; it belongs to the street lights."""
     high = float(rng.uniform(3.4, 5.4))
     reach = float(rng.uniform(2.0, 6.0)) if high > 4.6 else 0.3
-    pole = lathe([(BELOW, 0.09), (high, 0.06), (high + 0.02, 0.0)], ["pole"] * 2, 7, "z")
+    pole = lathe([(BELOW_GROUND_M, 0.09), (high, 0.06), (high + 0.02, 0.0)], ["pole"] * 2, 7, "z")
     arm = tube([(0.0, 0.0, high - 0.05), (0.0, reach, high + 0.1)], [0.04] * 2, "pole", 5)
     head = box((-0.13, reach - 0.1, high + 0.06), (0.13, reach + 0.5, high + 0.18), "pole")
     return merged([pole, arm, head, box((-0.1, reach, high + 0.04), (0.1, reach + 0.45, high + 0.07), "luminaire")])
@@ -94,7 +96,7 @@ def works_lamps(rng: np.random.Generator) -> Mesh:
     out = Solid()
     for k in range(count):
         x = gap * (k - (count - 1) / 2)
-        out.box("tyre", (x - 0.2, -0.3, BELOW), (x + 0.2, 0.3, 0.1), without="-z")
+        out.box("tyre", (x - 0.2, -0.3, BELOW_GROUND_M), (x + 0.2, 0.3, 0.1), without="-z")
         out.box("iron", (x - 0.03, -0.03, 0.1), (x + 0.03, 0.03, high), without="-z")
         if boarded:
             for stripe in range(4):
@@ -122,12 +124,12 @@ def lit_plants(rng: np.random.Generator) -> Mesh:
             x = 1.7 * radius * (k - (count - 1) / 2)
             plant = bush(radius * float(rng.uniform(0.8, 1.2)), rng)
             parts.append(_recolored(plant, {"leaves": "leaves_lit"}).moved((x, 0.0, 0.0)))
-            parts.append(box((x - 0.09, 1.2 * radius, BELOW), (x + 0.09, 1.2 * radius + 0.14, 0.12), "iron"))
+            parts.append(box((x - 0.09, 1.2 * radius, BELOW_GROUND_M), (x + 0.09, 1.2 * radius + 0.14, 0.12), "iron"))
             parts.append(box((x - 0.07, 1.2 * radius + 0.02, 0.12), (x + 0.07, 1.2 * radius + 0.12, 0.14), lamp))
         return merged(parts)
     bare, reach = float(rng.uniform(1.6, 2.6)), float(rng.uniform(1.0, 1.8))
     top = bare + 1.2 * reach
-    parts.append(lathe([(BELOW, 0.14), (0.3, 0.1), (top, 0.05)], ["bark"] * 2, 6, "z"))
+    parts.append(lathe([(BELOW_GROUND_M, 0.14), (0.3, 0.1), (top, 0.05)], ["bark"] * 2, 6, "z"))
     inside = int(rng.integers(5))
     for k, turn in enumerate(rng.uniform(0.0, 2 * np.pi) + 2 * np.pi * np.arange(5) / 5):
         place = (0.55 * reach * np.cos(turn), 0.55 * reach * np.sin(turn), bare + rng.uniform(0.1, 0.7) * reach)
@@ -155,14 +157,14 @@ def shop_sign(rng: np.random.Generator) -> Mesh:
     ink = "lit_white" if ground in ("lit_red", "lit_blue", "lit_green") else drawn_color(rng)
     out, face = Solid(), Solid()
     for x in (-0.35 * width, 0.35 * width):
-        out.box("frame_dark", (x - 0.06, -0.06, BELOW), (x + 0.06, 0.06, low), without="-z")
+        out.box("frame_dark", (x - 0.06, -0.06, BELOW_GROUND_M), (x + 0.06, 0.06, low), without="-z")
     out.box("frame_dark", (-width / 2 - 0.04, -0.14, low - 0.04), (width / 2 + 0.04, 0.14, high + 0.04))
     for k in range(rows):
         own = ground if rng.random() < 0.7 else str(rng.choice(["lit_white", "lit_warm", "fascia_black"]))
         text = ink if own == ground else "lit_red" if own == "fascia_black" else "#223344"
-        face.pane(own, (-width / 2, width / 2), (k * row + 0.03, (k + 1) * row - 0.03), LAYER)
+        face.pane(own, (-width / 2, width / 2), (k * row + 0.03, (k + 1) * row - 0.03), LAYER_GAP_M)
         word = letters(width * float(rng.uniform(0.5, 0.85)), 0.5 * row, rng, text)
-        face.add(word, (-0.42 * width, (k + 0.25) * row, 2 * LAYER))
+        face.add(word, (-0.42 * width, (k + 0.25) * row, 2 * LAYER_GAP_M))
     back = ((1.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, -1.0, 0.0))
     for y, axes in ((0.14, TOWARDS_ROAD), (-0.14, back)):
         out.add(face.placed((0.0, y, low), axes))
@@ -184,13 +186,13 @@ def cones(rng: np.random.Generator) -> Mesh:
         high, foot = float(rng.uniform(0.5, 1.05)), float(rng.uniform(0.14, 0.2))
         shares = np.array([0.0, 0.35, 0.52, 0.62, 0.8, 1.0])
         profile = [(0.04 + high * share, foot * (1 - share) + 0.025) for share in shares]
-        base = box((-1.2 * foot, -1.2 * foot, BELOW), (1.2 * foot, 1.2 * foot, 0.05), body)
+        base = box((-1.2 * foot, -1.2 * foot, BELOW_GROUND_M), (1.2 * foot, 1.2 * foot, 0.05), body)
         materials = [body, band, body, band, body, body]
     else:
         high, foot = float(rng.uniform(0.9, 1.1)), 0.28
         shares = np.array([0.0, 0.2, 0.38, 0.56, 0.74, 1.0])
         profile = [(0.04 + high * share, foot - 0.05 * share) for share in shares]
-        base = lathe([(BELOW, 0.36), (0.05, 0.36), (0.06, 0.2)], ["tyre"] * 2, 10, "z")
+        base = lathe([(BELOW_GROUND_M, 0.36), (0.05, 0.36), (0.06, 0.2)], ["tyre"] * 2, 10, "z")
         materials = [body, band, body, band, body, body]
     one = merged([base, lathe([*profile, (profile[-1][0] + 0.01, 0.0)], materials, 10, "z")])
     return _in_row(one, count, float(rng.uniform(1.0, 1.4)))
@@ -203,12 +205,12 @@ def reflector_posts(rng: np.random.Generator) -> Mesh:
     apart, round_ones = float(rng.uniform(0.9, 1.7)), rng.random() < 0.5
     out, front = Solid(), Solid()
     if round_ones:
-        filled(front, reflector, filled_disc(0.0, high - 0.16, 0.05), LAYER)
+        filled(front, reflector, filled_disc(0.0, high - 0.16, 0.05), LAYER_GAP_M)
     else:
-        front.pane(reflector, (-0.04, 0.04), (high - 0.26, high - 0.1), LAYER)
+        front.pane(reflector, (-0.04, 0.04), (high - 0.26, high - 0.1), LAYER_GAP_M)
     back = ((1.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, -1.0, 0.0))
     for x in (-apart / 2, apart / 2):
-        out.box(body, (x - 0.06, -0.05, BELOW), (x + 0.06, 0.05, high), without="-z")
+        out.box(body, (x - 0.06, -0.05, BELOW_GROUND_M), (x + 0.06, 0.05, high), without="-z")
         for y, axes in ((0.05, TOWARDS_ROAD), (-0.05, back)):
             out.add(front.placed((x, y, 0.0), axes))
     return _in_row(out.mesh(), int(rng.integers(1, 3)), float(rng.uniform(2.5, 4.0)))

@@ -2,6 +2,7 @@
 wheel tracks, patches, cracks and covers."""
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
@@ -24,14 +25,24 @@ from skope.gen.towns.road_graph import (
 )
 from skope.types import Array
 
-CROSSING: Final = (0.7, 3.7)
-"""Nearer and farther edge of a crossing, beyond the end of the lanes that stop before it, metres."""
-STRIPE: Final = 0.5
-ARROWS: Final = (9.0, 26.0)
-"""Distances of lane arrows from the stop line, metres."""
-_LINE_HALF: Final = 0.06
-_THROUGH_M: Final = 12.0
-"""Lines are continued through junctions of two edges that are shorter than this, metres."""
+
+@dataclass(frozen=True)
+class MarkingSizes:
+    """Sizes of road markings."""
+
+    crossing_m: tuple[float, float] = (0.7, 3.7)
+    """Nearer and farther edge of a crossing, beyond the end of the lanes that stop before it, metres."""
+    stripe_m: float = 0.5
+    """Width of a stripe, metres."""
+    arrows_m: tuple[float, float] = (9.0, 26.0)
+    """Distances of lane arrows from the stop line, metres."""
+    line_half_m: float = 0.06
+    """Half of a line's width, metres."""
+    through_m: float = 12.0
+    """Lines are continued through junctions of two edges that are shorter than this, metres."""
+
+
+MARKING_SIZES: Final = MarkingSizes()
 
 
 def markings(graph: RoadGraph) -> Iterator[Polygon]:
@@ -40,7 +51,7 @@ def markings(graph: RoadGraph) -> Iterator[Polygon]:
         lanes, kind = driven(edge), graph.kind(edge)
         right = LineString(lanes[0].getShape())
         if kind.edge_lines:
-            yield right.offset_curve(0.2 - lanes[0].getWidth() / 2).buffer(_LINE_HALF, cap_style="flat")
+            yield right.offset_curve(0.2 - lanes[0].getWidth() / 2).buffer(MARKING_SIZES.line_half_m, cap_style="flat")
         for lane in lanes:
             shape, half = LineString(lane.getShape()), lane.getWidth() / 2
             if lane is lanes[-1]:
@@ -64,9 +75,9 @@ def _left_line(graph: RoadGraph, edge: Any, shape: LineString, half: float) -> I
         if edge.getID() < min((e.getID() for e in _opposite_edges(edge)), default="~"):
             left = shape.offset_curve(half)
             for start in np.arange(4.0, left.length - 6.0, 12.0):
-                yield substring(left, start, start + 4.0).buffer(_LINE_HALF, cap_style="flat")
+                yield substring(left, start, start + 4.0).buffer(MARKING_SIZES.line_half_m, cap_style="flat")
     else:
-        yield shape.offset_curve(half - 0.16).buffer(_LINE_HALF, cap_style="flat")
+        yield shape.offset_curve(half - 0.16).buffer(MARKING_SIZES.line_half_m, cap_style="flat")
 
 
 def _opposite_edges(edge: Any) -> list[Any]:
@@ -87,9 +98,11 @@ def _is_divided(edge: Any) -> bool:
 def _lane_line(edge: Any, left: LineString) -> Iterator[Polygon]:
     solid = 18.0 if is_signalled(edge) else 0.0
     for start in np.arange(2.0, left.length - 3.0 - solid, 9.0):
-        yield substring(left, start, start + 3.0).buffer(_LINE_HALF, cap_style="flat")
+        yield substring(left, start, start + 3.0).buffer(MARKING_SIZES.line_half_m, cap_style="flat")
     if solid:
-        yield substring(left, max(left.length - solid, 0.0), left.length - 0.9).buffer(_LINE_HALF, cap_style="flat")
+        yield substring(left, max(left.length - solid, 0.0), left.length - 0.9).buffer(
+            MARKING_SIZES.line_half_m, cap_style="flat"
+        )
 
 
 def _lines_through_joints(graph: RoadGraph) -> Iterator[Polygon]:
@@ -108,8 +121,8 @@ def _lines_through_joints(graph: RoadGraph) -> Iterator[Polygon]:
                 inset = 0.2 if side < 0 else 0.16
                 ends.append(shape.offset_curve(side * (lane.getWidth() / 2 - inset)).coords[at])
             gap = LineString(ends)
-            if 0.05 < gap.length < _THROUGH_M:
-                yield gap.buffer(_LINE_HALF, cap_style="flat")
+            if 0.05 < gap.length < MARKING_SIZES.through_m:
+                yield gap.buffer(MARKING_SIZES.line_half_m, cap_style="flat")
 
 
 def _give_way(shape: LineString, half: float) -> Iterator[Polygon]:
@@ -127,7 +140,7 @@ def _arrows(lane: Any, shape: LineString) -> Iterator[Polygon]:
     ways = {connection.getDirection().lower() for connection in lane.getOutgoing()} & {"s", "l", "r"}
     if ways == {"s"} and not is_signalled(lane.getEdge()):
         return
-    for distance in ARROWS:
+    for distance in MARKING_SIZES.arrows_m:
         if not ways or shape.length < distance + 8.0:
             continue
         at = np.array(shape.interpolate(shape.length - distance).coords[0])
@@ -170,7 +183,7 @@ def hatching(place: Array, heading: float, rng: np.random.Generator) -> list[Pol
     for x in np.arange(1.2, long - 1.2 - thick, step).tolist():
         near = [(x + lean * ahead, wide * across) for ahead, across in shares]
         out.append(Polygon([*near, *((u + thick, v) for u, v in reversed(near))]))
-    out += [shapely.box(0.0, y - _LINE_HALF, long, y + _LINE_HALF) for y in (0.0, wide)]
+    out += [shapely.box(0.0, y - MARKING_SIZES.line_half_m, long, y + MARKING_SIZES.line_half_m) for y in (0.0, wide)]
     turned = (shapely.affinity.rotate(part, heading, origin=(0, 0), use_radians=True) for part in out)
     return [shapely.affinity.translate(part, *place) for part in turned]
 
@@ -196,19 +209,24 @@ def _zebra(graph: RoadGraph, edge: Any) -> list[tuple[Polygon, bool]]:
     end, before = (np.array(line.interpolate(t).coords[0]) for t in (line.length, line.length - 1.0))
     along = (end - before) / np.hypot(*(end - before))
     across = np.array([along[1], -along[0]])
-    middle = end + along * sum(CROSSING) / 2 - across * lane.getWidth() / 2
+    middle = end + along * sum(MARKING_SIZES.crossing_m) / 2 - across * lane.getWidth() / 2
     span = _chord(road, middle, across)
     if span is None:
         return []
     low, high = span[0] + 0.3, span[1] - 0.3
     arm = _chord(road, before - across * lane.getWidth() / 2, across) or span
-    count = int((high - low) // (2 * STRIPE))
-    start = (low + high) / 2 - (count - 0.5) * STRIPE
+    count = int((high - low) // (2 * MARKING_SIZES.stripe_m))
+    start = (low + high) / 2 - (count - 0.5) * MARKING_SIZES.stripe_m
     out = []
     for i in range(count):
-        offset = start + 2 * STRIPE * i + STRIPE / 2
+        offset = start + 2 * MARKING_SIZES.stripe_m * i + MARKING_SIZES.stripe_m / 2
         turned = float(np.arctan2(along[1], along[0]))
-        stripe = rectangle_polygon(middle + across * offset, turned, CROSSING[1] - CROSSING[0], STRIPE)
+        stripe = rectangle_polygon(
+            middle + across * offset,
+            turned,
+            MARKING_SIZES.crossing_m[1] - MARKING_SIZES.crossing_m[0],
+            MARKING_SIZES.stripe_m,
+        )
         out.append((stripe, arm[0] < offset < arm[1]))
     return out
 

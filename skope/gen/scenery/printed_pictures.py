@@ -1,6 +1,6 @@
 """Prints on posters and signs: flat pictures of vehicles, logos and rows of letters.
 
-All lie in the plane of a panel, x to the right, y up and z out of it, metres; each layer `LAYER` before the last.
+All lie in the plane of a panel, x to the right, y up and z out of it, metres; each layer `LAYER_GAP_M` before the last.
 """
 
 import colorsys
@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from skope.gen.scenery.quads import Solid
 from skope.types import Array
 
-LAYER: Final = 0.012
+LAYER_GAP_M: Final = 0.012
 """Distance between layers, metres: more than a depth buffer confuses."""
 
 _Outline = Sequence[tuple[float, float]]
@@ -85,7 +85,7 @@ def poster(width: float, height: float, rng: np.random.Generator) -> Solid:
     if rng.random() < 0.6:  # a road, a band or a sky
         edge = height * rng.uniform(0.15, 0.6)
         low, high = (0.0, edge) if rng.random() < 0.7 else (edge, height)
-        out.pane(drawn_color(rng, 0.6), (0.0, width), (low, high), LAYER)
+        out.pane(drawn_color(rng, 0.6), (0.0, width), (low, high), LAYER_GAP_M)
     what = rng.random()
     if what < 0.55:
         _put(out, vehicle_from_side(rng), (width, height), 0.44, rng)
@@ -95,7 +95,7 @@ def poster(width: float, height: float, rng: np.random.Generator) -> Solid:
         _put(out, logo(rng), (width, height), 1.0, rng)
     line = min(0.12 * height, 0.12 * width)
     for y in (0.06 * height, height - 1.6 * line)[: int(rng.integers(0, 3))]:
-        out.add(letters(0.8 * width * rng.uniform(0.5, 1.0), line, rng), (0.08 * width, y, 6 * LAYER))
+        out.add(letters(0.8 * width * rng.uniform(0.5, 1.0), line, rng), (0.08 * width, y, 6 * LAYER_GAP_M))
     return out
 
 
@@ -104,7 +104,7 @@ def _put(out: Solid, picture: Solid, size: tuple[float, float], shape: float, rn
     width, height = size
     scale = min(0.94 * width, 0.9 * height / shape) * rng.uniform(0.7, 1.0)
     x, y = rng.uniform(0.03, 0.97, 2) * [width - scale, height - scale * shape]
-    out.add(picture.placed((x, y, 2 * LAYER), np.diag([scale, scale, 1.0])))
+    out.add(picture.placed((x, y, 2 * LAYER_GAP_M), np.diag([scale, scale, 1.0])))
 
 
 def vehicle_from_side(rng: np.random.Generator) -> Solid:
@@ -120,13 +120,13 @@ def vehicle_from_side(rng: np.random.Generator) -> Solid:
     for part in body:
         put(paint, part, 0.0)
     for part in windows:
-        put(glass, part, LAYER)
+        put(glass, part, LAYER_GAP_M)
     lamp = 0.6 * body[0][2][1]
-    put("#ffeecc", _rectangle(0.005, lamp, 0.045, 0.03), LAYER)
-    put("#aa1111", _rectangle(0.955, lamp, 0.04, 0.04), LAYER)
+    put("#ffeecc", _rectangle(0.005, lamp, 0.045, 0.03), LAYER_GAP_M)
+    put("#aa1111", _rectangle(0.955, lamp, 0.04, 0.04), LAYER_GAP_M)
     for x in wheels:
-        put("#111111", filled_disc(x, 0.085, 0.082), 2 * LAYER)
-        put("#999999", filled_disc(x, 0.085, 0.048), 3 * LAYER)
+        put("#111111", filled_disc(x, 0.085, 0.082), 2 * LAYER_GAP_M)
+        put("#999999", filled_disc(x, 0.085, 0.048), 3 * LAYER_GAP_M)
     return out
 
 
@@ -137,13 +137,13 @@ def vehicle_from_front(rng: np.random.Generator) -> Solid:
     for x in (0.06, 0.76):
         filled(out, "#111111", _rectangle(x, 0.0, 0.18, 0.16), 0.0)
     for part in _BODY_FRONT:
-        filled(out, paint, part, LAYER)
-    filled(out, "#223344", ((0.14, 0.48), (0.86, 0.48), (0.75, 0.73), (0.25, 0.73)), 2 * LAYER)
+        filled(out, paint, part, LAYER_GAP_M)
+    filled(out, "#223344", ((0.14, 0.48), (0.86, 0.48), (0.75, 0.73), (0.25, 0.73)), 2 * LAYER_GAP_M)
     for x in (0.04, 0.76):
-        filled(out, "#bb1111" if rear else "#ffffee", _rectangle(x, 0.31, 0.2, 0.09), 2 * LAYER)
+        filled(out, "#bb1111" if rear else "#ffffee", _rectangle(x, 0.31, 0.2, 0.09), 2 * LAYER_GAP_M)
     if not rear:
-        filled(out, "#222222", _rectangle(0.28, 0.28, 0.44, 0.12), 2 * LAYER)
-    filled(out, "#eeeedd", _rectangle(0.37, 0.17, 0.26, 0.07), 2 * LAYER)
+        filled(out, "#222222", _rectangle(0.28, 0.28, 0.44, 0.12), 2 * LAYER_GAP_M)
+    filled(out, "#eeeedd", _rectangle(0.37, 0.17, 0.26, 0.07), 2 * LAYER_GAP_M)
     return out
 
 
@@ -151,7 +151,7 @@ def logo(rng: np.random.Generator) -> Solid:
     """A sign of width and height 1: a disc, a ring, bars or a wedge, one in another."""
     out = Solid()
     for k in range(int(rng.integers(1, 4))):
-        size, color, z = 0.5 * 0.62**k, drawn_color(rng), k * LAYER
+        size, color, z = 0.5 * 0.62**k, drawn_color(rng), k * LAYER_GAP_M
         form = int(rng.integers(4))
         if form == 0:
             filled(out, color, filled_disc(0.5, 0.5, size), z)

@@ -10,11 +10,11 @@ from numpy.typing import ArrayLike
 from skope.gen.mesh import Mesh, merged, quads
 from skope.types import Array
 
-BELOW: Final = -0.4
+BELOW_GROUND_M: Final = -0.4
 """Depth to which things that stand on the ground reach into it, metres."""
 TOWARDS_ROAD: Final = ((-1.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, 1.0, 0.0))
 """Axes of a panel whose front looks to +y."""
-_FACES: Final = {
+BOX_FACES: Final = {
     "-x": (0, 4, 6, 2),
     "+x": (1, 3, 7, 5),
     "-y": (0, 1, 5, 4),
@@ -48,7 +48,7 @@ class Solid:
         """An axis-aligned box less some of its faces ("-z +x")."""
         ends = np.array([low, high], dtype=np.float64)
         corners = np.array([[ends[i & 1, 0], ends[i >> 1 & 1, 1], ends[i >> 2, 2]] for i in range(8)])
-        self.faces(material, corners[[index for name, index in _FACES.items() if name not in without.split()]])
+        self.faces(material, corners[[index for name, index in BOX_FACES.items() if name not in without.split()]])
 
     def extrude(self, material: str, profile: Sequence[tuple[float, float]], x: tuple[float, float]) -> None:
         """A profile that is the same to both sides, along x: half widths and heights from its open foot to its top."""

@@ -9,42 +9,44 @@ from typing import Final
 import numpy as np
 
 from skope.gen.mesh import Mesh, lathe, merged
-from skope.gen.scenery.printed_pictures import LAYER, drawn_color, letters
-from skope.gen.scenery.quads import BELOW, TOWARDS_ROAD, Solid
+from skope.gen.scenery.printed_pictures import LAYER_GAP_M, drawn_color, letters
+from skope.gen.scenery.quads import BELOW_GROUND_M, TOWARDS_ROAD, Solid
 from skope.types import Array
 
-_JERSEY: Final = ((0.3, BELOW), (0.3, 0.08), (0.13, 0.33), (0.08, 0.81))
+JERSEY_PROFILE: Final = ((0.3, BELOW_GROUND_M), (0.3, 0.08), (0.13, 0.33), (0.08, 0.81))
 """Half widths and heights of a concrete barrier."""
-_WALLS: Final = ("brick", "brick_buff", "plaster_white", "plaster_grey", "concrete", "stone")
+WALL_MATERIALS: Final = ("brick", "brick_buff", "plaster_white", "plaster_grey", "concrete", "stone")
 _DARK_COLOR: Final = "#222222"
 
 
 def garages(rng: np.random.Generator) -> Mesh:
     """One or two garages or lock-up shops in a row: ribbed shutters, some with big lettering, under a flat roof."""
     count, half, depth, top = int(rng.integers(1, 3)), rng.uniform(1.3, 1.6), 2.4, rng.uniform(2.4, 2.9)
-    wall, door = str(rng.choice(_WALLS)), drawn_color(rng)
+    wall, door = str(rng.choice(WALL_MATERIALS)), drawn_color(rng)
     high, rib = top - rng.uniform(0.25, 0.5), float(rng.choice([0.12, 0.25, 0.5]))
     out = Solid()
     x = count * half
-    out.box(wall, (-x, -depth, BELOW), (x, depth - 0.2, top), without="-z")
+    out.box(wall, (-x, -depth, BELOW_GROUND_M), (x, depth - 0.2, top), without="-z")
     out.box(_DARK_COLOR, (-x - 0.06, -depth - 0.06, top), (x + 0.06, depth + 0.08, top + 0.14))
     lettered = rng.random() < 0.6
     for k in range(count + 1):
         left = -x + 2 * half * k - 0.15
-        out.box(wall, (max(left, -x), depth - 0.2, BELOW), (min(left + 0.3, x), depth, top), without="-z +z -y")
+        out.box(
+            wall, (max(left, -x), depth - 0.2, BELOW_GROUND_M), (min(left + 0.3, x), depth, top), without="-z +z -y"
+        )
     for k in range(count):
         middle = -x + half * (2 * k + 1)
         left, reach = middle - half + 0.15, 2 * half - 0.3
         out.box(wall, (left, depth - 0.2, high), (left + reach, depth, top), without="+z -y -x +x")
         gaps = Solid()
-        gaps.pane(_DARK_COLOR, (-reach / 2, reach / 2), (BELOW, high), LAYER)
+        gaps.pane(_DARK_COLOR, (-reach / 2, reach / 2), (BELOW_GROUND_M, high), LAYER_GAP_M)
         out.add(gaps.placed((middle, depth - 0.2, 0.0), TOWARDS_ROAD))
         for z in np.arange(0.02, high - 0.02, rib):
             end = min(z + rib - min(0.15 * rib, 0.025), high)
             out.box(door, (left, depth - 0.2, z), (left + reach, depth - 0.16, end), without="-y -x +x")
         if lettered:
             word, tall = letters(0.85 * reach, rng.uniform(0.35, 0.7), rng), rng.uniform(0.8, 1.3)
-            out.add(word.placed((middle + 0.42 * reach, depth - 0.16 + LAYER, tall), TOWARDS_ROAD))
+            out.add(word.placed((middle + 0.42 * reach, depth - 0.16 + LAYER_GAP_M, tall), TOWARDS_ROAD))
         else:
             out.box(_DARK_COLOR, (middle - 0.08, depth - 0.16, 0.9), (middle + 0.08, depth - 0.12, 0.95), without="-y")
     return out.mesh()
@@ -60,7 +62,7 @@ def concrete_barriers(rng: np.random.Generator) -> Mesh:
         for k in range(count):
             x = length * (k - count / 2)
             tint = ("sign_white" if k % 2 else "sign_red") if color == "sign_red" else color
-            out.extrude(tint, _JERSEY, (x + 0.02, x + length - 0.02))
+            out.extrude(tint, JERSEY_PROFILE, (x + 0.02, x + length - 0.02))
             for at in (x + 0.25 * length, x + 0.75 * length):
                 out.box(lamp, (at - 0.06, -0.04, 0.81), (at + 0.06, 0.04, 0.95), without="-z")
         return out.mesh()
@@ -68,8 +70,8 @@ def concrete_barriers(rng: np.random.Generator) -> Mesh:
         foot = 0.83 * level
         for k in range(count):
             one, y = Solid(), 0.64 * (k - (count - 1) / 2)
-            low = BELOW if level == 0 else 0.0
-            one.extrude(color, [(0.3, low), *_JERSEY[1:]], (-length / 2, length / 2))
+            low = BELOW_GROUND_M if level == 0 else 0.0
+            one.extrude(color, [(0.3, low), *JERSEY_PROFILE[1:]], (-length / 2, length / 2))
             if level:
                 for at in (-0.3 * length, 0.25 * length):
                     one.box("timber", (at, -0.34, -0.02), (at + 0.1, 0.34, 0.01))
@@ -84,7 +86,7 @@ def kerb_stones(rng: np.random.Generator) -> Mesh:
     out = Solid()
     for k in range(int(rng.integers(1, 4))):
         x, color = 1.35 * k - 1.35, str(rng.choice(["concrete", "kerb", "sandstone", "brick"]))
-        out.box("timber", (x, -0.5, BELOW), (x + 1.1, 0.5, 0.13), without="-z")
+        out.box("timber", (x, -0.5, BELOW_GROUND_M), (x + 1.1, 0.5, 0.13), without="-z")
         rows, columns = int(rng.integers(2, 6)), int(rng.integers(3, 7))
         wide, high = 1.1 / columns, rng.uniform(0.15, 0.25)
         for level in range(rows):
@@ -103,7 +105,7 @@ def portable_toilets(rng: np.random.Generator) -> Mesh:
     color, roof = drawn_color(rng), str(rng.choice(["sign_white", "#cccccc", "#dddddd"]))
     half, top = 0.55, 2.1
     one = Solid()
-    one.box(_DARK_COLOR, (-half, -half, BELOW), (half, half, 0.12), without="-z")
+    one.box(_DARK_COLOR, (-half, -half, BELOW_GROUND_M), (half, half, 0.12), without="-z")
     one.box(color, (-half + 0.03, -half + 0.03, 0.12), (half - 0.03, half - 0.03, top), without="-z")
     for side in (-half, half - 0.03):
         for y in (-0.4, -0.12, 0.16):
@@ -114,9 +116,9 @@ def portable_toilets(rng: np.random.Generator) -> Mesh:
     one.box(_DARK_COLOR, (0.38, -0.5, top + 0.1), (0.48, -0.4, top + 0.5), without="-z")
     front = Solid()
     front.pane(drawn_color(rng) if rng.random() < 0.4 else color, (-0.42, 0.42), (0.2, 1.98), 0.02)
-    front.pane("sign_white", (-0.16, 0.16), (1.4, 1.7), 0.02 + LAYER)
-    front.pane("sign_red", (0.28, 0.36), (1.0, 1.06), 0.02 + LAYER)
-    front.pane(_DARK_COLOR, (-0.38, 0.38), (1.84, 1.92), 0.02 + LAYER)
+    front.pane("sign_white", (-0.16, 0.16), (1.4, 1.7), 0.02 + LAYER_GAP_M)
+    front.pane("sign_red", (0.28, 0.36), (1.0, 1.06), 0.02 + LAYER_GAP_M)
+    front.pane(_DARK_COLOR, (-0.38, 0.38), (1.84, 1.92), 0.02 + LAYER_GAP_M)
     one.add(front.placed((0.0, half - 0.03, 0.0), TOWARDS_ROAD))
     count = int(rng.integers(1, 5))
     mesh = one.mesh()
@@ -129,20 +131,27 @@ def generator(rng: np.random.Generator) -> Mesh:
     color = drawn_color(rng)
     out = Solid()
     for side in (-1, 1):
-        out.box("iron", (-x - 0.1, side * 0.8 * y - 0.08, BELOW), (x + 0.1, side * 0.8 * y + 0.08, 0.16), without="-z")
+        out.box(
+            "iron",
+            (-x - 0.1, side * 0.8 * y - 0.08, BELOW_GROUND_M),
+            (x + 0.1, side * 0.8 * y + 0.08, 0.16),
+            without="-z",
+        )
     out.box(_DARK_COLOR, (-x, -y, 0.16), (x, y, 0.3))
     out.extrude(color, [(y, 0.3), (y, top - 0.2), (0.75 * y, top)], (-x, x))
     front = Solid()
     for z in np.arange(0.45, top - 0.4, 0.08):
-        front.pane(_DARK_COLOR, (-0.9 * x, -0.45 * x), (z, z + 0.05), LAYER)
-        front.pane(_DARK_COLOR, (0.45 * x, 0.9 * x), (z, z + 0.05), LAYER)
-    front.pane("sign_yellow" if rng.random() < 0.5 else "zinc", (-0.3 * x, 0.3 * x), (0.65 * top, 0.8 * top), LAYER)
-    front.add(letters(0.7 * x, 0.16, rng), (-0.35 * x, 0.4, LAYER))
+        front.pane(_DARK_COLOR, (-0.9 * x, -0.45 * x), (z, z + 0.05), LAYER_GAP_M)
+        front.pane(_DARK_COLOR, (0.45 * x, 0.9 * x), (z, z + 0.05), LAYER_GAP_M)
+    front.pane(
+        "sign_yellow" if rng.random() < 0.5 else "zinc", (-0.3 * x, 0.3 * x), (0.65 * top, 0.8 * top), LAYER_GAP_M
+    )
+    front.add(letters(0.7 * x, 0.16, rng), (-0.35 * x, 0.4, LAYER_GAP_M))
     out.add(front.placed((0.0, y, 0.0), TOWARDS_ROAD))
     back = ((1.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, -1.0, 0.0))
     out.add(front.placed((0.0, -y, 0.0), back))
     grille = Solid()
-    grille.pane("grille", (-0.7 * y, 0.7 * y), (0.45, top - 0.35), LAYER)
+    grille.pane("grille", (-0.7 * y, 0.7 * y), (0.45, top - 0.35), LAYER_GAP_M)
     out.add(grille.placed((x, 0.0, 0.0), ((0.0, 1.0, 0.0), (0.0, 0.0, 1.0), (1.0, 0.0, 0.0))))
     exhaust = lathe([(top - 0.05, 0.05), (top + 0.3, 0.05), (top + 0.31, 0.0)], ["iron"] * 2, 8, "z")
     return merged([out.mesh(), exhaust.moved((-0.7 * x, 0.0, 0.0))])
@@ -165,9 +174,11 @@ def covered_boat(rng: np.random.Generator) -> Mesh:
     for color, section, long in ((drawn_color(rng), hull, x), (drawn_color(rng), cover, x + 0.04)):
         _tube(out, color, np.array([np.column_stack([long * along, share * beam, z]) for share, z in section]))
     for at in (-0.6 * x, 0.3 * x):
-        out.box("timber", (at, -0.2, BELOW), (at + 0.25, 0.2, keel + 0.04), without="-z")
+        out.box("timber", (at, -0.2, BELOW_GROUND_M), (at + 0.25, 0.2, keel + 0.04), without="-z")
         for side in (-0.6 * y, 0.6 * y):
-            out.box("iron", (at, side - 0.04, BELOW), (at + 0.08, side + 0.04, keel + 0.3 * (gunwale - keel)), "-z")
+            out.box(
+                "iron", (at, side - 0.04, BELOW_GROUND_M), (at + 0.08, side + 0.04, keel + 0.3 * (gunwale - keel)), "-z"
+            )
     return out.mesh()
 
 
@@ -213,7 +224,7 @@ def covered_caravan(rng: np.random.Generator) -> Mesh:
         )
     out.box(_DARK_COLOR, (-0.8 * x, -0.7 * y, 0.3), (0.8 * x, 0.7 * y, low + 0.02), without="+z")
     out.box("zinc", (x, -0.06, 0.38), (x + 1.1, 0.06, 0.48))
-    out.box("zinc", (x + 0.9, -0.04, BELOW), (x + 0.98, 0.04, 0.38), without="-z +z")
+    out.box("zinc", (x + 0.9, -0.04, BELOW_GROUND_M), (x + 0.98, 0.04, 0.38), without="-z +z")
     wheel = lathe([(-0.1, 0.0), (-0.1, 0.3), (0.1, 0.3), (0.1, 0.0)], ["rim", "tyre", "rim"], 14, "y")
     return merged([out.mesh(), *(wheel.moved((0.0, side * (y - 0.16), 0.3)) for side in (-1, 1))])
 
@@ -226,13 +237,13 @@ def market_stall(rng: np.random.Generator) -> Mesh:
     out = Solid()
     for a in (-x + 0.05, x - 0.1):
         for b in (-y + 0.05, y - 0.1):
-            out.box("zinc", (a, b, BELOW), (a + 0.05, b + 0.05, eaves), without="-z +z")
+            out.box("zinc", (a, b, BELOW_GROUND_M), (a + 0.05, b + 0.05, eaves), without="-z +z")
     edges = np.linspace(-x - 0.1, x + 0.1, 2 * int(rng.integers(3, 6)))
     for k, (left, right) in enumerate(itertools.pairwise(edges)):
         profile = [(0.0, eaves - 0.2), (y + 0.12, eaves - 0.2), (y + 0.12, eaves), (0.0, ridge)]
         out.extrude(colors[k % 2], profile, (left, right))
     cloth = drawn_color(rng)
-    out.box(cloth, (-x + 0.15, 0.1, BELOW), (x - 0.15, y - 0.15, 0.85), without="-z")
+    out.box(cloth, (-x + 0.15, 0.1, BELOW_GROUND_M), (x - 0.15, y - 0.15, 0.85), without="-z")
     for left in np.arange(-x + 0.2, x - 0.6, 0.45):
         if rng.random() < 0.8:
             goods = drawn_color(rng)
@@ -240,7 +251,7 @@ def market_stall(rng: np.random.Generator) -> Mesh:
     if rng.random() < 0.5:  # a wall of cloth behind, with a name
         out.box(cloth, (-x + 0.05, -y + 0.06, 0.1), (x - 0.05, -y + 0.09, eaves - 0.2))
         word = letters(1.4 * x, 0.3, rng)
-        out.add(word.placed((0.7 * x, -y + 0.09 + LAYER, 1.4), TOWARDS_ROAD))
+        out.add(word.placed((0.7 * x, -y + 0.09 + LAYER_GAP_M, 1.4), TOWARDS_ROAD))
     return out.mesh()
 
 
@@ -252,7 +263,7 @@ def bales(rng: np.random.Generator) -> Mesh:
         for level in range(int(rng.integers(1, 4))):
             for k in range(int(rng.integers(1, 4))):
                 a, z = 2.3 * (k - 1) + rng.normal(0, 0.04), 0.8 * level
-                low = BELOW if level == 0 else z
+                low = BELOW_GROUND_M if level == 0 else z
                 out.box(color, (a, -0.55, low), (a + 2.2, 0.55 + rng.normal(0, 0.03), z + 0.78), without="-z")
         return out.mesh()
     radius, half = rng.uniform(0.6, 0.8), 0.6
@@ -277,13 +288,13 @@ def bales(rng: np.random.Generator) -> Mesh:
 def recessed_wall(rng: np.random.Generator) -> Mesh:
     """A wall with niches as deep as windows' or with iron doors, under a coping: of a yard, a vault or a graveyard."""
     count, pitch, top = int(rng.integers(2, 5)), rng.uniform(1.0, 1.7), rng.uniform(1.3, 2.4)
-    wall = str(rng.choice(_WALLS))
+    wall = str(rng.choice(WALL_MATERIALS))
     inside = str(rng.choice([wall, "frame_dark", "door_green", "iron", "window"]))
     x, low, high = count * pitch / 2, rng.uniform(0.3, 0.7), top - rng.uniform(0.2, 0.4)
     out, front = Solid(), Solid()
-    out.box(wall, (-x, -0.15, BELOW), (x, 0.15, top), without="-z +y")
+    out.box(wall, (-x, -0.15, BELOW_GROUND_M), (x, 0.15, top), without="-z +y")
     out.box("dressing", (-x - 0.05, -0.2, top), (x + 0.05, 0.2, top + 0.1))
-    front.pane(wall, (-x, x), (BELOW, low), 0.0)
+    front.pane(wall, (-x, x), (BELOW_GROUND_M, low), 0.0)
     front.pane(wall, (-x, x), (high, top), 0.0)
     margin = 0.16 * pitch
     for k in range(count):
@@ -305,7 +316,7 @@ def gravestones(rng: np.random.Generator) -> Mesh:
         x, half, top = 1.15 * (k - (count - 1) / 2), rng.uniform(0.25, 0.45), rng.uniform(0.6, 1.3)
         stone = str(rng.choice(["#222222", "#444444", "stone", "sandstone", "concrete", "#775555", "dressing"]))
         slab = Solid()
-        slab.box("dressing", (-half - 0.08, -0.16, BELOW), (half + 0.08, 0.16, 0.14), without="-z")
+        slab.box("dressing", (-half - 0.08, -0.16, BELOW_GROUND_M), (half + 0.08, 0.16, 0.14), without="-z")
         arch = np.linspace(0, np.pi / 2, 5) if rng.random() < 0.5 else np.zeros(1)
         rise = 0.7 * half * np.sin(arch)
         profile = [(half, 0.14), *zip(half * np.cos(arch), top - 0.7 * half + rise, strict=True)]
@@ -315,6 +326,6 @@ def gravestones(rng: np.random.Generator) -> Mesh:
         slab.add(side.placed((0.0, 0.0, 0.0), ((0.0, 1.0, 0.0), (-1.0, 0.0, 0.0), (0.0, 0.0, 1.0))))
         for y in (0.42, 0.56):
             word = letters(1.5 * half, 0.07, rng, str(rng.choice(["lettering_gold", "lettering", "lettering_dark"])))
-            slab.add(word.placed((0.75 * half, 0.07 + LAYER, y * top), TOWARDS_ROAD))
+            slab.add(word.placed((0.75 * half, 0.07 + LAYER_GAP_M, y * top), TOWARDS_ROAD))
         out.add(slab, (x, rng.normal(0, 0.04), 0.0))
     return out.mesh()

@@ -1,6 +1,7 @@
 """Lights, signs, cabinets, bins, benches, bollards, bus shelters; x along the street, y towards the carriageway."""
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
 from functools import partial
 from typing import Any, Final
 
@@ -16,22 +17,30 @@ from skope.gen.towns.road_graph import beside, driven, is_minor, is_signalled, j
 from skope.gen.towns.town_style import drawn_name
 from skope.types import Array
 
-FURNITURE_CLEARANCE_M: Final = 0.4
-"""Least distance of street furniture from the carriageway, metres."""
-OVERHEAD: Final = 6.0
-"""Height from which parts may hang over the road, metres."""
-LIT_ROAD_SPACING_M: Final = 32.0
-"""Distance between street lights on each side of roads that are lit throughout."""
-FURNITURE_VIEW_M: Final = 26.0
-"""Furniture does not stand in a camera's view of road that is nearer to it than this, metres."""
+
+@dataclass(frozen=True)
+class FurnitureLimits:
+    """Clearances of street furniture."""
+
+    clearance_m: float = 0.4
+    """Least distance of street furniture from the carriageway, metres."""
+    overhead_m: float = 6.0
+    """Height from which parts may hang over the road, metres."""
+    light_spacing_m: float = 32.0
+    """Distance between street lights on each side of roads that are lit throughout."""
+    open_view_m: float = 26.0
+    """Furniture does not stand in a camera's view of road that is nearer to it than this, metres."""
+
+
+FURNITURE_LIMITS: Final = FurnitureLimits()
 
 
 def furniture(layout: Layout, keep_clear: Any, rng: np.random.Generator, *, lit_roads: bool = False) -> Iterator[Mesh]:
     """Everything that stands beside the roads of a town but trees and signals.
 
-    With `lit_roads`, all roads have street lights, and no wider apart than `LIT_ROAD_SPACING_M`.
+    With `lit_roads`, all roads have street lights, and no wider apart than `FURNITURE_LIMITS.light_spacing_m`.
     """
-    blocked = unary_union([keep_clear, layout.sightlines(FURNITURE_VIEW_M)])
+    blocked = unary_union([keep_clear, layout.sightlines(FURNITURE_LIMITS.open_view_m)])
     spots = _Spots(layout, blocked)
     for edge in layout.graph.edges_of("ground"):
         for offset, s, make in _furniture_along(layout, edge, rng, lit_roads):
@@ -55,10 +64,10 @@ class _Spots:
     def take(self, place: Array, heading: float, made: Mesh) -> bool:
         """Whether a thing fits there; if so its place is taken."""
         c, s = np.cos(heading), np.sin(heading)
-        low = made.vertices[made.vertices[:, 2] < OVERHEAD, :2]
+        low = made.vertices[made.vertices[:, 2] < FURNITURE_LIMITS.overhead_m, :2]
         plan = low @ np.array([[c, s], [-s, c]]) + place
         shape = shapely.MultiPoint(plan).convex_hull.buffer(0.02)
-        if shape.intersects(self._blocked) or shape.distance(self._road) < FURNITURE_CLEARANCE_M:
+        if shape.intersects(self._blocked) or shape.distance(self._road) < FURNITURE_LIMITS.clearance_m:
             return False
         if any(abs(place - at).max() < 9.0 and shape.distance(other) < 0.6 for at, other in self._taken):
             return False
@@ -72,7 +81,11 @@ def _furniture_along(
     """Furniture to place along an edge: distance from the kerb and along the edge, metres, and how to make it."""
     length, kind, style = driven(edge)[0].getLength(), layout.graph.kind(edge), layout.style
     first, back = (kind.shoulder + 1.1, kind.shoulder + 2.6) if not kind.sidewalk else (0.75, 0.92 * kind.sidewalk)
-    spacing = min(kind.lights or LIT_ROAD_SPACING_M, LIT_ROAD_SPACING_M) if lit_road else kind.lights
+    spacing = (
+        min(kind.lights or FURNITURE_LIMITS.light_spacing_m, FURNITURE_LIMITS.light_spacing_m)
+        if lit_road
+        else kind.lights
+    )
     if spacing:
         start = 0.25 * spacing if _number_of(edge.getID()) % 2 else 0.7 * spacing
         reach = 2.0 if style.light == "curved" else 2.6

@@ -18,9 +18,31 @@ from skope.gen.towns.road_graph import places_along
 from skope.gen.towns.town_style import Season, drawn_name
 from skope.types import Array
 
-FORKS: Final = ((4,), (6, 3), (6, 4, 2), (7, 4, 3))
-"""Number of branches that each branch forks into, at each level, by a tree's detail."""
-_BRANCH_SIDES: Final = 3
+
+@dataclass(frozen=True)
+class TreeLimits:
+    """Sizes and clearances of trees."""
+
+    forks: tuple[tuple[int], tuple[int, int], tuple[int, int, int], tuple[int, int, int]] = (
+        (4,),
+        (6, 3),
+        (6, 4, 2),
+        (7, 4, 3),
+    )
+    """Number of branches that each branch forks into, at each level, by a tree's detail."""
+    branch_sides: int = 3
+    """Sides of a branch."""
+    clearance_m: float = 0.4
+    """Least distance between crowns and the carriageway, metres."""
+    open_view_m: float = 32.0
+    """Trees do not stand in a camera's view of road that is nearer to it than this, metres."""
+    wide_m: float = 2.6
+    """Radius from which a crown is made of more clumps, metres."""
+    crown_m: float = 4.0
+    """Largest reach of crowns, metres."""
+
+
+TREE_LIMITS: Final = TreeLimits()
 
 
 def branches(
@@ -38,7 +60,7 @@ def branches(
         rng: Draws.
     """
     crown = height - bare
-    count = FORKS[detail][0]
+    count = TREE_LIMITS.forks[detail][0]
     turn = rng.uniform(0, 2 * np.pi) + 2.399963 * np.arange(count)
     foot = np.column_stack([np.zeros((count, 2)), bare + crown * np.linspace(0.0, 0.6, count)])
     out = np.linspace(0.75, 0.25, count) * rng.uniform(0.7, 1.1, count) * reach
@@ -46,7 +68,7 @@ def branches(
     tip = foot + np.column_stack([out * np.cos(turn), out * np.sin(turn), up])
     thick = np.linspace(0.55, 0.3, count) * stem
     starts, ends, radii = [foot], [tip], [np.column_stack([thick, 0.5 * thick])]
-    for forks in FORKS[detail][1:]:
+    for forks in TREE_LIMITS.forks[detail][1:]:
         way, slender = ends[-1] - starts[-1], radii[-1]
         along = np.tile(np.linspace(0.35, 1.0, forks), len(way))[:, None]
         way, foot, slender = (np.repeat(values, forks, axis=0) for values in (way, starts[-1], slender))
@@ -69,13 +91,15 @@ def _straight_tubes(starts: Array, ends: Array, radii: Array, material: str) -> 
     side /= np.maximum(np.linalg.norm(side, axis=1, keepdims=True), 1e-9)
     across = np.cross(along, side)
     across /= np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-9)
-    angle = 2 * np.pi * np.arange(_BRANCH_SIDES) / _BRANCH_SIDES
+    angle = 2 * np.pi * np.arange(TREE_LIMITS.branch_sides) / TREE_LIMITS.branch_sides
     ring = np.cos(angle)[:, None] * side[:, None] + np.sin(angle)[:, None] * across[:, None]  # (N, sides, 3)
     rings = np.stack([starts[:, None] + radii[:, :1, None] * ring, ends[:, None] + radii[:, 1:, None] * ring], axis=1)
-    low, high = np.arange(_BRANCH_SIDES), np.arange(_BRANCH_SIDES) + _BRANCH_SIDES
+    low, high = np.arange(TREE_LIMITS.branch_sides), np.arange(TREE_LIMITS.branch_sides) + TREE_LIMITS.branch_sides
     after = np.roll(low, -1)
-    cells = np.concatenate([np.stack([low, after, high], 1), np.stack([after, after + _BRANCH_SIDES, high], 1)])
-    first = 2 * _BRANCH_SIDES * np.arange(len(starts))[:, None, None]
+    cells = np.concatenate(
+        [np.stack([low, after, high], 1), np.stack([after, after + TREE_LIMITS.branch_sides, high], 1)]
+    )
+    first = 2 * TREE_LIMITS.branch_sides * np.arange(len(starts))[:, None, None]
     return from_triangles(rings.reshape(-1, 3), (first + cells).reshape(-1, 3), material)
 
 
@@ -107,17 +131,6 @@ def drooping_branches(
     return [core, from_triangles(points.reshape(-1, 3), (first + cells).reshape(-1, 3), leaves)]
 
 
-CROWN_CLEARANCE_M: Final = 0.4
-"""Least distance between crowns and the carriageway, metres."""
-TREE_VIEW_M: Final = 32.0
-"""Trees do not stand in a camera's view of road that is nearer to it than this, metres."""
-
-WIDE: Final = 2.6
-"""Radius from which a crown is made of more clumps, metres."""
-CROWN: Final = 4.0
-"""Largest reach of crowns, metres."""
-
-
 @dataclass(frozen=True, kw_only=True)
 class Species:
     """Shape of a kind of tree; lengths are shares of its height."""
@@ -135,7 +148,7 @@ class Species:
     """Radius near the ground, metres."""
 
 
-SPECIES: Final = {
+TREE_SPECIES: Final = {
     "lime": Species(height=(6.0, 10.0), bare=0.30, reach=0.27),
     "maple": Species(height=(5.0, 8.5), bare=0.27, reach=0.31),
     "oak": Species(height=(8.0, 12.5), bare=0.22, reach=0.36, stem=0.24),
@@ -174,7 +187,7 @@ class Tree:
 def plant(layout: Layout, built: Any, rng: np.random.Generator) -> list[Tree]:
     """The town's lines of trees, and trees in its medians."""
     graph = layout.graph
-    seen = [layout.sightlines(TREE_VIEW_M), layout.around_cameras.buffer(CROWN)]
+    seen = [layout.sightlines(TREE_LIMITS.open_view_m), layout.around_cameras.buffer(TREE_LIMITS.crown_m)]
     walls = graph.walled_road.buffer(2.0)
     keep_clear = unary_union([graph.road.buffer(1.2), walls, built.buffer(2.2), *seen])
     shapely.prepare(keep_clear)
@@ -182,7 +195,7 @@ def plant(layout: Layout, built: Any, rng: np.random.Generator) -> list[Tree]:
 
     def grow(at: Array, street: bool, species: Species) -> None:
         distance = layout.camera_distance(at)
-        room = graph.road.distance(Point(at)) - CROWN_CLEARANCE_M
+        room = graph.road.distance(Point(at)) - TREE_LIMITS.clearance_m
         detail = 3 if distance < 26 else 2 if distance < 50 else 1 if distance < PLAIN_FROM_M else 0
         out.append(Tree(species, at, rng.uniform(*species.height), room, detail, street))
 
@@ -195,13 +208,13 @@ def plant(layout: Layout, built: Any, rng: np.random.Generator) -> list[Tree]:
             wander = rng.uniform(-1.0, 1.0, 2) * (0.15 if street else line.wander * line.offset)
             at, species, likely = place + wander, drawn_name(style.species, rng), rng.random()
             if likely < line.chance and is_free(keep_clear, at, 0.4):
-                grow(at, street, SPECIES[species])
+                grow(at, street, TREE_SPECIES[species])
     # Nothing is high enough in a median to hide what a camera looks at, but its crowns' stems stand there.
-    near_cameras = layout.around_cameras.buffer(CROWN)
+    near_cameras = layout.around_cameras.buffer(TREE_LIMITS.crown_m)
     for island in polygons(layout.islands.buffer(-1.4)):
         for at in _places_along(island, 11.0):
             if rng.random() < style.median_trees and not near_cameras.intersects(Point(at)):
-                grow(at, False, SPECIES[drawn_name(style.species, rng)])
+                grow(at, False, TREE_SPECIES[drawn_name(style.species, rng)])
     return out
 
 
@@ -272,8 +285,8 @@ def _tree(tree: Tree, rng: np.random.Generator) -> Mesh:
     up = (height - bare) / 2
     spread = np.array([reach, reach, up]) * 0.8
     middle = np.array([0.0, 0.0, bare + up])
-    if tree.detail > 1 and reach > WIDE:  # more of them in wide crowns, or they would be lumps
-        more = reach / WIDE
+    if tree.detail > 1 and reach > TREE_LIMITS.wide_m:  # more of them in wide crowns, or they would be lumps
+        more = reach / TREE_LIMITS.wide_m
         clumps, share = round(clumps * more), share / more**0.5
     centers = middle + spread * _points_in_ball(clumps, rng)
     if tree.detail > 1 and species.form == "round":

@@ -16,7 +16,7 @@ from skope.gen.labels.boxes_and_masks import _segmentation, bbox_of
 from skope.gen.labels.visibility import behind
 from skope.gen.labels.world_keypoints import world_keypoints
 from skope.gen.render.choose_renderer import make_renderer
-from skope.gen.render.frame import SKY, STATIC, RenderedFrame, Silhouette
+from skope.gen.render.frame import SKY_ID, STATIC_ID, RenderedFrame, Silhouette
 from skope.gen.scene.recording import Recording, RecordingPlan
 from skope.gen.simulation.simulate import simulate
 from skope.gen.towns.sites import site
@@ -28,7 +28,7 @@ K = keypoints.K
 CAMERA = Camera.looking([0, -9, 6.5], yaw=np.pi / 2, pitch_down=0.35, size=(640, 360), fov=np.radians(80))
 
 
-def wall(camera: Camera, distance: float, number: int = STATIC) -> RenderedFrame:
+def wall(camera: Camera, distance: float, number: int = STATIC_ID) -> RenderedFrame:
     """A view of a wall across the optical axis."""
     shape = (camera.height, camera.width)
     return RenderedFrame(
@@ -62,7 +62,7 @@ def test_distances_are_compared_not_depths() -> None:
 
 def test_sky_hides_nothing() -> None:
     camera = Camera.looking([0, 0, 0], yaw=0, pitch_down=0, size=(640, 360))
-    gap, _ = behind(wall(camera, math.inf, SKY), camera, np.array([[1e4, 0, 0]]))
+    gap, _ = behind(wall(camera, math.inf, SKY_ID), camera, np.array([[1e4, 0, 0]]))
     assert gap[0, 0] == -math.inf
 
 
@@ -115,7 +115,7 @@ def scene(hide: str) -> tuple[Recording, RenderedFrame]:
         depth, ids = view.depth.copy(), view.ids.copy()
         covered = np.zeros_like(ids, bool)
         covered[rows.min() - 3 : rows.max() + 4, : int(cut)] = True
-        depth[covered], ids[covered] = 3.0, STATIC
+        depth[covered], ids[covered] = 3.0, STATIC_ID
         view = RenderedFrame(view.rgb, depth, np.zeros_like(view.slope), ids, view.silhouettes, view.contrast)
     return recording, view
 
@@ -146,7 +146,7 @@ def test_a_car_behind_a_wall_is_ignored_by_others_and_removed_by_paper() -> None
 
 def test_no_visible_pixel_no_annotation() -> None:
     recording, view = scene("nothing")
-    ids = np.where(view.ids == 1, STATIC, view.ids)
+    ids = np.where(view.ids == 1, STATIC_ID, view.ids)
     hidden = RenderedFrame(view.rgb, view.depth, view.slope, ids, view.silhouettes, view.contrast)
     assert annotate(recording.moment(0), hidden, CAMERA, Rules(), 1)[0] == []
 
@@ -157,10 +157,10 @@ def test_a_point_past_the_edge_of_a_road_user_is_hidden_by_scenery_around_it() -
     before = annotate(moment, view, CAMERA, Rules(), 1)[0][0].keypoints
     k = int(np.flatnonzero(before[:, 2] == 2)[0])
     column, row = np.floor(before[k, :2]).astype(int)
-    for around, v in ((STATIC, 1), (SKY, 2)):
+    for around, v in ((STATIC_ID, 1), (SKY_ID, 2)):
         depth, ids = view.depth.copy(), view.ids.copy()
         # A road user's edge: the point's pixel shows it, and the ray to the point does not meet it.
-        depth[row - 1 : row + 2, column - 1 : column + 2] = 3.0 if around == STATIC else np.inf
+        depth[row - 1 : row + 2, column - 1 : column + 2] = 3.0 if around == STATIC_ID else np.inf
         ids[row - 1 : row + 2, column - 1 : column + 2] = around
         depth[row, column], ids[row, column] = 3.0, 2
         changed = RenderedFrame(view.rgb, depth, view.slope, ids, view.silhouettes, view.contrast)
@@ -271,7 +271,7 @@ def test_scenery_hides_a_wheel_whose_face_is_beyond_the_images_edge() -> None:
     column, row = np.floor(cut.camera.project(world.points[0, k])[0]).astype(int)
     depth, ids = view.depth.copy(), view.ids.copy()
     depth[row - 2 : row + 3, max(column - 2, 0) : column + 3] = 2.0
-    ids[row - 2 : row + 3, max(column - 2, 0) : column + 3] = STATIC
+    ids[row - 2 : row + 3, max(column - 2, 0) : column + 3] = STATIC_ID
     (behind_post,), _ = annotate(cut.moment(0), replace(view, depth=depth, ids=ids), cut.camera, Rules(), 1)
     assert (before.keypoints[k, 2], behind_post.keypoints[k, 2]) == (2, 1)
 
@@ -339,7 +339,7 @@ def test_visibility_of_200_vehicles_with_the_default_camera() -> None:
 
 def view_shows_static(camera: Camera, view: RenderedFrame, points: np.ndarray) -> np.ndarray:
     gap, ids = behind(view, camera, points)
-    return np.asarray(((ids == STATIC) & (gap > 0.05)).any(axis=0))
+    return np.asarray(((ids == STATIC_ID) & (gap > 0.05)).any(axis=0))
 
 
 def test_annotations_carry_what_the_recording_knows() -> None:

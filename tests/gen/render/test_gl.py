@@ -16,7 +16,7 @@ from skope.gen.mesh import flat, merged
 from skope.gen.render.choose_renderer import choose_renderer, make_renderer
 from skope.gen.render.gl.light import Stage, mean_light
 from skope.gen.render.gl.renderer import GLRenderer, device
-from skope.gen.render.pixel_windows import TILE, tile_runs, tiles
+from skope.gen.render.pixel_windows import WINDOW_LIMITS, tile_runs, tiles
 from tests.gen.scenes import conditions, driven, standing
 
 SIZE = (640, 360)
@@ -157,7 +157,7 @@ def test_tiles_cover_polygons() -> None:
         within = np.all(np.array(turn) >= 0, axis=0) | np.all(np.array(turn) <= 0, axis=0)
         covered = np.zeros(within.shape, int)
         for x0, y0, x1, y1 in tile_runs(tiles([hull], size), size):
-            assert x0 % TILE == y0 % TILE == 0
+            assert x0 % WINDOW_LIMITS.tile_px == y0 % WINDOW_LIMITS.tile_px == 0
             covered[y0:y1, x0:x1] += 1
         assert covered.max() <= 1
         assert covered[within].all()

@@ -143,7 +143,9 @@ def test_names_of_places_lie_over_what_else_is_drawn(monkeypatch: pytest.MonkeyP
     grey = np.full((180, 320, 3), 120, dtype=np.uint8)
     drawn = []
     for share in (0.0, 1.0):
-        monkeypatch.setattr(screen_graphics, "_CAPTIONED", share)
+        monkeypatch.setattr(
+            screen_graphics, "OVERLAY_STYLE", replace(screen_graphics.OVERLAY_STYLE, captioned_share=share)
+        )
         drawn.append(ScreenGraphics(in_studio(screen_graphics=1.0)).draw(grey))
         assert ScreenGraphics(in_studio()).draw(grey) is grey
     plain, captioned = drawn

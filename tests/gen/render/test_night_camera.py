@@ -11,10 +11,7 @@ from skope.gen.render.camera_effects import with_metered_noise
 from skope.gen.render.daylight import Daylight
 from skope.gen.render.night_camera import (
     _SPREAD_COLORS,
-    CANDELA_PER_UNIT,
-    ELECTRONS_PER_CANDELA_SECOND,
-    ROAD_LEVEL,
-    SHORT_EXPOSURE_RANGE,
+    NIGHT_SENSOR,
     NightCamera,
     VeilingGlare,
     curve,
@@ -46,7 +43,7 @@ def picture(camera: NightCamera, light: np.ndarray, full: np.ndarray | float | N
 
 def test_a_road_of_any_brightness_is_exposed_alike() -> None:
     levels = [night_camera(light).without_glare(np.full((4, 4, 4), light, np.float32)) for light in (0.02, 0.1, 0.9)]
-    wanted = round(255 * float(curve(np.array(ROAD_LEVEL))))
+    wanted = round(255 * float(curve(np.array(NIGHT_SENSOR.road_level))))
     for level in levels:
         assert np.abs(level.astype(int) - wanted).max() <= 1
 
@@ -68,7 +65,7 @@ def test_the_greatest_gain_leaves_dark_roads_dark() -> None:
     dark = even_light(1e-4, 1e-4, 1e-4)
     weak, strong = (metered(dark, DEPTH, replace(NIGHT, gain_db=db), DAYLIGHT) for db in (20.0, 26.0206))
     np.testing.assert_allclose(strong.gains, 2 * weak.gains, rtol=1e-4)
-    assert 1e-4 * strong.gains.mean() < 0.2 * ROAD_LEVEL
+    assert 1e-4 * strong.gains.mean() < 0.2 * NIGHT_SENSOR.road_level
 
 
 def test_white_balance_takes_the_lamps_colour_out() -> None:
@@ -80,9 +77,9 @@ def test_white_balance_takes_the_lamps_colour_out() -> None:
 
 def test_electrons_follow_from_luminance_and_shutter() -> None:
     exposure = metered(even_light(0.1, 0.1, 0.1), DEPTH, NIGHT, DAYLIGHT)
-    candela = 0.1 / DAYLIGHT.exposure.mean() * CANDELA_PER_UNIT
-    electrons = candela * NIGHT.shutter_s * ELECTRONS_PER_CANDELA_SECOND
-    assert exposure.electrons * ROAD_LEVEL == pytest.approx(electrons, rel=1e-4)
+    candela = 0.1 / DAYLIGHT.exposure.mean() * NIGHT_SENSOR.candela_per_unit
+    electrons = candela * NIGHT.shutter_s * NIGHT_SENSOR.electrons_per_candela_second
+    assert exposure.electrons * NIGHT_SENSOR.road_level == pytest.approx(electrons, rel=1e-4)
 
 
 def test_a_trail_of_the_long_exposure_is_grey_not_white() -> None:
@@ -125,7 +122,7 @@ def test_glare_falls_off_on_all_sides_alike() -> None:
 
 def test_glare_whitens_what_is_around_a_lamp() -> None:
     camera = night_camera()
-    light = even_light(ROAD_LEVEL, ROAD_LEVEL, ROAD_LEVEL).copy()
+    light = even_light(NIGHT_SENSOR.road_level, NIGHT_SENSOR.road_level, NIGHT_SENSOR.road_level).copy()
     light[88:92, 158:162] = 4000.0
     shown = camera.develop(picture(camera, light))
     assert shown[90, 160].min() > 225
@@ -171,7 +168,7 @@ def test_denoising_keeps_edges_and_takes_noise() -> None:
 
 def test_two_exposures_hold_brighter_light_than_one() -> None:
     one, two = night_camera(), night_camera(short_exposure=0.5)
-    assert two.exposure.full * 0.5 + 0.5 * SHORT_EXPOSURE_RANGE > one.exposure.full
+    assert two.exposure.full * 0.5 + 0.5 * NIGHT_SENSOR.short_exposure_range > one.exposure.full
     bright = np.full((2, 2, 3), 3.0, np.float32)
     assert (one.without_glare(picture(one, bright)) < 255).all()
     assert cv2.mean(two.without_glare(picture(two, bright, 0.5 + 0.5 * 3.0)))[0] < 255

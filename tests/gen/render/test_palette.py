@@ -3,16 +3,16 @@
 import numpy as np
 
 from skope.gen.render.gl.context import albedo_table, pattern_tables
-from skope.gen.render.materials import MATERIALS, USUAL, Palette
+from skope.gen.render.materials import MATERIAL_COLORS, USUAL_PALETTE, Palette
 from skope.gen.towns.town import Town, Variant
 
 
 def test_towns_have_the_materials_own_colours() -> None:
     for town in (Town("town01"), Town("town01", variant=Variant(5))):
         palette = Palette.of(town)
-        assert palette.colors == MATERIALS
+        assert palette.colors == MATERIAL_COLORS
         assert not palette.patterns
-        assert np.array_equal(albedo_table(palette), albedo_table(USUAL))
+        assert np.array_equal(albedo_table(palette), albedo_table(USUAL_PALETTE))
         assert not np.any(pattern_tables(palette))
 
 
@@ -22,7 +22,7 @@ def test_random_colours_are_those_of_roads_and_walls() -> None:
     )
     assert one.patterns == same.patterns
     assert one.patterns != other.patterns
-    assert one.colors == MATERIALS  # which vehicles have
+    assert one.colors == MATERIAL_COLORS  # which vehicles have
     assert {"asphalt", "asphalt_worn"} <= one.patterns.keys()
     assert not one.patterns.keys() & {"marking", "leaves", "window", "paint", "glass", "tyre", "livery"}
     first, second = pattern_tables(one)

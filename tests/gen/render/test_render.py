@@ -7,8 +7,8 @@ from skope.camera.model import Camera
 from skope.gen.inspect import doctor
 from skope.gen.mesh import flat
 from skope.gen.render.choose_renderer import make_renderer
-from skope.gen.render.frame import STATIC, RenderedFrame
-from skope.gen.render.materials import MATERIALS, Light
+from skope.gen.render.frame import STATIC_ID, RenderedFrame
+from skope.gen.render.materials import MATERIAL_COLORS, Light
 from skope.gen.render.tiny_renderer import _Stage
 from skope.gen.scene.recording import Recording
 from skope.gen.simulation.pybullet_engine import engine
@@ -23,7 +23,7 @@ def depth_of_plane(camera: Camera, corners: list[tuple[float, float, float]]) ->
     """Depth at pixel centres of one large quadrilateral."""
     light = Light((0, 0, 1), 0.5, 0.5, (1, 1, 1), (1, 1, 1), (1, 1, 1))
     stage = _Stage()
-    stage.add(flat([corners], "asphalt"), MATERIALS)
+    stage.add(flat([corners], "asphalt"), MATERIAL_COLORS)
     layer = stage.draw(camera, camera.T_camera_world, (0, 0, camera.width, camera.height), light)
     return layer.depth[1::3, 1::3].astype(np.float64)
 
@@ -119,7 +119,7 @@ def test_visible_pixels_lie_inside_the_silhouette(scene: tuple[Recording, Render
 def test_slope_predicts_the_neighbouring_pixel_on_the_road(scene: tuple[Recording, RenderedFrame]) -> None:
     _, view = scene
     depth, slope = view.depth[250:340, 20:120].astype(float), view.slope[250:340, 20:120]
-    flat_road = (view.ids[250:340, 20:120] == STATIC).all()
+    flat_road = (view.ids[250:340, 20:120] == STATIC_ID).all()
     assert flat_road
     predicted = depth[:-1] / (1 - slope[:-1, :, 1] / depth[:-1])
     error = np.abs(predicted - depth[1:])
@@ -154,7 +154,7 @@ def test_contrast_is_high_for_a_blue_car_on_the_road_and_zero_unseen(
 
 def test_an_empty_street(renderer: str) -> None:
     view = make_renderer(renderer, standing(CAMERA, [])).render(0)
-    assert (view.ids <= STATIC).all()
+    assert (view.ids <= STATIC_ID).all()
     assert view.silhouettes == ()
     assert np.isinf(view.depth).any()
     assert np.isfinite(view.depth[-1]).all()

@@ -11,13 +11,13 @@ from skope.camera.model import Camera
 from skope.gen.mesh import flat
 from skope.gen.render.camera_effects import hidden_below, sigma_of
 from skope.gen.render.choose_renderer import make_renderer
-from skope.gen.render.frame import STATIC, RenderedFrame
+from skope.gen.render.frame import STATIC_ID, RenderedFrame
 from skope.gen.render.gl import background, renderer
-from skope.gen.render.gl.light import STANDING_WATER, _signed_water
+from skope.gen.render.gl.light import LIGHT_SAMPLING, _signed_water
 from skope.gen.render.lit_lamps import lamps_of, lit_lamps
 from skope.gen.scene.conditions import Conditions, ranges
 from skope.gen.scene.recording import LAMPS, Recording, body_of
-from skope.gen.scenery.build import STUDIO, Scenery, scenery
+from skope.gen.scenery.build import STUDIO_TOWN, Scenery, scenery
 from skope.gen.towns.town import Town, Variant
 from tests.gen.scenes import conditions, standing
 
@@ -43,7 +43,7 @@ def scene(lamps: int = 0, *, speed: float = 0.0, **fields: float) -> Recording:
 
 def in_studio(**fields: float) -> Recording:
     """The same on an empty floor, which is lit fast."""
-    return replace(scene(**fields), town=STUDIO)
+    return replace(scene(**fields), town=STUDIO_TOWN)
 
 
 def view(recording: Recording, renderer: str = "gl") -> RenderedFrame:
@@ -111,7 +111,7 @@ def test_tail_lamps_glow_red(unlit: RenderedFrame, lit: RenderedFrame) -> None:
 def test_headlights_light_the_road_ahead(unlit: RenderedFrame, lit: RenderedFrame) -> None:
     pixels, _, _ = CAMERA.project(np.array([[9.0, -4.2, 0.0]]))
     column, row = pixels[0].astype(int)
-    assert lit.ids[row, column] == STATIC
+    assert lit.ids[row, column] == STATIC_ID
     window = np.s_[row - 2 : row + 3, column - 4 : column + 5]
     assert lit.rgb[window].mean() > unlit.rgb[window].mean() + 15
 
@@ -133,12 +133,12 @@ def test_a_wet_road_mirrors_lamps_and_is_darker(noon: RenderedFrame, unlit: Rend
     below, _, _ = CAMERA.project(np.array([[-4.3, -0.9, 0.0]]))
     column, row = below[0].astype(int)
     window = np.s_[row - 5 : row + 6, column - 4 : column + 5]
-    assert (lit.ids[window] == STATIC).all()
+    assert (lit.ids[window] == STATIC_ID).all()
     dry = redness(lit.rgb[window]).mean() - redness(unlit.rgb[window]).mean()
     wet = redness(view(scene(LAMPS["low_beam"] | LAMPS["brake"], **NIGHT, **WET)).rgb[window]).mean()
     assert wet - redness(view(scene(**NIGHT, **WET)).rgb[window]).mean() > dry + 4
     asphalt = np.s_[140:175, 200:300]
-    assert (noon.ids[asphalt] == STATIC).all()
+    assert (noon.ids[asphalt] == STATIC_ID).all()
     assert view(scene(wetness=1.0)).rgb[asphalt].mean() < 0.85 * noon.rgb[asphalt].mean()
 
 
@@ -245,7 +245,7 @@ def test_edges_of_puddles_mirror_as_much_as_what_is_beside_them(standing: int) -
     water = np.random.default_rng(standing).uniform(0.0, 1.0, (24, 50)).astype(np.float32)
     sums = np.zeros(50, dtype=np.float32)
     for k, sample in enumerate(water):
-        sums += (sample + np.float32(STANDING_WATER if k < standing else 0)) * np.float32(1 / 24)
+        sums += (sample + np.float32(LIGHT_SAMPLING.standing_water if k < standing else 0)) * np.float32(1 / 24)
     share = _signed_water(sums, 24)
     np.testing.assert_allclose(np.abs(share), water.mean(axis=0), atol=2e-5)
     assert (share < 0).all() == (standing > 12)

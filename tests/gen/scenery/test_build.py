@@ -6,11 +6,11 @@ import shapely
 from shapely.ops import unary_union
 
 from skope.gen.mesh import Mesh, quads, tube
-from skope.gen.render.materials import GROUND, MATERIALS
+from skope.gen.render.materials import GROUND_MATERIALS, MATERIAL_COLORS
 from skope.gen.scenery import facade
 from skope.gen.scenery.build import scenery
 from skope.gen.scenery.quads import Solid
-from skope.gen.scenery.street_furniture import FURNITURE_CLEARANCE_M
+from skope.gen.scenery.street_furniture import FURNITURE_LIMITS
 from skope.gen.towns.land_use import CAMERA_CLEARANCE, Layout
 from skope.gen.towns.road_graph import RoadGraph
 from skope.gen.towns.town import Town, towns
@@ -38,7 +38,7 @@ def area(triangles: np.ndarray) -> float:
 
 def ground(mesh: Mesh, height: float) -> np.ndarray:
     """Triangles (T, 3, 3) of the ground that lie in one plane."""
-    is_ground = np.array([name in GROUND for name in mesh.materials])[mesh.material]
+    is_ground = np.array([name in GROUND_MATERIALS for name in mesh.materials])[mesh.material]
     level = (mesh.vertices[mesh.triangles][..., 2] == height).all(axis=1)
     return corners(mesh, is_ground & level)
 
@@ -70,11 +70,11 @@ def test_the_ground_beside_it_is_laid_once_everywhere(town: Town) -> None:
 @pytest.mark.parametrize("town", FLAT, ids=lambda town: town.name)
 def test_nothing_stands_on_the_carriageway(town: Town) -> None:
     road, mesh = RoadGraph.of(town).road, scenery(town).mesh
-    is_ground = np.array([name in GROUND for name in mesh.materials])[mesh.material]
+    is_ground = np.array([name in GROUND_MATERIALS for name in mesh.materials])[mesh.material]
     standing = corners(mesh, ~is_ground)
     standing = standing[(standing[..., 2].max(axis=1) > KERB + 1e-6) & (standing[..., 2].min(axis=1) < 5.0)]
     feet = np.unique(standing.reshape(-1, 3)[:, :2].round(4), axis=0)
-    near = shapely.contains_xy(road.buffer(FURNITURE_CLEARANCE_M - 1e-3), feet)
+    near = shapely.contains_xy(road.buffer(FURNITURE_LIMITS.clearance_m - 1e-3), feet)
     assert not near.any(), feet[near][:5]
 
 
@@ -95,7 +95,7 @@ def test_cameras_have_room_around_them(town: Town) -> None:
 def test_cameras_see_the_road_before_them(town: Town) -> None:
     """Of the carriageway within 30 m in front of a camera hardly anything is hidden by scenery."""
     layout, mesh = Layout.of(town), scenery(town).mesh
-    is_ground = np.array([name in GROUND for name in mesh.materials])[mesh.material]
+    is_ground = np.array([name in GROUND_MATERIALS for name in mesh.materials])[mesh.material]
     standing = corners(mesh, ~is_ground)
     rng = np.random.default_rng(1)
     for site in layout.sites:
@@ -120,7 +120,7 @@ def test_the_same_town_gives_the_same_mesh(town: Town) -> None:
 
 def test_materials_have_colours_and_the_mesh_is_of_bounded_size(town: Town) -> None:
     mesh = scenery(town).mesh
-    assert set(mesh.materials) <= set(MATERIALS)
+    assert set(mesh.materials) <= set(MATERIAL_COLORS)
     assert len(mesh.triangles) < 440_000
     # pybullet takes no more vertices than that in one shape.
     assert max(len(part.vertices) for part in mesh.by_material().values()) < 131_072

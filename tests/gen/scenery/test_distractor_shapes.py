@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from skope.gen.mesh import Mesh, numbered_rows
-from skope.gen.render.gl.light import GROUPS
+from skope.gen.render.gl.light import PATTERN_GROUPS
 from skope.gen.render.materials import materials_between, own_color
 from skope.gen.scenery.distractor_shapes import STANDING_OBJECTS, skip
 from skope.gen.scenery.quads import Solid
@@ -120,7 +120,7 @@ def test_a_seed_gives_the_same_thing_and_another_one_another(make: Make) -> None
 @every_kind
 def test_scenery_has_their_materials(make: Make) -> None:
     """What is not in the groups of materials that scenery is drawn by would not be seen."""
-    drawn = {name for ends in GROUPS.values() for name in materials_between(*ends)}
+    drawn = {name for ends in PATTERN_GROUPS.values() for name in materials_between(*ends)}
     for seed in range(30):
         for material in make(np.random.default_rng(seed)).materials:
             assert material in drawn or own_color(material), material

@@ -9,11 +9,11 @@ import shapely
 from shapely.ops import unary_union
 
 from skope.gen.mesh import Mesh
-from skope.gen.render.materials import MATERIALS, own_color
+from skope.gen.render.materials import MATERIAL_COLORS, own_color
 from skope.gen.scenery import build
 from skope.gen.scenery.build import Scenery, scenery
 from skope.gen.scenery.distractor_shapes import STANDING_OBJECTS, wall_panel
-from skope.gen.scenery.distractors import OBJECT_CLEARANCE_M, PLACED_WITHIN_M
+from skope.gen.scenery.distractors import DISTRACTOR_LIMITS
 from skope.gen.towns.land_use import Layout
 from skope.gen.towns.sites import sites_of
 from skope.gen.towns.town import Mast, Town, Variant
@@ -45,7 +45,7 @@ def test_they_stand_beside_roads_sidewalks_and_buildings(name: str, seed: int) -
     plans = shapely.linearrings(corners[..., :2])
     assert len(plans) > 500
     for region, gap in (
-        (layout.graph.road, OBJECT_CLEARANCE_M),
+        (layout.graph.road, DISTRACTOR_LIMITS.clearance_m),
         (layout.sidewalk, 0.05),
         (unary_union(plain.buildings), 0.0),
     ):
@@ -54,7 +54,7 @@ def test_they_stand_beside_roads_sidewalks_and_buildings(name: str, seed: int) -
         assert not shapely.intersects(shrunk, plans).any()
     middles = corners.mean(axis=1)
     away = np.array([layout.camera_distance(place) for place in middles[:, :2]])
-    assert away.max() < PLACED_WITHIN_M + 30.0
+    assert away.max() < DISTRACTOR_LIMITS.placed_within_m + 30.0
     assert (middles[:, 2] > layout.ground.beside(middles[:, :2]) - 1.0).all()
 
 
@@ -73,5 +73,5 @@ def test_their_shapes_are_sound() -> None:
             mesh = make(np.random.default_rng(seed))
             assert np.isfinite(mesh.vertices).all()
             assert np.isfinite(mesh.normals).all()
-            assert all(name in MATERIALS or own_color(name) for name in mesh.materials)
+            assert all(name in MATERIAL_COLORS or own_color(name) for name in mesh.materials)
             assert np.ptp(mesh.vertices, axis=0).max() < 9.0

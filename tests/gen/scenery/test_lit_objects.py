@@ -12,14 +12,14 @@ from skope.gen.mesh import flat
 from skope.gen.render.choose_renderer import make_renderer
 from skope.gen.render.frame import RenderedFrame
 from skope.gen.render.gl import background, renderer
-from skope.gen.render.gl.light import GROUPS
-from skope.gen.render.materials import GROUND, materials_between, own_color
+from skope.gen.render.gl.light import PATTERN_GROUPS
+from skope.gen.render.materials import GROUND_MATERIALS, materials_between, own_color
 from skope.gen.scenery.build import Scenery, scenery
 from skope.gen.scenery.distractor_shapes import wall_panel
-from skope.gen.scenery.distractors import OBJECT_CLEARANCE_M, OVERHEAD_M
+from skope.gen.scenery.distractors import DISTRACTOR_LIMITS
 from skope.gen.scenery.lit_objects import LIT_OBJECTS, MakeLit, lit_panel
 from skope.gen.scenery.markings import hatching
-from skope.gen.scenery.street_furniture import LIT_ROAD_SPACING_M
+from skope.gen.scenery.street_furniture import FURNITURE_LIMITS
 from skope.gen.towns.land_use import Layout
 from skope.gen.towns.road_graph import driven
 from skope.gen.towns.sites import site
@@ -49,7 +49,7 @@ def more() -> Scenery:
 
 @every_kind
 def test_shapes_are_whole_and_look_outward(make: MakeLit) -> None:
-    drawn = {name for ends in GROUPS.values() for name in materials_between(*ends)}
+    drawn = {name for ends in PATTERN_GROUPS.values() for name in materials_between(*ends)}
     met = []
     for seed in range(12):
         mesh = make(np.random.default_rng(seed))
@@ -85,14 +85,16 @@ NIGHT = {"sun_elevation_deg": -30.0, "noise": 0.0, "shutter_s": 0.04, "gain_db":
 
 def above_ground(seen: Scenery) -> np.ndarray:
     """(T, 3, 3) corners of the triangles of what stands."""
-    is_ground = np.array([name in GROUND for name in seen.mesh.materials])[seen.mesh.material]
+    is_ground = np.array([name in GROUND_MATERIALS for name in seen.mesh.materials])[seen.mesh.material]
     return np.asarray(seen.mesh.vertices[seen.mesh.triangles[~is_ground]])
 
 
 def test_hatched_areas_are_painted_on_the_road() -> None:
     def areas(count: int) -> dict[str, float]:
         mesh = scenery(Town("town01", variant=Variant(2, (MAST,), lit_objects=count))).mesh
-        parts = {name: part.vertices[part.triangles] for name, part in mesh.by_material().items() if name in GROUND}
+        parts = {
+            name: part.vertices[part.triangles] for name, part in mesh.by_material().items() if name in GROUND_MATERIALS
+        }
         return {name: float(shapely.area(shapely.polygons(at[..., :2])).sum()) for name, at in parts.items()}
 
     bare, hatched = areas(0), areas(1)
@@ -117,8 +119,8 @@ def test_they_stand_beside_the_road_and_leave_houses_and_trees_as_they_are(plain
     corners = np.array([triangle for triangle in after if triangle.tobytes() not in kept])
     assert len(corners) > 1000
     height = corners[..., 2] - layout.ground.beside(corners.reshape(-1, 3)[:, :2]).reshape(corners.shape[:2])
-    standing_ones = corners[(height < OVERHEAD_M).all(axis=1)]
-    road = layout.graph.road.buffer(OBJECT_CLEARANCE_M - 0.02)
+    standing_ones = corners[(height < DISTRACTOR_LIMITS.overhead_m).all(axis=1)]
+    road = layout.graph.road.buffer(DISTRACTOR_LIMITS.clearance_m - 0.02)
     shapely.prepare(road)
     assert not shapely.intersects(road, shapely.linearrings(standing_ones[..., :2])).any()
     assert len(more.lamps) > len(plain.lamps)
@@ -140,8 +142,8 @@ def test_all_roads_around_the_camera_have_street_lights() -> None:
         gaps += [[np.linalg.norm(lamps[:, :2] - at, axis=1).min() for lamps in (dark, lit)] for at in near]
     without, within = np.array(gaps).T
     assert len(gaps) > 10
-    assert np.percentile(without, 90) > 3 * LIT_ROAD_SPACING_M
-    assert np.percentile(within, 90) < LIT_ROAD_SPACING_M
+    assert np.percentile(without, 90) > 3 * FURNITURE_LIMITS.light_spacing_m
+    assert np.percentile(within, 90) < FURNITURE_LIMITS.light_spacing_m
 
 
 def seen(count: int, **light: float) -> RenderedFrame:

@@ -13,8 +13,8 @@ from shapely import LineString
 from skope.gen.inspect.town_maps import town_map
 from skope.gen.labels.annotate import Rules
 from skope.gen.pipeline.config import from_preset, presets
-from skope.gen.render.materials import GROUND
-from skope.gen.scenery.bridges_and_barriers import GANTRY_CLEARANCE
+from skope.gen.render.materials import GROUND_MATERIALS
+from skope.gen.scenery.bridges_and_barriers import BRIDGE_SIZES
 from skope.gen.scenery.build import scenery
 from skope.gen.towns.land_use import Layout
 from skope.gen.towns.road_graph import RoadGraph, driven
@@ -108,7 +108,7 @@ def test_every_way_in_leads_to_every_other_end(town: Town) -> None:
 def test_the_road_lies_where_vehicles_drive(town: Town) -> None:
     """Straight below lanes, bridges included, the ground is at the lanes' height."""
     mesh = scenery(town).mesh
-    is_ground = np.array([name in GROUND for name in mesh.materials])[mesh.material]
+    is_ground = np.array([name in GROUND_MATERIALS for name in mesh.materials])[mesh.material]
     corners = mesh.vertices[mesh.triangles[is_ground]]
     tree = shapely.STRtree(shapely.polygons(corners[..., :2]))
     _, ends = lane_pieces(town, 3.1)
@@ -128,7 +128,7 @@ def test_nothing_is_in_the_way_over_lanes(town: Town) -> None:
     mesh = scenery(town).mesh
     corners = mesh.vertices[mesh.triangles]
     # Slopes of the ground itself rise within a piece of lane.
-    step = np.where(np.array([name in GROUND for name in mesh.materials])[mesh.material], 0.5, 0.15)
+    step = np.where(np.array([name in GROUND_MATERIALS for name in mesh.materials])[mesh.material], 0.5, 0.15)
     shapes, ends = lane_pieces(town, 4.0)
     outlines = shapely.linestrings(corners[:, [0, 1, 2, 0], :2])
     piece, triangle = shapely.STRtree(outlines).query(shapes, predicate="intersects")
@@ -136,7 +136,7 @@ def test_nothing_is_in_the_way_over_lanes(town: Town) -> None:
     z = corners[triangle][..., 2]
     inside = (z.max(axis=1) > low) & (z.min(axis=1) < high)
     assert not inside.any(), corners[triangle[inside]][:3]
-    assert GANTRY_CLEARANCE > CLEARANCE
+    assert BRIDGE_SIZES.gantry_clearance_m > CLEARANCE
 
 
 @pytest.mark.parametrize("town", by_size(), indirect=True)

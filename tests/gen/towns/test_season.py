@@ -5,7 +5,7 @@ import colorsys
 import numpy as np
 import pytest
 
-from skope.gen.render.materials import MATERIALS, USUAL, Palette
+from skope.gen.render.materials import MATERIAL_COLORS, USUAL_PALETTE, Palette
 from skope.gen.scenery.build import scenery
 from skope.gen.towns.town import Town, Variant
 from skope.gen.towns.town_style import drawn_season, style
@@ -29,8 +29,8 @@ def test_a_season_changes_plants_and_nothing_else() -> None:
     assert style(plain).season is None
     assert style(dressed).rows == style(plain).rows
     colors = Palette.of(dressed).colors
-    assert Palette.of(plain).colors == USUAL.colors == MATERIALS
-    changed = {name for name in MATERIALS if colors[name] != MATERIALS[name]}
+    assert Palette.of(plain).colors == USUAL_PALETTE.colors == MATERIAL_COLORS
+    changed = {name for name in MATERIAL_COLORS if colors[name] != MATERIAL_COLORS[name]}
     assert changed <= {"meadow", "field_green", "grass", "leaves", "leaves_dark", "leaves_pale", "hedge", "woods"}
     assert scenery(plain).bays == scenery(dressed).bays
     assert scenery(plain).buildings == scenery(dressed).buildings

@@ -6,7 +6,7 @@ from skope import keypoints
 from skope.errors import UserError
 from skope.gen.labels.world_keypoints import transform, trilaterate
 from skope.gen.mesh import Mesh, merged
-from skope.gen.render.materials import MATERIALS
+from skope.gen.render.materials import MATERIAL_COLORS
 from skope.gen.vehicles.fleet import build_vehicle, class_ranges, fleet, jittered, parametric
 from skope.gen.vehicles.model import Sidecar, Vehicle, straight_lwh, straight_mesh
 from skope.schema import VEHICLE_TYPES
@@ -288,7 +288,7 @@ def test_lamps_are_parts_of_their_own(model: str) -> None:
     mesh = straight_mesh(fleet()[model].vehicle)
     used = {mesh.materials[i] for i in np.unique(mesh.material)}
     lamps = {"headlight", "taillight", "brake_light", "reverse_light", "indicator_left", "indicator_right"}
-    assert lamps <= {name for name in used if not name.startswith("#")} <= {*MATERIALS, "paint"}
+    assert lamps <= {name for name in used if not name.startswith("#")} <= {*MATERIAL_COLORS, "paint"}
     for name, side in (("indicator_left", 1), ("indicator_right", -1)):
         at = mesh.vertices[mesh.triangles[mesh.material == mesh.materials.index(name)]].mean(axis=1)
         assert (at[:, 1] * side > 0).all()

@@ -17,7 +17,7 @@ from skope.camera.ground_plane import ground_places
 from skope.camera.model import Camera
 from skope.gen.cache import Arrays, cached, cached_from_parts, digest_of
 from skope.gen.render.daylight import Daylight
-from skope.gen.render.frame import SKY, STATIC
+from skope.gen.render.frame import SKY_ID, STATIC_ID
 from skope.gen.render.gl import light as lighting
 from skope.gen.render.gl.context import (
     Device,
@@ -30,10 +30,10 @@ from skope.gen.render.gl.context import (
     shader_sources,
 )
 from skope.gen.render.gl.ground_lights import StreetLights
-from skope.gen.render.gl.light import SHADOW_MAP_M, Stage, sun_map_size
+from skope.gen.render.gl.light import LIGHT_SAMPLING, Stage, sun_map_size
 from skope.gen.render.gl.wet_ground import Plane, plane_of, uniforms_of
 from skope.gen.render.lit_lamps import burning_street_lights
-from skope.gen.render.materials import MATERIALS, Palette
+from skope.gen.render.materials import MATERIAL_COLORS, Palette
 from skope.gen.scene.recording import Recording
 from skope.gen.scenery.backdrop import plates
 from skope.gen.scenery.build import scenery
@@ -41,15 +41,31 @@ from skope.gen.towns.road_graph import RoadGraph
 from skope.gen.towns.town import OwnRoad, Town
 from skope.types import Array
 
-_ROAD_ALBEDO: Final = linear(np.array(MATERIALS["asphalt_worn"]))
+_ROAD_ALBEDO: Final = linear(np.array(MATERIAL_COLORS["asphalt_worn"]))
 """(3,) share of the light that a road returns."""
-_MEASURED_WITHIN_M: Final = 80.0
-"""Distance from the camera up to which the photograph's road is measured, metres."""
-_CURVE_STOPS: Final = (-16.0, 4.0)
-"""Range of the light that the camera's curve is tabulated for, powers of two."""
-_TABLE_STEPS: Final = 4096
-_TINT_LIMITS: Final = (0.6, 1.6)
-"""Largest distance of the light's colour from that of the hour."""
+
+
+@dataclass(frozen=True)
+class BackgroundSampling:
+    """Resolution of the background and its measurements."""
+
+    measured_within_m: float = 80.0
+    """Distance from the camera up to which the photograph's road is measured, metres."""
+    curve_stops: tuple[float, float] = (-16.0, 4.0)
+    """Range of the light that the camera's curve is tabulated for, powers of two."""
+    table_steps: int = 4096
+    """Entries of the camera's curve."""
+    tint_limits: tuple[float, float] = (0.6, 1.6)
+    """Largest distance of the light's colour from that of the hour."""
+    vehicle_scale: int = 2
+    """Samples per pixel and axis of the vehicles' picture, and of the depth that hides it."""
+    mirror_px: int = 128
+    """Border of the mirrored image, pixels."""
+    light_parts: int = 4
+    """Number of parts of the light's samples, for workers to share."""
+
+
+BACKGROUND_SAMPLING: Final = BackgroundSampling()
 
 
 def fitted_to_photograph(device: Device, daylight: Daylight, road: OwnRoad) -> Daylight:
@@ -60,7 +76,7 @@ def fitted_to_photograph(device: Device, daylight: Daylight, road: OwnRoad) -> D
     picture = road.picture((road.camera.width, road.camera.height))
     seen = light_of(device, picture[_road_pixels(road)])
     gain = np.maximum(np.median(seen, axis=0), 1e-4) * np.pi / (_ROAD_ALBEDO * daylight.ground_irradiance)
-    tint = np.clip(gain / gain.mean(), *_TINT_LIMITS)
+    tint = np.clip(gain / gain.mean(), *BACKGROUND_SAMPLING.tint_limits)
     light = replace(
         daylight,
         sun=daylight.sun * tint,
@@ -121,14 +137,16 @@ def light_of(device: Device, rgb: NDArray[np.uint8]) -> Array:
 def _inverse_curve(device: Device) -> Array:
     """(256,) light for each value of a picture: the shaders' own curve, turned round."""
     program = device.program("screen.vert.glsl", "curve.frag.glsl")
-    target = device.target((_TABLE_STEPS, 1), ["4f4"], depth=False)
-    low, high = _CURVE_STOPS
-    put(program, {"u_size": [_TABLE_STEPS, 1], "u_jitter": [0.0, 0.0], "u_low": low, "u_high": high})
+    target = device.target((BACKGROUND_SAMPLING.table_steps, 1), ["4f4"], depth=False)
+    low, high = BACKGROUND_SAMPLING.curve_stops
+    put(program, {"u_size": [BACKGROUND_SAMPLING.table_steps, 1], "u_jitter": [0.0, 0.0], "u_low": low, "u_high": high})
     target.use()
     device.context.enable_only(device.gl.NOTHING)
     device.screen(program)
     values = np.frombuffer(target.read(components=4, dtype="f4"), dtype=np.float32).reshape(-1, 4)[:, 0]
-    stops = np.interp(np.minimum(np.arange(256), 254.6) / 255, values, np.linspace(low, high, _TABLE_STEPS))
+    stops = np.interp(
+        np.minimum(np.arange(256), 254.6) / 255, values, np.linspace(low, high, BACKGROUND_SAMPLING.table_steps)
+    )
     return np.concatenate([[0.0], 2.0 ** stops[1:]])
 
 
@@ -139,7 +157,7 @@ def _road_pixels(road: OwnRoad) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     rows, columns = (at.ravel() for at in np.mgrid[0 : camera.height : step, 0 : camera.width : step])
     eye = camera.position
     places = ground_places(camera, np.stack([columns, rows], axis=-1) + 0.5, graph.road_level(eye[:2]))[:, :2]
-    near = np.linalg.norm(places - eye[:2], axis=1) < _MEASURED_WITHIN_M
+    near = np.linalg.norm(places - eye[:2], axis=1) < BACKGROUND_SAMPLING.measured_within_m
     on_road = near & shapely.contains_xy(graph.ground_road, graph.world(np.nan_to_num(places)))
     outlines = [*(one.polygon for one in road.occluders), *road.shades]
     hidden = shapely.unary_union([shapely.Polygon(outline).buffer(0) for outline in outlines])
@@ -150,16 +168,11 @@ def _road_pixels(road: OwnRoad) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     return rows[chosen], columns[chosen]
 
 
-SCALE: Final = 2
-"""Samples per pixel and axis of the vehicles' picture, and of the depth that hides it."""
-_MIRROR_PX: Final = 128
 _LIGHT_CONDITIONS: Final = (
     "sun_elevation_deg", "sun_azimuth_deg", "clouds", "wetness", "puddles",
     "street_lighting", "street_light_k", "street_lights_lit", "lit_windows", "infrared", "snow_cover",
 )  # fmt: skip
 """Conditions that the scenery's light depends on."""
-_LIGHT_PARTS: Final = 4
-"""Of the light's samples, for workers to share."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,10 +223,12 @@ def light_the_scenery(device: Device, recording: Recording, on_light: Callable[[
     depth = np.where(hit, data[..., 0], np.inf).astype(np.float32)
     slope = np.where(hit[..., None], data[..., 1:3], 0).astype(np.float32)
     road = plane_of(camera, depth, slope)
-    fine = device.depth_target((SCALE * size[0], SCALE * size[1]))
+    fine = device.depth_target(
+        (BACKGROUND_SAMPLING.vehicle_scale * size[0], BACKGROUND_SAMPLING.vehicle_scale * size[1])
+    )
     stage.draw_depth(fine, projection(camera.K, (0, 0, *size)) @ stage.view, seen=True)
     sun_map = device.shadow_map(sun_map_size(camera))
-    clip, sun_map_from = light_projection(stage.daylight.sun_direction, stage.focus, SHADOW_MAP_M)
+    clip, sun_map_from = light_projection(stage.daylight.sun_direction, stage.focus, LIGHT_SAMPLING.shadow_map_m)
     if recording.photograph is None:
         stage.draw_depth(sun_map, clip)
         light = _cached_light(stage, road if wet else None, _light_digest(device, recording), on_light)
@@ -241,7 +256,7 @@ def light_the_scenery(device: Device, recording: Recording, on_light: Callable[[
         road=road,
         depth=depth,
         slope=slope,
-        ids=np.where(hit, STATIC, SKY).astype(np.int32),
+        ids=np.where(hit, STATIC_ID, SKY_ID).astype(np.int32),
         textures=textures,
         mirrored_depth=_mirrored_depth(stage, road) if wet else None,
         water=np.abs(light["sunlit"][..., 3]) if wet else None,
@@ -254,7 +269,7 @@ def _cached_light(stage: Stage, road: Plane | None, digest: str, on_light: Calla
 
     `on_light` is called before each part that is not in the cache.
     """
-    shares = stage.light_parts(_LIGHT_PARTS if stage.device.software else 1)
+    shares = stage.light_parts(BACKGROUND_SAMPLING.light_parts if stage.device.software else 1)
     works: list[Callable[[], Arrays]] = [*shares]
     if road:
         works.append(partial(stage.mirrored, road))
@@ -316,9 +331,17 @@ def _mirrored_depth(stage: Stage, road: Plane) -> Any:
 def _mirror_texture(stage: Stage) -> Any:
     device = stage.device
     program = device.program("screen.vert.glsl", "mirror.frag.glsl")
-    target = device.target((_MIRROR_PX, _MIRROR_PX), ["4f2"], depth=False)
+    target = device.target((BACKGROUND_SAMPLING.mirror_px, BACKGROUND_SAMPLING.mirror_px), ["4f2"], depth=False)
     stage.noise.use(0)
-    put(program, {**stage.uniforms, "u_noise": 0, "u_size": [_MIRROR_PX, _MIRROR_PX], "u_jitter": [0.0, 0.0]})
+    put(
+        program,
+        {
+            **stage.uniforms,
+            "u_noise": 0,
+            "u_size": [BACKGROUND_SAMPLING.mirror_px, BACKGROUND_SAMPLING.mirror_px],
+            "u_jitter": [0.0, 0.0],
+        },
+    )
     target.use()
     device.context.enable_only(device.gl.NOTHING)
     device.screen(program)
@@ -336,7 +359,7 @@ def _light_digest(device: Device, recording: Recording) -> str:
         digest_of("light"),
         device.name,
         shader_sources(),
-        str(lighting.SAMPLES),
+        str(lighting.LIGHT_SAMPLING.samples),
         json.dumps(camera.to_dict()),
         f"{camera.width}x{camera.height}",
         str(mesh.materials),

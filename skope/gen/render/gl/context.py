@@ -5,6 +5,7 @@ import math
 import os
 import re
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from functools import cache
 from importlib import resources
 from pathlib import Path
@@ -15,17 +16,30 @@ from numpy.typing import NDArray
 
 from skope.errors import UserError
 from skope.gen.mesh import Mesh
-from skope.gen.render.materials import GLOSS, MATERIALS, Palette
+from skope.gen.render.materials import MATERIAL_COLORS, MATERIAL_ROUGHNESS, Palette
 from skope.gen.render.pixel_windows import Window
 from skope.gen.scene.recording import LAMPS
 from skope.types import Array
 
-NEAR_PLANE_M: Final = 0.3
-FAR_PLANE_M: Final = 1500.0
-PAINT: Final = len(MATERIALS)
+
+@dataclass(frozen=True)
+class ContextLimits:
+    """Planes and buffers of the OpenGL context."""
+
+    near_m: float = 0.3
+    """Distance of the near plane, metres."""
+    far_m: float = 1500.0
+    """Distance of the far plane, metres."""
+    readback_bytes: int = 1 << 24
+    """Bytes of pixels that are fetched together at first."""
+
+
+CONTEXT_LIMITS: Final = ContextLimits()
+
+PAINT_MATERIAL: Final = len(MATERIAL_COLORS)
 """Number of the material whose colour is the vehicle's own."""
 
-_MATERIAL_NUMBERS: Final = {**{name: i for i, name in enumerate(MATERIALS)}, "paint": PAINT}
+_MATERIAL_NUMBERS: Final = {**{name: i for i, name in enumerate(MATERIAL_COLORS)}, "paint": PAINT_MATERIAL}
 
 
 def linear(srgb: Any) -> Array:
@@ -59,11 +73,9 @@ def _shader_defines() -> str:
     return "\n".join([*lines, f"#define MATERIAL_COUNT {len(_MATERIAL_NUMBERS)}"])
 
 
-_READBACK: Final = 1 << 24
-"""Bytes of pixels that are fetched together to begin with."""
-WORKER: Final = "SKOPE_WORKER"
+WORKER_VARIABLE: Final = "SKOPE_WORKER"
 """Environment variable with the number of a worker process."""
-_INPUTS: Final = {"in_position": "3f", "in_normal": "3f", "in_material": "1f", "in_part": "1f"}
+VERTEX_INPUTS: Final = {"in_position": "3f", "in_normal": "3f", "in_material": "1f", "in_part": "1f"}
 
 
 class DeviceMesh:
@@ -77,9 +89,9 @@ class DeviceMesh:
 
     def draw(self, program: Any) -> None:
         if program.glo not in self._arrays:
-            used = [name for name in _INPUTS if name in program]
+            used = [name for name in VERTEX_INPUTS if name in program]
             # What a program does not use is skipped, in bytes.
-            layout = " ".join(kind if name in used else f"{4 * int(kind[0])}x" for name, kind in _INPUTS.items())
+            layout = " ".join(kind if name in used else f"{4 * int(kind[0])}x" for name, kind in VERTEX_INPUTS.items())
             content = [(self._vertices, layout, *used)]
             self._arrays[program.glo] = self._context.vertex_array(program, content, self._triangles)
         self._arrays[program.glo].render()
@@ -103,7 +115,7 @@ class Device:
         self.gl: Any = moderngl
         try:
             self.context: Any = self.gl.create_context(
-                standalone=True, backend="egl", require=430, device_index=_gpu_number(os.environ.get(WORKER))
+                standalone=True, backend="egl", require=430, device_index=_gpu_number(os.environ.get(WORKER_VARIABLE))
             )
         except Exception as error:  # EGL's loaders raise whatever they like
             raise UserError(
@@ -223,7 +235,7 @@ class Readback:
     """
 
     def __init__(self, context: Any) -> None:
-        self._context, self._buffer = context, context.buffer(reserve=_READBACK)
+        self._context, self._buffer = context, context.buffer(reserve=CONTEXT_LIMITS.readback_bytes)
         self._asked: list[tuple[int, tuple[int, int, int], np.dtype[Any]]] = []
         self._end = 0
 
@@ -275,8 +287,8 @@ def put(program: Any, values: Mapping[str, Any]) -> None:
 @cache
 def albedo_table(palette: Palette) -> NDArray[np.float32]:
     """(M, 4) linear colour and roughness of every material, in the order of their numbers."""
-    rows = [[*linear(palette.colors[name]), GLOSS.get(name, 0.85)] for name in MATERIALS]
-    return np.array([*rows, [0.5, 0.5, 0.5, GLOSS["paint"]]], dtype=np.float32)
+    rows = [[*linear(palette.colors[name]), MATERIAL_ROUGHNESS.get(name, 0.85)] for name in MATERIAL_COLORS]
+    return np.array([*rows, [0.5, 0.5, 0.5, MATERIAL_ROUGHNESS["paint"]]], dtype=np.float32)
 
 
 def pattern_tables(palette: Palette) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
@@ -320,8 +332,8 @@ def projection(K: Array, window: Window, jitter: tuple[float, float] = (0.0, 0.0
     )
     out[1, 1], out[1, 2] = 2 * K[1, 1] / height, 2 * (K[1, 2] - y0 + jitter[1]) / height - 1
     out[2, 2], out[2, 3] = (
-        (FAR_PLANE_M + NEAR_PLANE_M) / (FAR_PLANE_M - NEAR_PLANE_M),
-        -2 * FAR_PLANE_M * NEAR_PLANE_M / (FAR_PLANE_M - NEAR_PLANE_M),
+        (CONTEXT_LIMITS.far_m + CONTEXT_LIMITS.near_m) / (CONTEXT_LIMITS.far_m - CONTEXT_LIMITS.near_m),
+        -2 * CONTEXT_LIMITS.far_m * CONTEXT_LIMITS.near_m / (CONTEXT_LIMITS.far_m - CONTEXT_LIMITS.near_m),
     )
     out[3, 2] = 1
     return out

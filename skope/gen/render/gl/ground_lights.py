@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from skope.camera.model import Camera
 from skope.gen.render.daylight import Daylight
-from skope.gen.render.gl.context import FAR_PLANE_M, Device, projection
+from skope.gen.render.gl.context import CONTEXT_LIMITS, Device, projection
 from skope.gen.render.gl.placed_vehicles import PlacedVehicle
 from skope.gen.render.lit_lamps import has_headlights
 from skope.gen.render.pixel_windows import beam_corners, beam_hull_of
@@ -18,26 +18,54 @@ from skope.gen.scene.conditions import Conditions
 from skope.gen.scene.recording import LAMPS
 from skope.types import Array
 
-MOST_LAMPS: Final = 64
-"""Lamps that light the scenery."""
-MOST_POOLS: Final = 4
-"""Patches of light on the road that a camera's view has at most."""
-CELLS: Final = 3
-"""Shadow maps side by side in a texture, on each axis: the nearest lamps throw shadows."""
-CELL: Final = 1024
-"""Texels of each, on each side."""
-OPTIONS: Final = ("LAMPS", f"MOST_LAMPS {MOST_LAMPS}", f"SHADOWED_LAMPS {CELLS**2}", f"LAMP_CELLS {CELLS}")
-POOL_OPTIONS: Final = ("POOLS", f"MOST_POOLS {MOST_POOLS}")
-LAMP_MAP_PX: Final = 256
-MAP_RADIUS: Final = 128.0
-"""The map on the ground reaches so far from the middle of the view, metres."""
-_LIT_WITHIN_M: Final = 240.0
-_OWN: Final = 22.0
-"""Radiant intensity of a camera's infrared lamp."""
-_INFRARED_SHARE: Final = 0.35
-"""Share of a street light's light that an infrared camera sees."""
-_LAMP_HEIGHT_M: Final = 7.0
-"""Distance below the lamps that the light map is computed for, metres: a metre over the road."""
+
+@dataclass(frozen=True)
+class GroundLightLimits:
+    """Lamps, beams and light maps on the ground."""
+
+    most_lamps: int = 64
+    """Maximum number of lamps that light the scenery."""
+    most_pools: int = 4
+    """Maximum number of patches of light on the road in a camera's view."""
+    shadow_cells: int = 3
+    """Shadow maps side by side in a texture, on each axis. The nearest lamps cast shadows."""
+    shadow_cell_texels: int = 1024
+    """Texels of each shadow map, on each side."""
+    lamp_map_px: int = 256
+    """Side of the light map, pixels."""
+    map_radius_m: float = 128.0
+    """Reach of the light map from the middle of the view, metres."""
+    lit_within_m: float = 240.0
+    """Lamps within this distance light the ground, metres."""
+    infrared_intensity: float = 22.0
+    """Radiant intensity of a camera's infrared lamp."""
+    infrared_share: float = 0.35
+    """Share of a street light's light that an infrared camera sees."""
+    lamp_height_m: float = 7.0
+    """Distance below the lamps that the light map is computed for, metres: a metre over the road."""
+    beam_irradiance: float = 0.06
+    """Irradiance of the road right before a headlight, where nothing weakens it, in the units of `Daylight`."""
+    beam_reach_m: float = 40.0
+    """Reach of headlights on the road, metres."""
+    wash_irradiance: float = 0.02
+    """Irradiance of the road behind a vehicle by its tail lamps, in the same units."""
+    wash_reach_m: float = 12.0
+    """Reach of rear lamps on the road, metres."""
+    brake_factor: float = 3.0
+    """Factor of the rear lamps' light while braking."""
+    shadow_map_px: int = 1024
+    """Side of the shadow map of beams, pixels."""
+
+
+GROUND_LIGHTS: Final = GroundLightLimits()
+
+LAMP_OPTIONS: Final = (
+    "LAMPS",
+    f"MOST_LAMPS {GROUND_LIGHTS.most_lamps}",
+    f"SHADOWED_LAMPS {GROUND_LIGHTS.shadow_cells**2}",
+    f"LAMP_CELLS {GROUND_LIGHTS.shadow_cells}",
+)
+POOL_OPTIONS: Final = ("POOLS", f"MOST_POOLS {GROUND_LIGHTS.most_pools}")
 _CONE_TANGENT: Final = np.tan(np.radians(75))
 
 
@@ -58,18 +86,23 @@ class StreetLights:
     ) -> "StreetLights":
         """The street lights that are lit where a camera looks."""
         infrared = daylight.dark and conditions.infrared >= 0.5
-        intensity = daylight.street_light * (_INFRARED_SHARE if infrared else 1.0)
+        intensity = daylight.street_light * (GROUND_LIGHTS.infrared_share if infrared else 1.0)
         offsets = lamps - camera.position if intensity.any() else np.zeros((0, 3))
         ahead = 0.6 * middle[:2]
         away = np.linalg.norm(offsets[:, :2] - ahead, axis=1)
-        order = away.argsort(kind="stable")[:MOST_LAMPS]
-        return cls(offsets[order[away[order] < _LIT_WITHIN_M]], intensity, _OWN if infrared else 0.0, middle)
+        order = away.argsort(kind="stable")[: GROUND_LIGHTS.most_lamps]
+        return cls(
+            offsets[order[away[order] < GROUND_LIGHTS.lit_within_m]],
+            intensity,
+            GROUND_LIGHTS.infrared_intensity if infrared else 0.0,
+            middle,
+        )
 
     @property
     def uniforms(self) -> dict[str, Any]:
-        padded = np.zeros((MOST_LAMPS, 4))
+        padded = np.zeros((GROUND_LIGHTS.most_lamps, 4))
         padded[: len(self.positions), :3] = self.positions
-        maps = np.zeros((CELLS**2, 4, 4))
+        maps = np.zeros((GROUND_LIGHTS.shadow_cells**2, 4, 4))
         for k in range(self.shadowed):
             maps[k] = _CLIP_TO_TEXTURE @ self.clip(k)
         return {
@@ -83,7 +116,7 @@ class StreetLights:
 
     @property
     def shadowed(self) -> int:
-        return min(len(self.positions), CELLS**2)
+        return min(len(self.positions), GROUND_LIGHTS.shadow_cells**2)
 
     def clip(self, k: int) -> Array:
         """World axes, relative to the camera -> clip space of a lamp that looks straight down."""
@@ -97,11 +130,13 @@ class StreetLights:
 
         (LAMP_MAP_PX, LAMP_MAP_PX, 4): an unlit fourth channel makes texels of a size that every device takes.
         """
-        side = (np.arange(LAMP_MAP_PX) + 0.5) / LAMP_MAP_PX * 2 * MAP_RADIUS - MAP_RADIUS
+        side = (
+            np.arange(GROUND_LIGHTS.lamp_map_px) + 0.5
+        ) / GROUND_LIGHTS.lamp_map_px * 2 * GROUND_LIGHTS.map_radius_m - GROUND_LIGHTS.map_radius_m
         x, y = np.meshgrid(side + self.middle[0], side + self.middle[1])
-        out = np.zeros((LAMP_MAP_PX, LAMP_MAP_PX, 4))
+        out = np.zeros((GROUND_LIGHTS.lamp_map_px, GROUND_LIGHTS.lamp_map_px, 4))
         for lamp in self.positions:
-            to = np.stack([lamp[0] - x, lamp[1] - y, np.full_like(x, _LAMP_HEIGHT_M)], axis=-1)
+            to = np.stack([lamp[0] - x, lamp[1] - y, np.full_like(x, GROUND_LIGHTS.lamp_height_m)], axis=-1)
             square = (to**2).sum(-1, keepdims=True)
             to /= np.sqrt(square)
             up = to[..., 2:]
@@ -112,9 +147,11 @@ class StreetLights:
 
     def mean(self, vectors: NDArray[np.float16]) -> Array:
         """(3,) irradiance on the road in view."""
-        half = LAMP_MAP_PX // 6
+        half = GROUND_LIGHTS.lamp_map_px // 6
         upward = vectors[
-            LAMP_MAP_PX // 2 - half : LAMP_MAP_PX // 2 + half, LAMP_MAP_PX // 2 - half : LAMP_MAP_PX // 2 + half, 2
+            GROUND_LIGHTS.lamp_map_px // 2 - half : GROUND_LIGHTS.lamp_map_px // 2 + half,
+            GROUND_LIGHTS.lamp_map_px // 2 - half : GROUND_LIGHTS.lamp_map_px // 2 + half,
+            2,
         ].astype(np.float64)
         own = self.own * 0.35 / 14.0**2 * np.ones(3)
         return np.asarray(self.intensity * upward.mean() + own)
@@ -129,8 +166,8 @@ def pool_uniforms(pools: Array, camera: Camera, middle: Array) -> dict[str, Any]
         middle: (3,) middle of its view, relative to it, metres.
     """
     from_camera = pools[:, :3] - camera.position
-    order = np.linalg.norm((from_camera - middle)[:, :2], axis=1).argsort(kind="stable")[:MOST_POOLS]
-    places, shapes, light = np.zeros((3, MOST_POOLS, 4))
+    order = np.linalg.norm((from_camera - middle)[:, :2], axis=1).argsort(kind="stable")[: GROUND_LIGHTS.most_pools]
+    places, shapes, light = np.zeros((3, GROUND_LIGHTS.most_pools, 4))
     shapes[:, :2] = 1.0
     for k, i in enumerate(order.tolist()):
         places[k] = *from_camera[i, :2], *pools[i, 3:5]
@@ -141,20 +178,9 @@ def pool_uniforms(pools: Array, camera: Camera, middle: Array) -> dict[str, Any]
 
 
 _CLIP_TO_TEXTURE: Final = np.array([[0.5, 0, 0, 0.5], [0, 0.5, 0, 0.5], [0, 0, 0.5, 0.5], [0, 0, 0, 1.0]])
-assert FAR_PLANE_M > _LIT_WITHIN_M
+assert CONTEXT_LIMITS.far_m > GROUND_LIGHTS.lit_within_m
 
 
-BEAM_IRRADIANCE: Final = 0.06
-"""Irradiance of the road right before a headlight, where nothing weakens it, in the units of `Daylight`."""
-BEAM_REACH_M: Final = 40.0
-"""Reach of headlights on the road, metres."""
-WASH_IRRADIANCE: Final = 0.02
-"""Irradiance of the road behind a vehicle by its tail lamps, in the same units."""
-WASH_REACH_M: Final = 12.0
-"""Reach of rear lamps on the road, metres."""
-_BRAKING: Final = 3.0
-"""How much more of it brake lamps give."""
-SHADOW_MAP_PX: Final = 1024
 _BEAM_COLOR: Final = np.array([1.0, 0.95, 0.86])
 _BRAKE_COLOR: Final = np.array([1.0, 0.05, 0.06])
 
@@ -163,14 +189,14 @@ class Beams:
     def __init__(self, device: Device, middle: Array, radius: float, exposure: Array) -> None:
         """The map reaches `radius` around `middle` (world), metres."""
         self._device, self._middle, self._radius = device, middle, radius
-        self._target = device.target((SHADOW_MAP_PX, SHADOW_MAP_PX), ["2f2"], depth=False)
+        self._target = device.target((GROUND_LIGHTS.shadow_map_px, GROUND_LIGHTS.shadow_map_px), ["2f2"], depth=False)
         (self.texture,) = self._target.color_attachments
         self.texture.filter = (device.gl.LINEAR, device.gl.LINEAR)
         self.texture.repeat_x = self.texture.repeat_y = False
         self.uniforms: dict[str, Any] = {
-            "u_beam": BEAM_IRRADIANCE,
-            "u_beam_light": BEAM_IRRADIANCE * exposure * _BEAM_COLOR / np.pi,
-            "u_wash_light": WASH_IRRADIANCE * exposure * _BRAKE_COLOR / np.pi,
+            "u_beam": GROUND_LIGHTS.beam_irradiance,
+            "u_beam_light": GROUND_LIGHTS.beam_irradiance * exposure * _BEAM_COLOR / np.pi,
+            "u_wash_light": GROUND_LIGHTS.wash_irradiance * exposure * _BRAKE_COLOR / np.pi,
         }
 
     def draw(self, placed: Sequence[PlacedVehicle], camera: Camera) -> list[Array]:
@@ -186,8 +212,8 @@ class Beams:
         hulls = []
         # A trailer hides its tractor's rear lamps.
         for reach, some, options in (
-            (BEAM_REACH_M, lit, ()),
-            (-WASH_REACH_M, [one for one in lit if one.vehicle.trailer is None], ("WASH",)),
+            (GROUND_LIGHTS.beam_reach_m, lit, ()),
+            (-GROUND_LIGHTS.wash_reach_m, [one for one in lit if one.vehicle.trailer is None], ("WASH",)),
         ):
             program = device.program("contact.vert.glsl", "beam.frag.glsl", *options)
             if some:
@@ -206,6 +232,6 @@ class Beams:
         local = beam_corners(reach)[[0, 1, 2, 0, 2, 3]]
         T = one.T_world_chassis
         world = (local + [np.copysign(length / 2, reach), 0]) @ T[:2, :2].T + T[:2, 3]
-        strength = _BRAKING if one.look["u_lamps"] & LAMPS["brake"] else 1.0
+        strength = GROUND_LIGHTS.brake_factor if one.look["u_lamps"] & LAMPS["brake"] else 1.0
         size = np.tile([reach if reach > 0 else strength, width / 2, height], (6, 1))
         return np.column_stack([(world - self._middle[:2]) / self._radius, local, size]).astype(np.float32)

@@ -30,31 +30,44 @@ from skope.gen.render.gl.context import (
 )
 from skope.gen.render.gl.ground_lights import StreetLights
 from skope.gen.render.gl.wet_ground import Plane, uniforms_of
-from skope.gen.render.materials import MATERIALS, USUAL, Palette
-from skope.gen.render.night_camera import DAY_UNITS
+from skope.gen.render.materials import MATERIAL_COLORS, USUAL_PALETTE, Palette
+from skope.gen.render.night_camera import NIGHT_SENSOR
 from skope.gen.scene.conditions import Conditions
 from skope.types import Array
 
 LitMeshes = list[tuple[DeviceMesh, tuple[str, ...]]]
 """Meshes with the options of the programs that draw them."""
 
-SAMPLES: Final = 24
-STANDING_WATER: Final = 64
-"""Added to the share of light that water mirrors where it stands: more than all samples' shares together."""
-MIRRORED_SHARE: Final = 4
-"""The mirror image on wet ground has this many times fewer samples, and half the resolution: water blurs it."""
-SKY_MAP: Final = 2048
-SHADOW_MAP_M: Final = 140.0
-GROUPS: Final = {
+
+@dataclass(frozen=True)
+class LightSampling:
+    """Samples and maps of sun and sky."""
+
+    samples: int = 24
+    """Number of samples of sun and sky."""
+    standing_water: int = 64
+    """Added to the share of light that water mirrors where it stands: more than all samples' shares together."""
+    mirrored_share: int = 4
+    """The mirror image on wet ground has this many times fewer samples, and half the resolution: water blurs it."""
+    sky_map_texels: int = 2048
+    """Side of the sky's shadow maps, texels."""
+    shadow_map_m: float = 140.0
+    """Side of the area of a shadow map, metres."""
+    sun_radius_rad: float = 0.0047
+    """Radius of the sun's disc as seen from the earth, radians."""
+    golden_ratio: float = (1 + 5**0.5) / 2
+    """Golden ratio, which spreads the samples."""
+
+
+LIGHT_SAMPLING: Final = LightSampling()
+
+PATTERN_GROUPS: Final = {
     "WALLS": ("brick", "sandstone"),
     "GROUND": ("asphalt", "grass"),
     "LEAVES": ("leaves", "leaves_pale"),
     "OTHERS": ("asphalt", "seam"),
 }
 """Materials, from first to last of the table, that share the programs compiled for their patterns."""
-SUN_RADIUS: Final = 0.0047
-"""Radius of the sun's disc as seen from the earth, radians."""
-_GOLDEN: Final = (1 + 5**0.5) / 2
 
 
 class Stage:
@@ -68,7 +81,7 @@ class Stage:
         conditions: Conditions,
         burning: Array | None = None,
         daylight: Daylight | None = None,
-        palette: Palette = USUAL,
+        palette: Palette = USUAL_PALETTE,
         pools: Array | None = None,
     ) -> None:
         """`burning` (N, 3) are the street lights, where there are any; `daylight` is that of the conditions if None.
@@ -89,7 +102,7 @@ class Stage:
         self.daylight = replace(daylight, lamplight=self.street_lights.mean(self.lamp_vectors))
         daylight = self.daylight
         self.options = (
-            *(street_lights.OPTIONS if daylight.dark else ()),
+            *(street_lights.LAMP_OPTIONS if daylight.dark else ()),
             *(street_lights.POOL_OPTIONS if daylight.dark and pools is not None and len(pools) else ()),
             *(("WET",) if conditions.wetness > 0 else ()),
             *(("PATTERNS",) if palette.patterns else ()),
@@ -134,18 +147,18 @@ class Stage:
 
     def light_parts(self, count: int) -> list[Callable[[], dict[str, NDArray[np.float32]]]]:
         """Tasks that make the parts of the light, for `joined`: each of them sums a share of the samples."""
-        ends = np.linspace(0, SAMPLES, count + 1).astype(int)
+        ends = np.linspace(0, LIGHT_SAMPLING.samples, count + 1).astype(int)
         return [partial(self._light_part, range(*pair)) for pair in pairwise(ends)]
 
     def _light_part(self, which: range) -> dict[str, NDArray[np.float32]]:
-        ambient, sunlit = self._sum_of_light(self._size, which, SAMPLES, np.eye(4), self._seen)
+        ambient, sunlit = self._sum_of_light(self._size, which, LIGHT_SAMPLING.samples, np.eye(4), self._seen)
         return {"ambient": ambient, "sunlit": sunlit}
 
     def mirrored(self, plane: Plane) -> dict[str, NDArray[np.float16]]:
         """Draw what the road would show as a mirror, "mirrored" (H / 2, W / 2, 4)."""
         width, height = self._size
         self.uniforms |= uniforms_of(plane)
-        samples = max(2, SAMPLES // MIRRORED_SHARE)
+        samples = max(2, LIGHT_SAMPLING.samples // LIGHT_SAMPLING.mirrored_share)
         size = (-(-width // 2), -(-height // 2))
         ambient, sunlit = self._sum_of_light(
             size, range(samples), samples, plane.mirror, self.reflected_parts(plane), "MIRRORED"
@@ -177,7 +190,7 @@ class Stage:
         """Sums over `which` samples' shares of the mean of all, with everything moved by `placed`."""
         device = self.device
         sums, sample = (device.target(size, ["4f4", "4f4"]) for _ in range(2))
-        sun, sky = device.shadow_map(sun_map_size(self._camera)), device.shadow_map(SKY_MAP)
+        sun, sky = device.shadow_map(sun_map_size(self._camera)), device.shadow_map(LIGHT_SAMPLING.sky_map_texels)
         lamp_maps = self._lamp_maps
         add = device.program("screen.vert.glsl", "add.frag.glsl")
         sums.use()
@@ -188,7 +201,7 @@ class Stage:
         # A shift of the map by less than a texel, new in each sample, hides its grid.
         middles = self.focus + rng.uniform(-0.2, 0.2, (samples, 3))
         for k in which:
-            jitter = ((shift[k] + 0.5) / samples - 0.5, (shift[k] * _GOLDEN + 0.5) % 1 - 0.5)
+            jitter = ((shift[k] + 0.5) / samples - 0.5, (shift[k] * LIGHT_SAMPLING.golden_ratio + 0.5) % 1 - 0.5)
             shadows = self._draw_shadows(sun, sky, k, samples, middles[k])
             if lamp_maps:
                 lamp_maps.depth_attachment.use(3)
@@ -209,14 +222,16 @@ class Stage:
         """Shadow maps of the nearest street lights; None when none burns."""
         if not self.daylight.dark:
             return None
-        maps = self.device.shadow_map(street_lights.CELLS * street_lights.CELL)
+        maps = self.device.shadow_map(
+            street_lights.GROUND_LIGHTS.shadow_cells * street_lights.GROUND_LIGHTS.shadow_cell_texels
+        )
         for k in range(self.street_lights.shadowed):
-            row, column = divmod(k, street_lights.CELLS)
+            row, column = divmod(k, street_lights.GROUND_LIGHTS.shadow_cells)
             maps.viewport = (
-                column * street_lights.CELL,
-                row * street_lights.CELL,
-                street_lights.CELL,
-                street_lights.CELL,
+                column * street_lights.GROUND_LIGHTS.shadow_cell_texels,
+                row * street_lights.GROUND_LIGHTS.shadow_cell_texels,
+                street_lights.GROUND_LIGHTS.shadow_cell_texels,
+                street_lights.GROUND_LIGHTS.shadow_cell_texels,
             )
             self.draw_depth(maps, self.street_lights.clip(k))
         return maps
@@ -224,11 +239,11 @@ class Stage:
     def _draw_shadows(self, sun: Any, sky: Any, k: int, samples: int, middle: Array) -> dict[str, Any]:
         """Shadow maps of the k-th point of the sun's disc and direction of the sky; returns their uniforms."""
         direction = self.daylight.sun_direction
-        toward_sun = direction + SUN_RADIUS * _in_disc(k, samples) @ _unit_vectors_across(direction)
+        toward_sun = direction + LIGHT_SAMPLING.sun_radius_rad * _in_disc(k, samples) @ _unit_vectors_across(direction)
         toward_sky = _on_hemisphere(k, samples)
         uniforms: dict[str, Any] = {"u_sky_direction": toward_sky, "u_sky_radiance": self.daylight.sky(toward_sky)}
         for unit, (name, target, toward) in enumerate((("sun", sun, toward_sun), ("sky", sky, toward_sky)), start=1):
-            clip, texture = light_projection(toward, middle, SHADOW_MAP_M)
+            clip, texture = light_projection(toward, middle, LIGHT_SAMPLING.shadow_map_m)
             self.draw_depth(target, clip)
             target.depth_attachment.use(unit)
             uniforms |= {f"u_{name}_map": unit, f"u_{name}_map_from": texture}
@@ -290,11 +305,11 @@ def _look_of(camera: Camera, conditions: Conditions, daylight: Daylight, palette
         "u_haze": daylight.haze,
         "u_haze_density": daylight.haze_density,
         "u_vignetting": daylight.vignetting,
-        "u_lamp_radiance": DAY_UNITS if daylight.dark else 1.0,
+        "u_lamp_radiance": NIGHT_SENSOR.day_units if daylight.dark else 1.0,
         "u_pixels": camera.width / 1920,
         "u_wetness": conditions.wetness,
         "u_puddles": conditions.puddles,
-        "u_standing": STANDING_WATER,
+        "u_standing": LIGHT_SAMPLING.standing_water,
         "u_lit_windows": conditions.lit_windows,
         "u_all_lit": conditions.street_lights_lit >= 1,
         "u_snow": conditions.snow_cover,
@@ -308,7 +323,7 @@ def mean_light(parts: Sequence[Arrays]) -> dict[str, NDArray[np.float16]]:
     under 0 where it stands.
     """
     ambient, sunlit = (np.sum([part[name] for part in parts], axis=0) for name in ("ambient", "sunlit"))
-    sunlit[..., 3] = _signed_water(sunlit[..., 3], SAMPLES)
+    sunlit[..., 3] = _signed_water(sunlit[..., 3], LIGHT_SAMPLING.samples)
     return {"ambient": _half_precision(ambient), "sunlit": _half_precision(sunlit)}
 
 
@@ -318,8 +333,8 @@ def _half_precision(pixels: NDArray[np.float32]) -> NDArray[np.float16]:
 
 def _signed_water(water: NDArray[np.float32], samples: int) -> NDArray[np.float32]:
     """Means of samples that have STANDING_WATER more where water stands -> means without; negative: most have it."""
-    standing = np.floor(water * (samples / STANDING_WATER) + 1e-3)
-    share = np.maximum(water - standing * (STANDING_WATER / samples), 0.0)
+    standing = np.floor(water * (samples / LIGHT_SAMPLING.standing_water) + 1e-3)
+    share = np.maximum(water - standing * (LIGHT_SAMPLING.standing_water / samples), 0.0)
     return np.asarray(np.where(2 * standing > samples, -share, share), dtype=np.float32)
 
 
@@ -384,7 +399,7 @@ def _in_view(mesh: Mesh, camera: Camera, placed: Array) -> NDArray[np.int64]:
 def _within_reach(mesh: Mesh, camera: Camera) -> NDArray[np.bool_]:
     """Triangles that may throw shadows into the view."""
     away = np.linalg.norm((mesh.vertices - camera.position - _view_focus(camera))[:, :2], axis=-1)
-    return np.asarray((away < 2 * SHADOW_MAP_M)[mesh.triangles].any(axis=-1))
+    return np.asarray((away < 2 * LIGHT_SAMPLING.shadow_map_m)[mesh.triangles].any(axis=-1))
 
 
 def _upload_parts(device: Device, mesh: Mesh, camera: Camera) -> LitMeshes:
@@ -392,14 +407,14 @@ def _upload_parts(device: Device, mesh: Mesh, camera: Camera) -> LitMeshes:
 
     Only leaves have gaps between them, or nothing could be hidden from what is behind it before that is shaded.
     """
-    order = list(MATERIALS)
+    order = list(MATERIAL_COLORS)
     # Colours that materials are named by are drawn with the last group.
-    last_number = order.index(GROUPS["OTHERS"][1])
+    last_number = order.index(PATTERN_GROUPS["OTHERS"][1])
     numbers = [last_number if name.startswith("#") else order.index(name) for name in mesh.materials]
     number = np.array(numbers)[mesh.material]
     left = np.ones(len(number), dtype=bool)
     out: LitMeshes = []
-    for group, (first, last) in GROUPS.items():
+    for group, (first, last) in PATTERN_GROUPS.items():
         chosen = left & (number >= order.index(first)) & (number <= order.index(last))
         left &= ~chosen
         if chosen.any():

@@ -21,8 +21,8 @@ from skope.types import Array
 PARTS_DEFINITION: Final = "PARTS 8"
 """Definition for the shaders: a vehicle has up to eight parts, its body and four wheels, a trailer and two more wheels.
 """
-PANES: Final = ("glass", "glass_tinted", "glass_lit")
-"""Materials that one can look through."""
+PANE_MATERIALS: Final = ("glass", "glass_tinted", "glass_lit")
+"""Transparent materials."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,7 +118,7 @@ def _upload_meshes(device: Device, vehicle: Body) -> dict[str, Any]:
     solid, panes = list(vehicle.parts), [part.taken(np.zeros(0, dtype=np.int64)) for part in vehicle.parts]
     for k, interior in insides.items():
         body = vehicle.parts[k]
-        glass = np.isin(body.material, [i for i, name in enumerate(body.materials) if name in PANES])
+        glass = np.isin(body.material, [i for i, name in enumerate(body.materials) if name in PANE_MATERIALS])
         solid[k] = merged([body.taken(~glass), *([interior] if interior else [])])
         panes[k] = body.taken(glass)
     return {

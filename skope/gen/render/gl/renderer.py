@@ -16,16 +16,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skope.gen.render.frame import RenderedFrame, Silhouette
-from skope.gen.render.gl.background import SCALE, light_the_scenery
+from skope.gen.render.gl.background import BACKGROUND_SAMPLING, light_the_scenery
 from skope.gen.render.gl.context import Device, DeviceMesh, Readback, light_projection, projection, put
-from skope.gen.render.gl.ground_lights import MAP_RADIUS, Beams
+from skope.gen.render.gl.ground_lights import GROUND_LIGHTS, Beams
 from skope.gen.render.gl.placed_vehicles import PARTS_DEFINITION, Moving, PlacedVehicle, Placer, moving
 from skope.gen.render.gl.wet_ground import Reflections
 from skope.gen.render.glare import Glare
 from skope.gen.render.lit_lamps import light_signals, light_signals_linear
 from skope.gen.render.night_camera import NightCamera
 from skope.gen.render.pixel_windows import (
-    CONTACT,
+    WINDOW_LIMITS,
     Window,
     crossing,
     inside_image,
@@ -41,27 +41,37 @@ from skope.gen.scenery.build import scenery
 from skope.gen.vehicles.model import TRAILER_PART
 from skope.types import Array
 
-SHADOW_MAP: Final = 2048
-COARSE_FROM_M: Final = 30.0
-"""Vehicles farther from the camera than this are drawn coarsely in colour, with windows that are not transparent,
-metres."""
-SHADOWED_WITHIN_M: Final = 60.0
-"""Vehicles nearer to the middle of the view than this throw shadows, metres."""
-HAZE_EXTINCTION: Final = 1e-3
-"""Extinction of the air, 1/m, from which on it shows before vehicles' shadows."""
-_PULSES_HZ: Final = 220.0
-"""Frequency at which LED lamps are switched, about (dashed trails of real vehicles)."""
-_PULSING_SHARE: Final = 0.4
-"""Share of the vehicles whose lamps are."""
-_GOLDEN: Final = (5**0.5 - 1) / 2
-_SIGNAL_LIGHT: Final = 40.0
-"""Light of traffic lights' lamps, as exposed."""
-_BURNT_OUT: Final = 245
-"""Value from which a pixel shows a lamp, of 255."""
-_ALL_LIGHT: Final = 6e4
-"""Light that no exposure clips."""
-CONTACT_MAP: Final = 1024
-"""Texels of the map of the sky that vehicles take from the road, over the same area."""
+
+@dataclass(frozen=True)
+class RendererLimits:
+    """Distances, maps and lamps of the OpenGL renderer."""
+
+    shadow_map_texels: int = 2048
+    """Side of the shadow map of vehicles, texels."""
+    coarse_from_m: float = 30.0
+    """Vehicles farther from the camera than this are drawn coarsely in colour, with windows that are not transparent,
+    metres."""
+    shadowed_within_m: float = 60.0
+    """Vehicles nearer to the middle of the view than this cast shadows, metres."""
+    haze_extinction: float = 1e-3
+    """Extinction of the air, 1/m, from which on it shows before vehicles' shadows."""
+    pulses_hz: float = 220.0
+    """Frequency at which LED lamps are switched, about (dashed trails of real vehicles)."""
+    pulsing_share: float = 0.4
+    """Share of the vehicles with pulsed lamps."""
+    golden_fraction: float = (5**0.5 - 1) / 2
+    """Fraction of the golden ratio, which spreads the phases."""
+    signal_light: float = 40.0
+    """Light of traffic signals, as exposed."""
+    burnt_out: int = 245
+    """Value from which a pixel shows a lamp, of 255."""
+    unclipped_light: float = 6e4
+    """Light that no exposure clips."""
+    contact_map_texels: int = 1024
+    """Texels of the map of the sky that vehicles take from the road, over the same area."""
+
+
+RENDERER_LIMITS: Final = RendererLimits()
 
 
 class GLRenderer:
@@ -81,16 +91,20 @@ class GLRenderer:
         self._geometry = self._device.target(size, ["4f4"])
         # At night the picture stays linear light until the camera develops it.
         kind, self._read_as = ("f2", "f4") if self._background.daylight.dark else ("f1", "f1")
-        self._color = self._device.target((SCALE * size[0], SCALE * size[1]), [f"4{kind}"])
+        self._color = self._device.target(
+            (BACKGROUND_SAMPLING.vehicle_scale * size[0], BACKGROUND_SAMPLING.vehicle_scale * size[1]), [f"4{kind}"]
+        )
         self._behind = self._device.target(size, [f"4{kind}"])
         self._display = self._device.target(size, [f"4{kind}"], depth=False)
-        self._sun_map = self._device.shadow_map(SHADOW_MAP)
-        self._open = self._device.target((CONTACT_MAP, CONTACT_MAP), ["1f1"], depth=False)
+        self._sun_map = self._device.shadow_map(RENDERER_LIMITS.shadow_map_texels)
+        self._open = self._device.target(
+            (RENDERER_LIMITS.contact_map_texels, RENDERER_LIMITS.contact_map_texels), ["1f1"], depth=False
+        )
         # The average of a pixel's samples is a look-up half way between them.
         for texture in (*self._color.color_attachments, *self._open.color_attachments):
             texture.filter = (self._device.gl.LINEAR, self._device.gl.LINEAR)
         self._sun_clip, self._sun_map_from = light_projection(
-            self._background.daylight.sun_direction, self._background.focus, SHADOWED_WITHIN_M
+            self._background.daylight.sun_direction, self._background.focus, RENDERER_LIMITS.shadowed_within_m
         )
         self._uniforms = {
             "u_size": list(size),
@@ -98,10 +112,10 @@ class GLRenderer:
             "u_vehicle_sun_map_from": self._sun_map_from,
             "u_sun_map_from": self._sun_map_from,
             "u_sun_at": self._sun_map_from[:3] @ [0, 0, 0.02, 1],
-            "u_open_at": 0.5 - self._background.focus[:2] / (2 * SHADOWED_WITHIN_M),
-            "u_open_scale": 0.5 / SHADOWED_WITHIN_M,
+            "u_open_at": 0.5 - self._background.focus[:2] / (2 * RENDERER_LIMITS.shadowed_within_m),
+            "u_open_scale": 0.5 / RENDERER_LIMITS.shadowed_within_m,
             "u_eye_height": float(camera.position[2]),
-            "u_texel": 0.04 * 0.5 / SHADOWED_WITHIN_M,
+            "u_texel": 0.04 * 0.5 / RENDERER_LIMITS.shadowed_within_m,
         }
         self._options: tuple[str, ...] = ()
         """Definitions that vehicles' programs are compiled with, for this recording's light."""
@@ -109,11 +123,11 @@ class GLRenderer:
         self._beams = self._reflections = None
         if background.daylight.dark:
             self._options = ("LAMPS", "LINEAR")
-            self._beams = Beams(self._device, middle, SHADOWED_WITHIN_M, background.daylight.exposure)
+            self._beams = Beams(self._device, middle, RENDERER_LIMITS.shadowed_within_m, background.daylight.exposure)
             self._uniforms |= {
                 **self._beams.uniforms,
-                "u_lamp_vectors_at": 0.5 - background.focus[:2] / (2 * MAP_RADIUS),
-                "u_lamp_vectors_scale": 0.5 / MAP_RADIUS,
+                "u_lamp_vectors_at": 0.5 - background.focus[:2] / (2 * GROUND_LIGHTS.map_radius_m),
+                "u_lamp_vectors_scale": 0.5 / GROUND_LIGHTS.map_radius_m,
                 "u_plane": background.road.uniform,
                 "u_full": 1.0,
                 "u_short": (0.0, 1.0),
@@ -171,7 +185,7 @@ class GLRenderer:
                 contrast[vehicle.index] = self._contrast(vehicle, own, rgb, drawn)
         signals = scenery(self._recording.town).signals
         if night and light is not None:
-            light_signals_linear(light, depth, camera, moment, signals, _SIGNAL_LIGHT / night.gain)
+            light_signals_linear(light, depth, camera, moment, signals, RENDERER_LIMITS.signal_light / night.gain)
             rgb = self._spray.drift(night.develop(light), depth, moment, frame)
             return RenderedFrame(rgb, depth, slope, ids, tuple(silhouettes), contrast, night.noise)
         light_signals(rgb, depth, camera, moment, signals)
@@ -291,17 +305,17 @@ class GLRenderer:
         for vehicle in placed:
             if (
                 self._background.daylight.dark
-                or np.linalg.norm(vehicle.T_world_chassis[:2, 3] - middle[:2]) > SHADOWED_WITHIN_M + 10
+                or np.linalg.norm(vehicle.T_world_chassis[:2, 3] - middle[:2]) > RENDERER_LIMITS.shadowed_within_m + 10
             ):
                 continue
             put(program, {"u_model": vehicle.matrices["u_world"], "u_world": vehicle.matrices["u_world"]})
-            (vehicle.mesh if vehicle.distance < COARSE_FROM_M else vehicle.coarse).draw(program)
+            (vehicle.mesh if vehicle.distance < RENDERER_LIMITS.coarse_from_m else vehicle.coarse).draw(program)
         self._open.use()
         self._open.clear(1, 1, 1, 1)
         device.context.enable_only(device.gl.BLEND)
         device.context.blend_func = device.gl.ZERO, device.gl.SRC_COLOR
         corners = np.concatenate([_footprint(v, middle) for v in placed])
-        program = device.program("contact.vert.glsl", "contact.frag.glsl", f"CONTACT {CONTACT}")
+        program = device.program("contact.vert.glsl", "contact.frag.glsl", f"CONTACT {WINDOW_LIMITS.contact_m}")
         device.triangles(program, corners, "2f 2f 3f", "in_at", "in_local", "in_size")
 
     def _vehicle_textures(self) -> dict[str, Any]:
@@ -318,7 +332,13 @@ class GLRenderer:
         """
         device, gl = self._device, self._device.gl
         uniforms = {**self._background.bind(), **self._uniforms}
-        device.prepare(target, places, uniforms, "SCENERY", f"STEP {SCALE * self._camera.width // target.width}")
+        device.prepare(
+            target,
+            places,
+            uniforms,
+            "SCENERY",
+            f"STEP {BACKGROUND_SAMPLING.vehicle_scale * self._camera.width // target.width}",
+        )
         device.context.enable_only(gl.DEPTH_TEST | gl.CULL_FACE)
         units = {**self._vehicle_textures(), "u_front": self._geometry.color_attachments[0]}
         uniforms |= {**self._bind_textures(units), "u_project": self._project}
@@ -334,10 +354,13 @@ class GLRenderer:
         if peel:
             draw("PEEL", ((vehicle, vehicle.mesh) for vehicle in placed))
             return
-        near = [vehicle for vehicle in placed if vehicle.distance < COARSE_FROM_M]
+        near = [vehicle for vehicle in placed if vehicle.distance < RENDERER_LIMITS.coarse_from_m]
         draw(
             "SOLID",
-            ((vehicle, vehicle.solid if vehicle.distance < COARSE_FROM_M else vehicle.coarse) for vehicle in placed),
+            (
+                (vehicle, vehicle.solid if vehicle.distance < RENDERER_LIMITS.coarse_from_m else vehicle.coarse)
+                for vehicle in placed
+            ),
         )
         # Through the windows the insides of the far walls are seen.
         device.context.cull_face = "front"
@@ -355,7 +378,7 @@ class GLRenderer:
         if not places:
             return
         device, wet = self._device, ("WET",) if self._reflections else ()
-        air = ("HAZE",) if self._background.daylight.haze_density > HAZE_EXTINCTION else ()
+        air = ("HAZE",) if self._background.daylight.haze_density > RENDERER_LIMITS.haze_extinction else ()
         program = device.program("tiles.vert.glsl", "composite.frag.glsl", *self._options, *wet, *air, *options)
         units = {
             **self._vehicle_textures(),
@@ -378,8 +401,12 @@ class GLRenderer:
 
     def _pulses(self, track_id: int) -> float:
         """Pulses of a vehicle's lamps while the shutter is open: LED lamps are dimmed by switching; 0 for others."""
-        share = track_id * _GOLDEN % 1.0
-        return 0.0 if share > _PULSING_SHARE else self._recording.conditions.shutter_s * _PULSES_HZ * (0.8 + share)
+        share = track_id * RENDERER_LIMITS.golden_fraction % 1.0
+        return (
+            0.0
+            if share > RENDERER_LIMITS.pulsing_share
+            else self._recording.conditions.shutter_s * RENDERER_LIMITS.pulses_hz * (0.8 + share)
+        )
 
     def _read_light(self) -> NDArray[np.float32]:
         """(H, W, 4) linear light of the picture, and the light at which its exposures are full."""
@@ -407,14 +434,14 @@ class GLRenderer:
             behind = drawn.behind.crop(window)
             there: NDArray[Any] = behind[..., 3]
             if self._night:
-                full = np.full_like(there, _ALL_LIGHT)
+                full = np.full_like(there, RENDERER_LIMITS.unclipped_light)
                 behind = self._night.without_glare(np.dstack([behind[..., :3], full]))
                 there = (there > 0).astype(np.uint8)
             picture = cv2.copyTo(np.ascontiguousarray(behind[..., :3]), there, picture.copy())
         shown = rgb[y0:y1, x0:x1]
         if self._night:
             # A body is seen by its own contrast; lamps alone do not show it.
-            own = own & (shown.min(axis=-1) < _BURNT_OUT)
+            own = own & (shown.min(axis=-1) < RENDERER_LIMITS.burnt_out)
         difference = cv2.mean(cv2.absdiff(shown, picture), own.view(np.uint8))
         return sum(difference) / 3
 
@@ -483,9 +510,11 @@ def _footprint(placed: PlacedVehicle, middle: Array) -> Array:
         bodies.append((trailer.size_lwh, float(trailer.corners[:, 0].mean()), placed.T_world_parts[TRAILER_PART]))
     for size_lwh, ahead, T in bodies:
         size = np.array(size_lwh) * [0.5, 0.5, 1.0]
-        local = np.array([[-1, -1], [1, -1], [1, 1], [-1, -1], [1, 1], [-1, 1]]) * (size[:2] + CONTACT)
+        local = np.array([[-1, -1], [1, -1], [1, 1], [-1, -1], [1, 1], [-1, 1]]) * (size[:2] + WINDOW_LIMITS.contact_m)
         world = (local + [ahead, 0.0]) @ T[:2, :2].T + T[:2, 3]
-        out.append(np.column_stack([(world - middle[:2]) / SHADOWED_WITHIN_M, local, np.tile(size, (6, 1))]))
+        out.append(
+            np.column_stack([(world - middle[:2]) / RENDERER_LIMITS.shadowed_within_m, local, np.tile(size, (6, 1))])
+        )
     return np.concatenate(out)
 
 

@@ -12,13 +12,25 @@ from numpy.typing import NDArray
 from skope.camera.model import Camera
 from skope.gen.render.gl.context import Device, projection, put
 from skope.gen.render.gl.placed_vehicles import PARTS_DEFINITION, PlacedVehicle
-from skope.gen.render.pixel_windows import TILE, mirror_hull_of, tile_runs, tiles
+from skope.gen.render.pixel_windows import WINDOW_LIMITS, mirror_hull_of, tile_runs, tiles
 from skope.types import Array
 
-_NEAR_ROAD: Final = 45.0
-"""Depth up to which the plane is fitted to the ground, metres."""
-_LEVEL_NORMAL_Z: Final = 0.97
-"""Least z of the normal of what is taken for ground."""
+
+@dataclass(frozen=True)
+class WetGroundLimits:
+    """Plane and blur of mirror images on wet ground."""
+
+    plane_depth_m: float = 45.0
+    """Depth up to which the plane is fitted to the ground, metres."""
+    level_normal_z: float = 0.97
+    """Least z of a normal of the ground."""
+    blur_px: int = 64
+    """Blur of a mirror image up and down by water in an image 1920 pixels wide (see blur.glsl), pixels."""
+    mirrored_within_m: float = 90.0
+    """Vehicles farther from the camera than this are not mirrored, metres."""
+
+
+WET_GROUND: Final = WetGroundLimits()
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +62,7 @@ def plane_of(camera: Camera, depth: NDArray[np.float32], slope: NDArray[np.float
     z, dz = depth[::step, ::step].astype(np.float64), slope[::step, ::step].astype(np.float64)
     rows, columns = np.mgrid[: depth.shape[0] : step, : depth.shape[1] : step]
     rays, _ = camera.rays(np.stack([columns, rows], axis=-1) + 0.5)
-    near = z < _NEAR_ROAD
+    near = z < WET_GROUND.plane_depth_m
     rays, z, dz = rays[near], z[near], dz[near]
     focal = camera.K[[0, 1], [0, 1]]
     right = rays * dz[:, :1] + z[:, None] * np.array([1 / focal[0], 0, 0])
@@ -58,7 +70,7 @@ def plane_of(camera: Camera, depth: NDArray[np.float32], slope: NDArray[np.float
     R = camera.T_camera_world[:3, :3]
     normals = np.cross(down, right) @ R
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
-    points = (rays * z[:, None] @ R)[np.abs(normals[:, 2]) > _LEVEL_NORMAL_Z]
+    points = (rays * z[:, None] @ R)[np.abs(normals[:, 2]) > WET_GROUND.level_normal_z]
     if len(points) < 30:
         return Plane(np.array([0.0, 0.0, 1.0]), float(camera.position[2]))
     design = np.column_stack([points[:, :2], np.ones(len(points))])
@@ -74,12 +86,6 @@ def plane_of(camera: Camera, depth: NDArray[np.float32], slope: NDArray[np.float
 
 def uniforms_of(plane: Plane) -> dict[str, Any]:
     return {"u_plane": plane.uniform}
-
-
-BLUR: Final = 64
-"""Blur of a mirror image up and down by water in an image 1920 pixels wide (see blur.glsl), pixels."""
-MIRRORED_WITHIN_M: Final = 90.0
-"""Vehicles farther from the camera than this are not mirrored, metres."""
 
 
 class Reflections:
@@ -109,9 +115,9 @@ class Reflections:
         """
         device, camera = self._device, self._camera
         size = (camera.width, camera.height)
-        near = [one for one in placed if one.distance < MIRRORED_WITHIN_M]
+        near = [one for one in placed if one.distance < WET_GROUND.mirrored_within_m]
         hulls = [mirror_hull_of(one.vehicle, one.T_world_parts, camera, self._road.mirror) for one in near]
-        reach = -(-round(BLUR * size[0] / 1920) // TILE)
+        reach = -(-round(WET_GROUND.blur_px * size[0] / 1920) // WINDOW_LIMITS.tile_px)
         around = cv2.dilate(tiles(hulls, size).astype(np.uint8), np.ones((2 * reach + 1, 3), np.uint8)) > 0
         # The blur looks beyond these tiles too.
         self._target.clear(0, 0, 0, 0)
