@@ -11,7 +11,7 @@ import argparse
 from pathlib import Path
 
 from skope.errors import UserError, one_of
-from skope.gen.towns.netconvert import COMMON, netconvert
+from skope.gen.towns.netconvert import COMMON_OPTIONS, netconvert
 from skope.gen.towns.town import source_digest, town_folder, towns
 
 SOURCES = {"nod": "node-files", "edg": "edge-files", "con": "connection-files", "typ": "type-files"}
@@ -21,7 +21,7 @@ def compile_town(town: str, out: Path) -> None:
     """Write a town's network. Raises UserError."""
     source = town_folder(town) / "source"
     found = {option: source / f"town.{kind}.xml" for kind, option in SOURCES.items()}
-    options = {**{option: str(path) for option, path in found.items() if path.is_file()}, **COMMON}
+    options = {**{option: str(path) for option, path in found.items() if path.is_file()}, **COMMON_OPTIONS}
     header = f"compiled by scripts/compile_towns.py from sources {source_digest(town)}"
     out.write_text(netconvert(options, header), encoding="utf-8")
 

@@ -20,7 +20,7 @@ from skope.camera.model import Camera
 from skope.files.atomic import replacing
 from skope.gen.inspect.vehicle_models import parked_recording
 from skope.gen.labels.annotate import Rules, annotate
-from skope.gen.labels.visibility import POINT_TOLERANCE, VEHICLE_TOLERANCE, behind
+from skope.gen.labels.visibility import VISIBILITY, behind
 from skope.gen.labels.world_keypoints import WorldKeypoints, world_keypoints
 from skope.gen.pipeline.config import from_preset
 from skope.gen.render.choose_renderer import choose_renderer, make_renderer
@@ -156,8 +156,8 @@ def occlusion(scene: Scene) -> Figure:
     tell(left, scene, int(np.nanargmin(np.where(kinds == "visible", np.abs(gap), np.nan))), points, (-80, 95))
     tell(left, scene, int(np.nanargmax(np.where(kinds == "hidden by something else", gap, np.nan))), points, (0, -95))
     for tolerance, words in (
-        (POINT_TOLERANCE, "a point is hidden"),
-        (VEHICLE_TOLERANCE, "counts for the whole vehicle"),
+        (VISIBILITY.point_m, "a point is hidden"),
+        (VISIBILITY.vehicle_m, "counts for the whole vehicle"),
     ):
         right.axhline(tolerance, color="black", lw=0.8, ls="--")
         right.text(32.4, tolerance * 1.08, f"> {tolerance:g} m: {words}", ha="right", va="bottom", fontsize=9)

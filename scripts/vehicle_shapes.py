@@ -19,7 +19,7 @@ import numpy as np
 from skope import keypoints
 from skope.files.atomic import write_text
 from skope.gen.labels.boxes_and_masks import box_around
-from skope.gen.traffic.demand import HEAVY_FROM_KG
+from skope.gen.traffic.demand import DEMAND_LIMITS
 from skope.gen.vehicles.fleet import build_vehicle, fleet, jittered
 from skope.gen.vehicles.model import ON_TRAILER, Vehicle
 
@@ -73,7 +73,7 @@ def main() -> None:
             samples += [row(vehicle, bend) for bend in np.unique([bends, -bends])]
         kinds.setdefault(kind, []).append(np.stack(samples))
         weights.setdefault(kind, []).append(entry.share)
-        heavy[kind] = entry.vehicle.mass > HEAVY_FROM_KG
+        heavy[kind] = entry.vehicle.mass > DEMAND_LIMITS.heavy_from_kg
         # Further models of a type share its traffic with the others.
         if not entry.further or kind not in usual:
             shares[kind] = shares.get(kind, 0.0) + entry.share

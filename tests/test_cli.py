@@ -22,9 +22,9 @@ import skope as package
 from skope import cli, schema
 from skope.detector.backbones import BACKBONES
 from skope.detector.network_settings import BACKENDS, PRECISIONS, TILES
-from skope.gen.formats.convert import READERS, WRITERS
+from skope.gen.formats.convert import READER_NAMES, WRITER_NAMES
 from skope.gen.labels.annotate import OCCLUSION_RULES
-from skope.gen.labels.world_keypoints import LOCALIZERS
+from skope.gen.labels.world_keypoints import LOCALIZER_CHOICES
 from skope.gen.output.frames import SUFFIX_OF_FORMAT
 from skope.gen.output.writers import DATASET_FORMATS
 from skope.gen.pipeline.config import presets
@@ -152,13 +152,13 @@ def test_brackets_are_shown(skope: Any, monkeypatch: pytest.MonkeyPatch) -> None
 CHOSEN = {
     "--preset": tuple(presets()),
     "--renderer": RENDERER_CHOICES,
-    "--localizer": LOCALIZERS,
+    "--localizer": LOCALIZER_CHOICES,
     "--occlusion-rule": OCCLUSION_RULES,
     "--image-format": tuple(SUFFIX_OF_FORMAT),
     "skope gen --format": DATASET_FORMATS,
     "skope gen simulate --format": DATASET_FORMATS,
-    "skope gen convert --to": WRITERS,
-    "skope gen convert --from": READERS,
+    "skope gen convert --to": WRITER_NAMES,
+    "skope gen convert --from": READER_NAMES,
     "skope train export --to": tuple(EXPORT_SUFFIXES),
     "--weather": schema.WEATHERS,
     "--time-of-day": TIMES_OF_DAY,
@@ -245,7 +245,7 @@ def test_a_flag_is_written_alike_everywhere() -> None:
             kinds[parameter.opts[0]].add(kind)
     assert {flag: kind for flag, kind in kinds.items() if len(kind) > 1} == {
         "--out": {"DIR", "FILE"},  # what is written
-        "--to": {f"[{'|'.join(WRITERS)}]", f"[{'|'.join(EXPORT_SUFFIXES)}]"},
+        "--to": {f"[{'|'.join(WRITER_NAMES)}]", f"[{'|'.join(EXPORT_SUFFIXES)}]"},
         "--noise": {"A,B,..", float},
         "--keypoints": {"A,B,..", "flag"},  # names of points to write, and a layer to draw
         "--split": {"A,B,..", "NAME"},

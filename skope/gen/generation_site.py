@@ -19,7 +19,7 @@ from skope.files.atomic import read_bytes, read_text
 from skope.gen.render.lens import pinhole_of
 from skope.gen.scene.conditions import CONDITION_LIMITS, check_settings, ranges, sun_direction, time_of_day
 from skope.gen.towns.netconvert import from_map
-from skope.gen.towns.road_graph import OWN_ROADS_WITHIN_M, RoadGraph
+from skope.gen.towns.road_graph import ROAD_LIMITS, RoadGraph
 from skope.gen.towns.sites import Site, site_of, sites
 from skope.gen.towns.town import Occluder, OwnRoad, PixelOutline, Town
 from skope.gen.towns.town_style import style
@@ -31,12 +31,16 @@ from skope.site.site_camera import read_site_camera
 from skope.site.site_file import read_parts
 from skope.types import Range
 
-_NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_]{0,39}")
-_SEEN: Final = 150.0
+NAME_PATTERN: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_]{0,39}")
+SEEN_WITHIN_M: Final = 150.0
 """Largest distance of a lane in the image for a camera to count as looking at a road, metres."""
 _HIGHEST_ROAD_M: Final = 5.0
 """Largest height of the road above or below 0, metres: heights are to be counted from about the road."""
-_PHOTOGRAPH: Final[Mapping[str, Range]] = {"exposure_ev": (0.0, 0.0), "vignetting": (0.0, 0.0), "noise": (0.5, 1.5)}
+PHOTOGRAPH_CONDITIONS: Final[Mapping[str, Range]] = {
+    "exposure_ev": (0.0, 0.0),
+    "vignetting": (0.0, 0.0),
+    "noise": (0.5, 1.5),
+}
 """Ranges of conditions before a photograph, which shows its own exposure, vignetting and noise already."""
 
 
@@ -89,7 +93,7 @@ def read_generation_site(path: Path) -> OwnSite:
     """
     table = Table.read(path)
     name = table.text("name", path.stem)
-    if not _NAME.fullmatch(name):
+    if not NAME_PATTERN.fullmatch(name):
         raise table.wrong("name", f"expected up to 40 letters, digits and _, got {name!r}")
     background = table.file("background")
     picture = _picture_size(table, background)
@@ -117,7 +121,7 @@ def read_generation_site(path: Path) -> OwnSite:
         road = replace(road, occluders=occluders, shades=shades)
     light = table.table("light")
     weather, hour, sun = _light(light)
-    conditions = {**(_PHOTOGRAPH if background else {}), **sun, **_conditions(table.table("conditions"))}
+    conditions = {**(PHOTOGRAPH_CONDITIONS if background else {}), **sun, **_conditions(table.table("conditions"))}
     vehicles, text = _traffic(table, road, graph)
     splits = _splits(table)
     parts = read_parts(table)
@@ -260,7 +264,7 @@ def _traffic(table: Table, road: OwnRoad, graph: RoadGraph) -> tuple[float, str]
     """Vehicles per hour, and the text of a route file in place of them; 0 or "" for the one that is not given."""
     path = table.file("flows")
     if path is None:
-        seen = graph.seen_by(road.camera, _SEEN)
+        seen = graph.seen_by(road.camera, SEEN_WITHIN_M)
         if all(seen.isdisjoint(edges) for edges, _ in ways(Town.of(road).network)):
             raise table.wrong("network", "no way from rim to rim passes the camera; give flows")
         return table.number("vehicles_per_hour", low=1, high=1e5), ""
@@ -278,7 +282,11 @@ def _splits(table: Table) -> tuple[str, ...]:
     if "splits" not in table:
         return ()
     names = table.value("splits")
-    if not isinstance(names, list) or not names or not all(isinstance(n, str) and _NAME.fullmatch(n) for n in names):
+    if (
+        not isinstance(names, list)
+        or not names
+        or not all(isinstance(n, str) and NAME_PATTERN.fullmatch(n) for n in names)
+    ):
         raise table.wrong("splits", 'expected a list of names like ["train", "train", "test"]')
     return tuple(names)
 
@@ -306,7 +314,7 @@ def _checked_graph(table: Table, road: OwnRoad) -> RoadGraph:
         x, y, _ = camera.position
         raise table.wrong(
             "network",
-            f"no lane for cars lies within {OWN_ROADS_WITHIN_M:g} m of the camera at x {x:.0f}, y {y:.0f}"
+            f"no lane for cars lies within {ROAD_LIMITS.own_roads_within_m:g} m of the camera at x {x:.0f}, y {y:.0f}"
             f"{_span(graph)}",
         )
     level = graph.road_level(camera.position[:2])
@@ -318,8 +326,8 @@ def _checked_graph(table: Table, road: OwnRoad) -> RoadGraph:
         )
     if camera.position[2] < level + 0.5:
         raise table.wrong("camera", f"hangs at {camera.position[2]:.2f} m, but the road lies at {level:.2f} m")
-    if not graph.seen_by(camera, _SEEN):
-        raise table.wrong("camera", f"no lane of the network nearer than {_SEEN:g} m is in its image")
+    if not graph.seen_by(camera, SEEN_WITHIN_M):
+        raise table.wrong("camera", f"no lane of the network nearer than {SEEN_WITHIN_M:g} m is in its image")
     return graph
 
 

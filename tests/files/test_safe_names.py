@@ -26,7 +26,7 @@ from skope.dataset import coco, shards
 from skope.dataset.folder import open_dataset
 from skope.errors import UserError
 from skope.files import safe_names
-from skope.gen.formats.convert import WRITERS
+from skope.gen.formats.convert import WRITER_NAMES
 from skope.gen.output.writers import checksum, unpack_shards
 from skope.gen.pipeline.dataset_store import Store
 from skope.gen.scene import recording as recordings
@@ -512,7 +512,7 @@ COMMANDS: dict[str, tuple[str, ...]] = {
     "against": ("gen", "check", "IN", "--against", "IN"),
     "import": ("gen", "convert", "IN", "OUT", "--from", "coco"),
     "import to mot": ("gen", "convert", "IN", "OUT", "--from", "coco", "--to", "mot"),
-    **{form: ("gen", "convert", "IN", "OUT", "--to", form) for form in WRITERS if form != "folder"},
+    **{form: ("gen", "convert", "IN", "OUT", "--to", form) for form in WRITER_NAMES if form != "folder"},
     "eval": ("eval", "--data", "IN", "--split", "val", *_SCORED),
     "files": (
         "eval",

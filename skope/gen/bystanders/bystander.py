@@ -14,25 +14,38 @@ import numpy as np
 from skope.gen.bystanders.luggage import LUGGAGE_KINDS
 from skope.gen.bystanders.people import Look, pedestrian, strides
 from skope.gen.bystanders.riders import cyclist, motorcyclist, pedalled, rolled
-from skope.gen.bystanders.riding import MACHINES, bicycle, motorcycle, pedalling, riding
+from skope.gen.bystanders.riding import MACHINE_NAMES, bicycle, motorcycle, pedalling, riding
 from skope.gen.bystanders.walking import walked, walker
 from skope.gen.mesh import Mesh
 from skope.gen.vehicles.model import simplified_parts
 from skope.types import Array
 
-_RIDDEN: Final = 5.0
-"""Speed at which riders have their feet off the road, m/s."""
-_FIGURES: Final[dict[str, tuple[Callable[[Look], tuple[Mesh, ...]], Callable[[Look, float], Array]]]] = {
+
+@dataclass(frozen=True)
+class BystanderShares:
+    """Shares of people with umbrellas and helmets."""
+
+    riding_mps: float = 5.0
+    """Speed at which riders have their feet off the road, m/s."""
+    umbrellas: float = 0.45
+    """Share of people on foot with an umbrella in rain."""
+    helmets: float = 0.55
+    """Share of cyclists with a helmet."""
+
+
+BYSTANDER_SHARES: Final = BystanderShares()
+
+FIGURE_MAKERS: Final[dict[str, tuple[Callable[[Look], tuple[Mesh, ...]], Callable[[Look, float], Array]]]] = {
     "pedestrian": (pedestrian, strides),
     "cyclist": (cyclist, pedalled),
     "motorcyclist": (motorcyclist, rolled),
 }
-_JOINTED: Final[dict[str, tuple[Callable[[Look], tuple[Mesh, ...]], Callable[[Look, float, float], Array]]]] = {
+JOINTED_MAKERS: Final[dict[str, tuple[Callable[[Look], tuple[Mesh, ...]], Callable[[Look, float, float], Array]]]] = {
     "pedestrian": (walker, walked),
     "cyclist": (bicycle, pedalling),
     "motorcyclist": (motorcycle, riding),
 }
-BYSTANDER_KINDS: Final = tuple(_FIGURES)
+BYSTANDER_KINDS: Final = tuple(FIGURE_MAKERS)
 CATEGORY_OF: Final = {"pedestrian": "pedestrian", "cyclist": "bicycle", "motorcyclist": "motorcycle"}
 """The category (of `skope.schema.CATEGORIES`) of each kind."""
 
@@ -69,16 +82,16 @@ class Bystander:
         """Whether its knees bend, which labelled bodies' do."""
         return self.look.jointed > 0.5
 
-    def pose(self, travelled: float, speed: float = _RIDDEN) -> Array:
+    def pose(self, travelled: float, speed: float = BYSTANDER_SHARES.riding_mps) -> Array:
         """(P, 4, 4) poses of the moving parts in the body's frame, after `travelled` metres, at a speed in m/s."""
         if self.jointed:
-            return _JOINTED[self.kind][1](self.look, travelled, speed)
-        return _FIGURES[self.kind][1](self.look, travelled)
+            return JOINTED_MAKERS[self.kind][1](self.look, travelled, speed)
+        return FIGURE_MAKERS[self.kind][1](self.look, travelled)
 
     @property
     def _at_rest(self) -> Array:
         """(P, 4, 4) poses of the moving parts of somebody who stands, or sits on what is ridden."""
-        return self.pose(0.0, 0.0 if self.kind == "pedestrian" else _RIDDEN)
+        return self.pose(0.0, 0.0 if self.kind == "pedestrian" else BYSTANDER_SHARES.riding_mps)
 
     @cached_property
     def box(self) -> Array:
@@ -105,7 +118,7 @@ class Bystander:
 @lru_cache(maxsize=256)
 def _build(kind: str, shape: tuple[tuple[str, float], ...]) -> Bystander:
     look = Look(**dict(shape))
-    figures = _JOINTED if look.jointed > 0.5 else _FIGURES
+    figures = JOINTED_MAKERS if look.jointed > 0.5 else FIGURE_MAKERS
     return Bystander(kind, look, tuple(figures[kind][0](look)))
 
 
@@ -120,11 +133,7 @@ _LOAD_SHARES: Final[Mapping[str, Mapping[str, float]]] = {
     "cyclist": {"backpack": 0.20, "panniers": 0.10, "basket": 0.08, "delivery box": 0.10, "trailer": 0.04},
     "motorcyclist": {"backpack": 0.12, "panniers": 0.10, "delivery box": 0.14, "top case": 0.16},
 }
-_UMBRELLAS: Final = 0.45
-"""Share of people on foot with an umbrella in rain."""
-_HELMETS: Final = 0.55
-"""Share of cyclists with a helmet."""
-_PASSENGERS: Final = {"cyclist": 0.06, "motorcyclist": 0.18}
+PASSENGER_SHARES: Final = {"cyclist": 0.06, "motorcyclist": 0.18}
 _LEAST_RIDER_M: Final = {"cyclist": 1.25, "motorcyclist": 1.55}
 """Height of the smallest rider, metres."""
 
@@ -134,13 +143,13 @@ def draw_look(kind: str, rng: np.random.Generator, *, raining: bool = False) -> 
     look = replace(Look.drawn(rng), bag=0.0, palette=float(rng.integers(2**40)), jointed=1.0)
     shares = dict(_LOAD_SHARES[kind])
     if kind == "pedestrian" and raining:
-        shares["umbrella"] = _UMBRELLAS
+        shares["umbrella"] = BYSTANDER_SHARES.umbrellas
     names, p = list(shares), np.array(list(shares.values()))
     k = int(np.searchsorted(np.cumsum(p), rng.random()))
     load = LUGGAGE_KINDS.index(names[k]) if k < len(names) else 0
-    helmet, second = rng.random() < _HELMETS, rng.random() < _PASSENGERS.get(kind, 0.0)
-    machine = int(rng.choice(len(_MACHINE_SHARES[kind]), p=_MACHINE_SHARES[kind])) if kind in MACHINES else 0
-    if kind == "cyclist" and MACHINES[kind][machine] == "racing bicycle":
+    helmet, second = rng.random() < BYSTANDER_SHARES.helmets, rng.random() < PASSENGER_SHARES.get(kind, 0.0)
+    machine = int(rng.choice(len(_MACHINE_SHARES[kind]), p=_MACHINE_SHARES[kind])) if kind in MACHINE_NAMES else 0
+    if kind == "cyclist" and MACHINE_NAMES[kind][machine] == "racing bicycle":
         # Nobody hangs a child's seat or bags on a racing bicycle.
         second, load = False, load if LUGGAGE_KINDS[load] == "backpack" else 0
     if kind == "motorcyclist" and second and LUGGAGE_KINDS[load] == "delivery box":

@@ -13,8 +13,8 @@ LUGGAGE_KINDS: Final = (
     "trailer", "top case",
 )  # fmt: skip
 """Loads by number (see `Look.load`)."""
-_CLOTHS: Final = ("#222233", "#335544", "#772222", "#334466", "#555555", "#aa7733", "#ddaa33")
-_BOXES: Final = ("#22aa88", "#dd7711", "#cc2255", "#2255aa", "#222222")
+CLOTH_COLORS: Final = ("#222233", "#335544", "#772222", "#334466", "#555555", "#aa7733", "#ddaa33")
+BOX_COLORS: Final = ("#22aa88", "#dd7711", "#cc2255", "#2255aa", "#222222")
 
 
 def load_of(look: Look) -> str:
@@ -24,7 +24,7 @@ def load_of(look: Look) -> str:
 
 def cloth(look: Look) -> str:
     """The colour of a bag, an umbrella or a hood."""
-    return _CLOTHS[look.digit(0, len(_CLOTHS))]
+    return CLOTH_COLORS[look.digit(0, len(CLOTH_COLORS))]
 
 
 def backpack(look: Look, shoulder: Array) -> list[Mesh]:
@@ -97,7 +97,7 @@ def panniers(look: Look, seat: Array, apart: float) -> list[Mesh]:
 
 def delivery_box(look: Look, low: Array, side: float) -> list[Mesh]:
     """A courier's cube whose bottom's front edge has its middle at a point (3,)."""
-    color = _BOXES[look.digit(1, len(_BOXES))]
+    color = BOX_COLORS[look.digit(1, len(BOX_COLORS))]
     half = side / 2
     return [
         box(low + [-side, -half, 0.0], low + [0.0, half, 0.92 * side], color),
@@ -107,7 +107,7 @@ def delivery_box(look: Look, low: Array, side: float) -> list[Mesh]:
 
 def trailer(look: Look) -> list[Mesh]:
     """A trailer for children behind a bicycle's rear axle at the origin, its wheels on the ground."""
-    color = _CLOTHS[2 + look.digit(1, 5)]
+    color = CLOTH_COLORS[2 + look.digit(1, 5)]
     x, r = -0.75, 0.24
     parts = [
         trunk([((x, 0, 0.20), 0.42, 0.32), ((x, 0, 0.50), 0.44, 0.33), ((x - 0.06, 0, 0.86), 0.30, 0.27)], color, 12),

@@ -65,19 +65,21 @@ def lens(center: ArrayLike, radius: float, material: str) -> Mesh:
     return flat([np.stack([0 * angle + x, y + radius * np.cos(angle), z + radius * np.sin(angle)], axis=-1)], material)
 
 
-NOTHING = Mesh(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64), ("trim",), np.zeros(0, np.int64))
+EMPTY_MESH = Mesh(
+    np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64), ("trim",), np.zeros(0, np.int64)
+)
 """A part that a body does without."""
 
 
-SKIN: Final = ("#ffccaa", "#ddaa88", "#bb8866", "#886644", "#553322")
-HAIR: Final = ("#221111", "#332211", "#554422", "#887755", "#999999")
-TOPS: Final = ("#222233", "#334466", "#777788", "#dddddd", "#882222", "#335544", "#aa8855", "#ddaa33", "#113355")
-BOTTOMS: Final = ("#222233", "#333344", "#445577", "#776655", "#111111")
-SHOES: Final = ("#222222", "#dddddd", "#664433")
+SKIN_COLORS: Final = ("#ffccaa", "#ddaa88", "#bb8866", "#886644", "#553322")
+HAIR_COLORS: Final = ("#221111", "#332211", "#554422", "#887755", "#999999")
+TOP_COLORS: Final = ("#222233", "#334466", "#777788", "#dddddd", "#882222", "#335544", "#aa8855", "#ddaa33", "#113355")
+BOTTOM_COLORS: Final = ("#222233", "#333344", "#445577", "#776655", "#111111")
+SHOE_COLORS: Final = ("#222222", "#dddddd", "#664433")
 
 HIP, SHOULDER_HEIGHT = 0.53, 0.785
 """Heights of the joints, as shares of the body's height."""
-STRIDE: Final = 0.83
+STRIDE_SHARE: Final = 0.83
 """Length of two steps at a usual pace, as a share of the body's height."""
 
 
@@ -122,7 +124,7 @@ class Look:
     def colors(self) -> tuple[str, str, str, str, str]:
         """Skin, hair, top, bottom, shoes."""
         number, out = int(self.palette), []
-        for choices in (SKIN, HAIR, TOPS, BOTTOMS, SHOES):
+        for choices in (SKIN_COLORS, HAIR_COLORS, TOP_COLORS, BOTTOM_COLORS, SHOE_COLORS):
             number, which = divmod(number, len(choices))
             out.append(choices[which])
         return tuple(out)  # type: ignore[return-value]
@@ -200,7 +202,7 @@ def turn_about(angle: float, at: tuple[float, float, float]) -> Array:
 def strides(look: Look, travelled: float) -> Array:
     """Poses of a walker's limbs; opposite arm and leg swing together."""
     h, g = look.height, look.girth
-    swing = float(np.sin(2 * np.pi * travelled / (STRIDE * h)))
+    swing = float(np.sin(2 * np.pi * travelled / (STRIDE_SHARE * h)))
     shoulder, hip = 0.102 * h * g, 0.05 * h * g
     return np.stack(
         [
@@ -214,5 +216,5 @@ def strides(look: Look, travelled: float) -> Array:
 
 def lowered(look: Look, travelled: float) -> float:
     """Way that a walker's body comes down where both legs are apart, metres."""
-    swing = 0.38 * np.sin(2 * np.pi * travelled / (STRIDE * look.height))
+    swing = 0.38 * np.sin(2 * np.pi * travelled / (STRIDE_SHARE * look.height))
     return float(HIP * look.height * (1 - np.cos(swing)))

@@ -1,21 +1,43 @@
 """Bodies of cyclists and motorcyclists, with what they ride."""
 
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from skope.gen.bystanders.people import NOTHING, Look, ball, head, limb, trunk, turn_about
+from skope.gen.bystanders.people import EMPTY_MESH, Look, ball, head, limb, trunk, turn_about
 from skope.gen.mesh import Mesh, box, grid, lathe, merged, tube
 from skope.types import Array
 
-_BIKE_WHEEL: Final = 0.34
-_BIKE_AXLES: Final = (0.53, -0.52)
-_CRANK: Final = (-0.08, 0.0, 0.29)
-_GEAR: Final = 2.4
-"""Turns of the wheel for one of the pedals."""
-MOTOR_WHEEL: Final = 0.31
-MOTOR_AXLES: Final = (0.70, -0.68)
+
+@dataclass(frozen=True)
+class MachineSizes:
+    """Sizes of bicycles and motorcycles."""
+
+    bike_wheel_m: float = 0.34
+    """Radius of a bicycle's wheel, metres."""
+    bike_axles_m: tuple[float, float] = (0.53, -0.52)
+    """x of the front and rear axle of a bicycle, metres."""
+    crank_m: tuple[float, float, float] = (-0.08, 0.0, 0.29)
+    """Position of the crank, metres."""
+    gear: float = 2.4
+    """Turns of the wheel per turn of the pedals."""
+    motor_wheel_m: float = 0.31
+    """Radius of a motorcycle's wheel, metres."""
+    motor_axles_m: tuple[float, float] = (0.70, -0.68)
+    """x of the front and rear axle of a motorcycle, metres."""
+    torso: tuple[tuple[float, float, float], ...] = (
+        (0.0, 0.06, 0.088),
+        (0.3, 0.06, 0.084),
+        (0.65, 0.066, 0.098),
+        (0.9, 0.056, 0.104),
+        (1.05, 0.03, 0.05),
+    )
+    """Sections of a rider's torso: height, half depth and half width, metres."""
+
+
+MACHINE_SIZES: Final = MachineSizes()
 
 
 def tyre_ring(radius: float, thickness: float, material: str) -> Mesh:
@@ -43,7 +65,7 @@ def upper_body(look: Look, hip: ArrayLike, shoulder: ArrayLike, hands: ArrayLike
     h, g = look.height, look.girth
     skin, _, top, bottom, _ = look.colors()
     a, b, grip = (np.asarray(p, dtype=np.float64) for p in (hip, shoulder, hands))
-    upright = [((0.0, 0.0, t), rx * h * g, ry * h * g) for t, rx, ry in _TORSO]
+    upright = [((0.0, 0.0, t), rx * h * g, ry * h * g) for t, rx, ry in MACHINE_SIZES.torso]
     whole = trunk(upright, top)
     along = b - a
     R = np.array([[along[2], 0, along[0]], [0, np.hypot(along[0], along[2]), 0], [-along[0], 0, along[2]]])
@@ -61,9 +83,6 @@ def upper_body(look: Look, hip: ArrayLike, shoulder: ArrayLike, hands: ArrayLike
     return out
 
 
-_TORSO: Final = ((0.0, 0.06, 0.088), (0.3, 0.06, 0.084), (0.65, 0.066, 0.098), (0.9, 0.056, 0.104), (1.05, 0.03, 0.05))
-
-
 def _bent_leg(look: Look, hip: ArrayLike, knee: ArrayLike, foot: ArrayLike) -> Mesh:
     """A leg in the frame of its hip."""
     h, g = look.height, look.girth
@@ -75,16 +94,17 @@ def _bent_leg(look: Look, hip: ArrayLike, knee: ArrayLike, foot: ArrayLike) -> M
 
 def cyclist(look: Look) -> tuple[Mesh, ...]:
     """Bicycle and rider; front wheel, rear wheel, right leg, left leg."""
-    front, rear = _BIKE_AXLES
+    front, rear = MACHINE_SIZES.bike_axles_m
     frame = "#" + ("aa2222", "224488", "222222", "dddddd", "227744")[int(look.palette) % 5]
-    crank, seat, stem = np.array(_CRANK), np.array([-0.24, 0, 0.86]), np.array([0.36, 0, 0.88])
+    crank, seat, stem = np.array(MACHINE_SIZES.crank_m), np.array([-0.24, 0, 0.86]), np.array([0.36, 0, 0.88])
     low = np.array([0.40, 0, 0.66])
     tubes = [(crank, seat), (seat, stem), (crank, low), (low, stem)]
     parts = [tube([a, b], (0.018, 0.018), frame, 6) for a, b in tubes]
     parts += [
-        tube([end, np.array([rear, 0, _BIKE_WHEEL])], (0.012, 0.01), frame, 5) for end in (crank, seat * [1, 1, 0.9])
+        tube([end, np.array([rear, 0, MACHINE_SIZES.bike_wheel_m])], (0.012, 0.01), frame, 5)
+        for end in (crank, seat * [1, 1, 0.9])
     ]
-    parts += [tube([low, np.array([front, 0, _BIKE_WHEEL])], (0.016, 0.012), frame, 5)]
+    parts += [tube([low, np.array([front, 0, MACHINE_SIZES.bike_wheel_m])], (0.016, 0.012), frame, 5)]
     parts += [tube([stem, stem + [0.05, 0, 0.14]], (0.014, 0.014), "trim", 5)]
     bar = stem + [0.05, 0, 0.14]
     parts += [tube([bar + [-0.06, -0.27, 0], bar, bar + [-0.06, 0.27, 0]], (0.013,) * 3, "trim", 5)]
@@ -101,19 +121,19 @@ def cyclist(look: Look) -> tuple[Mesh, ...]:
     foot = crank + [0.02, 0.0, -0.02]
     knee = hip + np.array([0.36, 0.0, -0.20])
     leg = _bent_leg(look, hip, knee, foot)
-    wheel = spoked(_BIKE_WHEEL)
+    wheel = spoked(MACHINE_SIZES.bike_wheel_m)
     return merged(parts), wheel, wheel, leg, leg
 
 
 def pedalled(look: Look, travelled: float) -> Array:
     """Poses of a cyclist's wheels and legs."""
-    front, rear = _BIKE_AXLES
-    turn = travelled / _BIKE_WHEEL
-    swing = 0.24 * float(np.sin(turn / _GEAR))
+    front, rear = MACHINE_SIZES.bike_axles_m
+    turn = travelled / MACHINE_SIZES.bike_wheel_m
+    swing = 0.24 * float(np.sin(turn / MACHINE_SIZES.gear))
     return np.stack(
         [
-            turn_about(-turn, (front, 0.0, _BIKE_WHEEL)),
-            turn_about(-turn, (rear, 0.0, _BIKE_WHEEL)),
+            turn_about(-turn, (front, 0.0, MACHINE_SIZES.bike_wheel_m)),
+            turn_about(-turn, (rear, 0.0, MACHINE_SIZES.bike_wheel_m)),
             turn_about(swing, (-0.20, -0.09, 0.98)),
             turn_about(-swing, (-0.20, 0.09, 0.98)),
         ]
@@ -127,7 +147,7 @@ def motor_paint(look: Look) -> str:
 
 def roadster(paint: str) -> list[Mesh]:
     """A motorcycle without fairing, without its wheels."""
-    front, rear = MOTOR_AXLES
+    front, rear = MACHINE_SIZES.motor_axles_m
     parts = [
         trunk([((0.05, 0, 0.30), 0.22, 0.13), ((0.05, 0, 0.45), 0.30, 0.16), ((0.02, 0, 0.62), 0.25, 0.13)], "trim"),
         trunk([((0.16, 0, 0.66), 0.26, 0.10), ((0.16, 0, 0.78), 0.28, 0.15), ((0.14, 0, 0.88), 0.20, 0.11)], paint),
@@ -141,8 +161,17 @@ def roadster(paint: str) -> list[Mesh]:
         tube([(-0.05, -0.17, 0.30), (-0.45, -0.19, 0.32), (-0.80, -0.20, 0.42)], (0.035, 0.045, 0.05), "chrome", 7),
     ]
     for side in (-1, 1):
-        parts.append(tube([(0.50, side * 0.09, 0.96), (front, side * 0.09, MOTOR_WHEEL)], (0.028, 0.025), "chrome", 6))
-        parts.append(tube([(-0.05, side * 0.1, 0.42), (rear, side * 0.1, MOTOR_WHEEL)], (0.03, 0.025), "trim", 5))
+        parts.append(
+            tube(
+                [(0.50, side * 0.09, 0.96), (front, side * 0.09, MACHINE_SIZES.motor_wheel_m)],
+                (0.028, 0.025),
+                "chrome",
+                6,
+            )
+        )
+        parts.append(
+            tube([(-0.05, side * 0.1, 0.42), (rear, side * 0.1, MACHINE_SIZES.motor_wheel_m)], (0.03, 0.025), "trim", 5)
+        )
         parts.append(tube([(0.46, side * 0.36, 1.02), (0.44, side * 0.40, 1.14)], (0.008,) * 2, "trim", 4))
         parts.append(box((0.42, side * 0.40 - 0.06, 1.12), (0.45, side * 0.40 + 0.06, 1.20), "glass_mirror"))
     return parts
@@ -173,13 +202,13 @@ def motorcyclist(look: Look) -> tuple[Mesh, ...]:
         joint = hip + [0.0, side * 0.1, 0.0]
         leg = _bent_leg(look, joint, joint + [0.42, side * 0.06, -0.12], joint + [0.16, side * 0.07, -0.52])
         parts.append(leg.moved(joint))
-    wheel = motor_wheel(MOTOR_WHEEL)
-    return merged(parts), wheel, wheel, NOTHING, NOTHING
+    wheel = motor_wheel(MACHINE_SIZES.motor_wheel_m)
+    return merged(parts), wheel, wheel, EMPTY_MESH, EMPTY_MESH
 
 
 def rolled(look: Look, travelled: float) -> Array:
     """Poses of a motorcycle's wheels."""
-    front, rear = MOTOR_AXLES
-    turn = travelled / MOTOR_WHEEL
-    at = [turn_about(-turn, (x, 0.0, MOTOR_WHEEL)) for x in (front, rear)]
+    front, rear = MACHINE_SIZES.motor_axles_m
+    turn = travelled / MACHINE_SIZES.motor_wheel_m
+    at = [turn_about(-turn, (x, 0.0, MACHINE_SIZES.motor_wheel_m)) for x in (front, rear)]
     return np.stack([*at, np.eye(4), np.eye(4)])

@@ -1,6 +1,6 @@
 """Bodies of people on bicycles, motorcycles and scooters: feet on pedals, pegs or, where they stand, the road."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -9,8 +9,7 @@ from skope.gen.bystanders import luggage
 from skope.gen.bystanders.luggage import load_of
 from skope.gen.bystanders.people import Look, ball, lens, limb, trunk, turn_about
 from skope.gen.bystanders.riders import (
-    MOTOR_AXLES,
-    MOTOR_WHEEL,
+    MACHINE_SIZES,
     full_helmet,
     motor_paint,
     motor_wheel,
@@ -18,32 +17,47 @@ from skope.gen.bystanders.riders import (
     spoked,
     upper_body,
 )
-from skope.gen.bystanders.walking import SOLE, leg_to, shin, thigh
+from skope.gen.bystanders.walking import SOLE_SHARE, leg_to, shin, thigh
 from skope.gen.mesh import Mesh, box, lathe, merged, tube
 from skope.types import Array
 
-MACHINES: Final = {"cyclist": ("city bicycle", "racing bicycle"), "motorcyclist": ("roadster", "scooter", "tourer")}
+MACHINE_NAMES: Final = {
+    "cyclist": ("city bicycle", "racing bicycle"),
+    "motorcyclist": ("roadster", "scooter", "tourer"),
+}
 """Machines that are ridden, by number (see `Look.machine`)."""
 _CITY, _RACING = range(2)
 _ROADSTER, _SCOOTER, _TOURER = range(3)
-_USUAL: Final = 1.72
-"""Height of the body that bicycles are drawn for, metres; smaller ones have smaller bicycles."""
-_WHEEL: Final = 0.34
+
+
+@dataclass(frozen=True)
+class RiderPosture:
+    """Posture of riders."""
+
+    usual_height_m: float = 1.72
+    """Height of the body that bicycles are drawn for, metres; smaller ones have smaller bicycles."""
+    wheel_m: float = 0.34
+    """Radius of a bicycle's wheel, metres."""
+    crank_m: float = 0.17
+    """Length of the crank, metres."""
+    gear: float = 2.4
+    """Turns of the wheel per turn of the pedals."""
+    standing_mps: float = 1.6
+    """Speed under which a rider's left foot comes down to the road, m/s."""
+    lean_rad: float = 0.09
+    """Lean to the left foot of somebody who stands, radians."""
+
+
+RIDER_POSTURE: Final = RiderPosture()
+
 _FRONT_WHEEL, _REAR = 0.54, -0.50
-_CRANK: Final = np.array([-0.06, 0.0, 0.28])
-_CRANK_LENGTH: Final = 0.17
-_GEAR: Final = 2.4
-"""Turns of the wheel for one of the pedals."""
-_HIP: Final = np.array([-0.20, 0.0, 0.94])
-_HELMETS: Final = ("#dddddd", "#222233", "#aa2222", "#ddaa33", "#334466")
+CRANK_PLACE: Final = np.array([-0.06, 0.0, 0.28])
+HIP_PLACE: Final = np.array([-0.20, 0.0, 0.94])
+HELMET_COLORS: Final = ("#dddddd", "#222233", "#aa2222", "#ddaa33", "#334466")
 _MOTOR_HIP: Final = {_ROADSTER: (-0.20, 0.0, 0.88), _SCOOTER: (-0.24, 0.0, 0.86), _TOURER: (-0.22, 0.0, 0.88)}
-_PEGS: Final = {_ROADSTER: (-0.06, 0.17, 0.36), _SCOOTER: (0.16, 0.12, 0.33), _TOURER: (-0.14, 0.17, 0.38)}
+PEG_PLACES: Final = {_ROADSTER: (-0.06, 0.17, 0.36), _SCOOTER: (0.16, 0.12, 0.33), _TOURER: (-0.14, 0.17, 0.38)}
 """Places of the soles, on the left, by the number of the machine."""
 _SCOOTER_WHEEL, _SCOOTER_AXLES = 0.24, (0.64, -0.62)
-_STANDS: Final = 1.6
-"""Speed under which a rider's left foot comes down to the road, m/s."""
-_LEAN: Final = 0.09
-"""Lean to the left foot of somebody who stands, radians."""
 
 
 # ------------------------------------------------------------------------------------------------------------ bicycles
@@ -51,14 +65,16 @@ _LEAN: Final = 0.09
 
 def bicycle(look: Look) -> tuple[Mesh, ...]:
     """Bicycle and rider; front wheel, rear wheel, right thigh, left thigh; right shin, left shin, pedals."""
-    usual, scale = replace(look, height=_USUAL), look.height / _USUAL
+    usual, scale = replace(look, height=RIDER_POSTURE.usual_height_m), look.height / RIDER_POSTURE.usual_height_m
     racing = int(look.machine) == _RACING
     bar = np.array([0.40, 0.0, 0.92 if racing else 1.04])
-    shoulder = _HIP + ([0.46, 0.0, 0.30] if racing else [0.26, 0.0, 0.43])
-    parts = _frame(look, bar) + upper_body(usual, _HIP, shoulder, bar + [0.04 if racing else -0.06, 0.24, 0.02], 1.0)
+    shoulder = HIP_PLACE + ([0.46, 0.0, 0.30] if racing else [0.26, 0.0, 0.43])
+    parts = _frame(look, bar) + upper_body(
+        usual, HIP_PLACE, shoulder, bar + [0.04 if racing else -0.06, 0.24, 0.02], 1.0
+    )
     neck = shoulder + [0.07, 0.0, 0.01]
     if look.helmet > 0.5:
-        color = _HELMETS[look.digit(2, len(_HELMETS))]
+        color = HELMET_COLORS[look.digit(2, len(HELMET_COLORS))]
         parts.append(ball(neck + [0.02, 0.0, 0.215], (0.125, 0.095, 0.115), color, above=-0.1))
     load = load_of(look)
     if load == "backpack":
@@ -74,20 +90,24 @@ def bicycle(look: Look) -> tuple[Mesh, ...]:
     if look.passenger > 0.5:
         parts += _child(look)
     legs = (thigh(usual), thigh(usual), shin(usual), shin(usual), _pedals())
-    return tuple(_scaled(part, scale) for part in (merged(parts), spoked(_WHEEL), spoked(_WHEEL), *legs))
+    return tuple(
+        _scaled(part, scale)
+        for part in (merged(parts), spoked(RIDER_POSTURE.wheel_m), spoked(RIDER_POSTURE.wheel_m), *legs)
+    )
 
 
 def _frame(look: Look, bar: Array) -> list[Mesh]:
     """A bicycle without wheels and pedals, its bar at a point (3,)."""
     paint = "#" + ("aa2222", "224488", "222222", "dddddd", "227744", "cc7722")[look.digit(0, 6)]
     seat, stem, low = np.array([-0.22, 0, 0.80]), np.array([0.35, 0, 0.84]), np.array([0.40, 0, 0.64])
-    front, rear = np.array([_FRONT_WHEEL, 0, _WHEEL]), np.array([_REAR, 0, _WHEEL])
+    front, rear = np.array([_FRONT_WHEEL, 0, RIDER_POSTURE.wheel_m]), np.array([_REAR, 0, RIDER_POSTURE.wheel_m])
     parts = [
-        tube([a, b], (0.018, 0.018), paint, 6) for a, b in ((_CRANK, seat), (seat, stem), (_CRANK, low), (low, stem))
+        tube([a, b], (0.018, 0.018), paint, 6)
+        for a, b in ((CRANK_PLACE, seat), (seat, stem), (CRANK_PLACE, low), (low, stem))
     ]
     for side in (-0.05, 0.05):
         aside = np.array([0, side, 0])
-        parts += [tube([end, rear + aside], (0.012, 0.010), paint, 5) for end in (_CRANK, seat * [1, 1, 0.92])]
+        parts += [tube([end, rear + aside], (0.012, 0.010), paint, 5) for end in (CRANK_PLACE, seat * [1, 1, 0.92])]
         parts.append(tube([low, low + aside - [0, 0, 0.02], front + aside], (0.016, 0.014, 0.012), paint, 5))
     grip = bar + ([0.05, 0, 0.0] if int(look.machine) == _RACING else [-0.08, 0, 0.0])
     parts += [
@@ -109,7 +129,14 @@ def _frame(look: Look, bar: Array) -> list[Mesh]:
 
 def _mudguard(x: float) -> Mesh:
     angle = np.linspace(0.35, 2.6, 7)
-    path = np.stack([x + (_WHEEL + 0.02) * np.cos(angle), 0 * angle, _WHEEL + (_WHEEL + 0.02) * np.sin(angle)], axis=-1)
+    path = np.stack(
+        [
+            x + (RIDER_POSTURE.wheel_m + 0.02) * np.cos(angle),
+            0 * angle,
+            RIDER_POSTURE.wheel_m + (RIDER_POSTURE.wheel_m + 0.02) * np.sin(angle),
+        ],
+        axis=-1,
+    )
     return tube(path, (0.022,) * len(path), "trim", 5)
 
 
@@ -117,7 +144,7 @@ def _pedals() -> Mesh:
     """Cranks, pedals and chain wheel about the axle at the origin, the right pedal at the bottom."""
     parts = [lathe([(-0.075, 0.09), (-0.065, 0.09)], ["rim"], 12, "y")]
     for side in (-1, 1):
-        end = np.array([0.0, side * 0.09, side * _CRANK_LENGTH])
+        end = np.array([0.0, side * 0.09, side * RIDER_POSTURE.crank_m])
         parts.append(tube([end * [1, 1, 0], end], (0.012,) * 2, "rim", 5))
         parts.append(box(end + [-0.045, -0.045, -0.01], end + [0.045, 0.045, 0.01], "trim"))
     return merged(parts)
@@ -132,7 +159,7 @@ def _child(look: Look) -> list[Mesh]:
         box((-0.70, -0.15, 0.82), (-0.65, 0.15, 1.28), "#444455"),
     ]
     parts = upper_body(small, hip, hip + [-0.02, 0.0, 0.27], (-0.36, 0.10, 1.00), 0.0)
-    helmet = ball(hip + [0.03, 0.0, 0.42], (0.085, 0.07, 0.075), _HELMETS[look.digit(1, 5)], above=-0.1)
+    helmet = ball(hip + [0.03, 0.0, 0.42], (0.085, 0.07, 0.075), HELMET_COLORS[look.digit(1, 5)], above=-0.1)
     *_, bottom, _ = small.colors()
     legs = [
         limb([hip + [0, y, 0], hip + [0.16, y, 0], hip + [0.16, 1.4 * y, -0.24]], (0.05, 0.045, 0.035), bottom)
@@ -143,17 +170,17 @@ def _child(look: Look) -> list[Mesh]:
 
 def pedalling(look: Look, travelled: float, speed: float) -> Array:
     """(7, 4, 4) poses of a bicycle's wheels, its rider's legs and its pedals."""
-    scale, usual = look.height / _USUAL, replace(look, height=_USUAL)
-    turn = travelled / (_WHEEL * scale)
-    angle = -turn / _GEAR
-    wheels = [turn_about(-turn, (x, 0.0, _WHEEL)) for x in (_FRONT_WHEEL, _REAR)]
+    scale, usual = look.height / RIDER_POSTURE.usual_height_m, replace(look, height=RIDER_POSTURE.usual_height_m)
+    turn = travelled / (RIDER_POSTURE.wheel_m * scale)
+    angle = -turn / RIDER_POSTURE.gear
+    wheels = [turn_about(-turn, (x, 0.0, RIDER_POSTURE.wheel_m)) for x in (_FRONT_WHEEL, _REAR)]
     ankles = []
     for side, phase in ((-1, angle), (1, angle + np.pi)):
-        pedal = _CRANK + _CRANK_LENGTH * np.array([np.sin(phase), 0.0, -np.cos(phase)])
-        ankles.append(pedal + [-0.03, side * 0.115, SOLE * _USUAL + 0.01])
-    ankles[1] = _foot_down(ankles[1], np.array([-0.02, 0.30, SOLE * _USUAL]), speed)
-    thighs, shins = _legs(usual, _HIP, 0.08, ankles)
-    T = np.stack([*wheels, *thighs, *shins, turn_about(angle, (_CRANK[0], _CRANK[1], _CRANK[2]))])
+        pedal = CRANK_PLACE + RIDER_POSTURE.crank_m * np.array([np.sin(phase), 0.0, -np.cos(phase)])
+        ankles.append(pedal + [-0.03, side * 0.115, SOLE_SHARE * RIDER_POSTURE.usual_height_m + 0.01])
+    ankles[1] = _foot_down(ankles[1], np.array([-0.02, 0.30, SOLE_SHARE * RIDER_POSTURE.usual_height_m]), speed)
+    thighs, shins = _legs(usual, HIP_PLACE, 0.08, ankles)
+    T = np.stack([*wheels, *thighs, *shins, turn_about(angle, (CRANK_PLACE[0], CRANK_PLACE[1], CRANK_PLACE[2]))])
     T[:, :3, 3] *= scale
     return T
 
@@ -164,7 +191,7 @@ def pedalling(look: Look, travelled: float, speed: float) -> Array:
 def motorcycle(look: Look) -> tuple[Mesh, ...]:
     """Motorcycle, rider and passenger; front wheel, rear wheel, right thigh, left thigh; right shin, left shin."""
     machine, paint = int(look.machine), motor_paint(look)
-    wheel = motor_wheel(_SCOOTER_WHEEL if machine == _SCOOTER else MOTOR_WHEEL)
+    wheel = motor_wheel(_SCOOTER_WHEEL if machine == _SCOOTER else MACHINE_SIZES.motor_wheel_m)
     if machine == _SCOOTER:
         parts = [
             *_scooter_body(paint),
@@ -181,7 +208,7 @@ def motorcycle(look: Look) -> tuple[Mesh, ...]:
         parts += _fairing(paint)
     h = look.height
     hip = np.array(_MOTOR_HIP[machine])
-    shoulder = hip + np.array([0.10 if machine == _SCOOTER else 0.20, 0.0, 0.47]) * h / _USUAL
+    shoulder = hip + np.array([0.10 if machine == _SCOOTER else 0.20, 0.0, 0.47]) * h / RIDER_POSTURE.usual_height_m
     hands = (0.40, 0.30, 1.02) if machine == _SCOOTER else (0.47, 0.34, 1.04)
     parts += upper_body(look, hip, shoulder, hands, 0.5)
     parts += full_helmet(shoulder + [0.05, 0.0, 0.01], h, paint)
@@ -237,7 +264,7 @@ def _pillion(look: Look, hip: Array) -> list[Mesh]:
     """A passenger behind the rider."""
     other = replace(look, height=min(look.height, 1.68), palette=float(int(look.palette) // 7))
     h = other.height
-    shoulder = hip + np.array([0.06, 0.0, 0.48]) * h / _USUAL
+    shoulder = hip + np.array([0.06, 0.0, 0.48]) * h / RIDER_POSTURE.usual_height_m
     parts = upper_body(other, hip, shoulder, hip + [0.26, 0.17, 0.16], 0.2)
     *_, bottom, shoes = other.colors()
     for side in (-1, 1):
@@ -245,7 +272,7 @@ def _pillion(look: Look, hip: Array) -> list[Mesh]:
         knee = hip + [0.36, side * 0.17, -0.10]
         parts.append(limb([joint, knee, ankle], (0.05 * h, 0.038 * h, 0.026 * h), bottom))
         parts.append(box(ankle + [-0.07, -0.045, -0.06], ankle + [0.17, 0.045, 0.01], shoes))
-    return [*parts, *full_helmet(shoulder + [0.04, 0.0, 0.01], h, _HELMETS[look.digit(1, 5)])]
+    return [*parts, *full_helmet(shoulder + [0.04, 0.0, 0.01], h, HELMET_COLORS[look.digit(1, 5)])]
 
 
 def _motor_load(look: Look, shoulder: Array) -> list[Mesh]:
@@ -265,9 +292,13 @@ def _motor_load(look: Look, shoulder: Array) -> list[Mesh]:
 def riding(look: Look, travelled: float, speed: float) -> Array:
     """(6, 4, 4) poses of a motorcycle's wheels and its rider's legs."""
     machine = int(look.machine)
-    radius, axles = (_SCOOTER_WHEEL, _SCOOTER_AXLES) if machine == _SCOOTER else (MOTOR_WHEEL, MOTOR_AXLES)
+    radius, axles = (
+        (_SCOOTER_WHEEL, _SCOOTER_AXLES)
+        if machine == _SCOOTER
+        else (MACHINE_SIZES.motor_wheel_m, MACHINE_SIZES.motor_axles_m)
+    )
     wheels = [turn_about(-travelled / radius, (x, 0.0, radius)) for x in axles]
-    sole, (x, y, z) = SOLE * look.height, _PEGS[machine]
+    sole, (x, y, z) = SOLE_SHARE * look.height, PEG_PLACES[machine]
     ankles = [np.array([x, side * y, z + sole]) for side in (-1, 1)]
     ankles[1] = _foot_down(ankles[1], np.array([-0.04, 0.36, sole]), speed)
     thighs, shins = _legs(look, np.array(_MOTOR_HIP[machine]), 0.10, ankles)
@@ -279,13 +310,13 @@ def riding(look: Look, travelled: float, speed: float) -> Array:
 
 def standing_share(speed: float) -> float:
     """Share, from 0 (rides) to 1, in which a rider stands on the left foot at a speed in m/s."""
-    share = float(np.clip(1 - speed / _STANDS, 0.0, 1.0))
+    share = float(np.clip(1 - speed / RIDER_POSTURE.standing_mps, 0.0, 1.0))
     return share * share * (3 - 2 * share)
 
 
 def standing_lean(speed: float) -> float:
     """Lean of a rider to the left at a speed (m/s), to stand there, radians."""
-    return _LEAN * standing_share(speed)
+    return RIDER_POSTURE.lean_rad * standing_share(speed)
 
 
 def _foot_down(riding_at: Array, ground: Array, speed: float) -> Array:

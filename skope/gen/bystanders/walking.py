@@ -1,6 +1,7 @@
 """Bodies of people on foot whose knees bend, with what they wear and carry: legs, how walkers step, and how a foot is
 held where it has to be."""
 
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -11,7 +12,7 @@ from skope.gen.bystanders.luggage import load_of
 from skope.gen.bystanders.people import (
     HIP,
     SHOULDER_HEIGHT,
-    STRIDE,
+    STRIDE_SHARE,
     Look,
     arm,
     ball,
@@ -24,25 +25,34 @@ from skope.gen.bystanders.people import (
 from skope.gen.mesh import Mesh, box, merged
 from skope.types import Array
 
-THIGH: Final = 0.245
-"""From hip to knee, as a share of the body's height."""
-SHIN: Final = 0.245
-"""From knee to ankle."""
-SOLE: Final = HIP - THIGH - SHIN
+
+@dataclass(frozen=True)
+class WalkerPosture:
+    """Legs of walkers."""
+
+    thigh: float = 0.245
+    """From hip to knee, as a share of the body's height."""
+    shin: float = 0.245
+    """From knee to ankle, as a share of the body's height."""
+    swing_rad: float = 0.40
+    """Largest angle of a walker's thigh from upright, radians."""
+    bend_rad: float = 0.95
+    """Largest angle of a walker's knee, in the middle of the leg's way forward, radians."""
+
+
+WALKER_POSTURE: Final = WalkerPosture()
+
+SOLE_SHARE: Final = HIP - WALKER_POSTURE.thigh - WALKER_POSTURE.shin
 """From ankle to ground."""
 _HEEL, _TOES = -0.036, 0.105
 """Ends of a shoe behind and before the ankle, as shares of the body's height."""
-_SWING: Final = 0.40
-"""Largest angle of a walker's thigh from upright, radians."""
-_BEND: Final = 0.95
-"""Largest angle of a walker's knee, in the middle of the leg's way forward, radians."""
 
 
 def thigh(look: Look) -> Mesh:
     """A thigh that hangs from the origin."""
     h, g = look.height, look.girth
     *_, bottom, _ = look.colors()
-    path = [(0, 0, 0.02 * h), (0.008 * h, 0, -0.12 * h), (0, 0, -THIGH * h)]
+    path = [(0, 0, 0.02 * h), (0.008 * h, 0, -0.12 * h), (0, 0, -WALKER_POSTURE.thigh * h)]
     knee = ball(path[-1], (0.036 * h * g,) * 3, bottom)
     return merged([limb(path, (0.052 * h * g, 0.046 * h * g, 0.035 * h * g), bottom), knee])
 
@@ -51,8 +61,8 @@ def shin(look: Look) -> Mesh:
     """A lower leg that hangs from the knee at the origin, with its shoe."""
     h, g = look.height, look.girth
     *_, bottom, shoes = look.colors()
-    path = [(0, 0, 0), (-0.008 * h, 0, -0.09 * h), (0, 0, -SHIN * h)]
-    low = -(SHIN + SOLE) * h
+    path = [(0, 0, 0), (-0.008 * h, 0, -0.09 * h), (0, 0, -WALKER_POSTURE.shin * h)]
+    low = -(WALKER_POSTURE.shin + SOLE_SHARE) * h
     return merged(
         [
             limb(path, (0.035 * h * g, 0.036 * h * g, 0.024 * h * g), bottom),
@@ -68,11 +78,11 @@ def leg_angles(look: Look, travelled: float, speed: float) -> list[tuple[float, 
     The knee bends while the leg comes forward; who stands has both legs straight.
     """
     pace = min(speed / 1.2, 1.3)
-    phase = 2 * np.pi * travelled / (STRIDE * look.height)
+    phase = 2 * np.pi * travelled / (STRIDE_SHARE * look.height)
     out = []
     for at in (phase, phase + np.pi):
-        bend = 0.05 + _BEND * max(0.0, float(np.cos(at + 0.35))) ** 2
-        out.append((pace * (_SWING * float(np.sin(at)) + 0.05), min(pace, 1.0) * bend))
+        bend = 0.05 + WALKER_POSTURE.bend_rad * max(0.0, float(np.cos(at + 0.35))) ** 2
+        out.append((pace * (WALKER_POSTURE.swing_rad * float(np.sin(at)) + 0.05), min(pace, 1.0) * bend))
     return out
 
 
@@ -83,7 +93,7 @@ def stepping(look: Look, travelled: float, speed: float) -> Array:
     for side, (angle, knee) in zip((-1, 1), leg_angles(look, travelled, speed), strict=True):
         T = turn_about(angle, (0.0, side * 0.05 * h * g, HIP * h))
         thighs.append(T)
-        shins.append(T @ turn_about(-knee, (0.0, 0.0, -THIGH * h)))
+        shins.append(T @ turn_about(-knee, (0.0, 0.0, -WALKER_POSTURE.thigh * h)))
     return np.stack([*thighs, *shins])
 
 
@@ -93,8 +103,8 @@ def sunk(look: Look, travelled: float, speed: float) -> float:
     for angle, knee in leg_angles(look, travelled, speed):
         shin_angle = angle - knee
         # A shoe that is turned stands on its heel or on its toes.
-        sole = (SHIN + SOLE) * np.cos(shin_angle) - np.sin(shin_angle) * np.array([_HEEL, _TOES])
-        down.append(THIGH * np.cos(angle) + sole.max())
+        sole = (WALKER_POSTURE.shin + SOLE_SHARE) * np.cos(shin_angle) - np.sin(shin_angle) * np.array([_HEEL, _TOES])
+        down.append(WALKER_POSTURE.thigh * np.cos(angle) + sole.max())
     return float(look.height * (HIP - max(down)))
 
 
@@ -103,7 +113,7 @@ def leg_to(look: Look, hip: ArrayLike, ankle: ArrayLike) -> tuple[Array, Array]:
 
     An ankle that is too far away is as near to its place as the leg is long.
     """
-    a, b = THIGH * look.height, SHIN * look.height
+    a, b = WALKER_POSTURE.thigh * look.height, WALKER_POSTURE.shin * look.height
     start, end = np.asarray(hip, dtype=np.float64), np.asarray(ankle, dtype=np.float64)
     away = float(np.linalg.norm(end - start))
     along = (end - start) / away
@@ -125,7 +135,7 @@ def _hanging(top: Array, low: Array) -> Array:
     return T
 
 
-_HELD: Final = {
+ARM_ANGLES: Final = {
     "umbrella": (1.0, None),
     "pushchair": (0.95, 0.95),
     "suitcase": (-0.45, None),
@@ -175,7 +185,7 @@ def _clothes(look: Look) -> list[Mesh]:
 def walked(look: Look, travelled: float, speed: float) -> Array:
     """(6, 4, 4) poses of a walker's arms and legs; an arm swings with the leg of the other side."""
     h, g = look.height, look.girth
-    held = _HELD.get(load_of(look), (None, None))
+    held = ARM_ANGLES.get(load_of(look), (None, None))
     legs = [angle for angle, _ in leg_angles(look, travelled, speed)]
     shoulder, arms = 0.102 * h * g + 0.012 * h, []
     for side, angle, leg in zip((-1, 1), held, reversed(legs), strict=True):

@@ -19,16 +19,16 @@ if TYPE_CHECKING:
     from skope.gen.pipeline.config import DatasetRequest
 
 
-_WRITTEN = ("folder", "shards", "coco", "cvat", "kitti", "mot", "skope3d", "yolo")
-_READ = ("coco", "cvat", "skope3d")
+WRITTEN_FORMATS = ("folder", "shards", "coco", "cvat", "kitti", "mot", "skope3d", "yolo")
+READ_FORMATS = ("coco", "cvat", "skope3d")
 
 
 def convert(
     paths: Annotated[list[Path], typer.Argument(metavar="PATH", help="What to read, and last the new folder.")],
     console: Console,
-    to: Annotated[str | None, option(choices=_WRITTEN, help="Format to write.", show_default="folder")] = None,
+    to: Annotated[str | None, option(choices=WRITTEN_FORMATS, help="Format to write.", show_default="folder")] = None,
     source: Annotated[
-        str | None, option("--from", choices=_READ, help="Format to read.", show_default="a dataset folder")
+        str | None, option("--from", choices=READ_FORMATS, help="Format to read.", show_default="a dataset folder")
     ] = None,
     map_file: Annotated[
         Path | None,

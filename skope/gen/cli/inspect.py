@@ -125,10 +125,10 @@ def show(
 ) -> None:
     """Draw labels on images: keypoints by default, and anything else of them."""
     from skope.dataset.folder import open_dataset
-    from skope.gen.inspect.overlays import LAYERS, one_image, sheets
+    from skope.gen.inspect.overlays import LAYER_NAMES, one_image, sheets
 
     flags = (keypoints, boxes_3d, mask, depth, occlusion)
-    layers = [name for name, wanted in zip(LAYERS, flags, strict=True) if wanted] or ["keypoints"]
+    layers = [name for name, wanted in zip(LAYER_NAMES, flags, strict=True) if wanted] or ["keypoints"]
     folder = open_dataset(dataset)
     out = out or _named(SHEETS, dataset)
     with _look(folder, "show", out, options={"layers": layers}) as drawn:

@@ -24,7 +24,7 @@ from skope.gen.formats.coco_sources import (
     open_source,
     telling,
 )
-from skope.gen.formats.coco_write import UNSAID
+from skope.gen.formats.coco_write import UNSET_VALUE
 from skope.gen.formats.dataset_builder import Remarks, finish_dataset, labelled_frame
 from skope.gen.formats.source_files import Files, InFolder
 from skope.gen.output.writers import FolderWriter
@@ -131,7 +131,7 @@ _LEAST_BOX_PX: Final = 0.005
 """A box that is less wide or high than this has no area in a file, where pixels are rounded to 0.01."""
 
 
-PLAIN: Final = ("image_id", "iscrowd", "area")
+PLAIN_FIELDS: Final = ("image_id", "iscrowd", "area")
 """Fields that mean the same in files of other programs."""
 L = TypeVar("L", bound=Labelled)
 
@@ -162,7 +162,7 @@ def vehicle_of_row(
         inside = ((points[:, :2] >= 0) & (points[:, :2] < size)).all(axis=1)
         points[~inside | (points[:, 2] <= 0)] = 0
         box = box_of_row(row.get("bbox"), points, image)
-        fields = {name: row[name] for name in PLAIN if row.get(name) is not None}
+        fields = {name: row[name] for name in PLAIN_FIELDS if row.get(name) is not None}
         told = attributes_of(row)
         if told.get("ignore_reason"):
             told["iscrowd"] = 1
@@ -234,7 +234,7 @@ def attributes_of(row: Mapping[str, Any]) -> dict[str, Any]:
     for name, choices in lists.items():
         if given.get(name) in choices:
             out[name] = given[name]
-    if given.get("model", "") not in ("", UNSAID):
+    if given.get("model", "") not in ("", UNSET_VALUE):
         out["model"] = str(given["model"])
     if re.fullmatch(r"\d{1,18}", str(given.get("track_id", ""))):
         out["track_id"] = int(given["track_id"])
@@ -258,7 +258,7 @@ def road_user_of(
         None where the box has no area inside the image.
     """
     with telling(where):
-        fields = {name: row[name] for name in PLAIN if row.get(name) is not None}
+        fields = {name: row[name] for name in PLAIN_FIELDS if row.get(name) is not None}
         told = {name: value for name, value in attributes_of(row).items() if name in ("track_id", "ignore_reason")}
         if told.get("ignore_reason"):
             told["iscrowd"] = 1

@@ -20,9 +20,9 @@ from skope.keypoints import K, Scheme
 from skope.terminal.console import Console
 
 CVAT_START: Final = "person_keypoints_"
-UNSAID: Final = "-"
+UNSET_VALUE: Final = "-"
 """Value of a CVAT attribute that is not set."""
-_ATTRIBUTES: Final = ("track_id", "model", "vehicle_type", "color", "ignore_reason")
+CVAT_ATTRIBUTES: Final = ("track_id", "model", "vehicle_type", "color", "ignore_reason")
 """Fields that CVAT holds as attributes."""
 
 
@@ -63,7 +63,7 @@ def write_cvat(dataset: Dataset, out: Path, console: Console) -> None:
 
 
 def _cvat_row(row: dict[str, Any]) -> dict[str, Any]:
-    attributes = {name: row.pop(name) for name in _ATTRIBUTES if name in row}
+    attributes = {name: row.pop(name) for name in CVAT_ATTRIBUTES if name in row}
     box = row["bbox"]
     kept = {name: row[name] for name in ("id", "image_id", "category_id", "bbox", "keypoints", "num_keypoints")}
     if row["category_id"] != schema.CATEGORY_ID:
@@ -98,10 +98,10 @@ def cvat_labels(scheme: Scheme, categories: Sequence[str] = schema.VEHICLE_ALONE
             "name": schema.category()["name"],
             "type": "skeleton",
             "attributes": [
-                attribute("model", "text", [UNSAID]),
-                attribute("vehicle_type", "select", [UNSAID, *schema.VEHICLE_TYPES]),
-                attribute("color", "select", [UNSAID, *schema.VEHICLE_COLORS]),
-                attribute("ignore_reason", "select", [UNSAID, *schema.IGNORE_REASONS]),
+                attribute("model", "text", [UNSET_VALUE]),
+                attribute("vehicle_type", "select", [UNSET_VALUE, *schema.VEHICLE_TYPES]),
+                attribute("color", "select", [UNSET_VALUE, *schema.VEHICLE_COLORS]),
+                attribute("ignore_reason", "select", [UNSET_VALUE, *schema.IGNORE_REASONS]),
             ],
             "svg": "".join([*lines, *nodes]),
             "sublabels": [{"name": name, "type": "points", "attributes": []} for name in scheme.names],
@@ -110,7 +110,7 @@ def cvat_labels(scheme: Scheme, categories: Sequence[str] = schema.VEHICLE_ALONE
             {
                 "name": name,
                 "type": "rectangle",
-                "attributes": [attribute("ignore_reason", "select", [UNSAID, *schema.IGNORE_REASONS])],
+                "attributes": [attribute("ignore_reason", "select", [UNSET_VALUE, *schema.IGNORE_REASONS])],
             }
             for name in categories
             if name != "vehicle"

@@ -80,8 +80,8 @@ _FORMAT_WRITERS: Final[Mapping[str, Callable[[Dataset, Path, Console], None]]] =
     "skope3d": skope3d.write,
 }
 _YOLO_FORMAT: Final = "yolo"
-WRITERS: Final = (*DATASET_FORMATS, *_FORMAT_WRITERS, _YOLO_FORMAT)
-READERS: Final = ("coco", "cvat", "skope3d")
+WRITER_NAMES: Final = (*DATASET_FORMATS, *_FORMAT_WRITERS, _YOLO_FORMAT)
+READER_NAMES: Final = ("coco", "cvat", "skope3d")
 
 
 def convert_dataset(
@@ -98,8 +98,8 @@ def convert_dataset(
     Args:
         sources: Files or folders of the format `read_as`; without it, one dataset folder.
         out: A folder that is empty or missing; for "cvat" it may be a .zip file. It is written whole or not at all.
-        read_as: One of `READERS`; None for a dataset folder.
-        write_as: One of `WRITERS`; None for a dataset folder.
+        read_as: One of `READER_NAMES`; None for a dataset folder.
+        write_as: One of `WRITER_NAMES`; None for a dataset folder.
         options: What some formats need.
         console: Where progress is shown.
 
@@ -108,9 +108,9 @@ def convert_dataset(
             else than what would be written.
     """
     if read_as is not None:
-        one_of("--from", read_as, READERS)
+        one_of("--from", read_as, READER_NAMES)
     if write_as is not None:
-        one_of("--to", write_as, WRITERS)
+        one_of("--to", write_as, WRITER_NAMES)
     if read_as is None and write_as is None:
         raise UserError("say --to which format, or --from which one")
     if read_as is not None and write_as == "shards":

@@ -32,17 +32,17 @@ _SAYS_NOTHING: Final = frozenset(
 """Names of folders, annotation files and beginnings of file names that name no camera, split or recording."""
 
 _BEFORE_SPLIT: Final = re.compile(r"(?:person_keypoints|instances|keypoints|annotations|labels|coco)[_-]")
-_YEAR: Final = re.compile(r"[_-]?(?:19|20)\d\d")
-_COPIED: Final = re.compile(r"_(?:jpe?g|png|bmp|webp)\.rf\.\w+\Z", re.ASCII)
+YEAR_ENDING: Final = re.compile(r"[_-]?(?:19|20)\d\d")
+ROBOFLOW_ENDING: Final = re.compile(r"_(?:jpe?g|png|bmp|webp)\.rf\.\w+\Z", re.ASCII)
 """The ending that Roboflow appends to a file's name."""
-_UPLOADED: Final = re.compile(r"\A[0-9a-f]{8}-(?=.)")
+UPLOAD_PREFIX: Final = re.compile(r"\A[0-9a-f]{8}-(?=.)")
 """The prefix that Label Studio puts before a file's name."""
-_NUMBERED: Final = re.compile(r"(.*?)[_ .-]*([0-9]{1,15})")
-_DATED: Final = re.compile(
+NUMBERED_NAME: Final = re.compile(r"(.*?)[_ .-]*([0-9]{1,15})")
+DATED_NAME: Final = re.compile(
     r"(.*?)[_ .-]*((?:19|20)\d\d[_.-]?\d\d[_.-]?\d\d[_ T.-]*\d\d[_.h-]?\d\d(?:[_.m-]?\d\d)?)", re.ASCII
 )
 """A name that ends in date and time: 20240501_173000, 2024-05-01T17-30-00."""
-_OURS: Final = re.compile(r"(.+)_([0-9]{6})")
+SKOPE_NAME: Final = re.compile(r"(.+)_([0-9]{6})")
 _RECORDING_BYTES: Final = NAME_BYTES - 8
 """Room for a number after a name that is taken."""
 
@@ -63,7 +63,7 @@ class Place:
 
 def named_split(name: str) -> str | None:
     """The split of ours that a name of other programs means, as in `Validation` or `instances_val2017`."""
-    return SPLIT_NAMES.get(_YEAR.sub("", bare_stem(name.lower())))
+    return SPLIT_NAMES.get(YEAR_ENDING.sub("", bare_stem(name.lower())))
 
 
 def bare_stem(stem: str) -> str:
@@ -148,13 +148,13 @@ def as_name(text: str) -> str:
 def _split(name: str) -> tuple[str, str, int | None, bool]:
     """Folder, beginning and number of a file's name, and whether it is of our own form."""
     path = PurePosixPath(name)
-    stem = _UPLOADED.sub("", _COPIED.sub("", path.stem))
-    match = _DATED.fullmatch(stem) or _NUMBERED.fullmatch(stem)
+    stem = UPLOAD_PREFIX.sub("", ROBOFLOW_ENDING.sub("", path.stem))
+    match = DATED_NAME.fullmatch(stem) or NUMBERED_NAME.fullmatch(stem)
     folder = path.parent.as_posix()
     if match is None:
         return folder, stem, None, False
     number = int("".join(filter(str.isdecimal, match[2])))
-    return folder, match[1], number, _OURS.fullmatch(path.stem) is not None
+    return folder, match[1], number, SKOPE_NAME.fullmatch(path.stem) is not None
 
 
 def _telling(name: str) -> bool:

@@ -29,12 +29,12 @@ from skope.schema import Annotation, Box3D, RoadUser
 from skope.terminal.console import Console
 from skope.types import Array
 
-TYPES: Final = {
+KITTI_TYPES: Final = {
     "bus": "Bus", "articulated_bus": "Bus", "truck": "Truck", "articulated_truck": "Truck", "box_truck": "Truck",
     "van": "Van", "minivan": "Van", "other": "Misc",
 }  # fmt: skip
 """Names of vehicle types in KITTI's files; every other type is a Car."""
-RIDDEN: Final = {"bicycle": "Cyclist", "motorcycle": "Motorcyclist", "pedestrian": "Pedestrian"}
+KITTI_RIDERS: Final = {"bicycle": "Cyclist", "motorcycle": "Motorcyclist", "pedestrian": "Pedestrian"}
 """Names of the other categories; `Motorcyclist`, which KITTI itself lacks, is that of Rope3D and DAIR-V2X."""
 OCCLUSION_SHARES: Final = (0.1, 0.4)
 """Shares from which a vehicle counts as partly and as largely occluded."""
@@ -105,9 +105,9 @@ def _labels(where: str, own: Sequence[Annotation | RoadUser], camera: Camera) ->
         alpha = _wrapped(turn - float(np.arctan2(bottom[0], bottom[2])))
         occluded = int(np.searchsorted(OCCLUSION_SHARES, vehicle.occlusion or 0.0, side="right"))
         if isinstance(vehicle, Annotation):
-            kind = TYPES.get(vehicle.vehicle_type or "", "Car")
+            kind = KITTI_TYPES.get(vehicle.vehicle_type or "", "Car")
         else:
-            kind = RIDDEN[vehicle.category]
+            kind = KITTI_RIDERS[vehicle.category]
         numbers = (height, width, length, *bottom, turn)
         labels.append(
             f"{kind} {vehicle.truncation or 0.0:.2f} {occluded} {alpha:.4f} {box_2d} "

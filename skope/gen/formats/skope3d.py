@@ -26,7 +26,7 @@ from skope.files.csv_files import read_csv, write_csv
 from skope.files.json_files import read_json, write_json
 from skope.files.safe_names import name as check_name
 from skope.gen.formats.dataset_builder import finish_dataset, frame_rate, labelled_frame, licence_beside
-from skope.gen.formats.skope3d_scenes import VIDEO, ArchiveScene, ArchiveVehicle, archives, scene_of
+from skope.gen.formats.skope3d_scenes import VIDEO_MEMBER, ArchiveScene, ArchiveVehicle, archives, scene_of
 from skope.gen.formats.source_files import opened, zipped
 from skope.gen.output.writers import FolderWriter
 from skope.keypoints import PUBLISHED, SKOPE33, K
@@ -36,8 +36,8 @@ from skope.types import Array
 from skope.video.footage import open_footage
 from skope.video.write import write_video
 
-LICENCE: Final = "CC BY-NC-SA 4.0 (as its users state it)"
-SCENES: Final = "scenes.csv"
+SKOPE3D_LICENCE: Final = "CC BY-NC-SA 4.0 (as its users state it)"
+SCENES_FILE: Final = "scenes.csv"
 """File beside exported archives: split, site and recording of each scene."""
 POINT_MAP_FILE: Final = "map.json"
 """File beside exported archives: names of the keypoints that their numbers stand for."""
@@ -45,7 +45,7 @@ ARCHIVE_CORNERS: Final = np.array(list(itertools.product((-0.5, 0.5), repeat=3))
 """(8, 3) corners of the unit box, in the order of exported archives: back before front, right before left, below before
 above."""
 
-_NOWHERE: Final = -1.0
+NO_PLACE: Final = -1.0
 
 
 # ---------------------------------------------------------------------------------------------------------- importing
@@ -83,10 +83,10 @@ def read(
     for path in console.bar(archives(sources), unit="scene", label="reading scenes"):
         with opened(path) as archive:
             scene = scene_of(archive)
-            told = _places(path.parent / SCENES)
+            told = _places(path.parent / SCENES_FILE)
             place = told.get(scene.name, ScenePlace("train", scene.name, "00"))
             # Scenes that skope exported are not the published data and have a licence of their own.
-            licences.add(licence_beside(path.parent) if scene.name in told else LICENCE)
+            licences.add(licence_beside(path.parent) if scene.name in told else SKOPE3D_LICENCE)
             place = replace(place, split=split) if split else place
             if (place.site, place.recording) in seen:
                 raise UserError(f"{path}: {scene.name} is in {seen[place.site, place.recording]} too")
@@ -118,7 +118,7 @@ def _places(path: Path) -> dict[str, ScenePlace]:
 def _add_scene(
     scene: ArchiveScene, place: ScenePlace, names: Mapping[int, int] | None, writer: FolderWriter, video: Path
 ) -> None:
-    scene.archive.extract(f"{scene.name}/{VIDEO}", video)
+    scene.archive.extract(f"{scene.name}/{VIDEO_MEMBER}", video)
     try:
         for frame, time_s, pixels in _pictures(scene, video):
             height, width = pixels.shape[:2]
@@ -144,7 +144,7 @@ def _add_scene(
 
 def _pictures(scene: ArchiveScene, video: Path) -> Iterator[tuple[int, float | None, NDArray[np.uint8]]]:
     """Annotated frames with their time and (H, W, 3) RGB pixels."""
-    where, last = f"{scene.archive.path}: {scene.name}/{VIDEO}", max(scene.frames)
+    where, last = f"{scene.archive.path}: {scene.name}/{VIDEO_MEMBER}", max(scene.frames)
     try:
         footage = open_footage(str(video))
     except UserError:
@@ -177,7 +177,7 @@ def _annotation(vehicle: ArchiveVehicle, width: int, height: int, names: Mapping
         mapped = np.zeros_like(points)
         mapped[list(names.values())] = points[list(names)]
         points = mapped
-    known = not (vehicle.corners == _NOWHERE).all()
+    known = not (vehicle.corners == NO_PLACE).all()
     bbox = boxes.xyxy_to_xywh(box)
     return Annotation(
         id=0,
@@ -219,7 +219,8 @@ def read_map(path: Path) -> dict[int, int]:
 
 
 def write(dataset: Dataset, out: Path, console: Console) -> None:
-    """Write each recording of a dataset as an archive to `out`, and `SCENES` and `POINT_MAP_FILE` beside the archives.
+    """Write each recording of a dataset as an archive to `out`, and `SCENES_FILE` and `POINT_MAP_FILE` beside the
+    archives.
 
     Masks, depth, world coordinates, ignored vehicles and people on foot and on two wheels are left out: the layout has
     no place for them.
@@ -237,7 +238,7 @@ def write(dataset: Dataset, out: Path, console: Console) -> None:
         zipped(folder, out / f"{name}.zip")
         shutil.rmtree(folder)
         places.append((name, split, images[0].site or name, images[0].recording or "00"))
-    write_csv(out / SCENES, ("scene", "split", "site", "recording"), places, byte_order_mark=False)
+    write_csv(out / SCENES_FILE, ("scene", "split", "site", "recording"), places, byte_order_mark=False)
     if ignored:
         console.say(f"{ignored} ignored vehicles are left out: this format has no place for them")
     if others:
@@ -256,7 +257,7 @@ def _write_scene(
     if len({(image.width, image.height) for image in images}) != 1:
         raise UserError(f"{dataset.root}: recording {images[0].recording} of {images[0].site} has images of two sizes")
     folder.mkdir(parents=True)
-    write_video(folder / VIDEO, (dataset.image(image) for image in images), frame_rate(images))
+    write_video(folder / VIDEO_MEMBER, (dataset.image(image) for image in images), frame_rate(images))
     for frame, image in enumerate(images):
         (folder / str(frame)).mkdir()
         own = [vehicle for vehicle in vehicles[image.id] if not vehicle.ignored]
@@ -292,4 +293,4 @@ def _corners(vehicle: Annotation, image: Image) -> Array:
         pixels, _, valid = image.camera.project(ARCHIVE_CORNERS * box.size_lwh @ box.R.T + box.center)
         if valid.all():
             return pixels
-    return np.full((8, 2), _NOWHERE)
+    return np.full((8, 2), NO_PLACE)

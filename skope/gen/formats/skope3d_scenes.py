@@ -27,11 +27,11 @@ from skope.gen.formats.source_files import Archive
 from skope.keypoints import K
 from skope.types import Array
 
-VIDEO: Final = "original.avi"
+VIDEO_MEMBER: Final = "original.avi"
 
 _CSV_BYTES: Final = 1 << 16
-_MEMBER: Final = re.compile(r"([^/]+)/(\d+)/(keypoint|metadata)_([^/]+)\.csv")
-_FILLING: Final = re.compile(r"(0|-1)(\.0*)?")
+MEMBER_NAME: Final = re.compile(r"([^/]+)/(\d+)/(keypoint|metadata)_([^/]+)\.csv")
+FILLING_VALUE: Final = re.compile(r"(0|-1)(\.0*)?")
 _FRAME_NAME: Final = re.compile(r"[^/]+/(\d+)")
 
 
@@ -74,23 +74,23 @@ def scene_of(archive: Archive) -> ArchiveScene:
     found: dict[int, dict[str, dict[str, str]]] = {}
     names = set()
     for member in archive.names:
-        match = _MEMBER.fullmatch(member)
+        match = MEMBER_NAME.fullmatch(member)
         if match:
             scene, frame, kind, vehicle = match.groups()
             names.add(scene)
             found.setdefault(int(frame), {}).setdefault(vehicle, {})[kind] = member
-        elif member.endswith(f"/{VIDEO}") and member.count("/") == 1:
+        elif member.endswith(f"/{VIDEO_MEMBER}") and member.count("/") == 1:
             names.add(member.split("/")[0])
     for folder in archive.folders:  # frames without a vehicle
         match = _FRAME_NAME.fullmatch(folder)
         if match:
             found.setdefault(int(match[1]), {})
     if len(names) != 1:
-        raise UserError(f"{archive.path}: expected one folder with {VIDEO} and frames, got {len(names)}")
+        raise UserError(f"{archive.path}: expected one folder with {VIDEO_MEMBER} and frames, got {len(names)}")
     (name,) = names
     check_name(f"{archive.path}: folder", name)
-    if f"{name}/{VIDEO}" not in archive:
-        raise UserError(f"{archive.path}: has no member {name}/{VIDEO}")
+    if f"{name}/{VIDEO_MEMBER}" not in archive:
+        raise UserError(f"{archive.path}: has no member {name}/{VIDEO_MEMBER}")
     if not found:
         raise UserError(f"{archive.path}: {name} has no frames")
     frames = {}
@@ -143,7 +143,7 @@ def _rows(archive: Archive, member: str, count: int) -> list[list[str]]:
 
 def _unfilled(row: list[str]) -> list[str]:
     """A row of two values without the 0 or -1 that fills the third column of an array."""
-    return row[:2] if len(row) == 3 and _FILLING.fullmatch(row[2].strip()) else row
+    return row[:2] if len(row) == 3 and FILLING_VALUE.fullmatch(row[2].strip()) else row
 
 
 def _cells(archive: Archive, member: str, rows: list[list[str]], row: int, count: int) -> list[str]:

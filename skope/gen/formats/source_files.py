@@ -11,6 +11,7 @@ import zipfile
 import zlib
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path, PurePosixPath
 from typing import Final, Protocol
@@ -20,18 +21,31 @@ from skope.files.atomic import replacing
 from skope.files.safe_names import is_relative
 from skope.gen.formats import file_name_rules
 
-MEMBERS: Final = 2_000_000
-"""Most members of an archive."""
-RATIO: Final = 200
-"""Most times its packed size that a member larger than `FREE` may unpack to."""
-FREE: Final = 1 << 20
-LARGEST_MEMBER_BYTES: Final = 64 << 30
-"""Bytes of the largest member."""
-_CHUNK_BYTES: Final = 1 << 20
-_UTF8_FLAG: Final = 0x800
+
+@dataclass(frozen=True)
+class ArchiveLimits:
+    """Limits of archives, and fields of their headers."""
+
+    most_members: int = 2_000_000
+    """Maximum number of members of an archive."""
+    largest_ratio: int = 200
+    """Largest ratio of unpacked to packed size of a member larger than `free_bytes`."""
+    free_bytes: int = 1 << 20
+    """Bytes up to which a member is unpacked whatever its ratio."""
+    largest_member_bytes: int = 64 << 30
+    """Bytes of the largest member."""
+    chunk_bytes: int = 1 << 20
+    """Bytes that are read at once."""
+    utf8_flag: int = 0x800
+    link_kind: int = 0o120000
+    kind_mask: int = 0o170000
+    largest_in_memory_bytes: int = 1 << 28
+    """Bytes of a file that is unpacked into memory."""
+
+
+ARCHIVE_LIMITS: Final = ArchiveLimits()
+
 _OF_SYSTEMS: Final = ("__MACOSX", "Thumbs.db", "desktop.ini")
-_LINK_KIND: Final = 0o120000
-_KIND_MASK: Final = 0o170000
 
 
 class Archive:
@@ -40,8 +54,8 @@ class Archive:
     def __init__(self, path: Path, file: zipfile.ZipFile) -> None:
         self.path, self._file = path, file
         infos = file.infolist()
-        if len(infos) > MEMBERS:
-            raise UserError(f"{path}: has {len(infos)} members, more than {MEMBERS}")
+        if len(infos) > ARCHIVE_LIMITS.most_members:
+            raise UserError(f"{path}: has {len(infos)} members, more than {ARCHIVE_LIMITS.most_members}")
         self._infos: dict[str, zipfile.ZipInfo] = {}
         self.folders: set[str] = set()
         for info in infos:
@@ -75,7 +89,7 @@ class Archive:
     def extract(self, name: str, target: Path) -> None:
         """Write a member to a file."""
         with replacing(target) as temporary, temporary.open("wb") as file:
-            file.writelines(self._chunks(name, LARGEST_MEMBER_BYTES))
+            file.writelines(self._chunks(name, ARCHIVE_LIMITS.largest_member_bytes))
 
     def _chunks(self, name: str, limit: int) -> Iterator[bytes]:
         if name not in self._infos:
@@ -85,7 +99,7 @@ class Archive:
             raise UserError(f"{self.path}: member {name}: {info.file_size} bytes, more than {limit}")
         try:
             with self._file.open(info) as member:
-                while chunk := member.read(_CHUNK_BYTES):
+                while chunk := member.read(ARCHIVE_LIMITS.chunk_bytes):
                     done += len(chunk)
                     yield chunk
         except (zipfile.BadZipFile, zlib.error, EOFError, OSError, NotImplementedError, RuntimeError) as error:
@@ -95,11 +109,11 @@ class Archive:
 
     def _check(self, info: zipfile.ZipInfo) -> None:
         where = f"{self.path}: member {info.filename!r}"
-        if info.external_attr >> 16 & _KIND_MASK == _LINK_KIND:
+        if info.external_attr >> 16 & ARCHIVE_LIMITS.kind_mask == ARCHIVE_LIMITS.link_kind:
             raise UserError(f"{where}: is a link")
         if info.flag_bits & 1:
             raise UserError(f"{where}: is encrypted")
-        if info.file_size > max(FREE, RATIO * info.compress_size):
+        if info.file_size > max(ARCHIVE_LIMITS.free_bytes, ARCHIVE_LIMITS.largest_ratio * info.compress_size):
             raise UserError(f"{where}: {info.compress_size} bytes would unpack to {info.file_size}: refused")
 
 
@@ -127,7 +141,7 @@ def _begins_as_zip(path: Path) -> bool:
 def _member_name(info: zipfile.ZipInfo) -> str:
     """A member's name with forward slashes; a folder's ends in one."""
     name = info.orig_filename
-    if not info.flag_bits & _UTF8_FLAG:  # then zipfile has taken its bytes for those of an old code page
+    if not info.flag_bits & ARCHIVE_LIMITS.utf8_flag:  # then zipfile has taken its bytes for those of an old code page
         with suppress(UnicodeError):
             name = name.encode("cp437").decode("utf-8")
     name = name.replace("\\", "/")
@@ -158,15 +172,13 @@ def zipped(folder: Path, target: Path) -> None:
                 info = zipfile.ZipInfo(name)
                 info.compress_type = kind
                 with path.open("rb") as source, file.open(info, "w", force_zip64=True) as member:
-                    while chunk := source.read(_CHUNK_BYTES):
+                    while chunk := source.read(ARCHIVE_LIMITS.chunk_bytes):
                         member.write(chunk)
             elif not any(path.iterdir()):
                 file.writestr(zipfile.ZipInfo(f"{name}/"), b"")
 
 
 _LARGEST_BYTES: Final = {".json": 1 << 31}
-_LARGEST_OTHER: Final = 1 << 28
-"""Bytes of a file that is unpacked into memory."""
 
 
 class Files(Protocol):
@@ -250,7 +262,7 @@ class InArchive:
         return _composed(name) in self._names
 
     def find(self, name: str) -> bytes | None:
-        limit = _LARGEST_BYTES.get(PurePosixPath(name).suffix, _LARGEST_OTHER)
+        limit = _LARGEST_BYTES.get(PurePosixPath(name).suffix, ARCHIVE_LIMITS.largest_in_memory_bytes)
         member = self._names.get(_composed(name))
         return None if member is None else self._archive.read(member, limit)
 

@@ -23,9 +23,9 @@ from skope.keypoints import K, Scheme
 from skope.schema import Annotation, AnnotationFile, Image, RoadUser
 from skope.terminal.console import Console, counted
 
-VALIDATED: Final = 0.1
+VALIDATION_SHARE: Final = 0.1
 """Share of each training recording, at its end, that becomes part `val` of a dataset without such a split."""
-SUFFIXES: Final = frozenset((".bmp", ".dng", ".heic", ".jpeg", ".jpg", ".mpo", ".png", ".tif", ".tiff", ".webp"))
+IMAGE_SUFFIXES: Final = frozenset((".bmp", ".dng", ".heic", ".jpeg", ".jpg", ".mpo", ".png", ".tif", ".tiff", ".webp"))
 """Of the pictures that Ultralytics reads."""
 YOLO_SPLITS, VAL = "train", "val"
 
@@ -39,10 +39,10 @@ def write(dataset: Dataset, out: Path, names: Sequence[str], console: Console) -
         own = file.labels_by_image()
         for image in console.bar(file.images, unit="image", label=f"writing {name}"):
             path = PurePosixPath(name) / _findable(bare_name(image.file_name))
-            if path.suffix.lower() not in SUFFIXES:
+            if path.suffix.lower() not in IMAGE_SUFFIXES:
                 raise UserError(
                     f"{dataset.root}: {image.file_name}: Ultralytics reads no {path.suffix or 'files without a suffix'}"
-                    f" ({', '.join(sorted(SUFFIXES))})"
+                    f" ({', '.join(sorted(IMAGE_SUFFIXES))})"
                 )
             place_file(dataset.root / image.file_name, out / "images" / path)
             labels = out / "labels" / path.with_suffix(".txt")
@@ -98,11 +98,11 @@ def _parts(dataset: Dataset, console: Console) -> dict[str, AnnotationFile]:
             )
     if VAL not in parts:
         whole = parts[YOLO_SPLITS]
-        parts[YOLO_SPLITS], parts[VAL] = held_back(whole, VALIDATED)
+        parts[YOLO_SPLITS], parts[VAL] = held_back(whole, VALIDATION_SHARE)
         between = len(whole.images) - len(parts[YOLO_SPLITS].images) - len(parts[VAL].images)
         if not parts[VAL].images:
             raise UserError(
-                f"{dataset.root}: its recordings are too short to keep the last {VALIDATED:.0%} for val: "
+                f"{dataset.root}: its recordings are too short to keep the last {VALIDATION_SHARE:.0%} for val: "
                 "generate more frames"
             )
         count = counted(len(parts[VAL].images), "image")

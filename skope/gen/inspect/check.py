@@ -9,7 +9,7 @@ import itertools
 from collections import Counter
 from collections.abc import Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
@@ -38,12 +38,20 @@ from skope.schema import Annotation, AnnotationFile, Image, RoadUser
 from skope.terminal.console import Console
 from skope.types import AnyFloats
 
-ACCELERATION = 10.0
-"""More than any vehicle brakes or corners with, m/s^2."""
-TURN_LEVER_M = 4.0
-"""Farthest from an articulated vehicle's front axle that its velocity is measured, metres."""
-SPEED_DOUBT = 0.3
-"""Difference between two speeds that a body's rocking and the rounding of files explain, m/s."""
+
+@dataclass(frozen=True)
+class MotionLimits:
+    """Limits of motion from which a check reports a vehicle."""
+
+    acceleration_mps2: float = 10.0
+    """Acceleration that no vehicle reaches by braking or cornering, m/s^2."""
+    turn_lever_m: float = 4.0
+    """Farthest from an articulated vehicle's front axle that its velocity is measured, metres."""
+    speed_mps: float = 0.3
+    """Difference between two speeds that a body's rocking and the rounding of files explain, m/s."""
+
+
+MOTION_LIMITS: Final = MotionLimits()
 
 
 @dataclass(frozen=True)
@@ -221,7 +229,7 @@ def _check_motion(name: str, file: AnnotationFile) -> Iterator[Finding]:
             wrong = float(np.linalg.norm(came - (a.velocity + b.velocity) / 2))
             turn = abs(float(wrapped(b.box_3d.yaw - a.box_3d.yaw))) / (end - start)
             # At most so far apart is the mean of two velocities from the mean velocity between them.
-            if wrong > ACCELERATION * (end - start) / 4 + SPEED_DOUBT + turn * lever:
+            if wrong > MOTION_LIMITS.acceleration_mps2 * (end - start) / 4 + MOTION_LIMITS.speed_mps + turn * lever:
                 yield Finding(
                     f"{name}: annotation {b.id}",
                     f"velocity: with annotation {a.id}'s is {wrong:.2f} m/s from how far it has come",
@@ -237,7 +245,7 @@ def _measured_place(annotation: Annotation | RoadUser) -> tuple[AnyFloats, float
     assert annotation.box_3d is not None
     if isinstance(annotation, RoadUser) or annotation.articulation is None or annotation.keypoints_3d is None:
         return annotation.box_3d.center, 0.0
-    return annotation.keypoints_3d[list(keypoints.WHEELS[:2])].mean(axis=0), TURN_LEVER_M
+    return annotation.keypoints_3d[list(keypoints.WHEELS[:2])].mean(axis=0), MOTION_LIMITS.turn_lever_m
 
 
 def _check_image(dataset: Dataset, image: Image, labels: Sequence[Annotation | RoadUser]) -> Iterator[tuple[str, str]]:

@@ -119,7 +119,7 @@ def _refuse_blank(rgb: Any, camera: Camera) -> None:
         raise RuntimeError("drew an image of one colour")
 
 
-_TORCH = """
+TORCH_PROGRAM = """
 import torch, torchvision
 torchvision.ops.nms(torch.tensor([[0.0, 0.0, 1.0, 1.0]]), torch.tensor([1.0]), 0.5)
 where = torch.cuda.get_device_name() if torch.cuda.is_available() else f"CPU, {torch.get_num_threads()} threads"
@@ -129,7 +129,7 @@ print(f"{torch.__version__}, torchvision {torchvision.__version__}, {where}")
 
 def _torch() -> str:
     # In a separate process, since torch crashes where Mesa's compiler was loaded before it.
-    done = subprocess.run([sys.executable, "-c", _TORCH], capture_output=True, text=True, check=False)
+    done = subprocess.run([sys.executable, "-c", TORCH_PROGRAM], capture_output=True, text=True, check=False)
     if done.returncode:
         raise RuntimeError((done.stderr.strip().splitlines() or [f"ended with code {done.returncode}"])[-1])
     try:

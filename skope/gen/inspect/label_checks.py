@@ -3,6 +3,7 @@ the image, each other, the camera and depth."""
 
 import itertools
 from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
@@ -10,27 +11,38 @@ from pycocotools import mask as coco_mask
 
 from skope import keypoints
 from skope.camera.model import Camera
-from skope.gen.labels.visibility import POINT_TOLERANCE, SLOPE_CAP
+from skope.gen.labels.visibility import VISIBILITY
 from skope.pictures.draw import visible_mask
 from skope.schema import Annotation, Image, Labelled, RoadUser, far_outside
 from skope.types import AnyFloats
 
-BOX_PX: Final = 1.0
-"""Boxes are of silhouettes at pixel centres, masks too."""
-DISTANCE_M: Final = 0.05
-LIMBS_M: Final = 0.6
-"""Arms, legs and loads reach out of the 3D box of a body at rest, metres."""
-DEPTH_LIMIT: Final = 250.0
-"""Depth files end soon after this, metres."""
-REPROJECTION_PX = 0.1
-OUTSIDE_M = 0.35
-"""Mirrors stand out of the box, metres."""
-BEND_RAD = 0.01
-"""Difference between an articulated vehicle's angle and what its rear wheels say that rounding explains, radians."""
-SHARP_PX = 40.0
-"""Vehicles whose box is smaller than this may have points hidden by what is smaller than a pixel."""
-DOUBT = 0.015
-"""Metres by which the depth file must contradict a flag before it counts: 1 cm, and what rounding takes."""
+
+@dataclass(frozen=True)
+class LabelTolerances:
+    """Differences that rounding explains."""
+
+    box_px: float = 1.0
+    """Of boxes, pixels. Boxes and masks are of silhouettes at pixel centres."""
+    distance_m: float = 0.05
+    """Of distances, metres."""
+    limbs_m: float = 0.6
+    """Arms, legs and loads reach out of the 3D box of a body at rest, metres."""
+    depth_limit_m: float = 250.0
+    """Depth up to which depth files are compared, metres. They end soon after."""
+    reprojection_px: float = 0.1
+    """Of reprojected keypoints, pixels."""
+    outside_m: float = 0.35
+    """Mirrors stand out of the box, metres."""
+    bend_rad: float = 0.01
+    """Difference between an articulated vehicle's angle and what its rear wheels say that rounding explains,
+    radians."""
+    sharp_px: float = 40.0
+    """Vehicles whose box is smaller than this may have points hidden by what is smaller than a pixel."""
+    depth_doubt_m: float = 0.015
+    """Metres by which the depth file must contradict a flag before it counts: 1 cm, and what rounding takes."""
+
+
+LABEL_TOLERANCES: Final = LabelTolerances()
 
 
 def box_findings(image: Image, label: Labelled) -> Iterator[str]:
@@ -64,10 +76,12 @@ def mask_findings(image: Image, label: Labelled) -> Iterator[str]:
     if area and label.bbox_visible is not None:
         rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
         tight = np.array([columns[0], rows[0], columns[-1] - columns[0] + 1, rows[-1] - rows[0] + 1])
-        if np.abs(tight - label.bbox_visible).max() > BOX_PX:
+        if np.abs(tight - label.bbox_visible).max() > LABEL_TOLERANCES.box_px:
             yield f"bbox_visible: is {label.bbox_visible.tolist()}, the mask's is {tight.tolist()}"
         low, size = label.bbox[:2], label.bbox[2:]
-        if (tight[:2] < low - BOX_PX).any() or (tight[:2] + tight[2:] > low + size + BOX_PX).any():
+        if (tight[:2] < low - LABEL_TOLERANCES.box_px).any() or (
+            tight[:2] + tight[2:] > low + size + LABEL_TOLERANCES.box_px
+        ).any():
             yield "bbox: visible pixels lie outside"
 
 
@@ -86,7 +100,7 @@ def box_3d_findings(camera: Camera | None, label: Labelled) -> Iterator[str]:
         yield f"box_3d.yaw: is {box.yaw:.4f}, R says {box.yaw + turned:.4f}"
     if camera is not None and label.distance is not None:
         away = float(np.linalg.norm(camera.to_camera(box.center)))
-        if abs(away - label.distance) > DISTANCE_M:
+        if abs(away - label.distance) > LABEL_TOLERANCES.distance_m:
             yield f"distance: is {label.distance:.2f} m, the box's centre is {away:.2f} m away"
 
 
@@ -97,8 +111,8 @@ def depth_findings(depth: AnyFloats, camera: Camera, user: RoadUser) -> Iterator
         return
     middle = float(np.median(depth[visible])) if visible.any() else np.inf
     z = float(camera.to_camera(user.box_3d.center)[2])
-    reach = float(np.linalg.norm(user.box_3d.size_lwh)) / 2 + LIMBS_M
-    if max(middle, z) < DEPTH_LIMIT and abs(middle - z) > reach:
+    reach = float(np.linalg.norm(user.box_3d.size_lwh)) / 2 + LABEL_TOLERANCES.limbs_m
+    if max(middle, z) < LABEL_TOLERANCES.depth_limit_m and abs(middle - z) > reach:
         yield f"segmentation: the depth file shows {middle:.2f} m where the box's centre is at {z:.2f} m"
 
 
@@ -125,13 +139,13 @@ def keypoint_3d_findings(annotation: Annotation) -> Iterator[str]:
     if box is None or annotation.keypoints_3d is None:
         return
     own = (annotation.keypoints_3d - box.center) @ box.R
-    if (np.abs(own) > box.size_lwh / 2 + OUTSIDE_M).any():
+    if (np.abs(own) > box.size_lwh / 2 + LABEL_TOLERANCES.outside_m).any():
         yield "keypoints_3d: a point lies far outside box_3d"
     if annotation.articulation is not None:
         # The trailer's rearmost axle points to its left.
         right, left = annotation.keypoints_3d[list(keypoints.WHEELS[2:])]
         bend = float(wrapped(np.arctan2(*(left - right)[[1, 0]]) - np.pi / 2 - box.yaw))
-        if abs(wrapped(bend - annotation.articulation)) > BEND_RAD:
+        if abs(wrapped(bend - annotation.articulation)) > LABEL_TOLERANCES.bend_rad:
             yield f"articulation: is {annotation.articulation:.4f}, the rear wheels of keypoints_3d say {bend:.4f}"
 
 
@@ -140,7 +154,7 @@ def projection_findings(camera: Camera, annotation: Annotation) -> Iterator[str]
     pixels, _, valid = camera.project(annotation.keypoints_3d)
     labelled = annotation.keypoints[:, 2] > 0
     error = np.abs(np.nan_to_num(pixels, nan=np.inf) - annotation.keypoints[:, :2]).max(axis=1)
-    for k in np.flatnonzero(labelled & ~(error <= REPROJECTION_PX)):
+    for k in np.flatnonzero(labelled & ~(error <= LABEL_TOLERANCES.reprojection_px)):
         yield f"keypoints: {keypoints.NAMES[k]} is {error[k]:.2f} px from where keypoints_3d projects"
     edge = np.nan_to_num(pixels, nan=-1e9)
     well_inside = (edge > 0.1).all(1) & (edge < [camera.width - 0.1, camera.height - 0.1]).all(1)
@@ -200,12 +214,19 @@ def visibility_findings(depth: AnyFloats, camera: Camera, annotation: Annotation
     least, most = np.fmin.reduce(gaps), np.fmax.reduce(gaps)
     at_edge = np.isnan(gaps).any(axis=0)
     with np.errstate(invalid="ignore"):
-        doubt = DOUBT + np.minimum(np.nan_to_num(most - least, nan=SLOPE_CAP, posinf=SLOPE_CAP), SLOPE_CAP)
+        doubt = LABEL_TOLERANCES.depth_doubt_m + np.minimum(
+            np.nan_to_num(most - least, nan=VISIBILITY.slope_m, posinf=VISIBILITY.slope_m), VISIBILITY.slope_m
+        )
     v = annotation.keypoints[:, 2]
-    near = (np.linalg.norm(camera.to_camera(annotation.keypoints_3d), axis=1) < DEPTH_LIMIT) & ~at_edge
-    for k in np.flatnonzero(near & (v == 2) & (least > POINT_TOLERANCE + doubt)):
+    near = (
+        np.linalg.norm(camera.to_camera(annotation.keypoints_3d), axis=1) < LABEL_TOLERANCES.depth_limit_m
+    ) & ~at_edge
+    for k in np.flatnonzero(near & (v == 2) & (least > VISIBILITY.point_m + doubt)):
         yield f"keypoints: {keypoints.NAMES[k]} has v = 2, but the depth file shows {least[k]:.2f} m less"
     for k in np.flatnonzero(
-        near & (annotation.bbox[2:].max() >= SHARP_PX) & (v == 1) & (most < POINT_TOLERANCE - DOUBT)
+        near
+        & (annotation.bbox[2:].max() >= LABEL_TOLERANCES.sharp_px)
+        & (v == 1)
+        & (most < VISIBILITY.point_m - LABEL_TOLERANCES.depth_doubt_m)
     ):
         yield f"keypoints: {keypoints.NAMES[k]} has v = 1, but the depth file shows nothing before it"

@@ -14,9 +14,9 @@ from skope.terminal.console import Console
 from skope.types import Pixels
 from skope.viewer.collection import Collection, ShownSplit, read_picture
 
-LAYERS: Final = ("keypoints", "boxes_3d", "mask", "depth", "occlusion")
+LAYER_NAMES: Final = ("keypoints", "boxes_3d", "mask", "depth", "occlusion")
 """Layers that can be drawn on an image."""
-SHEET: Final = 12
+SHEET_IMAGES: Final = 12
 """Number of images on a sheet."""
 _SHEET_IMAGE_PX: Final = 640
 """Width of an image on a sheet, pixels."""
@@ -29,7 +29,7 @@ def overlay(dataset: Dataset, image: Image, labels: Sequence[Annotation | RoadUs
         dataset: Where the image is.
         image: Its record.
         labels: Its vehicles and other road users.
-        layers: Some of `LAYERS`; "depth" takes the place of the photograph.
+        layers: Some of `LAYER_NAMES`; "depth" takes the place of the photograph.
 
     Returns:
         (H, W, 3) RGB.
@@ -71,12 +71,12 @@ def one_image(dataset: Dataset, number: int, layers: Sequence[str], out: Path) -
 
 
 def sheets(dataset: Dataset, site: str | None, layers: Sequence[str], out: Path) -> list[Path]:
-    """Write sheets of `SHEET` overlays, evenly spread over each split, or over one site.
+    """Write sheets of `SHEET_IMAGES` overlays, evenly spread over each split, or over one site.
 
     Args:
         dataset: Where the images are.
         site: Name of a site; None for a sheet of each split.
-        layers: Some of `LAYERS`.
+        layers: Some of `LAYER_NAMES`.
         out: Folder of the sheets.
 
     Returns:
@@ -96,7 +96,7 @@ def sheets(dataset: Dataset, site: str | None, layers: Sequence[str], out: Path)
         raise UserError(f"{dataset.root}: no image is of site {site!r}" if site else f"{dataset.root}: has no images")
     paths = []
     for name, pairs in groups.items():
-        chosen = [pairs[i] for i in sorted({round(k) for k in np.linspace(0, len(pairs) - 1, SHEET)})]
+        chosen = [pairs[i] for i in sorted({round(k) for k in np.linspace(0, len(pairs) - 1, SHEET_IMAGES)})]
         cells = [_cell(overlay(dataset, image, own, layers), f"{image.id}  {image.file_name}") for image, own in chosen]
         paths.append(out / f"{name}.png")
         draw.write(paths[-1], draw.contact_sheet(cells, 3))

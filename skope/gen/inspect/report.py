@@ -207,7 +207,7 @@ def _page(
     numbers = [[escape(name.strip()), *map(escape, cells)] for name, cells in rows(stats)]
     return html_document(
         f"skope gen: {dataset.root.resolve().name}",
-        tag("h1", card_text.TITLE),
+        tag("h1", card_text.DATASET_TITLE),
         tag("p", tag("b", escape(dataset.root.resolve().name)), escape(f": {card_text.card_summary(dataset.card)}")),
         tag(
             "section",

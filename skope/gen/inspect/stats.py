@@ -18,9 +18,9 @@ from skope.keypoints import K
 from skope.schema import CATEGORIES, Annotation, AnnotationFile, Image
 from skope.terminal.console import text_table
 
-_OPTIONAL: Final = ("bend_deg", "road_users")
+OPTIONAL_NUMBERS: Final = ("bend_deg", "road_users")
 """Numbers that only some datasets have."""
-PICTURES: Final = 200
+MEASURED_IMAGES: Final = 200
 """Number of images of a split, evenly spread, whose brightness is measured."""
 _SPLIT_COLORS: Final = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#000000")
 """Colours of splits in plots: Okabe and Ito's, which colour-blind readers can tell apart."""
@@ -61,7 +61,7 @@ class SplitStats:
         values = {name: _without_nan(value) for name, value in asdict(self).items()}
         if self.road_users is not None:
             values["road_users"] = {name: one.to_dict() for name, one in self.road_users.items()}
-        return {name: value for name, value in values.items() if value is not None or name not in _OPTIONAL}
+        return {name: value for name, value in values.items() if value is not None or name not in OPTIONAL_NUMBERS}
 
 
 @dataclass(frozen=True)
@@ -93,7 +93,7 @@ def split_stats(dataset: Dataset, file: AnnotationFile) -> SplitStats:
     """Statistics of one split.
 
     Args:
-        dataset: For the images; at most `PICTURES` of them are read.
+        dataset: For the images; at most `MEASURED_IMAGES` of them are read.
         file: Annotations of the split.
     """
     known = [annotation for annotation in file.annotations if not annotation.iscrowd]
@@ -141,7 +141,7 @@ def _types(annotations: list[Annotation]) -> dict[str, int]:
 
 
 def _brightness(dataset: Dataset, images: tuple[Image, ...]) -> float:
-    chosen = sorted({round(i) for i in np.linspace(0, len(images) - 1, PICTURES)}) if images else []
+    chosen = sorted({round(i) for i in np.linspace(0, len(images) - 1, MEASURED_IMAGES)}) if images else []
     levels = []
     for i in chosen:
         data = np.frombuffer(shards.read(dataset.root / images[i].file_name), dtype=np.uint8)

@@ -1,6 +1,7 @@
 """Pictures of towns: the plan with roads, buildings, trees and its cameras; and a network's lanes drawn over what a
 site's camera sees, which shows at a glance whether they belong together."""
 
+from dataclasses import dataclass
 from typing import Any, Final
 
 import cv2
@@ -8,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from skope.gen.scenery.build import scenery
-from skope.gen.towns.land_use import HALF_VIEW_DEG, Layout
+from skope.gen.towns.land_use import LAND_USE, Layout
 from skope.gen.towns.regions import polygons
 from skope.gen.towns.road_graph import RoadGraph, driven
 from skope.gen.towns.town import OwnRoad, Town
@@ -17,12 +18,29 @@ from skope.types import Array, Pixels
 
 PlotColor = tuple[int, int, int]
 
-MAP_LONGER_PX: Final = 1600
-"""Pixels of the longer side."""
-VIEW: Final = 60.0
-"""Length to which view cones are drawn, metres."""
-_MAP_FRAME_M: Final = 30.0
-"""Width of the ground that is drawn around the network, metres."""
+
+@dataclass(frozen=True)
+class TownMapStyle:
+    """Appearance of a town's map."""
+
+    longer_px: int = 1600
+    """Longer side, pixels."""
+    view_m: float = 60.0
+    """Length to which view cones are drawn, metres."""
+    frame_m: float = 30.0
+    """Width of the ground that is drawn around the network, metres."""
+    drawn_within_m: float = 200.0
+    """Distance up to which lanes are drawn, metres."""
+    sample_m: float = 1.0
+    """Spacing of the points of a lane, metres."""
+    arrow_spacing_m: float = 15.0
+    """Metres from arrow to arrow."""
+    background: int = 90
+    """Grey of the background, of 255."""
+
+
+TOWN_MAP: Final = TownMapStyle()
+
 _GROUND, _WALK, _ROAD_COLORS, _DECK, _ISLAND = (
     (228, 230, 218),
     (205, 203, 197),
@@ -43,8 +61,8 @@ SPLIT_RGB: Final[dict[str, PlotColor]] = {
 def town_map(town: Town) -> Pixels:
     """(H, W, 3) RGB: north is up."""
     layout = Layout.of(town)
-    x0, y0, x1, y1 = layout.graph.road.buffer(_MAP_FRAME_M).bounds
-    scale = MAP_LONGER_PX / max(x1 - x0, y1 - y0)
+    x0, y0, x1, y1 = layout.graph.road.buffer(TOWN_MAP.frame_m).bounds
+    scale = TOWN_MAP.longer_px / max(x1 - x0, y1 - y0)
     image = np.full((round((y1 - y0) * scale) + 60, round((x1 - x0) * scale), 3), _GROUND, dtype=np.uint8)
 
     def pixels(points: ArrayLike) -> NDArray[np.int32]:
@@ -76,8 +94,8 @@ def town_map(town: Town) -> Pixels:
         fill(deck, _DECK)
     cones = image.copy()
     for site in layout.sites:
-        angle = np.radians(site.yaw_deg + np.linspace(-HALF_VIEW_DEG, HALF_VIEW_DEG, 24))
-        rim = np.array(site.position[:2]) + VIEW * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        angle = np.radians(site.yaw_deg + np.linspace(-LAND_USE.half_view_deg, LAND_USE.half_view_deg, 24))
+        rim = np.array(site.position[:2]) + TOWN_MAP.view_m * np.stack([np.cos(angle), np.sin(angle)], axis=1)
         cv2.fillPoly(cones, [pixels([site.position[:2], *rim])], SPLIT_RGB[site.split], cv2.LINE_AA, SUBPIXEL_BITS)
     image = cv2.addWeighted(cones, 0.35, image, 0.65, 0.0)
     for site in layout.sites:
@@ -99,26 +117,22 @@ def town_map(town: Town) -> Pixels:
     return np.asarray(image, dtype=np.uint8)
 
 
-_DRAWN_WITHIN_M: Final = 200.0
-"""Distance up to which lanes are drawn, metres."""
-_SAMPLE_M: Final = 1.0
-_ARROWS: Final = 15.0
-"""Metres from arrow to arrow."""
 _LANE_COLORS, _ARROW, _OCCLUDER, _SHADE = (255, 200, 40), (60, 220, 255), (255, 60, 160), (80, 80, 255)
-_BACKGROUND_GREY: Final = 90
 
 
 def draw_lanes(road: OwnRoad) -> Pixels:
     """(H, W, 3) RGB: the photograph, or grey, with both edges of each lane, arrows along it, occluders and shades."""
     camera, graph = road.camera, RoadGraph.of(Town.of(road))
     size = (camera.width, camera.height)
-    image = road.picture(size) if road.photograph else np.full((size[1], size[0], 3), _BACKGROUND_GREY, dtype=np.uint8)
+    image = (
+        road.picture(size) if road.photograph else np.full((size[1], size[0], 3), TOWN_MAP.background, dtype=np.uint8)
+    )
     for edge in graph.edges:
         for lane in driven(edge):
             middle, across = _ways_along(np.array(lane.getShape3D()))
             for side in (-0.5, 0.5):
                 _draw_lane(image, road, graph, middle + side * lane.getWidth() * across, _LANE_COLORS)
-            for k in range(3, len(middle), int(_ARROWS / _SAMPLE_M)):
+            for k in range(3, len(middle), int(TOWN_MAP.arrow_spacing_m / TOWN_MAP.sample_m)):
                 barbs = middle[[k - 3, k, k - 3]] + np.array([[0.5], [0.0], [-0.5]]) * across[k]
                 _draw_lane(image, road, graph, barbs, _ARROW)
     outlines = [*((one.polygon, _OCCLUDER) for one in road.occluders), *((one, _SHADE) for one in road.shades)]
@@ -131,7 +145,7 @@ def draw_lanes(road: OwnRoad) -> Pixels:
 def _ways_along(line: Array) -> tuple[Array, Array]:
     """(N, 3) places along a line and unit vectors to its left."""
     marks = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(line[:, :2], axis=0).T))])
-    at = np.linspace(0.0, marks[-1], max(2, round(marks[-1] / _SAMPLE_M)))
+    at = np.linspace(0.0, marks[-1], max(2, round(marks[-1] / TOWN_MAP.sample_m)))
     middle = np.column_stack([np.interp(at, marks, column) for column in line.T])
     ahead = np.gradient(middle[:, :2], axis=0)
     left = np.column_stack([-ahead[:, 1], ahead[:, 0], np.zeros(len(ahead))])
@@ -141,7 +155,7 @@ def _ways_along(line: Array) -> tuple[Array, Array]:
 def _draw_lane(image: Pixels, road: OwnRoad, graph: RoadGraph, line: Array, color: tuple[int, int, int]) -> None:
     """A line (N, 3) of the graph where it is before the camera."""
     pixels, depth, valid = road.camera.project(graph.world(line))
-    near = valid & (depth < _DRAWN_WITHIN_M) & (np.abs(np.nan_to_num(pixels)) < 1e4).all(axis=-1)
+    near = valid & (depth < TOWN_MAP.drawn_within_m) & (np.abs(np.nan_to_num(pixels)) < 1e4).all(axis=-1)
     at = np.rint((np.where(near[:, None], pixels, 0.0) - 0.5) * 2**SUBPIXEL_BITS).astype(int).tolist()
     for k in np.flatnonzero(near[:-1] & near[1:]):
         cv2.line(image, at[k], at[k + 1], color, 2, cv2.LINE_AA, SUBPIXEL_BITS)

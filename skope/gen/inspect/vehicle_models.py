@@ -27,24 +27,42 @@ from skope.gen.vehicles.user_models import AddedVehicle
 from skope.pictures import draw
 from skope.types import Array
 
-SURFACE_TOLERANCE: Final = 0.01
-"""Metres that a keypoint may be off the surface."""
-SYMMETRY_TOLERANCE: Final = 0.005
-GROUND_TOLERANCE: Final = 0.01
-RAYS: Final = 300
-"""Cast at the surface from each of four sides, to different triangles."""
-CORNER_TOLERANCE: Final = 0.05
-"""Metres that a bumper may reach beyond the markers of its corners, along the diagonal."""
-_CORNER_BAND: Final = 0.15
-"""Height above and below a bumper's marker within which it is looked for, metres."""
-BACK_SHARE: Final = 0.002
-"""Share of rays from outside that may meet a triangle's back first."""
-SIZE_M: Final = 0.03
-"""Largest difference of a mesh's length and height from what the shape says, metres."""
-ROD_M: Final = 0.01
-"""Half of the width of what counts as a rod on the middle of a roof, metres."""
-GRAZING: Final = 0.1
-"""Sine of the angle under which a back does not count: the rim of what lies on a panel, seen over the panel's edge."""
+
+@dataclass(frozen=True)
+class ModelTolerances:
+    """Tolerances of vehicle models, and the sheets that show them."""
+
+    surface_m: float = 0.01
+    """Largest distance of a keypoint from the surface, metres."""
+    symmetry_m: float = 0.005
+    """Largest asymmetry, metres."""
+    ground_m: float = 0.01
+    """Largest distance of the lowest point from the ground, metres."""
+    rays: int = 300
+    """Number of rays that are cast at the surface from each of four sides."""
+    corner_m: float = 0.05
+    """Metres that a bumper may reach beyond the markers of its corners, along the diagonal."""
+    corner_band_m: float = 0.15
+    """Height above and below a bumper's marker within which it is looked for, metres."""
+    back_share: float = 0.002
+    """Share of rays from outside that may meet a triangle's back first."""
+    size_m: float = 0.03
+    """Largest difference of a mesh's length and height from what the shape says, metres."""
+    rod_m: float = 0.01
+    """Half of the width of what counts as a rod on the middle of a roof, metres."""
+    grazing_sin: float = 0.1
+    """Sine of the angle under which a back does not count: the rim of what lies on a panel, seen over the panel's
+    edge."""
+    sheet_fov_rad: float = math.radians(20)
+    """Field of view of a sheet, radians."""
+    sheet_margin: float = 1.12
+    """Factor of the distance that leaves a margin."""
+    sheet_bend_rad: float = math.radians(25)
+    """Bend of articulated vehicles in the views of three quarters."""
+
+
+MODEL_TOLERANCES: Final = ModelTolerances()
+
 LAMP_PARTS: Final = {
     "headlight": "low-beam lamps",
     "taillight": "tail lamps",
@@ -82,13 +100,13 @@ def _surface(vehicle: Vehicle) -> Iterator[str]:
         if k in keypoints.WHEELS:
             continue
         away = distance_to_surface(point, triangles)
-        if away > SURFACE_TOLERANCE:
+        if away > MODEL_TOLERANCES.surface_m:
             yield f"keypoints: {keypoints.NAMES[k]} is {100 * away:.1f} cm off the surface"
 
 
 def _symmetry(vehicle: Vehicle) -> Iterator[str]:
     apart = np.linalg.norm(vehicle.points[list(keypoints.FLIP)] * [1, -1, 1] - vehicle.points, axis=1)
-    for k in np.flatnonzero(apart > SYMMETRY_TOLERANCE).tolist():
+    for k in np.flatnonzero(apart > MODEL_TOLERANCES.symmetry_m).tolist():
         if keypoints.FLIP[k] >= k:
             yield f"keypoints: {keypoints.NAMES[k]} is {100 * apart[k]:.1f} cm off the mirror image of its twin"
     for k, name in enumerate(keypoints.NAMES):
@@ -103,9 +121,9 @@ def _corners(vehicle: Vehicle) -> Iterator[str]:
     for name in (f"bumper_{end}_{side}" for end in ("front", "rear") for side in ("right", "left")):
         marker = vehicle.points[keypoints.INDEX[name]]
         outwards = np.sign(marker[:2]) / np.sqrt(2)
-        near = np.abs(surface[:, 2] - marker[2]) < _CORNER_BAND
+        near = np.abs(surface[:, 2] - marker[2]) < MODEL_TOLERANCES.corner_band_m
         beyond = float(((surface[near, :2] - marker[:2]) @ outwards).max(initial=0.0))
-        if beyond > CORNER_TOLERANCE:
+        if beyond > MODEL_TOLERANCES.corner_m:
             yield (
                 f"keypoints: {name} lies {100 * beyond:.0f} cm inside of the bumper's corner: mark where the outline, "
                 "seen from above, is farthest out along the diagonal, at the bumper's lower edge"
@@ -129,12 +147,12 @@ def _size(vehicle: Vehicle) -> Iterator[str]:
     vertices = straight_mesh(vehicle).vertices
     length, _, height = straight_lwh(vehicle)
     # A rod antenna is not counted, as vehicles' papers do not.
-    rod = (vertices[:, 2] > height + SIZE_M) & (np.abs(vertices[:, 1]) < ROD_M)
+    rod = (vertices[:, 2] > height + MODEL_TOLERANCES.size_m) & (np.abs(vertices[:, 1]) < MODEL_TOLERANCES.rod_m)
     for name, found, said in (
         ("length", np.ptp(vertices[:, 0]), length),
         ("height", vertices[~rod, 2].max(), height),
     ):
-        if abs(found - said) > SIZE_M:
+        if abs(found - said) > MODEL_TOLERANCES.size_m:
             yield f"mesh: its {name} is {found:.2f} m, the shape says {said:.2f} m"
 
 
@@ -147,7 +165,7 @@ def _wheels(vehicle: Vehicle) -> Iterator[str]:
     if vehicle.trailer:
         centers[2:] = vehicle.trailer.at_rest[1:, :3, 3]
     for wheel, center in zip(keypoints.WHEELS, centers, strict=True):
-        if abs(center[2] - radius) > GROUND_TOLERANCE:
+        if abs(center[2] - radius) > MODEL_TOLERANCES.ground_m:
             off = 100 * (center[2] - radius)
             yield f"keypoints: {keypoints.NAMES[wheel]} is {off:.1f} cm off its height above the road"
         if np.linalg.norm(vehicle.points[wheel] - center) > 0.001:
@@ -164,14 +182,14 @@ def _orientation(vehicle: Vehicle) -> Iterator[str]:
     back = total = 0
     for azimuth in np.radians([20, 110, 200, 290]):
         eye = max(15, straight_lwh(vehicle)[0]) * np.array([np.cos(azimuth), np.sin(azimuth), 0.35])
-        aims = corners[rng.choice(len(corners), RAYS, replace=False, p=area / area.sum())].mean(axis=1)
+        aims = corners[rng.choice(len(corners), MODEL_TOLERANCES.rays, replace=False, p=area / area.sum())].mean(axis=1)
         sight = corners.mean(axis=1) - eye
         away = (normal * sight).sum(axis=1)
-        counts = (away <= 0) | (away > GRAZING * area * np.linalg.norm(sight, axis=1))
+        counts = (away <= 0) | (away > MODEL_TOLERANCES.grazing_sin * area * np.linalg.norm(sight, axis=1))
         reach, front = Fan(corners[counts] - eye).first_hits(aims - eye)
         back += int((np.isfinite(reach) & ~front).sum())
         total += int(np.isfinite(reach).sum())
-    if back > BACK_SHARE * total:
+    if back > MODEL_TOLERANCES.back_share * total:
         yield f"mesh: {back} of {total} rays from outside meet the back of a triangle"
 
 
@@ -202,7 +220,7 @@ def distance_to_surface(point: Array, triangles: Array) -> float:
     return best if best <= reach else np.inf
 
 
-VIEWS: Final = {
+SHEET_VIEWS: Final = {
     "three quarters front": (35.0, 18.0),
     "three quarters rear": (145.0, 18.0),
     "front": (0.0, 6.0),
@@ -211,10 +229,6 @@ VIEWS: Final = {
     "top": (90.0, 80.0),
 }
 """Directions of the camera: degrees from straight ahead towards the vehicle's left, and above the horizon."""
-_SHEET_FOV: Final = math.radians(20)
-_SHEET_MARGIN: Final = 1.12
-_SHEET_BEND: Final = math.radians(25)
-"""Bend of articulated vehicles in the views of three quarters."""
 _CAR_COLOR: Final = "red"
 _SHEET_CONDITIONS: Final = Conditions(
     sun_elevation_deg=50.0,
@@ -231,7 +245,7 @@ _SHEET_CONDITIONS: Final = Conditions(
 def sheet(vehicle: Vehicle, renderer: str, *, size: tuple[int, int] = (640, 400)) -> NDArray[np.uint8]:
     """All views of a vehicle, plain above and labelled below, with its name and dimensions as caption."""
     pictures = list(_pictures(vehicle, renderer, size))
-    columns = len(VIEWS) // 2
+    columns = len(SHEET_VIEWS) // 2
     rows = [pictures[i : i + columns] for i in range(0, len(pictures), columns)]
     cells = [picture for row in rows for which in (0, 1) for picture in (pair[which] for pair in row)]
     length, width, height = straight_lwh(vehicle)
@@ -242,8 +256,8 @@ def sheet(vehicle: Vehicle, renderer: str, *, size: tuple[int, int] = (640, 400)
 def _pictures(
     vehicle: Vehicle, renderer: str, size: tuple[int, int]
 ) -> Iterator[tuple[NDArray[np.uint8], NDArray[np.uint8]]]:
-    for name, (azimuth, elevation) in VIEWS.items():
-        bend = _SHEET_BEND if name.startswith("three quarters") else 0.0
+    for name, (azimuth, elevation) in SHEET_VIEWS.items():
+        bend = MODEL_TOLERANCES.sheet_bend_rad if name.startswith("three quarters") else 0.0
         recording = parked_recording(
             vehicle, _sheet_camera(vehicle, math.radians(azimuth), math.radians(elevation), size, bend), bend
         )
@@ -262,7 +276,9 @@ def _sheet_camera(vehicle: Vehicle, azimuth: float, elevation: float, size: tupl
 
     def at(distance: float) -> Camera:
         place = middle + distance * toward
-        return Camera.looking(place, yaw=azimuth + math.pi, pitch_down=elevation, size=size, fov=_SHEET_FOV)
+        return Camera.looking(
+            place, yaw=azimuth + math.pi, pitch_down=elevation, size=size, fov=MODEL_TOLERANCES.sheet_fov_rad
+        )
 
     distance = 60.0
     placed = zip(vehicle.parts, parked_recording(vehicle, at(distance), bend).moment(0).part_poses(0), strict=False)
@@ -271,7 +287,7 @@ def _sheet_camera(vehicle: Vehicle, azimuth: float, elevation: float, size: tupl
         camera = at(distance)
         pixels, _, _ = camera.project(corners)
         reach = np.abs(pixels - [size[0] / 2, size[1] / 2]).max(axis=0) / [size[0] / 2, size[1] / 2]
-        distance *= float(reach.max()) * _SHEET_MARGIN
+        distance *= float(reach.max()) * MODEL_TOLERANCES.sheet_margin
     return at(distance)
 
 

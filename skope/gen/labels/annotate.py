@@ -16,8 +16,8 @@ from skope.errors import UserError, one_of
 from skope.gen.bystanders import bystander
 from skope.gen.bystanders.bystander import CATEGORY_OF
 from skope.gen.labels.boxes_and_masks import Extent, box_around, measure_extent
-from skope.gen.labels.visibility import VEHICLE_TOLERANCE, behind, find_hidden
-from skope.gen.labels.world_keypoints import LOCALIZERS, world_keypoints
+from skope.gen.labels.visibility import VISIBILITY, behind, find_hidden
+from skope.gen.labels.world_keypoints import LOCALIZER_CHOICES, world_keypoints
 from skope.gen.render.frame import RenderedFrame
 from skope.gen.scene.recording import Moment
 from skope.gen.vehicles.model import Vehicle
@@ -46,7 +46,7 @@ class Rules:
 
     def __post_init__(self) -> None:
         one_of("--occlusion-rule", self.occlusion, OCCLUSION_RULES)
-        one_of("--localizer", self.localizer, LOCALIZERS)
+        one_of("--localizer", self.localizer, LOCALIZER_CHOICES)
         if not 0 <= self.min_visible <= 1:
             raise UserError(f"--min-visible: expected a share from 0 to 1, got {self.min_visible}")
         if not self.min_box >= 0:
@@ -123,7 +123,7 @@ def annotate(
     gap, shown = behind(view, camera, world.tested)
     own = shown[0] == np.array(seen, dtype=np.int32).reshape(-1, 1) + 1
     v = np.where(inside, np.where(find_hidden(moment, world, view, camera, inside, gap, shown), 1, 2), 0)
-    hidden = inside & (np.nan_to_num(gap[0], nan=0.0) > VEHICLE_TOLERANCE)
+    hidden = inside & (np.nan_to_num(gap[0], nan=0.0) > VISIBILITY.vehicle_m)
     by_others = occluded_by_others(hidden & ~own, inside)
     by_paper = hidden.sum(-1) * 2 > keypoints.K
     tally = RuleCounts()

@@ -2,8 +2,8 @@
 
 What counts as hidden is decided in annotate.py.
 
-Each vehicle's triangles are grouped in patches of `_PATCH`. A ray is tested against spheres around the vehicles, then
-spheres and boxes around their patches, and only then against triangles.
+Each vehicle's triangles are grouped in patches of `RAYCAST_LIMITS.patch_triangles`. A ray is tested against spheres
+around the vehicles, then spheres and boxes around their patches, and only then against triangles.
 """
 
 from collections.abc import Sequence
@@ -20,12 +20,20 @@ from skope.gen.scene.recording import Moment
 from skope.gen.vehicles.model import Body
 from skope.types import Array
 
-_PATCH: Final = 16
-"""Number of triangles of a patch, which are tested together."""
-_ORDER_STEPS: Final = 1023
-"""Steps that a vehicle's length is cut into where triangles are put in order."""
-_ROUNDING_M: Final = 1e-6
-"""Enlargement of spheres and boxes, metres: more than rounding errors."""
+
+@dataclass(frozen=True)
+class RaycastLimits:
+    """Patches and margins of ray casting."""
+
+    patch_triangles: int = 16
+    """Number of triangles of a patch, which are tested together."""
+    order_steps: int = 1023
+    """Steps that a vehicle's length is cut into where triangles are put in order."""
+    rounding_m: float = 1e-6
+    """Enlargement of spheres and boxes, metres: more than rounding errors."""
+
+
+RAYCAST_LIMITS: Final = RaycastLimits()
 
 
 class RayCaster:
@@ -134,7 +142,8 @@ class _Candidates:
 
 @dataclass(frozen=True, eq=False)
 class _Patches:
-    """A vehicle's triangles in P patches of `_PATCH` that lie close together, and spheres and boxes around them."""
+    """A vehicle's triangles in P patches of `RAYCAST_LIMITS.patch_triangles` that lie close together, and spheres and
+    boxes around them."""
 
     corners: Array
     """(3 axes, 3 corners, P, _PATCH) metres, in the frame of their part; smaller patches repeat their triangles."""
@@ -155,8 +164,8 @@ def _patches(vehicle: Body) -> _Patches:
     part = np.repeat(np.arange(len(each)), [len(corners) for corners in each])
     low, high = points.min(axis=(1, 2)), points.max(axis=(1, 2))
     centers = (low + high) / 2
-    radii = np.linalg.norm(points - centers[:, None, None], axis=-1).max(axis=(1, 2)) + _ROUNDING_M
-    boxes = np.stack([low - _ROUNDING_M, high + _ROUNDING_M])
+    radii = np.linalg.norm(points - centers[:, None, None], axis=-1).max(axis=(1, 2)) + RAYCAST_LIMITS.rounding_m
+    boxes = np.stack([low - RAYCAST_LIMITS.rounding_m, high + RAYCAST_LIMITS.rounding_m])
     return _Patches(np.ascontiguousarray(points.transpose(3, 2, 0, 1)), part, centers, radii, boxes)
 
 
@@ -177,15 +186,15 @@ def _split_in_patches(places: Array) -> NDArray[np.int64]:
     """
     low = places.min(axis=0, initial=np.inf)
     size = (places.max(axis=0, initial=-np.inf) - low).max(initial=1e-9)
-    cells = ((places - low) / size * _ORDER_STEPS).astype(np.int64)
+    cells = ((places - low) / size * RAYCAST_LIMITS.order_steps).astype(np.int64)
     key = np.zeros(len(places), dtype=np.int64)
-    for bit in range(_ORDER_STEPS.bit_length()):
+    for bit in range(RAYCAST_LIMITS.order_steps.bit_length()):
         for axis in range(3):
             key |= (cells[:, axis] >> bit & 1) << (3 * bit + axis)
     order = key.argsort(kind="stable")
-    begins = np.arange(0, len(order), _PATCH)
-    sizes = np.minimum(len(order) - begins, _PATCH)
-    return np.asarray(order[begins[:, None] + np.arange(_PATCH) % sizes[:, None]])
+    begins = np.arange(0, len(order), RAYCAST_LIMITS.patch_triangles)
+    sizes = np.minimum(len(order) - begins, RAYCAST_LIMITS.patch_triangles)
+    return np.asarray(order[begins[:, None] + np.arange(RAYCAST_LIMITS.patch_triangles) % sizes[:, None]])
 
 
 class Fan:

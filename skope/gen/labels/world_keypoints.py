@@ -11,7 +11,7 @@ from skope.gen.scene.recording import Moment, vehicle_body
 from skope.gen.vehicles.model import ON_TRAILER, Vehicle, wheel_plane
 from skope.types import Array
 
-LOCALIZERS: Final = ("rigid", "trilateration")
+LOCALIZER_CHOICES: Final = ("rigid", "trilateration")
 
 
 def transform(T_world_vehicle: Array, points: Array) -> Array:

@@ -9,12 +9,12 @@ from html import escape
 from typing import Any, Final
 
 from skope import keypoints
-from skope.gen.output.licences import ADDRESSES
+from skope.gen.output.licences import LICENCE_ADDRESSES
 from skope.page import html_pieces
 
 Card = Mapping[str, Any]
 
-TITLE: Final = "Roadside images with 33 keypoints per vehicle"
+DATASET_TITLE: Final = "Roadside images with 33 keypoints per vehicle"
 LIMITS_HEADING: Final = "Limits"
 
 
@@ -245,7 +245,7 @@ def people(card: Card) -> str:
 def licence(card: Card) -> str:
     """Licence of a dataset, with the address of a known one."""
     stated = str(card.get("licence", ""))
-    return f"{stated} ({ADDRESSES[stated]})" if stated in ADDRESSES else stated
+    return f"{stated} ({LICENCE_ADDRESSES[stated]})" if stated in LICENCE_ADDRESSES else stated
 
 
 # ------------------------------------------------------------------------------------------------------------ two forms
@@ -253,7 +253,7 @@ def licence(card: Card) -> str:
 
 def markdown(card: Card) -> str:
     """A card as README.md."""
-    lines = [f"# {TITLE}", "", card_summary(card), ""]
+    lines = [f"# {DATASET_TITLE}", "", card_summary(card), ""]
     for section in sections(card):
         lines += [f"## {section.title}", ""]
         for block in section.blocks:

@@ -13,12 +13,12 @@ from skope import schema
 from skope.dataset import shards
 from skope.dataset.depth_files import DEPTH_SCALE
 from skope.gen.output import card_text
-from skope.gen.output.licences import ADDRESSES
+from skope.gen.output.licences import LICENCE_ADDRESSES
 from skope.gen.vehicles.fleet import fleet
 
 Json = dict[str, Any]
 
-_CONTEXT: Final[Json] = {
+JSON_LD_CONTEXT: Final[Json] = {
     "@language": "en",
     "@vocab": "https://schema.org/",
     "citeAs": "cr:citeAs",
@@ -56,17 +56,17 @@ _CONTEXT: Final[Json] = {
     "subField": "cr:subField",
     "transform": "cr:transform",
 }
-_CITATION: Final = (
+PAPER_CITATION: Final = (
     "Pahadia, Lu, Chakravarthi, Yang: SKoPe3D: A Synthetic Dataset for Vehicle Keypoint Perception in 3D from Traffic "
     "Monitoring Cameras, 2023 (the method; the images are made by skope)"
 )
-_MIME: Final = {
+MIME_TYPES: Final = {
     ".jpg": "image/jpeg",
     ".png": "image/png",
     ".webp": "image/webp",
     ".npz": "application/octet-stream",
 }
-_FOLDERS: Final = {
+FOLDER_DESCRIPTIONS: Final = {
     "images/*/*": "Camera images.",
     "depth/*/*": f"Planar depth, metres = value / {DEPTH_SCALE:.0f}, 0 = sky.",
     "recordings/*": "Poses of every vehicle in every frame.",
@@ -93,7 +93,7 @@ _VEHICLE_FIELDS: Final = {
     "vehicle_type": ("sc:Text", "One of {types}."),
 }
 
-_RECORDS: Final = {
+RECORD_SETS: Final = {
     "images": ("images", "Images of all splits; COCO keypoints, a file a split.", _IMAGE_FIELDS),
     "vehicles": ("annotations", "Annotated vehicles of all splits; COCO keypoints, a file a split.", _VEHICLE_FIELDS),
 }
@@ -103,14 +103,14 @@ def croissant(card: Mapping[str, Any], sums: Mapping[str, str]) -> Json:
     """The document for a card and the dataset's checksums (SHA-256 by path, as the manifest has them)."""
     licence = str(card["licence"])
     return {
-        "@context": _CONTEXT,
+        "@context": JSON_LD_CONTEXT,
         "@type": "sc:Dataset",
         "conformsTo": ["http://mlcommons.org/croissant/1.0", "http://mlcommons.org/croissant/RAI/1.0"],
         "name": "skope-vehicle-keypoints",
-        "description": f"{card_text.TITLE}. {card_text.card_summary(card)}",
-        "license": ADDRESSES.get(licence, licence),
+        "description": f"{card_text.DATASET_TITLE}. {card_text.card_summary(card)}",
+        "license": LICENCE_ADDRESSES.get(licence, licence),
         "version": f"{schema.SCHEMA_VERSION}.0.0",
-        "citeAs": _CITATION,
+        "citeAs": PAPER_CITATION,
         "keywords": ["keypoints", "vehicles", "roadside camera", "synthetic data", "3D boxes", "depth"],
         "rai:dataCollection": " ".join(card_text.made(card)),
         "rai:dataCollectionType": ["Simulations"],
@@ -136,14 +136,14 @@ def _folder(sums: Mapping[str, str], types: str, categories: Sequence[str]) -> J
     # Readers take one list of rows from a set of files, so that the same files are two sets.
     files += [
         _set(f"files-of-{name}", "annotations/*.json", "application/json", description)
-        for name, (_, description, _) in _RECORDS.items()
+        for name, (_, description, _) in RECORD_SETS.items()
     ]
-    for pattern, description in _FOLDERS.items():
+    for pattern, description in FOLDER_DESCRIPTIONS.items():
         folder = pattern.split("/")[0]
         for suffix in sorted({Path(path).suffix for path in sums if path.startswith(f"{folder}/")}):
-            files.append(_set(f"{folder}-files", pattern + suffix, _MIME[suffix], description))
+            files.append(_set(f"{folder}-files", pattern + suffix, MIME_TYPES[suffix], description))
     records = []
-    for name, (rows, description, fields) in _RECORDS.items():
+    for name, (rows, description, fields) in RECORD_SETS.items():
         if rows == "annotations" and categories:
             description = "Annotated road users of all splits; COCO keypoints, a file a split."
             ids = ", ".join(f"{schema.CATEGORIES.index(one) + 1} {one}" for one in categories)
@@ -161,7 +161,7 @@ def _shards(sums: Mapping[str, str]) -> Json:
         "distribution": [
             *(_file(path, sums, "application/x-tar") for path in sums if path.endswith(".tar")),
             _set("shard-indices", f"{shards.SHARD_FOLDER}/*.json", "application/json", description),
-            _set("recordings-files", "recordings/*.npz", _MIME[".npz"], _FOLDERS["recordings/*"]),
+            _set("recordings-files", "recordings/*.npz", MIME_TYPES[".npz"], FOLDER_DESCRIPTIONS["recordings/*"]),
         ]
     }
 

@@ -19,10 +19,10 @@ from skope.gen.output.parameters import DatasetPlan, Parameters
 from skope.gen.output.writers import Counts, categories_field
 from skope.gen.vehicles.fleet import fleet
 
-CROISSANT: Final = "croissant.json"
-_VARIED: Final = ("world", "nights", "conditions")
+CROISSANT_FILE: Final = "croissant.json"
+VARIED_PRESETS: Final = ("world", "nights", "conditions")
 """Presets that have views, jitter and labelled road users unless they are told otherwise."""
-PHOTOGRAPH: Final = "what is drawn: {}; the background is the user's photograph, whose rights are as they were"
+PHOTOGRAPH_RIGHTS: Final = "what is drawn: {}; the background is the user's photograph, whose rights are as they were"
 
 
 def card(plan: DatasetPlan, counts: Counts) -> dict[str, Any]:
@@ -64,7 +64,7 @@ def card(plan: DatasetPlan, counts: Counts) -> dict[str, Any]:
         },
         "versions": dict(parameters.versions),
         **plan.to_dict(),
-        "licence": PHOTOGRAPH.format(parameters.licence) if own and own.photograph else parameters.licence,
+        "licence": PHOTOGRAPH_RIGHTS.format(parameters.licence) if own and own.photograph else parameters.licence,
     }
 
 
@@ -88,7 +88,7 @@ def command(p: Parameters) -> str:
     parts += [f"--time-of-day {','.join(p.time_of_day)}"] if p.time_of_day else []
     parts += [f"--vehicles {','.join(p.vehicles)}"] if p.vehicles else []
     parts += [f"--share {p.vehicle_share}"] if p.vehicle_share else []
-    if p.preset in _VARIED:
+    if p.preset in VARIED_PRESETS:
         parts += [
             f"--views {variation.views}",
             _switch("town-jitter", variation.town_jitter),
@@ -118,11 +118,13 @@ def label_rules(rules: Rules) -> list[str]:
     return [
         "v = 2: visible; v = 1: inside the image but hidden by the vehicle itself or by something else; "
         "v = 0: outside the image, x = y = 0.",
-        f"A keypoint is hidden when it lies more than {visibility.POINT_TOLERANCE} m behind the surface that the four "
-        f"pixels around it show, after allowing for that surface's slope (at most {visibility.SLOPE_CAP} m); where "
+        f"A keypoint is hidden when it lies more than {visibility.VISIBILITY.point_m} m behind the surface that "
+        f"the four "
+        f"pixels around it show, after allowing for that surface's slope (at most "
+        f"{visibility.VISIBILITY.slope_m} m); where "
         "they disagree, when a vehicle's own shape stands before it on its own ray, or its own pixel shows something "
         "else.",
-        f"A vehicle is {by_rule} (tolerance {visibility.VEHICLE_TOLERANCE} m).",
+        f"A vehicle is {by_rule} (tolerance {visibility.VISIBILITY.vehicle_m} m).",
         "A vehicle without a visible pixel has no annotation.",
         f"Ignored (iscrowd = 1): sliver, less than {rules.min_visible:.0%} of its silhouette unhidden and inside the "
         f"image; small, shorter edge of its box under {rules.min_box:g} px or fewer than {annotate.MIN_PIXELS} "
@@ -145,7 +147,7 @@ def write_card(root: Path, content: Mapping[str, Any]) -> None:
     """Write the card of the dataset at `root`, whose manifest is there; dataset.json makes it one and comes last."""
     sums = read_manifest(root)["sha256"]
     write_text(root / "README.md", readme(content))
-    write_json(root / CROISSANT, croissant(content, sums))
+    write_json(root / CROISSANT_FILE, croissant(content, sums))
     write_json(root / CARD, content)
 
 

@@ -13,7 +13,7 @@ from typing import Any, Final
 from skope.errors import UserError
 
 DEFAULT_LICENCE: Final = "CC BY 4.0"
-ADDRESSES: Final = {
+LICENCE_ADDRESSES: Final = {
     "CC0 1.0": "https://creativecommons.org/publicdomain/zero/1.0/",
     "CC BY 4.0": "https://creativecommons.org/licenses/by/4.0/",
     "CC BY-SA 4.0": "https://creativecommons.org/licenses/by-sa/4.0/",
@@ -26,27 +26,30 @@ ADDRESSES: Final = {
     "CDLA-Permissive-2.0": "https://cdla.dev/permissive-2-0/",
 }
 
-_CODE = re.compile(r"CC[ -]?(?:(?P<zero>0)|BY(?P<terms>(?:-(?:NC|SA|ND))*))(?:[ -](?P<version>\d\.\d))?(?![\w-])", re.I)
-_ORDER = ("NC", "SA", "ND")
-_ADDRESS = re.compile(
+CC_CODE = re.compile(
+    r"CC[ -]?(?:(?P<zero>0)|BY(?P<terms>(?:-(?:NC|SA|ND))*))(?:[ -](?P<version>\d\.\d))?(?![\w-])", re.I
+)
+CC_TERMS = ("NC", "SA", "ND")
+CC_ADDRESS = re.compile(
     r"creativecommons\.org/(?:licenses/(?P<terms>[a-z-]+)|publicdomain/(?P<zero>zero))/(?P<version>\d\.\d)", re.I
 )
-_WORDS = {"noncommercial": "NC", "sharealike": "SA", "noderiv": "ND"}
+CC_WORDS = {"noncommercial": "NC", "sharealike": "SA", "noderiv": "ND"}
 NOT_STATED: Final = "not stated"
-BETWEEN: Final = " | "
+LICENCE_SEPARATOR: Final = " | "
 """Stands between licences of which each holds for a part of a dataset."""
-_LONG = 200
-"""Of a longer text of a licence its first line is its name."""
+LONG_LICENCE = 200
+"""Letters from which a licence is named by its first line."""
 
 Terms = frozenset[str]
 
 
 def named(text: str) -> str:
-    """A licence as a card states it: one of `ADDRESSES` however its name is written, or any other line of text."""
+    """A licence as a card states it: one of `LICENCE_ADDRESSES` however its name is written, or any other line of
+    text."""
     text = " ".join(text.split())
     if not text:
         raise UserError(f"--licence: expected a licence's name, such as {DEFAULT_LICENCE!r}")
-    known = {_bare(name): name for name in ADDRESSES}
+    known = {_bare(name): name for name in LICENCE_ADDRESSES}
     return known.get(_bare(text), text)
 
 
@@ -61,7 +64,7 @@ def in_text(text: str) -> str:
     whole = " ".join(words)
     if not words:
         return NOT_STATED
-    return whole if len(words) == 1 or len(whole) <= _LONG else words[0]
+    return whole if len(words) == 1 or len(whole) <= LONG_LICENCE else words[0]
 
 
 def in_coco(document: Mapping[str, Any]) -> list[str]:
@@ -86,27 +89,27 @@ def _list(value: object) -> list[Any]:
 
 def _in_record(record: Mapping[str, Any]) -> str:
     """The name of a licence in a record with `name` and `url`; empty where it says nothing."""
-    name, url = (" ".join(str(record.get(key) or "").split())[:_LONG] for key in ("name", "url"))
-    address = _ADDRESS.search(url) or _ADDRESS.search(name)
+    name, url = (" ".join(str(record.get(key) or "").split())[:LONG_LICENCE] for key in ("name", "url"))
+    address = CC_ADDRESS.search(url) or CC_ADDRESS.search(name)
     code = ""
     if address is not None:
         code = f"CC0 {address['version']}" if address["zero"] else f"CC {address['terms'].upper()} {address['version']}"
     if not code and re.match(r"attribution\b", name, re.I):
         squeezed = re.sub(r"[\s-]", "", name.lower())
         version = re.search(r"\d\.\d", name)
-        code = "-".join(["CC BY", *(term for word, term in _WORDS.items() if word in squeezed)])
+        code = "-".join(["CC BY", *(term for word, term in CC_WORDS.items() if word in squeezed)])
         code += f" {version[0]}" if version else ""
     if code and licence_terms(name) is not None and licence_terms(name) != licence_terms(code):
-        return f"{name}{BETWEEN}{code}"
+        return f"{name}{LICENCE_SEPARATOR}{code}"
     return code or (named(name) if name else url)
 
 
 def joint_licence(licences: Iterable[str]) -> str:
     """The licences of a dataset's parts side by side, each once."""
-    parts = dict.fromkeys(part for licence in licences for part in licence.split(BETWEEN))
+    parts = dict.fromkeys(part for licence in licences for part in licence.split(LICENCE_SEPARATOR))
     if len(parts) > 1:
         parts.pop(NOT_STATED, None)
-    return BETWEEN.join(parts) or NOT_STATED
+    return LICENCE_SEPARATOR.join(parts) or NOT_STATED
 
 
 def licence_terms(licence: str) -> Terms | None:
@@ -114,7 +117,7 @@ def licence_terms(licence: str) -> Terms | None:
 
     The licence must stand at the beginning: "what is drawn is CC0, the photograph ..." is not CC0.
     """
-    match = _CODE.match(licence)
+    match = CC_CODE.match(licence)
     if match is None:
         return None
     return frozenset() if match["zero"] else frozenset({"BY", *match["terms"].upper().split("-")} - {""})
@@ -123,7 +126,7 @@ def licence_terms(licence: str) -> Terms | None:
 def united(licences: Sequence[str]) -> str:
     """The licence of a dataset made of parts under `licences`; a UserError says which two exclude each other."""
     different = list(dict.fromkeys(licences))
-    parts = {licence: licence.split(BETWEEN) for licence in different}
+    parts = {licence: licence.split(LICENCE_SEPARATOR) for licence in different}
     known = {part: licence_terms(part) for own in parts.values() for part in own}
     pairs = (pair for one, two in itertools.permutations(parts.values(), 2) for pair in itertools.product(one, two))
     for licence, other in pairs:
@@ -134,7 +137,7 @@ def united(licences: Sequence[str]) -> str:
         if alone or alike:
             raise UserError(f"licence: {licence!r} does not allow to be joined with {other!r}")
     if len(different) == 1 or None in known.values():
-        return BETWEEN.join(known)
+        return LICENCE_SEPARATOR.join(known)
     everything = frozenset[str]().union(*(terms for terms in known.values() if terms is not None))
     return _name_of(everything, [licence for licence, terms in known.items() if terms == everything])
 
@@ -143,4 +146,4 @@ def _name_of(terms: Terms, as_stated: Sequence[str]) -> str:
     """The words of the part that has just these terms, or the licence's name."""
     if as_stated:
         return as_stated[0]
-    return "-".join(["CC BY", *(word for word in _ORDER if word in terms)]) + " 4.0"
+    return "-".join(["CC BY", *(word for word in CC_TERMS if word in terms)]) + " 4.0"

@@ -48,7 +48,7 @@ def range_pairs(table: Mapping[str, Sequence[float]]) -> dict[str, Range]:
 _OF_HOUR: Final = ("sun_elevation_deg", "sun_azimuth_deg")
 _OF_WEATHER: Final = ("clouds", "visibility_m")
 """Conditions that follow from weather and hour: a site's own values hold for its first recording only."""
-_TURNS: Final = 30
+LIGHT_TURNS: Final = 30
 """Turns that a site may begin with among lights."""
 
 
@@ -117,7 +117,7 @@ def varied(planned: Site) -> Site:
 
 def _first_light(own: Site, seed: int, place: int) -> int:
     """The one of the lights that a site begins with; `place` tells apart those that begin on their own."""
-    return int(rng(seed, own.name, place, Stream.ASKED_LIGHT).integers(_TURNS))
+    return int(rng(seed, own.name, place, Stream.ASKED_LIGHT).integers(LIGHT_TURNS))
 
 
 def _with_traffic(own: Site, index: int, seed: int, traffic: Range) -> Site:

@@ -23,7 +23,7 @@ from skope.gen.output.writers import Counts, FrameFiles, Labels, frames_of_split
 from skope.gen.scene import recording as recordings
 from skope.gen.scene.recording import Recording, RecordingInfo
 
-_GROWS: Final = ("frames", "sites", "recordings")
+GROWING_PARAMETERS: Final = ("frames", "sites", "recordings")
 """Parameters that a dataset can be extended by."""
 
 
@@ -140,7 +140,9 @@ class Store:
         grows = all(larger.get((info.site, info.name), 0) >= info.frames for info in begun.recordings)
         before, asked = was.to_dict(), now.to_dict()
         names = sorted(before.keys() | asked.keys())
-        different = [name for name in names if before.get(name) != asked.get(name) and not (grows and name in _GROWS)]
+        different = [
+            name for name in names if before.get(name) != asked.get(name) and not (grows and name in GROWING_PARAMETERS)
+        ]
         if different:
             list_ = ", ".join(
                 f"{name} = {_short_json(before.get(name))}, now {_short_json(asked.get(name))}" for name in different

@@ -15,23 +15,38 @@ from skope.cpu_count import usable_processors
 from skope.gen.output.frames import Encoding
 from skope.gen.pipeline.config import DatasetRequest
 from skope.gen.pipeline.dataset_store import Store
-from skope.gen.pipeline.workers import CHUNK
+from skope.gen.pipeline.workers import FRAMES_PER_JOB
 from skope.gen.scene.recording import RecordingInfo, RecordingPlan
 from skope.terminal.console import counted, disk_size, minutes
 
-START_S: Final = 6.0
-"""Time that worker processes take to start, and the dataset to be completed, seconds."""
-SIMULATION_S: Final = 1.4
-"""Core time of a simulation's beginning, seconds: traffic that comes into the town."""
-SIMULATED_SECOND_S: Final = 0.17
-"""Core time of a second that is recorded, seconds."""
-TOWN_S: Final = 6.0
-"""Core time of what stands along the roads, grown anew for a simulation, seconds."""
-SHAPES_S: Final = 5.0
-"""Core time of a recording's vehicles where each has a shape of its own, seconds."""
-_LIGHT_PARTS: Final = 4
-"""Of a light, that workers without a GPU share out."""
-_WET: Final = ("rain", "after_rain", "snow")
+
+@dataclass(frozen=True)
+class WorkRates:
+    """Times and sizes by which work is estimated."""
+
+    start_s: float = 6.0
+    """Time that worker processes take to start, and the dataset to be completed, seconds."""
+    simulation_s: float = 1.4
+    """Core time of a simulation's beginning, seconds: traffic that comes into the town."""
+    simulated_second_s: float = 0.17
+    """Core time of a second that is recorded, seconds."""
+    town_s: float = 6.0
+    """Core time of what stands along the roads, grown anew for a simulation, seconds."""
+    shapes_s: float = 5.0
+    """Core time of a recording's vehicles where each has a shape of its own, seconds."""
+    light_parts: int = 4
+    """Number of parts of a light that workers without a GPU share."""
+    labels_bytes: int = 30_000
+    """Bytes of an image's annotations: a dozen vehicles."""
+    image_bytes: tuple[int, float] = (360_000, 0.88)
+    """Bytes of a JPEG of quality 95 with a million pixels, and the power of the number of pixels."""
+    depth_bytes: tuple[int, float] = (240_000, 0.78)
+    """The same of a depth file."""
+
+
+WORK_RATES: Final = WorkRates()
+
+WET_WEATHERS: Final = ("rain", "after_rain", "snow")
 
 
 @dataclass(frozen=True)
@@ -45,16 +60,11 @@ class Rate:
     wet_light: tuple[float, float]
 
 
-RATES: Final[Mapping[str, Rate]] = {
+RENDER_RATES: Final[Mapping[str, Rate]] = {
     "llvmpipe": Rate(frame=(0.18, 0.07), light=(6.0, 9.5), wet_light=(7.0, 18.0)),
     "GPU": Rate(frame=(0.10, 0.02), light=(0.5, 0.0), wet_light=(0.5, 0.0)),
     "pybullet": Rate(frame=(0.20, 1.0), light=(0.5, 28.0), wet_light=(0.5, 28.0)),
 }
-_LABELS_BYTES: Final = 30_000
-"""Of an image's annotations: a dozen vehicles."""
-_IMAGE_BYTES: Final = (360_000, 0.88)
-"""Of a JPEG file of quality 95 with a million pixels, and the power of the pixels that others go by."""
-_DEPTH_BYTES: Final = (240_000, 0.78)
 _BY_QUALITY: Final = {
     "jpeg": ((1, 50, 80, 90, 95, 100), (0.05, 0.25, 0.45, 0.76, 1.0, 1.7)),
     "webp": ((1, 50, 80, 95, 100), (0.05, 0.17, 0.30, 0.85, 1.1)),
@@ -107,13 +117,16 @@ def estimate(request: DatasetRequest, store: Store, workers: int | None) -> Esti
     if workers is not None:
         groups = [group for group in request.simulations() if not all(store.recorded(plan.info) for plan in group)]
         cores = min(workers, usable_processors())
-        seconds = START_S + _simulating(request, groups, cores) + _rendering(request, plans, left, cores)
+        seconds = WORK_RATES.start_s + _simulating(request, groups, cores) + _rendering(request, plans, left, cores)
     return Estimate(images, images * _frame_bytes(request), seconds, workers, cores)
 
 
 def _simulating(request: DatasetRequest, groups: Sequence[Sequence[RecordingPlan]], cores: int) -> float:
     """Seconds that simulations take; each is made by one worker."""
-    each = [SIMULATION_S + SIMULATED_SECOND_S * sum(plan.frames * plan.interval for plan in group) for group in groups]
+    each = [
+        WORK_RATES.simulation_s + WORK_RATES.simulated_second_s * sum(plan.frames * plan.interval for plan in group)
+        for group in groups
+    ]
     return max(sum(each) / cores, max(each, default=0.0))
 
 
@@ -123,20 +136,22 @@ def _rendering(
     """Seconds that lights and frames take."""
     p = request.parameters
     kind = p.renderer if p.renderer == "pybullet" else "llvmpipe" if "llvmpipe" in p.driver else "GPU"
-    rate, (width, height) = RATES[kind], p.pixels()
+    rate, (width, height) = RENDER_RATES[kind], p.pixels()
     megapixels = width * height / 1e6
 
     def of(pair: tuple[float, float]) -> float:
         return pair[0] + pair[1] * megapixels
 
-    lights = [of(rate.wet_light if plan.site.weather in _WET else rate.light) for plan in plans]
+    lights = [of(rate.wet_light if plan.site.weather in WET_WEATHERS else rate.light) for plan in plans]
     if request.own and request.own.road.photograph:
         lights = []
-    lighting = max(sum(lights) / cores, max(lights, default=0.0) / _LIGHT_PARTS)
-    grown = TOWN_S * len({(plan.site.name, plan.leader) for plan in plans}) if p.variation.town_jitter else 0.0
-    shapes = SHAPES_S * len(plans) if p.variation.shape_jitter else 0.0
+    lighting = max(sum(lights) / cores, max(lights, default=0.0) / WORK_RATES.light_parts)
+    grown = (
+        WORK_RATES.town_s * len({(plan.site.name, plan.leader) for plan in plans}) if p.variation.town_jitter else 0.0
+    )
+    shapes = WORK_RATES.shapes_s * len(plans) if p.variation.shape_jitter else 0.0
     frames = sum(left[plan.info] for plan in plans)
-    drawing = of(rate.frame) * max(frames / cores, min(frames, CHUNK))
+    drawing = of(rate.frame) * max(frames / cores, min(frames, FRAMES_PER_JOB))
     return lighting + (grown + shapes) / cores + drawing
 
 
@@ -145,8 +160,10 @@ def _frame_bytes(request: DatasetRequest) -> float:
     p = request.parameters
     width, height = p.pixels()
     megapixels = width * height / 1e6
-    depth = _of_pixels(_DEPTH_BYTES, megapixels) if p.encoding.depth else 0.0
-    return _LABELS_BYTES + depth + _of_pixels(_IMAGE_BYTES, megapixels) * _size_by_quality(p.encoding)
+    depth = _of_pixels(WORK_RATES.depth_bytes, megapixels) if p.encoding.depth else 0.0
+    return (
+        WORK_RATES.labels_bytes + depth + _of_pixels(WORK_RATES.image_bytes, megapixels) * _size_by_quality(p.encoding)
+    )
 
 
 def _of_pixels(law: tuple[int, float], megapixels: float) -> float:

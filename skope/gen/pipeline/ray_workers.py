@@ -18,7 +18,7 @@ from skope.gen.scene.package_versions import versions
 from skope.gen.scene.recording import Recording, RecordingInfo, RecordingPlan
 from skope.gen.simulation.simulate import simulate_together
 
-_LOST: Final = 20
+MOST_LOST_WORKERS: Final = 20
 """Number of workers that may be lost before the run is given up."""
 
 
@@ -135,7 +135,7 @@ class RayPool:
             text = next(line for line in reversed(str(error).splitlines()) if "UserError" in line)
             raise UserError(f"a worker of the cluster {text.split('UserError: ')[-1]}") from None
         self._lost += 1
-        if self._lost > _LOST:
+        if self._lost > MOST_LOST_WORKERS:
             raise UserError(
                 f"{self._lost} workers of the cluster were lost, perhaps for want of memory; "
                 "the same command goes on from here"

@@ -25,7 +25,7 @@ from skope.gen.scene import recording as recordings
 from skope.gen.scene.recording import Recording, RecordingInfo, RecordingPlan
 from skope.gen.simulation.simulate import simulate_together
 
-CHUNK = 8
+FRAMES_PER_JOB = 8
 """Frames per job: small enough that no worker idles long at the end."""
 _LISTEN_S: Final = 0.2
 """Seconds between two looks at what workers tell while they are at their jobs."""
@@ -82,7 +82,7 @@ class JobQueue:
     recordings that no worker has had; there it begins with a town, where so many `views` in a row share one.
     """
 
-    def __init__(self, missing: Mapping[RecordingInfo, list[int]], chunk: int = CHUNK, views: int = 0) -> None:
+    def __init__(self, missing: Mapping[RecordingInfo, list[int]], chunk: int = FRAMES_PER_JOB, views: int = 0) -> None:
         self._left = {
             recording: deque(RenderJob(recording, tuple(frames[i : i + chunk])) for i in range(0, len(frames), chunk))
             for recording, frames in missing.items()

@@ -28,7 +28,7 @@ from skope.schema import CATEGORIES, VEHICLE_ALONE, Annotation, AnnotationFile, 
 from skope.terminal.console import Console
 from skope.video.write import VideoFile, create_video
 
-FPS: Final = (5, 8, 10, 12.5, 20, 25, 40, 50)
+FRAME_RATES: Final = (5, 8, 10, 12.5, 20, 25, 40, 50)
 """Frames a second that a video can have: SUMO's steps are whole milliseconds and must divide a frame's time."""
 
 
@@ -46,15 +46,15 @@ def plan_of(plan: RecordingPlan, fps: float, seconds: float, size_field: str = "
 
     Args:
         plan: Site, size and conditions.
-        fps: Frames a second, one of `FPS`.
+        fps: Frames a second, one of `FRAME_RATES`.
         seconds: Length of the video, up to 3600.
         size_field: The option or field that gave the image size, for the error message.
 
     Raises:
         UserError: A video cannot have this frame rate, length, or size (odd numbers of pixels).
     """
-    if fps not in FPS:
-        raise UserError(f"--fps: expected one of {', '.join(f'{one:g}' for one in FPS)}, got {fps:g}")
+    if fps not in FRAME_RATES:
+        raise UserError(f"--fps: expected one of {', '.join(f'{one:g}' for one in FRAME_RATES)}, got {fps:g}")
     if not 0 < seconds <= 3600:
         raise UserError(f"--seconds: expected seconds up to 3600, got {seconds:g}")
     width, height = plan.size

@@ -6,7 +6,7 @@ from typing import Final, Self
 
 import numpy as np
 
-from skope.gen.scene.conditions import DARK_DEG, OVERCAST, Conditions
+from skope.gen.scene.conditions import DARK_DEG, OVERCAST_CLOUDS, Conditions
 from skope.types import Array
 
 _OPTICAL_DEPTH: Final = np.array([0.12, 0.19, 0.34])
@@ -107,7 +107,7 @@ class Daylight:
         closed = share * share * (3 - 2 * share)
         zenith = (1 - closed) * day * np.array([0.22, 0.46, 1.0]) + closed * 0.9 * grey
         open_horizon = day * np.array([0.75, 0.95, 1.15]) + (1 - day) * 0.35 * through
-        overcast = conditions.clouds > OVERCAST
+        overcast = conditions.clouds > OVERCAST_CLOUDS
         dark = height < DARK_DEG
         street_light = float(dark) * conditions.street_lighting * 9.0 * temperature_color(conditions.street_light_k)
         city = street_light * SKY_LIGHT.city_glow * np.array([1.0, 0.9, 0.8])

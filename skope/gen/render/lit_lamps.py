@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from skope.camera.model import Camera
 from skope.gen.mesh import Mesh
-from skope.gen.scene.recording import LAMPS, Moment, body_of
+from skope.gen.scene.recording import LAMP_BITS, Moment, body_of
 from skope.gen.scenery.build import Signal
 from skope.gen.vehicles.model import TRAILER_PART, Body
 from skope.pictures.draw import SUBPIXEL_BITS
@@ -215,5 +215,5 @@ def lit_lamps(moment: Moment) -> Iterator[Lit]:
         for lamp in lamps_of(body_of(recorded)):
             T = T_world_parts[lamp.part]
             name, color, intensity = _LAMP_KINDS[lamp.material]
-            if bits & LAMPS[name]:
+            if bits & LAMP_BITS[name]:
                 yield Lit(i, T[:3, :3] @ lamp.center + T[:3, 3], T[:3, :3] @ lamp.facing, color, intensity)

@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from skope.gen.scene.conditions import DARK_DEG, OVERCAST, Conditions
+from skope.gen.scene.conditions import DARK_DEG, OVERCAST_CLOUDS, Conditions
 from skope.gen.towns.town import Town
 from skope.gen.towns.town_style import style
 
@@ -282,7 +282,7 @@ class Light:
     def _by_day(cls, conditions: Conditions) -> "Light":
         elevation, azimuth = np.radians([conditions.sun_elevation_deg, conditions.sun_azimuth_deg])
         low = float(np.clip(1 - conditions.sun_elevation_deg / 35, 0, 1))
-        if conditions.clouds > OVERCAST:
+        if conditions.clouds > OVERCAST_CLOUDS:
             level = 1 - 0.3 * low
             grey: COLOR_TYPE = (0.80 * level, 0.82 * level, 0.85 * level)
             horizon: COLOR_TYPE = (0.9 * level, 0.9 * level, 0.9 * level)

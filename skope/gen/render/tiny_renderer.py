@@ -33,12 +33,12 @@ from skope.gen.render.materials import (
 )
 from skope.gen.render.pixel_windows import WINDOW_LIMITS, Window, hull_of, window_of
 from skope.gen.render.spray import Spray
-from skope.gen.scene.recording import LAMPS, Moment, RecordedVehicle, Recording, body_of
+from skope.gen.scene.recording import LAMP_BITS, Moment, RecordedVehicle, Recording, body_of
 from skope.gen.scenery.build import scenery
 from skope.gen.simulation.pybullet_engine import engine
 from skope.gen.towns.town import Town
 from skope.gen.vehicles.model import TRAILER_PART, Body
-from skope.gen.vehicles.paints import PAINTS
+from skope.gen.vehicles.paints import ALL_PAINTS
 from skope.types import Array
 
 Slices = tuple[slice, slice]
@@ -250,12 +250,13 @@ class TinyRenderer:
         stage, on_stage = _vehicle_stage(vehicle)
         for part in [part for k, some in enumerate(on_stage) if k in (0, TRAILER_PART) for part in some]:
             if stage.parts[part] in ("paint", "livery"):
-                paint = PAINTS[recorded.color]
+                paint = ALL_PAINTS[recorded.color]
                 red, green, blue = paint.rgb if stage.parts[part] == "paint" else paint.livery
                 stage.paint(part, (red / 255, green / 255, blue / 255))
             if stage.parts[part] == "brake_light":
                 stage.paint(
-                    part, MATERIAL_PATTERNS.brake_light if lamps & LAMPS["brake"] else MATERIAL_COLORS["brake_light"]
+                    part,
+                    MATERIAL_PATTERNS.brake_light if lamps & LAMP_BITS["brake"] else MATERIAL_COLORS["brake_light"],
                 )
         T_chassis_world = np.linalg.inv(chassis)
         for some, T_world_part in zip(on_stage[1:], T_world_parts[1:], strict=False):

@@ -38,16 +38,58 @@ CAMERA_LIMITS: Final[Mapping[str, Range]] = {
 }
 """Ranges that a camera can be drawn by: in place of the site's (height over the road), or added to it (`zoom_by` is a
 factor on the focal length)."""
-_TRIES: Final = 500
-"""Cameras that are drawn until one sees enough road."""
-CAR_HEIGHT_M: Final = 1.5
-"""Height of a car, metres."""
-_LARGE: Final = 24.0
-"""A lane is seen where a car is so high in an image of 1080 rows, pixels."""
-_BRIDGE: Final = 12.0
-"""A camera nearer to a bridge's lanes than this hangs on the bridge, metres."""
-LEAST_ROAD_M: Final = 40.0
-"""Least length of lanes that a camera must see, metres; or half of what the site's own sees, if that is less."""
+
+
+@dataclass(frozen=True)
+class CameraSampling:
+    """How cameras are drawn, and what they must see."""
+
+    tries: int = 500
+    """Cameras that are drawn until one sees enough road."""
+    car_height_m: float = 1.5
+    """Height of a car, metres."""
+    large_px: float = 24.0
+    """A lane is seen where a car is so high in an image of 1080 rows, pixels."""
+    bridge_m: float = 12.0
+    """A camera nearer to a bridge's lanes than this hangs on the bridge, metres."""
+    least_road_m: float = 40.0
+    """Least length of lanes that a camera must see, metres; or half of what the site's own sees, if that is less."""
+    candidates: int = 100
+    """Cameras that are drawn for each view."""
+    empty_share: float = 0.06
+    """Share of the views that are to show a road without vehicles."""
+    enough_vehicles: float = 20.0
+    """Vehicles in view on average, from which more of them make a view no more likely."""
+    least_view_road_m: float = 8.0
+    """Least length of lanes that a view must show, metres: a camera over a single vehicle sees little more."""
+    largest_vehicle: tuple[float, float] = (0.1, 0.7)
+    """Default range of the height of the largest vehicle in a frame, as a share of the image's; drawn evenly in its
+    logarithm. A preset may choose another (`Variation.largest_vehicle`)."""
+    largest_sigma: float = 0.3
+    """Standard deviation of the logarithm of that height around what is wanted."""
+    at_target: tuple[float, float] = (0.5, 1.0)
+    """Range of the height of a car where the camera looks, as a share of what is wanted of the largest."""
+    at_vehicles_share: float = 0.8
+    """Share of the cameras drawn that look at a vehicle; the others look at any place on the road."""
+    mast_aside_m: tuple[float, float] = (0.8, 9.0)
+    """Range of the distance from the carriageway to a mast, metres."""
+    seen_px: float = 16.0
+    """Height of a car in an image of 1080 rows from which it counts as seen, pixels."""
+    car_extent_m: float = 3.0
+    """Typical apparent length of a car, between its width and its length, metres."""
+    steep_deg: float = 55.0
+    """Cameras that look down more steeply hang over the road, on a gantry, a bridge or an arm."""
+    over_road_m: float = 6.0
+    """Least height over the road of a camera that hangs above it, metres."""
+    frame_step: int = 3
+    """One frame of this many is examined to count vehicles."""
+    house_distance_m: float = 3.0
+    """No house stands nearer to the carriageway than this, metres."""
+    above_ground_m: float = 2.5
+    """Least height of a camera over the ground that its mast stands on, metres."""
+
+
+CAMERA_SAMPLING: Final = CameraSampling()
 
 
 @dataclass(frozen=True)
@@ -81,7 +123,7 @@ def sample_camera(site: Site, ranges: CameraRanges, rng: np.random.Generator) ->
         rng: Draws.
 
     Raises:
-        UserError: None of `_TRIES` cameras sees enough road.
+        UserError: None of `CAMERA_SAMPLING.tries` cameras sees enough road.
     """
     spans = ranges.spans
     own = site.camera(ranges.size, ranges.fov_deg, ranges.distortion)
@@ -90,14 +132,14 @@ def sample_camera(site: Site, ranges: CameraRanges, rng: np.random.Generator) ->
     layout = Layout.of(site.town)
     lanes, level = np.concatenate(list(layout.graph.lane_points.values())), _level(layout, site)
     lowest = _lowest(layout.graph, site)
-    enough = min(LEAST_ROAD_M, road_seen(own, lanes) / 2)
-    for _ in range(_TRIES):
+    enough = min(CAMERA_SAMPLING.least_road_m, road_seen(own, lanes) / 2)
+    for _ in range(CAMERA_SAMPLING.tries):
         values = {name: float(rng.uniform(*spans[name])) for name in CAMERA_LIMITS if name in spans}
         lens = site.camera(ranges.size, values.get("fov_deg", ranges.fov_deg), ranges.distortion)
         camera = moved(lens, values, level)
         if camera.position[2] >= lowest and road_seen(camera, lanes) >= enough:
             return camera
-    raise UserError(f"{site.name}: of {_TRIES} cameras drawn none sees {enough:.0f} m of lanes")
+    raise UserError(f"{site.name}: of {CAMERA_SAMPLING.tries} cameras drawn none sees {enough:.0f} m of lanes")
 
 
 def moved(camera: Camera, values: Mapping[str, float], level: float) -> Camera:
@@ -130,52 +172,21 @@ def _lowest(graph: RoadGraph, site: Site) -> float:
     """Height that a camera on a bridge keeps to: that of its parapet; elsewhere it may hang at any, metres."""
     decks = [graph.lane_points[str(edge.getID())] for edge in graph.edges_of("bridge")]
     x, y, z = site.position
-    under = [points for points in decks if (np.hypot(points[:, 0] - x, points[:, 1] - y) < _BRIDGE).any()]
+    under = [
+        points for points in decks if (np.hypot(points[:, 0] - x, points[:, 1] - y) < CAMERA_SAMPLING.bridge_m).any()
+    ]
     return z if under else -math.inf
 
 
 def road_seen(camera: Camera, lanes: Array) -> float:
     """Metres of lanes, given as points (N, 3) at every metre, in which cars are large enough in the image."""
     pixels, depth, valid = camera.project(lanes)
-    high = camera.K[1, 1] * CAR_HEIGHT_M >= _LARGE * camera.height / 1080 * depth
+    high = camera.K[1, 1] * CAMERA_SAMPLING.car_height_m >= CAMERA_SAMPLING.large_px * camera.height / 1080 * depth
     return float((valid & camera.inside(pixels) & high).sum())
 
 
-CANDIDATES: Final = 100
-"""Cameras that are drawn for each view."""
-EMPTY_SHARE: Final = 0.06
-"""Share of the views that are to show a road without vehicles."""
-ENOUGH: Final = 20.0
-"""Vehicles in view on average, from which more of them make a view no more likely."""
-LEAST_VIEW_ROAD_M: Final = 8.0
-"""Least length of lanes that a view must show, metres: a camera over a single vehicle sees little more."""
-LARGEST_VEHICLE_SHARE: Final = (0.1, 0.7)
-"""Default range of the height of the largest vehicle in a frame, as a share of the image's; drawn evenly in its
-logarithm. A preset may choose another (`Variation.largest_vehicle`)."""
-_CLOSE: Final = 0.3
-"""Standard deviation of the logarithm of that height around what is wanted."""
-_AT_TARGET: Final = (0.5, 1.0)
-"""Range of the height of a car where the camera looks, as a share of what is wanted of the largest."""
-AT_VEHICLES: Final = 0.8
-"""Share of the cameras drawn that look at a vehicle; the others look at any place on the road."""
-_MAST_ASIDE_M: Final = (0.8, 9.0)
-"""Range of the distance from the carriageway to a mast, metres."""
-_SEEN_PX: Final = 16.0
-"""Height of a car in an image of 1080 rows from which it counts as seen, pixels."""
-_CAR_EXTENT_M: Final = 3.0
-"""Typical apparent length of a car, between its width and its length, metres."""
-_STEEP_DEG: Final = 55.0
-"""Cameras that look down more steeply hang over the road, on a gantry, a bridge or an arm."""
-_OVER_ROAD: Final = 6.0
-"""Least height over the road of a camera that hangs above it, metres."""
-_EVERY: Final = 3
-"""Of as many frames, one is looked at to count vehicles."""
-_FRONTS: Final = 3.0
-"""No house stands nearer to the carriageway than this, metres."""
 _TESTED_M, _TESTED_DEG = 80.0, 75.0
 """Road belongs to a test site's camera up to this distance, and this angle to either side of where it looks."""
-_ABOVE_GROUND: Final = 2.5
-"""Least height of a camera over the ground that its mast stands on, metres."""
 
 
 def check_largest_vehicle(span: Range) -> None:
@@ -203,7 +214,7 @@ class ViewSampler:
         """(N, 3) points of all lanes, one at every metre, world."""
         self._tested = tested_road(town, self._lanes)
         self._starts, self._headings = self._roadside()
-        self._open = graph.road.buffer(_FRONTS)
+        self._open = graph.road.buffer(CAMERA_SAMPLING.house_distance_m)
         """Places where no house stands."""
         for region in (graph.road, self._open):
             shapely.prepare(region)
@@ -225,7 +236,7 @@ class ViewSampler:
         traffic: Array,
         ranges: CameraRanges,
         rng: np.random.Generator,
-        largest_vehicle: Range = LARGEST_VEHICLE_SHARE,
+        largest_vehicle: Range = CAMERA_SAMPLING.largest_vehicle,
     ) -> PlacedCamera:
         """Draw a view.
 
@@ -233,32 +244,37 @@ class ViewSampler:
             traffic: (F, V, 3) places of vehicles on the road in each frame, world; NaN where there is none.
             ranges: What cameras are drawn from.
             rng: Draws.
-            largest_vehicle: Range of the largest vehicle's height, as `LARGEST_VEHICLE_SHARE`.
+            largest_vehicle: Range of the largest vehicle's height, as `CAMERA_SAMPLING.largest_vehicle`.
 
         Raises:
             UserError: No camera was found that sees enough road and none of a test site's.
         """
-        empty = rng.random() < EMPTY_SHARE
+        empty = rng.random() < CAMERA_SAMPLING.empty_share
         wanted = math.exp(rng.uniform(*np.log(largest_vehicle)))
         vehicles = traffic[np.isfinite(traffic[..., 0])]
         found: list[tuple[PlacedCamera, float]] = []
-        for _ in range(CANDIDATES):
+        for _ in range(CAMERA_SAMPLING.candidates):
             view = self._candidate(vehicles, wanted, ranges, rng)
             if (
                 view is None
-                or road_seen(view.camera, self._lanes) < LEAST_VIEW_ROAD_M
+                or road_seen(view.camera, self._lanes) < CAMERA_SAMPLING.least_view_road_m
                 or self.shows_tested_road(view.camera)
             ):
                 continue
             seen, largest = self.vehicles_seen(view.camera, traffic)
             if empty or seen < 0.1:
-                weight = float(empty and seen < 0.1 and self.road_in_the_open(view.camera) >= LEAST_VIEW_ROAD_M)
+                weight = float(
+                    empty and seen < 0.1 and self.road_in_the_open(view.camera) >= CAMERA_SAMPLING.least_view_road_m
+                )
             else:
-                weight = min(seen, ENOUGH) * math.exp(-0.5 * (math.log(largest / wanted) / _CLOSE) ** 2)
+                weight = min(seen, CAMERA_SAMPLING.enough_vehicles) * math.exp(
+                    -0.5 * (math.log(largest / wanted) / CAMERA_SAMPLING.largest_sigma) ** 2
+                )
             found.append((view, weight))
         if not found:
             raise UserError(
-                f"of {CANDIDATES} cameras drawn none sees {LEAST_VIEW_ROAD_M:.0f} m of road that is not tested on"
+                f"of {CAMERA_SAMPLING.candidates} cameras drawn none sees "
+                f"{CAMERA_SAMPLING.least_view_road_m:.0f} m of road that is not tested on"
             )
         weights = np.array([weight for _, weight in found])
         if not weights.any():
@@ -275,14 +291,14 @@ class ViewSampler:
         Returns:
             The number, and the height as a share of the image's; frames in which nothing is seen do not count for it.
         """
-        frames = traffic[::_EVERY]
+        frames = traffic[:: CAMERA_SAMPLING.frame_step]
         frame, column = np.nonzero(np.isfinite(frames[..., 0]))
-        places = frames[frame, column] + [0.0, 0.0, CAR_HEIGHT_M / 2]
+        places = frames[frame, column] + [0.0, 0.0, CAMERA_SAMPLING.car_height_m / 2]
         if not len(places):
             return 0.0, 0.0
         pixels, _, valid = camera.project(places)
         share = _apparent_height(camera.position, places) * camera.K[1, 1] / camera.height
-        seen = valid & camera.inside(pixels) & (share > _SEEN_PX / 1080)
+        seen = valid & camera.inside(pixels) & (share > CAMERA_SAMPLING.seen_px / 1080)
         seen[seen] = self._in_the_open(camera.position, places[seen])
         largest = np.zeros(len(frames))
         np.maximum.at(largest, frame[seen], share[seen])
@@ -323,20 +339,26 @@ class ViewSampler:
         low, high = spans.get("pitch_deg", (10.0, 40.0))
         # Most cameras look ahead, few look down.
         pitch = low + (high - low) * float(rng.beta(1.2, 2.4))
-        among = traffic if len(traffic) and rng.random() < AT_VEHICLES else self._lanes
+        among = traffic if len(traffic) and rng.random() < CAMERA_SAMPLING.at_vehicles_share else self._lanes
         target = among[rng.integers(len(among))]
-        if pitch > _STEEP_DEG:
-            height = max(height, _OVER_ROAD)
+        if pitch > CAMERA_SAMPLING.steep_deg:
+            height = max(height, CAMERA_SAMPLING.over_road_m)
         distance = height / math.tan(math.radians(max(pitch, 3.0)))
-        place = self._over(target, distance, rng) if pitch > _STEEP_DEG else self._away(target, distance, rng)
+        place = (
+            self._over(target, distance, rng)
+            if pitch > CAMERA_SAMPLING.steep_deg
+            else self._away(target, distance, rng)
+        )
         if place is None:
             return None
         x, y, level = place.tolist()
-        z = max(level + height, self._layout.height(self._layout.graph.world(place[:2])) + _ABOVE_GROUND)
+        z = max(
+            level + height, self._layout.height(self._layout.graph.world(place[:2])) + CAMERA_SAMPLING.above_ground_m
+        )
         fov = ranges.fov_deg
         if "fov_deg" in spans:
             high_m = float(_apparent_height(np.array([x, y, z]), target[None])[0])
-            width = high_m / (wanted * rng.uniform(*_AT_TARGET)) * ranges.size[0] / ranges.size[1]
+            width = high_m / (wanted * rng.uniform(*CAMERA_SAMPLING.at_target)) * ranges.size[0] / ranges.size[1]
             fov = float(np.clip(math.degrees(2 * math.atan(width / 2)), *spans["fov_deg"]))
         yaw = math.degrees(math.atan2(target[1] - y, target[0] - x)) + value("yaw_by_deg", 0.0)
         mast = Mast((round(x, 3), round(y, 3), round(z, 3)), round(yaw, 3), round(pitch, 3))
@@ -359,7 +381,7 @@ class ViewSampler:
     def _beside(self, start: int, rng: np.random.Generator) -> Array | None:
         """A place (3,) beside the carriageway next to a point of `_starts`, at the road's height, world."""
         across = right_of(float(self._headings[start])) * (1 if rng.random() < 0.7 else -1)
-        aside = float(rng.uniform(*_MAST_ASIDE_M))
+        aside = float(rng.uniform(*CAMERA_SAMPLING.mast_aside_m))
         graph = self._layout.graph
         for beyond in np.arange(2.0, 26.0, 1.0):
             at = self._starts[start, :2] + across * beyond
@@ -375,7 +397,9 @@ def _apparent_height(eye: Array, places: Array) -> Array:
     away = eye - places
     distance = np.maximum(np.linalg.norm(away, axis=1), 0.1)
     steep = np.clip(away[:, 2] / distance, -1.0, 1.0)
-    return np.asarray((CAR_HEIGHT_M * np.sqrt(1 - steep**2) + _CAR_EXTENT_M * np.abs(steep)) / distance)
+    return np.asarray(
+        (CAMERA_SAMPLING.car_height_m * np.sqrt(1 - steep**2) + CAMERA_SAMPLING.car_extent_m * np.abs(steep)) / distance
+    )
 
 
 def tested_road(town: Town, lanes: Array) -> NDArray[np.bool_]:

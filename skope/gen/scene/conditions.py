@@ -14,7 +14,7 @@ from skope.camera.model import Distortion
 from skope.errors import UserError, one_of
 from skope.types import Range
 
-_EPOCH: Final = datetime(2000, 1, 1, 12, tzinfo=UTC)
+SUN_EPOCH: Final = datetime(2000, 1, 1, 12, tzinfo=UTC)
 
 
 def sun_direction(when: datetime, latitude_deg: float, longitude_deg: float) -> tuple[float, float]:
@@ -30,7 +30,7 @@ def sun_direction(when: datetime, latitude_deg: float, longitude_deg: float) -> 
     Returns:
         Elevation above the horizon and azimuth counter-clockwise from east (0 to 360), degrees.
     """
-    days = (when - _EPOCH).total_seconds() / 86400
+    days = (when - SUN_EPOCH).total_seconds() / 86400
     anomaly = math.radians(357.528 + 0.9856003 * days)
     longitude = math.radians(280.460 + 0.9856474 * days + 1.915 * math.sin(anomaly) + 0.020 * math.sin(2 * anomaly))
     tilt = math.radians(23.439 - 4e-7 * days)
@@ -178,9 +178,9 @@ class Conditions:
         """
         names = [f.name for f in fields(cls) if f.name in ranges]
         values = {name: _rounded(name, rng.uniform(*ranges[name])) for name in names}
-        if not values.keys() >= set(_SUN):
-            position = sun_position(*(values[name] for name in _CLOCK))
-            values |= {name: float(f"{angle:.5g}") for name, angle in zip(_SUN, position, strict=True)}
+        if not values.keys() >= set(SUN_FIELDS):
+            position = sun_position(*(values[name] for name in CLOCK_FIELDS))
+            values |= {name: float(f"{angle:.5g}") for name, angle in zip(SUN_FIELDS, position, strict=True)}
         return cls(**values)
 
     @property
@@ -198,7 +198,7 @@ def _rounded(name: str, value: float) -> float:
     return float(round(value)) if name in _WHOLE_NUMBERED else float(f"{value:.5g}")
 
 
-OVERCAST: Final = 0.9
+OVERCAST_CLOUDS: Final = 0.9
 """Cloud cover above which nothing throws a shadow."""
 DARK_DEG: Final = 1.0
 """Sun's elevation below which street lights and windows are lit, degrees."""
@@ -244,8 +244,8 @@ CONDITION_LIMITS: Final[Mapping[str, Range]] = {
     "lens_dirt": (0.0, 1.0),
 }
 """Least and greatest value of each condition that can be set."""
-_SUN: Final = ("sun_elevation_deg", "sun_azimuth_deg")
-_CLOCK: Final = ("latitude_deg", "day", "hour")
+SUN_FIELDS: Final = ("sun_elevation_deg", "sun_azimuth_deg")
+CLOCK_FIELDS: Final = ("latitude_deg", "day", "hour")
 _WHOLE_NUMBERED: Final = ("day", "infrared", "screen_text", "screen_graphics", "fisheye")
 _PLACE_RANGES: Final[Mapping[str, Range]] = {
     "latitude_deg": (35.0, 55.0),
@@ -279,11 +279,11 @@ _CAMERA_RANGES: Final[Mapping[str, Range]] = {
     "auto_white_balance": (0.0, 0.0),
     "lens_dirt": (0.0, 0.0),
 }
-_DRY: Final[Mapping[str, Range]] = {"rain_mm_h": (0.0, 0.0), "wetness": (0.0, 0.0), "puddles": (0.0, 0.0)}
-_WEATHER: Final[Mapping[str, Mapping[str, Range]]] = {
-    "clear": {**_DRY, "clouds": (0.0, 0.3), "visibility_m": (6e3, 2e4)},
-    "cloudy": {**_DRY, "clouds": (0.4, 0.8), "visibility_m": (5e3, 1.5e4)},
-    "overcast": {**_DRY, "clouds": (1.0, 1.0), "visibility_m": (3e3, 1e4)},
+DRY_ROAD: Final[Mapping[str, Range]] = {"rain_mm_h": (0.0, 0.0), "wetness": (0.0, 0.0), "puddles": (0.0, 0.0)}
+WEATHER_RANGES: Final[Mapping[str, Mapping[str, Range]]] = {
+    "clear": {**DRY_ROAD, "clouds": (0.0, 0.3), "visibility_m": (6e3, 2e4)},
+    "cloudy": {**DRY_ROAD, "clouds": (0.4, 0.8), "visibility_m": (5e3, 1.5e4)},
+    "overcast": {**DRY_ROAD, "clouds": (1.0, 1.0), "visibility_m": (3e3, 1e4)},
     "rain": {
         "clouds": (1.0, 1.0),
         "visibility_m": (700.0, 3e3),
@@ -298,9 +298,9 @@ _WEATHER: Final[Mapping[str, Mapping[str, Range]]] = {
         "wetness": (0.5, 0.95),
         "puddles": (0.1, 0.4),
     },
-    "fog": {**_DRY, "wetness": (0.0, 0.4), "clouds": (1.0, 1.0), "visibility_m": (120.0, 500.0)},
+    "fog": {**DRY_ROAD, "wetness": (0.0, 0.4), "clouds": (1.0, 1.0), "visibility_m": (120.0, 500.0)},
     "snow": {
-        **_DRY,
+        **DRY_ROAD,
         "clouds": (1.0, 1.0),
         "visibility_m": (250.0, 2e3),
         "wetness": (0.2, 0.7),
@@ -308,12 +308,12 @@ _WEATHER: Final[Mapping[str, Mapping[str, Range]]] = {
         "snow_cover": (0.1, 1.0),
     },
 }
-_DAY: Final[Mapping[str, Range]] = {
+DAY_RANGES: Final[Mapping[str, Range]] = {
     "white_balance_k": (6000.0, 7000.0),
     "shutter_s": (0.0005, 0.002),
     "gain_db": (0.0, 3.0),
 }
-_TWILIGHT: Final[Mapping[str, Range]] = {
+TWILIGHT_RANGES: Final[Mapping[str, Range]] = {
     "white_balance_k": (5200.0, 7200.0),
     "shutter_s": (0.01, 0.04),
     "gain_db": (15.0, 30.0),
@@ -321,11 +321,21 @@ _TWILIGHT: Final[Mapping[str, Range]] = {
     "short_exposure": (0.0, 0.5),
     "auto_white_balance": (0.4, 1.6),
 }
-_HOUR: Final[Mapping[str, Mapping[str, Range]]] = {
-    "noon": {**_DAY, "hour": (11.0, 13.0), "sun_elevation_deg": (45.0, 62.0), "sun_azimuth_deg": (225.0, 315.0)},
-    "low_sun": {**_DAY, "hour": (15.5, 17.0), "sun_elevation_deg": (8.0, 20.0), "sun_azimuth_deg": (150.0, 350.0)},
-    "dawn": {**_TWILIGHT, "hour": (5.0, 7.0), "sun_elevation_deg": (-4.0, 3.0), "sun_azimuth_deg": (0.0, 40.0)},
-    "dusk": {**_TWILIGHT, "hour": (18.0, 20.0), "sun_elevation_deg": (-4.5, 1.0), "sun_azimuth_deg": (150.0, 215.0)},
+HOUR_RANGES: Final[Mapping[str, Mapping[str, Range]]] = {
+    "noon": {**DAY_RANGES, "hour": (11.0, 13.0), "sun_elevation_deg": (45.0, 62.0), "sun_azimuth_deg": (225.0, 315.0)},
+    "low_sun": {
+        **DAY_RANGES,
+        "hour": (15.5, 17.0),
+        "sun_elevation_deg": (8.0, 20.0),
+        "sun_azimuth_deg": (150.0, 350.0),
+    },
+    "dawn": {**TWILIGHT_RANGES, "hour": (5.0, 7.0), "sun_elevation_deg": (-4.0, 3.0), "sun_azimuth_deg": (0.0, 40.0)},
+    "dusk": {
+        **TWILIGHT_RANGES,
+        "hour": (18.0, 20.0),
+        "sun_elevation_deg": (-4.5, 1.0),
+        "sun_azimuth_deg": (150.0, 215.0),
+    },
     "night": {
         "hour": (21.0, 24.0),
         "sun_elevation_deg": (-40.0, -14.0),
@@ -343,7 +353,7 @@ _HOUR: Final[Mapping[str, Mapping[str, Range]]] = {
         "auto_white_balance": (0.4, 1.6),
     },
 }
-TIMES_OF_DAY: Final = tuple(_HOUR)
+TIMES_OF_DAY: Final = tuple(HOUR_RANGES)
 
 
 def ranges(weather: str, time_of_day: str, overrides: Mapping[str, Range] | None = None) -> dict[str, Range]:
@@ -362,22 +372,22 @@ def ranges(weather: str, time_of_day: str, overrides: Mapping[str, Range] | None
     spans = {
         **_PLACE_RANGES,
         **_CAMERA_RANGES,
-        **_WEATHER[one_of("weather", weather, tuple(_WEATHER))],
-        **_HOUR[one_of("time_of_day", time_of_day, TIMES_OF_DAY)],
+        **WEATHER_RANGES[one_of("weather", weather, tuple(WEATHER_RANGES))],
+        **HOUR_RANGES[one_of("time_of_day", time_of_day, TIMES_OF_DAY)],
         **own,
     }
-    follows = own.keys() & set(_CLOCK) and not own.keys() & set(_SUN)
-    return {name: span for name, span in spans.items() if not (follows and name in _SUN)}
+    follows = own.keys() & set(CLOCK_FIELDS) and not own.keys() & set(SUN_FIELDS)
+    return {name: span for name, span in spans.items() if not (follows and name in SUN_FIELDS)}
 
 
-_SETTING: Final = re.compile(r"(\w+)=(.+?)(?:\.\.(.+))?")
+SETTING_PATTERN: Final = re.compile(r"(\w+)=(.+?)(?:\.\.(.+))?")
 
 
 def parse_settings(settings: list[str]) -> dict[str, Range]:
     """Ranges from flags like "noise=2" or "exposure_ev=-1..1"; a wrong one is a UserError that names it."""
     out = {}
     for setting in settings:
-        match = _SETTING.fullmatch(setting)
+        match = SETTING_PATTERN.fullmatch(setting)
         try:
             name, low, high = match.groups() if match else ("", "", "")
             values = float(low), float(high if high is not None else low)

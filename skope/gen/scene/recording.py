@@ -29,9 +29,9 @@ from skope.gen.vehicles.fleet import build_vehicle
 from skope.gen.vehicles.model import Body, Vehicle
 from skope.types import Array
 
-SHAPES: Final = 24
+SHAPES_PER_MODEL: Final = 24
 """Shapes that a dataset with views has of each model: building them must not take longer than drawing them."""
-LAMPS: Final = {"low_beam": 1, "brake": 2, "indicator_left": 4, "indicator_right": 8, "reverse": 16}
+LAMP_BITS: Final = {"low_beam": 1, "brake": 2, "indicator_left": 4, "indicator_right": 8, "reverse": 16}
 """The bit of each lamp in the number that says which of a vehicle's lamps are lit."""
 RECORDING_VERSION: Final = 3
 """Version of the file format of recordings."""
@@ -92,10 +92,11 @@ class RecordingPlan:
         return rng(self.seed, self.site.name, self.leader, stream, *which)
 
     def shape_rng(self, name: str, model: str) -> np.random.Generator:
-        """The generator of a vehicle's shape: its own, or, with views, that of one of the model's `SHAPES`."""
+        """The generator of a vehicle's shape: its own, or, with views, that of one of the model's
+        `SHAPES_PER_MODEL`."""
         if not self.variation.views:
             return self.rng_of(name)
-        return rng(self.seed, model, zlib.crc32(name.encode()) % SHAPES, Stream.SHAPE)
+        return rng(self.seed, model, zlib.crc32(name.encode()) % SHAPES_PER_MODEL, Stream.SHAPE)
 
     def rng_of(self, name: str) -> np.random.Generator:
         """The random generator of the vehicle or rider of that name."""
@@ -118,7 +119,8 @@ class RecordedVehicle:
     """Whether it is a vehicle; False for bystanders, people on foot and on two wheels, who come after the vehicles and
     have labels of their own where `Recording.road_users` says so."""
     recurs: bool = False
-    """Whether other recordings of the dataset have vehicles of exactly this shape, drawn at random (see `SHAPES`)."""
+    """Whether other recordings of the dataset have vehicles of exactly this shape, drawn at random (see
+    `SHAPES_PER_MODEL`)."""
 
     def __post_init__(self) -> None:
         safe_names.name("model", self.model)
@@ -242,7 +244,7 @@ class Recording:
 
     def starts_like(self, other: "Recording") -> bool:
         """Whether the first frames are exactly those of `other`, a recording that is not longer."""
-        same = ("town", *_HEADER, "conditions", "photograph", "road_users")
+        same = ("town", *HEADER_FIELDS, "conditions", "photograph", "road_users")
         rows = len(other.frame)
         return (
             len(self) >= len(other)
@@ -258,12 +260,12 @@ class Recording:
 
 
 _ROW_FIELDS: Final = ("frame", "vehicle", "T_world_chassis", "T_world_wheels", "velocity", "lamps")
-_ARRAYS: Final = ("times_s", *_ROW_FIELDS)
-_TRAILER: Final = "T_world_trailer"
+ARRAY_NAMES: Final = ("times_s", *_ROW_FIELDS)
+TRAILER_ARRAY: Final = "T_world_trailer"
 """The array that only files with an articulated vehicle have, or with a bystander of more than four moving parts."""
 _FILE_FIELDS: Final = ("network", "photograph")
 """Fields of `OwnRoad` that are stored as bytes."""
-_HEADER: Final = ("site", "name", "split", "weather", "time_of_day", "seed", "versions")
+HEADER_FIELDS: Final = ("site", "name", "split", "weather", "time_of_day", "seed", "versions")
 
 
 def save(path: Path, recording: Recording) -> None:
@@ -277,7 +279,7 @@ def packed_recording(recording: Recording) -> bytes:
         "version": RECORDING_VERSION,
         "town": recording.town.name,
         **({"variant": asdict(variant)} if (variant := recording.town.variant) else {}),
-        **{name: getattr(recording, name) for name in _HEADER},
+        **{name: getattr(recording, name) for name in HEADER_FIELDS},
         **({"road_users": True} if recording.road_users else {}),
         "size": [recording.camera.width, recording.camera.height],
         "camera": recording.camera.to_dict(),
@@ -285,9 +287,9 @@ def packed_recording(recording: Recording) -> bytes:
         "vehicles": [asdict(vehicle) for vehicle in recording.vehicles],
         "signals": [dict(states) for states in recording.signals],
     }
-    arrays = {name: _smallest(getattr(recording, name)) for name in _ARRAYS}
+    arrays = {name: _smallest(getattr(recording, name)) for name in ARRAY_NAMES}
     if recording.T_world_trailer is not None and (recording.T_world_trailer != np.eye(4)).any():
-        arrays[_TRAILER] = _smallest(recording.T_world_trailer)
+        arrays[TRAILER_ARRAY] = _smallest(recording.T_world_trailer)
     if road := recording.town.road:
         header["place"] = road.header()
         arrays |= {name: np.frombuffer(getattr(road, name), dtype=np.uint8) for name in _FILE_FIELDS}
@@ -376,13 +378,13 @@ def _recording_of(header: Mapping[str, Any], file: Mapping[str, Any]) -> Recordi
     road = OwnRoad.of(own, *(file[name].tobytes() for name in _FILE_FIELDS)) if own else None
     return Recording(
         town=Town(header["town"], road, _variant_of(header.get("variant"))),
-        **{name: header[name] for name in _HEADER},
+        **{name: header[name] for name in HEADER_FIELDS},
         camera=Camera.from_dict(header["camera"], *header["size"]),
         conditions=Conditions(**header["conditions"]),
         vehicles=tuple(RecordedVehicle(**vehicle) for vehicle in header["vehicles"]),
         signals=tuple(header["signals"]),
-        **{name: _full(file[name]) for name in _ARRAYS},
-        T_world_trailer=_full(file[_TRAILER]) if _TRAILER in file else None,
+        **{name: _full(file[name]) for name in ARRAY_NAMES},
+        T_world_trailer=_full(file[TRAILER_ARRAY]) if TRAILER_ARRAY in file else None,
         road_users=header.get("road_users") is True,
     )
 

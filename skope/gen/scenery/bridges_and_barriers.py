@@ -15,9 +15,9 @@ from skope.gen.mesh import Mesh, box, lathe, merged, quads, tube
 from skope.gen.scenery.ground import Part, left_of, parapet, rings, runs_of_true, surfaces
 from skope.gen.scenery.markings import markings
 from skope.gen.scenery.quads import Solid
-from skope.gen.towns.land_use import KERB_WIDTH, Layout
+from skope.gen.towns.land_use import LAND_USE, Layout
 from skope.gen.towns.regions import polygons
-from skope.gen.towns.road_graph import BARRIER, RoadGraph, beside, driven, half_width, right_of
+from skope.gen.towns.road_graph import ROAD_LIMITS, RoadGraph, beside, driven, half_width, right_of
 from skope.types import Array
 
 
@@ -72,7 +72,7 @@ def _bridge(layout: Layout, deck: Polygon, drawn: Any) -> Iterator[Mesh]:
     yield from surfaces([Part("marking", marked, True), Part("asphalt", deck.difference(marked), True)], height, cells)
     whole = _widened_deck(layout.graph, deck, walk)
     beside_lanes = whole.difference(deck)
-    stone = beside_lanes.intersection(deck.buffer(KERB_WIDTH))
+    stone = beside_lanes.intersection(deck.buffer(LAND_USE.kerb_m))
     yield from surfaces(
         [Part("kerb", stone, False), Part("sidewalk", beside_lanes.difference(stone), False)],
         lambda places: height(places) + kerb,
@@ -223,7 +223,7 @@ def _median_barriers(layout: Layout) -> Iterator[Mesh]:
         line = LineString(lane.getShape())
         others = [LineString(driven(other)[-1].getShape()) for other in walled if other is not edge]
         gap = min((line.distance(other) for other in others), default=99.0) - lane.getWidth()
-        if not 0.6 < gap < 2 * BARRIER or any(other.getID() < edge.getID() for other in walled):
+        if not 0.6 < gap < 2 * ROAD_LIMITS.barrier_m or any(other.getID() < edge.getID() for other in walled):
             continue
         path = np.array(shapely.segmentize(line.offset_curve((lane.getWidth() + gap) / 2), 3.0).coords)
         z = layout.ground.road(path)

@@ -12,7 +12,7 @@ from skope.gen.mesh import Mesh
 from skope.gen.scenery.houses import House, car_parks, covered, forecourts, garden_paths
 from skope.gen.scenery.quads import Solid
 from skope.gen.scenery.trees import bush, hedge
-from skope.gen.towns.land_use import KERB_WIDTH, Layout
+from skope.gen.towns.land_use import LAND_USE, Layout
 from skope.gen.towns.regions import is_free, polygons, rectangle_polygon
 from skope.gen.towns.road_graph import places_along, right_of
 from skope.gen.towns.town_style import drawn_name
@@ -29,7 +29,7 @@ def gardens(layout: Layout, houses: list[House], pits: Any, rng: np.random.Gener
         [covered(houses), *garden_paths(houses), *car_parks(houses), forecourts(houses), layout.islands]
     )
     paved = [layout.sidewalk.buffer(layout.style.plaza + 0.05), layout.beside_lanes("shoulder").buffer(0.3)]
-    street = unary_union([layout.graph.road.buffer(KERB_WIDTH + 0.05), *paved])
+    street = unary_union([layout.graph.road.buffer(LAND_USE.kerb_m + 0.05), *paved])
     taken = unary_union([covered(houses).buffer(0.25), street])
     for part in _open_ground(layout, unary_union([built.buffer(0.6), street, pits]), rng):
         yield layout.draped(part)
@@ -106,7 +106,7 @@ def _enclosure_offset(layout: Layout, edge: Any, beyond: float) -> float:
     """Distance from the kerb to the enclosure of the land beside a road, metres."""
     kind = layout.graph.kind(edge)
     sidewalk = kind.sidewalk + layout.style.plaza
-    return KERB_WIDTH + max(sidewalk, kind.shoulder + (2.4 if layout.style.kerb == 0 else 0.0)) + beyond
+    return LAND_USE.kerb_m + max(sidewalk, kind.shoulder + (2.4 if layout.style.kerb == 0 else 0.0)) + beyond
 
 
 def _fits(taken: Any, house: House, a: tuple[float, float], b: tuple[float, float]) -> bool:

@@ -16,10 +16,10 @@ from shapely.ops import unary_union
 
 from skope.gen.mesh import Mesh, from_triangles, quads
 from skope.gen.scenery.markings import covers, markings, repairs, sidewalk_covers, tracks, zebra_stripes
-from skope.gen.towns.land_use import KERB_WIDTH, Layout, bay_lines
-from skope.gen.towns.regions import GRID, polygons, rectangle_polygon
+from skope.gen.towns.land_use import LAND_USE, Layout, bay_lines
+from skope.gen.towns.regions import GRID_M, polygons, rectangle_polygon
 from skope.gen.towns.road_graph import RoadGraph
-from skope.gen.towns.terrain import COARSEST
+from skope.gen.towns.terrain import TERRAIN_CELLS
 from skope.types import Array
 
 
@@ -44,7 +44,7 @@ def kerbs(layout: Layout) -> Iterator[Mesh]:
     """Kerbs and retaining walls between the carriageway and the ground beside it, with parapets on high ones."""
     ground = layout.ground
     decks = unary_union([deck.buffer(layout.deck_edge, join_style="mitre") for deck in layout.graph.decks])
-    for ring in rings(shapely.set_precision(layout.graph.ground_road, GRID)):
+    for ring in rings(shapely.set_precision(layout.graph.ground_road, GRID_M)):
         line = ring if ground.flat else np.array(shapely.segmentize(LineString(ring), GROUND_SIZES.kerb_piece_m).coords)
         low, high = ground.road(line), ground.beside(line) + layout.style.kerb
         under = shapely.intersects(decks, shapely.linestrings(np.stack([line[:-1], line[1:]], axis=1)))
@@ -168,7 +168,7 @@ def ground_parts(
     `hatched` are stripes that are painted on the carriageway in addition to its usual markings.
     """
     graph = layout.graph
-    road = shapely.set_precision(graph.ground_road, GRID)
+    road = shapely.set_precision(graph.ground_road, GRID_M)
     kerbed = layout.style.kerb > 0
     x0, y0, x1, y1 = road.bounds
     everywhere = shapely.box(
@@ -190,7 +190,7 @@ def ground_parts(
         ],
         carriageway=True,
     )
-    kerb = road.difference(graph.walled_road).buffer(KERB_WIDTH, join_style="mitre") if kerbed else Polygon()
+    kerb = road.difference(graph.walled_road).buffer(LAND_USE.kerb_m, join_style="mitre") if kerbed else Polygon()
     sidewalk, islands = layout.sidewalk, layout.islands
     flush = _flush_decks(layout)
     beyond = _share_out(
@@ -220,13 +220,13 @@ def ground_parts(
 
 def _share_out(whole: Any, layers: Sequence[tuple[str, Any]], *, carriageway: bool) -> list[Part]:
     """Share a region out: each layer gets what the ones before it left."""
-    out, left = [], shapely.set_precision(whole, GRID)
+    out, left = [], shapely.set_precision(whole, GRID_M)
     for material, region in layers:
         if region.is_empty:
             continue
-        region = _only_polygons(shapely.set_precision(region, GRID))
-        out.append(Part(material, _only_polygons(shapely.intersection(left, region, grid_size=GRID)), carriageway))
-        left = _only_polygons(shapely.difference(left, region, grid_size=GRID))
+        region = _only_polygons(shapely.set_precision(region, GRID_M))
+        out.append(Part(material, _only_polygons(shapely.intersection(left, region, grid_size=GRID_M)), carriageway))
+        left = _only_polygons(shapely.difference(left, region, grid_size=GRID_M))
     return out
 
 
@@ -312,10 +312,13 @@ def surfaces(
 
 def _in_cells(shapes: Sequence[Polygon], cells: NDArray[np.object_]) -> list[Polygon]:
     """Pieces of polygons, one cell each; first cut by large squares, so that no large polygon is cut often."""
-    low, high = np.floor(shapely.total_bounds(cells)[:2] / COARSEST), shapely.total_bounds(cells)[2:] / COARSEST
-    x, y = np.meshgrid(*(COARSEST * np.arange(a, b) for a, b in zip(low, high, strict=True)))
-    squares = shapely.box(x, y, x + COARSEST, y + COARSEST).ravel()
-    return _cut_by(_cut_by(shapes, squares, GRID), cells, None)
+    low, high = (
+        np.floor(shapely.total_bounds(cells)[:2] / TERRAIN_CELLS.coarsest_m),
+        shapely.total_bounds(cells)[2:] / TERRAIN_CELLS.coarsest_m,
+    )
+    x, y = np.meshgrid(*(TERRAIN_CELLS.coarsest_m * np.arange(a, b) for a, b in zip(low, high, strict=True)))
+    squares = shapely.box(x, y, x + TERRAIN_CELLS.coarsest_m, y + TERRAIN_CELLS.coarsest_m).ravel()
+    return _cut_by(_cut_by(shapes, squares, GRID_M), cells, None)
 
 
 def _cut_by(shapes: Sequence[Polygon], cells: NDArray[np.object_], precision: float | None) -> list[Polygon]:
@@ -332,4 +335,4 @@ def _tactile_paving(graph: RoadGraph, road: Any) -> Any:
     stripes = unary_union(list(zebra_stripes(graph)))
     spans = polygons(stripes.buffer(0.6, join_style="mitre"))
     ends = unary_union([span.minimum_rotated_rectangle.buffer(0.8, join_style="mitre") for span in spans])
-    return ends.intersection(road.buffer(KERB_WIDTH + 0.8))
+    return ends.intersection(road.buffer(LAND_USE.kerb_m + 0.8))

@@ -13,7 +13,7 @@ from skope.gen.mesh import Mesh, box
 from skope.gen.scenery import large_buildings, roof
 from skope.gen.scenery.facade import FacadeStyle, Shop, facade
 from skope.gen.scenery.quads import Solid
-from skope.gen.towns.land_use import DETAILED_WITHIN_M, ISLAND, PLAIN_FROM_M, Bay, Layout, drive_bay, drive_ring
+from skope.gen.towns.land_use import LAND_USE, Bay, Layout, drive_bay, drive_ring
 from skope.gen.towns.regions import polygons, rectangle_polygon
 from skope.gen.towns.road_graph import beside, driven
 from skope.gen.towns.town_style import BuildingKind, ObjectRow, drawn_name
@@ -78,7 +78,7 @@ def _house(
     corners = np.array(rectangle_polygon(center, heading, *size).exterior.coords)
     heights = layout.ground.beside(corners) + layout.style.kerb
     distance = layout.camera_distance(center)
-    detail = 2 if distance < DETAILED_WITHIN_M else 1 if distance < PLAIN_FROM_M else 0
+    detail = 2 if distance < LAND_USE.detailed_within_m else 1 if distance < LAND_USE.plain_from_m else 0
     return House(kind, center, heading, size, setback, detail, float(heights.max()), float(heights.min()))
 
 
@@ -123,7 +123,7 @@ class Taken:
         self._kept_clear = unary_union(
             [
                 *streets,
-                layout.enclosed(max(layout.style.interchange, ISLAND)),
+                layout.enclosed(max(layout.style.interchange, LAND_USE.island_m)),
                 layout.around_cameras.buffer(5.0),
                 layout.sightlines(HOUSE_VIEW_M),
             ]

@@ -10,7 +10,7 @@ import shapely
 from shapely import LineString, Point, Polygon
 from shapely.ops import substring, unary_union
 
-from skope.gen.towns.land_use import PLAIN_FROM_M, Layout
+from skope.gen.towns.land_use import LAND_USE, Layout
 from skope.gen.towns.regions import rectangle_polygon
 from skope.gen.towns.road_graph import (
     RoadGraph,
@@ -260,7 +260,7 @@ def repairs(layout: Layout, rng: np.random.Generator) -> tuple[Any, Any, Any]:
             s += rng.uniform(-4.0, 4.0)
             kind, across = rng.random(), rng.uniform(-0.8, 0.8) * half
             middle, heading = beside(edge, s, -half)
-            if layout.camera_distance(middle) > PLAIN_FROM_M:
+            if layout.camera_distance(middle) > LAND_USE.plain_from_m:
                 continue
             at = middle + right_of(heading) * across
             shape = rectangle_polygon(at, heading, rng.uniform(1.2, 3.5), rng.uniform(0.8, 1.8))
@@ -275,7 +275,7 @@ def repairs(layout: Layout, rng: np.random.Generator) -> tuple[Any, Any, Any]:
             else:
                 cracks.append(_crack(at, heading + rng.choice([0.0, 0.0, np.pi / 2]), rng))
     for node in layout.graph.net.getNodes():
-        if layout.camera_distance(np.array(node.getCoord())) > PLAIN_FROM_M or len(node.getShape()) < 4:
+        if layout.camera_distance(np.array(node.getCoord())) > LAND_USE.plain_from_m or len(node.getShape()) < 4:
             continue
         if (area := Polygon(node.getShape()).buffer(-3.0)).area > 40:
             for kept in (new, old):
@@ -312,11 +312,11 @@ def covers(layout: Layout, rng: np.random.Generator) -> Iterator[Polygon]:
         length = lanes[0].getLength()
         for s in np.arange(rng.uniform(5.0, 20.0), length - 4.0, 27.0):
             at = LineString(lanes[rng.integers(len(lanes))].getShape()).interpolate(s + rng.uniform(-6.0, 6.0))
-            if layout.camera_distance(np.array([at.x, at.y])) < PLAIN_FROM_M:
+            if layout.camera_distance(np.array([at.x, at.y])) < LAND_USE.plain_from_m:
                 yield Point(at.x + rng.uniform(-0.3, 0.3), at.y + rng.uniform(-0.3, 0.3)).buffer(0.33, quad_segs=5)
         for s in np.arange(9.0, length - 4.0, 24.0):
             at, heading = beside(edge, s, -0.19)
-            if layout.camera_distance(at) < PLAIN_FROM_M:
+            if layout.camera_distance(at) < LAND_USE.plain_from_m:
                 yield rectangle_polygon(at, heading, 0.5, 0.3)
 
 
@@ -324,6 +324,6 @@ def sidewalk_covers(layout: Layout, rng: np.random.Generator) -> Iterator[Polygo
     for edge in layout.graph.edges:
         for s in np.arange(rng.uniform(3.0, 12.0), driven(edge)[0].getLength(), 13.0):
             at, heading = beside(edge, s + rng.uniform(-3.0, 3.0), rng.uniform(1.0, 1.9))
-            if layout.camera_distance(at) > PLAIN_FROM_M:
+            if layout.camera_distance(at) > LAND_USE.plain_from_m:
                 continue
             yield rectangle_polygon(at, heading, rng.choice([0.45, 0.6, 0.9]), 0.45)

@@ -12,7 +12,7 @@ from shapely.ops import unary_union
 from skope.gen.mesh import Mesh, box, lathe, merged, tube
 from skope.gen.scenery.quads import Solid
 from skope.gen.scenery.trees import bush
-from skope.gen.towns.land_use import PLAIN_FROM_M, Layout
+from skope.gen.towns.land_use import LAND_USE, Layout
 from skope.gen.towns.road_graph import beside, driven, is_minor, is_signalled, joins
 from skope.gen.towns.town_style import drawn_name
 from skope.types import Array
@@ -45,7 +45,7 @@ def furniture(layout: Layout, keep_clear: Any, rng: np.random.Generator, *, lit_
     for edge in layout.graph.edges_of("ground"):
         for offset, s, make in _furniture_along(layout, edge, rng, lit_roads):
             place, heading = beside(edge, s, offset)
-            if layout.camera_distance(place) > PLAIN_FROM_M:
+            if layout.camera_distance(place) > LAND_USE.plain_from_m:
                 continue
             made = make()
             if spots.take(place, heading, made):

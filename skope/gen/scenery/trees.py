@@ -12,7 +12,7 @@ from shapely import LineString, Point, Polygon
 from shapely.ops import unary_union
 
 from skope.gen.mesh import Mesh, box, from_triangles, grid, lathe, merged, tube
-from skope.gen.towns.land_use import PLAIN_FROM_M, Layout
+from skope.gen.towns.land_use import LAND_USE, Layout
 from skope.gen.towns.regions import is_free, polygons, rectangle_polygon
 from skope.gen.towns.road_graph import places_along
 from skope.gen.towns.town_style import Season, drawn_name
@@ -196,7 +196,7 @@ def plant(layout: Layout, built: Any, rng: np.random.Generator) -> list[Tree]:
     def grow(at: Array, street: bool, species: Species) -> None:
         distance = layout.camera_distance(at)
         room = graph.road.distance(Point(at)) - TREE_LIMITS.clearance_m
-        detail = 3 if distance < 26 else 2 if distance < 50 else 1 if distance < PLAIN_FROM_M else 0
+        detail = 3 if distance < 26 else 2 if distance < 50 else 1 if distance < LAND_USE.plain_from_m else 0
         out.append(Tree(species, at, rng.uniform(*species.height), room, detail, street))
 
     for line in style.planting:

@@ -18,28 +18,36 @@ from skope.gen.bystanders.walking import sunk
 from skope.gen.traffic.sumo import SumoRider
 from skope.types import Array
 
-_GRAVITY: Final = 9.81
-"""m/s^2."""
-_PER_HUNDRED_METRES: Final = 2.2
-"""Mean number of pedestrians on 100 m of sidewalk."""
-_STANDING: Final = 0.15
-"""Share of pedestrians who stand still."""
-_ELBOW_ROOM: Final = 0.4
-"""Least distance from a pedestrian's middle to the side of a parked vehicle, metres."""
-_CROWDS: Final = (0.8, 12.0)
-"""Range of the mean number of groups of labelled pedestrians on 100 m of sidewalk, drawn for each recording."""
-_GROUPS: Final = (0.62, 0.24, 0.09, 0.05)
-"""Share of the groups of one, two, three and four people."""
-_RUNNING: Final = 0.04
-"""Share of the groups that run."""
-_WIDEST: Final = 0.65
-"""Labelled pedestrians keep to this distance from the middle of a sidewalk, metres."""
-_CIRCLE: Final = 0.55
-"""Distance of people who stand together from their middle, metres."""
-_ABREAST: Final = 0.64
-"""Distance of two people who walk side by side, metres."""
-_ASIDE_SIGMA_M: Final = 0.45
-"""Standard deviation of a pedestrian's distance from the middle of the sidewalk, metres."""
+
+@dataclass(frozen=True)
+class SidewalkCrowds:
+    """Numbers and places of pedestrians on sidewalks."""
+
+    gravity: float = 9.81
+    """Acceleration of gravity, m/s^2."""
+    per_100_m: float = 2.2
+    """Mean number of pedestrians on 100 m of sidewalk."""
+    standing_share: float = 0.15
+    """Share of pedestrians who stand still."""
+    elbow_room_m: float = 0.4
+    """Least distance from a pedestrian's middle to the side of a parked vehicle, metres."""
+    groups_per_100_m: tuple[float, float] = (0.8, 12.0)
+    """Range of the mean number of groups of labelled pedestrians on 100 m of sidewalk, drawn for each recording."""
+    group_shares: tuple[float, float, float, float] = (0.62, 0.24, 0.09, 0.05)
+    """Share of the groups of one, two, three and four people."""
+    running_share: float = 0.04
+    """Share of the groups that run."""
+    largest_offset_m: float = 0.65
+    """Labelled pedestrians keep to this distance from the middle of a sidewalk, metres."""
+    circle_m: float = 0.55
+    """Distance of people who stand together from their middle, metres."""
+    abreast_m: float = 0.64
+    """Distance of two people who walk side by side, metres."""
+    offset_sigma_m: float = 0.45
+    """Standard deviation of a pedestrian's distance from the middle of the sidewalk, metres."""
+
+
+SIDEWALK_CROWDS: Final = SidewalkCrowds()
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +100,7 @@ class Riders:
         turn = math.remainder(state.yaw - self._yaw[name], 2 * math.pi) / dt
         self._yaw[name] = state.yaw
         self._travelled[name] += state.speed * dt
-        lean = math.atan(float(np.clip(turn * state.speed / _GRAVITY, -0.7, 0.7)))
+        lean = math.atan(float(np.clip(turn * state.speed / SIDEWALK_CROWDS.gravity, -0.7, 0.7)))
         self._lean[name] += (lean - self._lean[name]) * dt / (0.3 + dt)
         to_the_left = self._lean[name] + (standing_lean(state.speed) if self._jointed else 0.0)
         T = _frame(state.position, state.yaw, state.pitch, -to_the_left)
@@ -129,19 +137,19 @@ class Walkers:
     def __init__(self, paths: Sequence[Array], rng: np.random.Generator, parked: Sequence[Polygon] = ()) -> None:
         """Draw pedestrians: `paths` are middles of sidewalks (N, 3), `parked` footprints of parked vehicles, metres."""
         self._walks: list[_Walk] = []
-        standing = unary_union([place.buffer(_ELBOW_ROOM) for place in parked])
+        standing = unary_union([place.buffer(SIDEWALK_CROWDS.elbow_room_m) for place in parked])
         for path in paths:
             length = _length(path)
-            for _ in range(rng.poisson(length / 100 * _PER_HUNDRED_METRES)):
+            for _ in range(rng.poisson(length / 100 * SIDEWALK_CROWDS.per_100_m)):
                 look = Look.drawn(rng)
                 speed = float(rng.normal(1.35, 0.2)) * (1 if look.height > 1.5 else 0.85) * rng.choice([-1, 1])
-                stands = rng.random() < _STANDING
+                stands = rng.random() < SIDEWALK_CROWDS.standing_share
                 walk = _Walk(
                     build_bystander("pedestrian", look.to_dict()),
                     path,
                     float(rng.uniform(0, length)),
                     0.0 if stands else speed,
-                    float(rng.normal(0, _ASIDE_SIGMA_M)),
+                    float(rng.normal(0, SIDEWALK_CROWDS.offset_sigma_m)),
                     float(rng.uniform(-math.pi, math.pi)) if stands else 0.0,
                 )
                 # A pedestrian who would walk into a parked vehicle keeps to the middle, or is left out.
@@ -161,8 +169,10 @@ class Walkers:
             raining: Whether many have umbrellas.
         """
         out = cls((), rng)
-        standing = unary_union([place.buffer(_ELBOW_ROOM) for place in parked])
-        crowd = math.exp(rng.uniform(math.log(_CROWDS[0]), math.log(_CROWDS[1])))
+        standing = unary_union([place.buffer(SIDEWALK_CROWDS.elbow_room_m) for place in parked])
+        crowd = math.exp(
+            rng.uniform(math.log(SIDEWALK_CROWDS.groups_per_100_m[0]), math.log(SIDEWALK_CROWDS.groups_per_100_m[1]))
+        )
         for path in paths:
             length = _length(path)
             for _ in range(rng.poisson(length / 100 * crowd)):
@@ -177,25 +187,35 @@ class Walkers:
 
 def _group(path: Array, length: float, rng: np.random.Generator, raining: bool) -> list[_Walk]:
     """One or more people who go the same way side by side, or stand together and look at each other."""
-    count = 1 + int(rng.choice(len(_GROUPS), p=_GROUPS))
-    start, aside = float(rng.uniform(0, length)), float(rng.normal(0, _ASIDE_SIGMA_M))
-    stands, way = rng.random() < _STANDING, float(rng.choice([-1, 1]))
+    count = 1 + int(rng.choice(len(SIDEWALK_CROWDS.group_shares), p=SIDEWALK_CROWDS.group_shares))
+    start, aside = float(rng.uniform(0, length)), float(rng.normal(0, SIDEWALK_CROWDS.offset_sigma_m))
+    stands, way = rng.random() < SIDEWALK_CROWDS.standing_share, float(rng.choice([-1, 1]))
     # Walls stand where a sidewalk ends.
-    room = _WIDEST - ((_CIRCLE if stands else _ABREAST / 2) if count > 1 else 0.0)
+    room = SIDEWALK_CROWDS.largest_offset_m - (
+        (SIDEWALK_CROWDS.circle_m if stands else SIDEWALK_CROWDS.abreast_m / 2) if count > 1 else 0.0
+    )
     aside = min(max(aside, -room), room)
-    speed = way * float(rng.choice([rng.normal(1.35, 0.2), rng.normal(2.7, 0.3)], p=[1 - _RUNNING, _RUNNING]))
+    speed = way * float(
+        rng.choice(
+            [rng.normal(1.35, 0.2), rng.normal(2.7, 0.3)],
+            p=[1 - SIDEWALK_CROWDS.running_share, SIDEWALK_CROWDS.running_share],
+        )
+    )
     facing = float(rng.uniform(-math.pi, math.pi))
     out = []
     for k in range(count):
         body = build_bystander("pedestrian", bystander.draw_look("pedestrian", rng, raining=raining).to_dict())
         if stands and count > 1:
             around = 2 * math.pi * k / count
-            ahead, beside = _CIRCLE * math.cos(around), _CIRCLE * math.sin(around)
+            ahead, beside = SIDEWALK_CROWDS.circle_m * math.cos(around), SIDEWALK_CROWDS.circle_m * math.sin(around)
             facing = math.atan2(beside, -ahead)
         elif stands:
             ahead = beside = 0.0
         else:  # in pairs: a sidewalk is not wide
-            ahead, beside = float(0.15 * rng.normal()) - 0.9 * (k // 2), _ABREAST * (k % 2 - 0.5 * (count > 1))
+            ahead, beside = (
+                float(0.15 * rng.normal()) - 0.9 * (k // 2),
+                SIDEWALK_CROWDS.abreast_m * (k % 2 - 0.5 * (count > 1)),
+            )
         speed_of = 0.0 if stands else speed
         out.append(_Walk(body, path, start + ahead, speed_of, aside + beside, facing if stands else 0.0))
     return out

@@ -19,23 +19,33 @@ from skope.gen.vehicles import trailer_motion
 from skope.gen.vehicles.model import Vehicle
 from skope.types import Array
 
-SUBSTEPS: Final = 3
-"""Physics steps per SUMO step: 120 Hz."""
+
+@dataclass(frozen=True)
+class PhysicsModel:
+    """Suspension and tyres of vehicles."""
+
+    substeps: int = 3
+    """Physics steps per SUMO step: 120 Hz."""
+    steering_links: tuple[int, int] = (3, 5)
+    """Links that steer the front wheels, right and left."""
+    wheel_links: tuple[int, int, int, int] = (4, 6, 7, 8)
+    """Links of the wheels front right, front left, rear right, rear left; a front wheel hangs on its steering link."""
+    gravity: float = 9.81
+    """Acceleration of gravity, m/s^2."""
+    mass_height: float = 0.36
+    """Height of the centre of mass as a share of the vehicle's height."""
+    roll_height_m: float = 0.12
+    """Height of the axes of pitch and roll over the road, metres."""
+    damping_share: float = 0.35
+    """Share of critical damping, as passenger cars have it."""
+    grip_mps2: float = 8.0
+    """Largest acceleration that tyres hold on dry asphalt, m/s^2."""
+
+
+PHYSICS_MODEL: Final = PhysicsModel()
+
 
 _HEAVE, _PITCH, _CHASSIS = 0, 1, 2
-_STEER: Final = (3, 5)
-_WHEELS: Final = (4, 6, 7, 8)
-"""Links of the wheels front right, front left, rear right, rear left; a front wheel hangs on its steering link."""
-
-_GRAVITY: Final = 9.81
-_CENTER_OF_MASS: Final = 0.36
-"""Height of the centre of mass as a share of the vehicle's height."""
-_ROLL_CENTER: Final = 0.12
-"""Height of the axes of pitch and roll over the road, metres."""
-_CRITICAL_SHARE: Final = 0.35
-"""Share of critical damping, as passenger cars have it."""
-_GRIP: Final = 8.0
-"""Largest acceleration that tyres hold on dry asphalt, m/s^2."""
 
 
 @dataclass(frozen=True)
@@ -77,16 +87,19 @@ class _Suspension:
     @classmethod
     def of(cls, vehicle: Vehicle) -> "_Suspension":
         length, width, height = vehicle.size_lwh
-        lever = _CENTER_OF_MASS * height - _ROLL_CENTER
+        lever = PHYSICS_MODEL.mass_height * height - PHYSICS_MODEL.roll_height_m
         inertia = (
             vehicle.mass,
             vehicle.mass * ((length**2 + height**2) / 12 + lever**2),
             vehicle.mass * ((width**2 + height**2) / 12 + lever**2),
         )
         # A car dives about 2 degrees and leans about 5 degrees per g; it heaves at 1.3 Hz.
-        per_g = vehicle.mass * _GRAVITY * lever
+        per_g = vehicle.mass * PHYSICS_MODEL.gravity * lever
         heave, pitch, roll = vehicle.mass * (2 * math.pi * 1.3) ** 2, per_g / math.radians(2), per_g / math.radians(5)
-        damping = [2 * _CRITICAL_SHARE * math.sqrt(k * i) for k, i in zip((heave, pitch, roll), inertia, strict=True)]
+        damping = [
+            2 * PHYSICS_MODEL.damping_share * math.sqrt(k * i)
+            for k, i in zip((heave, pitch, roll), inertia, strict=True)
+        ]
         return cls((heave, pitch, roll), (damping[0], damping[1], damping[2]), vehicle.mass, lever)
 
     def forces(self, joints: Sequence[Sequence[float]], ahead: float, aside: float) -> list[float]:
@@ -122,7 +135,7 @@ class _Body:
         heave, turn, light, wheel = e.JOINT_PRISMATIC, e.JOINT_REVOLUTE, 1.0, 20.0
         # mass, position on the parent, parent (0 is the carrier, i + 1 is link i), joint, axis
         links: list[tuple[float, list[float], int, int, list[int]]] = [
-            (light, [0, 0, _ROLL_CENTER], 0, heave, z),
+            (light, [0, 0, PHYSICS_MODEL.roll_height_m], 0, heave, z),
             (light, here, 1, turn, y),
             (self.vehicle.mass, here, 2, turn, x),
             (light, wheels[0], 0, turn, z),
@@ -165,7 +178,9 @@ class _Body:
         hub = e.createCollisionShape(e.GEOM_SPHERE, radius=0.1, physicsClientId=self.client)
         box = e.createCollisionShape(e.GEOM_BOX, halfExtents=half, physicsClientId=self.client)
         wheel = e.createCollisionShape(e.GEOM_SPHERE, radius=s.wheel_radius, physicsClientId=self.client)
-        return [box if link == _CHASSIS else wheel if link in _WHEELS else hub for link in range(count)]
+        return [
+            box if link == _CHASSIS else wheel if link in PHYSICS_MODEL.wheel_links else hub for link in range(count)
+        ]
 
     def _place(self, position: Any, yaw: float, pitch: float) -> None:
         orientation = self.engine.getQuaternionFromEuler([0, -pitch, yaw])
@@ -175,12 +190,15 @@ class _Body:
         """Take up the carrier's motion of the coming step: loads on the springs, speed and angle of the wheels."""
         before = self.state
         turn = _angle(target.yaw - before.yaw) / dt
-        slope = _GRAVITY * math.sin(target.pitch)
+        slope = PHYSICS_MODEL.gravity * math.sin(target.pitch)
         loads = ((target.speed - before.speed) / dt + slope, target.speed * turn)
         # Drivers in SUMO may brake and turn harder than tyres hold, and decide speeds anew at each step: 0.1 s is what
         # tyres take to build up a force.
         share = dt / (0.1 + dt)
-        ahead, aside = (old + (_clamp(new, _GRIP) - old) * share for old, new in zip(self.load, loads, strict=True))
+        ahead, aside = (
+            old + (_clamp(new, PHYSICS_MODEL.grip_mps2) - old) * share
+            for old, new in zip(self.load, loads, strict=True)
+        )
         self.load = ahead, aside
         if target is not before:  # as it is for one that has just come
             self.velocity = (np.array(target.position) - before.position) / dt
@@ -189,7 +207,7 @@ class _Body:
         rolling = [math.hypot(target.speed - turn * y, turn * x) / radius for x, y in self.wheels]
         e.setJointMotorControlArray(
             self.id,
-            _WHEELS,
+            PHYSICS_MODEL.wheel_links,
             e.VELOCITY_CONTROL,
             targetVelocities=rolling,
             forces=[2e4] * 4,
@@ -197,7 +215,7 @@ class _Body:
         )
         e.setJointMotorControlArray(
             self.id,
-            _STEER,
+            PHYSICS_MODEL.steering_links,
             e.POSITION_CONTROL,
             targetPositions=self._steering(turn, target.speed),
             forces=[2e3] * 2,
@@ -231,14 +249,14 @@ class _Body:
 
     def pose(self) -> Pose:
         links = self.engine.getLinkStates(
-            self.id, (_CHASSIS, *_WHEELS), computeForwardKinematics=1, physicsClientId=self.client
+            self.id, (_CHASSIS, *PHYSICS_MODEL.wheel_links), computeForwardKinematics=1, physicsClientId=self.client
         )
         frames = np.tile(np.eye(4), (5, 1, 1))
         for frame, link in zip(frames, links, strict=True):
             frame[:3, :3] = np.array(self.engine.getMatrixFromQuaternion(link[5])).reshape(3, 3)
             frame[:3, 3] = link[4]
         chassis = frames[0].copy()
-        chassis[:3, 3] -= chassis[:3, :3] @ [0, 0, _ROLL_CENTER]
+        chassis[:3, 3] -= chassis[:3, :3] @ [0, 0, PHYSICS_MODEL.roll_height_m]
         trailer = trailer_motion.trailer_poses(self.vehicle, self.state.trailer, chassis)
         return Pose(chassis, frames[1:], self.velocity.copy(), trailer)
 
@@ -255,7 +273,9 @@ class World:
         self._engine = engine()
         self._client = self._engine.connect(self._engine.DIRECT)
         self._engine.setPhysicsEngineParameter(
-            fixedTimeStep=self._dt / SUBSTEPS, deterministicOverlappingPairs=1, physicsClientId=self._client
+            fixedTimeStep=self._dt / PHYSICS_MODEL.substeps,
+            deterministicOverlappingPairs=1,
+            physicsClientId=self._client,
         )
         return self
 
@@ -270,9 +290,9 @@ class World:
             if name not in self._bodies:
                 self._bodies[name] = _Body(self._engine, self._client, vehicle, state)
             self._bodies[name].aim(state, self._dt)
-        for k in range(SUBSTEPS):
+        for k in range(PHYSICS_MODEL.substeps):
             for name, body in self._bodies.items():
-                body.substep(driven[name][1], (k + 1) / SUBSTEPS)
+                body.substep(driven[name][1], (k + 1) / PHYSICS_MODEL.substeps)
             self._engine.stepSimulation(physicsClientId=self._client)
         for name, body in self._bodies.items():
             body.state = driven[name][1]

@@ -14,11 +14,11 @@ from skope.camera.model import Camera
 from skope.gen.scene.conditions import Conditions
 from skope.gen.scene.package_versions import versions
 from skope.gen.scene.random_streams import Stream
-from skope.gen.scene.recording import LAMPS, RecordedVehicle, Recording, RecordingPlan
+from skope.gen.scene.recording import LAMP_BITS, RecordedVehicle, Recording, RecordingPlan
 from skope.gen.simulation.pedestrians import PlacedBystander
 from skope.gen.simulation.physics import Pose, at_rest
 from skope.gen.simulation.smooth_paths import Driven
-from skope.gen.towns.land_use import BAY, Bay, Layout
+from skope.gen.towns.land_use import LAND_USE, Bay, Layout
 from skope.gen.towns.regions import rectangle_polygon
 from skope.gen.towns.town import Town
 from skope.gen.traffic.sumo import Snapshot, Traffic
@@ -28,10 +28,44 @@ from skope.gen.vehicles.model import Vehicle, straight_lwh
 from skope.gen.vehicles.paints import draw_paint
 from skope.types import Array
 
-OCCUPIED: Final = 0.5
-"""Share of the bays that are taken."""
-MOST_PARKED: Final = 14
-"""Mean number of parked vehicles in view at most; in larger car parks a smaller share of the bays is taken."""
+
+@dataclass(frozen=True)
+class RecordingLimits:
+    """Distances up to which road users are simulated and recorded."""
+
+    occupied_share: float = 0.5
+    """Share of the bays that are taken."""
+    most_parked: int = 14
+    """Mean number of parked vehicles in view at most; in larger car parks a smaller share of the bays is taken."""
+    simulated_within_m: float = 150.0
+    """Vehicles nearer to the camera than this are simulated physically, metres."""
+    recorded_within_m: float = 600.0
+    """Vehicles farther from the camera than this are not recorded, metres."""
+    speck_px: float = 3.0
+    """Beyond `simulated_within_m`, vehicles are recorded where a car is at least this high in the image, pixels."""
+    coming_m: float = 60.0
+    """Vehicles are followed from this much farther away than they are recorded, metres: it takes them a second to come
+    onto a way that wheels can follow."""
+    behind_m: float = 40.0
+    """Vehicles behind the camera are recorded up to this distance, metres: they may throw shadows into the view."""
+    parked_within_m: float = 120.0
+    """Parked vehicles nearer to the camera than this are recorded, metres."""
+    around_m: float = 25.0
+    """Road users that are this near to what a camera shows may throw shadows into it, metres."""
+    around_at_night_m: float = 45.0
+    """The same with lamps on, which light the road before them, metres."""
+    flash_s: float = 0.667
+    """Seconds from flash to flash of an indicator: 90 a minute, the middle of what UN Regulation 48 allows."""
+    daytime_lamps_share: float = 0.4
+    """Share of the vehicles that drive with their headlamps lit by day, where cameras are to differ as those of many
+    countries do."""
+    unlit_share: float = 0.15
+    """Share of the cyclists who ride without lamps in the dark, and of the motorcyclists who do by day."""
+    tracks_per_recording: int = 100_000
+    """Track ids of a site's recordings are this far apart, so that they never meet."""
+
+
+RECORDED: Final = RecordingLimits()
 
 
 @dataclass(frozen=True)
@@ -55,7 +89,7 @@ def parked_vehicles(
     models: Mapping[str, FleetEntry],
     rng: np.random.Generator,
     *,
-    most: int = MOST_PARKED,
+    most: int = RECORDED.most_parked,
 ) -> list[Parked]:
     """Draw parked vehicles for some of the bays, of models that fit, nose or tail first.
 
@@ -66,12 +100,14 @@ def parked_vehicles(
         rng: Draws bays, models, paints and places.
         most: Mean number of vehicles at most.
     """
-    fitting = {name: entry.share for name, entry in models.items() if straight_lwh(entry.vehicle)[0] < BAY[0] + 0.2}
+    fitting = {
+        name: entry.share for name, entry in models.items() if straight_lwh(entry.vehicle)[0] < LAND_USE.bay_m[0] + 0.2
+    }
     if not bays or not fitting:
         return []
     layout = Layout.of(town)
     names, shares = list(fitting), np.array(list(fitting.values()))
-    share, out = min(OCCUPIED, most / len(bays)), []
+    share, out = min(RECORDED.occupied_share, most / len(bays)), []
     for i, bay in enumerate(bays):
         if rng.random() > share:
             continue
@@ -91,34 +127,6 @@ def _standing(layout: Layout, place: np.ndarray, yaw: float) -> Driven:
     return Driven(position, yaw, math.atan2(front - rear, 2.6), 0.0, 0)
 
 
-SIMULATED_WITHIN_M: Final = 150.0
-"""Vehicles nearer to the camera than this are simulated physically, metres."""
-RECORDED_WITHIN_M: Final = 600.0
-"""Vehicles farther from the camera than this are not recorded, metres."""
-SPECK: Final = 3.0
-"""Beyond `SIMULATED_WITHIN_M`, vehicles are recorded where a car is at least this high in the image, pixels."""
-COMING: Final = 60.0
-"""Vehicles are followed from this much farther away than they are recorded, metres: it takes them a second to come onto
-a way that wheels can follow."""
-BEHIND: Final = 40.0
-"""Vehicles behind the camera are recorded up to this distance, metres: they may throw shadows into the view."""
-PARKED_REACH: Final = 120.0
-"""Parked vehicles nearer to the camera than this are recorded, metres."""
-AROUND: Final = 25.0
-"""Road users that are this near to what a camera shows may throw shadows into it, metres."""
-AROUND_AT_NIGHT: Final = 45.0
-"""The same with lamps on, which light the road before them, metres."""
-FLASH: Final = 0.667
-"""Seconds from flash to flash of an indicator: 90 a minute, the middle of what UN Regulation 48 allows."""
-DAYTIME_LAMPS: Final = 0.4
-"""Share of the vehicles that drive with their headlamps lit by day, where cameras are to differ as those of many
-countries do."""
-UNLIT: Final = 0.15
-"""Share of the cyclists who ride without lamps in the dark, and of the motorcyclists who do by day."""
-TRACKS_PER_RECORDING: Final = 100_000
-"""Track ids of a site's recordings are this far apart, so that they never meet."""
-
-
 def flashed(lamps: int, time: float, name: str) -> int:
     """The lamps that are lit at a time: indicators flash, with a phase that follows from the vehicle's name.
 
@@ -127,9 +135,9 @@ def flashed(lamps: int, time: float, name: str) -> int:
         time: Seconds.
         name: The vehicle's name.
     """
-    indicators = LAMPS["indicator_left"] | LAMPS["indicator_right"]
+    indicators = LAMP_BITS["indicator_left"] | LAMP_BITS["indicator_right"]
     phase = zlib.crc32(name.encode()) / 2**32
-    return lamps if (time / FLASH + phase) % 1 < 0.5 else lamps & ~indicators
+    return lamps if (time / RECORDED.flash_s + phase) % 1 < 0.5 else lamps & ~indicators
 
 
 def _rider_lamps(kind: str, name: str, dark: bool) -> int:
@@ -140,10 +148,10 @@ def _rider_lamps(kind: str, name: str, dark: bool) -> int:
         name: Name of the rider, whose habit follows from it.
         dark: Whether vehicles have their lamps lit.
     """
-    unlit = zlib.crc32(f"{name} unlit".encode()) < UNLIT * 2**32
+    unlit = zlib.crc32(f"{name} unlit".encode()) < RECORDED.unlit_share * 2**32
     if kind == "motorcyclist":
-        return LAMPS["low_beam"] if dark or not unlit else 0
-    return LAMPS["low_beam"] | LAMPS["reverse"] if kind == "cyclist" and dark and not unlit else 0
+        return LAMP_BITS["low_beam"] if dark or not unlit else 0
+    return LAMP_BITS["low_beam"] | LAMP_BITS["reverse"] if kind == "cyclist" and dark and not unlit else 0
 
 
 def _half_view(camera: Camera) -> float:
@@ -170,25 +178,30 @@ class Recorder:
         self._paints: dict[str, str] = {}
         self._eye, axis = camera.position[:2].tolist(), camera.T_camera_world[2, :2]
         self._ahead = (axis / max(float(np.linalg.norm(axis)), 1e-9)).tolist()
-        self._reach = float(np.clip(1.5 * camera.K[0, 0] / SPECK, SIMULATED_WITHIN_M, RECORDED_WITHIN_M))
-        self._always = LAMPS["low_beam"] if lamps_on else 0
+        self._reach = float(
+            np.clip(1.5 * camera.K[0, 0] / RECORDED.speck_px, RECORDED.simulated_within_m, RECORDED.recorded_within_m)
+        )
+        self._always = LAMP_BITS["low_beam"] if lamps_on else 0
         self._eye_3d, self._axis = camera.position, camera.T_camera_world[2, :3]
-        self._half_view, self._around = _half_view(camera), AROUND_AT_NIGHT if lamps_on else AROUND
+        self._half_view, self._around = (
+            _half_view(camera),
+            RECORDED.around_at_night_m if lamps_on else RECORDED.around_m,
+        )
         self._parked: dict[str, tuple[Parked, Pose]] = {}
         self._index: dict[str, int] = {}
         self._entries: list[RecordedVehicle] = []
         self._times: list[float] = []
         self._signals: list[dict[str, str]] = []
         self._rows: list[tuple[int, int, Pose, int]] = []
-        self._first_track = plan.index * TRACKS_PER_RECORDING + 1
+        self._first_track = plan.index * RECORDED.tracks_per_recording + 1
 
     def near(self, everyone: Mapping[str, Driven], traffic: Traffic) -> dict[str, tuple[Vehicle, Driven]]:
         """Vehicles near enough to be simulated physically, by name."""
-        return self._within(0.0, SIMULATED_WITHIN_M, everyone, traffic)
+        return self._within(0.0, RECORDED.simulated_within_m, everyone, traffic)
 
     def far(self, everyone: Mapping[str, Driven], traffic: Traffic) -> dict[str, tuple[Vehicle, Driven]]:
         """Vehicles that are recorded, but too far away to be worth simulating physically, by name."""
-        return self._within(SIMULATED_WITHIN_M, self._reach, everyone, traffic)
+        return self._within(RECORDED.simulated_within_m, self._reach, everyone, traffic)
 
     def _within(
         self, least: float, most: float, everyone: Mapping[str, Driven], traffic: Traffic
@@ -204,13 +217,13 @@ class Recorder:
         east, north = x - self._eye[0], y - self._eye[1]
         away = math.hypot(east, north)
         ahead = east * self._ahead[0] + north * self._ahead[1]
-        return away < COMING + (self._reach if ahead > -COMING else BEHIND)
+        return away < RECORDED.coming_m + (self._reach if ahead > -RECORDED.coming_m else RECORDED.behind_m)
 
     def _distance(self, position: Sequence[float]) -> float:
         """Distance of a place (x, y, ...) from the camera on the map, metres; inf where the camera cannot see it."""
         east, north = position[0] - self._eye[0], position[1] - self._eye[1]
         away = math.hypot(east, north)
-        return away if east * self._ahead[0] + north * self._ahead[1] > 0 or away < BEHIND else math.inf
+        return away if east * self._ahead[0] + north * self._ahead[1] > 0 or away < RECORDED.behind_m else math.inf
 
     def _vehicle(self, name: str, model: str) -> Vehicle:
         if name not in self._vehicles:
@@ -234,8 +247,10 @@ class Recorder:
 
     def _daytime_lamps(self, name: str) -> int:
         """The lamps that a vehicle has lit by day too."""
-        lit = self._plan.variation.views and zlib.crc32(f"{name} by day".encode()) < DAYTIME_LAMPS * 2**32
-        return LAMPS["low_beam"] if lit else 0
+        lit = (
+            self._plan.variation.views and zlib.crc32(f"{name} by day".encode()) < RECORDED.daytime_lamps_share * 2**32
+        )
+        return LAMP_BITS["low_beam"] if lit else 0
 
     def add(
         self,
@@ -259,7 +274,7 @@ class Recorder:
 
     def in_view(self, bays: Iterable[Bay]) -> list[Bay]:
         """The bays near enough that vehicles parked in them are recorded."""
-        return [bay for bay in bays if self._distance(bay.place) < PARKED_REACH]
+        return [bay for bay in bays if self._distance(bay.place) < RECORDED.parked_within_m]
 
     def park(self, vehicles: Iterable[Parked]) -> None:
         """Add parked vehicles, which are in every frame."""
@@ -269,7 +284,7 @@ class Recorder:
     def add_others(self, others: Mapping[str, PlacedBystander]) -> None:
         """Add bystanders, by name, to the last frame that was added."""
         for name, other in others.items():
-            if self._distance(other.T_world_body[:2, 3].tolist()) < SIMULATED_WITHIN_M:
+            if self._distance(other.T_world_body[:2, 3].tolist()) < RECORDED.simulated_within_m:
                 parts, look = other.part_poses, other.body.look.to_dict()
                 more = np.concatenate([parts[4:], trailer_motion.NO_TRAILER[: 7 - len(parts)]])
                 pose = Pose(other.T_world_body, parts[:4], other.velocity, more)

@@ -2,21 +2,21 @@
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 from shapely import Polygon
 
 from skope.camera.model import Camera
-from skope.gen.scene.camera_sampling import LARGEST_VEHICLE_SHARE, CameraRanges, ViewSampler, sample_camera
+from skope.gen.scene.camera_sampling import CAMERA_SAMPLING, CameraRanges, ViewSampler, sample_camera
 from skope.gen.scene.conditions import Conditions, ranges
 from skope.gen.scene.random_streams import Stream
 from skope.gen.scene.recording import Recording, RecordingPlan
 from skope.gen.scenery.build import bays_of
 from skope.gen.simulation.pedestrians import Riders, Walkers
 from skope.gen.simulation.physics import World, at_rest
-from skope.gen.simulation.recorder import MOST_PARKED, SIMULATED_WITHIN_M, Recorder, parked_vehicles
+from skope.gen.simulation.recorder import RECORDED, Recorder, parked_vehicles
 from skope.gen.simulation.smooth_paths import drivable, reach
 from skope.gen.towns.land_use import sidewalks
 from skope.gen.towns.road_graph import RoadGraph
@@ -28,18 +28,27 @@ from skope.gen.vehicles.fleet import FleetEntry, fleet
 from skope.gen.vehicles.model import Vehicle
 from skope.types import Array, Range
 
-CROWD_REACH: Final = 90.0
-"""People on sidewalks nearer to the camera than this are recorded, metres."""
-WARM_UP: Final = (60.0, 100.0)
-"""Range of the time that traffic runs before a recording, seconds: the first vehicles have crossed the town by then."""
-SETTLE: Final = 1.5
-"""Time that the physics run before the first frame, seconds, so that springs have come to rest."""
-ADDED_SHARE: Final = 0.1
-"""Number of vehicles of each of the user's own models for one vehicle of the fleet."""
-LAMPS_ON_DEG: Final = 10.0
-"""Vehicles drive with their lamps lit when the sun's elevation is below this, degrees."""
-LAMPS_ON_VISIBILITY: Final = 1000.0
-"""Vehicles drive with their lamps lit when the visibility is below this, metres."""
+
+@dataclass(frozen=True)
+class SimulationTimes:
+    """Times before a recording, and limits of what is in it."""
+
+    crowd_within_m: float = 90.0
+    """People on sidewalks nearer to the camera than this are recorded, metres."""
+    warm_up_s: tuple[float, float] = (60.0, 100.0)
+    """Range of the time that traffic runs before a recording, seconds: the first vehicles have crossed the town by
+    then."""
+    settle_s: float = 1.5
+    """Time that the physics run before the first frame, seconds, so that springs have come to rest."""
+    added_share: float = 0.1
+    """Number of vehicles of each of the user's own models for one vehicle of the fleet."""
+    lamps_on_deg: float = 10.0
+    """Vehicles drive with their lamps lit when the sun's elevation is below this, degrees."""
+    lamps_on_visibility_m: float = 1000.0
+    """Vehicles drive with their lamps lit when the visibility is below this, metres."""
+
+
+SIMULATION: Final = SimulationTimes()
 
 
 def simulate(plan: RecordingPlan) -> Recording:
@@ -66,8 +75,8 @@ def simulate_together(plans: Sequence[RecordingPlan]) -> list[Recording]:
     first = plans[0]
     site, step = first.site, step_for(first.interval)
     rng = first.shared_rng(Stream.TRAFFIC)
-    warm_up = round(rng.uniform(*WARM_UP) / step)
-    stride, settle, ahead = round(first.interval / step), round(SETTLE / step), reach(step)
+    warm_up = round(rng.uniform(*SIMULATION.warm_up_s) / step)
+    stride, settle, ahead = round(first.interval / step), round(SIMULATION.settle_s / step), reach(step)
     starts = [settle + stride * k // len(plans) for k in range(len(plans))]
     steps = max(start + (plan.frames - 1) * stride for plan, start in zip(plans, starts, strict=True)) + 1
     models, conditions = _models(first), [_conditions(plan) for plan in plans]
@@ -80,7 +89,9 @@ def simulate_together(plans: Sequence[RecordingPlan]) -> list[Recording]:
             duration=(warm_up + steps + ahead) * step,
             rng=rng,
             flows=site.flows,
-            passing=RoadGraph.of(site.town).seen_by(site.road.camera, SIMULATED_WITHIN_M) if site.road else frozenset(),
+            passing=RoadGraph.of(site.town).seen_by(site.road.camera, RECORDED.simulated_within_m)
+            if site.road
+            else frozenset(),
             step=step,
             watched=cameras.watch,
             riders=Riding.drawn(first.shared_rng(Stream.RIDERS)) if first.variation.road_users else USUAL_RIDERS,
@@ -148,7 +159,7 @@ class _Cameras:
         for plan, conditions, start in zip(self._plans, self._conditions, self._starts, strict=True):
             times = [start + k * self._stride for k in range(plan.frames)]
             traffic = _places([snapshots[k] for k in times])
-            largest = plan.variation.largest_vehicle or LARGEST_VEHICLE_SHARE
+            largest = plan.variation.largest_vehicle or CAMERA_SAMPLING.largest_vehicle
             view = sampler.draw(traffic, _camera_ranges(plan, conditions), plan.rng(Stream.CAMERA), largest)
             self._cameras.append(view.camera)
             fov = 2 * math.atan(view.camera.width / 2 / view.camera.K[0, 0])
@@ -171,7 +182,7 @@ class _Cameras:
         """Put parked vehicles and pedestrians before the cameras."""
         town, first = self._plans[0].site.town, self._plans[0]
         in_view = {bay: None for recorder in self.recorders for bay in recorder.in_view(bays_of(town))}
-        rng, most = first.shared_rng(Stream.PARKED_VEHICLES), MOST_PARKED * len(self._plans)
+        rng, most = first.shared_rng(Stream.PARKED_VEHICLES), RECORDED.most_parked * len(self._plans)
         standing = parked_vehicles(town, list(in_view), self._models, rng, most=most)
         footprints = [one.footprint(self._models[one.model].vehicle) for one in standing]
         masts = town.variant.masts if town.variant else ()
@@ -179,7 +190,7 @@ class _Cameras:
         cameras = zip(self._plans, places, self.recorders, self._conditions, strict=True)
         for plan, (x, y, _), recorder, conditions in cameras:
             recorder.park(standing)
-            paths = sidewalks(town, (x, y), CROWD_REACH)
+            paths = sidewalks(town, (x, y), SIMULATION.crowd_within_m)
             self.walkers.append(_walkers(plan, paths, footprints, raining=conditions.rain_mm_h > 0))
 
     def recordings(self) -> list[Recording]:
@@ -250,7 +261,7 @@ def _models(plan: RecordingPlan) -> dict[str, FleetEntry]:
     others = {name: entry for name, entry in models.items() if name not in asked}
     total = sum(entry.share for entry in others.values())
     if plan.vehicle_share is None:
-        part = ADDED_SHARE * total
+        part = SIMULATION.added_share * total
     elif plan.vehicle_share < 1:
         part = total * plan.vehicle_share / (1 - plan.vehicle_share) / len(asked)
     else:
@@ -265,5 +276,8 @@ def _asked(name: str) -> Vehicle:
 
 def lamps_on(conditions: Conditions) -> bool:
     """Whether vehicles drive with their lamps lit: at a low sun, in bad visibility and in rain."""
-    seen = conditions.sun_elevation_deg >= LAMPS_ON_DEG and conditions.visibility_m >= LAMPS_ON_VISIBILITY
+    seen = (
+        conditions.sun_elevation_deg >= SIMULATION.lamps_on_deg
+        and conditions.visibility_m >= SIMULATION.lamps_on_visibility_m
+    )
     return not seen or conditions.rain_mm_h > 0

@@ -20,19 +20,30 @@ from numpy.typing import NDArray
 from skope.gen.traffic.sumo import Snapshot, SumoVehicle
 from skope.gen.vehicles.trailer_motion import DrivenTrailer, Follower
 
-SPREADS_S: Final = (0.2, 0.5)
-"""Standard deviations of the Gaussians that smooth places over time, seconds: for slow vehicles and for fast ones."""
+
+@dataclass(frozen=True)
+class PathSmoothing:
+    """Smoothing of vehicle paths."""
+
+    sigmas_s: tuple[float, float] = (0.2, 0.5)
+    """Standard deviations of the Gaussians that smooth places over time, seconds: for slow vehicles and for fast
+    ones."""
+    reach_s: float = 1.25
+    """Time to either side at which the Gaussians are cut off, seconds."""
+    lock_rad: float = 0.65
+    """Largest steering angle of the front wheels, radians: from kerb to kerb a sedan turns within 11 m, a bus in 21
+    m."""
+    place_columns: int = 6
+    """Of a vehicle's place at a step: x and y of its lane point, distance driven, speed, height, slope. An articulated
+    vehicle has one more, the height under its trailer's axles."""
+    chunk_steps: int = 200
+    """Number of steps that are smoothed at once."""
+
+
+PATH_SMOOTHING: Final = PathSmoothing()
+
 SLOW, FAST = 8.0, 16.0
 """Speeds up to which a vehicle is slow and from which it is fast, m/s; between them the two averages are mixed."""
-REACH_S: Final = 1.25
-"""Time to either side at which the Gaussians are cut off, seconds."""
-LOCK: Final = 0.65
-"""Largest steering angle of the front wheels, radians: from kerb to kerb a sedan turns within 11 m, a bus in 21 m."""
-_PLACE_COLUMNS: Final = 6
-"""Of a vehicle's place at a step: x and y of its lane point, distance driven, speed, height, slope. An articulated
-vehicle has one more, the height under its trailer's axles."""
-_CHUNK_STEPS: Final = 200
-"""Number of steps that are smoothed at once."""
 
 
 class Driven(NamedTuple):
@@ -95,14 +106,14 @@ class _Way:
         self.bicycle: _Bicycle | None = None
         self._trailer: Follower | None = None
         self._rows = array("d")
-        self._columns = _PLACE_COLUMNS
+        self._columns = PATH_SMOOTHING.place_columns
 
     def add(self, placed: SumoVehicle) -> None:
         """Note where SUMO had the vehicle at the next step."""
         self.placed.append(placed)
         self._rows.extend((*placed.lane_point, placed.driven, placed.speed, placed.height, placed.pitch))
         if placed.trailer:
-            self._columns = _PLACE_COLUMNS + 1
+            self._columns = PATH_SMOOTHING.place_columns + 1
             self._rows.append(placed.trailer.height)
 
     def driven(self, start: int, stop: int, weights: NDArray[np.float64], dt: float) -> Iterator[tuple[int, Driven]]:
@@ -125,7 +136,9 @@ class _Way:
                 self.bicycle = _Bicycle.behind(x, y, placed.yaw, chassis.lane_point * level)
                 travel = placed.speed * dt
             else:
-                travel = self.bicycle.follow(x, y, chassis.lane_point * level, math.tan(LOCK) / chassis.wheelbase)
+                travel = self.bicycle.follow(
+                    x, y, chassis.lane_point * level, math.tan(PATH_SMOOTHING.lock_rad) / chassis.wheelbase
+                )
             one, middle = self.bicycle, chassis.middle * level
             place = (one.x + middle * math.cos(one.yaw), one.y + middle * math.sin(one.yaw), height)
             trailer = self._follow(placed, one, level, trailer_height[0]) if trailer_height else None
@@ -190,7 +203,7 @@ class _Way:
 
 def reach(step: float) -> int:
     """Number of steps that SUMO has to be ahead of the smoothed vehicles, for steps of `step` seconds."""
-    return round(REACH_S / step)
+    return round(PATH_SMOOTHING.reach_s / step)
 
 
 def drivable(snapshots: Iterable[Snapshot], step: float) -> Iterator[tuple[Snapshot, dict[str, Driven]]]:
@@ -205,13 +218,13 @@ def drivable(snapshots: Iterable[Snapshot], step: float) -> Iterator[tuple[Snaps
         nothing later than `reach(step)` steps after it.
     """
     half = reach(step)
-    weights = np.exp(-0.5 * (np.arange(-half, half + 1)[:, None] * step / SPREADS_S) ** 2)
+    weights = np.exp(-0.5 * (np.arange(-half, half + 1)[:, None] * step / PATH_SMOOTHING.sigmas_s) ** 2)
     weights /= weights.sum(axis=0)
     ways: dict[str, _Way] = {}
     waiting: deque[Snapshot] = deque()
     read, done = 0, half
     coming = iter(snapshots)
-    while batch := list(islice(coming, _CHUNK_STEPS)):
+    while batch := list(islice(coming, PATH_SMOOTHING.chunk_steps)):
         for k, snapshot in enumerate(batch, start=read):
             for name, placed in snapshot.vehicles.items():
                 way = ways.get(name)

@@ -22,18 +22,48 @@ from skope.gen.towns.town import Town
 from skope.gen.towns.town_style import TownStyle, style
 from skope.types import Array
 
-KERB_WIDTH: Final = 0.15
-"""Width of kerbs, metres."""
-ISLAND: Final = 20.0
-"""Ground within the carriageway counts as a median or island if it is nowhere farther from it than this, metres."""
-CAMERA_CLEARANCE: Final = 8.0
-"""Radius around a camera in which nothing stands higher than 1 m, metres."""
-DETAILED_WITHIN_M: Final = 42.0
-"""Objects nearer to a camera than this are built in full detail, metres."""
-PLAIN_FROM_M: Final = 120.0
-"""Objects farther from all cameras than this are built plainly, without small parts, metres."""
-HALF_VIEW_DEG: Final = 56.0
-"""Half of the horizontal angle that cameras are taken to see, degrees."""
+
+@dataclass(frozen=True)
+class LandUseSizes:
+    """Sizes of kerbs, bays and islands, and distances from cameras."""
+
+    kerb_m: float = 0.15
+    """Width of kerbs, metres."""
+    island_m: float = 20.0
+    """Ground within the carriageway counts as a median or island if it is nowhere farther from it than this, metres."""
+    camera_clearance_m: float = 8.0
+    """Radius around a camera in which nothing stands higher than 1 m, metres."""
+    detailed_within_m: float = 42.0
+    """Objects nearer to a camera than this are built in full detail, metres."""
+    plain_from_m: float = 120.0
+    """Objects farther from all cameras than this are built plainly, without small parts, metres."""
+    half_view_deg: float = 56.0
+    """Half of the horizontal angle that cameras are taken to see, degrees."""
+    shortest_walk_m: float = 20.0
+    """Shortest sidewalk with pedestrians, metres."""
+    walk_spacing_m: float = 5.0
+    """Metres between the heights of a path."""
+    bay_m: tuple[float, float] = (4.8, 2.6)
+    """Length and width of a bay, metres."""
+    aisle_m: float = 6.8
+    """Width of an aisle, metres."""
+    drive_m: float = 2.4
+    """Width of a drive, metres."""
+    lot_edge_m: float = 1.0
+    """Distance from a car park's edge to its bays, metres."""
+    kerbside_m: tuple[float, float] = (6.0, 2.1)
+    """Length and width of a bay along a kerb, metres."""
+    kerbside_share: float = 0.55
+    """Share of the streets with wide enough sidewalks that have bays along their kerbs."""
+    kerbside_walk_m: float = 2.2
+    """Width of a sidewalk from which it may have bays, metres."""
+    junction_distances_m: tuple[float, float] = (12.0, 20.0)
+    """Distance from the beginning and the end of a street to its bays, metres."""
+    free_share: float = 0.15
+    """Share of the places along a kerb that are left free between bays."""
+
+
+LAND_USE: Final = LandUseSizes()
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +99,7 @@ class Layout:
     @cached_property
     def islands(self) -> Region:
         """Medians and islands."""
-        return self.enclosed(ISLAND).difference(self.graph.road)
+        return self.enclosed(LAND_USE.island_m).difference(self.graph.road)
 
     def enclosed(self, reach: float) -> Region:
         """Ground within the carriageway that is nowhere farther than `reach` metres from it."""
@@ -84,7 +114,7 @@ class Layout:
         for edge in self.graph.edges:
             kind = self.graph.kind(edge)
             if (own := getattr(kind, width)) and kind.form == "ground":
-                beyond = own + (KERB_WIDTH if self.style.kerb else 0.0)
+                beyond = own + (LAND_USE.kerb_m if self.style.kerb else 0.0)
                 for lane in driven(edge):
                     line = LineString(lane.getShape())
                     parts.append(line.buffer(lane.getWidth() / 2 + beyond, cap_style="flat"))
@@ -102,12 +132,12 @@ class Layout:
     @cached_property
     def detailed(self) -> Region:
         """Area near enough to a camera that small things can be made out."""
-        return unary_union([Point(site.position[:2]).buffer(PLAIN_FROM_M, quad_segs=4) for site in self.sites])
+        return unary_union([Point(site.position[:2]).buffer(LAND_USE.plain_from_m, quad_segs=4) for site in self.sites])
 
     @cached_property
     def around_cameras(self) -> Region:
         """Area around the cameras in which nothing high stands."""
-        return unary_union([Point(site.position[:2]).buffer(CAMERA_CLEARANCE) for site in self.sites])
+        return unary_union([Point(site.position[:2]).buffer(LAND_USE.camera_clearance_m) for site in self.sites])
 
     def camera_distance(self, place: Array) -> float:
         """Distance of a place (2,) from the nearest camera, metres."""
@@ -162,19 +192,13 @@ def _mirrored_site(site: Site) -> Site:
 def _sightlines(site: Site, road: Region, reach: float) -> Region:
     """The ground between a camera and the road that it sees within `reach` metres."""
     eye = np.array(site.position[:2])
-    angles = np.radians(site.yaw_deg + np.linspace(-HALF_VIEW_DEG, HALF_VIEW_DEG, 17))
+    angles = np.radians(site.yaw_deg + np.linspace(-LAND_USE.half_view_deg, LAND_USE.half_view_deg, 17))
     view = Polygon([eye, *(eye + reach * np.stack([np.cos(angles), np.sin(angles)], axis=1))])
     fans = []
     for part in polygons(road.intersection(view)):
         ring = np.array(part.exterior.coords)
         fans += [Polygon([eye, a, b]) for a, b in itertools.pairwise(ring)]
     return unary_union([fan for fan in fans if fan.area > 1e-6])
-
-
-_SHORTEST_WALK_M: Final = 20.0
-"""Metres that are worth walking."""
-_WALK_SPACING_M: Final = 5.0
-"""Metres between the heights of a path."""
 
 
 def sidewalks(town: Town, center: tuple[float, float], reach: float) -> list[Array]:
@@ -186,16 +210,20 @@ def sidewalks(town: Town, center: tuple[float, float], reach: float) -> list[Arr
     widths = sorted({graph.kind(edge).sidewalk for edge in graph.edges} - {0.0})
     for width in widths:
         edges = [edge for edge in graph.edges if graph.kind(edge).sidewalk == width]
-        beyond = KERB_WIDTH + width / 2
+        beyond = LAND_USE.kerb_m + width / 2
         strips = [
-            LineString(lane.getShape()).buffer(lane.getWidth() / 2 + KERB_WIDTH + width, cap_style="flat")
+            LineString(lane.getShape()).buffer(lane.getWidth() / 2 + LAND_USE.kerb_m + width, cap_style="flat")
             for edge in edges
             if graph.kind(edge).form == "ground"
             for lane in driven(edge)
         ]
         own = unary_union(strips).buffer(width).intersection(layout.sidewalk).intersection(around)
         middle = shapely.line_merge(graph.road.buffer(beyond).boundary.intersection(own))
-        out += [graph.world(_walk_path(layout, line)) for line in _walk_lines(middle) if line.length > _SHORTEST_WALK_M]
+        out += [
+            graph.world(_walk_path(layout, line))
+            for line in _walk_lines(middle)
+            if line.length > LAND_USE.shortest_walk_m
+        ]
     return out
 
 
@@ -205,29 +233,10 @@ def _walk_lines(shape: shapely.Geometry) -> list[LineString]:
 
 
 def _walk_path(layout: Layout, line: LineString) -> Array:
-    marks = np.linspace(0, line.length, max(2, round(line.length / _WALK_SPACING_M)))
+    marks = np.linspace(0, line.length, max(2, round(line.length / LAND_USE.walk_spacing_m)))
     xs = np.union1d(marks, [line.project(Point(point)) for point in line.coords])
     places = np.array([line.interpolate(x).coords[0] for x in xs])
     return np.array([layout.on_ground(place) for place in places])
-
-
-BAY: Final = (4.8, 2.6)
-"""Length and width of a bay, metres."""
-AISLE: Final = 6.8
-DRIVE: Final = 2.4
-"""Width of a drive, metres."""
-_LOT_EDGE_M: Final = 1.0
-"""Distance from a car park's edge to its bays, metres."""
-KERBSIDE: Final = (6.0, 2.1)
-"""Length and width of a bay along a kerb, metres."""
-_PARKED_ALONG: Final = 0.55
-"""Share of the streets with wide enough sidewalks that have bays along their kerbs."""
-_WIDE_ENOUGH: Final = 2.2
-"""Width of a sidewalk from which it may have bays, metres."""
-_FROM_JUNCTIONS: Final = (12.0, 20.0)
-"""Distance from the beginning and the end of a street to its bays, metres."""
-_FREE_SHARE: Final = 0.15
-"""Share of the places along a kerb that are left free between bays."""
 
 
 @dataclass(frozen=True)
@@ -242,7 +251,9 @@ class Bay:
 
 def ground_of(bays: Iterable[Bay]) -> Any:
     """The ground that bays along kerbs take up."""
-    return unary_union([rectangle_polygon(np.array(bay.place), bay.heading, *KERBSIDE).buffer(0.01) for bay in bays])
+    return unary_union(
+        [rectangle_polygon(np.array(bay.place), bay.heading, *LAND_USE.kerbside_m).buffer(0.01) for bay in bays]
+    )
 
 
 def lot_bays(lots: Any) -> list[Bay]:
@@ -259,11 +270,13 @@ def _bay_rows(lot: Polygon) -> Iterator[Bay]:
     length, depth = np.hypot(*along), np.hypot(*across)
     along, across = along / length, across / depth
     inside = lot.buffer(-0.3)
-    for row in np.arange(_LOT_EDGE_M + BAY[0] / 2, depth - BAY[0] / 2, BAY[0] + AISLE):
-        for x in np.arange(2.0 + BAY[1] / 2, length - 2.0 - BAY[1] / 2, BAY[1]):
+    for row in np.arange(
+        LAND_USE.lot_edge_m + LAND_USE.bay_m[0] / 2, depth - LAND_USE.bay_m[0] / 2, LAND_USE.bay_m[0] + LAND_USE.aisle_m
+    ):
+        for x in np.arange(2.0 + LAND_USE.bay_m[1] / 2, length - 2.0 - LAND_USE.bay_m[1] / 2, LAND_USE.bay_m[1]):
             place = a + along * x + across * row
             bay = Bay((float(place[0]), float(place[1])), float(np.arctan2(*across[::-1])))
-            if inside.contains(rectangle_polygon(place, bay.heading, *BAY)):
+            if inside.contains(rectangle_polygon(place, bay.heading, *LAND_USE.bay_m)):
                 yield bay
 
 
@@ -277,13 +290,13 @@ def kerb_bays(layout: Layout, keep_clear: Any, rng: np.random.Generator) -> list
     """
     out = []
     for edge in layout.graph.edges_of("ground"):
-        if layout.graph.kind(edge).sidewalk < _WIDE_ENOUGH or rng.random() > _PARKED_ALONG:
+        if layout.graph.kind(edge).sidewalk < LAND_USE.kerbside_walk_m or rng.random() > LAND_USE.kerbside_share:
             continue
-        first, last = _FROM_JUNCTIONS
-        for s in np.arange(first, driven(edge)[0].getLength() - last, KERBSIDE[0]):
-            place, heading = beside(edge, float(s), KERB_WIDTH + KERBSIDE[1] / 2)
-            ground = rectangle_polygon(place, heading, *KERBSIDE)
-            if rng.random() > _FREE_SHARE and not any(map(ground.intersects, (keep_clear, layout.graph.road))):
+        first, last = LAND_USE.junction_distances_m
+        for s in np.arange(first, driven(edge)[0].getLength() - last, LAND_USE.kerbside_m[0]):
+            place, heading = beside(edge, float(s), LAND_USE.kerb_m + LAND_USE.kerbside_m[1] / 2)
+            ground = rectangle_polygon(place, heading, *LAND_USE.kerbside_m)
+            if rng.random() > LAND_USE.free_share and not any(map(ground.intersects, (keep_clear, layout.graph.road))):
                 out.append(Bay((float(place[0]), float(place[1])), heading))
     return out
 
@@ -292,17 +305,22 @@ def bay_lines(lots: Any) -> Any:
     """Painted lines on both sides of each bay of the car parks."""
     lines = []
     for bay in lot_bays(lots):
-        side = np.array([-np.sin(bay.heading), np.cos(bay.heading)]) * BAY[1] / 2
-        lines += [rectangle_polygon(np.array(bay.place) + sign * side, bay.heading, BAY[0], 0.1) for sign in (-1, 1)]
+        side = np.array([-np.sin(bay.heading), np.cos(bay.heading)]) * LAND_USE.bay_m[1] / 2
+        lines += [
+            rectangle_polygon(np.array(bay.place) + sign * side, bay.heading, LAND_USE.bay_m[0], 0.1)
+            for sign in (-1, 1)
+        ]
     return unary_union(lines).intersection(lots.buffer(-0.3)) if lines else Polygon()
 
 
 def drive_ring(half_length: float, front: float, street: float) -> Array:
     """(4, 2) corners of a drive beside a house, from its side to the street, in the house's frame."""
     x = half_length + 0.3
-    return np.array([[x, front - 5.0], [x + DRIVE, front - 5.0], [x + DRIVE, street], [x, street]])
+    return np.array(
+        [[x, front - 5.0], [x + LAND_USE.drive_m, front - 5.0], [x + LAND_USE.drive_m, street], [x, street]]
+    )
 
 
 def drive_bay(half_length: float, front: float) -> tuple[float, float]:
     """The middle of the place for a car on such a drive, in the house's frame."""
-    return half_length + 0.3 + DRIVE / 2, front - 5.0 + BAY[0] / 2 + 0.3
+    return half_length + 0.3 + LAND_USE.drive_m / 2, front - 5.0 + LAND_USE.bay_m[0] / 2 + 0.3

@@ -11,7 +11,7 @@ from typing import Final
 
 from skope.errors import UserError
 
-COMMON: Final[Mapping[str, str]] = {
+COMMON_OPTIONS: Final[Mapping[str, str]] = {
     "output.street-names": "false",
     "offset.disable-normalization": "true",
     "default.lanewidth": "3.3",
@@ -26,7 +26,7 @@ COMMON: Final[Mapping[str, str]] = {
     "junctions.corner-detail": "8",
     "junctions.internal-link-detail": "12",
 }
-_MAP: Final[Mapping[str, str]] = {
+MAP_OPTIONS: Final[Mapping[str, str]] = {
     "geometry.remove": "true",
     "ramps.guess": "true",
     "junctions.join": "true",
@@ -34,7 +34,7 @@ _MAP: Final[Mapping[str, str]] = {
     "roundabouts.guess": "true",
     "keep-edges.by-vclass": "passenger",
 }
-_HEADER: Final = re.compile(r"<!--.*?-->", re.DOTALL)
+COMMENT_PATTERN: Final = re.compile(r"<!--.*?-->", re.DOTALL)
 
 
 def program() -> str | None:
@@ -58,7 +58,7 @@ def netconvert(options: Mapping[str, str], header: str = "") -> str:
         if done.returncode or not made.is_file():
             errors = [line for line in done.stderr.splitlines() if line.startswith("Error")]
             raise UserError(f"netconvert: {(errors or ['Error: failed'])[0].removeprefix('Error: ')}")
-        return _HEADER.sub(f"<!-- {header} -->" if header else "", made.read_text(encoding="utf-8"), count=1)
+        return COMMENT_PATTERN.sub(f"<!-- {header} -->" if header else "", made.read_text(encoding="utf-8"), count=1)
 
 
 def from_map(path: Path, kind: str, origin: tuple[float, float] | None, *, lefthand: bool, height: float = 0.0) -> str:
@@ -71,7 +71,7 @@ def from_map(path: Path, kind: str, origin: tuple[float, float] | None, *, lefth
         lefthand: Whether traffic keeps to the left.
         height: Height of the map that becomes z = 0, metres.
     """
-    options = {**COMMON, **_MAP, f"{kind}-files": str(path)}
+    options = {**COMMON_OPTIONS, **MAP_OPTIONS, f"{kind}-files": str(path)}
     if height:
         options["offset.z"] = repr(-height)
     if lefthand:

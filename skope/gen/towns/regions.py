@@ -10,7 +10,7 @@ from skope.types import Array
 
 Region: TypeAlias = Polygon | MultiPolygon
 
-GRID: Final = 1e-4
+GRID_M: Final = 1e-4
 """Grid that polygons' corners are rounded to, metres, so that parts cut out of each other keep common corners."""
 
 

@@ -64,12 +64,19 @@ def _negative(number: str) -> str:
     return number[1:] if number.startswith("-") else f"-{number}"
 
 
-OWN_ROADS_WITHIN_M: Final = 600.0
-"""Roads of a user's own network count if they are nearer to the camera than this, metres."""
-BARRIER: Final = 1.5
-"""Half the width, metres, below which a median between retaining walls holds a barrier only."""
-_HEIGHT_WITHIN_M: Final = 42.0
-"""The road's height at a place is that of the lanes nearer to it than this, metres."""
+@dataclass(frozen=True)
+class RoadLimits:
+    """Distances within which roads count."""
+
+    own_roads_within_m: float = 600.0
+    """Roads of a user's own network count if they are nearer to the camera than this, metres."""
+    barrier_m: float = 1.5
+    """Half the width, metres, below which a median between retaining walls holds a barrier only."""
+    height_within_m: float = 42.0
+    """The road's height at a place is that of the lanes nearer to it than this, metres."""
+
+
+ROAD_LIMITS: Final = RoadLimits()
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +89,8 @@ class RoadGraph:
     net: Any
     """The network, as sumolib reads it."""
     edges: tuple[Any, ...]
-    """The edges that vehicles drive on; in a user's own network, those near the camera (`OWN_ROADS_WITHIN_M`)."""
+    """The edges that vehicles drive on; in a user's own network, those near the camera
+    (`ROAD_LIMITS.own_roads_within_m`)."""
     kinds: Mapping[str, Road]
     """Features of the roads of each SUMO edge type in the network."""
     mirrored: bool
@@ -103,7 +111,7 @@ class RoadGraph:
         kinds = {name: look.roads.get(name, look.road) for name in {edge.getType() for edge in net.getEdges()}}
         edges = [edge for edge in net.getEdges(withInternal=False) if not edge.isSpecial() and driven(edge)]
         if town.road:
-            near = Point(_reflect(town.road.camera.position[:2], is_mirrored)).buffer(OWN_ROADS_WITHIN_M)
+            near = Point(_reflect(town.road.camera.position[:2], is_mirrored)).buffer(ROAD_LIMITS.own_roads_within_m)
             edges = [e for e in edges if any(LineString(lane.getShape()).intersects(near) for lane in driven(e))]
         return cls(net, tuple(edges), kinds, is_mirrored)
 
@@ -145,12 +153,21 @@ class RoadGraph:
         whole = _carriageway(edges, self._ground_nodes)
         # Between retaining walls the median belongs to the carriageway.
         walled = _carriageway(self.edges_of("walled"), [])
-        return unary_union([whole, walled.buffer(BARRIER).buffer(-BARRIER)]) if not walled.is_empty else whole
+        return (
+            unary_union([whole, walled.buffer(ROAD_LIMITS.barrier_m).buffer(-ROAD_LIMITS.barrier_m)])
+            if not walled.is_empty
+            else whole
+        )
 
     @cached_property
     def walled_road(self) -> Region:
         """The part of the carriageway on the ground that lies between retaining walls."""
-        return _carriageway(self.edges_of("walled"), []).buffer(BARRIER).buffer(-BARRIER).intersection(self.ground_road)
+        return (
+            _carriageway(self.edges_of("walled"), [])
+            .buffer(ROAD_LIMITS.barrier_m)
+            .buffer(-ROAD_LIMITS.barrier_m)
+            .intersection(self.ground_road)
+        )
 
     @cached_property
     def decks(self) -> list[Region]:
@@ -187,7 +204,7 @@ class RoadGraph:
         """Height of the carriageway around a place (2,) of the world: that of most lanes' points there, metres."""
         points = Lanes((lane, 0.0) for edge in self.edges for lane in driven(edge)).points
         away = np.hypot(*(points[:, :2] - self.world(center)).T)
-        return float(np.median(points[away <= max(_HEIGHT_WITHIN_M, away.min()), 2]))
+        return float(np.median(points[away <= max(ROAD_LIMITS.height_within_m, away.min()), 2]))
 
     @cached_property
     def lane_points(self) -> Mapping[str, Array]:

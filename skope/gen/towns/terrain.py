@@ -1,6 +1,7 @@
 """Heights: of the lanes, as the network has them, and of the ground that follows them beside the road."""
 
 from collections.abc import Iterable
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Final
 
@@ -11,12 +12,20 @@ from numpy.typing import NDArray
 from skope.gen.towns.town_style import Terrain
 from skope.types import Array
 
-_SOFTENING_M: Final = 0.25
-"""Softens the weights of lanes, metres."""
-FINEST: Final = 2.0
-"""Smallest cells that sloped ground is cut into, metres."""
-COARSEST: Final = 64
-"""Largest cells that ground is cut into, metres; their sides lie at multiples of it."""
+
+@dataclass(frozen=True)
+class TerrainCells:
+    """Cells of sloped ground."""
+
+    softening_m: float = 0.25
+    """Softens the weights of lanes, metres."""
+    finest_m: float = 2.0
+    """Smallest cells that sloped ground is cut into, metres."""
+    coarsest_m: int = 64
+    """Largest cells that ground is cut into, metres; their sides lie at multiples of it."""
+
+
+TERRAIN_CELLS: Final = TerrainCells()
 
 
 class Lanes:
@@ -69,7 +78,7 @@ class Lanes:
         first[1:] = (pair[:, 1:] != pair[:, :-1]).any(axis=0)
         place, segment, foot, distance = place[first], segment[first], foot[first], distance[first]
         beside = np.maximum(distance - self._half[segment], 0.0)
-        weight = (beside + _SOFTENING_M) ** -4.0
+        weight = (beside + TERRAIN_CELLS.softening_m) ** -4.0
         total = np.bincount(place, weight, len(places))
         height = np.bincount(place, weight * foot[:, 2], len(places))
         away = np.full(len(places), np.inf)
@@ -139,9 +148,9 @@ class GroundSurface:
 
         They have all their neighbours' corners, so that the ground has no gaps between large and small ones.
         """
-        unit, size = FINEST, int(COARSEST // FINEST)
-        low = np.floor(np.array(bounds[:2]) / COARSEST) * COARSEST
-        count = np.ceil((np.array(bounds[2:]) - low) / COARSEST).astype(int)
+        unit, size = TERRAIN_CELLS.finest_m, int(TERRAIN_CELLS.coarsest_m // TERRAIN_CELLS.finest_m)
+        low = np.floor(np.array(bounds[:2]) / TERRAIN_CELLS.coarsest_m) * TERRAIN_CELLS.coarsest_m
+        count = np.ceil((np.array(bounds[2:]) - low) / TERRAIN_CELLS.coarsest_m).astype(int)
         corners = np.stack(np.meshgrid(*(np.arange(n) * size for n in count)), axis=-1).reshape(-1, 2)
         leaves = []
         while True:

@@ -16,12 +16,25 @@ from skope.gen.vehicles.fleet import FleetEntry
 from skope.gen.vehicles.model import Vehicle, straight_lwh
 from skope.gen.vehicles.paints import draw_paint
 
-RIDERS: Final = {"cyclist": "bicycle", "motorcyclist": "motorcycle"}
+RIDER_CLASSES: Final = {"cyclist": "bicycle", "motorcyclist": "motorcycle"}
 """Road users on two wheels, by SUMO's vehicle class."""
-_COMPANY: Final = {"cyclist": 0.30, "motorcyclist": 0.12}
+COMPANY_SHARES: Final = {"cyclist": 0.30, "motorcyclist": 0.12}
 """Share of the riders with somebody behind them who goes the same way."""
-_BEHIND_S: Final = 1.1
-"""Seconds between riders of a group."""
+
+
+@dataclass(frozen=True)
+class DemandLimits:
+    """Heavy vehicles and groups of riders."""
+
+    behind_s: float = 1.1
+    """Seconds between riders of a group."""
+    heavy_from_kg: float = 3500.0
+    """Mass above which a vehicle counts as a goods vehicle or a bus, kilograms."""
+    heavy_mps: float = 25.0
+    """Speed that the limiters of heavy vehicles allow, m/s."""
+
+
+DEMAND_LIMITS: Final = DemandLimits()
 
 
 @dataclass(frozen=True)
@@ -30,7 +43,7 @@ class Trip:
 
     name: str
     model: str
-    """A model of the fleet, or one of `RIDERS`."""
+    """A model of the fleet, or one of `RIDER_CLASSES`."""
     driver: str
     color: str
     depart: float
@@ -54,7 +67,9 @@ class Riding:
     @classmethod
     def drawn(cls, rng: np.random.Generator) -> "Riding":
         """Draw the riders of a traffic in which they are labelled: from a few to a third of all."""
-        return cls({kind: float(np.exp(rng.uniform(np.log(0.03), np.log(0.25)))) for kind in RIDERS}, narrow=True)
+        return cls(
+            {kind: float(np.exp(rng.uniform(np.log(0.03), np.log(0.25)))) for kind in RIDER_CLASSES}, narrow=True
+        )
 
 
 USUAL_RIDERS: Final = Riding({"cyclist": 0.03, "motorcyclist": 0.02})
@@ -129,11 +144,11 @@ def trips(
         model, driver = draw_name(users, rng), draw_name(drivers, rng)
         color = draw_paint(models[model].vehicle, rng) if model in models else "black"
         yield Trip(f"v{i:05d}", model, driver, color, time, edges)
-        if riders.narrow and model in RIDERS:
+        if riders.narrow and model in RIDER_CLASSES:
             for k in range(1, 4):
-                if rng.random() >= _COMPANY[model]:
+                if rng.random() >= COMPANY_SHARES[model]:
                     break
-                yield Trip(f"v{i:05d}.{k}", model, driver, color, time + k * _BEHIND_S, edges)
+                yield Trip(f"v{i:05d}.{k}", model, driver, color, time + k * DEMAND_LIMITS.behind_s, edges)
 
 
 def driver_shares() -> dict[str, float]:
@@ -167,10 +182,6 @@ def ways(network: Path) -> list[tuple[tuple[str, ...], float]]:
     return out
 
 
-HEAVY_FROM_KG: Final = 3500.0
-"""Mass above which a vehicle counts as a goods vehicle or a bus, kilograms."""
-_HEAVY_SPEED: Final = 25.0
-"""Speed that the limiters of heavy vehicles allow, m/s."""
 _NARROW_TYPES: Final[Mapping[str, Mapping[str, str]]] = {
     "cyclist": {"latAlignment": "right", "minGapLat": "0.25", "maxSpeed": "7", "width": "0.65", "length": "1.8"},
     "motorcyclist": {
@@ -189,7 +200,7 @@ def write_types(path: Path, models: Mapping[str, FleetEntry], riders: Riding = U
         for name, entry in models.items():
             attributes = manner | _type_attributes(entry.vehicle)
             ElementTree.SubElement(root, "vType", {"id": f"{name}.{driver}", **attributes})
-        for rider, vehicle_class in RIDERS.items():
+        for rider, vehicle_class in RIDER_CLASSES.items():
             own = {**manner, **(_NARROW_TYPES[rider] if riders.narrow else {})}
             ElementTree.SubElement(root, "vType", {"id": f"{rider}.{driver}", **own, "vClass": vehicle_class})
     ElementTree.ElementTree(root).write(path, encoding="utf-8")
@@ -198,8 +209,8 @@ def write_types(path: Path, models: Mapping[str, FleetEntry], riders: Riding = U
 def _type_attributes(vehicle: Vehicle) -> dict[str, str]:
     """Attributes of a vehicle's SUMO type: size, and how it follows others."""
     length, width, height = straight_lwh(vehicle)
-    heavy = vehicle.mass > HEAVY_FROM_KG
-    limited = {"maxSpeed": str(_HEAVY_SPEED)} if heavy else {}
+    heavy = vehicle.mass > DEMAND_LIMITS.heavy_from_kg
+    limited = {"maxSpeed": str(DEMAND_LIMITS.heavy_mps)} if heavy else {}
     return {
         "length": f"{length:.3f}",
         "width": f"{width:.3f}",

@@ -17,7 +17,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from skope.errors import UserError
-from skope.gen.traffic.demand import RIDERS, Trip, draw_name, driver_shares
+from skope.gen.traffic.demand import RIDER_CLASSES, Trip, draw_name, driver_shares
 from skope.gen.vehicles.fleet import FleetEntry
 from skope.gen.vehicles.paints import draw_paint
 
@@ -33,9 +33,11 @@ _OF_CLASS: Final[Mapping[str, tuple[str, ...]]] = {
     "coach": ("bus",),
 }
 """Types of the fleet that drive as one of SUMO's vehicle classes; all types as any other."""
-_RIDERS: Final = {vehicle_class: name for name, vehicle_class in RIDERS.items()} | {"moped": "motorcyclist"}
-_EXPONENTIAL: Final = re.compile(r"exp\(([^)]+)\)")
-_HOUR: Final = 3600.0
+RIDERS_OF_CLASS: Final = {vehicle_class: name for name, vehicle_class in RIDER_CLASSES.items()} | {
+    "moped": "motorcyclist"
+}
+EXPONENTIAL_PERIOD: Final = re.compile(r"exp\(([^)]+)\)")
+HOUR_S: Final = 3600.0
 _MOST_PER_HOUR: Final = 1e5
 """Most vehicles an hour that a flow may ask for; no road carries more."""
 
@@ -84,8 +86,8 @@ def scheduled(
 
 
 def _model(vehicle_class: str, models: Mapping[str, FleetEntry], rng: np.random.Generator) -> str:
-    if vehicle_class in _RIDERS:
-        return _RIDERS[vehicle_class]
+    if vehicle_class in RIDERS_OF_CLASS:
+        return RIDERS_OF_CLASS[vehicle_class]
     types = _OF_CLASS.get(vehicle_class, ())
     fitting = {name: entry.share for name, entry in models.items() if entry.vehicle.vehicle_type in types}
     return draw_name(fitting or {name: entry.share for name, entry in models.items()}, rng)
@@ -108,7 +110,7 @@ def streams(text: str, network: Path) -> tuple[_Flow, ...]:
         if element.tag in ("vehicle", "trip", "flow"):
             try:
                 begin, end, period, random = _times(element)
-                if period < _HOUR / _MOST_PER_HOUR:
+                if period < HOUR_S / _MOST_PER_HOUR:
                     raise ValueError(f"more than {_MOST_PER_HOUR:.0f} vehicles an hour")
             except ValueError as error:
                 raise UserError(f"{_name(element)}: {error}") from None
@@ -134,7 +136,7 @@ def _times(element: ElementTree.Element) -> tuple[float, float, float, bool]:
     if "number" in element.attrib:
         return begin, end, (end - begin) / max(_number(element, "number"), 1e-9), False
     if "vehsPerHour" in element.attrib:
-        return begin, end, _HOUR / _number(element, "vehsPerHour"), False
+        return begin, end, HOUR_S / _number(element, "vehsPerHour"), False
     if "probability" in element.attrib:
         return begin, end, 1 / _number(element, "probability"), True
     if element.get("period", "").startswith("exp("):
@@ -144,7 +146,7 @@ def _times(element: ElementTree.Element) -> tuple[float, float, float, bool]:
 
 def _rate(period: str) -> float:
     """Vehicles a second of `exp(rate)`."""
-    match = _EXPONENTIAL.fullmatch(period)
+    match = EXPONENTIAL_PERIOD.fullmatch(period)
     try:
         rate = float(match[1]) if match else math.nan
     except ValueError:

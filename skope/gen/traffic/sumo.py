@@ -18,21 +18,40 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from skope.errors import UserError
-from skope.gen.scene.recording import LAMPS
-from skope.gen.traffic.demand import RIDERS, USUAL_RIDERS, Riding, Trip, trips, write_types
+from skope.gen.scene.recording import LAMP_BITS
+from skope.gen.traffic.demand import RIDER_CLASSES, USUAL_RIDERS, Riding, Trip, trips, write_types
 from skope.gen.traffic.route_files import scheduled
 from skope.gen.vehicles.fleet import FleetEntry
 from skope.gen.vehicles.model import Vehicle
 from skope.gen.vehicles.trailer_motion import Follower, Hitch
 
-DEFAULT_STEP_S: Final = 0.025
-"""Default length of a step, seconds."""
-_STEPS_MS: Final = (25, 20, 10, 5)
-"""Lengths that a step can have, ms: SUMO counts whole milliseconds and its drivers act every 100 of them."""
 
-_SUMO_LAMPS: Final = {1: LAMPS["indicator_right"], 2: LAMPS["indicator_left"], 8: LAMPS["brake"]}
+@dataclass(frozen=True)
+class SumoSteps:
+    """Steps of SUMO, and what is kept of each vehicle."""
 
-_OPTIONS: Final = {
+    default_s: float = 0.025
+    """Default length of a step, seconds."""
+    lengths_ms: tuple[int, int, int, int] = (25, 20, 10, 5)
+    """Lengths that a step can have, ms: SUMO counts whole milliseconds and its drivers act every 100 of them."""
+    road_behind_step_m: float = 0.05
+    """Spacing of the places that are kept of the road behind a vehicle, metres."""
+    road_behind_m: float = 25.0
+    """Length of the road behind a vehicle that is kept, metres."""
+    watch_every: int = 4
+    """Steps between two checks of whether a vehicle that is not reported has come into the watched area."""
+    lane_point_share: float = math.sqrt(0.5)
+    """Distance of the lane point from the rear axle, as a share of the wheelbase. The lane point of a vehicle is the
+    one that is kept on the middle of the lane; with this share the front axle runs as far outside in curves as the rear
+    axle inside."""
+
+
+SUMO_STEPS: Final = SumoSteps()
+
+
+_SUMO_LAMPS: Final = {1: LAMP_BITS["indicator_right"], 2: LAMP_BITS["indicator_left"], 8: LAMP_BITS["brake"]}
+
+SUMO_OPTIONS: Final = {
     "no-step-log": "",
     "no-warnings": "",
     "time-to-teleport": -1,
@@ -41,12 +60,6 @@ _OPTIONS: Final = {
     "default.action-step-length": 0.1,
 }
 """SUMO's options: vehicles never vanish from a jam, and change lanes sideways in 0.6 m steps."""
-_ROAD_BEHIND_STEP_M: Final = 0.05
-"""Spacing of the places that are kept of the road behind a vehicle, metres."""
-_ROAD_BEHIND_M: Final = 25.0
-"""Length of the road behind a vehicle that is kept, metres."""
-_WATCH_EVERY: Final = 4
-"""Steps between two checks of whether a vehicle that is not reported has come into the watched area."""
 
 
 def step_for(interval: float) -> float:
@@ -55,16 +68,10 @@ def step_for(interval: float) -> float:
     Raises UserError where no length that SUMO can run with does.
     """
     milliseconds = round(1000 * interval)
-    fits = [ms for ms in _STEPS_MS if milliseconds >= ms and milliseconds % ms == 0]
+    fits = [ms for ms in SUMO_STEPS.lengths_ms if milliseconds >= ms and milliseconds % ms == 0]
     if not fits or abs(1000 * interval - milliseconds) > 1e-6:
         raise UserError(f"--interval: expected a multiple of 0.005 seconds, got {interval:g}")
     return fits[0] / 1000
-
-
-LANE_POINT_SHARE: Final = math.sqrt(0.5)
-"""Distance of the lane point from the rear axle, as a share of the wheelbase. The lane point of a vehicle is the one
-that is kept on the middle of the lane; with this share the front axle runs as far outside in curves as the rear axle
-inside."""
 
 
 @dataclass(frozen=True)
@@ -73,7 +80,7 @@ class Chassis:
 
     wheelbase: float
     lane_point: float
-    """From the rear axle forwards to the lane point (see `LANE_POINT_SHARE`)."""
+    """From the rear axle forwards to the lane point (see `SUMO_STEPS.lane_point_share`)."""
     middle: float
     """From the rear axle forwards to the vehicle's middle."""
     front_axle: float
@@ -85,7 +92,7 @@ class Chassis:
     def of(cls, vehicle: Vehicle) -> "Chassis":
         """The distances of a vehicle."""
         shape = vehicle.shape
-        lane_point = LANE_POINT_SHARE * shape.wheelbase
+        lane_point = SUMO_STEPS.lane_point_share * shape.wheelbase
         return cls(shape.wheelbase, lane_point, -shape.rear_axle_x, shape.front_overhang, Hitch.of(vehicle))
 
 
@@ -103,7 +110,7 @@ class SumoVehicle(NamedTuple):
 
     chassis: Chassis
     lane_point: tuple[float, float]
-    """World x and y of the vehicle's lane point (see `LANE_POINT_SHARE`), metres."""
+    """World x and y of the vehicle's lane point (see `SUMO_STEPS.lane_point_share`), metres."""
     driven: float
     """Distance that the vehicle has driven since it was first seen, metres."""
     height: float
@@ -158,18 +165,18 @@ class _RoadBehind:
         """
         self.begun = begun
         x, y, z = place
-        level = _ROAD_BEHIND_M * math.cos(slope)
-        behind = (x - level * math.cos(yaw), y - level * math.sin(yaw), z - _ROAD_BEHIND_M * math.sin(slope))
-        self._driven = [-_ROAD_BEHIND_M, 0.0]
+        level = SUMO_STEPS.road_behind_m * math.cos(slope)
+        behind = (x - level * math.cos(yaw), y - level * math.sin(yaw), z - SUMO_STEPS.road_behind_m * math.sin(slope))
+        self._driven = [-SUMO_STEPS.road_behind_m, 0.0]
         self._places = [behind, place]
 
     def add(self, driven: float, place: _Place) -> None:
         """Note the bumper's place after `driven` metres, and forget what lies too far back."""
-        if driven - self._driven[-1] >= _ROAD_BEHIND_STEP_M:
+        if driven - self._driven[-1] >= SUMO_STEPS.road_behind_step_m:
             self._driven.append(driven)
             self._places.append(place)
-            if driven - self._driven[0] > 2 * _ROAD_BEHIND_M:
-                first = next(i for i, at in enumerate(self._driven) if at > driven - _ROAD_BEHIND_M) - 1
+            if driven - self._driven[0] > 2 * SUMO_STEPS.road_behind_m:
+                first = next(i for i, at in enumerate(self._driven) if at > driven - SUMO_STEPS.road_behind_m) - 1
                 del self._driven[:first], self._places[:first]
 
     def at(self, driven: float) -> tuple[float, float]:
@@ -206,7 +213,7 @@ class Traffic:
         rng: np.random.Generator,
         flows: str = "",
         passing: frozenset[str] = frozenset(),
-        step: float = DEFAULT_STEP_S,
+        step: float = SUMO_STEPS.default_s,
         watched: Callable[[float, float], bool] = lambda x, y: True,
         riders: Riding = USUAL_RIDERS,
     ) -> None:
@@ -257,7 +264,7 @@ class Traffic:
 
         self._sumo = libsumo
         options = {
-            **_OPTIONS,
+            **SUMO_OPTIONS,
             "step-length": self._step,
             "net-file": self._network,
             "seed": self._seed,
@@ -294,7 +301,7 @@ class Traffic:
         sumo = self._sumo
         sumo.simulationStep()
         present: tuple[str, ...] = sumo.vehicle.getIDList()
-        if self._steps % _WATCH_EVERY == 0:
+        if self._steps % SUMO_STEPS.watch_every == 0:
             for gone in self._roads_behind.keys() - set(present):
                 del self._roads_behind[gone]
                 self._trailers.pop(gone, None)
@@ -337,7 +344,7 @@ class Traffic:
         """Run a step; returns where all reported vehicles and riders are, and the state of the signals."""
         sumo = self._sumo
         present = [name for name in self._go_on() if name in self._reported]
-        riders = {name for name in present if self.trips[name].model in RIDERS}
+        riders = {name for name in present if self.trips[name].model in RIDER_CLASSES}
         return Snapshot(
             sumo.simulation.getTime(),
             {name: self._vehicle_state(name) for name in present if name not in riders},

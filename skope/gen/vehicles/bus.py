@@ -1,28 +1,37 @@
 """City buses: an upright shell with large windows, doors on the right, a destination sign; or two, with bellows."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
+from typing import Final
 
 import numpy as np
 
 from skope.gen.mesh import Mesh, box, from_triangles, grid, merged
 from skope.gen.vehicles import front, parts, rear
 from skope.gen.vehicles.interior import interior, seats
-from skope.gen.vehicles.lofted_surfaces import SIDE, WRAP, Plan, Surface
-from skope.gen.vehicles.panels import LEFT_AXIS, REAR_MARKER, draw_upper_markers, grown, rectangle_outline
+from skope.gen.vehicles.lofted_surfaces import SIDE_AXES, WRAP_AXES, Plan, Surface
+from skope.gen.vehicles.panels import PANEL_LIMITS, REAR_MARKER, draw_upper_markers, grown, rectangle_outline
 from skope.gen.vehicles.shape import Shape, VehicleStyle
 from skope.gen.vehicles.solids import Tower, arch, corner_w
 from skope.types import Array
 
-_FLAT = 0.03
-"""Radius of the corners of an end at the bellows, metres."""
-_BELLOWS_OVERLAP = 0.5
-"""Reach of each half of the bellows beyond the hinge, into the other half: they close up to 45 degrees."""
-_FOLDS = 7
 
-_BUMPER_LIP = 0.07
-"""Share of the wall's height at which front and rear turn under: the lower edge of the bumpers."""
+@dataclass(frozen=True)
+class BusSizes:
+    """Sizes of buses."""
+
+    bellows_corner_m: float = 0.03
+    """Radius of the corners of an end at the bellows, metres."""
+    bellows_overlap_m: float = 0.5
+    """Reach of each half of the bellows beyond the hinge, into the other half: they close up to 45 degrees."""
+    folds: int = 7
+    """Number of folds of the bellows."""
+    bumper_lip: float = 0.07
+    """Share of the wall's height at which front and rear turn under: the lower edge of the bumpers."""
+
+
+BUS_SIZES: Final = BusSizes()
 
 
 class BusBody:
@@ -94,8 +103,8 @@ class BusBody:
         has_front, has_rear = self.has_front, self.has_rear
         rounds = (s.nose_round if has_front else 0.0, s.tail_round if has_rear else 0.0)
         corners = (
-            0.26 if has_front else _FLAT,
-            0.2 if has_rear else _FLAT,
+            0.26 if has_front else BUS_SIZES.bellows_corner_m,
+            0.2 if has_rear else BUS_SIZES.bellows_corner_m,
             0.03 if has_front else 0.0,
             0.02 if has_rear else 0.0,
         )
@@ -103,7 +112,7 @@ class BusBody:
         belt = (s.belt_height - s.clearance) / (s.height - s.clearance)
         lean = [
             (0.0, 0.03, 0.06, 0.05),
-            (_BUMPER_LIP, 0.0, 0.0, 0.0),
+            (BUS_SIZES.bumper_lip, 0.0, 0.0, 0.0),
             (belt, 0.0, 0.02, 0.01),
             (1.0, s.roof_inset, 0.02 + s.screen_run, 0.05),
         ]
@@ -137,7 +146,7 @@ class BusBody:
         """Livery, windows, doors, signs and lamps; returns what stands out."""
         s, end = self.shape, float(w[-1])
         self._draw_livery(shell, end)
-        shell.draw(rectangle_outline(-1, end + 1, 0, s.clearance + 0.14), WRAP, "trim")
+        shell.draw(rectangle_outline(-1, end + 1, 0, s.clearance + 0.14), WRAP_AXES, "trim")
         if self.has_front:
             self._draw_windscreen(shell, corner_w(w))
         self._draw_side_windows(shell)
@@ -153,13 +162,13 @@ class BusBody:
         screen = corner_w(w)
         if self.has_front:
             self.points |= {
-                "hood_front": shell.place((screen - 0.14, s.belt_height - 0.13), WRAP)[0],
-                "bumper_front": shell.corner(_BUMPER_LIP),
+                "hood_front": shell.place((screen - 0.14, s.belt_height - 0.13), WRAP_AXES)[0],
+                "bumper_front": shell.corner(BUS_SIZES.bumper_lip),
             }
         if self.has_rear:
             self.points |= {
-                "trunk_rear": shell.place((corner_w(w, rear=True), s.belt_height - 0.05), WRAP)[0],
-                "bumper_rear": shell.corner(_BUMPER_LIP, rear=True),
+                "trunk_rear": shell.place((corner_w(w, rear=True), s.belt_height - 0.05), WRAP_AXES)[0],
+                "bumper_rear": shell.corner(BUS_SIZES.bumper_lip, rear=True),
             }
         return out
 
@@ -176,27 +185,27 @@ class BusBody:
         """Two tones: below the windows, or from the middle to the rear."""
         s = self.shape
         if self.style.soft:
-            shell.paint(rectangle_outline(-1, end + 1, 0, s.belt_height - 0.16), WRAP, "livery")
+            shell.paint(rectangle_outline(-1, end + 1, 0, s.belt_height - 0.16), WRAP_AXES, "livery")
             return
         start = s.rear_axle_x + 1.2 if self.has_front else 99.0
         sweep = [(start, 0.0), (start - 2.2, s.height + 0.2), (-99, s.height + 0.2), (-99, 0.0)]
-        shell.paint(sweep, SIDE, "livery")
+        shell.paint(sweep, SIDE_AXES, "livery")
 
     def _draw_windscreen(self, shell: Surface, screen: float) -> None:
         s = self.shape
         low, high, band = s.belt_height, s.height - 0.5, s.height - 0.3
         screen -= 0.02
-        shell.paint(rectangle_outline(-0.1, screen + 0.06, low - 0.13, band), WRAP, "trim")
-        shell.paint(rectangle_outline(-0.1, screen, low - 0.08, high - 0.02), WRAP, "glass")
-        shell.draw(rectangle_outline(-0.1, 0.75, high + 0.04, band - 0.04), WRAP, "grille")
+        shell.paint(rectangle_outline(-0.1, screen + 0.06, low - 0.13, band), WRAP_AXES, "trim")
+        shell.paint(rectangle_outline(-0.1, screen, low - 0.08, high - 0.02), WRAP_AXES, "glass")
+        shell.draw(rectangle_outline(-0.1, 0.75, high + 0.04, band - 0.04), WRAP_AXES, "grille")
         draw_upper_markers(shell, s.width / 2 - 0.1, s.height - 0.25)
         for at in (0.05, 0.2, 0.29, 0.42, 0.55):
-            shell.draw(rectangle_outline(at, at + 0.075, high + 0.075, band - 0.075), WRAP, "display", layer=2)
+            shell.draw(rectangle_outline(at, at + 0.075, high + 0.075, band - 0.075), WRAP_AXES, "display", layer=2)
         for start, stop in ((0.06, 0.75), (0.35, screen - 0.05)):
-            shell.line([(start, low - 0.09), (stop, low + 0.06)], WRAP, width=0.022, layer=4)
+            shell.line([(start, low - 0.09), (stop, low + 0.06)], WRAP_AXES, width=0.022, layer=4)
         self.points |= {
-            "roof_front": shell.place((screen + 0.06, band), WRAP)[0],
-            "windscreen_base": shell.place((screen, low - 0.08), WRAP)[0],
+            "roof_front": shell.place((screen + 0.06, band), WRAP_AXES)[0],
+            "windscreen_base": shell.place((screen, low - 0.08), WRAP_AXES)[0],
         }
 
     def _draw_side_windows(self, shell: Surface) -> None:
@@ -205,30 +214,37 @@ class BusBody:
         start = self.nose - (0.62 if self.has_front else 0.3)
         stop = self.end + (0.5 if self.has_rear else 0.3)
         band = rectangle_outline(stop - 0.06, start + 0.06, low - 0.05, high + 0.05)
-        shell.paint(band, SIDE, "trim", facing=LEFT_AXIS)
+        shell.paint(band, SIDE_AXES, "trim", facing=PANEL_LIMITS.left_axis)
         posts = np.linspace(stop, start, round((start - stop) / 1.45) + 1)
         for a, b in pairwise(posts):
-            shell.paint(rectangle_outline(a + 0.03, b - 0.03, low, high), SIDE, self._window("glass"), facing=LEFT_AXIS)
+            shell.paint(
+                rectangle_outline(a + 0.03, b - 0.03, low, high),
+                SIDE_AXES,
+                self._window("glass"),
+                facing=PANEL_LIMITS.left_axis,
+            )
         post = posts[np.abs(posts - (start + stop) / 2).argmin()]
         if self.has_front:
-            self.points["beltline"] = shell.place((post, low - 0.05), SIDE)[0]
+            self.points["beltline"] = shell.place((post, low - 0.05), SIDE_AXES)[0]
 
     def _draw_rear_window(self, shell: Surface, corner: float, end: float) -> None:
         s = self.shape
         low, high = s.belt_height + 0.5, s.height - 0.5
         glass = end - corner - 0.12
-        shell.paint(rectangle_outline(end - glass - 0.05, end + 0.1, low - 0.05, high + 0.06), WRAP, "trim")
-        shell.paint(rectangle_outline(end - glass, end + 0.1, low, high), WRAP, "glass")
-        shell.draw(rectangle_outline(end - 0.16, end + 0.1, high + 0.1, high + 0.14), WRAP, "brake_light")
+        shell.paint(rectangle_outline(end - glass - 0.05, end + 0.1, low - 0.05, high + 0.06), WRAP_AXES, "trim")
+        shell.paint(rectangle_outline(end - glass, end + 0.1, low, high), WRAP_AXES, "glass")
+        shell.draw(rectangle_outline(end - 0.16, end + 0.1, high + 0.1, high + 0.14), WRAP_AXES, "brake_light")
         edge = corner + 0.12
-        shell.draw(rectangle_outline(edge, edge + 0.12, s.height - 0.28, s.height - 0.23), WRAP, REAR_MARKER, layer=3)
+        shell.draw(
+            rectangle_outline(edge, edge + 0.12, s.height - 0.28, s.height - 0.23), WRAP_AXES, REAR_MARKER, layer=3
+        )
         vent = rectangle_outline(end - 0.8, end + 0.1, s.clearance + 0.62, s.belt_height + 0.2)
-        shell.sink(vent, WRAP, 0.02, "grille_slats")
+        shell.sink(vent, WRAP_AXES, 0.02, "grille_slats")
         for level in (s.clearance + 0.3, s.belt_height + 0.34):
-            shell.line([(end - 0.95, level), (end + 0.1, level)], WRAP, width=0.014)
+            shell.line([(end - 0.95, level), (end + 0.1, level)], WRAP_AXES, width=0.014)
         self.points |= {
-            "roof_rear": shell.place((end - glass, high), WRAP)[0],
-            "rear_window_base": shell.place((end - glass, low), WRAP)[0],
+            "roof_rear": shell.place((end - glass, high), WRAP_AXES)[0],
+            "rear_window_base": shell.place((end - glass, low), WRAP_AXES)[0],
         }
 
     def _draw_door(self, shell: Surface, x: float, width: float) -> None:
@@ -236,31 +252,31 @@ class BusBody:
         low, high = self.shape.clearance + 0.1, self.shape.height - 0.45
         half = width / 2
         whole = rectangle_outline(x - half, x + half, low, high)
-        shell.paint(whole, SIDE, "trim", facing=LEFT_AXIS)
+        shell.paint(whole, SIDE_AXES, "trim", facing=PANEL_LIMITS.left_axis)
         for a, b in ((x - half, x), (x, x + half)):
             shell.paint(
                 grown(rectangle_outline(a, b, low + 0.06, high - 0.04), -0.045),
-                SIDE,
+                SIDE_AXES,
                 self._window("glass"),
-                facing=LEFT_AXIS,
+                facing=PANEL_LIMITS.left_axis,
             )
 
 
 def _bellows(s: Shape, end: float, sign: float) -> Mesh:
     """The left half of the folds between an end of a half at x = `end` and beyond the hinge; ahead with `sign` 1."""
-    reach = s.hinge_gap + _BELLOWS_OVERLAP
+    reach = s.hinge_gap + BUS_SIZES.bellows_overlap_m
     # The rear half's folds lie inside of the front half's, so that the two never lie on each other.
     half, low, high = s.width / 2 - (0.1 if sign > 0 else 0.05), s.clearance + 0.1, s.height - 0.14
     outline = [(0.0, low), (half, low), (half, high - 0.3), (half - 0.07, high - 0.1), (half - 0.25, high), (0.0, high)]
     section = np.array(outline)
     inwards = np.array([(0.0, 1.0), (-1.0, 1.0), (-1.0, 0.0), (-0.8, -0.6), (-0.4, -1.0), (0.0, -1.0)])
     rows = []
-    for k, x in enumerate(np.linspace(end, end + sign * reach, 2 * _FOLDS + 1)):
+    for k, x in enumerate(np.linspace(end, end + sign * reach, 2 * BUS_SIZES.folds + 1)):
         flat = section + (0.05 * inwards if k % 2 else 0.0)
         rows.append(np.column_stack([np.full(len(flat), x), flat]))
     # Counter-clockwise from outside: rows go towards the front, columns up the left side.
     points = np.stack(rows[::-1] if sign < 0 else rows)
-    skin = grid(points, [["trim"] * (len(section) - 1)] * (2 * _FOLDS))
+    skin = grid(points, [["trim"] * (len(section) - 1)] * (2 * BUS_SIZES.folds))
     fan = [[0, i, i + 1] for i in range(1, len(section) - 1)]
     cap = from_triangles(rows[-1], fan if sign > 0 else [corners[::-1] for corners in fan], "trim")
     return merged([_creased(skin), cap])

@@ -2,7 +2,7 @@
 beds."""
 
 from collections.abc import Callable
-from dataclasses import fields
+from dataclasses import dataclass, fields
 from typing import Final
 
 import numpy as np
@@ -13,18 +13,18 @@ from skope.gen.vehicles import parts
 from skope.gen.vehicles.lofted_surfaces import (
     CENTER,
     FRONT_END,
-    ROWS,
-    SIDE,
+    ROW_AXES,
+    SIDE_AXES,
     SIDE_START,
-    TOP,
-    WRAP,
+    TOP_AXES,
+    WRAP_AXES,
     Plan,
     Surface,
     T,
     X,
     metres_along,
 )
-from skope.gen.vehicles.panels import LEFT_AXIS, rectangle_outline
+from skope.gen.vehicles.panels import PANEL_LIMITS, rectangle_outline
 from skope.gen.vehicles.rear import draw_taillight
 from skope.gen.vehicles.shape import Shape, VehicleStyle
 from skope.gen.vehicles.solids import ROOF_CORNER_ROW, Tower
@@ -33,10 +33,54 @@ from skope.types import Array
 ROOF_LOAD_HEIGHTS_M: Final = {"box": 0.42, "bars": 0.05, "ladder": 0.12, "beacons": 0.13}
 """Height of each kind of load over the roof's highest point, metres."""
 _BAR_HEIGHT_M: Final = ROOF_LOAD_HEIGHTS_M["bars"]
-_BOX_RING: Final = ((0.0, 0.0), (0.9, 0.0), (1.0, 0.12), (1.0, 0.5), (0.9, 0.88), (0.7, 1.0), (0.0, 1.0))
-"""Half of a luggage box's section, from the middle below to the middle above: shares of its width and height."""
-_BOX_SECTIONS: Final = ((1.0, 0.05), (0.98, 0.6), (0.8, 0.86), (0.4, 1.0), (-0.8, 1.0), (-0.97, 0.9), (-1.0, 0.05))
-"""Shares of half the length of a luggage box from front to rear, and of its greatest section there."""
+
+
+@dataclass(frozen=True)
+class CabinSizes:
+    """Sizes of a cabin, its roof and what is on it."""
+
+    box_ring: tuple[tuple[float, float], ...] = (
+        (0.0, 0.0),
+        (0.9, 0.0),
+        (1.0, 0.12),
+        (1.0, 0.5),
+        (0.9, 0.88),
+        (0.7, 1.0),
+        (0.0, 1.0),
+    )
+    """Half of a luggage box's section, from the middle below to the middle above: shares of its width and height."""
+    box_sections: tuple[tuple[float, float], ...] = (
+        (1.0, 0.05),
+        (0.98, 0.6),
+        (0.8, 0.86),
+        (0.4, 1.0),
+        (-0.8, 1.0),
+        (-0.97, 0.9),
+        (-1.0, 0.05),
+    )
+    """Shares of half the length of a luggage box from front to rear, and of its greatest section there."""
+    bed_gap_m: float = 0.07
+    """Gap between cabin and hardtop at the bed's edge, metres."""
+    above_bed_m: float = 0.005
+    """Height of the hardtop's foot over the bed's edge, metres."""
+    surround_share: float = 0.03
+    """Width of the dark surround of a pane, as a share of the pillars' height."""
+    edge_rows: tuple[tuple[float, float, float], tuple[float, float, float]] = (
+        (1.3, 0.015, 0.015),
+        (1.65, 0.042, 0.027),
+    )
+    """Rows of the edge between pillars and roof: how far in, and how far up, metres."""
+    crown_m: float = 0.052
+    """Height of the roof's spine over its edge, metres."""
+    screen_top: float = 0.985
+    """Height of the upper edge of a screen, as a share of the pillars' height."""
+    pillar_lamp_m: float = 0.17
+    """Width of a lamp in the pillar, metres."""
+    sunk_m: float = 0.012
+    """Depth of the pillars' foot in the lower body."""
+
+
+CABIN_SIZES: Final = CabinSizes()
 
 
 def roof_load(
@@ -64,7 +108,7 @@ def roof_load(
     middle, reach = float(places.mean()), min(0.95, 0.5 * length)
     if kind == "box":
         size = (reach, min(0.4, half_width - 0.12), ROOF_LOAD_HEIGHTS_M["box"] - _BAR_HEIGHT_M)
-        parts.append(_box_shell((middle, 0.0, high), size, _BOX_SECTIONS, "#222222"))
+        parts.append(_box_shell((middle, 0.0, high), size, CABIN_SIZES.box_sections, "#222222"))
     if kind == "ladder":
         parts += _ladder((middle - reach - 0.2, middle + reach), high)
     return merged(parts)
@@ -102,63 +146,52 @@ def _box_shell(
 ) -> Mesh:
     """The left half of a closed shell whose middle below is at `at`: half its length and width, and its height."""
     along, share = np.asarray(sections, dtype=np.float64).T[:, :, None]
-    across, up = np.array(_BOX_RING).T[:, None]
+    across, up = np.array(CABIN_SIZES.box_ring).T[:, None]
     points = np.stack(np.broadcast_arrays(along, share * across, share * up), axis=-1) * size + at
-    return grid(points[::-1], [[material] * (len(_BOX_RING) - 1)] * (points.shape[0] - 1))
-
-
-_BED_GAP_M: Final = 0.07
-"""Gap between cabin and hardtop at the bed's edge, metres."""
-_ABOVE_BED_M: Final = 0.005
-"""Height of the hardtop's foot over the bed's edge, metres."""
+    return grid(points[::-1], [[material] * (len(CABIN_SIZES.box_ring) - 1)] * (points.shape[0] - 1))
 
 
 def canopy(s: Shape) -> tuple[Mesh, dict[str, Array]]:
     """The left half of a hardtop, and the rear roof's and rear window's corners."""
-    front, rear = s.backlight_x - _BED_GAP_M, -s.length / 2 + s.tail_lean + 0.14
-    low, high = s.deck_height + _ABOVE_BED_M, s.height - 0.012
+    front, rear = s.backlight_x - CABIN_SIZES.bed_gap_m, -s.length / 2 + s.tail_lean + 0.14
+    low, high = s.deck_height + CABIN_SIZES.above_bed_m, s.height - 0.012
     plan = Plan(s.width / 2 - 0.085, front, rear, 0.0, 0.03, 0.06, 0.1)
     lean = [(0.0, 0.0, 0.0, 0.0), (0.12, 0.012, 0.0, 0.01), (1.0, 0.11, 0.05, 0.2)]
     shell, w, _ = Tower(plan, low, high, lean, edge=0.07, crown=0.03, stations=5, levels=4).surface("paint")
     tall, length = high - low, front - rear
-    shell.draw(rectangle_outline(-1, 99, 0, low + 0.045), WRAP, "trim", layer=2)
+    shell.draw(rectangle_outline(-1, 99, 0, low + 0.045), WRAP_AXES, "trim", layer=2)
     base, top = low + 0.16 * tall, low + 0.74 * tall
     start, stop = rear + 0.17 * length + 0.05, front - 0.1 * length
     for a, b in ((start, start + 0.42 * length), (start + 0.45 * length, stop)):
-        shell.paint(rectangle_outline(a - 0.025, b + 0.025, base - 0.025, top + 0.025), SIDE, "trim", facing=LEFT_AXIS)
-        shell.paint(rectangle_outline(a, b, base, top), SIDE, "glass_tinted", facing=LEFT_AXIS)
+        shell.paint(
+            rectangle_outline(a - 0.025, b + 0.025, base - 0.025, top + 0.025),
+            SIDE_AXES,
+            "trim",
+            facing=PANEL_LIMITS.left_axis,
+        )
+        shell.paint(rectangle_outline(a, b, base, top), SIDE_AXES, "glass_tinted", facing=PANEL_LIMITS.left_axis)
     end = float(w[-1])
     corner = end - s.width / 2 + 0.23
-    shell.paint(rectangle_outline(corner - 0.03, end + 0.1, base - 0.03, top + 0.06), WRAP, "trim")
-    shell.paint(rectangle_outline(corner, end + 0.1, base, top + 0.03), WRAP, "glass_tinted")
-    shell.draw(rectangle_outline(end - 0.15, end + 0.1, top + 0.08, top + 0.11), WRAP, "brake_light", layer=2)
+    shell.paint(rectangle_outline(corner - 0.03, end + 0.1, base - 0.03, top + 0.06), WRAP_AXES, "trim")
+    shell.paint(rectangle_outline(corner, end + 0.1, base, top + 0.03), WRAP_AXES, "glass_tinted")
+    shell.draw(rectangle_outline(end - 0.15, end + 0.1, top + 0.08, top + 0.11), WRAP_AXES, "brake_light", layer=2)
     points = {
         "roof_rear": shell.corner(ROOF_CORNER_ROW, rear=True),
-        "rear_window_base": shell.place((corner, base), WRAP)[0],
+        "rear_window_base": shell.place((corner, base), WRAP_AXES)[0],
     }
     return shell.half, points
 
 
 _GLASS_LOW, _GLASS_HIGH = 0.1, 0.93
-_SURROUND_SHARE: Final = 0.03
-"""Width of the dark surround of a pane, as a share of the pillars' height."""
-_GLASS_ROWS: Final = (0.0, _GLASS_LOW - _SURROUND_SHARE, _GLASS_LOW, 0.38, 0.68, _GLASS_HIGH, 1.0)
+_GLASS_ROWS: Final = (0.0, _GLASS_LOW - CABIN_SIZES.surround_share, _GLASS_LOW, 0.38, 0.68, _GLASS_HIGH, 1.0)
 """Panes end at rows, where they need not split any triangle."""
-_EDGE_ROWS: Final = ((1.3, 0.015, 0.015), (1.65, 0.042, 0.027))
-"""Rows of the edge between pillars and roof: how far in, and how far up, metres."""
-_ROOF_CORNER_ROW: Final = _EDGE_ROWS[0][0]
+_ROOF_CORNER_ROW: Final = CABIN_SIZES.edge_rows[0][0]
 """Row of the roof's rear corners: on the rounded edge, which is visible from the front as from the rear. The rear
 window's corners lie lower on the rear face, where the roof hides them from the front."""
 _ROOF_ROWS: Final = ((2.0, 0.84), (2.3, 0.55), (CENTER, 0.0))
 """Rows of the roof: share of the way from its spine to its edge."""
-_CROWN: Final = 0.052
-"""Height of the roof's spine over its edge, metres."""
-_SCREEN_HIGH: Final = 0.985
-_PILLAR_LAMP_WIDTH_M: Final = 0.17
 _ROOF_SIGNS: Final = ("sign", "sign_taxi_red", "sign_taxi_green")
 """Materials of lit roof signs. The vehicle's length selects one."""
-_SUNK: Final = 0.012
-"""Depth of the pillars' foot in the lower body."""
 
 
 class Greenhouse:
@@ -213,15 +246,17 @@ class Greenhouse:
         away = np.where(x > middle, (x - middle) / (front - middle), (x - middle) / (rear - middle))
         # A short roof falls no more steeply than a long one.
         droop = s.roof_droop * min((front - rear) / 1.6, 1.0)
-        return np.asarray(s.height - _EDGE_ROWS[-1][2] - _CROWN - droop * np.minimum(np.abs(away), 1.1) ** 2)
+        return np.asarray(
+            s.height - CABIN_SIZES.edge_rows[-1][2] - CABIN_SIZES.crown_m - droop * np.minimum(np.abs(away), 1.1) ** 2
+        )
 
     def _build_shell(self, deck: Callable[[Array, Array], Array]) -> Surface:
         stations = np.linspace(0, 1, 8)
         base, roof = (self._plan(t).outline(stations) for t in (0.0, 1.0))
-        low, high = deck(base[:, 0], base[:, 1]) - _SUNK, self.roof_edge(roof[:, 0])
+        low, high = deck(base[:, 0], base[:, 1]) - CABIN_SIZES.sunk_m, self.roof_edge(roof[:, 0])
         rows = [np.column_stack([self._plan(t).outline(stations), low + (high - low) * t]) for t in _GLASS_ROWS]
         top = self._plan(1.0)
-        for _, inset, over in _EDGE_ROWS:
+        for _, inset, over in CABIN_SIZES.edge_rows:
             plan = Plan(
                 top.half_width - inset, top.front - inset * 1.6, top.rear + inset * 1.6,
                 top.front_round, top.rear_round, 0.15, 0.15, top.front_taper, top.rear_taper,
@@ -230,11 +265,11 @@ class Greenhouse:
         edge = rows[-1]
         reach = min(0.4, 0.3 * float(np.ptp(edge[:, 0])))
         spine = np.clip(edge[:, 0], edge[:, 0].min() + reach, edge[:, 0].max() - reach)
-        ridge = self.roof_edge(spine) + _EDGE_ROWS[-1][2]
+        ridge = self.roof_edge(spine) + CABIN_SIZES.edge_rows[-1][2]
         for _, share in _ROOF_ROWS:
             x, z = (b + share * (a - b) for a, b in ((edge[:, 0], spine), (edge[:, 2], ridge)))
-            rows.append(np.column_stack([x, share * edge[:, 1], z + _CROWN * (1 - share**2.3)]))
-        levels = [*_GLASS_ROWS, *(row[0] for row in _EDGE_ROWS), *(row[0] for row in _ROOF_ROWS)]
+            rows.append(np.column_stack([x, share * edge[:, 1], z + CABIN_SIZES.crown_m * (1 - share**2.3)]))
+        levels = [*_GLASS_ROWS, *(row[0] for row in CABIN_SIZES.edge_rows), *(row[0] for row in _ROOF_ROWS)]
         self._w = metres_along(self._plan(0.5).outline(stations))
         return Surface(rows, levels, self._w, "paint")
 
@@ -246,10 +281,10 @@ class Greenhouse:
         # Under a high roof the panes end where they would end under a low one.
         room = s.height - s.belt_height
         if style.pillar_tone and style.glazed == 1:
-            glass.paint(rectangle_outline(-1, total + 1, -1, 9), ROWS, style.pillar_tone, levels=(0.0, 1.0))
+            glass.paint(rectangle_outline(-1, total + 1, -1, 9), ROW_AXES, style.pillar_tone, levels=(0.0, 1.0))
         if style.roof_tone:
-            glass.paint(rectangle_outline(-1, total + 1, -1, 9), ROWS, style.roof_tone, levels=(1.0, CENTER))
-        side_high, screen_high = min(_GLASS_HIGH, 0.82 / room), min(_SCREEN_HIGH, 1.14 / room)
+            glass.paint(rectangle_outline(-1, total + 1, -1, 9), ROW_AXES, style.roof_tone, levels=(1.0, CENTER))
+        side_high, screen_high = min(_GLASS_HIGH, 0.82 / room), min(CABIN_SIZES.screen_top, 1.14 / room)
         self._draw_screen(-0.2, screen, _GLASS_LOW, screen_high, "glass")
         self._draw_side_panes(side_high)
         rear = total - float(w[last - FRONT_END - 1]) - (0.0 if not self.hatch else 0.02)
@@ -260,21 +295,21 @@ class Greenhouse:
         self._rear_pane_w = total - rear
         self._draw_screen(self._rear_pane_w, total + 0.2, low, high, "glass_tinted" if style.tinted else "glass")
         self.points |= {
-            "roof_front": glass.place((screen, screen_high), ROWS)[0],
-            "windscreen_base": glass.place((screen, _GLASS_LOW), ROWS)[0],
+            "roof_front": glass.place((screen, screen_high), ROW_AXES)[0],
+            "windscreen_base": glass.place((screen, _GLASS_LOW), ROW_AXES)[0],
             "roof_rear": glass.corner(_ROOF_CORNER_ROW, rear=True),
-            "rear_window_base": glass.place((total - rear, low), ROWS)[0],
+            "rear_window_base": glass.place((total - rear, low), ROW_AXES)[0],
         }
         self._draw_wipers(screen, total - rear, low, high)
         if style.glazed < 1:
-            glass.line([(total - 0.004, -0.1), (total - 0.004, high)], ROWS, width=0.014)
+            glass.line([(total - 0.004, -0.1), (total - 0.004, high)], ROW_AXES, width=0.014)
 
     def _draw_side_panes(self, high: float) -> None:
         s, style, glass, w = self.shape, self.style, self.surface, self._w
         last = len(w) - 1
         ends = float(w[SIDE_START - 2]) + 0.01, float(w[last - SIDE_START]) + (0.03 if self.hatch else -0.1)
-        low, over = _GLASS_LOW - _SURROUND_SHARE, high + 0.02
-        foot, head = (np.array([glass.place((end, t), ROWS)[0][0] for end in ends]) for t in (low, over))
+        low, over = _GLASS_LOW - CABIN_SIZES.surround_share, high + 0.02
+        foot, head = (np.array([glass.place((end, t), ROW_AXES)[0][0] for end in ends]) for t in (low, over))
 
         def post(share: float, t: float, ahead: float = 0.0) -> tuple[float, float]:
             """A place on a post `share` of the way along, which is upright between the slanting ends."""
@@ -303,18 +338,20 @@ class Greenhouse:
 
     def _draw_screen(self, start: float, end: float, low: float, high: float, material: str) -> None:
         """A screen with its dark surround."""
-        a, b = (start, end + _SURROUND_SHARE) if start < 0 else (start - _SURROUND_SHARE, end)
+        a, b = (start, end + CABIN_SIZES.surround_share) if start < 0 else (start - CABIN_SIZES.surround_share, end)
         self.surface.paint(
-            rectangle_outline(a, b, low - _SURROUND_SHARE, min(high + _SURROUND_SHARE, 1.0)), ROWS, "trim"
+            rectangle_outline(a, b, low - CABIN_SIZES.surround_share, min(high + CABIN_SIZES.surround_share, 1.0)),
+            ROW_AXES,
+            "trim",
         )
-        self.surface.paint(rectangle_outline(start, end, low, high), ROWS, material)
+        self.surface.paint(rectangle_outline(start, end, low, high), ROW_AXES, material)
 
     def _draw_pillar_lamp(self) -> None:
         """A tail lamp on the pillar beside the rear window, as tall as one below the window would be."""
         s, last = self.shape, len(self._w) - 1
-        pane = self._rear_pane_w - _SURROUND_SHARE
+        pane = self._rear_pane_w - CABIN_SIZES.surround_share
         outer = float(self._w[last - SIDE_START + 1])
-        along = outer, max(min(outer + _PILLAR_LAMP_WIDTH_M, pane - 0.02), outer + 0.06)
+        along = outer, max(min(outer + CABIN_SIZES.pillar_lamp_m, pane - 0.02), outer + 0.06)
         low = s.deck_height + 0.06
         under_roof = float(self.roof_edge(np.array([s.backlight_x + s.backlight_run])).item()) - 0.1
         up = low, min(low + s.taillight_high - s.taillight_low, under_roof)
@@ -324,11 +361,11 @@ class Greenhouse:
         """Wipers, and the brake light behind the rear window."""
         glass, total = self.surface, float(self._w[-1])
         base = _GLASS_LOW - 0.035
-        glass.line([(0.02, base), (screen - 0.2, base + 0.035)], ROWS, width=0.02, layer=4)
-        glass.line([(0.14, base), (screen - 0.1, base + 0.16)], ROWS, width=0.017, layer=3)
+        glass.line([(0.02, base), (screen - 0.2, base + 0.035)], ROW_AXES, width=0.02, layer=4)
+        glass.line([(0.14, base), (screen - 0.1, base + 0.16)], ROW_AXES, width=0.017, layer=3)
         if self.hatch and self.style.glazed == 1:
-            glass.line([(total - 0.02, low - 0.02), (rear + 0.22, low + 0.12)], ROWS, width=0.022, layer=3)
-        glass.draw(rectangle_outline(total - 0.14, total, high - 0.075, high - 0.035), ROWS, "brake_light", layer=2)
+            glass.line([(total - 0.02, low - 0.02), (rear + 0.22, low + 0.12)], ROW_AXES, width=0.022, layer=3)
+        glass.draw(rectangle_outline(total - 0.14, total, high - 0.075, high - 0.035), ROW_AXES, "brake_light", layer=2)
 
     def _add_parts(self) -> None:
         s, style = self.shape, self.style
@@ -338,7 +375,7 @@ class Greenhouse:
             xs = np.linspace(rear + 0.18, front - 0.3, 6)
             self.parts.append(parts.rail(np.column_stack([xs, np.full(6, half - 0.07), self.roof_edge(xs) + 0.032])))
         if style.spoiler:
-            top = float(self.roof_edge(np.array([rear])).item()) + _EDGE_ROWS[-1][2]
+            top = float(self.roof_edge(np.array([rear])).item()) + CABIN_SIZES.edge_rows[-1][2]
             self.parts.append(parts.spoiler(rear, top, half - 0.05, style.roof_tone or "paint"))
         if style.sign:
             tone = _ROOF_SIGNS[int(s.length * 1e4) % len(_ROOF_SIGNS)]
@@ -347,5 +384,5 @@ class Greenhouse:
             self.parts.append(roof_load(style.load, front, rear, half, s.height, self.roof_edge))
         if style.antenna:
             x = np.array([rear + (0.22 if style.antenna == "fin" else 0.12)])
-            top = float(self.surface.place((x.item(), 0.0), TOP, levels=(1.0, CENTER))[0][2])
+            top = float(self.surface.place((x.item(), 0.0), TOP_AXES, levels=(1.0, CENTER))[0][2])
             self.parts.append(antenna(style.antenna, x.item(), top, style.roof_tone or "paint"))

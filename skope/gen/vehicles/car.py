@@ -1,5 +1,6 @@
 """Passenger cars, vans and pickups: a lower body and a greenhouse, both lofts, with panels drawn on them."""
 
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Final
 
@@ -15,12 +16,12 @@ from skope.gen.vehicles.lofted_surfaces import (
     CENTER,
     FLOOR,
     INNER,
-    ROWS,
+    ROW_AXES,
     SHOULDER,
-    SIDE,
+    SIDE_AXES,
     SIDE_START,
-    TOP,
-    WRAP,
+    TOP_AXES,
+    WRAP_AXES,
     Plan,
     Surface,
     metres_along,
@@ -28,19 +29,32 @@ from skope.gen.vehicles.lofted_surfaces import (
 from skope.gen.vehicles.panels import draw_decal, rectangle_outline
 from skope.gen.vehicles.parts import arm_mirror
 from skope.gen.vehicles.shape import Shape, VehicleStyle
-from skope.gen.vehicles.solids import ARCH_RADIUS_WHEELS
+from skope.gen.vehicles.solids import SOLID_SIZES
 from skope.gen.vehicles.triangle_cuts import clipped, rear_wall
 from skope.types import Array
 
-_ARCH_TRIM: Final = 0.07
-"""Width of the trim that is drawn around an arch, metres."""
-_WELL: Final = 0.05
-"""Room between a wheel's inner face and its well, metres."""
+
+@dataclass(frozen=True)
+class CarSizes:
+    """Sizes of cars."""
+
+    arch_trim_m: float = 0.07
+    """Width of the trim that is drawn around an arch, metres."""
+    well_gap_m: float = 0.05
+    """Room between a wheel's inner face and its well, metres."""
+    trim_top_row: float = 0.25
+    """Row up to which cladding and low dark bumpers reach."""
+    crown_m: float = 0.035
+    """Height of the hood's middle over its edge, metres."""
+    cab_end_m: float = 0.06
+    """Reach of a cab without the rest of its body behind its rear window, metres."""
+
+
+CAR_SIZES: Final = CarSizes()
+
 _SILL, _LEDGE = 0.16, 0.40
 """Rows of the sill's edge, and of the bumpers' upper edge."""
-_TRIM_TOP: Final = 0.25
-"""Row up to which cladding and low dark bumpers reach."""
-_PROFILE: Final = np.array(
+BODY_PROFILE: Final = np.array(
     [  # row, share of the height, how far side, front and rear stand in, height over the shoulder
         [0.00, 0.00, 0.090, 0.110, 0.085, 0],
         [0.07, 0.07, 0.036, 0.040, 0.030, 0],
@@ -56,13 +70,10 @@ _PROFILE: Final = np.array(
         [2.00, 1.00, 0.092, 0.205, 0.150, 0.029],
     ]
 )
-_SOFT: Final = np.array([0, 0, 0, -0.012, -0.018, -0.02, -0.014, 0.006, -0.004, 0, 0, 0])
-"""Distance by which the side of a body without a shoulder line stands in more than `_PROFILE` says."""
+SOFT_SIDE: Final = np.array([0, 0, 0, -0.012, -0.018, -0.02, -0.014, 0.006, -0.004, 0, 0, 0])
+"""Distance by which the side of a body without a shoulder line stands in more than `BODY_PROFILE` says."""
 _DECK_RIM_ROWS, _PIT, _OUTER, _INNER = 2.1, 2.2, 2.4, 2.6
 """Rows of the deck around a bed or the cabin, and of the hood's creases."""
-_CROWN: Final = 0.035
-_CAB_END: Final = 0.06
-"""Reach of a cab without the rest of its body behind its rear window, metres."""
 
 
 class CarBody:
@@ -72,7 +83,7 @@ class CarBody:
         self.shape, self.style = shape, style
         self.points: dict[str, Array] = {}
         self._parts: list[Mesh] = []
-        self.well = shape.track / 2 - shape.wheel_width / 2 - _WELL
+        self.well = shape.track / 2 - shape.wheel_width / 2 - CAR_SIZES.well_gap_m
         self.end = -shape.length / 2
         self._lower = self._lower_shell()
         self._greenhouse = Greenhouse(shape, style, self.deck)
@@ -91,7 +102,7 @@ class CarBody:
 
     def front_half(self) -> Mesh:
         """The left half of the cab alone, closed behind it."""
-        behind = self.shape.backlight_x - _CAB_END
+        behind = self.shape.backlight_x - CAR_SIZES.cab_end_m
         shell = clipped(self._lower.half, behind)
         house = self._greenhouse
         parts_ahead = [clipped(part, behind) for part in self._parts]
@@ -142,7 +153,7 @@ class CarBody:
     def _deck_rise(self, x: Array, half: Array, share: Array) -> Array:
         """Height of the deck over its edges, at a share of its half width: its crown, the hood's dome."""
         s = self.shape
-        crown = _CROWN * (1 - share**2) * (half / self._deck_edge[:, 1].max()) ** 1.5
+        crown = CAR_SIZES.crown_m * (1 - share**2) * (half / self._deck_edge[:, 1].max()) ** 1.5
         ahead = np.clip((x - s.cowl_x + 0.1) / 0.25, 0, 1) * np.clip((s.length / 2 - s.nose_round - x) / 0.3, 0, 1)
         outer = self._crease(x)
         return np.asarray(crown + self.style.dome * ahead * np.clip((outer - share) / 0.11, 0, 1))
@@ -166,7 +177,9 @@ class CarBody:
             rear=self.end + rear * lean_rear,
             front_round=s.nose_round,
             rear_round=s.tail_round,
-            front_radius=min(0.22, s.front_overhang - ARCH_RADIUS_WHEELS * s.wheel_radius - s.nose_round * 0.7),
+            front_radius=min(
+                0.22, s.front_overhang - SOLID_SIZES.arch_radius_wheels * s.wheel_radius - s.nose_round * 0.7
+            ),
             rear_radius=0.17,
             front_taper=0.05,
             rear_taper=0.045,
@@ -175,7 +188,7 @@ class CarBody:
     def _pits(self) -> list[tuple[float, float, float]]:
         """x from, to, and floor height of what is hollow in the deck: the cabin, a bed."""
         s = self.shape
-        well = ARCH_RADIUS_WHEELS * s.wheel_radius + 0.04
+        well = SOLID_SIZES.arch_radius_wheels * s.wheel_radius + 0.04
         cabin = (max(s.backlight_x + 0.14, s.rear_axle_x + well), s.cowl_x - 0.28, self._pit_floor)
         if not self.style.bed:
             return [cabin]
@@ -184,9 +197,9 @@ class CarBody:
     def _stations(self) -> Array:
         """Shares of the side where columns stand: around the wheels, at the pits' ends, and evenly between."""
         s = self.shape
-        top = self._plan(*_PROFILE[-1, 2:5])
+        top = self._plan(*BODY_PROFILE[-1, 2:5])
         ends = top.outline(np.array([0.0, 1.0]))[[SIDE_START, -SIDE_START - 1], 0]
-        reach = ARCH_RADIUS_WHEELS * s.wheel_radius
+        reach = SOLID_SIZES.arch_radius_wheels * s.wheel_radius
         fixed = [x + d for pit in self._pits() for x in pit[:2] for d in (-0.004, 0.004)]
         free = [axle + k * reach for axle in (s.front_axle_x, s.rear_axle_x) for k in (-1.35, -0.8, 0, 0.8, 1.35)]
         free += list(np.linspace(s.rear_axle_x + 2.4 * reach, s.front_axle_x - 2.2 * reach, 3))
@@ -199,22 +212,24 @@ class CarBody:
 
     def _lower_shell(self) -> Surface:
         s, stations = self.shape, self._stations()
-        sides = _PROFILE[:, 2] + (_SOFT if self.style.soft else 0)
+        sides = BODY_PROFILE[:, 2] + (SOFT_SIDE if self.style.soft else 0)
         # An arch stands out from the body's side to where its shoulder line is.
-        outlines = [self._plan(side, *row[3:5]).outline(stations) for side, row in zip(sides, _PROFILE, strict=True)]
-        for outline, side, row in zip(outlines, sides, _PROFILE, strict=True):
+        outlines = [
+            self._plan(side, *row[3:5]).outline(stations) for side, row in zip(sides, BODY_PROFILE, strict=True)
+        ]
+        for outline, side, row in zip(outlines, sides, BODY_PROFILE, strict=True):
             if 0.07 < row[0] < 0.7:
                 outline[:, 1] += 0.9 * side * self._near_wheels(outline[:, 0]) * (outline[:, 1] > s.width / 4)
         bottom = outlines[0]
         lift = 0.05 * np.clip((np.abs(bottom[:, 0]) - 0.7 * s.length / 2) / (0.3 * s.length / 2), 0, 1)
         low = s.clearance + lift
         rows = [np.column_stack([bottom[:, 0], y, low]) for y in (0 * low, np.minimum(bottom[:, 1], self.well))]
-        for row, outline in zip(_PROFILE, outlines, strict=True):
+        for row, outline in zip(BODY_PROFILE, outlines, strict=True):
             high = self.shoulder(outline[:, 0])
             rows.append(np.column_stack([outline, low + (high - low) * row[1] + row[5]]))
         self._deck_edge = rows[-1]
         rows += self._deck_rows()
-        levels = [FLOOR, INNER, *_PROFILE[:, 0], _DECK_RIM_ROWS, _PIT, _OUTER, _INNER, CENTER]
+        levels = [FLOOR, INNER, *BODY_PROFILE[:, 0], _DECK_RIM_ROWS, _PIT, _OUTER, _INNER, CENTER]
         self.outline = outlines[6]
         self.w = metres_along(self.outline)
         creases = {_SILL, _LEDGE, _OUTER, _INNER} | (set() if self.style.soft else {0.79})
@@ -222,7 +237,7 @@ class CarBody:
 
     def _near_wheels(self, x: Array) -> Array:
         s = self.shape
-        reach = 1.3 * ARCH_RADIUS_WHEELS * s.wheel_radius
+        reach = 1.3 * SOLID_SIZES.arch_radius_wheels * s.wheel_radius
         away = np.min([np.abs(x - axle) for axle in (s.front_axle_x, s.rear_axle_x)], axis=0) / reach
         return np.asarray(np.exp(-(away**4)))
 
@@ -259,22 +274,22 @@ class CarBody:
         # Wells first: cut through panels, their rims would have many more edges.
         for axle in (s.front_axle_x, s.rear_axle_x):
             self._carve_wheel_well(axle)
-        lower.paint([(-9, -9), (9, -9), (9, 9), (-9, 9)], TOP, "under", levels=(FLOOR, BOTTOM))
-        trim = _TRIM_TOP if style.cladding else 0.07
+        lower.paint([(-9, -9), (9, -9), (9, 9), (-9, 9)], TOP_AXES, "under", levels=(FLOOR, BOTTOM))
+        trim = CAR_SIZES.trim_top_row if style.cladding else 0.07
         if style.sill != "paint":
-            lower.paint([(-1, -0.1), (99, -0.1), (99, trim), (-1, trim)], ROWS, "trim")
+            lower.paint([(-1, -0.1), (99, -0.1), (99, trim), (-1, trim)], ROW_AXES, "trim")
         self._draw_tones()
         cabin = self._greenhouse.foot(0.03)
         lower.paint(
             np.vstack([cabin, [(cabin[-1, 0], -1), (cabin[0, 0], -1)]]),
-            TOP,
+            TOP_AXES,
             "dashboard",
             levels=(_DECK_RIM_ROWS, CENTER),
         )
         for (start, end, _), material, top in zip(self._pits(), ("dashboard", "bed"), (_PIT, CENTER), strict=False):
             ends = start - 0.02, end + 0.02
             hollow = [(ends[0], -9), (ends[1], -9), (ends[1], 9), (ends[0], 9)]
-            lower.paint(hollow, TOP, material, levels=(_DECK_RIM_ROWS, top))
+            lower.paint(hollow, TOP_AXES, material, levels=(_DECK_RIM_ROWS, top))
         self._draw_livery()
         draw_decal(lower, s, style)
         self._draw_doors()
@@ -287,25 +302,25 @@ class CarBody:
             "bumper_rear": lower.corner(_SILL, rear=True),
             "hood_front": lower.corner(SHOULDER),
             "trunk_rear": lower.corner(SHOULDER, rear=True),
-            "beltline": lower.place((self.w_of(self._greenhouse.pillar_x), SHOULDER), ROWS)[0],
+            "beltline": lower.place((self.w_of(self._greenhouse.pillar_x), SHOULDER), ROW_AXES)[0],
         }
 
     def _draw_tones(self) -> None:
         """Dark and bright parts below: the bumpers, the sills' edge."""
         s, lower, style = self.shape, self._lower, self.style
-        reach = ARCH_RADIUS_WHEELS * s.wheel_radius
+        reach = SOLID_SIZES.arch_radius_wheels * s.wheel_radius
         ahead, behind = self.w_of(s.front_axle_x + reach), self.w_of(s.rear_axle_x - reach)
         if style.bumper:
-            top = _LEDGE if style.bumper == "black" else _TRIM_TOP
+            top = _LEDGE if style.bumper == "black" else CAR_SIZES.trim_top_row
             for start, stop in ((-1.0, ahead), (behind, 99.0)):
-                lower.paint(rectangle_outline(start, stop, -0.1, top), ROWS, "trim")
+                lower.paint(rectangle_outline(start, stop, -0.1, top), ROW_AXES, "trim")
         if style.sill == "chrome":
             ends = self.w_of(s.front_axle_x - reach - 0.05), self.w_of(s.rear_axle_x + reach + 0.05)
-            lower.line([(ends[0], _SILL), (ends[1], _SILL)], ROWS, "chrome", width=0.03)
+            lower.line([(ends[0], _SILL), (ends[1], _SILL)], ROW_AXES, "chrome", width=0.03)
 
     def _carve_wheel_well(self, axle: float) -> None:
         s = self.shape
-        radius = ARCH_RADIUS_WHEELS * s.wheel_radius
+        radius = SOLID_SIZES.arch_radius_wheels * s.wheel_radius
         angle = np.linspace(0, np.pi, 12)
         arc = np.stack([axle + radius * np.cos(angle), s.wheel_radius + radius * np.sin(angle)], axis=-1)
         polygon = [(axle + radius, -0.2), *arc, (axle - radius, -0.2)]
@@ -326,22 +341,22 @@ class CarBody:
         away = edge - [axle, self.shape.wheel_radius]
         away[:, 1] = np.maximum(away[:, 1], 0)
         away /= np.linalg.norm(away, axis=1, keepdims=True)
-        inner, outer = edge - 0.01 * away, edge + _ARCH_TRIM * away
+        inner, outer = edge - 0.01 * away, edge + CAR_SIZES.arch_trim_m * away
         for k in range(len(edge) - 1):
-            self._lower.draw([inner[k], outer[k], outer[k + 1], inner[k + 1]], SIDE, "trim", layer=1.5)
+            self._lower.draw([inner[k], outer[k], outer[k + 1], inner[k + 1]], SIDE_AXES, "trim", layer=1.5)
 
     def _draw_livery(self) -> None:
         """A stripe along the sides of what is not private."""
         s = self.shape
         low, high = {"taxi": (0.34, 0.24), "van": (0.46, 0.26)}.get(self.style.palette, (0.0, 0.0))
-        ahead, behind = s.front_axle_x - ARCH_RADIUS_WHEELS * s.wheel_radius - 0.12, self.end + 0.35
+        ahead, behind = s.front_axle_x - SOLID_SIZES.arch_radius_wheels * s.wheel_radius - 0.12, self.end + 0.35
         if self.style.palette == "van":
             sweep = [(behind + 0.9, s.clearance + 0.2), (behind + 0.5, s.belt_height), (behind, s.belt_height)]
-            self._lower.draw([(behind, s.clearance + 0.2), *sweep], SIDE, "livery", layer=0.5)
+            self._lower.draw([(behind, s.clearance + 0.2), *sweep], SIDE_AXES, "livery", layer=0.5)
             behind += 0.55
         if low > 0:
             stripe = rectangle_outline(behind, ahead, s.belt_height - low, s.belt_height - high)
-            self._lower.draw(stripe, SIDE, "livery", layer=0.5)
+            self._lower.draw(stripe, SIDE_AXES, "livery", layer=0.5)
 
     def _seam(
         self,
@@ -359,30 +374,34 @@ class CarBody:
     def _draw_doors(self) -> None:
         """Gaps around the doors, the fuel flap, handles."""
         s, style, lower = self.shape, self.style, self._lower
-        reach = ARCH_RADIUS_WHEELS * s.wheel_radius
+        reach = SOLID_SIZES.arch_radius_wheels * s.wheel_radius
         # A soft gap is pale against dark trim: it ends above.
         dark = style.soft_seams and style.cladding
-        low = s.clearance + (_TRIM_TOP * (s.belt_height - s.clearance) + 0.03 if dark else 0.13)
+        low = s.clearance + (CAR_SIZES.trim_top_row * (s.belt_height - s.clearance) + 0.03 if dark else 0.13)
         ahead = min(s.front_axle_x - reach - 0.1, s.cowl_x - 0.12)
         pillar = self._greenhouse.pillar_x
         last = s.rear_axle_x + reach * 0.55 if style.doors == 4 else pillar
         top = s.belt_height + 0.1
         shut = s.rear_axle_x + reach + 0.05
-        self._seam([(ahead - 0.02, low), (ahead, low + 0.25), (ahead - 0.06, top)], SIDE)
-        self._seam([(pillar, low), (pillar, top)], SIDE)
+        self._seam([(ahead - 0.02, low), (ahead, low + 0.25), (ahead - 0.06, top)], SIDE_AXES)
+        self._seam([(pillar, low), (pillar, top)], SIDE_AXES)
         if style.doors == 4:
-            self._seam([(shut, low), (shut, s.wheel_radius + 0.1), (last, s.wheel_radius + reach), (last, top)], SIDE)
+            self._seam(
+                [(shut, low), (shut, s.wheel_radius + 0.1), (last, s.wheel_radius + reach), (last, top)], SIDE_AXES
+            )
             if style.sliding:
-                lower.line([(pillar, s.belt_height - 0.16), (self.end + 0.4, s.belt_height - 0.14)], SIDE, width=0.02)
-        self._seam([(ahead - 0.02, low), (max(shut, last) if style.doors == 4 else pillar, low)], SIDE)
+                lower.line(
+                    [(pillar, s.belt_height - 0.16), (self.end + 0.4, s.belt_height - 0.14)], SIDE_AXES, width=0.02
+                )
+        self._seam([(ahead - 0.02, low), (max(shut, last) if style.doors == 4 else pillar, low)], SIDE_AXES)
         flap = np.array([s.rear_axle_x - 0.12, s.belt_height - 0.2])
         square = flap + 0.075 * np.array([(-1, -1), (1, -1), (1, 1), (-1, 1), (-1, -1)])
-        self._seam(square, SIDE, width=0.006)
+        self._seam(square, SIDE_AXES, width=0.006)
         height = s.belt_height - 0.13
         for x in (pillar + 0.19, *([last + 0.22] if style.doors == 4 else [])):
             cup = np.array([(-0.06, -0.025), (0.06, -0.025), (0.06, 0.025), (-0.06, 0.025)])
-            lower.draw(np.add([x, height], cup), SIDE, "gap")
-            y = float(lower.place((x, height), SIDE)[0][1])
+            lower.draw(np.add([x, height], cup), SIDE_AXES, "gap")
+            y = float(lower.place((x, height), SIDE_AXES)[0][1])
             self._parts.append(parts.handle((x, y, height), "chrome" if style.chrome else "paint"))
 
     def _draw_hood(self) -> None:
@@ -391,23 +410,23 @@ class CarBody:
         y = s.width / 2 - 0.135
         ahead = s.length / 2 - s.nose_round - s.nose_lean - 0.12
         top = (SHOULDER, CENTER)
-        self._seam([(s.cowl_x - 0.12, y), (ahead, y - 0.07)], TOP, levels=top, width=0.011)
+        self._seam([(s.cowl_x - 0.12, y), (ahead, y - 0.07)], TOP_AXES, levels=top, width=0.011)
         edge = s.hood_height - 0.012
-        self._seam([(-0.1, edge), (float(w[SIDE_START - 3]), edge)], WRAP, width=0.011)
-        arch = self.w_of(s.front_axle_x + ARCH_RADIUS_WHEELS * s.wheel_radius)
+        self._seam([(-0.1, edge), (float(w[SIDE_START - 3]), edge)], WRAP_AXES, width=0.011)
+        arch = self.w_of(s.front_axle_x + SOLID_SIZES.arch_radius_wheels * s.wheel_radius)
         seam = (s.headlight_low + s.headlight_high) / 2 - 0.05
-        self._seam([(arch, seam - 0.12), (float(w[SIDE_START - 2]), seam)], WRAP)
+        self._seam([(arch, seam - 0.12), (float(w[SIDE_START - 2]), seam)], WRAP_AXES)
         end = float(w[-1])
-        behind = self.w_of(s.rear_axle_x - ARCH_RADIUS_WHEELS * s.wheel_radius)
+        behind = self.w_of(s.rear_axle_x - SOLID_SIZES.arch_radius_wheels * s.wheel_radius)
         low = s.taillight_low - 0.03
-        self._seam([(behind, low - 0.12), (end - s.taillight_inner - 0.2, low - 0.02)], WRAP)
+        self._seam([(behind, low - 0.12), (end - s.taillight_inner - 0.2, low - 0.02)], WRAP_AXES)
         if s.deck_length > 0.3 and not self.style.bed:
             back = self.end + s.tail_round + s.tail_lean + 0.1
-            self._seam([(s.backlight_x, y + 0.01), (back, y - 0.03)], TOP, levels=top, width=0.011)
+            self._seam([(s.backlight_x, y + 0.01), (back, y - 0.03)], TOP_AXES, levels=top, width=0.011)
         trunk = s.deck_length > 0.3
         side = end - s.taillight_inner + (0.02 if trunk else -0.16)
         low = s.taillight_low - 0.16 if trunk or self.style.bed else s.clearance + 0.3
-        self._seam([(side, s.deck_height + 0.03), (side + 0.01, low), (end + 0.1, low)], WRAP, width=0.011)
+        self._seam([(side, s.deck_height + 0.03), (side + 0.01, low), (end + 0.1, low)], WRAP_AXES, width=0.011)
 
     def _add_parts(self) -> None:
         s = self.shape

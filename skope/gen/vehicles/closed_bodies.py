@@ -1,22 +1,39 @@
 """Closed cargo bodies: boxes with doors or a roller shutter, refrigerated ones, curtain sides, all with liveries; tanks
 for liquids and concrete mixers; motorhomes with windows and a bed over the cab of a van."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 
 from skope.gen.mesh import Mesh, box
 from skope.gen.vehicles import parts
-from skope.gen.vehicles.lofted_surfaces import BOTTOM, ROWS, SIDE, WRAP, Plan, Surface
+from skope.gen.vehicles.lofted_surfaces import BOTTOM, ROW_AXES, SIDE_AXES, WRAP_AXES, Plan, Surface
 from skope.gen.vehicles.lorry_parts import Cargo, CargoSpace, mudguards
-from skope.gen.vehicles.panels import LEFT_AXIS, MARKER, TONES, draw_graphics, draw_upper_markers, rectangle_outline
+from skope.gen.vehicles.panels import (
+    GRAPHIC_COLORS,
+    MARKER_MATERIAL,
+    PANEL_LIMITS,
+    draw_graphics,
+    draw_upper_markers,
+    rectangle_outline,
+)
 from skope.gen.vehicles.solids import Tower, arch, barrel, beam, ladder, pipe, prism, ring
 
-_DOOR_FRAME_M: Final = 0.11
-"""Width of the frame around the doors, metres."""
-_SHUTTER_SHARE: Final = 0.4
-"""Share of boxes whose rear is a roller shutter."""
+
+@dataclass(frozen=True)
+class ClosedBodySizes:
+    """Sizes of closed cargo bodies."""
+
+    door_frame_m: float = 0.11
+    """Width of the frame around the doors, metres."""
+    shutter_share: float = 0.4
+    """Share of boxes whose rear is a roller shutter."""
+    belt_height_m: float = 0.95
+    """Height of the windows' lower edge over the floor, metres."""
+
+
+CLOSED_BODIES: Final = ClosedBodySizes()
 
 
 def box_body(space: CargoSpace) -> Cargo:
@@ -27,8 +44,14 @@ def box_body(space: CargoSpace) -> Cargo:
     sill, top = space.floor + 0.12, high - 0.16
     draw_graphics(shell, (space.end + 0.2, space.ahead - 0.2), (sill + 0.05, top), rng)
     for x in np.linspace(space.ahead - 0.04, space.end + 0.04, 2):
-        shell.draw(rectangle_outline(x - 0.035, x + 0.035, sill, top + 0.04), SIDE, "rail", layer=3, facing=LEFT_AXIS)
-    _draw_box_rear(shell, space, end, shutter=rng.uniform() < _SHUTTER_SHARE)
+        shell.draw(
+            rectangle_outline(x - 0.035, x + 0.035, sill, top + 0.04),
+            SIDE_AXES,
+            "rail",
+            layer=3,
+            facing=PANEL_LIMITS.left_axis,
+        )
+    _draw_box_rear(shell, space, end, shutter=rng.uniform() < CLOSED_BODIES.shutter_share)
     out.parts.append(shell.half)
     if space.style.cooled:
         low = high - 1.25
@@ -50,15 +73,33 @@ def curtain_body(space: CargoSpace) -> Cargo:
     for x in folds:
         # A fold: a lighter and a darker line side by side, as light falls along it.
         wide = float(rng.uniform(0.03, 0.07))
-        shell.draw(rectangle_outline(x, x + wide, sill, top), SIDE, "tarpaulin" if wide > 0.06 else "rail", layer=1)
+        shell.draw(
+            rectangle_outline(x, x + wide, sill, top), SIDE_AXES, "tarpaulin" if wide > 0.06 else "rail", layer=1
+        )
     draw_graphics(shell, (space.end + 0.2, space.ahead - 0.2), (sill + 0.22, top - 0.05), rng)
     for x in folds:
-        shell.draw(rectangle_outline(x - 0.02, x + 0.02, sill, sill + 0.34), SIDE, "trim", layer=8, facing=LEFT_AXIS)
         shell.draw(
-            rectangle_outline(x - 0.035, x + 0.035, sill + 0.1, sill + 0.17), SIDE, "chrome", layer=10, facing=LEFT_AXIS
+            rectangle_outline(x - 0.02, x + 0.02, sill, sill + 0.34),
+            SIDE_AXES,
+            "trim",
+            layer=8,
+            facing=PANEL_LIMITS.left_axis,
+        )
+        shell.draw(
+            rectangle_outline(x - 0.035, x + 0.035, sill + 0.1, sill + 0.17),
+            SIDE_AXES,
+            "chrome",
+            layer=10,
+            facing=PANEL_LIMITS.left_axis,
         )
     for x in (space.ahead - 0.05, space.end + 0.05):
-        shell.draw(rectangle_outline(x - 0.05, x + 0.05, sill, top + 0.04), SIDE, "rail", layer=3, facing=LEFT_AXIS)
+        shell.draw(
+            rectangle_outline(x - 0.05, x + 0.05, sill, top + 0.04),
+            SIDE_AXES,
+            "rail",
+            layer=3,
+            facing=PANEL_LIMITS.left_axis,
+        )
     _draw_box_rear(shell, space, end, shutter=False)
     out.parts.append(shell.half)
     _mark_box_points(out, shell, space, end)
@@ -79,44 +120,51 @@ def _box_shell(space: CargoSpace, material: str) -> tuple[Surface, float]:
         levels=2,
     )
     shell, w, _ = tower.surface(material)
-    shell.draw(rectangle_outline(-1, 99, 0, space.floor + 0.09), WRAP, "rail")
-    shell.draw(rectangle_outline(-1, 99, space.shape.height - 0.12, space.shape.height - 0.06), WRAP, "rail")
+    shell.draw(rectangle_outline(-1, 99, 0, space.floor + 0.09), WRAP_AXES, "rail")
+    shell.draw(rectangle_outline(-1, 99, space.shape.height - 0.12, space.shape.height - 0.06), WRAP_AXES, "rail")
     z = space.floor + 0.035
     for x in np.arange(space.end + 0.5, space.ahead - 0.4, 1.1).tolist():
-        shell.draw(rectangle_outline(x - 0.03, x + 0.03, z, z + 0.03), SIDE, MARKER, layer=4)
+        shell.draw(rectangle_outline(x - 0.03, x + 0.03, z, z + 0.03), SIDE_AXES, MARKER_MATERIAL, layer=4)
     return shell, float(w[-1])
 
 
 def _draw_box_rear(shell: Surface, space: CargoSpace, end: float, *, shutter: bool) -> None:
     """Two doors with bolts and hinges, or the slats of a shutter."""
-    edge, sill, top = end - space.half + _DOOR_FRAME_M, space.floor + 0.12, space.shape.height - 0.16
-    shell.line([(end + 0.1, sill), (edge, sill), (edge, top), (end + 0.1, top)], WRAP, width=0.02)
+    edge, sill, top = end - space.half + CLOSED_BODIES.door_frame_m, space.floor + 0.12, space.shape.height - 0.16
+    shell.line([(end + 0.1, sill), (edge, sill), (edge, top), (end + 0.1, top)], WRAP_AXES, width=0.02)
     if shutter:
         for z in np.arange(sill + 0.12, top - 0.05, 0.16).tolist():
-            shell.line([(edge, z), (end + 0.1, z)], WRAP, width=0.012)
-        shell.draw(rectangle_outline(end - 0.3, end + 0.1, sill + 0.06, sill + 0.1), WRAP, "trim", layer=2)
+            shell.line([(edge, z), (end + 0.1, z)], WRAP_AXES, width=0.012)
+        shell.draw(rectangle_outline(end - 0.3, end + 0.1, sill + 0.06, sill + 0.1), WRAP_AXES, "trim", layer=2)
     else:
-        shell.line([(end, sill), (end, top)], WRAP, width=0.016)
+        shell.line([(end, sill), (end, top)], WRAP_AXES, width=0.016)
         for share in (0.28, 0.6):
             bolt = rectangle_outline(end - share - 0.012, end - share + 0.012, sill + 0.05, top - 0.05)
-            shell.draw(bolt, WRAP, "chrome", layer=5)
+            shell.draw(bolt, WRAP_AXES, "chrome", layer=5)
             shell.draw(
-                rectangle_outline(end - share - 0.03, end - share + 0.2, sill + 0.55, sill + 0.6), WRAP, "rail", layer=7
+                rectangle_outline(end - share - 0.03, end - share + 0.2, sill + 0.55, sill + 0.6),
+                WRAP_AXES,
+                "rail",
+                layer=7,
             )
         for z in np.linspace(sill + 0.3, top - 0.3, 4):
-            shell.draw(rectangle_outline(edge, edge + 0.1, z, z + 0.05), WRAP, "rail", layer=2)
+            shell.draw(rectangle_outline(edge, edge + 0.1, z, z + 0.05), WRAP_AXES, "rail", layer=2)
     # Marker lamps, and the red and yellow plates of long and heavy lorries.
     draw_upper_markers(shell, space.half, top + 0.05, end)
-    shell.draw(rectangle_outline(edge + 0.05, edge + 0.6, sill + 0.1, sill + 0.22), WRAP, TONES[6], layer=4)
-    shell.draw(rectangle_outline(edge + 0.07, edge + 0.58, sill + 0.12, sill + 0.2), WRAP, TONES[0], layer=6)
+    shell.draw(
+        rectangle_outline(edge + 0.05, edge + 0.6, sill + 0.1, sill + 0.22), WRAP_AXES, GRAPHIC_COLORS[6], layer=4
+    )
+    shell.draw(
+        rectangle_outline(edge + 0.07, edge + 0.58, sill + 0.12, sill + 0.2), WRAP_AXES, GRAPHIC_COLORS[0], layer=6
+    )
 
 
 def _mark_box_points(out: Cargo, shell: Surface, space: CargoSpace, end: float) -> None:
     corner, high = end - space.half, space.shape.height
     out.mark(
-        shell.place((corner, high - 0.065), WRAP)[0],
-        shell.place((corner + _DOOR_FRAME_M, high - 0.16), WRAP)[0],
-        shell.place((corner, BOTTOM), ROWS)[0],
+        shell.place((corner, high - 0.065), WRAP_AXES)[0],
+        shell.place((corner + CLOSED_BODIES.door_frame_m, high - 0.16), WRAP_AXES)[0],
+        shell.place((corner, BOTTOM), ROW_AXES)[0],
     )
 
 
@@ -127,7 +175,13 @@ def luton_body(space: CargoSpace) -> Cargo:
     sill, top = space.floor + 0.12, space.shape.height - 0.16
     draw_graphics(shell, (space.end + 0.2, space.ahead - 0.15), (sill + 0.05, top), rng)
     for x in (space.ahead - 0.04, space.end + 0.04):
-        shell.draw(rectangle_outline(x - 0.035, x + 0.035, sill, top + 0.04), SIDE, "rail", layer=3, facing=LEFT_AXIS)
+        shell.draw(
+            rectangle_outline(x - 0.035, x + 0.035, sill, top + 0.04),
+            SIDE_AXES,
+            "rail",
+            layer=3,
+            facing=PANEL_LIMITS.left_axis,
+        )
     _draw_box_rear(shell, space, end, shutter=rng.uniform() < 0.6)
     out.parts += [shell.half, peak(space, "livery")]
     _mark_box_points(out, shell, space, end)
@@ -165,7 +219,7 @@ def tank_body(space: CargoSpace) -> Cargo:
     out.parts.append(barrel(sections, skin, square=square))
     for x in np.linspace(rear + 0.03, front - 0.03, 5).tolist():
         out.parts.append(_tank_band(x, z, half + 0.012, high + 0.012, square))
-    tone = TONES[int(rng.integers(len(TONES)))]
+    tone = GRAPHIC_COLORS[int(rng.integers(len(GRAPHIC_COLORS)))]
     if rng.uniform() < 0.6:
         # A stripe at half height, where the side is upright.
         out.parts.append(box((rear + 0.1, half - 0.05, z - 0.12), (front - 0.1, half + 0.008, z + 0.12), tone))
@@ -241,7 +295,7 @@ def mixer_body(space: CargoSpace) -> Cargo:
         return front - share * length, base + 0.42 * (share - 0.36), radius, radius
 
     profile = [(1.0, 0.0), (1.0, 0.5), (0.97, 0.52), (0.55, 1.0), (0.36, 1.0), (0.08, 0.72), (0.0, 0.6), (-0.02, 0.0)]
-    tone = TONES[int(rng.integers(len(TONES)))]
+    tone = GRAPHIC_COLORS[int(rng.integers(len(GRAPHIC_COLORS)))]
     stripe = tone if rng.uniform() < 0.6 else "livery"
     add(
         barrel(
@@ -294,10 +348,6 @@ def mixer_body(space: CargoSpace) -> Cargo:
     return out
 
 
-_BELT_HEIGHT_M: Final = 0.95
-"""Height of the windows' lower edge over the floor, metres."""
-
-
 def living_body(space: CargoSpace) -> Cargo:
     """A motorhome: windows with dark frames, a bed over the cab, stripes, a hatch, vents on the roof, a rack behind."""
     rng, out = space.rng(), Cargo()
@@ -311,30 +361,30 @@ def living_body(space: CargoSpace) -> Cargo:
     lining, rim = shell.carve_well(arch(s.rear_axle_x, s), well)
     out.parts += [lining, parts.arch_lip(rim, (s.rear_axle_x, s.wheel_radius), "trim", shell.side)]
     end, top = float(w[-1]), s.height - 0.1
-    shell.draw(rectangle_outline(-1, 99, 0, space.floor + 0.1), WRAP, "rail")
+    shell.draw(rectangle_outline(-1, 99, 0, space.floor + 0.1), WRAP_AXES, "rail")
     _draw_stripes(shell, space, rng)
     _draw_motorhome_side(shell, space)
-    belt = space.floor + _BELT_HEIGHT_M
+    belt = space.floor + CLOSED_BODIES.belt_height_m
     window = end - 0.62
-    shell.paint(rectangle_outline(window - 0.05, end + 0.1, belt - 0.05, belt + 0.5), WRAP, "trim")
-    shell.paint(rectangle_outline(window, end + 0.1, belt, belt + 0.45), WRAP, "glass_tinted")
+    shell.paint(rectangle_outline(window - 0.05, end + 0.1, belt - 0.05, belt + 0.5), WRAP_AXES, "trim")
+    shell.paint(rectangle_outline(window, end + 0.1, belt, belt + 0.45), WRAP_AXES, "glass_tinted")
     corner = end - space.half
-    shell.draw(rectangle_outline(corner + 0.1, corner + 0.2, top - 0.35, top - 0.22), WRAP, "brake_light", layer=2)
+    shell.draw(rectangle_outline(corner + 0.1, corner + 0.2, top - 0.35, top - 0.22), WRAP_AXES, "brake_light", layer=2)
     out.parts += [
         shell.half,
         *_outer_fittings(space, top),
         peak(replace(space, shape=replace(s, height=top)), "paint"),
     ]
     out.mark(
-        shell.place((corner, top - 0.115), WRAP)[0],
-        shell.place((window, belt), WRAP)[0],
+        shell.place((corner, top - 0.115), WRAP_AXES)[0],
+        shell.place((window, belt), WRAP_AXES)[0],
         shell.corner(BOTTOM, rear=True),
     )
     return out
 
 
 def _draw_stripes(shell: Surface, space: CargoSpace, rng: np.random.Generator) -> None:
-    tones = [TONES[k] for k in rng.choice(len(TONES), 2, replace=False)]
+    tones = [GRAPHIC_COLORS[k] for k in rng.choice(len(GRAPHIC_COLORS), 2, replace=False)]
     low = space.floor + 0.45
     for tone, lift, wide in ((tones[0], 0.0, 0.16), (tones[1], 0.2, 0.05)):
         sweep = [
@@ -343,22 +393,25 @@ def _draw_stripes(shell: Surface, space: CargoSpace, rng: np.random.Generator) -
             (space.ahead, low + lift + wide),
             (space.end + 0.1, low + lift + 0.3 + wide),
         ]
-        shell.draw(sweep, SIDE, tone, layer=2, facing=LEFT_AXIS)
+        shell.draw(sweep, SIDE_AXES, tone, layer=2, facing=PANEL_LIMITS.left_axis)
 
 
 def _draw_motorhome_side(shell: Surface, space: CargoSpace) -> None:
     """The windows and the door."""
-    belt, length = space.floor + _BELT_HEIGHT_M, space.ahead - space.end
+    belt, length = space.floor + CLOSED_BODIES.belt_height_m, space.ahead - space.end
     for share, wide, high in ((0.16, 0.7, 0.5), (0.46, 0.9, 0.55), (0.84, 0.5, 0.45)):
         x = space.end + share * length
         shell.paint(
             rectangle_outline(x - wide / 2 - 0.04, x + wide / 2 + 0.04, belt - 0.04, belt + high + 0.04),
-            SIDE,
+            SIDE_AXES,
             "trim",
-            facing=LEFT_AXIS,
+            facing=PANEL_LIMITS.left_axis,
         )
         shell.paint(
-            rectangle_outline(x - wide / 2, x + wide / 2, belt, belt + high), SIDE, "glass_tinted", facing=LEFT_AXIS
+            rectangle_outline(x - wide / 2, x + wide / 2, belt, belt + high),
+            SIDE_AXES,
+            "glass_tinted",
+            facing=PANEL_LIMITS.left_axis,
         )
     hatch = space.end + 0.66 * length
     shell.line(
@@ -369,15 +422,15 @@ def _draw_motorhome_side(shell: Surface, space: CargoSpace) -> None:
             (hatch + 0.3, space.floor + 0.15),
             (hatch - 0.3, space.floor + 0.15),
         ],
-        SIDE,
+        SIDE_AXES,
         width=0.014,
-        facing=LEFT_AXIS,
+        facing=PANEL_LIMITS.left_axis,
     )
 
 
 def _outer_fittings(space: CargoSpace, top: float) -> list[Mesh]:
     """The window of the bed over the cab, vents on the roof at the height `top`, half of a rack for bicycles."""
-    s, belt, length = space.shape, space.floor + _BELT_HEIGHT_M, space.ahead - space.end
+    s, belt, length = space.shape, space.floor + CLOSED_BODIES.belt_height_m, space.ahead - space.end
     out: list[Mesh] = []
     add = out.append
     front = space.ahead + 0.62 * s.cab_length

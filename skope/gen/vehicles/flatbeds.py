@@ -6,15 +6,15 @@ from typing import Final
 import numpy as np
 
 from skope.gen.mesh import Mesh, box, merged
-from skope.gen.vehicles.lofted_surfaces import SIDE, TOP, WRAP, Plan
+from skope.gen.vehicles.lofted_surfaces import SIDE_AXES, TOP_AXES, WRAP_AXES, Plan
 from skope.gen.vehicles.lorry_parts import Cargo, CargoSpace
-from skope.gen.vehicles.panels import LEFT_AXIS, MARKER, rectangle_outline
+from skope.gen.vehicles.panels import MARKER_MATERIAL, PANEL_LIMITS, rectangle_outline
 from skope.gen.vehicles.parts import block
 from skope.gen.vehicles.solids import Tower, barrel, beam, pipe, prism
 
-_WOOD: Final = ("#b98d55", "#a87c48", "#c79f69")
-_DECK: Final = "#7d6a4e"
-_STRAP: Final = "#d9641e"
+WOOD_COLORS: Final = ("#b98d55", "#a87c48", "#c79f69")
+DECK_COLOR: Final = "#7d6a4e"
+STRAP_COLOR: Final = "#d9641e"
 
 
 def flatbed_body(space: CargoSpace) -> Cargo:
@@ -63,17 +63,25 @@ def _platform(space: CargoSpace, rng: np.random.Generator, load: str, *, sides: 
     )  # fmt: skip
     shell, w, _ = tower.surface("livery" if sides else "rail")
     end = float(w[-1])
-    shell.draw(rectangle_outline(-1, 99, 0, low + 0.09), WRAP, "trim")
+    shell.draw(rectangle_outline(-1, 99, 0, low + 0.09), WRAP_AXES, "trim")
     if sides:
         for x in np.linspace(front - 0.05, space.end + 0.05, 4 if heavy else 3):
-            shell.draw(rectangle_outline(x - 0.04, x + 0.04, low + 0.05, high), SIDE, "rail", layer=2, facing=LEFT_AXIS)
+            shell.draw(
+                rectangle_outline(x - 0.04, x + 0.04, low + 0.05, high),
+                SIDE_AXES,
+                "rail",
+                layer=2,
+                facing=PANEL_LIMITS.left_axis,
+            )
         for z in np.arange(low + 0.16, high - 0.03, 0.08).tolist():
-            shell.line([(space.end + 0.1, z), (front - 0.1, z)], SIDE, width=0.012, facing=LEFT_AXIS)
-        shell.paint([(-99, -9), (99, -9), (99, 9), (-99, 9)], TOP, "bed", levels=(2.1, 3.0))
+            shell.line([(space.end + 0.1, z), (front - 0.1, z)], SIDE_AXES, width=0.012, facing=PANEL_LIMITS.left_axis)
+        shell.paint([(-99, -9), (99, -9), (99, 9), (-99, 9)], TOP_AXES, "bed", levels=(2.1, 3.0))
     else:
-        shell.paint([(-99, -9), (99, -9), (99, 9), (-99, 9)], TOP, _DECK, levels=(2.0, 3.0))
+        shell.paint([(-99, -9), (99, -9), (99, 9), (-99, 9)], TOP_AXES, DECK_COLOR, levels=(2.0, 3.0))
         for x in np.arange(space.end + 0.6, front - 0.3, 1.2).tolist():
-            shell.draw(rectangle_outline(x - 0.03, x + 0.03, low + 0.1, low + 0.13), SIDE, MARKER, layer=2)
+            shell.draw(
+                rectangle_outline(x - 0.03, x + 0.03, low + 0.1, low + 0.13), SIDE_AXES, MARKER_MATERIAL, layer=2
+            )
     out.parts.append(shell.half)
     wall = min(deck + (1.45 if heavy else 0.85), space.shape.height - 0.25)
     out.parts += _headboard(front, space.half, deck - 0.03, wall)
@@ -83,9 +91,9 @@ def _platform(space: CargoSpace, rng: np.random.Generator, load: str, *, sides: 
     corner = end - space.half
     top = high - 0.02
     out.mark(
-        shell.place((corner, top), WRAP)[0],
-        shell.place((corner + 0.11, top - 0.06), WRAP)[0],
-        shell.place((corner, low + 0.002), WRAP)[0],
+        shell.place((corner, top), WRAP_AXES)[0],
+        shell.place((corner + 0.11, top - 0.06), WRAP_AXES)[0],
+        shell.place((corner, low + 0.002), WRAP_AXES)[0],
     )
     return out
 
@@ -106,12 +114,12 @@ def _timber(along: tuple[float, float], half: float, low: float, high: float, rn
     while z + 0.5 < high:
         tall, wide = float(rng.uniform(0.35, 0.5)), half - float(rng.uniform(0.0, 0.15))
         battens = [((x - 0.05, 0.0, z), (x + 0.05, wide, z + 0.08)) for x in (start + 0.4, end - 0.4)]
-        out += [box(*corners, _WOOD[1]) for corners in battens]
+        out += [box(*corners, WOOD_COLORS[1]) for corners in battens]
         rows = 4
         for k in range(rows):
             base = z + 0.08 + k * (tall - 0.08) / rows
             out.append(
-                box((start, 0.0, base), (end, wide - 0.015 * (k % 2), base + (tall - 0.08) / rows), _WOOD[k % 3])
+                box((start, 0.0, base), (end, wide - 0.015 * (k % 2), base + (tall - 0.08) / rows), WOOD_COLORS[k % 3])
             )
         z += tall
         if rng.uniform() < 0.45:
@@ -123,8 +131,8 @@ def _straps(along: tuple[float, float], half: float, low: float, high: float) ->
     return [
         merged(
             [
-                box((x, half - 0.02, low), (x + 0.05, half + 0.005, high + 0.012), _STRAP),
-                box((x, 0.0, high - 0.005), (x + 0.05, half, high + 0.012), _STRAP),
+                box((x, half - 0.02, low), (x + 0.05, half + 0.005, high + 0.012), STRAP_COLOR),
+                box((x, 0.0, high - 0.005), (x + 0.05, half, high + 0.012), STRAP_COLOR),
             ]
         )
         for x in np.linspace(*along, 3).tolist()
@@ -139,7 +147,7 @@ def _bricks(along: tuple[float, float], half: float, low: float, high: float, rn
         if rng.uniform() < 0.15:
             continue
         tall = min(float(rng.choice([0.75, 0.95, 1.1])), high - low - 0.15)
-        out.append(box((x, 0.06, low), (x + 1.1, half - 0.02, low + 0.13), _WOOD[0]))
+        out.append(box((x, 0.06, low), (x + 1.1, half - 0.02, low + 0.13), WOOD_COLORS[0]))
         rows = max(3, round(tall / 0.2))
         for k in range(rows):
             z = low + 0.13 + k * tall / rows

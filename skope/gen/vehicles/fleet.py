@@ -21,7 +21,7 @@ from skope.gen.vehicles.car import CarBody
 from skope.gen.vehicles.coaches import CityBusBody, CoachBody, DoubleDeckBody, SchoolBusBody, StepVanBody
 from skope.gen.vehicles.jittered_parts import draw_details, styled
 from skope.gen.vehicles.model import Derived, Trailer, Vehicle, simplified_parts
-from skope.gen.vehicles.parts import SIGN_HEIGHT
+from skope.gen.vehicles.parts import PART_SIZES
 from skope.gen.vehicles.shape import Shape, VehicleStyle
 from skope.gen.vehicles.trailer_body import TrailerBody
 from skope.gen.vehicles.truck import ChassisCabBody, TruckBody
@@ -29,7 +29,7 @@ from skope.gen.vehicles.user_models import load_model
 from skope.gen.vehicles.wheels import steel_wheel, wheel_mesh
 from skope.types import Array
 
-_BODIES: Final[dict[str, Any]] = {
+BODY_KINDS: Final[dict[str, Any]] = {
     "car": CarBody,
     "truck": TruckBody,
     "bus": BusBody,
@@ -65,7 +65,8 @@ class ParametricVehicle(Derived):
         return (
             s.length,
             s.width,
-            s.height + max(SIGN_HEIGHT if self.style.sign else 0.0, ROOF_LOAD_HEIGHTS_M.get(self.style.load, 0.0)),
+            s.height
+            + max(PART_SIZES.sign_height_m if self.style.sign else 0.0, ROOF_LOAD_HEIGHTS_M.get(self.style.load, 0.0)),
         )
 
     @cached_property
@@ -73,7 +74,7 @@ class ParametricVehicle(Derived):
         """Surfaces and the left keypoints, by stem."""
 
         def build() -> Arrays:
-            body: CarBody | TruckBody | BusBody = _BODIES[self.style.family](self.shape, self.style)
+            body: CarBody | TruckBody | BusBody = BODY_KINDS[self.style.family](self.shape, self.style)
             own = body.mesh.to_arrays("mesh") | body.interior.to_arrays("interior") | body.points
             return {**own, **self._trailer_arrays()} if self.style.trailer else own
 

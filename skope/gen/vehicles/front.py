@@ -7,7 +7,7 @@ import numpy as np
 
 from skope.gen.mesh import Mesh
 from skope.gen.vehicles import parts
-from skope.gen.vehicles.lofted_surfaces import FRONT_END, SIDE_START, WRAP, Surface
+from skope.gen.vehicles.lofted_surfaces import FRONT_END, SIDE_START, WRAP_AXES, Surface
 from skope.gen.vehicles.panels import (
     Points,
     disc,
@@ -27,7 +27,7 @@ _RIM_WIDTH_M: Final = 0.009
 _RIM_SHIFT: Final = np.array([_RIM_WIDTH_M, 0.0])
 _DARK_KINDS: Final = frozenset(("swept", "hook", "slim", "narrow", "blade", "pixel", "split"))
 """Kinds with a dark housing."""
-_LENSES: Final[dict[str, tuple[tuple[float, float], ...]]] = {
+LENS_PLACES: Final[dict[str, tuple[tuple[float, float], ...]]] = {
     "slim": ((0.2, 0.52), (0.42, 0.52)),
     "drop": ((0.4, 0.52),),
     "twin": ((0.22, 0.52), (0.6, 0.52)),
@@ -38,7 +38,7 @@ _LENSES: Final[dict[str, tuple[tuple[float, float], ...]]] = {
     "pixel": (),
 }
 """Places of the lenses, shares across and up; of kinds that are not listed (0.24, 0.52) and (0.5, 0.52)."""
-_STRIPS: Final[dict[str, tuple[tuple[float, float, float, float], ...]]] = {
+LIGHT_STRIPS: Final[dict[str, tuple[tuple[float, float, float, float], ...]]] = {
     "swept": ((0.04, 0.86, 0.05, 0.17),),
     "hook": ((0.03, 0.86, 0.84, 0.95), (0.03, 0.08, 0.1, 0.84)),
     "slim": ((0.03, 0.8, 0.78, 0.95),),
@@ -50,7 +50,7 @@ _STRIPS: Final[dict[str, tuple[tuple[float, float, float, float], ...]]] = {
     "split": ((0.03, 0.78, 0.25, 0.8),),
 }
 """Strips of daytime light: shares across from and to, up from and to."""
-_AMBER: Final = {
+INDICATOR_PARTS: Final = {
     "swept": (0.72, 0.95, 0.3, 0.82),
     "slim": (0.72, 0.96, 0.2, 0.7),
     "drop": (0.72, 0.92, 0.25, 0.75),
@@ -88,21 +88,21 @@ def _draw_lenses(
     lamp, tall = _headlight_outline(kind, along, up)
     inner, outer = lamp[0, 0], lamp[1, 0]
     shape = rounded(lamp, 0.045 if kind == "drop" else 0.02)
-    points["headlight_inner"] = shell.place((lamp[0] + lamp[3]) / 2 - _RIM_SHIFT, WRAP)[0]
-    points["headlight_outer"] = shell.place((lamp[1] + lamp[2]) / 2 + _RIM_SHIFT, WRAP)[0]
-    shell.sink(grown(shape, _RIM_WIDTH_M), WRAP, 0.014, "trim", wall="trim")
-    shell.draw(shape, WRAP, "lamp_dark" if kind in _DARK_KINDS else "lamp_clear")
+    points["headlight_inner"] = shell.place((lamp[0] + lamp[3]) / 2 - _RIM_SHIFT, WRAP_AXES)[0]
+    points["headlight_outer"] = shell.place((lamp[1] + lamp[2]) / 2 + _RIM_SHIFT, WRAP_AXES)[0]
+    shell.sink(grown(shape, _RIM_WIDTH_M), WRAP_AXES, 0.014, "trim", wall="trim")
+    shell.draw(shape, WRAP_AXES, "lamp_dark" if kind in _DARK_KINDS else "lamp_clear")
     radius = min(0.34 * tall, 0.085 * (outer - inner) + 0.01)
-    for across, upward in _LENSES.get(kind, ((0.24, 0.52), (0.5, 0.52))):
+    for across, upward in LENS_PLACES.get(kind, ((0.24, 0.52), (0.5, 0.52))):
         center = within(lamp, across, across, upward, upward)[0]
-        shell.draw(disc(center, radius * 1.3), WRAP, "chrome", layer=2)
-        shell.draw(disc(center, radius), WRAP, "headlight", layer=3)
+        shell.draw(disc(center, radius * 1.3), WRAP_AXES, "chrome", layer=2)
+        shell.draw(disc(center, radius), WRAP_AXES, "headlight", layer=3)
     if kind == "pixel":
         for across, upward in ((0.1, 0.12), (0.1, 0.56), (0.42, 0.12), (0.42, 0.56)):
-            shell.draw(within(lamp, across, across + 0.26, upward, upward + 0.32), WRAP, "headlight", layer=3)
-    for strip in _STRIPS.get(kind, ()):
-        shell.draw(within(lamp, *strip), WRAP, "daylight", layer=4)
-    shell.draw(within(lamp, *_AMBER.get(kind, (0.78, 0.96, 0.12, 0.8))), WRAP, "indicator_left", layer=2)
+            shell.draw(within(lamp, across, across + 0.26, upward, upward + 0.32), WRAP_AXES, "headlight", layer=3)
+    for strip in LIGHT_STRIPS.get(kind, ()):
+        shell.draw(within(lamp, *strip), WRAP_AXES, "daylight", layer=4)
+    shell.draw(within(lamp, *INDICATOR_PARTS.get(kind, (0.78, 0.96, 0.12, 0.8))), WRAP_AXES, "indicator_left", layer=2)
     if kind == "split":
         _draw_lower_lamp(shell, (inner + 0.5 * (outer - inner), outer - 0.06), (below + 0.015, lamp[0, 1] - 0.035))
 
@@ -131,11 +131,11 @@ def _draw_lower_lamp(shell: Surface, along: tuple[float, float], up: tuple[float
     low = min(low, high - 0.06)
     pocket = quad(inner, outer, (low, low + 0.01), (high, high + 0.01))
     radius = min(0.3 * (high - low), 0.16 * (outer - inner))
-    shell.draw(grown(pocket, 0.008), WRAP, "lamp_dark", layer=14)
+    shell.draw(grown(pocket, 0.008), WRAP_AXES, "lamp_dark", layer=14)
     for share in (0.28, 0.72):
         center = within(pocket, share, share, 0.5, 0.5)[0]
-        shell.draw(disc(center, 1.3 * radius), WRAP, "chrome", layer=15)
-        shell.draw(disc(center, radius), WRAP, "headlight", layer=16)
+        shell.draw(disc(center, 1.3 * radius), WRAP_AXES, "chrome", layer=15)
+        shell.draw(disc(center, radius), WRAP_AXES, "headlight", layer=16)
 
 
 def _draw_round(
@@ -144,16 +144,16 @@ def _draw_round(
     (inner, outer), (low, high) = along, up
     radius = (high - low) * 0.62
     center, reach = np.array([(inner + outer) / 2, (low + high) / 2]), np.array([radius, 0])
-    points["headlight_inner"] = shell.place(center - reach, WRAP)[0]
-    points["headlight_outer"] = shell.place(center + reach, WRAP)[0]
-    shell.sink(disc(center, radius, 12), WRAP, 0.02, "chrome", wall="chrome")
-    shell.draw(disc(center, radius - 0.016, 12), WRAP, "daylight" if ring else "lamp_dark")
+    points["headlight_inner"] = shell.place(center - reach, WRAP_AXES)[0]
+    points["headlight_outer"] = shell.place(center + reach, WRAP_AXES)[0]
+    shell.sink(disc(center, radius, 12), WRAP_AXES, 0.02, "chrome", wall="chrome")
+    shell.draw(disc(center, radius - 0.016, 12), WRAP_AXES, "daylight" if ring else "lamp_dark")
     if ring:
-        shell.draw(disc(center, radius - 0.034, 12), WRAP, "lamp_dark", layer=1.5)
-    shell.draw(disc(center, radius * 0.66, 12), WRAP, "headlight", layer=2)
-    shell.draw(disc(center, radius * 0.3, 8), WRAP, "lamp_clear", layer=3)
+        shell.draw(disc(center, radius - 0.034, 12), WRAP_AXES, "lamp_dark", layer=1.5)
+    shell.draw(disc(center, radius * 0.66, 12), WRAP_AXES, "headlight", layer=2)
+    shell.draw(disc(center, radius * 0.3, 8), WRAP_AXES, "lamp_clear", layer=3)
     side = rounded(rectangle_outline(center[0] + radius * 0.1, center[0] + radius * 1.1, low - 0.13, low - 0.07), 0.02)
-    shell.draw(side, WRAP, "indicator_left")
+    shell.draw(side, WRAP_AXES, "indicator_left")
 
 
 _LOGO_RADIUS_M: Final = 0.042
@@ -189,7 +189,7 @@ def draw_front(shell: Surface, w: Array, s: Shape, style: VehicleStyle, points: 
     intake = (s.clearance + 0.09, s.clearance + 0.09 + 0.56 * room)
     plate = plate_height(intake[0] + 0.03 if style.intake in ("wide", "triple", "deep") else intake[1] + 0.02)
     plate = _stepped(plate, style.plate_steps, s.clearance + 0.06, (low + high) / 2 - 0.05)
-    logo = shell.place((0.0, (low + high) / 2), WRAP)[0] * [1, 0, 1]
+    logo = shell.place((0.0, (low + high) / 2), WRAP_AXES)[0] * [1, 0, 1]
     # Hung before anything is sunk: in front of the skin, not in an intake.
     hung = (
         [parts.plate(*_plate_place(shell, plate, bent=style.soft_seams), 1.0, style.front_plate)]
@@ -205,8 +205,8 @@ def draw_front(shell: Surface, w: Array, s: Shape, style: VehicleStyle, points: 
 
 def _stepped(plate: float, steps: int, low: float, high: float) -> float:
     """A plate's height some places above its usual one, where it stays between two heights there, metres."""
-    moved = plate + steps * parts.PLATE_STEP
-    return moved if low <= moved <= high - parts.PLATE[1] else plate
+    moved = plate + steps * parts.PART_SIZES.plate_step_m
+    return moved if low <= moved <= high - parts.PART_SIZES.plate_m[1] else plate
 
 
 def _plate_place(shell: Surface, plate: float, *, bent: bool) -> tuple[float, float, float]:
@@ -214,12 +214,12 @@ def _plate_place(shell: Surface, plate: float, *, bent: bool) -> tuple[float, fl
 
     `bent`: the front may stand out between the plate's edges.
     """
-    _, high = parts.PLATE
-    (low_x, *_), (high_x, *_) = (shell.place((0.0, plate + z), WRAP)[0] for z in (0.0, high))
+    _, high = parts.PART_SIZES.plate_m
+    (low_x, *_), (high_x, *_) = (shell.place((0.0, plate + z), WRAP_AXES)[0] for z in (0.0, high))
     tilt = float(np.clip(low_x - high_x, 0.0, 0.03))
     ahead = max(float(low_x), float(high_x))
     for share in np.linspace(0.1, 0.9, 9).tolist() if bent else ():
-        ahead = max(ahead, float(shell.place((0.0, plate + share * high), WRAP)[0][0]) + share * tilt)
+        ahead = max(ahead, float(shell.place((0.0, plate + share * high), WRAP_AXES)[0][0]) + share * tilt)
     return ahead + 0.002, plate, tilt
 
 
@@ -249,74 +249,84 @@ def _draw_grille(shell: Surface, s: Shape, style: VehicleStyle, intake: float) -
     frame = style.grille_frame or ("chrome" if style.chrome else "trim")
     if style.grille in outlines:
         outline = mirrored(outlines[style.grille])
-        shell.paint(grown(outline, 0.015), WRAP, frame)
+        shell.paint(grown(outline, 0.015), WRAP_AXES, frame)
         if style.grille == "panel":
-            shell.draw(outline, WRAP, "lamp_dark", layer=1)
+            shell.draw(outline, WRAP_AXES, "lamp_dark", layer=1)
         else:
-            shell.sink(outline, WRAP, 0.03, pattern, wall="gap")
+            shell.sink(outline, WRAP_AXES, 0.03, pattern, wall="gap")
         if style.grille == "bar":
             middle = (bottom + top) / 2
-            shell.draw(rectangle_outline(-edge, edge, middle - 0.028, middle + 0.028), WRAP, "chrome", layer=9)
+            shell.draw(rectangle_outline(-edge, edge, middle - 0.028, middle + 0.028), WRAP_AXES, "chrome", layer=9)
         if style.grille == "slim":
-            shell.draw(rectangle_outline(-edge, edge, top - 0.072, top - 0.06), WRAP, "chrome", layer=9)
+            shell.draw(rectangle_outline(-edge, edge, top - 0.072, top - 0.06), WRAP_AXES, "chrome", layer=9)
         if style.grille == "double":
-            shell.draw(rectangle_outline(-edge, edge, top - 0.06, top - 0.02), WRAP, "gap", layer=1)
+            shell.draw(rectangle_outline(-edge, edge, top - 0.06, top - 0.02), WRAP_AXES, "gap", layer=1)
     elif style.grille in _GRILLE_SLOTS:
         for start, end in _GRILLE_SLOTS[style.grille]:
             a, b = (start[0] + start[1] * edge, end[0] + end[1] * edge)
             deep = 0.5 * (bottom - intake) if style.grille == "kidneys" else 0.04
             outline = quad(a, b, (bottom - deep, bottom - deep + 0.03), (top, top - 0.02))
-            shell.paint(grown(outline, 0.012), WRAP, style.grille_frame or "chrome")
-            shell.sink(outline, WRAP, 0.03, pattern, wall="chrome" if style.chrome else "gap")
+            shell.paint(grown(outline, 0.012), WRAP_AXES, style.grille_frame or "chrome")
+            shell.sink(outline, WRAP_AXES, 0.03, pattern, wall="chrome" if style.chrome else "gap")
     elif style.grille == "strip":
-        shell.draw(rectangle_outline(-edge, edge, top - 0.055, top - 0.01), WRAP, "lamp_dark", layer=1)
-        shell.draw(rectangle_outline(-edge, edge, top - 0.042, top - 0.022), WRAP, "daylight", layer=2)
+        shell.draw(rectangle_outline(-edge, edge, top - 0.055, top - 0.01), WRAP_AXES, "lamp_dark", layer=1)
+        shell.draw(rectangle_outline(-edge, edge, top - 0.042, top - 0.022), WRAP_AXES, "daylight", layer=2)
     elif style.grille == "closed":
         # A closed nose: a glossy band between the lamps.
-        shell.draw(rectangle_outline(-edge, edge, top - 0.05, top - 0.015), WRAP, "gap", layer=1)
+        shell.draw(rectangle_outline(-edge, edge, top - 0.05, top - 0.015), WRAP_AXES, "gap", layer=1)
 
 
 def _draw_intake(shell: Surface, s: Shape, style: VehicleStyle, z: tuple[float, float], wide: float) -> None:
     """Draw the air intakes of the front bumper, the fog lamps, and the lip below."""
     low, high = z
     if style.intake == "wide":
-        shell.sink(mirrored([(wide - 0.16, low), (wide - 0.1, high - 0.03)]), WRAP, 0.04, "grille_slats", wall="trim")
+        shell.sink(
+            mirrored([(wide - 0.16, low), (wide - 0.1, high - 0.03)]), WRAP_AXES, 0.04, "grille_slats", wall="trim"
+        )
         pocket = quad(wide - 0.04, wide + 0.15, (low + 0.02, low + 0.05), (high - 0.02, high - 0.01))
         _draw_fog_lamp(shell, rounded(pocket, 0.03), (wide + 0.06, (low + high) / 2))
     elif style.intake == "triple":
-        shell.sink(mirrored([(0.3, low), (0.36, high - 0.04)]), WRAP, 0.04, "grille_mesh", wall="trim")
+        shell.sink(mirrored([(0.3, low), (0.36, high - 0.04)]), WRAP_AXES, 0.04, "grille_mesh", wall="trim")
         pocket = quad(wide - 0.16, wide + 0.14, (low, low + 0.03), (high - 0.06, high + 0.05))
-        shell.sink(pocket, WRAP, 0.04, "grille_mesh", wall="gap")
-        shell.draw(within(pocket, 0.06, 0.94, 0.86, 0.97), WRAP, "lamp_clear", layer=12)
+        shell.sink(pocket, WRAP_AXES, 0.04, "grille_mesh", wall="gap")
+        shell.draw(within(pocket, 0.06, 0.94, 0.86, 0.97), WRAP_AXES, "lamp_clear", layer=12)
     elif style.intake == "deep":
-        shell.sink(mirrored([(wide - 0.05, low - 0.01), (wide - 0.12, high)]), WRAP, 0.05, "grille_mesh", wall="trim")
-        shell.draw(rectangle_outline(-wide, wide, low - 0.045, low - 0.02), WRAP, "rail")
+        shell.sink(
+            mirrored([(wide - 0.05, low - 0.01), (wide - 0.12, high)]), WRAP_AXES, 0.05, "grille_mesh", wall="trim"
+        )
+        shell.draw(rectangle_outline(-wide, wide, low - 0.045, low - 0.02), WRAP_AXES, "rail")
     elif style.intake == "slot":
-        shell.sink(mirrored([(wide - 0.05, low + 0.01), (wide - 0.1, low + 0.09)]), WRAP, 0.03, "grille_slats")
+        shell.sink(mirrored([(wide - 0.05, low + 0.01), (wide - 0.1, low + 0.09)]), WRAP_AXES, 0.03, "grille_slats")
         blade = quad(wide + 0.02, wide + 0.05, (low + 0.03, low + 0.05), (high + 0.03, high + 0.04))
-        shell.draw(grown(blade, 0.018), WRAP, "trim")
-        shell.draw(blade, WRAP, "lamp_clear", layer=2)
+        shell.draw(grown(blade, 0.018), WRAP_AXES, "trim")
+        shell.draw(blade, WRAP_AXES, "lamp_clear", layer=2)
     elif style.intake == "skid":
-        shell.sink(mirrored([(wide - 0.2, low + 0.07), (wide - 0.12, high)]), WRAP, 0.04, "grille_mesh", wall="trim")
-        shell.draw(mirrored([(0.3, low - 0.03), (0.36, low + 0.06)]), WRAP, "rail", layer=2)
+        shell.sink(
+            mirrored([(wide - 0.2, low + 0.07), (wide - 0.12, high)]), WRAP_AXES, 0.04, "grille_mesh", wall="trim"
+        )
+        shell.draw(mirrored([(0.3, low - 0.03), (0.36, low + 0.06)]), WRAP_AXES, "rail", layer=2)
         pocket = quad(wide - 0.02, wide + 0.14, (low + 0.06, low + 0.08), (high + 0.02, high))
         _draw_fog_lamp(shell, rounded(pocket, 0.03), (wide + 0.06, (low + high) / 2 + 0.04))
     elif style.intake == "corners":
-        shell.sink(mirrored([(wide - 0.22, low), (wide - 0.28, low + 0.1)]), WRAP, 0.03, "grille_mesh", wall="trim")
+        shell.sink(
+            mirrored([(wide - 0.22, low), (wide - 0.28, low + 0.1)]), WRAP_AXES, 0.03, "grille_mesh", wall="trim"
+        )
         pocket = quad(wide + 0.0, wide + 0.1, (low + 0.02, low + 0.03), (high + 0.05, high + 0.07))
-        shell.sink(pocket, WRAP, 0.04, "gap", wall="gap")
+        shell.sink(pocket, WRAP_AXES, 0.04, "gap", wall="gap")
     elif style.intake == "mouth":
-        shell.paint(mirrored([(wide + 0.08, low - 0.03), (wide + 0.02, high + 0.05)]), WRAP, "trim")
-        shell.sink(mirrored([(wide - 0.14, low), (wide - 0.22, high + 0.02)]), WRAP, 0.04, "grille_mesh", wall="gap")
+        shell.paint(mirrored([(wide + 0.08, low - 0.03), (wide + 0.02, high + 0.05)]), WRAP_AXES, "trim")
+        shell.sink(
+            mirrored([(wide - 0.14, low), (wide - 0.22, high + 0.02)]), WRAP_AXES, 0.04, "grille_mesh", wall="gap"
+        )
         _draw_fog_lamp(shell, disc((wide - 0.02, (low + high) / 2), 0.055, 8), (wide - 0.02, (low + high) / 2))
     else:
-        shell.draw(rectangle_outline(-0.1, wide - 0.1, low, high - 0.04), WRAP, "gap")
+        shell.draw(rectangle_outline(-0.1, wide - 0.1, low, high - 0.04), WRAP_AXES, "gap")
         _draw_fog_lamp(
             shell, rectangle_outline(wide - 0.02, wide + 0.12, low, high - 0.04), (wide + 0.05, (low + high) / 2 - 0.02)
         )
 
 
 def _draw_fog_lamp(shell: Surface, pocket: Array, lamp: tuple[float, float]) -> None:
-    shell.sink(pocket, WRAP, 0.025, "trim")
-    shell.draw(disc(lamp, 0.042, 8), WRAP, "chrome", layer=2)
-    shell.draw(disc(lamp, 0.032, 8), WRAP, "lamp_clear", layer=3)
+    shell.sink(pocket, WRAP_AXES, 0.025, "trim")
+    shell.draw(disc(lamp, 0.042, 8), WRAP_AXES, "chrome", layer=2)
+    shell.draw(disc(lamp, 0.032, 8), WRAP_AXES, "lamp_clear", layer=3)

@@ -9,9 +9,9 @@ import numpy as np
 from skope.errors import UserError
 from skope.gen.vehicles.shape import DETAIL_NAMES, Shape, VehicleStyle
 
-_BLACK: Final = "#111111"
+GLOSS_BLACK: Final = "#111111"
 """Gloss black, as of painted roofs and mirrors."""
-_HATCHES: Final = frozenset(("hatchback", "city_car", "wagon", "suv", "minivan"))
+HATCH_TYPES: Final = frozenset(("hatchback", "city_car", "wagon", "suv", "minivan"))
 
 
 class Detail(NamedTuple):
@@ -41,12 +41,12 @@ def _may_carry(style: VehicleStyle, vehicle_type: str) -> bool:
         style.family == "car"
         and not style.sign
         and style.load != "beacons"
-        and vehicle_type in {*_HATCHES, "sedan", "van"}
+        and vehicle_type in {*HATCH_TYPES, "sedan", "van"}
     )
 
 
 def _is_hatch(style: VehicleStyle, vehicle_type: str) -> bool:
-    return style.family == "car" and vehicle_type in _HATCHES
+    return style.family == "car" and vehicle_type in HATCH_TYPES
 
 
 def _has_rear_panes(style: VehicleStyle, vehicle_type: str) -> bool:
@@ -58,7 +58,7 @@ def _kinds(own: float, field: str, shares: Mapping[Any, float]) -> tuple[tuple[f
     return (own, {}), *((share, {field: value}) for value, share in shares.items())
 
 
-DETAILS: Final[dict[str, Detail]] = {
+ALL_DETAILS: Final[dict[str, Detail]] = {
     "seams": Detail(_kinds(0, "soft_seams", {True: 1}), _is_car),
     "grille": Detail(
         _kinds(
@@ -114,11 +114,11 @@ DETAILS: Final[dict[str, Detail]] = {
         ),
         _is_car,
     ),
-    "roof": Detail(_kinds(8, "roof_tone", {_BLACK: 1.6, "#eeeeee": 0.2}), _is_private),
-    "pillars": Detail(_kinds(6, "pillar_tone", {"trim": 1.5, _BLACK: 1.5}), _is_private),
+    "roof": Detail(_kinds(8, "roof_tone", {GLOSS_BLACK: 1.6, "#eeeeee": 0.2}), _is_private),
+    "pillars": Detail(_kinds(6, "pillar_tone", {"trim": 1.5, GLOSS_BLACK: 1.5}), _is_private),
     "bright": Detail(_kinds(5, "chrome", {True: 2, False: 2}), _is_car),
     "glass": Detail(_kinds(5, "tinted", {True: 2, False: 2}), _is_car),
-    "mirrors": Detail(_kinds(6, "mirror", {"trim": 2, _BLACK: 2, "paint": 1.5, "#bbbbbb": 0.4}), _is_car),
+    "mirrors": Detail(_kinds(6, "mirror", {"trim": 2, GLOSS_BLACK: 2, "paint": 1.5, "#bbbbbb": 0.4}), _is_car),
     "roof_load": Detail(
         (
             (12, {}), (0.6, {"load": "box"}), (1, {"load": "bars"}), (0.25, {"load": "ladder"}),
@@ -144,7 +144,7 @@ DETAILS: Final[dict[str, Detail]] = {
     ),
     "badge": Detail(
         (
-            (5, {}), (1, {"badge_size": 1.35}), (1, {"badge_size": 0.75}), (1, {"badge": _BLACK}),
+            (5, {}), (1, {"badge_size": 1.35}), (1, {"badge_size": 0.75}), (1, {"badge": GLOSS_BLACK}),
             (0.7, {"badge": "#224488"}), (0.5, {"badge": "#cc2222"}), (0.7, {"badge": "chrome", "badge_size": 1.7}),
         ),
         _is_any,
@@ -173,29 +173,29 @@ class _Rare(NamedTuple):
     usual: Callable[[VehicleStyle, str], bool]
 
 
-_RARE: Final = {
+RARE_DETAILS: Final = {
     "decal": _Rare(slice(1, None), 0.15, lambda style, _: style.palette != "private"),
     "sills": _Rare(slice(1, 2), 0.2, lambda _, kind: kind in ("suv", "pickup", "van", "wagon")),
     "taillight": _Rare(slice(-1, None), 0, lambda _, kind: kind == "van"),
     "roof_load": _Rare(slice(3, 4), 0.15, lambda _, kind: kind == "van"),
 }
-"""The options among `DETAILS` that are rare on most vehicles, or on vans alone, by the detail's name."""
-_DIRTY: Final = 0.45
+"""The options among `ALL_DETAILS` that are rare on most vehicles, or on vans alone, by the detail's name."""
+DIRTY_SHARE: Final = 0.45
 """Share of vehicles that are not clean."""
 
 
 def draw_details(style: VehicleStyle, vehicle_type: str, rng: np.random.Generator) -> dict[str, float]:
     """Options for a vehicle of a style and type, by name of `Details`; what stays the model's own is left out."""
     out = {}
-    for name, detail in DETAILS.items():
+    for name, detail in ALL_DETAILS.items():
         shares = np.array([share for share, _ in detail.options], dtype=np.float64)
-        if name in _RARE and not _RARE[name].usual(style, vehicle_type):
-            shares[_RARE[name].options] *= _RARE[name].factor
+        if name in RARE_DETAILS and not RARE_DETAILS[name].usual(style, vehicle_type):
+            shares[RARE_DETAILS[name].options] *= RARE_DETAILS[name].factor
         choice = float(rng.choice(len(shares), p=shares / shares.sum()))
         if choice and detail.suits(style, vehicle_type):
             out[name] = choice
     dirt = float(rng.uniform(0.1, 1.0)) ** 2
-    if rng.uniform() < _DIRTY:
+    if rng.uniform() < DIRTY_SHARE:
         out["dirt"] = dirt
     return out
 
@@ -207,7 +207,7 @@ def styled(style: VehicleStyle, shape: Shape) -> VehicleStyle:
         UserError: A detail has no such option.
     """
     changes: dict[str, Any] = {}
-    for name, detail in DETAILS.items():
+    for name, detail in ALL_DETAILS.items():
         choice, count = getattr(shape, name), len(detail.options)
         if choice not in range(count):
             raise UserError(f"shape: {name}: expected a whole number from 0 to {count - 1}, got {choice}")
@@ -217,7 +217,7 @@ def styled(style: VehicleStyle, shape: Shape) -> VehicleStyle:
     return replace(style, **changes) if changes else style
 
 
-assert {*DETAILS, "dirt"} == DETAIL_NAMES
-assert {key for detail in DETAILS.values() for _, option in detail.options for key in option} <= {
+assert {*ALL_DETAILS, "dirt"} == DETAIL_NAMES
+assert {key for detail in ALL_DETAILS.values() for _, option in detail.options for key in option} <= {
     f.name for f in fields(VehicleStyle)
 }

@@ -17,24 +17,24 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from skope.gen.mesh import Mesh, cross, from_triangles, merged, numbered_rows
-from skope.gen.vehicles.triangle_cuts import EDGES, ConvexPolygon, Indices, cut
+from skope.gen.vehicles.triangle_cuts import TRIANGLE_EDGES, ConvexPolygon, Indices, cut
 from skope.types import Array
 
 X, Y, Z, NX, NY, NZ, W, T = range(8)
 """Columns of a surface's vertices: position, normal, metres along the outline from the front's middle, row."""
-WRAP: Final = (W, Z)
-ROWS: Final = (W, T)
-SIDE: Final = (X, Z)
-TOP: Final = (X, Y)
+WRAP_AXES: Final = (W, Z)
+ROW_AXES: Final = (W, T)
+SIDE_AXES: Final = (X, Z)
+TOP_AXES: Final = (X, Y)
 
 FLOOR, INNER, BOTTOM, SHOULDER, DECK, CENTER = -2.0, -1.0, 0.0, 1.0, 2.0, 3.0
 """Rows (T) of a shell: the floor's middle and inner edge, the wall's ends, the rim, the top's middle."""
 
 _FRONT_INTERVALS, _CORNER_INTERVALS = 4, 4
 """Intervals between columns over half the front or rear, and around a corner."""
-_LIFT: Final = 0.0012
+LAYER_LIFT_M: Final = 0.0012
 """Distance by which each layer of what is drawn hovers over the one below, metres."""
-_CREASE: Final = np.cos(np.radians(38))
+CREASE_COS: Final = np.cos(np.radians(38))
 _SAME_ROW: Final = 1e-6
 
 
@@ -140,7 +140,7 @@ class Surface:
         for start, stop in zip(starts, [*starts[1:], len(group)], strict=True):
             at = order[start:stop]
             own = unit[owner[at]]
-            near = (own @ own.T) > _CREASE
+            near = (own @ own.T) > CREASE_COS
             if broken[corners[at[0]]]:
                 upper = above[owner[at]] > place[corners[at[0]], 1]
                 near &= upper[:, None] == upper[None, :]
@@ -281,8 +281,8 @@ class Surface:
         """Starts and ends of the edges around triangles, counter-clockwise."""
         used, local = _renumbered(triangles)
         same, _ = numbered_rows(self._vertices[used, :NX], 6)
-        edges = triangles[:, EDGES].reshape(-1, 2)
-        keys = same[local[:, EDGES].reshape(-1, 2)]
+        edges = triangles[:, TRIANGLE_EDGES].reshape(-1, 2)
+        keys = same[local[:, TRIANGLE_EDGES].reshape(-1, 2)]
         base = int(keys.max()) + 1
         rim = ~np.isin(keys[:, 0] * base + keys[:, 1], keys[:, 1] * base + keys[:, 0])
         return edges[rim, 0], edges[rim, 1]
@@ -318,7 +318,7 @@ class Surface:
             return
         used, index = _renumbered(inside)
         v = made.vertices[used]
-        position = v[:, :NX] + layer * _LIFT * v[:, NX:W]
+        position = v[:, :NX] + layer * LAYER_LIFT_M * v[:, NX:W]
         kind = np.zeros(len(inside), dtype=np.int64)
         self._drawn.append(Mesh(position, v[:, NX:W], index, (material,), kind))
 
@@ -356,7 +356,7 @@ class Surface:
 
     def side(self, place: Array) -> float:
         """y of the surface's outermost point over a place x, z."""
-        return float(self.place(place, SIDE)[0][1])
+        return float(self.place(place, SIDE_AXES)[0][1])
 
     def line(
         self,
@@ -383,7 +383,7 @@ class Surface:
 
         Returns its lining and the (N, 2, 3) edges that it leaves in the wall, each counter-clockwise around the hole.
         """
-        gone = self._cut_polygon(polygon, SIDE, (INNER, SHOULDER), None)
+        gone = self._cut_polygon(polygon, SIDE_AXES, (INNER, SHOULDER), None)
         removed = self._triangles[gone]
         self._set_triangles(np.delete(self._triangles, gone, axis=0), np.delete(self._material, gone))
         position = self._vertices[:, :3]

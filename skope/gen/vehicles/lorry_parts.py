@@ -8,14 +8,14 @@ import numpy as np
 
 from skope.gen.mesh import Mesh, box
 from skope.gen.vehicles import rear
-from skope.gen.vehicles.lofted_surfaces import BOTTOM, ROWS, SIDE, TOP, WRAP, Plan, Surface
-from skope.gen.vehicles.panels import LEFT_AXIS, MARKED_FROM_M, MARKER, Points, draw_upper_markers, rectangle_outline
+from skope.gen.vehicles.lofted_surfaces import BOTTOM, ROW_AXES, SIDE_AXES, TOP_AXES, WRAP_AXES, Plan, Surface
+from skope.gen.vehicles.panels import MARKER_MATERIAL, PANEL_LIMITS, Points, draw_upper_markers, rectangle_outline
 from skope.gen.vehicles.shape import Shape, VehicleStyle
 from skope.gen.vehicles.solids import Tower, mudguard
 from skope.gen.vehicles.wheels import steel_wheel
 from skope.types import Array
 
-BEACON: Final = "#e8861a"
+BEACON_COLOR: Final = "#e8861a"
 """Colour of beacons, and of what moves."""
 
 
@@ -67,7 +67,7 @@ def mudguards(space: CargoSpace) -> list[Mesh]:
     return [mudguard((x, s.wheel_radius), s.wheel_radius + 0.09, y, "trim", reach_deg=spread) for x in axles]
 
 
-_RIBS = {
+SIDE_RIBS = {
     "box": (6, 0.014),
     "curtain": (9, 0.03),
     "flatbed": (4, 0.05),
@@ -109,40 +109,45 @@ def cargo_body(s: Shape, kind: str, ahead: float, *, ribs: int = 0) -> tuple[Mes
     corner = last - s.width / 2
     sill, inset = s.box_height + 0.12, 0.11
     frame_material = "rail" if closed else "trim"
-    shell.draw(rectangle_outline(-1, 99, 0, sill - 0.03), WRAP, frame_material)
+    shell.draw(rectangle_outline(-1, 99, 0, sill - 0.03), WRAP_AXES, frame_material)
     top = high - (0.16 if closed else 0.12)
     edge = corner + inset
-    shell.line([(last + 0.1, sill), (edge, sill), (edge, top), (last + 0.1, top)], WRAP, width=0.02)
+    shell.line([(last + 0.1, sill), (edge, sill), (edge, top), (last + 0.1, top)], WRAP_AXES, width=0.02)
     if closed:
         _draw_doors(shell, last, edge, sill, top)
-        shell.draw(rectangle_outline(-1, 99, high - 0.12, high - 0.06), WRAP, frame_material)
-        if s.width > MARKED_FROM_M:
+        shell.draw(rectangle_outline(-1, 99, high - 0.12, high - 0.06), WRAP_AXES, frame_material)
+        if s.width > PANEL_LIMITS.marked_from_m:
             draw_upper_markers(shell, s.width / 2, high - 0.115, last)
     if kind != "tipper":
         for x in np.arange(end + 0.6, ahead - 0.3, _MARKER_STEP_M).tolist():
-            shell.draw(rectangle_outline(x - 0.05, x + 0.05, sill - 0.1, sill - 0.05), SIDE, MARKER, layer=4)
-    count, wide = _RIBS[kind]
+            shell.draw(
+                rectangle_outline(x - 0.05, x + 0.05, sill - 0.1, sill - 0.05), SIDE_AXES, MARKER_MATERIAL, layer=4
+            )
+    count, wide = SIDE_RIBS[kind]
     for x in np.linspace(ahead - 0.25, end + 0.25, ribs or count):
         rib = rectangle_outline(x - wide / 2, x + wide / 2, sill, top + 0.04)
-        shell.draw(rib, SIDE, "rail" if kind != "tipper" else "trim", facing=LEFT_AXIS)
+        shell.draw(rib, SIDE_AXES, "rail" if kind != "tipper" else "trim", facing=PANEL_LIMITS.left_axis)
     if not closed:
-        shell.paint([(-99, -9), (99, -9), (99, 9), (-99, 9)], TOP, "bed", levels=(2.1, 3.0))
+        shell.paint([(-99, -9), (99, -9), (99, 9), (-99, 9)], TOP_AXES, "bed", levels=(2.1, 3.0))
     return shell.half, {
-        "roof_rear": shell.place((corner, high - tower.edge - (tower.crown if closed else 0)), WRAP)[0],
-        "rear_window_base": shell.place((edge, top), WRAP)[0],
-        "trunk_rear": shell.place((corner, BOTTOM), ROWS)[0],
+        "roof_rear": shell.place((corner, high - tower.edge - (tower.crown if closed else 0)), WRAP_AXES)[0],
+        "rear_window_base": shell.place((edge, top), WRAP_AXES)[0],
+        "trunk_rear": shell.place((corner, BOTTOM), ROW_AXES)[0],
     }
 
 
 def _draw_doors(shell: Surface, end: float, edge: float, low: float, top: float) -> None:
     """The gap between two doors, their bolts and hinges."""
-    shell.line([(end, low), (end, top)], WRAP, width=0.016)
+    shell.line([(end, low), (end, top)], WRAP_AXES, width=0.016)
     for share in (0.28, 0.6):
         shell.draw(
-            rectangle_outline(end - share - 0.012, end - share + 0.012, low + 0.05, top - 0.05), WRAP, "rail", layer=8
+            rectangle_outline(end - share - 0.012, end - share + 0.012, low + 0.05, top - 0.05),
+            WRAP_AXES,
+            "rail",
+            layer=8,
         )
     for z in np.linspace(low + 0.3, top - 0.3, 4):
-        shell.draw(rectangle_outline(edge, edge + 0.1, z, z + 0.05), WRAP, "rail", layer=2)
+        shell.draw(rectangle_outline(edge, edge + 0.1, z, z + 0.05), WRAP_AXES, "rail", layer=2)
 
 
 def axle(s: Shape, x: float, *, wheel: bool, dual: bool) -> list[Mesh]:
@@ -180,7 +185,7 @@ def side_guard(s: Shape, tank: float, behind: float, side: float) -> list[Mesh]:
         for x in np.linspace(behind + 0.1, tank - 0.2, 3)
     ]
     markers = [
-        box((x - 0.05, side - 0.01, high + 0.03), (x + 0.05, side + 0.006, high + 0.08), MARKER)
+        box((x - 0.05, side - 0.01, high + 0.03), (x + 0.05, side + 0.006, high + 0.08), MARKER_MATERIAL)
         for x in np.arange(behind + 0.2, tank - 0.15, _MARKER_STEP_M)
     ]
     return rails + posts + markers

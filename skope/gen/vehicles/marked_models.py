@@ -20,7 +20,7 @@ from skope.types import Array
 
 WHEEL_CORNERS: Final = tuple(keypoints.NAMES[k].removeprefix("wheel_") for k in keypoints.WHEELS)
 """front_right, front_left, rear_right, rear_left."""
-LENGTHS: Final = (2.0, 25.0)
+LENGTH_RANGE_M: Final = (2.0, 25.0)
 """Range of a vehicle's length, metres: models beyond it are in another unit."""
 _UNIT_METRES: Final = {"millimetres": 0.001, "centimetres": 0.01, "inches": 0.0254, "feet": 0.3048}
 _AXIS_VECTORS: Final = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
@@ -292,10 +292,10 @@ def _wheel_corners(path: Path, at: dict[str, Array]) -> dict[str, str]:
 
 
 def _check_length(path: Path, length: float, scale: float) -> None:
-    if LENGTHS[0] <= length <= LENGTHS[1]:
+    if LENGTH_RANGE_M[0] <= length <= LENGTH_RANGE_M[1]:
         return
     guesses = [
         f"{unit}: --scale {metres}" for unit, metres in _UNIT_METRES.items() if 2.5 < length / scale * metres < 20
     ]
     hint = f"; in {' or in '.join(guesses)}?" if guesses else f"; --scale {4.5 / (length / scale):.2g} makes it a car's"
-    raise UserError(f"{path}: is {length:.4g} m long, expected {LENGTHS[0]:g} to {LENGTHS[1]:g}{hint}")
+    raise UserError(f"{path}: is {length:.4g} m long, expected {LENGTH_RANGE_M[0]:g} to {LENGTH_RANGE_M[1]:g}{hint}")

@@ -2,18 +2,31 @@
 marker lamps on the sides of heavy bodies."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from skope.gen.vehicles.lofted_surfaces import CENTER, SHOULDER, SIDE, TOP, WRAP, Surface
-from skope.gen.vehicles.parts import PLATE_STEP
+from skope.gen.vehicles.lofted_surfaces import CENTER, SHOULDER, SIDE_AXES, TOP_AXES, WRAP_AXES, Surface
+from skope.gen.vehicles.parts import PART_SIZES
 from skope.gen.vehicles.shape import Shape, VehicleStyle
 from skope.types import Array
 
-LEFT_AXIS: Final = (0.0, 1.0, 0.0)
-"""Normal of a vehicle's left side."""
+
+@dataclass(frozen=True)
+class PanelLimits:
+    """Graphics and marker lamps on the sides."""
+
+    left_axis: tuple[float, float, float] = (0.0, 1.0, 0.0)
+    """Normal of a vehicle's left side."""
+    marked_from_m: float = 2.1
+    """Height from which a body has marker lamps, metres."""
+    plain_share: float = 0.2
+    """Share of bodies without graphics."""
+
+
+PANEL_LIMITS: Final = PanelLimits()
 
 
 Points = dict[str, Array]
@@ -68,7 +81,7 @@ def mirrored(side: Sequence[tuple[float, float]]) -> Array:
 
 def plate_height(wanted: float) -> float:
     """The height nearest to a wanted one at which a plate may hang, metres."""
-    return round(wanted / PLATE_STEP) * PLATE_STEP
+    return round(wanted / PART_SIZES.plate_step_m) * PART_SIZES.plate_step_m
 
 
 _DECAL_COLORS: Final = ("#cc2222", "#224488", "#228844", "#ee8822", "#eeeeee", "#222222", "#eecc22")
@@ -81,7 +94,7 @@ def draw_decal(shell: Surface, s: Shape, style: VehicleStyle) -> None:
     color = _DECAL_COLORS[int(s.length * 1e4) % len(_DECAL_COLORS)]
     if style.decal == "racing":
         strip = rectangle_outline(s.cowl_x - 0.1, s.length / 2, 0.1, 0.3)
-        shell.draw(strip, TOP, color, layer=0.6, levels=(SHOULDER, CENTER))
+        shell.draw(strip, TOP_AXES, color, layer=0.6, levels=(SHOULDER, CENTER))
         return
     if style.decal == "checks":
         _draw_checks(shell, s)
@@ -90,13 +103,13 @@ def draw_decal(shell: Surface, s: Shape, style: VehicleStyle) -> None:
     top = s.belt_height - 0.2
     low = top - min(0.22, 0.45 * (top - s.clearance))
     if style.decal == "stripe":
-        shell.draw(rectangle_outline(behind, ahead, low - 0.06, low + 0.02), SIDE, color, layer=0.6)
+        shell.draw(rectangle_outline(behind, ahead, low - 0.06, low + 0.02), SIDE_AXES, color, layer=0.6)
         return
     middle = behind + 0.35 * (ahead - behind)
     half = 0.26 * (ahead - behind)
     if style.decal == "panel":
-        shell.draw(rectangle_outline(middle - half, middle + half, low - 0.05, top), SIDE, "#eeeeee", layer=0.6)
-        shell.draw(rectangle_outline(middle - half, middle - 0.55 * half, low - 0.05, top), SIDE, color, layer=0.8)
+        shell.draw(rectangle_outline(middle - half, middle + half, low - 0.05, top), SIDE_AXES, "#eeeeee", layer=0.6)
+        shell.draw(rectangle_outline(middle - half, middle - 0.55 * half, low - 0.05, top), SIDE_AXES, color, layer=0.8)
         color = "#222222"
     draw_letters(shell, (middle - 0.45 * half, middle + 0.9 * half), (low, top - 0.05), color, int(s.length * 1e5))
 
@@ -112,7 +125,7 @@ def _draw_checks(shell: Surface, s: Shape) -> None:
         for row in range(2):
             x, z = start + k * size, top - (row + 1) * size * 0.8
             ink = tone if (k + row) % 2 else second
-            shell.draw(rectangle_outline(x, x + size, z, z + size * 0.8), SIDE, ink, layer=0.7)
+            shell.draw(rectangle_outline(x, x + size, z, z + size * 0.8), SIDE_AXES, ink, layer=0.7)
 
 
 def draw_letters(
@@ -126,35 +139,33 @@ def draw_letters(
         x = start
         while x < end - 0.04:
             wide = float(rng.uniform(0.35, 0.8)) * (top - bottom)
-            shell.draw(rectangle_outline(x, min(x + wide, end), bottom, top), SIDE, color, layer=layer)
+            shell.draw(rectangle_outline(x, min(x + wide, end), bottom, top), SIDE_AXES, color, layer=layer)
             x += wide + gap
 
 
-TONES: Final = (
+GRAPHIC_COLORS: Final = (
     "#b8202a", "#1f4e96", "#1d7a46", "#e07b18", "#e8e8e6", "#23262b", "#e3bd1c", "#5b2c83", "#1b8ca0", "#7a1f2e",
     "#9aa0a6", "#274b3a",
 )  # fmt: skip
 """Colours of the graphics."""
-MARKER: Final = "marker_amber"
+MARKER_MATERIAL: Final = "marker_amber"
 """Material of marker lamps along the sides, which burn with the headlights."""
 FRONT_MARKER: Final = "marker_white"
 REAR_MARKER: Final = "marker_red"
-"""Materials of the marker lamps at the upper edges of vehicles wider than `MARKED_FROM_M`, after UNECE R48."""
-MARKED_FROM_M: Final = 2.1
-_PLAIN_SHARE: Final = 0.2
-"""Share of bodies without graphics."""
+"""Materials of the marker lamps at the upper edges of vehicles wider than `PANEL_LIMITS.marked_from_m`, after UNECE
+R48."""
 
 
 def draw_graphics(
     shell: Surface, along: tuple[float, float], up: tuple[float, float], rng: np.random.Generator
 ) -> None:
     """Draw graphics on the side of a shell between two x, rear and front, and two heights; some stay plain."""
-    if rng.uniform() < _PLAIN_SHARE:
+    if rng.uniform() < PANEL_LIMITS.plain_share:
         return
     rear, front = along
     low, high = up
     tall, length = high - low, front - rear
-    first, second = (TONES[k] for k in rng.choice(len(TONES), 2, replace=False))
+    first, second = (GRAPHIC_COLORS[k] for k in rng.choice(len(GRAPHIC_COLORS), 2, replace=False))
     kind = ("band", "slant", "panel", "disc", "name", "half")[int(rng.integers(6))]
     if kind == "band":
         at = low + rng.uniform(0.15, 0.55) * tall
@@ -197,11 +208,11 @@ def draw_upper_markers(shell: Surface, half: float, z: float, end: float | None 
         z: Height of the lamps' lower edge, metres.
         end: W of the middle of its rear.
     """
-    shell.draw(rectangle_outline(half - 0.24, half - 0.12, z, z + 0.05), WRAP, FRONT_MARKER, layer=3)
+    shell.draw(rectangle_outline(half - 0.24, half - 0.12, z, z + 0.05), WRAP_AXES, FRONT_MARKER, layer=3)
     if end is not None:
         corner = end - half
-        shell.draw(rectangle_outline(corner + 0.12, corner + 0.24, z, z + 0.05), WRAP, REAR_MARKER, layer=9)
+        shell.draw(rectangle_outline(corner + 0.12, corner + 0.24, z, z + 0.05), WRAP_AXES, REAR_MARKER, layer=9)
 
 
 def _fill(shell: Surface, polygon: np.ndarray, tone: str, layer: float) -> None:
-    shell.draw(polygon, SIDE, tone, layer=layer, facing=LEFT_AXIS)
+    shell.draw(polygon, SIDE_AXES, tone, layer=layer, facing=PANEL_LIMITS.left_axis)

@@ -1,6 +1,8 @@
 """Small parts that stand out from a body's left side: mirrors, handles, rails, plates, exhausts, arch lips."""
 
 from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -9,13 +11,20 @@ from skope.gen.mesh import Mesh, box, cross, from_triangles, grid, lathe, merged
 from skope.gen.vehicles.solids import pipe
 from skope.types import Array
 
-PLATE_STEP = 0.125
-"""Plates hang at multiples of this height above the road, metres: by it the renderer tells their rows of text."""
-PLATE = (0.26, 0.11)
-"""Half of a plate's width, and its height, metres."""
 
-SIGN_HEIGHT = 0.12
-"""Height of a taxi's sign over the roof, metres."""
+@dataclass(frozen=True)
+class PartSizes:
+    """Sizes of number plates and roof signs."""
+
+    plate_step_m: float = 0.125
+    """Plates hang at multiples of this height above the road, metres: by it the renderer tells their rows of text."""
+    plate_m: tuple[float, float] = (0.26, 0.11)
+    """Half of a plate's width, and its height, metres."""
+    sign_height_m: float = 0.12
+    """Height of a taxi's sign over the roof, metres."""
+
+
+PART_SIZES: Final = PartSizes()
 
 
 def block(low: ArrayLike, high: ArrayLike, material: str, bevel: float) -> Mesh:
@@ -167,7 +176,7 @@ def deflector(front: float, rear: float, half_width: float, z: float, high: floa
 def roof_sign(x: float, z: float, material: str = "sign") -> Mesh:
     """The left half of a lit sign across the roof, of a taxi or a delivery car."""
     low = np.array([(x + 0.075, 0.0, z), (x + 0.075, 0.26, z), (x - 0.075, 0.26, z), (x - 0.075, 0.0, z)])
-    top = z + SIGN_HEIGHT
+    top = z + PART_SIZES.sign_height_m
     high = np.array([(x + 0.045, 0.0, top), (x + 0.045, 0.21, top), (x - 0.045, 0.21, top), (x - 0.045, 0.0, top)])
     foot = box((x - 0.085, 0.0, z - 0.05), (x + 0.085, 0.27, z + 0.012), "trim")
     sides = [[low[i], low[i + 1], high[i + 1], high[i]] for i in range(3)]
@@ -176,7 +185,7 @@ def roof_sign(x: float, z: float, material: str = "sign") -> Mesh:
 
 def plate(x: float, z: float, tilt: float, sign: float, material: str = "plate") -> Mesh:
     """The left half of a number plate, its face at `x` at its lower edge, leaning back by `tilt` at the upper one."""
-    half, high = PLATE
+    half, high = PART_SIZES.plate_m
     face = np.array([(x, 0, z), (x, half, z), (x - sign * tilt, half, z + high), (x - sign * tilt, 0, z + high)])
     rim = face + np.array([(0, 0, -0.012), (0, 0.012, -0.012), (0, 0.012, 0.012), (0, 0, 0.012)]) - [sign * 0.004, 0, 0]
     back = rim - [sign * 0.03, 0, 0]

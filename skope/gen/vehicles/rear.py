@@ -7,7 +7,7 @@ import numpy as np
 
 from skope.gen.mesh import Mesh
 from skope.gen.vehicles import parts
-from skope.gen.vehicles.lofted_surfaces import FRONT_END, SIDE_START, WRAP, Surface
+from skope.gen.vehicles.lofted_surfaces import FRONT_END, SIDE_START, WRAP_AXES, Surface
 from skope.gen.vehicles.panels import Points, disc, grown, plate_height, quad, rectangle_outline, rounded, within
 from skope.gen.vehicles.shape import Shape, VehicleStyle
 from skope.types import Array
@@ -17,7 +17,7 @@ _BEYOND_REAR_M: Final = 99.0
 _RIM_WIDTH_M: Final = 0.009
 """Width of the dark rim around a tail lamp, metres."""
 _RIM_SHIFT: Final = np.array([_RIM_WIDTH_M, 0.0])
-_PANES: Final = {
+LAMP_PANES: Final = {
     "wide": {
         "brake_light": (0.36, 0.97, 0.55, 0.92),
         "indicator_left": (0.34, 0.62, 0.1, 0.42),
@@ -75,8 +75,8 @@ _PANES: Final = {
     },
 }
 """The part of a lamp that shines: shares across from and to, up from and to."""
-_SLANT: Final = {"wide": 0.035, "band": 0.02, "hook": 0.03, "slim": 0.015}
-_LENS: Final = {"clear": "lamp_clear", "bar": "lamp_dark"}
+LAMP_SLANTS: Final = {"wide": 0.035, "band": 0.02, "hook": 0.03, "slim": 0.015}
+LENS_MATERIALS: Final = {"clear": "lamp_clear", "bar": "lamp_dark"}
 """The material around the panes. Default: red glass."""
 
 
@@ -93,8 +93,8 @@ def draw_taillight(
         points: Keypoints by stem.
     """
     lamp = _taillight_outline(kind, along, up)
-    points["taillight_outer"] = shell.place((lamp[0] + lamp[3]) / 2 - _RIM_SHIFT, WRAP)[0]
-    points["taillight_inner"] = shell.place((lamp[1] + lamp[2]) / 2 + _RIM_SHIFT, WRAP)[0]
+    points["taillight_outer"] = shell.place((lamp[0] + lamp[3]) / 2 - _RIM_SHIFT, WRAP_AXES)[0]
+    points["taillight_inner"] = shell.place((lamp[1] + lamp[2]) / 2 + _RIM_SHIFT, WRAP_AXES)[0]
     _draw_panes(shell, kind, lamp)
 
 
@@ -110,7 +110,7 @@ def _taillight_outline(kind: str, along: tuple[float, float], up: tuple[float, f
         low += 0.4 * tall
     if kind == "blade":
         return quad(outer, inner, (low, low + 0.45 * tall), (high, high - 0.1 * tall))
-    slant = _SLANT.get(kind, 0.0)
+    slant = LAMP_SLANTS.get(kind, 0.0)
     return quad(outer, inner, (low + slant, low), (high, high - slant))
 
 
@@ -118,27 +118,29 @@ def _draw_panes(shell: Surface, kind: str, lamp: Array) -> None:
     outer, inner = lamp[0, 0], lamp[1, 0]
     low, high = lamp[:, 1].min(), lamp[:, 1].max()
     shape = rounded(lamp, 0.022)
-    shell.sink(grown(shape, _RIM_WIDTH_M), WRAP, 0.006, "gap", wall="chrome")
-    shell.draw(shape, WRAP, _LENS.get(kind, "taillight"))
+    shell.sink(grown(shape, _RIM_WIDTH_M), WRAP_AXES, 0.006, "gap", wall="chrome")
+    shell.draw(shape, WRAP_AXES, LENS_MATERIALS.get(kind, "taillight"))
     if kind in ("round", "rings"):
         radius = 0.4 * min(high - low, (inner - outer) / 2.2)
         for share, name in ((0.28, "brake_light"), (0.72, "indicator_left")):
             center = (outer + (inner - outer) * share, (low + high) / 2)
-            shell.draw(disc(center, radius * 1.12), WRAP, "gap", layer=2)
-            shell.draw(disc(center, radius), WRAP, name, layer=3)
-        shell.draw(disc(center, radius * 0.45, 8), WRAP, "reverse_light", layer=4)
+            shell.draw(disc(center, radius * 1.12), WRAP_AXES, "gap", layer=2)
+            shell.draw(disc(center, radius), WRAP_AXES, name, layer=3)
+        shell.draw(disc(center, radius * 0.45, 8), WRAP_AXES, "reverse_light", layer=4)
         return
-    for name, pane in _PANES[kind].items():
-        shell.draw(within(lamp, *pane), WRAP, name, layer=3)
+    for name, pane in LAMP_PANES[kind].items():
+        shell.draw(within(lamp, *pane), WRAP_AXES, name, layer=3)
     if kind == "hook":
-        shell.draw(within(lamp, 0.06, 0.3, 0.08, 0.72), WRAP, "brake_light", layer=3)
+        shell.draw(within(lamp, 0.06, 0.3, 0.08, 0.72), WRAP_AXES, "brake_light", layer=3)
     if kind == "band":
-        shell.draw(rectangle_outline(inner, _BEYOND_REAR_M, high - 0.085, high - 0.02), WRAP, "gap")
-        shell.draw(rectangle_outline(inner, _BEYOND_REAR_M, high - 0.075, high - 0.03), WRAP, "taillight", layer=2)
+        shell.draw(rectangle_outline(inner, _BEYOND_REAR_M, high - 0.085, high - 0.02), WRAP_AXES, "gap")
+        shell.draw(rectangle_outline(inner, _BEYOND_REAR_M, high - 0.075, high - 0.03), WRAP_AXES, "taillight", layer=2)
     if kind == "bar":
         middle = (low + high) / 2
-        shell.draw(rectangle_outline(inner, _BEYOND_REAR_M, middle - 0.03, middle + 0.03), WRAP, "gap")
-        shell.draw(rectangle_outline(inner, _BEYOND_REAR_M, middle - 0.018, middle + 0.018), WRAP, "taillight", layer=2)
+        shell.draw(rectangle_outline(inner, _BEYOND_REAR_M, middle - 0.03, middle + 0.03), WRAP_AXES, "gap")
+        shell.draw(
+            rectangle_outline(inner, _BEYOND_REAR_M, middle - 0.018, middle + 0.018), WRAP_AXES, "taillight", layer=2
+        )
 
 
 def draw_rear(shell: Surface, w: Array, s: Shape, style: VehicleStyle, points: Points) -> list[Mesh]:
@@ -159,7 +161,7 @@ def draw_rear(shell: Surface, w: Array, s: Shape, style: VehicleStyle, points: P
         out.append(parts.plate(-s.length / 2 - 0.002, plate_height(low), 0.0, -1.0, style.rear_plate))
     else:
         _draw_plate(shell, end, plate, style.rear_plate)
-        place = shell.place((end, badge + 0.215), WRAP)[0] * [1, 0, 1]
+        place = shell.place((end, badge + 0.215), WRAP_AXES)[0] * [1, 0, 1]
         out.append(parts.badge(place, 0.04 * style.badge_size, -1.0, style.badge))
     if style.family != "car" or style.taillight != "pillar":
         draw_taillight(shell, style.taillight, (outer, inner), (low, high), points)
@@ -167,34 +169,40 @@ def draw_rear(shell: Surface, w: Array, s: Shape, style: VehicleStyle, points: P
         return out
     out += _draw_bumper(shell, s, style, float(w[last - FRONT_END]), end)
     for a, b in ((0.34, 0.44), (0.45, 0.5)) if s.taillight_inner > 0.55 else ():
-        shell.draw(rectangle_outline(end - b, end - a, badge + 0.2, badge + 0.225), WRAP, "chrome")
+        shell.draw(rectangle_outline(end - b, end - a, badge + 0.2, badge + 0.225), WRAP_AXES, "chrome")
     return out
 
 
 def _draw_plate(shell: Surface, end: float, plate: float, material: str) -> None:
-    half, high = parts.PLATE
+    half, high = parts.PART_SIZES.plate_m
     recess = quad(end - half - 0.07, end + 0.1, (plate - 0.03,) * 2, (plate + high + 0.04,) * 2)
-    shell.sink(recess, WRAP, 0.022, "trim", wall="paint")
-    shell.draw(rectangle_outline(end - half, end + 0.1, plate, plate + high), WRAP, material, layer=2)
+    shell.sink(recess, WRAP_AXES, 0.022, "trim", wall="paint")
+    shell.draw(rectangle_outline(end - half, end + 0.1, plate, plate + high), WRAP_AXES, material, layer=2)
     for a in (0.1, 0.16):
         shell.draw(
-            rectangle_outline(end - a - 0.04, end - a, plate + high + 0.012, plate + high + 0.03), WRAP, "lamp_clear"
+            rectangle_outline(end - a - 0.04, end - a, plate + high + 0.012, plate + high + 0.03),
+            WRAP_AXES,
+            "lamp_clear",
         )
 
 
 def _draw_bumper(shell: Surface, s: Shape, style: VehicleStyle, corner: float, end: float) -> list[Mesh]:
     """Reflectors, the trim between the pipes, and the pipes."""
     low = s.clearance
-    shell.draw(rectangle_outline(corner - 0.06, corner + 0.12, low + 0.2, low + 0.235), WRAP, "gap")
-    shell.draw(rectangle_outline(corner - 0.055, corner + 0.115, low + 0.205, low + 0.23), WRAP, "taillight", layer=2)
+    shell.draw(rectangle_outline(corner - 0.06, corner + 0.12, low + 0.2, low + 0.235), WRAP_AXES, "gap")
+    shell.draw(
+        rectangle_outline(corner - 0.055, corner + 0.115, low + 0.205, low + 0.23), WRAP_AXES, "taillight", layer=2
+    )
     wide = end - corner - 0.1
-    shell.sink(quad(end - wide, end + 0.1, (low + 0.05,) * 2, (low + 0.17,) * 2), WRAP, 0.03, "trim")
+    shell.sink(quad(end - wide, end + 0.1, (low + 0.05,) * 2, (low + 0.17,) * 2), WRAP_AXES, 0.03, "trim")
     if style.exhausts == "fins":
         for a in (0.12, 0.28, 0.44):
-            shell.draw(rectangle_outline(end - a - 0.012, end - a, low + 0.05, low + 0.17), WRAP, "gap", layer=14)
+            shell.draw(rectangle_outline(end - a - 0.012, end - a, low + 0.05, low + 0.17), WRAP_AXES, "gap", layer=14)
     if style.exhausts == "blend":
-        shell.draw(rectangle_outline(end - wide, end - wide + 0.16, low + 0.075, low + 0.135), WRAP, "chrome", layer=3)
+        shell.draw(
+            rectangle_outline(end - wide, end - wide + 0.16, low + 0.075, low + 0.135), WRAP_AXES, "chrome", layer=3
+        )
     if style.exhausts not in ("pipes", "middle"):
         return []
-    at = shell.place((end - (wide - 0.12 if style.exhausts == "pipes" else 0.07), low + 0.1), WRAP)[0]
+    at = shell.place((end - (wide - 0.12 if style.exhausts == "pipes" else 0.07), low + 0.1), WRAP_AXES)[0]
     return [parts.exhaust(at[0] - 0.012, at[1], at[2])]

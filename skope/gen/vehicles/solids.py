@@ -13,11 +13,22 @@ from skope.gen.vehicles.lofted_surfaces import CENTER, FLOOR, INNER, SIDE_START,
 from skope.gen.vehicles.shape import Shape
 from skope.types import Array
 
-ARCH_RADIUS_WHEELS = 1.13
-"""Radius of a wheel arch, in radii of its wheel."""
-_ROOF_EDGE_ROWS = ((1.3, 0.14, 0.5), (1.65, 0.45, 0.84), (2.0, 1.0, 1.0))
-"""Rows of the edge between wall and roof: shares of its radius inwards and up."""
-ROOF_CORNER_ROW = _ROOF_EDGE_ROWS[0][0]
+
+@dataclass(frozen=True)
+class SolidSizes:
+    """Shapes of wheel arches, roof edges and barrels."""
+
+    arch_radius_wheels: float = 1.13
+    """Radius of a wheel arch, in radii of its wheel."""
+    roof_edge_rows: tuple[tuple[float, float, float], ...] = ((1.3, 0.14, 0.5), (1.65, 0.45, 0.84), (2.0, 1.0, 1.0))
+    """Rows of the edge between wall and roof: shares of its radius inwards and up."""
+    barrel_intervals: int = 12
+    """Intervals around half a barrel."""
+
+
+SOLID_SIZES: Final = SolidSizes()
+
+ROOF_CORNER_ROW = SOLID_SIZES.roof_edge_rows[0][0]
 """Row of the edge where a roof's corners are marked: visible from both ends."""
 
 
@@ -64,7 +75,7 @@ class Tower:
             for outline, share in zip(outlines, shares, strict=True)
         ]
         levels = [FLOOR, INNER, *shares]
-        for level, inward, up in _ROOF_EDGE_ROWS:
+        for level, inward, up in SOLID_SIZES.roof_edge_rows:
             plan = _shrunk_plan(walls[-1], inward * self.edge)
             rows.append(np.column_stack([plan.outline(stations), np.full(len(bottom), top + up * self.edge)]))
             levels.append(level)
@@ -111,13 +122,9 @@ def corner_w(w: Array, rear: bool = False) -> float:
 def arch(axle: float, s: Shape) -> Array:
     """The polygon of a wheel arch seen from the side, around an axle's x."""
     angle = np.linspace(0, np.pi, 12)
-    radius = ARCH_RADIUS_WHEELS * s.wheel_radius
+    radius = SOLID_SIZES.arch_radius_wheels * s.wheel_radius
     arc = np.stack([axle + radius * np.cos(angle), s.wheel_radius + radius * np.sin(angle)], axis=-1)
     return np.array([(axle + radius, -0.2), *arc, (axle - radius, -0.2)])
-
-
-_BARREL_INTERVALS: Final = 12
-"""Intervals around half a barrel."""
 
 
 def prism(outline: ArrayLike, half_width: float, material: str, *, inner: float = 0.0) -> Mesh:
@@ -149,13 +156,13 @@ def barrel(sections: ArrayLike, materials: Sequence[str] | str, *, square: float
     names = [materials] * (len(s) - 1) if isinstance(materials, str) else list(materials)
     rings = np.stack([ring(*section, square=square) for section in s])
     if not sharp:
-        return grid(rings, [[name] * _BARREL_INTERVALS for name in names])
-    return merged([grid(rings[k : k + 2], [[name] * _BARREL_INTERVALS]) for k, name in enumerate(names)])
+        return grid(rings, [[name] * SOLID_SIZES.barrel_intervals for name in names])
+    return merged([grid(rings[k : k + 2], [[name] * SOLID_SIZES.barrel_intervals]) for k, name in enumerate(names)])
 
 
 def ring(x: float, z: float, half_width: float, half_height: float, *, square: float = 2.0) -> Array:
     """(13, 3) the left half of a barrel's section, from below upwards."""
-    turn = np.linspace(-np.pi / 2, np.pi / 2, _BARREL_INTERVALS + 1)
+    turn = np.linspace(-np.pi / 2, np.pi / 2, SOLID_SIZES.barrel_intervals + 1)
     c, s = np.cos(turn).clip(0), np.sin(turn)
     up = np.sign(s) * np.abs(s) ** (2 / square)
     return np.column_stack([np.full(len(turn), x), half_width * c ** (2 / square), z + half_height * up])

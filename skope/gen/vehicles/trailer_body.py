@@ -1,6 +1,6 @@
 """Trailers: box, curtain, container or tank on a frame, behind a kingpin or at a drawbar; the rear half of a bus."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Final
 
@@ -14,22 +14,44 @@ from skope.gen.vehicles.panels import Points
 from skope.gen.vehicles.shape import Shape, VehicleStyle
 from skope.types import Array
 
-_FRAME_DEPTH_M: Final = 0.42
-"""Depth of a trailer's frame under its floor, metres."""
-_NECK: Final = 0.13
-"""Depth of a semi-trailer's frame over the tractor, metres."""
-_LEGS: Final = 2.5
-"""Distance of a semi-trailer's landing legs behind the kingpin, metres."""
-_STRAP: Final = 0.62
-"""Distance between a curtain's straps, metres."""
-_WAVE: Final = 0.278
-"""Distance between a container's corrugations, metres."""
-_DOME: Final = 0.34
-"""Depth of a tank's ends, metres."""
-_RINGS: Final = ((0.0, 0.0), (0.3, 0.05), (0.55, 0.16), (0.78, 0.37), (0.93, 0.64), (1.0, 1.0))
-"""A tank's ends, from the tip: size of the cross-section, and way from the tip, as shares."""
-_BULGE: Final = ((1.0, 0.0), (0.95, 0.3), (0.85, 0.53), (0.65, 0.76), (0.37, 0.93), (0.0, 1.0))
-"""Directions in which a tank's ends face there: along it and outwards."""
+
+@dataclass(frozen=True)
+class TrailerSizes:
+    """Sizes of trailers."""
+
+    frame_depth_m: float = 0.42
+    """Depth of a trailer's frame under its floor, metres."""
+    neck_m: float = 0.13
+    """Depth of a semi-trailer's frame over the tractor, metres."""
+    legs_m: float = 2.5
+    """Distance of a semi-trailer's landing legs behind the kingpin, metres."""
+    strap_m: float = 0.62
+    """Distance between a curtain's straps, metres."""
+    corrugation_m: float = 0.278
+    """Distance between a container's corrugations, metres."""
+    dome_m: float = 0.34
+    """Depth of a tank's ends, metres."""
+    dome_rings: tuple[tuple[float, float], ...] = (
+        (0.0, 0.0),
+        (0.3, 0.05),
+        (0.55, 0.16),
+        (0.78, 0.37),
+        (0.93, 0.64),
+        (1.0, 1.0),
+    )
+    """A tank's ends, from the tip: size of the cross-section, and way from the tip, as shares."""
+    dome_normals: tuple[tuple[float, float], ...] = (
+        (1.0, 0.0),
+        (0.95, 0.3),
+        (0.85, 0.53),
+        (0.65, 0.76),
+        (0.37, 0.93),
+        (0.0, 1.0),
+    )
+    """Directions in which a tank's ends face there: along it and outwards."""
+
+
+TRAILER_SIZES: Final = TrailerSizes()
 
 
 class TrailerBody:
@@ -91,9 +113,9 @@ class TrailerBody:
             self._parts += _drawbar(front, hinge, s.hinge_height)
             guard = front - 0.1
         else:
-            legs = hinge - _LEGS
-            add(box((end + 0.06, 0.0, floor - _FRAME_DEPTH_M), (legs - 0.3, 0.45, floor + 0.01), "under"))
-            add(box((legs - 0.32, 0.0, floor - _NECK), (front - 0.12, 0.5, floor + 0.01), "under"))
+            legs = hinge - TRAILER_SIZES.legs_m
+            add(box((end + 0.06, 0.0, floor - TRAILER_SIZES.frame_depth_m), (legs - 0.3, 0.45, floor + 0.01), "under"))
+            add(box((legs - 0.32, 0.0, floor - TRAILER_SIZES.neck_m), (front - 0.12, 0.5, floor + 0.01), "under"))
             self._parts += _landing_legs(legs, floor)
             guard = legs - 0.35
         if self.style.trailer != "container":
@@ -105,7 +127,7 @@ class TrailerBody:
         s = self.shape
         kind = "box" if self.style.trailer == "reefer" else self.style.trailer
         front, end = s.length / 2, -s.length / 2
-        ribs = round(s.length / _STRAP) if kind == "curtain" else 0
+        ribs = round(s.length / TRAILER_SIZES.strap_m) if kind == "curtain" else 0
         narrow = replace(s, width=s.width - 0.06) if kind == "container" else s
         half, points = cargo_body(narrow, kind, front, ribs=ribs)
         self._parts.append(half)
@@ -114,7 +136,7 @@ class TrailerBody:
             self._parts += _cooling_unit(front, s.box_height + 0.95, s.height - 0.2)
         if kind == "container":
             y, low, high = narrow.width / 2, s.box_height + 0.16, s.height - 0.14
-            for x in np.linspace(end + 0.3, front - 0.3, round((s.length - 0.6) / _WAVE)):
+            for x in np.linspace(end + 0.3, front - 0.3, round((s.length - 0.6) / TRAILER_SIZES.corrugation_m)):
                 self._parts.append(box((x - 0.07, y - 0.01, low), (x + 0.07, y + 0.024, high), "livery"))
             for x in (end + 0.03, front - 0.21):
                 for z in (s.box_height + 0.01, s.height - 0.13):
@@ -154,8 +176,10 @@ def _tank(half_length: float, size: tuple[float, float]) -> tuple[Mesh, Array]:
     unit[[0, -1], 0] = 0.0
     outwards = unit / size / np.linalg.norm(unit / size, axis=1, keepdims=True)
     rings, normals = [], []
-    for (share, deep), (along, across) in zip(_RINGS, _BULGE, strict=True):
-        rings.append(np.column_stack([np.full(len(turn), _DOME * deep - half_length), share * unit * size]))
+    for (share, deep), (along, across) in zip(TRAILER_SIZES.dome_rings, TRAILER_SIZES.dome_normals, strict=True):
+        rings.append(
+            np.column_stack([np.full(len(turn), TRAILER_SIZES.dome_m * deep - half_length), share * unit * size])
+        )
         normals.append(np.column_stack([np.full(len(turn), -along), across * outwards]))
     flip = np.array([-1.0, 1.0, 1.0])
     surface = np.stack([*rings, *(ring * flip for ring in rings[::-1])])

@@ -68,11 +68,11 @@ def _wall_fan(points: Array, x: float, material: str) -> Mesh:
 
 Indices = NDArray[np.int64]
 
-NORMAL: Final = slice(3, 6)
+NORMAL_COLUMNS: Final = slice(3, 6)
 """Columns of a vertex that are a direction, which stays a unit vector in between two vertices."""
-_SNAP: Final = 8e-4
+SNAP_M: Final = 8e-4
 """Cuts nearer to a vertex than this go through it, metres."""
-EDGES: Final = np.array([[0, 1], [1, 2], [2, 0]])
+TRIANGLE_EDGES: Final = np.array([[0, 1], [1, 2], [2, 0]])
 """Corners of a triangle that each of its edges joins."""
 _SPLIT_TRIANGLES: Final = {
     1: np.array([(0, 3, 2), (3, 1, 2)]),
@@ -166,7 +166,7 @@ def _reach_inside(
     u, v = (vertices[:, column][triangles] for column in projection)
     out = np.ones(len(triangles), dtype=bool)
     for (nu, nv), offset in zip(normals.tolist(), offsets.tolist(), strict=True):
-        out &= (u * nu + v * nv - offset > _SNAP).any(axis=1)
+        out &= (u * nu + v * nv - offset > SNAP_M).any(axis=1)
     return out
 
 
@@ -174,7 +174,7 @@ def _heights(vertices: Array, projection: tuple[int, int], start: Array, normal:
     """(V,) distances of vertices from an edge, inwards; 0 for those that a cut goes through."""
     u, v = projection
     value: Array = (vertices[:, u] - start[0]) * normal[0] + (vertices[:, v] - start[1]) * normal[1]
-    value[np.abs(value) < _SNAP] = 0
+    value[np.abs(value) < SNAP_M] = 0
     return value
 
 
@@ -196,7 +196,7 @@ def _split_edges(
     a, b = np.divmod(keys, base)
     share = (value[a] / (value[a] - value[b]))[:, None]
     new = vertices[a] + (vertices[b] - vertices[a]) * share
-    new[:, NORMAL] /= np.maximum(np.linalg.norm(new[:, NORMAL], axis=1, keepdims=True), 1e-9)
+    new[:, NORMAL_COLUMNS] /= np.maximum(np.linalg.norm(new[:, NORMAL_COLUMNS], axis=1, keepdims=True), 1e-9)
     found = np.minimum(np.searchsorted(keys, key), len(keys) - 1)
     hit = keys[found] == key
     middle = base + found

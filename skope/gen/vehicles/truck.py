@@ -2,7 +2,7 @@
 flatbed, tipper or one of `CARGO_BODIES`; and lorries that have the front of a car or van."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Final
 
@@ -14,12 +14,11 @@ from skope.gen.vehicles.car import CarBody
 from skope.gen.vehicles.closed_bodies import box_body, curtain_body, living_body, luton_body, mixer_body, tank_body
 from skope.gen.vehicles.flatbeds import crane_body, dropside_body, flatbed_body
 from skope.gen.vehicles.interior import interior
-from skope.gen.vehicles.lofted_surfaces import BOTTOM, SIDE, WRAP, Plan, Surface
+from skope.gen.vehicles.lofted_surfaces import BOTTOM, SIDE_AXES, WRAP_AXES, Plan, Surface
 from skope.gen.vehicles.lorry_parts import Cargo, CargoSpace, axle, cargo_body, side_guard, underrun_bar
 from skope.gen.vehicles.panels import (
     FRONT_MARKER,
-    LEFT_AXIS,
-    MARKED_FROM_M,
+    PANEL_LIMITS,
     Points,
     draw_upper_markers,
     grown,
@@ -28,7 +27,7 @@ from skope.gen.vehicles.panels import (
 )
 from skope.gen.vehicles.parts import arm_mirror
 from skope.gen.vehicles.shape import Shape, VehicleStyle
-from skope.gen.vehicles.solids import ARCH_RADIUS_WHEELS, Tower, arch, corner_w
+from skope.gen.vehicles.solids import SOLID_SIZES, Tower, arch, corner_w
 from skope.gen.vehicles.work_bodies import fire_body, hook_body, recovery_body, refuse_body, skip_body
 from skope.types import Array
 
@@ -53,43 +52,60 @@ def draw_face(cab: Surface, kind: str, place: tuple[float, float, float], s: Sha
         for k in range(3):
             base = low + (0.08 + 0.31 * k) * tall
             slot = rectangle_outline(-half + 0.06 * (2 - k), half - 0.06 * (2 - k), base, base + 0.2 * tall)
-            cab.sink(slot, WRAP, 0.03, "grille_mesh", wall="gap")
+            cab.sink(slot, WRAP_AXES, 0.03, "grille_mesh", wall="gap")
     elif kind == "mask":
-        cab.paint(rectangle_outline(-half - 0.1, half + 0.1, low - 0.04, high + 0.06), WRAP, "trim")
-        cab.sink(mirrored([(0.62 * half, low + 0.05), (0.8 * half, low + 0.6 * tall)]), WRAP, 0.03, "grille_mesh")
-        cab.draw(rectangle_outline(-half, half, high - 0.1, high - 0.07), WRAP, "chrome", layer=2)
+        cab.paint(rectangle_outline(-half - 0.1, half + 0.1, low - 0.04, high + 0.06), WRAP_AXES, "trim")
+        cab.sink(mirrored([(0.62 * half, low + 0.05), (0.8 * half, low + 0.6 * tall)]), WRAP_AXES, 0.03, "grille_mesh")
+        cab.draw(rectangle_outline(-half, half, high - 0.1, high - 0.07), WRAP_AXES, "chrome", layer=2)
     elif kind == "shield":
         outline = mirrored([(0.42 * half, low), (0.62 * half, low + 0.35 * tall), (0.55 * half, high)])
-        cab.paint(grown(outline, 0.025), WRAP, "chrome")
-        cab.sink(outline, WRAP, 0.03, "grille_bars", wall="gap")
+        cab.paint(grown(outline, 0.025), WRAP_AXES, "chrome")
+        cab.sink(outline, WRAP_AXES, 0.03, "grille_bars", wall="gap")
     elif kind == "ladder":
-        cab.paint(rectangle_outline(-half, half, low + 0.5 * tall, high), WRAP, "trim")
+        cab.paint(rectangle_outline(-half, half, low + 0.5 * tall, high), WRAP_AXES, "trim")
         for k in range(3):
             base = low + (0.54 + 0.15 * k) * tall
-            cab.draw(rectangle_outline(-half + 0.03, half - 0.03, base, base + 0.06 * tall), WRAP, "rail", layer=2)
-        cab.line([(-0.1, low + 0.42 * tall), (half, low + 0.42 * tall)], WRAP, width=0.014)
+            cab.draw(rectangle_outline(-half + 0.03, half - 0.03, base, base + 0.06 * tall), WRAP_AXES, "rail", layer=2)
+        cab.line([(-0.1, low + 0.42 * tall), (half, low + 0.42 * tall)], WRAP_AXES, width=0.014)
     else:
         grille = rectangle_outline(-half, half, low, high)
-        cab.paint(grown(grille, 0.02), WRAP, "trim")
-        cab.sink(grille, WRAP, 0.025, "grille_slats", wall="gap")
+        cab.paint(grown(grille, 0.02), WRAP_AXES, "trim")
+        cab.sink(grille, WRAP_AXES, 0.025, "grille_slats", wall="gap")
 
 
-_BEHIND_BUMPER: Final = 0.14
-"""Distance of the grille behind the bumper's face, metres."""
-_FENDER_SHARE: Final = 0.6
-"""Share of the hood's height at which the fenders end and the hood stands in."""
+@dataclass(frozen=True)
+class TruckSizes:
+    """Sizes of trucks."""
+
+    behind_bumper_m: float = 0.14
+    """Distance of the grille behind the bumper's face, metres."""
+    fender_share: float = 0.6
+    """Share of the hood's height at which the fenders end and the hood stands in."""
+    body_gap_m: float = 0.09
+    """Gap between cab and body, metres."""
+    front_lip: float = 0.06
+    """Share of the wall's height at which the front turns under: the lower edge of the bumper."""
+    crew_cab_m: float = 2.5
+    """Length above which a cab has a second row of seats, metres."""
+    screen_height_m: float = 1.45
+    """Greatest height of a windscreen, metres."""
+    guarded_from_m: float = 0.6
+    """Least room between the axles that is worth a tank and guards, metres."""
+
+
+TRUCK_SIZES: Final = TruckSizes()
 
 
 def long_hood(s: Shape, style: VehicleStyle, points: Points) -> list[Mesh]:
     """The left half of a hood from the vehicle's front back to its cab; notes the front's keypoints."""
     nose = s.length / 2
     half, top = s.width / 2 - 0.04, s.hood_height
-    plan = Plan(half, nose - _BEHIND_BUMPER, nose - s.hood_length - 0.06, 0.1, 0.0, 0.22, 0.04)
+    plan = Plan(half, nose - TRUCK_SIZES.behind_bumper_m, nose - s.hood_length - 0.06, 0.1, 0.0, 0.22, 0.04)
     lean = [
         (0.0, 0.03, 0.05, 0.0),
         (0.08, 0.0, 0.0, 0.0),
-        (_FENDER_SHARE, 0.02, 0.02, 0.0),
-        (_FENDER_SHARE + 0.07, 0.3, 0.05, 0.0),
+        (TRUCK_SIZES.fender_share, 0.02, 0.02, 0.0),
+        (TRUCK_SIZES.fender_share + 0.07, 0.3, 0.05, 0.0),
         (1.0, 0.4, 0.16, 0.0),
     ]
     well = s.track / 2 - s.wheel_width / 2 - 0.06
@@ -99,9 +115,9 @@ def long_hood(s: Shape, style: VehicleStyle, points: Points) -> list[Mesh]:
     out = [lining, parts.arch_lip(rim, (s.front_axle_x, s.wheel_radius), "paint", hood.side)]
     out += front.draw_front(hood, w, s, style, points)
     grille = rectangle_outline(-0.44, 0.44, s.headlight_high + 0.04, top - 0.24)
-    hood.paint(grown(grille, 0.04), WRAP, "chrome")
-    hood.sink(grille, WRAP, 0.03, "grille_bars", wall="gap")
-    points["hood_front"] = hood.place((0.56, top - 0.16), WRAP)[0]
+    hood.paint(grown(grille, 0.04), WRAP_AXES, "chrome")
+    hood.sink(grille, WRAP_AXES, 0.03, "grille_bars", wall="gap")
+    points["hood_front"] = hood.place((0.56, top - 0.16), WRAP_AXES)[0]
     out.append(hood.half)
     bar = Plan(s.width / 2 - 0.01, nose, nose - 0.34, 0.07, 0.0, 0.12, 0.03)
     low, high = s.clearance + 0.02, s.headlight_low - 0.06
@@ -140,18 +156,6 @@ CARGO_BODIES: Final[Mapping[str, Callable[[CargoSpace], Cargo]]] = {
     "crane": crane_body,
     "dropside": dropside_body,
 }
-
-
-_BODY_GAP_M = 0.09
-"""Gap between cab and body, metres."""
-_FRONT_LIP = 0.06
-"""Share of the wall's height at which the front turns under: the lower edge of the bumper."""
-_CREW_CAB = 2.5
-"""Length above which a cab has a second row of seats, metres."""
-_SCREEN_HEIGHT_M = 1.45
-"""Greatest height of a windscreen, metres."""
-_GUARDED_FROM_M = 0.6
-"""Least room between the axles that is worth a tank and guards, metres."""
 
 
 class TruckBody:
@@ -202,7 +206,7 @@ class TruckBody:
         belt = (s.belt_height - s.clearance) / (self.cab_height - s.clearance)
         lean = [
             (0.0, 0.03, 0.05, 0.0),
-            (_FRONT_LIP, 0.0, 0.0, 0.0),
+            (TRUCK_SIZES.front_lip, 0.0, 0.0, 0.0),
             (belt, 0.0, 0.035, 0.0),
             (1.0, s.roof_inset, 0.035 + s.screen_run, 0.02),
         ]
@@ -217,22 +221,22 @@ class TruckBody:
         base, top = s.belt_height - 0.02, self.cab_height - 0.24
         if self.style.face:
             # Under a high roof the windscreen ends where it would end under a low one.
-            top = min(top, base + _SCREEN_HEIGHT_M)
-        if s.width > MARKED_FROM_M and self.cab_height - top > 0.2:
+            top = min(top, base + TRUCK_SIZES.screen_height_m)
+        if s.width > PANEL_LIMITS.marked_from_m and self.cab_height - top > 0.2:
             z = self.cab_height - (0.3 if self.cab_height - top > 0.4 else 0.2)
             draw_upper_markers(cab, s.width / 2 - 0.1, z)
             if self.style.face:
-                cab.draw(rectangle_outline(0.19, 0.31, z, z + 0.05), WRAP, FRONT_MARKER, layer=3)
+                cab.draw(rectangle_outline(0.19, 0.31, z, z + 0.05), WRAP_AXES, FRONT_MARKER, layer=3)
         if self.style.body == "tractor":  # over the windscreen there is room for a bed
             top = min(top, base + 1.05)
         screen = corner_w(w) - 0.05
-        cab.paint(rectangle_outline(-0.2, screen + 0.05, base - 0.05, top + 0.06), WRAP, "trim")
-        cab.paint(rectangle_outline(-0.2, screen, base, top), WRAP, "glass")
+        cab.paint(rectangle_outline(-0.2, screen + 0.05, base - 0.05, top + 0.06), WRAP_AXES, "trim")
+        cab.paint(rectangle_outline(-0.2, screen, base, top), WRAP_AXES, "glass")
         for start, stop in ((0.04, 0.55), (0.5, screen - 0.06)):
-            cab.line([(start, base - 0.02), (stop, base + 0.06)], WRAP, width=0.02, layer=4)
+            cab.line([(start, base - 0.02), (stop, base + 0.06)], WRAP_AXES, width=0.02, layer=4)
         # Painted it also is clean from afar, where what hovers over the shell flickers.
         lay = cab.paint if self.style.face else cab.draw
-        lay(rectangle_outline(-1, 99, 0, s.bumper_height - 0.1), WRAP, "trim")
+        lay(rectangle_outline(-1, 99, 0, s.bumper_height - 0.1), WRAP_AXES, "trim")
         self._cab_doors(cab, base, top)
         if s.hood_length:
             self._parts += long_hood(s, self.style, self.points)
@@ -243,13 +247,13 @@ class TruckBody:
         self._parts.append(cab.half)
         self._add_cab_parts(screen, base, top)
         self.points |= {
-            "roof_front": cab.place((screen, top), WRAP)[0],
-            "windscreen_base": cab.place((screen, base), WRAP)[0],
+            "roof_front": cab.place((screen, top), WRAP_AXES)[0],
+            "windscreen_base": cab.place((screen, base), WRAP_AXES)[0],
         }
         if not s.hood_length:
             self.points |= {
-                "hood_front": cab.place((screen - 0.1, s.hood_height - 0.1), WRAP)[0],
-                "bumper_front": cab.corner(_FRONT_LIP),
+                "hood_front": cab.place((screen - 0.1, s.hood_height - 0.1), WRAP_AXES)[0],
+                "bumper_front": cab.corner(TRUCK_SIZES.front_lip),
             }
 
     def _cab_doors(self, cab: Surface, base: float, top: float) -> None:
@@ -260,24 +264,24 @@ class TruckBody:
             (ahead - 0.12, base + 0.02), (behind + 0.06, base + 0.02),
             (behind + 0.06, top - 0.02), (ahead - 0.24, top - 0.02),
         ]  # fmt: skip
-        cab.paint(grown(np.array(window), 0.035), SIDE, "trim", facing=LEFT_AXIS)
-        cab.paint(window, SIDE, "glass", facing=LEFT_AXIS)
-        if s.cab_length > _CREW_CAB:
+        cab.paint(grown(np.array(window), 0.035), SIDE_AXES, "trim", facing=PANEL_LIMITS.left_axis)
+        cab.paint(window, SIDE_AXES, "glass", facing=PANEL_LIMITS.left_axis)
+        if s.cab_length > TRUCK_SIZES.crew_cab_m:
             second = rectangle_outline(self.cab_rear + 0.25, behind - 0.1, base + 0.02, top - 0.02)
-            cab.paint(grown(second, 0.035), SIDE, "trim", facing=LEFT_AXIS)
-            cab.paint(second, SIDE, "glass", facing=LEFT_AXIS)
-        sill = s.wheel_radius * (1 + ARCH_RADIUS_WHEELS) + 0.04
+            cab.paint(grown(second, 0.035), SIDE_AXES, "trim", facing=PANEL_LIMITS.left_axis)
+            cab.paint(second, SIDE_AXES, "glass", facing=PANEL_LIMITS.left_axis)
+        sill = s.wheel_radius * (1 + SOLID_SIZES.arch_radius_wheels) + 0.04
         for x in (ahead - 0.02, behind):
-            cab.line([(x, sill), (x, top + 0.06)], SIDE, width=0.014, facing=LEFT_AXIS)
-        cab.line([(ahead, sill), (behind, sill)], SIDE, width=0.014, facing=LEFT_AXIS)
+            cab.line([(x, sill), (x, top + 0.06)], SIDE_AXES, width=0.014, facing=PANEL_LIMITS.left_axis)
+        cab.line([(ahead, sill), (behind, sill)], SIDE_AXES, width=0.014, facing=PANEL_LIMITS.left_axis)
         x, z = behind + 0.14, base - 0.16
         self._parts.append(parts.handle((x, cab.side(np.array([x, z])), z), "trim"))
-        step = s.front_axle_x + ARCH_RADIUS_WHEELS * s.wheel_radius
+        step = s.front_axle_x + SOLID_SIZES.arch_radius_wheels * s.wheel_radius
         if self.face - step > 0.5:
             for z in (s.clearance + 0.18, s.clearance + 0.45):
                 tread = rectangle_outline(step + 0.06, self.face - 0.22, z, z + 0.1)
-                cab.draw(tread, SIDE, "gap", facing=LEFT_AXIS)
-        self.points["beltline"] = cab.place((behind + 0.06, base), SIDE)[0]
+                cab.draw(tread, SIDE_AXES, "gap", facing=PANEL_LIMITS.left_axis)
+        self.points["beltline"] = cab.place((behind + 0.06, base), SIDE_AXES)[0]
 
     def _add_cab_parts(self, screen: float, base: float, top: float) -> None:
         """Mirrors, a visor over the windscreen, a deflector before a high body."""
@@ -318,7 +322,7 @@ class TruckBody:
         ahead = max(axles) + s.wheel_radius + 0.12
         start = min([s.front_axle_x, *steered]) - s.wheel_radius - 0.3
         start = min(start, self.cab_rear - 0.12)
-        if start - ahead < _GUARDED_FROM_M:
+        if start - ahead < TRUCK_SIZES.guarded_from_m:
             return
         side = s.width / 2 - 0.06
         tank = min(1.1, (start - ahead) * 0.45)
@@ -326,7 +330,7 @@ class TruckBody:
         self._parts += side_guard(s, start - tank, ahead, side)
 
     def _build_cargo(self) -> None:
-        body, ahead = self.style.body, self.cab_rear - _BODY_GAP_M
+        body, ahead = self.style.body, self.cab_rear - TRUCK_SIZES.body_gap_m
         if body == "tractor":
             self._build_fifth_wheel()
             return

@@ -26,14 +26,24 @@ from skope.records import check_array, check_number, dataclass_of, is_number
 from skope.schema import VEHICLE_TYPES
 from skope.types import Array
 
-DENSITY: Final = 115.0
-"""Kilograms per cubic metre of the box around a vehicle: what a sedan has."""
-MASSES: Final = (1.0, 1_000_000.0)
-"""Least and greatest mass, kilograms: what stands on wheels between a model and the heaviest haul truck."""
-_MODEL_VERSION: Final = 1
-_MESHES: Final = ("mesh", "wheel")
+
+@dataclass(frozen=True)
+class UserModelLimits:
+    """Limits of a user's vehicle models."""
+
+    density: float = 115.0
+    """Kilograms per cubic metre of the box around a vehicle: what a sedan has."""
+    masses_kg: tuple[float, float] = (1.0, 1_000_000.0)
+    """Least and greatest mass, kilograms: what stands on wheels between a model and the heaviest haul truck."""
+    version: int = 1
+    """Version of the files."""
+
+
+USER_MODELS: Final = UserModelLimits()
+
+MESH_NAMES: Final = ("mesh", "wheel")
 _MODEL_FILES: Final = ("mesh.npz", "vehicle.json")
-_FIELDS: Final = ("vertices", "normals", "triangles", "material")
+MESH_FIELDS: Final = ("vertices", "normals", "triangles", "material")
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,23 +97,23 @@ def vehicle_of_model(marked: Marked, name: str, vehicle_type: str, mass: float |
         front_overhang=float(length / 2 - right_front[0]),
         clearance=float(max(marked.mesh.vertices[:, 2].min(), 0.0)),
     )
-    kilograms = DENSITY * length * width * height if mass is None else mass
+    kilograms = USER_MODELS.density * length * width * height if mass is None else mass
     return AddedVehicle(name, vehicle_type, shape, kilograms, marked.mesh, marked.wheel, points)
 
 
 def save_model(vehicle: AddedVehicle) -> Path:
     """Write a model's files; returns their folder. Raises UserError where another model has that name."""
     path = models_folder() / vehicle.model
-    arrays = {f"{name}_{field}": getattr(getattr(vehicle, name), field) for name in _MESHES for field in _FIELDS}
+    arrays = {f"{name}_{field}": getattr(getattr(vehicle, name), field) for name in MESH_NAMES for field in MESH_FIELDS}
     mesh = io.BytesIO()
     np.savez_compressed(mesh, **arrays)
     row = {
-        "version": _MODEL_VERSION,
+        "version": USER_MODELS.version,
         "vehicle_type": vehicle.vehicle_type,
         "shape": asdict(vehicle.shape),
         "mass": vehicle.mass,
         "keypoints": vehicle.points.tolist(),
-        "materials": {name: getattr(vehicle, name).materials for name in _MESHES},
+        "materials": {name: getattr(vehicle, name).materials for name in MESH_NAMES},
         "sidecar": vehicle.sidecar.to_dict(),
     }
     row_bytes = (json.dumps(row, indent=1, allow_nan=False) + "\n").encode()
@@ -148,11 +158,11 @@ def load_model(name: str) -> AddedVehicle:
     row = read_json(path / "vehicle.json")
     if not isinstance(row, dict):
         raise UserError(f"{path / 'vehicle.json'}: expected an object, got {row!r:.60}")
-    check_version(path / "vehicle.json", row.get("version"), _MODEL_VERSION)
+    check_version(path / "vehicle.json", row.get("version"), USER_MODELS.version)
     try:
         with np.load(path / "mesh.npz", allow_pickle=False) as file:
             arrays = {key: file[key] for key in file.files}
-        mesh, wheel = (_read_mesh(arrays, key, row["materials"][key]) for key in _MESHES)
+        mesh, wheel = (_read_mesh(arrays, key, row["materials"][key]) for key in MESH_NAMES)
         vehicle = AddedVehicle(
             model=name,
             vehicle_type=one_of("vehicle_type", row["vehicle_type"], VEHICLE_TYPES),
@@ -171,7 +181,7 @@ def load_model(name: str) -> AddedVehicle:
 
 def check_mass(field: str, kilograms: Any) -> float:
     """Return a mass, or raise a UserError that names the field."""
-    low, high = MASSES
+    low, high = USER_MODELS.masses_kg
     if not is_number(kilograms) or not low <= kilograms <= high:
         raise UserError(f"{field}: expected kilograms from {low:g} to {high:g}, got {kilograms!r:.60}")
     return float(kilograms)
@@ -186,7 +196,7 @@ def _read_dimensions(told: Mapping[str, Any]) -> Dimensions:
 
 def _read_mesh(arrays: Mapping[str, NDArray[Any]], name: str, materials: list[str]) -> Mesh:
     """A mesh of a file; a UserError where its arrays do not belong together."""
-    vertices, normals, triangles, material = (arrays[f"{name}_{field}"] for field in _FIELDS)
+    vertices, normals, triangles, material = (arrays[f"{name}_{field}"] for field in MESH_FIELDS)
     count = len(triangles)
     shapes = (vertices.shape, normals.shape, triangles.shape, material.shape)
     if shapes != ((len(vertices), 3), (len(vertices), 3), (count, 3), (count,)) or not count:

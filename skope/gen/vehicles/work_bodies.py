@@ -6,9 +6,9 @@ from typing import Final
 import numpy as np
 
 from skope.gen.mesh import Mesh, box
-from skope.gen.vehicles.lofted_surfaces import BOTTOM, SIDE, TOP, WRAP, Plan, Surface
-from skope.gen.vehicles.lorry_parts import BEACON, Cargo, CargoSpace, mudguards
-from skope.gen.vehicles.panels import LEFT_AXIS, TONES, draw_graphics, rectangle_outline
+from skope.gen.vehicles.lofted_surfaces import BOTTOM, SIDE_AXES, TOP_AXES, WRAP_AXES, Plan, Surface
+from skope.gen.vehicles.lorry_parts import BEACON_COLOR, Cargo, CargoSpace, mudguards
+from skope.gen.vehicles.panels import GRAPHIC_COLORS, PANEL_LIMITS, draw_graphics, rectangle_outline
 from skope.gen.vehicles.parts import arch_lip, block
 from skope.gen.vehicles.solids import Tower, arch, barrel, beam, ladder, pipe, prism
 
@@ -34,8 +34,8 @@ def fire_body(space: CargoSpace) -> Cargo:
     out.parts += [shell.half, *_fire_roof(space, high)]
     corner = end - space.half
     out.mark(
-        shell.place((corner, high - 0.085), WRAP)[0],
-        shell.place((edge, sill), WRAP)[0],
+        shell.place((corner, high - 0.085), WRAP_AXES)[0],
+        shell.place((edge, sill), WRAP_AXES)[0],
         shell.corner(BOTTOM, rear=True),
     )
     return out
@@ -51,17 +51,19 @@ def _draw_shutters(shell: Surface, space: CargoSpace, up: tuple[float, float], e
     count = 3
     for k in range(count):
         a, b = (start + (stop - start) * (k + share) / count for share in (0.03, 0.97))
-        shell.paint(rectangle_outline(a, b, sill, top), SIDE, "cladding_grey", facing=LEFT_AXIS)
+        shell.paint(rectangle_outline(a, b, sill, top), SIDE_AXES, "cladding_grey", facing=PANEL_LIMITS.left_axis)
         for z in np.arange(sill + 0.07, top, 0.09).tolist():
-            shell.line([(a, z), (b, z)], SIDE, "rail", width=0.012, facing=LEFT_AXIS)
-        shell.draw(rectangle_outline(a, b, sill, sill + 0.05), SIDE, "trim", layer=3, facing=LEFT_AXIS)
+            shell.line([(a, z), (b, z)], SIDE_AXES, "rail", width=0.012, facing=PANEL_LIMITS.left_axis)
+        shell.draw(
+            rectangle_outline(a, b, sill, sill + 0.05), SIDE_AXES, "trim", layer=3, facing=PANEL_LIMITS.left_axis
+        )
     band = rectangle_outline(space.end + 0.1, space.ahead - 0.05, sill - 0.2, sill - 0.06)
-    shell.draw(band, SIDE, "#d8c41c", layer=3, facing=LEFT_AXIS)
-    shell.paint(rectangle_outline(edge, end + 0.1, sill, top), WRAP, "cladding_grey")
+    shell.draw(band, SIDE_AXES, "#d8c41c", layer=3, facing=PANEL_LIMITS.left_axis)
+    shell.paint(rectangle_outline(edge, end + 0.1, sill, top), WRAP_AXES, "cladding_grey")
     for z in np.arange(sill + 0.07, top, 0.09).tolist():
-        shell.line([(edge, z), (end + 0.1, z)], WRAP, "rail", width=0.012)
+        shell.line([(edge, z), (end + 0.1, z)], WRAP_AXES, "rail", width=0.012)
     for z, lamp in ((top + 0.1, "brake_light"), (top - 0.06, "indicator_left")):
-        shell.draw(rectangle_outline(edge - 0.22, edge - 0.06, z, z + 0.11), WRAP, lamp, layer=3)
+        shell.draw(rectangle_outline(edge - 0.22, edge - 0.06, z, z + 0.11), WRAP_AXES, lamp, layer=3)
 
 
 def _fire_roof(space: CargoSpace, high: float) -> list[Mesh]:
@@ -107,7 +109,7 @@ def refuse_body(space: CargoSpace) -> Cargo:
     )  # fmt: skip
     shell, _, _ = tower.surface("livery")
     draw_graphics(shell, (start + 0.3, space.ahead - 0.2), (floor + 0.3, high - 0.35), rng)
-    shell.draw(rectangle_outline(-1, 99, 0, floor + 0.14), WRAP, "trim")
+    shell.draw(rectangle_outline(-1, 99, 0, floor + 0.14), WRAP_AXES, "trim")
     add(shell.half)
     for x in (space.ahead - 0.06, start + 0.02):
         add(box((x - 0.06, half - 0.05, floor + 0.02), (x + 0.06, half + 0.012, high - 0.26), "livery"))
@@ -165,7 +167,13 @@ def _add_refuse_fittings(
     # Hazard stripes and lamps on the cheeks, rails to hold on to, steps to stand on, the beacon.
     for k, z in enumerate(np.linspace(floor + 0.5, floor + 1.2, 6).tolist()):
         x = float(np.interp(z, [lip[1], floor + 1.35], [lip[0], space.end + 0.2]))
-        add(box((x - 0.012, half - 0.13, z), (x + 0.1, half - 0.01, z + 0.115), TONES[0] if k % 2 else "#f0f0ee"))
+        add(
+            box(
+                (x - 0.012, half - 0.13, z),
+                (x + 0.1, half - 0.01, z + 0.115),
+                GRAPHIC_COLORS[0] if k % 2 else "#f0f0ee",
+            )
+        )
     for z, lamp in ((high - 0.34, "brake_light"), (high - 0.5, "indicator_left")):
         x = float(np.interp(z, [floor + 1.35, high], [space.end + 0.2, roof[0]]))
         add(box((x - 0.03, half - 0.125, z), (x + 0.08, half - 0.015, z + 0.12), lamp))
@@ -176,7 +184,7 @@ def _add_refuse_fittings(
     )
     add(box((space.end + 0.12, half - 0.42, 0.42), (space.end + 0.5, half - 0.02, 0.47), "rail"))
     add(box((space.end + 0.42, half - 0.3, 0.45), (space.end + 0.47, half - 0.24, under), "rail"))
-    add(block((roof[0] + 0.1, 0.62, high - 0.03), (roof[0] + 0.26, 0.78, space.shape.height), BEACON, 0.05))
+    add(block((roof[0] + 0.1, 0.62, high - 0.03), (roof[0] + 0.26, 0.78, space.shape.height), BEACON_COLOR, 0.05))
 
 
 def hook_body(space: CargoSpace) -> Cargo:
@@ -193,13 +201,16 @@ def hook_body(space: CargoSpace) -> Cargo:
     tone = ("livery", "#2f5b3c", "#24508c", "#6f3b20", "#8a8d90")[int(rng.integers(5))]
     shell, w, _ = tower.surface(tone)
     end = float(w[-1])
-    shell.paint([(-99, -9), (99, -9), (99, 9), (-99, 9)], TOP, "bed", levels=(2.1, 3.0))
+    shell.paint([(-99, -9), (99, -9), (99, 9), (-99, 9)], TOP_AXES, "bed", levels=(2.1, 3.0))
     for a in (0.12, 0.5):
-        shell.draw(rectangle_outline(end - a - 0.05, end - a + 0.05, low + 0.06, high - 0.1), WRAP, tone, layer=5)
-    shell.line([(end, low), (end, high)], WRAP, width=0.03)
+        shell.draw(rectangle_outline(end - a - 0.05, end - a + 0.05, low + 0.06, high - 0.1), WRAP_AXES, tone, layer=5)
+    shell.line([(end, low), (end, high)], WRAP_AXES, width=0.03)
     if rng.uniform() < 0.6:
         shell.draw(
-            rectangle_outline(space.end + 1.0, space.end + 2.4, high - 0.75, high - 0.3), SIDE, "#e8e8e6", layer=0.5
+            rectangle_outline(space.end + 1.0, space.end + 2.4, high - 0.75, high - 0.3),
+            SIDE_AXES,
+            "#e8e8e6",
+            layer=0.5,
         )
     add(shell.half)
     for x in np.linspace(front - 0.06, space.end + 0.06, max(7, round((front - space.end) / 0.7))).tolist():
@@ -216,14 +227,14 @@ def hook_body(space: CargoSpace) -> Cargo:
     add(box((space.end + 0.1, 0.3, space.floor), (front + 0.3, 0.45, low + 0.01), "trim"))
     # The hook's arm before the container.
     top = min(high, low + 1.35)
-    add(box((front + 0.22, 0.0, space.floor), (front + 0.42, 0.14, top), BEACON))
-    add(beam((front + 0.32, 0.0, top - 0.04), (front - 0.05, 0.0, top + 0.0), 0.12, 0.07, BEACON))
+    add(box((front + 0.22, 0.0, space.floor), (front + 0.42, 0.14, top), BEACON_COLOR))
+    add(beam((front + 0.32, 0.0, top - 0.04), (front - 0.05, 0.0, top + 0.0), 0.12, 0.07, BEACON_COLOR))
     add(ladder(front + 0.06, (half - 0.45, half - 0.15), low + 0.1, high - 0.1, "rail"))
     out.parts += mudguards(space)
     corner = end - half + 0.07
     out.mark(
         np.array([space.end, half + 0.01, high + 0.02]),
-        shell.place((corner + 0.12, high - 0.12), WRAP)[0],
+        shell.place((corner + 0.12, high - 0.12), WRAP_AXES)[0],
         np.array([space.end, half + 0.01, low]),
     )
     return out
@@ -241,7 +252,7 @@ def skip_body(space: CargoSpace) -> Cargo:
             "trim",
         )
     )
-    base, top, tone = space.end + 0.9, low + 1.35, TONES[int(rng.integers(len(TONES)))]
+    base, top, tone = space.end + 0.9, low + 1.35, GRAPHIC_COLORS[int(rng.integers(len(GRAPHIC_COLORS)))]
     stop, wide = front - 0.45, half - 0.32
     hull = [
         (base + 0.35, low),
@@ -263,8 +274,8 @@ def skip_body(space: CargoSpace) -> Cargo:
         (space.end + 1.1, half - 0.09, space.shape.height - 0.12),
         (front - 0.9, half - 0.09, space.shape.height - 0.25),
     )
-    add(beam((front - 0.1, half - 0.09, low), hand, 0.08, 0.1, BEACON if tone != TONES[3] else "rail"))
-    add(beam(hand, knee, 0.08, 0.09, BEACON if tone != TONES[3] else "rail"))
+    add(beam((front - 0.1, half - 0.09, low), hand, 0.08, 0.1, BEACON_COLOR if tone != GRAPHIC_COLORS[3] else "rail"))
+    add(beam(hand, knee, 0.08, 0.09, BEACON_COLOR if tone != GRAPHIC_COLORS[3] else "rail"))
     add(box((knee[0] - 0.08, 0.0, knee[2] - 0.08), (knee[0] + 0.08, half - 0.02, knee[2] + 0.1), "rail"))
     for x, z in ((base + 0.2, top - 0.1), (stop - 0.3, top - 0.1)):
         add(pipe((knee[0] + 0.3, half - 0.14, knee[2] - 0.02), (x, wide + 0.02, z), 0.02, "chrome", sides=6))
@@ -300,7 +311,7 @@ def recovery_body(space: CargoSpace) -> Cargo:
     add(box((front - 0.03, 0.15, floor + 0.35), (front + 0.15, half - 0.3, floor + 0.75), "trim"))
     add(pipe((front + 0.28, 0.0, floor + 0.3), (front + 0.28, 0.4, floor + 0.3), 0.16, "trim"))
     bar = space.ahead + 0.5 * space.shape.cab_length
-    add(box((bar - 0.12, 0.0, space.cab_height - 0.08), (bar + 0.12, half - 0.35, space.shape.height), BEACON))
+    add(box((bar - 0.12, 0.0, space.cab_height - 0.08), (bar + 0.12, half - 0.35, space.shape.height), BEACON_COLOR))
     # Ramps, folded up behind; boxes for tools below the deck.
     add(box((space.end + 0.01, 0.5, floor - 0.1), (space.end + 0.08, half - 0.08, floor + 0.1), "trim"))
     chest = space.rear_axle + space.shape.wheel_radius + 0.25

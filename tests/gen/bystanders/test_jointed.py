@@ -10,8 +10,8 @@ from skope.gen.bystanders import bystander
 from skope.gen.bystanders.bystander import BYSTANDER_KINDS, Bystander, build_bystander
 from skope.gen.bystanders.luggage import LUGGAGE_KINDS
 from skope.gen.bystanders.people import Look
-from skope.gen.bystanders.riding import MACHINES, standing_lean
-from skope.gen.bystanders.walking import SOLE, leg_to, sunk
+from skope.gen.bystanders.riding import MACHINE_NAMES, standing_lean
+from skope.gen.bystanders.walking import SOLE_SHARE, leg_to, sunk
 from skope.gen.mesh import Mesh
 from skope.gen.render.lit_lamps import lamps_of
 from skope.types import Array
@@ -37,7 +37,7 @@ def drawn(kind: str, count: int = 60) -> list[Look]:
 
 @pytest.mark.parametrize("kind", BYSTANDER_KINDS)
 def test_every_load_is_drawn_on_the_ground_or_above_and_faces_outward(kind: str) -> None:
-    machines = range(len(MACHINES.get(kind, (0,))))
+    machines = range(len(MACHINE_NAMES.get(kind, (0,))))
     for load, machine, passenger in itertools.product(range(len(LUGGAGE_KINDS)), machines, (0.0, 1.0)):
         look = Look(jointed=1.0, load=float(load), machine=float(machine), passenger=passenger, helmet=1.0)
         body = build_bystander(kind, look.to_dict())
@@ -102,7 +102,7 @@ def test_a_leg_ends_where_it_has_to() -> None:
         assert np.allclose((shin @ [0, 0, -0.245 * look.height, 1])[:3], ankle)
         assert shin[0, 3] > min(0.0, ankle[0])  # the knee is in front
     far = leg_to(look, (0.0, 0.0, 0.0), (0.0, 0.0, -2.0))[1] @ [0, 0, -0.245 * look.height, 1]
-    assert far[2] == pytest.approx(-(0.53 - SOLE) * look.height, abs=0.002)
+    assert far[2] == pytest.approx(-(0.53 - SOLE_SHARE) * look.height, abs=0.002)
 
 
 @pytest.mark.parametrize("machine", [0, 1, 2])
@@ -125,7 +125,7 @@ def test_people_differ() -> None:
         assert len({look.palette for look in every}) == 300
         assert {look.helmet for look in every} == ({0.0, 1.0} if kind == "cyclist" else {0.0})
         assert {look.passenger for look in every} == ({0.0} if kind == "pedestrian" else {0.0, 1.0})
-        assert {int(look.machine) for look in every} == set(range(len(MACHINES.get(kind, (0,)))))
+        assert {int(look.machine) for look in every} == set(range(len(MACHINE_NAMES.get(kind, (0,)))))
     assert any(look.load == LUGGAGE_KINDS.index("umbrella") for look in drawn("pedestrian", 40))
     dry = [bystander.draw_look("pedestrian", np.random.default_rng(k)) for k in range(100)]
     assert not any(look.load == LUGGAGE_KINDS.index("umbrella") for look in dry)

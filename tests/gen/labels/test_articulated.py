@@ -14,7 +14,7 @@ from skope.gen.labels.world_keypoints import world_keypoints
 from skope.gen.render.choose_renderer import make_renderer
 from skope.gen.render.frame import RenderedFrame
 from skope.gen.render.lit_lamps import lit_lamps
-from skope.gen.scene.recording import LAMPS, Recording
+from skope.gen.scene.recording import LAMP_BITS, Recording
 from skope.gen.vehicles.fleet import fleet
 from skope.gen.vehicles.model import ON_TRAILER
 from skope.schema import Annotation
@@ -112,7 +112,7 @@ def test_visibility_of_a_bent_lorry_is_that_of_rays() -> None:
 
 def test_the_trailers_lamps_shine_where_the_trailer_is() -> None:
     recording = scene(40.0)
-    moment = replace(recording.moment(0), lamps=np.array([LAMPS["low_beam"]], dtype=np.uint8))
+    moment = replace(recording.moment(0), lamps=np.array([LAMP_BITS["low_beam"]], dtype=np.uint8))
     lit = [lamp.center for lamp in lit_lamps(moment) if lamp.color[0] > 3 * lamp.color[1]]
     points = world_keypoints(moment, "rigid").points[0]
     for side in ("right", "left"):

@@ -11,7 +11,7 @@ from skope.gen.render.lit_lamps import burning_street_lights
 from skope.gen.render.screen_graphics import _GRAPHIC_KINDS, ScreenGraphics
 from skope.gen.render.spray import Spray
 from skope.gen.scene.random_streams import Stream
-from skope.gen.scene.recording import LAMPS
+from skope.gen.scene.recording import LAMP_BITS
 from tests.gen.render.test_weather import CAMERA, SIZE, in_studio, luminance, scene, view
 from tests.gen.scenes import conditions
 
@@ -31,7 +31,7 @@ def same_labels(shown: RenderedFrame, other: RenderedFrame) -> None:
 def test_more_glare_makes_more_of_the_picture_bright_around_lamps_and_none_makes_none() -> None:
     bright = []
     for glare in (0.0, 1.0, 8.0):
-        shown = view(replace(in_studio(lamps=LAMPS["low_beam"], glare=glare, **DARK)))
+        shown = view(replace(in_studio(lamps=LAMP_BITS["low_beam"], glare=glare, **DARK)))
         bright.append(int((shown.rgb.max(axis=-1) > 90).sum()))
     assert bright[0] < bright[1] < bright[2]
 

@@ -16,7 +16,7 @@ from skope.gen.render.gl import background, renderer
 from skope.gen.render.gl.light import LIGHT_SAMPLING, _signed_water
 from skope.gen.render.lit_lamps import lamps_of, lit_lamps
 from skope.gen.scene.conditions import Conditions, ranges
-from skope.gen.scene.recording import LAMPS, Recording, body_of
+from skope.gen.scene.recording import LAMP_BITS, Recording, body_of
 from skope.gen.scenery.build import STUDIO_TOWN, Scenery, scenery
 from skope.gen.towns.town import Town, Variant
 from tests.gen.scenes import conditions, standing
@@ -71,7 +71,7 @@ def unlit() -> RenderedFrame:
 
 @pytest.fixture(scope="module")
 def lit() -> RenderedFrame:
-    return view(scene(LAMPS["low_beam"] | LAMPS["brake"], **NIGHT))
+    return view(scene(LAMP_BITS["low_beam"] | LAMP_BITS["brake"], **NIGHT))
 
 
 def same_labels(a: RenderedFrame, b: RenderedFrame) -> None:
@@ -121,8 +121,8 @@ def test_lamps_are_found_and_lit_by_their_bits() -> None:
         return [lamp.color for lamp in lit_lamps(scene(lamps).moment(0)) if lamp.index == 0]
 
     assert names(0) == []
-    assert len(names(LAMPS["low_beam"])) == 4
-    assert len(set(names(LAMPS["low_beam"] | LAMPS["indicator_left"]))) == 3
+    assert len(names(LAMP_BITS["low_beam"])) == 4
+    assert len(set(names(LAMP_BITS["low_beam"] | LAMP_BITS["indicator_left"]))) == 3
     sedan = body_of(scene().vehicles[0])
     assert all(lamp.center[0] * lamp.facing[0] > 0 for lamp in lamps_of(sedan) if lamp.material != "indicator_left")
 
@@ -135,7 +135,7 @@ def test_a_wet_road_mirrors_lamps_and_is_darker(noon: RenderedFrame, unlit: Rend
     window = np.s_[row - 5 : row + 6, column - 4 : column + 5]
     assert (lit.ids[window] == STATIC_ID).all()
     dry = redness(lit.rgb[window]).mean() - redness(unlit.rgb[window]).mean()
-    wet = redness(view(scene(LAMPS["low_beam"] | LAMPS["brake"], **NIGHT, **WET)).rgb[window]).mean()
+    wet = redness(view(scene(LAMP_BITS["low_beam"] | LAMP_BITS["brake"], **NIGHT, **WET)).rgb[window]).mean()
     assert wet - redness(view(scene(**NIGHT, **WET)).rgb[window]).mean() > dry + 4
     asphalt = np.s_[140:175, 200:300]
     assert (noon.ids[asphalt] == STATIC_ID).all()
@@ -148,7 +148,7 @@ def drawn(weather: str, hour: str, **fields: float) -> Conditions:
 
 @pytest.mark.parametrize(("weather", "hour"), [("rain", "night"), ("fog", "dusk")])
 def test_labels_are_those_of_a_clear_noon(noon: RenderedFrame, weather: str, hour: str) -> None:
-    recording = replace(scene(LAMPS["low_beam"], speed=12.0), conditions=drawn(weather, hour, shutter_s=0.05))
+    recording = replace(scene(LAMP_BITS["low_beam"], speed=12.0), conditions=drawn(weather, hour, shutter_s=0.05))
     shown = view(recording)
     same_labels(shown, noon)
     np.testing.assert_array_equal(view(recording).rgb, shown.rgb)
@@ -231,7 +231,7 @@ def test_street_lights_hang_over_the_ground() -> None:
 def test_the_fallback_draws_them_too() -> None:
     small = Camera.looking([-13, -1.0, 4.0], yaw=0.05, pitch_down=0.22, size=(96, 54), fov=np.radians(60))
     kinds = [("clear", "noon"), ("after_rain", "dusk"), ("rain", "night"), ("fog", "noon")]
-    recording = replace(scene(LAMPS["low_beam"]), camera=small)
+    recording = replace(scene(LAMP_BITS["low_beam"]), camera=small)
     noon, dusk, night, fog = (view(replace(recording, conditions=drawn(*kind)), "pybullet") for kind in kinds)
     assert luminance(noon) > luminance(dusk) > luminance(night) > 5
     for other in (dusk, night, fog):

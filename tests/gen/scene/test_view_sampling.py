@@ -1,6 +1,7 @@
 """Cameras at other corners: they see traffic, never the road that is tested on, and scenery makes room for them."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -74,7 +75,7 @@ def test_most_views_see_vehicles_and_some_an_empty_road() -> None:
 
 def test_views_without_vehicles_show_an_empty_road_and_no_walls(monkeypatch: pytest.MonkeyPatch) -> None:
     """All vehicles stand in one place, so that most cameras see none; of the road before them houses hide nothing."""
-    monkeypatch.setattr(camera_sampling, "EMPTY_SHARE", 1.0)
+    monkeypatch.setattr(camera_sampling, "CAMERA_SAMPLING", replace(camera_sampling.CAMERA_SAMPLING, empty_share=1.0))
     for name, traffic in (("town01", 300), ("town05", 700), ("town07", 100)):
         town = Town(name)
         points, graph = lanes(town), RoadGraph.of(town)
@@ -94,7 +95,7 @@ def test_vehicles_are_as_large_as_is_asked_for() -> None:
     town = Town("town04")
     sampler, traffic = ViewSampler(town), queue(town, 1)
     medians = []
-    for span in ((0.03, 0.06), camera_sampling.LARGEST_VEHICLE_SHARE):
+    for span in ((0.03, 0.06), camera_sampling.CAMERA_SAMPLING.largest_vehicle):
         views = [sampler.draw(traffic, RANGES, np.random.default_rng(seed), span) for seed in range(8)]
         shares = [sampler.vehicles_seen(view.camera, traffic)[1] for view in views]
         medians.append(np.median([share for share in shares if share]))

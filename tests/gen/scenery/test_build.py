@@ -11,7 +11,7 @@ from skope.gen.scenery import facade
 from skope.gen.scenery.build import scenery
 from skope.gen.scenery.quads import Solid
 from skope.gen.scenery.street_furniture import FURNITURE_LIMITS
-from skope.gen.towns.land_use import CAMERA_CLEARANCE, Layout
+from skope.gen.towns.land_use import LAND_USE, Layout
 from skope.gen.towns.road_graph import RoadGraph
 from skope.gen.towns.town import Town, towns
 from tests.gen.rays import cast
@@ -84,7 +84,7 @@ def test_cameras_have_room_around_them(town: Town) -> None:
     for site in Layout.of(town).sites:
         high = mesh.vertices[mesh.vertices[:, 2] > site.position[2] - 2.5]
         distance = np.hypot(*(high[:, :2] - site.position[:2]).T)
-        assert distance.min() > CAMERA_CLEARANCE, site.name
+        assert distance.min() > LAND_USE.camera_clearance_m, site.name
 
 
 @pytest.mark.parametrize(

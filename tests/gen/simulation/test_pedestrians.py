@@ -14,10 +14,10 @@ from skope.gen.bystanders.people import HIP, Look
 from skope.gen.labels.annotate import Rules, annotate
 from skope.gen.mesh import Mesh
 from skope.gen.render.choose_renderer import make_renderer
-from skope.gen.scene.recording import LAMPS
+from skope.gen.scene.recording import LAMP_BITS
 from skope.gen.simulation.pedestrians import Riders, Walkers
-from skope.gen.simulation.recorder import FLASH, flashed
-from skope.gen.traffic.sumo import DEFAULT_STEP_S, SumoRider
+from skope.gen.simulation.recorder import RECORDED, flashed
+from skope.gen.traffic.sumo import SUMO_STEPS, SumoRider
 from tests.gen.scenes import standing, with_people
 
 PATH = np.array([[0.0, 0.0, 0.1], [30.0, 0.0, 0.1], [30.0, 40.0, 2.1]])
@@ -120,7 +120,7 @@ def test_labelled_riders_stand_on_their_left_foot_where_they_wait() -> None:
     riders = Riders({"r": "cyclist"}, lambda _: np.random.default_rng(1), jointed=True)
     for speed, leans in ((5.0, False), (0.0, True)):
         state = SumoRider((0.0, 0.0, 0.0), 0.0, 0.0, speed)
-        rider = riders.follow({"r": state}, DEFAULT_STEP_S)["r"]
+        rider = riders.follow({"r": state}, SUMO_STEPS.default_s)["r"]
         assert (rider.T_world_body[1, 2] > 0.05) == leans  # to the left
         assert rider.part_poses.shape == (7, 4, 4)
 
@@ -128,22 +128,22 @@ def test_labelled_riders_stand_on_their_left_foot_where_they_wait() -> None:
 def test_riders_lean_into_curves_and_their_wheels_roll() -> None:
     riders, radius, speed = Riders({"r": "motorcyclist"}, lambda _: np.random.default_rng(1)), 20.0, 8.0
     for k in range(80):
-        a = k * DEFAULT_STEP_S * speed / radius
+        a = k * SUMO_STEPS.default_s * speed / radius
         ridden = SumoRider((radius * math.sin(a), radius * (1 - math.cos(a)), 0.0), a, 0.0, speed)
-        rider = riders.follow({"r": ridden}, DEFAULT_STEP_S)["r"]
+        rider = riders.follow({"r": ridden}, SUMO_STEPS.default_s)["r"]
     top = rider.T_world_body[:3, 2]
     left = rider.T_world_body[:3, :3] @ [0, 1, 0]
     centre = np.array([0, radius, 0]) - rider.T_world_body[:3, 3]
     assert top @ centre / radius == pytest.approx(math.sin(math.atan(speed**2 / radius / 9.81)), abs=0.03)
     assert left @ centre > 0
-    assert rider.travelled == pytest.approx(80 * DEFAULT_STEP_S * speed)
+    assert rider.travelled == pytest.approx(80 * SUMO_STEPS.default_s * speed)
 
 
 def test_indicators_flash_and_other_lamps_do_not() -> None:
-    lamps = LAMPS["indicator_left"] | LAMPS["brake"]
-    lit = [flashed(lamps, t, "v00001") for t in np.arange(0, 20 * FLASH, 0.01)]
-    assert all(state & LAMPS["brake"] for state in lit)
-    on = np.array([bool(state & LAMPS["indicator_left"]) for state in lit])
+    lamps = LAMP_BITS["indicator_left"] | LAMP_BITS["brake"]
+    lit = [flashed(lamps, t, "v00001") for t in np.arange(0, 20 * RECORDED.flash_s, 0.01)]
+    assert all(state & LAMP_BITS["brake"] for state in lit)
+    on = np.array([bool(state & LAMP_BITS["indicator_left"]) for state in lit])
     assert on.mean() == pytest.approx(0.5, abs=0.02)
     assert int((np.diff(on.astype(int)) == 1).sum()) == pytest.approx(20, abs=1)
 

@@ -10,17 +10,17 @@ import pytest
 from skope.errors import UserError
 from skope.gen.scene import recording as recordings
 from skope.gen.scene.random_streams import Variation
-from skope.gen.scene.recording import LAMPS, RecordingPlan
+from skope.gen.scene.recording import LAMP_BITS, RecordingPlan
 from skope.gen.scenery.build import bays_of
 from skope.gen.simulation.physics import World, at_rest
 from skope.gen.simulation.recorder import Recorder, parked_vehicles
 from skope.gen.simulation.simulate import _models, simulate
 from skope.gen.simulation.smooth_paths import Driven
-from skope.gen.towns.land_use import BAY
+from skope.gen.towns.land_use import LAND_USE
 from skope.gen.towns.sites import site
 from skope.gen.towns.town import Town
-from skope.gen.traffic.demand import RIDERS, Trip, in_town, trips
-from skope.gen.traffic.sumo import DEFAULT_STEP_S, Traffic
+from skope.gen.traffic.demand import RIDER_CLASSES, Trip, in_town, trips
+from skope.gen.traffic.sumo import SUMO_STEPS, Traffic
 from skope.gen.vehicles.fleet import FleetEntry, fleet
 from tests.gen.scenes import driven
 
@@ -30,7 +30,7 @@ SEDAN = fleet()["sedan"].vehicle
 def drive(path: list[Driven]) -> list:
     """Poses of a sedan driven along a path of steps."""
     out = []
-    with World(DEFAULT_STEP_S) as world:
+    with World(SUMO_STEPS.default_s) as world:
         for state in path:
             world.advance({"car": (SEDAN, state)})
             out.append(world.poses()["car"])
@@ -38,7 +38,7 @@ def drive(path: list[Driven]) -> list:
 
 
 def straight(speeds: np.ndarray) -> list[Driven]:
-    x = np.concatenate([[0], np.cumsum(speeds[:-1]) * DEFAULT_STEP_S])
+    x = np.concatenate([[0], np.cumsum(speeds[:-1]) * SUMO_STEPS.default_s])
     return [Driven((float(a), 2.0, 0.0), 0.0, 0.0, float(v), 0) for a, v in zip(x, speeds, strict=True)]
 
 
@@ -66,7 +66,7 @@ def test_a_newcomer_has_its_velocity_from_the_first_step() -> None:
 
 def test_each_wheel_rolls_what_its_own_place_travels() -> None:
     speed, radius = 5.0, 12.0
-    angle = np.arange(200) * DEFAULT_STEP_S * speed / radius
+    angle = np.arange(200) * SUMO_STEPS.default_s * speed / radius
     # The middle of the rear axle is on the circle.
     middle = -SEDAN.shape.rear_axle_x
     path = [
@@ -102,7 +102,7 @@ def test_braking_dips_the_nose_and_accelerating_lifts_it() -> None:
 
 def test_a_left_turn_leans_the_body_to_the_right_and_steers_left() -> None:
     speed, radius = 8.0, 20.0
-    angle = np.arange(160) * DEFAULT_STEP_S * speed / radius
+    angle = np.arange(160) * SUMO_STEPS.default_s * speed / radius
     path = [Driven((radius * math.sin(a), radius * (1 - math.cos(a)), 0.0), float(a), 0.0, speed, 0) for a in angle]
     pose = drive(path)[-1]
     left_side_up = pose.T_world_chassis[2, 1]
@@ -145,7 +145,7 @@ def test_sumo_front_bumper_and_compass_are_converted() -> None:
 
     rng = np.random.default_rng(0)
     with Traffic(Town("town01").network, fleet(), vehicles_per_hour=3000, duration=40, rng=rng) as traffic:
-        for _ in range(round(30 / DEFAULT_STEP_S)):
+        for _ in range(round(30 / SUMO_STEPS.default_s)):
             snapshot = traffic.step()
         checked = 0
         for name, state in snapshot.vehicles.items():
@@ -198,8 +198,8 @@ def test_vehicles_have_tracks_colours_and_lamps() -> None:
     lamps = np.concatenate([m.lamps for m in moments])
     assert (speeds < 0.1).any()
     assert (speeds > 5).any()
-    assert (lamps & LAMPS["brake"]).any()
-    assert not (lamps & LAMPS["brake"]).all()
+    assert (lamps & LAMP_BITS["brake"]).any()
+    assert not (lamps & LAMP_BITS["brake"]).all()
 
 
 @pytest.mark.parametrize("content", [b"", b"PK\x03\x04 not really", b"hello"])
@@ -212,7 +212,7 @@ def test_broken_recordings_are_named(tmp_path: Path, content: bytes) -> None:
 def test_a_vehicle_far_away_stands_where_the_engine_would_have_it() -> None:
     for pitch in (0.0, 0.08):
         state = Driven((3.0, 4.0, 1.0), 0.7, pitch, 0.0, 0)
-        with World(DEFAULT_STEP_S) as world:
+        with World(SUMO_STEPS.default_s) as world:
             for _ in range(120):
                 world.advance({"car": (SEDAN, state)})
             engine = world.poses()["car"]
@@ -308,7 +308,7 @@ def test_traffic_without_further_models_sets_out_as_before_there_were_any() -> N
 
     assert drawn(_models(plan)) == drawn(in_town(fleet(further=False), "town01"))
     more = drawn(_models(replace(plan, variation=FURTHER)))
-    assert {trip.model for trip in more} - set(RIDERS) - fleet(further=False).keys()
+    assert {trip.model for trip in more} - set(RIDER_CLASSES) - fleet(further=False).keys()
 
 
 def test_a_further_model_can_be_asked_for_where_others_do_not_drive() -> None:
@@ -324,7 +324,7 @@ def test_some_further_models_park() -> None:
         one.model for one in parked_vehicles(town, bays_of(town) * 3, models, np.random.default_rng(0), most=200)
     }
     assert standing
-    assert all(models[name].vehicle.size_lwh[0] < BAY[0] + 0.2 for name in standing)
+    assert all(models[name].vehicle.size_lwh[0] < LAND_USE.bay_m[0] + 0.2 for name in standing)
 
 
 def test_models_that_drive_when_asked_for_drive_then_alone() -> None:

@@ -10,9 +10,9 @@ import pytest
 
 from skope.gen.scene.recording import RecordingPlan
 from skope.gen.simulation.simulate import simulate
-from skope.gen.simulation.smooth_paths import LOCK, SPREADS_S, Driven, drivable, reach
+from skope.gen.simulation.smooth_paths import PATH_SMOOTHING, Driven, drivable, reach
 from skope.gen.towns.sites import site
-from skope.gen.traffic.sumo import DEFAULT_STEP_S, Chassis, Snapshot, SumoVehicle
+from skope.gen.traffic.sumo import SUMO_STEPS, Chassis, Snapshot, SumoVehicle
 from skope.gen.vehicles.fleet import fleet
 
 CHASSIS = Chassis.of(fleet()["sedan"].vehicle)
@@ -21,16 +21,18 @@ CHASSIS = Chassis.of(fleet()["sedan"].vehicle)
 def driven(place: Callable[[float], tuple[float, float, float, float]], seconds: float) -> list[Driven]:
     """How a sedan drives whose lane point is at (x, y) with a heading and a speed at each time."""
     out = []
-    for _, states in drivable((snapshot(place, k) for k in range(round(seconds / DEFAULT_STEP_S))), DEFAULT_STEP_S):
+    for _, states in drivable(
+        (snapshot(place, k) for k in range(round(seconds / SUMO_STEPS.default_s))), SUMO_STEPS.default_s
+    ):
         out.append(states["car"])
     return out
 
 
 def snapshot(place: Callable[[float], tuple[float, float, float, float]], k: int) -> Snapshot:
-    x, y, yaw, speed = place(k * DEFAULT_STEP_S)
+    x, y, yaw, speed = place(k * SUMO_STEPS.default_s)
     return Snapshot(
-        k * DEFAULT_STEP_S,
-        {"car": SumoVehicle(CHASSIS, (x, y), speed * k * DEFAULT_STEP_S, 0.0, yaw, 0.0, speed, 0)},
+        k * SUMO_STEPS.default_s,
+        {"car": SumoVehicle(CHASSIS, (x, y), speed * k * SUMO_STEPS.default_s, 0.0, yaw, 0.0, speed, 0)},
         {},
         {},
     )
@@ -42,9 +44,9 @@ def rear(state: Driven) -> np.ndarray:
 
 def test_an_even_drive_stays_as_it_is() -> None:
     states = driven(lambda t: (12 * t, 3.0, 0.0, 12.0), 6)
-    assert len(states) == round(6 / DEFAULT_STEP_S) - 2 * reach(DEFAULT_STEP_S)
-    for k, state in enumerate(states, start=reach(DEFAULT_STEP_S)):
-        x = 12 * k * DEFAULT_STEP_S - CHASSIS.lane_point + CHASSIS.middle
+    assert len(states) == round(6 / SUMO_STEPS.default_s) - 2 * reach(SUMO_STEPS.default_s)
+    for k, state in enumerate(states, start=reach(SUMO_STEPS.default_s)):
+        x = 12 * k * SUMO_STEPS.default_s - CHASSIS.lane_point + CHASSIS.middle
         assert state.position == pytest.approx((x, 3.0, 0.0), abs=1e-9)
         assert (state.yaw, state.speed) == pytest.approx((0.0, 12.0), abs=1e-9)
 
@@ -54,7 +56,7 @@ def test_on_a_circle_the_rear_axle_runs_inside_and_moves_along_the_heading() -> 
     radius, speed = 15.0, 6.0
     turn = speed / radius
     states = driven(lambda t: (radius * math.sin(turn * t), -radius * math.cos(turn * t), turn * t, speed), 40)
-    shrunk = radius * math.exp(-0.5 * (turn * SPREADS_S[0]) ** 2)
+    shrunk = radius * math.exp(-0.5 * (turn * PATH_SMOOTHING.sigmas_s[0]) ** 2)
     inner = math.sqrt(shrunk**2 - CHASSIS.lane_point**2)
     for a, b in itertools.pairwise(states[-100:]):
         assert np.hypot(*rear(a)) == pytest.approx(inner, rel=1e-3)
@@ -63,7 +65,7 @@ def test_on_a_circle_the_rear_axle_runs_inside_and_moves_along_the_heading() -> 
         middle = (a.yaw + b.yaw) / 2
         aside = moved @ [-math.sin(middle), math.cos(middle)]
         assert abs(aside) < 0.003 * np.hypot(*moved) + 1e-4
-        assert (b.yaw - a.yaw) / DEFAULT_STEP_S == pytest.approx(turn, rel=1e-3)
+        assert (b.yaw - a.yaw) / SUMO_STEPS.default_s == pytest.approx(turn, rel=1e-3)
 
 
 def test_a_shift_within_a_step_is_driven_within_a_second() -> None:
@@ -90,7 +92,7 @@ def test_no_vehicle_turns_sharper_than_the_wheels_can_be_steered() -> None:
     )
     for a, b in itertools.pairwise(states):
         travel = np.hypot(*(rear(b) - rear(a)))
-        assert abs(b.yaw - a.yaw) <= travel * math.tan(LOCK) / CHASSIS.wheelbase + 1e-9
+        assert abs(b.yaw - a.yaw) <= travel * math.tan(PATH_SMOOTHING.lock_rad) / CHASSIS.wheelbase + 1e-9
     assert rear(states[-1])[0] == pytest.approx(20.0, abs=0.05)
     assert states[-1].yaw == pytest.approx(math.pi / 2, abs=0.01)
 
@@ -112,13 +114,13 @@ def test_vehicles_come_and_go() -> None:
     shots = [one if 90 <= k < 110 else replace(one, vehicles={}) for k, one in enumerate(shots)]
     seen = [
         (k, states["car"])
-        for k, (_, states) in enumerate(drivable(shots, DEFAULT_STEP_S), start=reach(DEFAULT_STEP_S))
+        for k, (_, states) in enumerate(drivable(shots, SUMO_STEPS.default_s), start=reach(SUMO_STEPS.default_s))
         if states
     ]
     assert [k for k, _ in seen] == list(range(90, 110))
     for k, state in seen:
         assert state.position[0] == pytest.approx(
-            10 * k * DEFAULT_STEP_S - CHASSIS.lane_point + CHASSIS.middle, abs=1e-9
+            10 * k * SUMO_STEPS.default_s - CHASSIS.lane_point + CHASSIS.middle, abs=1e-9
         )
         assert state.speed == pytest.approx(10.0)
 
@@ -134,7 +136,7 @@ def test_vehicles_come_and_go() -> None:
 def test_recorded_velocities_are_how_bodies_move(name: str) -> None:
     """Every step of ten seconds: velocity against a central difference over 0.2 s, slip of the rear axle, yaw, roll."""
     plan = RecordingPlan(
-        site=site(name), index=0, frames=400, interval=DEFAULT_STEP_S, size=(640, 360), fov_deg=110, seed=0
+        site=site(name), index=0, frames=400, interval=SUMO_STEPS.default_s, size=(640, 360), fov_deg=110, seed=0
     )
     recording, checked = simulate(plan), 0
     for i, vehicle in enumerate(recording.vehicles):
@@ -144,7 +146,7 @@ def test_recorded_velocities_are_how_bodies_move(name: str) -> None:
         if vehicle.parked or not vehicle.labelled or not near or len(rows) < 20:
             continue
         T, velocity = recording.T_world_chassis[rows], recording.velocity[rows]
-        moved = (place[8:] - place[:-8]) / (8 * DEFAULT_STEP_S)
+        moved = (place[8:] - place[:-8]) / (8 * SUMO_STEPS.default_s)
         assert np.linalg.norm((moved - velocity[4:-4])[:, :2], axis=1).max() < 1.0
         assert (velocity * T[:, :3, 0]).sum(1).min() > -0.05
         axle = (

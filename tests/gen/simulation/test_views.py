@@ -13,14 +13,14 @@ from skope.gen.pipeline.config import DatasetRequest, from_preset
 from skope.gen.pipeline.dataset_store import Store
 from skope.gen.pipeline.workers import simulate_job
 from skope.gen.scene import recording as recordings
-from skope.gen.scene.camera_sampling import LARGEST_VEHICLE_SHARE, PlacedCamera, ViewSampler
-from skope.gen.scene.recording import LAMPS, Recording, RecordingPlan
+from skope.gen.scene.camera_sampling import CAMERA_SAMPLING, PlacedCamera, ViewSampler
+from skope.gen.scene.recording import LAMP_BITS, Recording, RecordingPlan
 from skope.gen.scenery import build
 from skope.gen.scenery.build import bays_of, scenery
 from skope.gen.simulation.simulate import _variant, lamps_on, simulate, simulate_together
 from skope.gen.towns.town import Town, Variant
 from skope.gen.towns.town_style import style
-from skope.gen.vehicles.paints import PAINTS
+from skope.gen.vehicles.paints import ALL_PAINTS
 
 
 def request(**changes: object) -> DatasetRequest:
@@ -65,15 +65,15 @@ def test_cameras_hang_at_corners_of_one_town(filmed: list[Recording]) -> None:
 def test_by_day_some_vehicles_have_their_lamps_lit(filmed: list[Recording]) -> None:
     lit = []
     for recording in filmed:
-        assert not lamps_on(recording.conditions) or (recording.lamps & LAMPS["low_beam"]).any()
+        assert not lamps_on(recording.conditions) or (recording.lamps & LAMP_BITS["low_beam"]).any()
         if not lamps_on(recording.conditions):
             driving = [not recording.vehicles[i].parked and recording.vehicles[i].labelled for i in recording.vehicle]
-            lit += ((recording.lamps & LAMPS["low_beam"]) > 0)[driving].tolist()
+            lit += ((recording.lamps & LAMP_BITS["low_beam"]) > 0)[driving].tolist()
     assert 0.1 < np.mean(lit) < 0.8
 
 
 def test_paints_come_in_shades(filmed: list[Recording]) -> None:
-    palettes = {PAINTS[one.color].palette for recording in filmed for one in recording.vehicles if one.labelled}
+    palettes = {ALL_PAINTS[one.color].palette for recording in filmed for one in recording.vehicles if one.labelled}
     assert "shades" in palettes
     assert "private" not in palettes
 
@@ -161,7 +161,7 @@ def test_views_are_drawn_with_the_size_of_vehicles_that_the_preset_wants(monkeyp
     monkeypatch.setattr(ViewSampler, "draw", drawn)
     for span in (None, (0.04, 0.2)):
         simulate_together(request(largest_vehicle=span).simulations()[0])
-    assert asked == [LARGEST_VEHICLE_SHARE] * 4 + [(0.04, 0.2)] * 4
+    assert asked == [CAMERA_SAMPLING.largest_vehicle] * 4 + [(0.04, 0.2)] * 4
 
 
 def test_only_a_seed_changes_the_style() -> None:

@@ -11,13 +11,13 @@ from skope.errors import UserError
 from skope.gen.render.materials import MATERIAL_COLORS, own_color
 from skope.gen.vehicles.cabin import ROOF_LOAD_HEIGHTS_M
 from skope.gen.vehicles.fleet import ParametricVehicle, build_vehicle, fleet, jittered, parametric
-from skope.gen.vehicles.jittered_parts import DETAILS, draw_details, styled
+from skope.gen.vehicles.jittered_parts import ALL_DETAILS, draw_details, styled
 from skope.gen.vehicles.shape import DETAIL_NAMES, Shape
 from tests.gen.thirds import a_third
 from tests.gen.vehicles.test_fleet import assert_on_the_surface, backs_seen, first_hits
 
 CARS = sorted(name for name in fleet() if parametric(name).style.family == "car")
-OPTIONS = [(name, number) for name, detail in DETAILS.items() for number in range(1, len(detail.options))]
+OPTIONS = [(name, number) for name, detail in ALL_DETAILS.items() for number in range(1, len(detail.options))]
 
 
 def with_details(model: str, **details: float) -> ParametricVehicle:
@@ -61,10 +61,10 @@ def assert_details_keep_the_keypoints(model: str, details: dict[str, float]) -> 
     assert all(material in {*MATERIAL_COLORS, "paint"} or own_color(material) for material in used)
 
 
-@pytest.mark.parametrize("turn", range(max(len(detail.options) for detail in DETAILS.values()) - 1))
+@pytest.mark.parametrize("turn", range(max(len(detail.options) for detail in ALL_DETAILS.values()) - 1))
 def test_details_keep_the_keypoints_on_the_surface(turn: int) -> None:
     """Each option of each detail once, all details at a time."""
-    details = {name: float(1 + turn % (len(detail.options) - 1)) for name, detail in DETAILS.items()}
+    details = {name: float(1 + turn % (len(detail.options) - 1)) for name, detail in ALL_DETAILS.items()}
     assert_details_keep_the_keypoints(CARS[turn % len(CARS)], details)
 
 
@@ -79,7 +79,9 @@ VANS = [name for name in CARS if parametric(name).vehicle_type == "van"]
 
 @pytest.mark.parametrize("model", VANS)
 def test_tail_lamps_of_vans_may_stand_beside_the_rear_window(model: str) -> None:
-    numbers = [i for i, (_, option) in enumerate(DETAILS["taillight"].options) if option.get("taillight") == "pillar"]
+    numbers = [
+        i for i, (_, option) in enumerate(ALL_DETAILS["taillight"].options) if option.get("taillight") == "pillar"
+    ]
     vehicle = with_details(model, taillight=float(numbers[0]))
     assert_details_keep_the_keypoints(model, {"taillight": float(numbers[0])})
     outer, inner, base = (

@@ -10,12 +10,12 @@ import pytest
 from skope.camera.model import Camera
 from skope.gen.render.choose_renderer import make_renderer
 from skope.gen.render.lit_lamps import lit_lamps
-from skope.gen.scene.recording import LAMPS
+from skope.gen.scene.recording import LAMP_BITS
 from skope.gen.towns.town import Town
 from skope.gen.vehicles import bus, closed_bodies, coaches, lorry_parts, truck
-from skope.gen.vehicles.fleet import _BODIES, fleet, parametric
+from skope.gen.vehicles.fleet import BODY_KINDS, fleet, parametric
 from skope.gen.vehicles.model import straight_mesh
-from skope.gen.vehicles.panels import FRONT_MARKER, MARKER, REAR_MARKER
+from skope.gen.vehicles.panels import FRONT_MARKER, MARKER_MATERIAL, REAR_MARKER
 from skope.gen.vehicles.trailer_body import TrailerBody
 from tests.gen.scenes import conditions, standing
 
@@ -46,19 +46,19 @@ def test_wide_vehicles_have_lamps_at_their_upper_corners(model: str) -> None:
 
 @pytest.mark.parametrize("model", ["truck_long", "articulated_curtain", "bus_low_floor", "coach"])
 def test_amber_lamps_lie_along_the_sides(model: str) -> None:
-    amber = places_of(model, MARKER)
+    amber = places_of(model, MARKER_MATERIAL)
     assert np.ptp(amber[:, 0]) > 4.0
     assert np.abs(amber[:, 1]).min() > 0.9 * fleet()[model].vehicle.shape.width / 2
 
 
 def test_cars_have_none() -> None:
-    assert not {FRONT_MARKER, REAR_MARKER, MARKER} & set(fleet()["sedan"].vehicle.mesh.materials)
+    assert not {FRONT_MARKER, REAR_MARKER, MARKER_MATERIAL} & set(fleet()["sedan"].vehicle.mesh.materials)
 
 
 def left_points(model: str) -> dict[str, np.ndarray]:
     """The left keypoints of a body that is built anew, without the cache, and of its trailer."""
     vehicle = parametric(model)
-    body: Any = _BODIES[vehicle.style.family](vehicle.shape, vehicle.style)
+    body: Any = BODY_KINDS[vehicle.style.family](vehicle.shape, vehicle.style)
     _ = body.mesh
     trailer = TrailerBody(vehicle.shape, vehicle.style).points if vehicle.style.trailer else {}
     return {**body.points, **trailer}
@@ -91,14 +91,14 @@ def at_night(model: str, lamps: int) -> np.ndarray:
 
 
 def test_a_bus_is_lit_inside_with_its_low_beam_only() -> None:
-    dark, lit = (at_night("bus", lamps) for lamps in (0, LAMPS["low_beam"]))
+    dark, lit = (at_night("bus", lamps) for lamps in (0, LAMP_BITS["low_beam"]))
     assert (lit > dark + 40).sum() > 400
-    braking = at_night("bus", LAMPS["brake"])
+    braking = at_night("bus", LAMP_BITS["brake"])
     assert (braking > dark + 40).sum() < 100
 
 
 def test_a_roof_sign_is_the_brightest_part_of_a_taxi() -> None:
-    dark, lit = (at_night("taxi", lamps) for lamps in (0, LAMPS["low_beam"]))
+    dark, lit = (at_night("taxi", lamps) for lamps in (0, LAMP_BITS["low_beam"]))
     rows = np.flatnonzero((dark > 0).any(axis=1))
     roof = slice(rows[0], rows[0] + max(3, len(rows) // 6))
     assert lit[roof].max() > dark[roof].max() + 60

@@ -11,7 +11,7 @@ from skope.gen.simulation.physics import World, at_rest
 from skope.gen.simulation.smooth_paths import Driven, drivable
 from skope.gen.towns.town import Town
 from skope.gen.traffic.demand import write_types
-from skope.gen.traffic.sumo import DEFAULT_STEP_S, Chassis, Snapshot, SumoTrailer, SumoVehicle, Traffic
+from skope.gen.traffic.sumo import SUMO_STEPS, Chassis, Snapshot, SumoTrailer, SumoVehicle, Traffic
 from skope.gen.vehicles import trailer_motion
 from skope.gen.vehicles.fleet import fleet
 from skope.gen.vehicles.model import straight_lwh
@@ -115,20 +115,20 @@ def lorry_on(places: list[tuple[float, float, float]], speed: float) -> list[Dri
     """How a lorry drives whose lane point SUMO has at places (x, y, heading), a step apart; straight at first."""
     chassis, start = Chassis.of(LORRY), places[0][2]
     states = [
-        SumoVehicle(chassis, (x, y), speed * k * DEFAULT_STEP_S, 0.0, yaw, 0.0, speed, 0, SumoTrailer(start, 0.0))
+        SumoVehicle(chassis, (x, y), speed * k * SUMO_STEPS.default_s, 0.0, yaw, 0.0, speed, 0, SumoTrailer(start, 0.0))
         for k, (x, y, yaw) in enumerate(places)
     ]
-    snapshots = (Snapshot(k * DEFAULT_STEP_S, {"lorry": state}, {}, {}) for k, state in enumerate(states))
-    return [driven["lorry"] for _, driven in drivable(snapshots, DEFAULT_STEP_S)]
+    snapshots = (Snapshot(k * SUMO_STEPS.default_s, {"lorry": state}, {}, {}) for k, state in enumerate(states))
+    return [driven["lorry"] for _, driven in drivable(snapshots, SUMO_STEPS.default_s)]
 
 
 def test_a_lorry_in_a_roundabout_has_the_angle_of_its_triangles() -> None:
     """The hinge is ahead of the rear axle, whose circle is that of the lane point less its distance."""
     radius, speed = 25.0, 6.0
-    turn = speed * DEFAULT_STEP_S / radius
+    turn = speed * SUMO_STEPS.default_s / radius
     places = [
         (radius * math.sin(k * turn), radius * (1 - math.cos(k * turn)), k * turn)
-        for k in range(round(30 / DEFAULT_STEP_S))
+        for k in range(round(30 / SUMO_STEPS.default_s))
     ]
     state, chassis = lorry_on(places, speed)[-1], Chassis.of(LORRY)
     rear = math.sqrt(radius**2 - chassis.lane_point**2)
@@ -138,17 +138,17 @@ def test_a_lorry_in_a_roundabout_has_the_angle_of_its_triangles() -> None:
 
 
 def test_the_engine_draws_the_trailer_along() -> None:
-    path = lorry_on([(10.0 * k * DEFAULT_STEP_S, 0.0, 0.0) for k in range(round(6 / DEFAULT_STEP_S))], 10.0)
+    path = lorry_on([(10.0 * k * SUMO_STEPS.default_s, 0.0, 0.0) for k in range(round(6 / SUMO_STEPS.default_s))], 10.0)
     poses = []
-    with World(DEFAULT_STEP_S) as world:
+    with World(SUMO_STEPS.default_s) as world:
         for state in path:
             world.advance({"lorry": (LORRY, state)})
             poses.append(world.poses()["lorry"])
     T = np.array([pose.T_world_trailer for pose in poses[20:]])
     steps = np.diff(T[:, 0, 0, 3])
-    np.testing.assert_allclose(steps, 10.0 * DEFAULT_STEP_S, atol=0.004)
+    np.testing.assert_allclose(steps, 10.0 * SUMO_STEPS.default_s, atol=0.004)
     spin = np.unwrap(np.arctan2(T[:, 1, 0, 2], T[:, 1, 0, 0]))
-    np.testing.assert_allclose(np.diff(spin) * LORRY.shape.wheel_radius, 10.0 * DEFAULT_STEP_S, atol=0.004)
+    np.testing.assert_allclose(np.diff(spin) * LORRY.shape.wheel_radius, 10.0 * SUMO_STEPS.default_s, atol=0.004)
 
 
 def test_sumo_knows_the_whole_length(tmp_path: Path) -> None:
@@ -169,10 +169,10 @@ def test_trailers_follow_before_anybody_watches() -> None:
     with Traffic(
         Town("town01").network, models, vehicles_per_hour=1500, duration=60, rng=rng, watched=lambda x, y: begun
     ) as traffic:
-        traffic.warm_up(round(45 / DEFAULT_STEP_S))
+        traffic.warm_up(round(45 / SUMO_STEPS.default_s))
         begun = True
         first = {}
-        for snapshot in traffic.steps(round(15 / DEFAULT_STEP_S)):
+        for snapshot in traffic.steps(round(15 / SUMO_STEPS.default_s)):
             for name, state in snapshot.vehicles.items():
                 first.setdefault(name, state)
     bends = [math.remainder(state.trailer.yaw - state.yaw, 2 * math.pi) for state in first.values()]

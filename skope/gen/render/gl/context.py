@@ -18,7 +18,7 @@ from skope.errors import UserError
 from skope.gen.mesh import Mesh
 from skope.gen.render.materials import MATERIAL_COLORS, MATERIAL_ROUGHNESS, Palette
 from skope.gen.render.pixel_windows import Window
-from skope.gen.scene.recording import LAMPS
+from skope.gen.scene.recording import LAMP_BITS
 from skope.types import Array
 
 
@@ -69,7 +69,7 @@ def _material_number(material: str) -> int:
 
 def _shader_defines() -> str:
     lines = [f"#define M_{name.upper()} {number}" for name, number in _MATERIAL_NUMBERS.items()]
-    lines += [f"#define LAMP_{name.upper()} {bit}" for name, bit in LAMPS.items()]
+    lines += [f"#define LAMP_{name.upper()} {bit}" for name, bit in LAMP_BITS.items()]
     return "\n".join([*lines, f"#define MATERIAL_COUNT {len(_MATERIAL_NUMBERS)}"])
 
 

@@ -15,7 +15,7 @@ from skope.gen.render.gl.placed_vehicles import PlacedVehicle
 from skope.gen.render.lit_lamps import has_headlights
 from skope.gen.render.pixel_windows import beam_corners, beam_hull_of
 from skope.gen.scene.conditions import Conditions
-from skope.gen.scene.recording import LAMPS
+from skope.gen.scene.recording import LAMP_BITS
 from skope.types import Array
 
 
@@ -202,7 +202,7 @@ class Beams:
     def draw(self, placed: Sequence[PlacedVehicle], camera: Camera) -> list[Array]:
         """Draw the beams of those whose lamps are lit; returns polygons in the image around what they may light."""
         device = self._device
-        lit = [one for one in placed if one.look["u_lamps"] & LAMPS["low_beam"] and has_headlights(one.vehicle)]
+        lit = [one for one in placed if one.look["u_lamps"] & LAMP_BITS["low_beam"] and has_headlights(one.vehicle)]
         self._target.use()
         self._target.clear(0, 0, 0, 0)
         if not lit:
@@ -232,6 +232,6 @@ class Beams:
         local = beam_corners(reach)[[0, 1, 2, 0, 2, 3]]
         T = one.T_world_chassis
         world = (local + [np.copysign(length / 2, reach), 0]) @ T[:2, :2].T + T[:2, 3]
-        strength = GROUND_LIGHTS.brake_factor if one.look["u_lamps"] & LAMPS["brake"] else 1.0
+        strength = GROUND_LIGHTS.brake_factor if one.look["u_lamps"] & LAMP_BITS["brake"] else 1.0
         size = np.tile([reach if reach > 0 else strength, width / 2, height], (6, 1))
         return np.column_stack([(world - self._middle[:2]) / self._radius, local, size]).astype(np.float32)

@@ -15,7 +15,7 @@ from skope.gen.render.gl.context import Device, DeviceMesh, linear
 from skope.gen.render.pixel_windows import Window, hull_of, may_be_seen, window_of
 from skope.gen.scene.recording import Moment, body_of
 from skope.gen.vehicles.model import TRAILER_PART, Body, straight_lwh
-from skope.gen.vehicles.paints import PAINTS
+from skope.gen.vehicles.paints import ALL_PAINTS
 from skope.types import Array
 
 PARTS_DEFINITION: Final = "PARTS 8"
@@ -84,7 +84,7 @@ class Placer:
                 continue
             from_camera = parts.copy()
             from_camera[:, :3, 3] -= camera.position
-            paint = PAINTS[recorded.color]
+            paint = ALL_PAINTS[recorded.color]
             look = {"u_paint": _linear_color(paint.rgb), "u_livery": _linear_color(paint.livery)}
             out.append(
                 PlacedVehicle(
