@@ -26,7 +26,7 @@ from torchvision.models.detection.image_list import ImageList
 
 from skope.detector import int8_ranges
 from skope.detector.backends.prepare import prepare
-from skope.detector.build import PROPOSALS, DetectorConfig, build
+from skope.detector.build import NETWORK_DEFAULTS, DetectorConfig, build
 from skope.detector.detect import heatmap_peaks
 from skope.terminal.console import Console
 
@@ -131,7 +131,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--size", type=size, default=(544, 960), help="height and width inside the network, pixels")
     parser.add_argument("--vehicles", type=int, default=13)
-    parser.add_argument("--proposals", type=int, default=PROPOSALS, help="regions that the box head looks at")
+    parser.add_argument(
+        "--proposals", type=int, default=NETWORK_DEFAULTS.proposals, help="regions that the box head looks at"
+    )
     parser.add_argument("--variants", type=names, default=list(VARIANTS), help="names, separated by commas")
     parser.add_argument("--backend", default="auto")
     parser.add_argument("--precision", default="auto")

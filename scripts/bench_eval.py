@@ -31,7 +31,7 @@ from skope.detector.network_settings import Settings
 from skope.detector.predictor import Predictor
 from skope.metrics.keypoint_outcomes import Options
 from skope.metrics.pck_precision_recall import score_split
-from skope.metrics.thresholds import IOU_THRESHOLDS
+from skope.metrics.thresholds import PAPER_THRESHOLDS
 from skope.schema import Annotation, AnnotationFile, Image, Result
 from skope.terminal.console import Console
 
@@ -79,7 +79,7 @@ def loops(file: AnnotationFile, results: list[Result]) -> dict[str, Any]:
         if result.score > 0.9:
             found[result.image_id].append(result)
     out = {}
-    for t in IOU_THRESHOLDS:
+    for t in PAPER_THRESHOLDS.iou:
         matched = labelled = labelled_all = correct = left_out = vehicles = detections = 0
         paper: list[tuple[float, float, float, float]] = []
         for image in file.images:

@@ -16,7 +16,7 @@ from pathlib import Path
 
 from skope.cli import main as main_of_skope
 from skope.dataset import coco
-from skope.dataset.folder import FRAMES
+from skope.dataset.folder import FRAMES_FILE
 
 
 def timed(*arguments: object) -> float:
@@ -42,7 +42,7 @@ def main() -> None:
             steps = {"predict": timed("predict", *call, "--out", seen)}
             for step in ("track", "pose"):
                 steps[step] = timed(step, seen, "--out", Path(folder) / step)
-            times = [image.time_s or 0.0 for image in coco.read(seen / FRAMES).images]
+            times = [image.time_s or 0.0 for image in coco.read(seen / FRAMES_FILE).images]
             for step, seconds in steps.items():
                 size = sum(path.stat().st_size for path in (Path(folder) / step).rglob("*") if path.is_file())
                 pace = (times[-1] - times[0]) / seconds

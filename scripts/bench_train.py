@@ -41,7 +41,7 @@ from skope.terminal.console import Console
 from skope.train import configure, distributed, init_weights, losses, optimizer, splits, step, training_samples
 from skope.train.distributed import ProcessGroup
 from skope.train.fold_batchnorm import fold_norms
-from skope.train.recipe import RECIPES, Recipe, adjusted_recipe
+from skope.train.recipe import SHIPPED_RECIPES, Recipe, adjusted_recipe
 from skope.train.sample_loader import Loader
 from skope.train.training_state import TrainingState
 
@@ -88,7 +88,7 @@ def parse() -> argparse.Namespace:
 def recipe_of(options: argparse.Namespace) -> Recipe:
     """What skope does by default with bounded keypoint regions, at the reference's input size."""
     bfloat16 = options.device != "cpu" or has_bfloat16(torch.device("cpu"))
-    laptop = dataclasses.replace(RECIPES["laptop"], bfloat16=bfloat16, val_fraction=0.0)
+    laptop = dataclasses.replace(SHIPPED_RECIPES["laptop"], bfloat16=bfloat16, val_fraction=0.0)
     return adjusted_recipe(laptop.with_min_size(options.min_size), options.set)
 
 
@@ -172,7 +172,7 @@ class ReferenceDataset(torch.utils.data.Dataset[Any]):
 
     def __init__(self, root: Path) -> None:
         opened = open_dataset(root)
-        file = opened.read(splits.SPLIT)
+        file = opened.read(splits.TRAINING_SPLIT)
         self._root, self._vehicles = root, file.by_image()
         self._images = [image for image in file.images if any(not a.ignored for a in self._vehicles[image.id])]
 
@@ -227,7 +227,7 @@ def skope(
 
 def count(root: Path) -> int:
     """Images with vehicles."""
-    file = open_dataset(root).read(splits.SPLIT)
+    file = open_dataset(root).read(splits.TRAINING_SPLIT)
     return len({a.image_id for a in file.annotations if not a.ignored})
 
 

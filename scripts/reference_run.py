@@ -31,7 +31,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Final
 
-from skope.dataset.folder import CARD
+from skope.dataset.folder import CARD_FILE
 from skope.detector.checkpoint import find_checkpoint
 from skope.gen.towns.sites import sites
 from skope.train.training_state import resumable
@@ -164,7 +164,7 @@ class Clock:
 def make(clock: Clock, data: Path, names: Sequence[str]) -> None:
     """Simulate what is not simulated, on a machine that can, and draw what has no images."""
     for name in names:
-        if (data / name / CARD).is_file():
+        if (data / name / CARD_FILE).is_file():
             continue
         if find_spec("pybullet"):
             clock.run(["gen", "simulate", *DATASETS[name].split(), "--no-depth", "--out", str(data / name)])

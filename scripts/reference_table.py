@@ -21,7 +21,7 @@ from skope.files.json_files import read_json
 from skope.metrics.keypoint_outcomes import Options, outcomes_at
 from skope.metrics.match import Matches, match
 from skope.metrics.outcome_counts import ratio
-from skope.metrics.pck_precision_recall import AT_PRECISION, ranked, recall_at_precision
+from skope.metrics.pck_precision_recall import METRIC_RULES, ranked, recall_at_precision
 from skope.metrics.read_inputs import read_vehicle_results
 from skope.schema import AnnotationFile, Result
 
@@ -99,7 +99,7 @@ def label(dataset: str, split: str) -> str:
 
 def beside(folders: Sequence[Path], data: Path) -> str:
     """A line for each dataset, split and detector."""
-    names = ["PCK@0.1 %", *(f"recall at precision {p:.2f}" for p in AT_PRECISION), *BANDS_PX]
+    names = ["PCK@0.1 %", *(f"recall at precision {p:.2f}" for p in METRIC_RULES.at_precision), *BANDS_PX]
     lines = ["| | | " + " | ".join(names) + " |", "|---" * (len(names) + 2) + "|"]
     for dataset, split, _ in evaluated(folders[0]):
         file = coco.read(data / dataset / "annotations" / f"{split}.json")
@@ -114,7 +114,7 @@ def detector_cells(file: AnnotationFile, results: Sequence[Result]) -> list[str]
     everything = match(file, results, score=0.0, thresholds=(IOU,))
     scores, hits = ranked(everything, IOU)
     truth = len(everything.vehicles)
-    recalls = [recall_at_precision(scores, hits, truth, p) for p in AT_PRECISION]
+    recalls = [recall_at_precision(scores, hits, truth, p) for p in METRIC_RULES.at_precision]
     found = [_share(one["recall"]) for one in recalls]
     if (least := recalls[0]["score"]) is None:
         return ["-", *found, *("-" for _ in BANDS_PX)]

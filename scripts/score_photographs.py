@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 from skope import keypoints
 from skope.dataset import coco, image_selection
 from skope.dataset.folder import read_image
-from skope.detector.network_settings import BACKENDS, PRECISIONS, Settings
+from skope.detector.network_settings import BACKEND_CHOICES, PRECISION_CHOICES, Settings
 from skope.detector.predictor import Predictor
 from skope.errors import UserError
 from skope.files import safe_names
@@ -40,7 +40,7 @@ from skope.keypoints import FLIP, OTHER_END
 from skope.metrics.coco_ap import average_precision
 from skope.metrics.keypoint_outcomes import Options, lengths, outcomes_at
 from skope.metrics.match import Matches, match
-from skope.metrics.pck_precision_recall import AT_PRECISION, recall_at_precision
+from skope.metrics.pck_precision_recall import METRIC_RULES, recall_at_precision
 from skope.metrics.read_inputs import for_images, read_vehicle_results
 from skope.pictures import draw
 from skope.schema import Annotation, AnnotationFile, Result
@@ -289,7 +289,8 @@ def box_figures(file: AnnotationFile, results: Sequence[Result], score: float) -
         "ap": precision["box_ap"],
         "ap50": precision["box_ap50"],
         "recall_at_precision": {
-            f"{p:.2f}": recall_at_precision(matches.det_score[counted], hit[counted], truth, p) for p in AT_PRECISION
+            f"{p:.2f}": recall_at_precision(matches.det_score[counted], hit[counted], truth, p)
+            for p in METRIC_RULES.at_precision
         },
         "precision": _ratio(hits, hits + phantoms),
         "recall": _ratio(hits, truth),
@@ -445,8 +446,8 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("runs/real"))
     parser.add_argument("--device", default="auto", help="auto, cpu, cuda or cuda:N")
     parser.add_argument("--score", type=float, default=0.5, help="a detection counts from this score")
-    parser.add_argument("--backend", choices=BACKENDS, default="torch")
-    parser.add_argument("--precision", choices=PRECISIONS, default="float32")
+    parser.add_argument("--backend", choices=BACKEND_CHOICES, default="torch")
+    parser.add_argument("--precision", choices=PRECISION_CHOICES, default="float32")
     try:
         run(parser.parse_args())
     except UserError as error:

@@ -35,9 +35,9 @@ from reference_run import EXTRA, GRACE_S, TESTED, TRAIN, Clock, TimeIsUpError
 from safetensors.torch import load as deserialized
 from safetensors.torch import save as serialized
 
-from skope.dataset.folder import CARD, open_dataset
+from skope.dataset.folder import CARD_FILE, open_dataset
 from skope.detector.build import DetectorConfig, build
-from skope.detector.checkpoint import HEADER, find_checkpoint, read_checkpoint, save_weights
+from skope.detector.checkpoint import HEADER_FIELD, find_checkpoint, read_checkpoint, save_weights
 from skope.errors import UserError
 from skope.files.atomic import write_bytes
 from skope.files.json_files import read_json, write_json
@@ -126,7 +126,7 @@ class Places:
     @property
     def drawn(self) -> list[str]:
         """Names of the datasets that are there."""
-        return [name for name in self._wanted if (self._folder / name / CARD).is_file()]
+        return [name for name in self._wanted if (self._folder / name / CARD_FILE).is_file()]
 
     def _simulate(self, name: str, options: str) -> None:
         share = str(max(1, self._workers // AT_ONCE))
@@ -263,7 +263,7 @@ def measure(options: argparse.Namespace, forms: Mapping[str, Path], seconds: flo
     commands, outs = [], {}
     for form, weights in forms.items():
         for name, test in tests.items():
-            if not (options.data / name / CARD).is_file():
+            if not (options.data / name / CARD_FILE).is_file():
                 continue
             out = options.out / "measured" / form / name
             outs[form, name] = out
@@ -307,7 +307,7 @@ def pack(weights: Path, out: Path) -> None:
     """Write a checkpoint in 16 bits, in parts, with what `join` checks."""
     header, state = read_checkpoint(weights)
     kept = {name: value.half() if halved(value) else value for name, value in state.items()}
-    whole = serialized(kept, {HEADER: json.dumps(header)})
+    whole = serialized(kept, {HEADER_FIELD: json.dumps(header)})
     out.mkdir(parents=True, exist_ok=True)
     parts = []
     for number, first in enumerate(range(0, len(whole), PART_BYTES), start=1):

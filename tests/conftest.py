@@ -78,7 +78,7 @@ def skope(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], t
 
     monkeypatch.chdir(tmp_path)
     # OpenVINO is tested for itself: it takes three seconds to begin.
-    monkeypatch.setattr("skope.detector.network_settings.FASTEST", "torch")
+    monkeypatch.setattr("skope.detector.network_settings.FASTEST_BACKEND", "torch")
 
     def call(*args: object) -> tuple[int, str, str]:
         monkeypatch.setattr(sys, "argv", ["skope", *map(str, args)])

@@ -20,8 +20,8 @@ from typer.testing import CliRunner
 
 import skope as package
 from skope import cli, schema
-from skope.detector.backbones import BACKBONES
-from skope.detector.network_settings import BACKENDS, PRECISIONS, TILES
+from skope.detector.backbones import BACKBONE_CHOICES
+from skope.detector.network_settings import BACKEND_CHOICES, PRECISION_CHOICES, TILE_CHOICES
 from skope.gen.formats.convert import READER_NAMES, WRITER_NAMES
 from skope.gen.labels.annotate import OCCLUSION_RULES
 from skope.gen.labels.world_keypoints import LOCALIZER_CHOICES
@@ -30,15 +30,15 @@ from skope.gen.output.writers import DATASET_FORMATS
 from skope.gen.pipeline.config import presets
 from skope.gen.render.choose_renderer import RENDERER_CHOICES
 from skope.gen.scene.conditions import TIMES_OF_DAY
-from skope.metrics.keypoint_outcomes import LABELLED, PROTOCOLS
+from skope.metrics.keypoint_outcomes import LABELLED_CHOICES, PROTOCOL_NAMES
 from skope.metrics.match import BOX_KINDS
 from skope.metrics.read_inputs import RESULT_SCHEMES
 from skope.terminal import command_options
 from skope.terminal.command_options import Commands, option
 from skope.terminal.console import Console
 from skope.train.export import EXPORT_SUFFIXES
-from skope.train.init_weights import INITS
-from skope.train.recipe import CHOICES, SUPERVISE
+from skope.train.init_weights import INIT_CHOICES
+from skope.train.recipe import RECIPE_CHOICES, SUPERVISE_CHOICES
 from tests.samples import make_dataset
 
 
@@ -163,18 +163,18 @@ CHOSEN = {
     "--weather": schema.WEATHERS,
     "--time-of-day": TIMES_OF_DAY,
     "--engine": ("local", "ray"),
-    "--supervise": SUPERVISE,
-    "--recipe": (*CHOICES, "FILE"),
-    "--init": (*INITS, "FILE"),
-    "skope train --backbone": tuple(BACKBONES),
-    "--labelled": LABELLED,
+    "--supervise": SUPERVISE_CHOICES,
+    "--recipe": (*RECIPE_CHOICES, "FILE"),
+    "--init": (*INIT_CHOICES, "FILE"),
+    "skope train --backbone": tuple(BACKBONE_CHOICES),
+    "--labelled": LABELLED_CHOICES,
     "--boxes": (*BOX_KINDS, "given"),
     "--scheme": RESULT_SCHEMES,
-    "--protocol": PROTOCOLS,
+    "--protocol": PROTOCOL_NAMES,
     "--compare": ("paper",),
-    "--precision": PRECISIONS,
-    "--tiles": TILES,
-    "--backend": BACKENDS,
+    "--precision": PRECISION_CHOICES,
+    "--tiles": TILE_CHOICES,
+    "--backend": BACKEND_CHOICES,
     "--device": ("auto", "cpu", "cuda", "cuda:N"),
     "--ground": ("auto", "fit", "none", "METRES"),
 }
@@ -268,7 +268,7 @@ def test_default_folders_are_named_in_one_place() -> None:
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
             if isinstance(node, ast.Constant) and isinstance(node.value, str):
                 assert not node.value.startswith(("data/", "runs/")), (path, node.value)
-    assert (str(command_options.DATA), str(command_options.RUN)) == ("data/skope", "runs/skope")
+    assert (str(command_options.DATA_FOLDER), str(command_options.RUN_FOLDER)) == ("data/skope", "runs/skope")
 
 
 # --------------------------------------------------------------------------------------------------- shell completion

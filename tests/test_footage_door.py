@@ -69,7 +69,7 @@ def detector(random_weights: Path) -> Iterator[door.Detector]:
     with pytest.MonkeyPatch.context() as patch:
         shrink(patch)
         patch.setattr("skope.detector.predictor.detect", detect)
-        patch.setattr("skope.detector.network_settings.FASTEST", "torch")
+        patch.setattr("skope.detector.network_settings.FASTEST_BACKEND", "torch")
         yield door.load_detector(random_weights, device="cpu")
 
 

@@ -13,7 +13,7 @@ from skope.dataset import coco
 from skope.dataset.folder import open_dataset
 from skope.detector import weights
 from skope.detector.build import DetectorConfig
-from skope.detector.checkpoint import HEADER, load_weights
+from skope.detector.checkpoint import HEADER_FIELD, load_weights
 from skope.errors import UserError
 from skope.files.json_files import read_json, write_json
 from skope.keypoints import SKOPE33
@@ -56,7 +56,7 @@ def test_our_checkpoints_name_it(skope: Any, tmp_path: Path, edition: object, sa
     path = tmp_path / "a.safetensors"
     header = {"version": 1, "scheme": "skope33", "num_keypoints": 33, "metadata": {}}
     header["config"] = with_edition(config.to_dict(), edition)
-    save_file({"x": torch.zeros(1)}, path, {HEADER: json.dumps(header)})
+    save_file({"x": torch.zeros(1)}, path, {HEADER_FIELD: json.dumps(header)})
     expected = f"{path}: keypoint_edition: expected 2, got {said}"
     with pytest.raises(UserError) as caught:
         load_weights(path, "cpu")

@@ -28,7 +28,7 @@ from skope.camera.motion.camera_shake import SwayWatch, record_of
 from skope.camera.motion.view_changes import Looks
 from skope.camera.uncertain_camera import UNCERTAINTY, radius_of
 from skope.dataset import coco
-from skope.dataset.folder import CHANGES, read_image
+from skope.dataset.folder import CHANGES_KEY, read_image
 from skope.pose.camera_error import with_camera_error
 from skope.pose.keypoint_views import Scene, read_scene
 from skope.pose.pose_records import locate_view
@@ -127,7 +127,7 @@ def shaken(file: AnnotationFile, pictures: "Pictures", sway_px: float, bump_px: 
         if not a.ignored and (made := labelled(a, wide, turn)) is not None
     ]
     info = {
-        **({CHANGES: [change.to_dict() for change in changes]} if changes else {}),
+        **({CHANGES_KEY: [change.to_dict() for change in changes]} if changes else {}),
         **({MOTION_KEY: motion.to_dict()} if motion else {}),
     }
     said = f"{motion.median_px:.2f} px" if motion else "still"

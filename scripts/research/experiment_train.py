@@ -36,7 +36,7 @@ import numpy as np
 import torch
 from torchvision.models.detection import KeypointRCNN
 
-from skope.dataset.folder import CARD, open_dataset
+from skope.dataset.folder import CARD_FILE, open_dataset
 from skope.dataset.image_selection import take
 from skope.detector.build import build
 from skope.detector.checkpoint import find_checkpoint, load_weights, save_weights
@@ -46,7 +46,7 @@ from skope.files.json_files import read_json, write_json
 from skope.schema import VEHICLE_TYPES
 from skope.terminal.console import Console
 from skope.train import loop, splits, training_state, validate
-from skope.train.recipe import RECIPES, Recipe, adjusted_recipe
+from skope.train.recipe import SHIPPED_RECIPES, Recipe, adjusted_recipe
 from skope.train.run_config import RunConfig
 
 EXACT = ("bfloat16=false", "keypoint_regions=none", "fold_norms=false", "channels_last=false")
@@ -125,7 +125,7 @@ def parse() -> argparse.Namespace:
     )
     parser.add_argument("--photographs", type=Path, help="folder of hand-labelled photographs")
     parser.add_argument("--out", type=Path, default=Path("runs/experiment"))
-    parser.add_argument("--recipe", default="paper", choices=tuple(RECIPES))
+    parser.add_argument("--recipe", default="paper", choices=tuple(SHIPPED_RECIPES))
     parser.add_argument("--init", default="auto", help="as `skope train` takes it")
     parser.add_argument("--fresh-heads", action="store_true", help="of --init, a checkpoint, only the backbone")
     parser.add_argument("--epochs", type=int)
@@ -151,7 +151,7 @@ def recipe_of(options: argparse.Namespace, name: str) -> Recipe:
     variant = VARIANTS[name]
     # What a variant is, no flag changes; where it is its images, --set may change everything else.
     settings = [*variant.settings, *common] if variant.images else [*common, *variant.settings]
-    recipe = adjusted_recipe(RECIPES[options.recipe], settings)
+    recipe = adjusted_recipe(SHIPPED_RECIPES[options.recipe], settings)
     return recipe.with_min_size(options.min_size) if options.min_size else recipe
 
 
@@ -258,7 +258,7 @@ def relabelled(data: Path, change: Callable[[Sequence[Row]], list[Row]], out: Pa
     for name in ("images", "depth"):
         if (data / name).is_dir() and not (out / name).exists():
             (out / name).symlink_to((data / name).resolve(), target_is_directory=True)
-    write_json(out / CARD, read_json(data / CARD))
+    write_json(out / CARD_FILE, read_json(data / CARD_FILE))
     return out
 
 

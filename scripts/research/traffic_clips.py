@@ -35,7 +35,7 @@ from traffic_scores import RESULTS, score_clip
 from traffic_tables import print_tables
 from traffic_truth import FOV_DEG, TRUTH, check_labels, read_truth
 
-from skope.dataset.folder import FRAMES, PREDICTIONS
+from skope.dataset.folder import FRAMES_FILE, PREDICTIONS_FILE
 from skope.files.atomic import write_bytes
 from skope.files.json_files import json_bytes, read_json, write_json
 
@@ -51,7 +51,7 @@ NOT_NEEDED: Final = (
 """Of a label, what no score asks for; nor are keypoints of ignored ones."""
 OFF: Final = "labels_off_m"
 PER_GPU: Final = 2
-TRAVELS: Final = (CLIP, SITE, TRUTH, LABELS, f"{SEEN}/{FRAMES}", f"{SEEN}/{PREDICTIONS}")
+TRAVELS: Final = (CLIP, SITE, TRUTH, LABELS, f"{SEEN}/{FRAMES_FILE}", f"{SEEN}/{PREDICTIONS_FILE}")
 
 
 @dataclass(frozen=True)

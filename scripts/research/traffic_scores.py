@@ -22,7 +22,7 @@ from traffic_tables import VISIBLE, middle_of, print_tables
 from traffic_truth import plain_counts, read_truth
 
 from skope.dataset import coco
-from skope.dataset.folder import PREDICTIONS
+from skope.dataset.folder import PREDICTIONS_FILE
 from skope.errors import UserError
 from skope.files.json_files import read_json
 from skope.schema import VEHICLE
@@ -53,7 +53,7 @@ def clip_of(folder: Path, *, true_keypoints: bool, clip: Mapping[str, Any]) -> C
     observation = read_observation(out / "tracks")
     told = measure(read_tracks(out / "tracks" / TRACKS_CSV), observation, site)
     owners = owners_of(out / "tracks", file)
-    found = None if true_keypoints else folder / SEEN / PREDICTIONS
+    found = None if true_keypoints else folder / SEEN / PREDICTIONS_FILE
     return Clip(
         file=file,
         truth=truth.trajectories,

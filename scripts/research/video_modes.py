@@ -20,7 +20,7 @@ from typing import Final
 import numpy as np
 
 from skope.dataset import coco
-from skope.dataset.folder import PREDICTIONS
+from skope.dataset.folder import PREDICTIONS_FILE
 from skope.metrics.keypoint_outcomes import Options, outcomes_at
 from skope.metrics.match import match
 from skope.metrics.outcome_counts import ratio
@@ -106,7 +106,7 @@ def rows(labels: Sequence[Path], modes: Sequence[Path]) -> Iterator[list[str]]:
     for path in labels:
         truth = coco.read(path)
         for mode in modes:
-            one = count(truth, read_vehicle_results(mode / path.stem / PREDICTIONS, truth))
+            one = count(truth, read_vehicle_results(mode / path.stem / PREDICTIONS_FILE, truth))
             sums[mode] += one
             yield [path.stem, str(mode), *one.cells()]
     for mode, total in sums.items():

@@ -125,7 +125,7 @@ def _pixels(name: str, image: Pixels | str | Path) -> Pixels:
 
 
 def load_detector(
-    checkpoint: str | Path = weights.DEFAULT,
+    checkpoint: str | Path = weights.DEFAULT_WEIGHTS,
     *,
     device: str = "auto",
     backend: str = "auto",
@@ -154,13 +154,13 @@ def load_detector(
     Raises:
         UserError: There is no such checkpoint, it is damaged, or there is no such device.
     """
-    from skope.detector.network_settings import BACKENDS, PRECISIONS, TILES, Settings
+    from skope.detector.network_settings import BACKEND_CHOICES, PRECISION_CHOICES, TILE_CHOICES, Settings
     from skope.detector.predictor import Predictor
     from skope.terminal.console import Console
 
-    one_of("backend", backend, BACKENDS)
-    one_of("precision", precision, PRECISIONS)
-    one_of("tiles", tiles, TILES)
+    one_of("backend", backend, BACKEND_CHOICES)
+    one_of("precision", precision, PRECISION_CHOICES)
+    one_of("tiles", tiles, TILE_CHOICES)
     check_number("min_score", min_score, 0.0, 1.0)
     settings = Settings(
         device=device, backend=backend, precision=precision, min_size=min_size, min_score=min_score, tiles=tiles

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from skope.camera.model import Camera
 from skope.dataset import coco
-from skope.dataset.folder import FRAMES, PREDICTIONS
+from skope.dataset.folder import FRAMES_FILE, PREDICTIONS_FILE
 from skope.detections import Detections, detections_of_results
 from skope.errors import UserError
 from skope.records import check_number
@@ -112,8 +112,8 @@ class Video:
     def _with_tracks(self) -> Iterator[VideoFrame]:
         """The frames, read again after everything in them is known."""
         tracks, folder = self.tracks(), Path(self._results.name)
-        images = coco.read(folder / FRAMES).images
-        results = itertools.groupby(coco.iter_all_results(folder / PREDICTIONS), lambda one: one.image_id)
+        images = coco.read(folder / FRAMES_FILE).images
+        results = itertools.groupby(coco.iter_all_results(folder / PREDICTIONS_FILE), lambda one: one.image_id)
         image_id, found = next(results, (None, iter(())))
         numbers = {image.id: index for index, image in enumerate(images)}
         for image, pixels in self._footage.frames():

@@ -6,7 +6,7 @@ from typing import Any
 
 from skope.dataset import coco
 from skope.detections import apart
-from skope.metrics.thresholds import COUNTED_SCORE, IOU_THRESHOLDS, PCK_ALPHA
+from skope.metrics.thresholds import PAPER_THRESHOLDS
 from skope.schema import AnnotationFile, AnyResult
 
 
@@ -14,9 +14,9 @@ def score(
     predictions: str | Path | Sequence[AnyResult],
     annotations: str | Path | AnnotationFile,
     *,
-    min_score: float = COUNTED_SCORE,
-    alpha: float = PCK_ALPHA,
-    iou: Sequence[float] = IOU_THRESHOLDS,
+    min_score: float = PAPER_THRESHOLDS.score,
+    alpha: float = PAPER_THRESHOLDS.alpha,
+    iou: Sequence[float] = PAPER_THRESHOLDS.iou,
 ) -> Mapping[str, Any]:
     """Measure detections against a ground truth.
 

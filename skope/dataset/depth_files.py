@@ -2,6 +2,7 @@
 
 import struct
 import zlib
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
@@ -11,24 +12,32 @@ from numpy.typing import NDArray
 from skope.dataset import shards
 from skope.errors import UserError
 
-DEPTH_SCALE: Final = 256.0
-"""Depth files hold round(metres * 256)."""
-_BAND: Final = 64
-"""Rows that are encoded at a time: few enough to stay in the processor's cache."""
-_UP: Final = 2
-"""PNG's filter that takes each row as its difference from the one above."""
+
+@dataclass(frozen=True)
+class DepthCoding:
+    """How depth is kept in files."""
+
+    scale: float = 256.0
+    """Depth files hold round(metres * 256)."""
+    band_rows: int = 64
+    """Rows that are encoded at once: few enough for the processor's cache."""
+    png_filter: int = 2
+    """PNG's filter that stores each row as its difference from the one above."""
+
+
+DEPTH_CODING: Final = DepthCoding()
 
 
 def encode_depth(depth_m: NDArray[np.float32]) -> NDArray[np.uint16]:
     """(H, W) metres, sky = +inf -> the 16-bit values of a depth file (0 = sky, 65535 = 255.99 m or farther)."""
     out = np.empty(depth_m.shape, dtype=np.uint16)
-    for first in range(0, len(out), _BAND):
-        band = depth_m[first : first + _BAND]
-        scaled = band * np.float32(DEPTH_SCALE)
+    for first in range(0, len(out), DEPTH_CODING.band_rows):
+        band = depth_m[first : first + DEPTH_CODING.band_rows]
+        scaled = band * np.float32(DEPTH_CODING.scale)
         np.rint(scaled, out=scaled)
         np.clip(scaled, 1, 65535, out=scaled)
         scaled[np.isinf(band)] = 0
-        out[first : first + _BAND] = scaled
+        out[first : first + DEPTH_CODING.band_rows] = scaled
     return out
 
 
@@ -41,10 +50,10 @@ def depth_png(depth_m: NDArray[np.float32]) -> bytes:
 
     height, width = depth_m.shape
     rows = np.empty((height, 1 + 2 * width), dtype=np.uint8)
-    rows[:, 0] = _UP
+    rows[:, 0] = DEPTH_CODING.png_filter
     above = np.zeros(2 * width, dtype=np.uint8)
-    for first in range(0, height, _BAND):
-        big_endian = encode_depth(depth_m[first : first + _BAND]).byteswap().view(np.uint8)
+    for first in range(0, height, DEPTH_CODING.band_rows):
+        big_endian = encode_depth(depth_m[first : first + DEPTH_CODING.band_rows]).byteswap().view(np.uint8)
         np.subtract(big_endian[0], above, out=rows[first, 1:])
         np.subtract(big_endian[1:], big_endian[:-1], out=rows[first + 1 : first + len(big_endian), 1:])
         above = big_endian[-1]
@@ -65,6 +74,6 @@ def read_depth(path: Path) -> NDArray[np.float32]:
     raw = cv2.imdecode(data, cv2.IMREAD_UNCHANGED) if data.size else None
     if raw is None or raw.dtype != np.uint16 or raw.ndim != 2:
         raise UserError(f"{path}: not a 16-bit depth image")
-    depth: NDArray[np.float32] = raw.astype(np.float32) / np.float32(DEPTH_SCALE)
+    depth: NDArray[np.float32] = raw.astype(np.float32) / np.float32(DEPTH_CODING.scale)
     depth[raw == 0] = np.inf
     return depth

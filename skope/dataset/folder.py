@@ -19,36 +19,36 @@ from skope.files.json_files import check_version, read_json
 from skope.keypoints import Scheme
 from skope.schema import Annotation, AnnotationFile, Image, RoadUser
 
-CARD: Final = "dataset.json"
-MANIFEST: Final = "manifest.json"
+CARD_FILE: Final = "dataset.json"
+MANIFEST_FILE: Final = "manifest.json"
 """Checksums (SHA-256) of a dataset's files, and of each image what its card counts."""
-FRAMES: Final = "frames.json"
-PREDICTIONS: Final = "predictions.json"
+FRAMES_FILE: Final = "frames.json"
+PREDICTIONS_FILE: Final = "predictions.json"
 """File that `skope eval predict` writes: the images, and what was found in them."""
-FOLLOWED: Final = "followed"
-"""Under this name the `info` of frames says whether vehicles were followed by points on them from image to image."""
-CHANGES: Final = "view_changes"
+FOLLOWED_KEY: Final = "followed"
+"""Key in `info` of the frames: whether vehicles were tracked by points from image to image."""
+CHANGES_KEY: Final = "view_changes"
 """Key in `info` of the frames: when a video shows another view. Objects with `time_s`, `cut` and `shift`, and of a view
 that was registered with `settled_s`, `homography`, `residual_px` and `corner_error_px`."""
-DETECTOR: Final = "detector"
-"""Under this name the `info` of frames says what was run on them: a name of what comes with skope, or a file."""
+DETECTOR_KEY: Final = "detector"
+"""Key in `info` of the frames: the detector, as a name of what comes with skope, or a file."""
 SIGHT_FIELD: Final = "sight"
 """Under this name the `info` of frames says how bright a video is and how much contrast it has: rows of time (s),
 brightness (0 to 1) and contrast."""
 PIXEL_WIDTH: Final = "pixel_width"
 """Under this name the `info` of frames says how wide a pixel is, in its heights, where a video says that they are not
 square."""
-SKIPPED: Final = "skipped"
+SKIPPED_KEY: Final = "skipped"
 """Key in `info` of the frames: lines on what could not be read in the footage. Absent: all of it was read."""
-BEGINS: Final = "begins"
-"""Under this name the `info` of frames says when second 0 of a live stream was, as a time with its offset."""
+BEGINS_KEY: Final = "begins"
+"""Key in `info` of the frames: the time of second 0 of a live stream, with its offset."""
 
 _CARD_FIELDS: Final[dict[str, type]] = {
     **dict.fromkeys(("counts", "fleet", "localizer_difference_m", "occlusion_rules", "parameters", "versions"), dict),
     **dict.fromkeys(("categories", "label_rules", "sources", "takes"), list),
     **dict.fromkeys(("command", "depth", "format", "licence", "renderer"), str),
 }
-_NAMES: Final[dict[type, str]] = {dict: "an object", list: "a list", str: "text"}
+TYPE_NAMES: Final[dict[type, str]] = {dict: "an object", list: "a list", str: "text"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +98,7 @@ class Dataset:
     def sources(self) -> tuple[Path, ...]:
         """The files that say what is in it: annotations, and the manifest, where there is one, for all others."""
         files = [] if self.sharded else [self.root / "annotations" / f"{split}.json" for split in self.splits]
-        return tuple(path for path in (self.root / MANIFEST, *files) if path.is_file())
+        return tuple(path for path in (self.root / MANIFEST_FILE, *files) if path.is_file())
 
     @property
     def sharded(self) -> bool:
@@ -167,14 +167,16 @@ def open_dataset(root: Path) -> Dataset:
     """Open a dataset folder, or raise a UserError that says what is missing."""
     if not root.is_dir():
         raise UserError(f"{root}: no such dataset folder; `skope gen --out {root}` makes one")
-    if not (root / CARD).is_file():
-        raise UserError(f"{root}: no {CARD} in it, so it is not a (finished) dataset; run `skope gen --out {root}`")
+    if not (root / CARD_FILE).is_file():
+        raise UserError(
+            f"{root}: no {CARD_FILE} in it, so it is not a (finished) dataset; run `skope gen --out {root}`"
+        )
     return Dataset(root, read_card(root))
 
 
 def read_card(root: Path) -> dict[str, Any]:
     """The card of a dataset folder; a UserError names a field that is of another kind than `skope gen` writes."""
-    path = root / CARD
+    path = root / CARD_FILE
     card = read_json(path)
     try:
         keypoints.scheme_in(card if isinstance(card, dict) else {})
@@ -183,7 +185,7 @@ def read_card(root: Path) -> dict[str, Any]:
     check_version(path, card.get("version", schema.SCHEMA_VERSION), schema.SCHEMA_VERSION)
     for name, kind in _CARD_FIELDS.items():
         if not isinstance(card.get(name, kind()), kind):
-            raise UserError(f"{path}: {name}: expected {_NAMES[kind]}, got {card[name]!r:.60}")
+            raise UserError(f"{path}: {name}: expected {TYPE_NAMES[kind]}, got {card[name]!r:.60}")
     check_takes(path, card.get("takes", []))
     try:
         schema.checked_categories(card.get("categories", schema.VEHICLE_ALONE))
@@ -205,7 +207,7 @@ def check_takes(path: Path, takes: Any) -> None:
 
 def read_manifest(root: Path) -> dict[str, dict[str, Any]]:
     """The manifest of a dataset folder: "sha256" and "tallies", each by paths in the folder."""
-    path = root / MANIFEST
+    path = root / MANIFEST_FILE
     manifest = read_json(path)
     parts = {}
     for part_name in ("sha256", "tallies"):

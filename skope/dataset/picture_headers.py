@@ -15,8 +15,8 @@ from PIL import Image, UnidentifiedImageError
 
 from skope.types import Array
 
-_ORIENTATION: Final = 0x0112
-UPRIGHT: Final = 1
+ORIENTATION_TAG: Final = 0x0112
+UPRIGHT_ORIENTATION: Final = 1
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class PictureHeader:
     @property
     def turned(self) -> bool:
         """Whether what is shown are other pixels than those stored."""
-        return self.orientation != UPRIGHT
+        return self.orientation != UPRIGHT_ORIENTATION
 
     @property
     def shown(self) -> tuple[int, int]:
@@ -60,11 +60,11 @@ def read_header(content: Path | bytes) -> PictureHeader | None:
             warnings.simplefilter("ignore")  # of very large pictures and odd EXIF
             size, kind = file.size, file.format
             told = "exif" in file.info or kind == "TIFF"
-            orientation = file.getexif().get(_ORIENTATION, UPRIGHT) if told else UPRIGHT
+            orientation = file.getexif().get(ORIENTATION_TAG, UPRIGHT_ORIENTATION) if told else UPRIGHT_ORIENTATION
     except (OSError, SyntaxError, ValueError, UnidentifiedImageError, Image.DecompressionBombError):
         return None
     if not isinstance(orientation, int) or not 1 <= orientation <= 8:
-        orientation = UPRIGHT
+        orientation = UPRIGHT_ORIENTATION
     if kind == "TIFF" and orientation >= 5:  # of these alone Pillow gives the size as shown
         size = (size[1], size[0])
     return PictureHeader(stored=size, orientation=orientation)

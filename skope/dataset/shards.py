@@ -18,8 +18,8 @@ from skope.files.json_files import parse_json, read_json, write_json
 from skope.files.safe_names import is_relative
 
 SHARD_FOLDER: Final = "shards"
-_INDEX: Final = 4096
-"""Indices that are kept in memory."""
+KEPT_INDICES: Final = 4096
+"""Number of indices that are kept in memory."""
 
 
 def write_shard(path: Path, members: Iterable[tuple[str, bytes]]) -> None:
@@ -89,7 +89,7 @@ def _place(shard: Path, name: str) -> tuple[int, int]:
     return offset, size
 
 
-@lru_cache(maxsize=_INDEX)
+@lru_cache(maxsize=KEPT_INDICES)
 def _index(path: Path, _there: bool) -> Mapping[str, tuple[int, int]]:
     value = read_json(path)
     good = isinstance(value, dict) and all(

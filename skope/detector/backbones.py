@@ -88,8 +88,8 @@ class Backbone:
         return {stage[-1]: str(number) for number, stage in enumerate(self.stages[1:])}
 
 
-_RESNET: Final = (("conv1", "bn1"), ("layer1",), ("layer2",), ("layer3",), ("layer4",))
-_MOBILENET: Final = (
+RESNET_STAGES: Final = (("conv1", "bn1"), ("layer1",), ("layer2",), ("layer3",), ("layer4",))
+MOBILENET_STAGES: Final = (
     ("0", "1"),
     ("2", "3"),
     ("4", "5", "6"),
@@ -99,12 +99,12 @@ _MOBILENET: Final = (
 
 DEFAULT_BACKBONE: Final = "resnet50"
 """The paper's."""
-BACKBONES: Final[Mapping[str, Backbone]] = MappingProxyType(
+BACKBONE_CHOICES: Final[Mapping[str, Backbone]] = MappingProxyType(
     {
         DEFAULT_BACKBONE: Backbone(
             title="ResNet50",
             make=resnet50,
-            stages=_RESNET,
+            stages=RESNET_STAGES,
             channels=(256, 512, 1024, 2048),
             imagenet=ResNet50_Weights.IMAGENET1K_V1,
             norm_eps=1e-5,
@@ -112,7 +112,7 @@ BACKBONES: Final[Mapping[str, Backbone]] = MappingProxyType(
         "resnet18": Backbone(
             title="ResNet18",
             make=resnet18,
-            stages=_RESNET,
+            stages=RESNET_STAGES,
             channels=(64, 128, 256, 512),
             imagenet=ResNet18_Weights.IMAGENET1K_V1,
             norm_eps=1e-5,
@@ -121,7 +121,7 @@ BACKBONES: Final[Mapping[str, Backbone]] = MappingProxyType(
             title="MobileNetV3-Large",
             make=mobilenet_v3_large,
             layers="features",
-            stages=_MOBILENET,
+            stages=MOBILENET_STAGES,
             channels=(24, 40, 112, 960),
             imagenet=MobileNet_V3_Large_Weights.IMAGENET1K_V1,
             norm_eps=1e-3,
@@ -134,7 +134,7 @@ def with_pyramid(name: str, width: int, *, norm_layer: NormLayer, trainable_stag
     """A backbone with a feature pyramid (FPN; Lin et al., 2017), with weights drawn from torch's random state.
 
     Args:
-        name: One of `BACKBONES`.
+        name: One of `BACKBONE_CHOICES`.
         width: Channels of each of the pyramid's five maps.
         norm_layer: Normalisation of the backbone; the pyramid has none.
         trainable_stages: Stages that learn, 0 to 5 from the last.
@@ -142,7 +142,7 @@ def with_pyramid(name: str, width: int, *, norm_layer: NormLayer, trainable_stag
     Returns:
         The module that takes (N, 3, H, W) images to maps `0` to `3` and `pool`, of strides 4 to 64.
     """
-    kind = BACKBONES[name]
+    kind = BACKBONE_CHOICES[name]
     classifier = kind.make(weights=None, norm_layer=norm_layer)
     layers = classifier.get_submodule(kind.layers)
     learning = {layer for stage in kind.stages[len(kind.stages) - trainable_stages :] for layer in stage}

@@ -17,27 +17,41 @@ from torchvision.models.detection.keypoint_rcnn import KeypointRCNNHeads, Keypoi
 from torchvision.ops import FrozenBatchNorm2d
 
 from skope import keypoints, schema
-from skope.detector.backbones import BACKBONES, DEFAULT_BACKBONE, with_pyramid
+from skope.detector.backbones import BACKBONE_CHOICES, DEFAULT_BACKBONE, with_pyramid
 from skope.errors import UserError, one_of
 from skope.records import check_number, check_whole, dataclass_of
 
-NORMS: Final = ("frozen", "batch")
-ANCHORS: Final = (32, 64, 128, 256, 512)
-"""Sides of the anchors in torchvision's own model, pixels inside the network: one for each level of the pyramid."""
-ASPECTS: Final = (0.5, 1.0, 2.0)
-"""Heights of the anchors of a level over their widths, as in torchvision's own model."""
-MAX_DETECTIONS: Final = 300
-"""Most detections in one image, vehicles and other road users together; torchvision's own 100 is too few for a queue at
-rush hour."""
-PROPOSALS: Final = 300
-"""Regions of an image that are looked at closely when vehicles are found; of torchvision's own 1000 the others cost a
-third of the time on a CPU and found no further vehicle (docs/results.md)."""
-PYRAMID_WIDTH: Final = 256
-"""Channels of the pyramid of torchvision's own model."""
-HEADS: Final = (8, 512, 1024)
-"""Number and width of the layers of the keypoint head of torchvision's own model, and the width of its box head's."""
-BOX_CELLS: Final = 7
-"""Cells along each side of a region as the box head sees it, as in torchvision's own model."""
+NORM_NAMES: Final = ("frozen", "batch")
+
+
+@dataclass(frozen=True)
+class NetworkDefaults:
+    """Sizes of torchvision's own Keypoint R-CNN, and limits of what it finds."""
+
+    anchors: tuple[int, ...] = (32, 64, 128, 256, 512)
+    """Sides of the anchors in torchvision's own model, pixels inside the network: one for each level of the
+    pyramid.
+    """
+    aspects: tuple[float, float, float] = (0.5, 1.0, 2.0)
+    """Heights of the anchors of a level over their widths, as in torchvision's own model."""
+    max_detections: int = 300
+    """Maximum number of detections in one image, vehicles and other road users together. torchvision's own 100 is
+    too few for a queue at rush hour.
+    """
+    proposals: int = 300
+    """Number of regions that the second stage examines. Of torchvision's own 1000 the others cost a third of the
+    time on a CPU and found no further vehicle (docs/results.md).
+    """
+    pyramid_width: int = 256
+    """Channels of the pyramid of torchvision's own model."""
+    heads: tuple[int, int, int] = (8, 512, 1024)
+    """Number and width of the layers of torchvision's own keypoint head, and the width of its box head."""
+    box_cells: int = 7
+    """Cells along each side of a region in the box head, as in torchvision's own model."""
+
+
+NETWORK_DEFAULTS: Final = NetworkDefaults()
+
 SIZE_RANGES: Final[dict[str, tuple[int, int]]] = {
     "pyramid_width": (16, 512),
     "keypoint_layers": (1, 16),
@@ -61,7 +75,7 @@ class DetectorConfig:
     """Largest long side of the image inside the network, pixels."""
     scheme: str = keypoints.SCHEME
     """Scheme of the keypoints: a name in `keypoints.SCHEMES`."""
-    anchors: tuple[int, ...] = ANCHORS
+    anchors: tuple[int, ...] = NETWORK_DEFAULTS.anchors
     """Sides of the anchors of each level of the pyramid, finest first, pixels inside the network."""
     categories: tuple[str, ...] = schema.VEHICLE_ALONE
     """Names of what it finds, of `schema.CATEGORIES`: label k of the network is the k-th, label 0 the background.
@@ -70,22 +84,22 @@ class DetectorConfig:
     """Passes of the box head: 2 lets it correct each box once more, from the box itself."""
     backbone: str = DEFAULT_BACKBONE
     """Network that makes the feature maps: a name in `skope.detector.backbones.BACKBONES`."""
-    pyramid_width: int = PYRAMID_WIDTH
+    pyramid_width: int = NETWORK_DEFAULTS.pyramid_width
     """Channels of the pyramid's maps, and of the proposals' head on them."""
-    keypoint_layers: int = HEADS[0]
+    keypoint_layers: int = NETWORK_DEFAULTS.heads[0]
     """Convolutions of the keypoint head, before its predictor."""
-    keypoint_width: int = HEADS[1]
+    keypoint_width: int = NETWORK_DEFAULTS.heads[1]
     """Channels of each of these convolutions."""
-    box_width: int = HEADS[2]
+    box_width: int = NETWORK_DEFAULTS.heads[2]
     """Channels of both layers of the box head."""
 
     def __post_init__(self) -> None:
         one_of("scheme", self.scheme, tuple(keypoints.SCHEMES))
         check_anchors(self.anchors)
         object.__setattr__(self, "categories", schema.checked_categories(self.categories))
-        one_of("norm", self.norm, NORMS)
+        one_of("norm", self.norm, NORM_NAMES)
         check_box_passes(self.box_passes)
-        one_of("backbone", self.backbone, tuple(BACKBONES))
+        one_of("backbone", self.backbone, tuple(BACKBONE_CHOICES))
         for name in SIZE_RANGES:
             check_size(name, getattr(self, name))
         check_number("norm_eps", self.norm_eps, 0, 0.999)
@@ -112,22 +126,26 @@ class DetectorConfig:
     @property
     def stock(self) -> bool:
         """Whether backbone and widths are those of torchvision's own Keypoint R-CNN."""
-        return (self.backbone, self.pyramid_width, self.heads) == (DEFAULT_BACKBONE, PYRAMID_WIDTH, HEADS)
+        return (self.backbone, self.pyramid_width, self.heads) == (
+            DEFAULT_BACKBONE,
+            NETWORK_DEFAULTS.pyramid_width,
+            NETWORK_DEFAULTS.heads,
+        )
 
     @property
     def architecture(self) -> str:
         """Backbone and widths in words; of widths only where they are not torchvision's."""
-        words = f"{BACKBONES[self.backbone].title}-FPN"
-        if self.pyramid_width != PYRAMID_WIDTH:
+        words = f"{BACKBONE_CHOICES[self.backbone].title}-FPN"
+        if self.pyramid_width != NETWORK_DEFAULTS.pyramid_width:
             words += f" of {self.pyramid_width} channels"
-        if self.heads != HEADS:
+        if self.heads != NETWORK_DEFAULTS.heads:
             layers, width, box_width = self.heads
             words += f", keypoint head of {layers} x {width} channels, box head of {box_width}"
         return words
 
     def to_dict(self) -> dict[str, Any]:
-        """The config as JSON values, without those of `_UNNAMED`."""
-        values = {name: value for name, value in asdict(self).items() if _UNNAMED.get(name) != value}
+        """The config as JSON values, without those of `OPTIONAL_VALUES`."""
+        values = {name: value for name, value in asdict(self).items() if OPTIONAL_VALUES.get(name) != value}
         return values | self.keypoint_scheme.fields("scheme")
 
     @classmethod
@@ -136,26 +154,28 @@ class DetectorConfig:
         if isinstance(values, Mapping):
             keypoints.scheme_in(values, "scheme")
             values = {name: value for name, value in values.items() if name != "keypoint_edition"}
-        return dataclass_of(cls, values, "config: ", _UNNAMED)
+        return dataclass_of(cls, values, "config: ", OPTIONAL_VALUES)
 
 
-_UNNAMED: Final[dict[str, Any]] = {
+OPTIONAL_VALUES: Final[dict[str, Any]] = {
     "categories": schema.VEHICLE_ALONE,
     "box_passes": 1,
     "backbone": DEFAULT_BACKBONE,
-    "pyramid_width": PYRAMID_WIDTH,
-    "keypoint_layers": HEADS[0],
-    "keypoint_width": HEADS[1],
-    "box_width": HEADS[2],
+    "pyramid_width": NETWORK_DEFAULTS.pyramid_width,
+    "keypoint_layers": NETWORK_DEFAULTS.heads[0],
+    "keypoint_width": NETWORK_DEFAULTS.heads[1],
+    "box_width": NETWORK_DEFAULTS.heads[2],
 }
-"""Values that a checkpoint leaves out: those of torchvision's own model, for vehicles alone."""
+"""Values that a checkpoint may leave out: those of torchvision's own model, for vehicles alone."""
 
 
 def check_anchors(anchors: Sequence[int]) -> None:
     """Raise a UserError unless these are sides of anchors, one for each level of the pyramid, from small to large."""
     whole = all(isinstance(side, int) and not isinstance(side, bool) and side >= 4 for side in anchors)
-    if not whole or len(anchors) != len(ANCHORS) or list(anchors) != sorted({*anchors}):
-        raise UserError(f"anchors: expected {len(ANCHORS)} rising sides from 4 pixels, got {list(anchors)}")
+    if not whole or len(anchors) != len(NETWORK_DEFAULTS.anchors) or list(anchors) != sorted({*anchors}):
+        raise UserError(
+            f"anchors: expected {len(NETWORK_DEFAULTS.anchors)} rising sides from 4 pixels, got {list(anchors)}"
+        )
 
 
 def check_box_passes(passes: int) -> None:
@@ -203,9 +223,11 @@ def build(config: DetectorConfig, *, trainable_layers: int = 5, num_keypoints: i
         **_heads(config, num_keypoints),
         min_size=config.min_size,
         max_size=config.max_size,
-        box_detections_per_img=MAX_DETECTIONS,
-        rpn_post_nms_top_n_test=PROPOSALS,
-        rpn_anchor_generator=AnchorGenerator(tuple((side,) for side in config.anchors), (ASPECTS,) * len(ANCHORS)),
+        box_detections_per_img=NETWORK_DEFAULTS.max_detections,
+        rpn_post_nms_top_n_test=NETWORK_DEFAULTS.proposals,
+        rpn_anchor_generator=AnchorGenerator(
+            tuple((side,) for side in config.anchors), (NETWORK_DEFAULTS.aspects,) * len(NETWORK_DEFAULTS.anchors)
+        ),
     )
     model.box_passes = config.box_passes
     return model
@@ -214,11 +236,11 @@ def build(config: DetectorConfig, *, trainable_layers: int = 5, num_keypoints: i
 def _heads(config: DetectorConfig, num_keypoints: int) -> dict[str, Any]:
     """Arguments of torchvision's Keypoint R-CNN for the heads of a config; without them it makes its own."""
     classes = 1 + len(config.categories)  # 0 is the background
-    if config.heads == HEADS:
+    if config.heads == NETWORK_DEFAULTS.heads:
         return {"num_classes": classes, "num_keypoints": num_keypoints}
     layers, width, box_width = config.heads
     return {
-        "box_head": TwoMLPHead(config.pyramid_width * BOX_CELLS**2, box_width),
+        "box_head": TwoMLPHead(config.pyramid_width * NETWORK_DEFAULTS.box_cells**2, box_width),
         "box_predictor": FastRCNNPredictor(box_width, classes),
         "keypoint_head": KeypointRCNNHeads(config.pyramid_width, (width,) * layers),
         "keypoint_predictor": KeypointRCNNPredictor(width, num_keypoints),

@@ -18,9 +18,9 @@ from skope.detector.build import DetectorConfig, build
 from skope.errors import UserError, one_of
 from skope.files.atomic import write_bytes
 
-HEADER: Final = "skope"
-_PACKED: Final = "packed"
-_CHECKSUM: Final = "sha256"
+HEADER_FIELD: Final = "skope"
+PACKED_FIELD: Final = "packed"
+CHECKSUM_FIELD: Final = "sha256"
 _FORMAT_VERSION: Final = 1
 
 
@@ -63,10 +63,10 @@ def checkpoint_bytes(
     }
     state = full_state(model)
     if packed:
-        state, header[_PACKED] = compact_weights.pack(state, moments=moments)
-        header[_CHECKSUM] = compact_weights.digest(state, header)
+        state, header[PACKED_FIELD] = compact_weights.pack(state, moments=moments)
+        header[CHECKSUM_FIELD] = compact_weights.digest(state, header)
     # safetensors writes several metadata fields in any order; one field keeps the bytes the same.
-    return serialized(state, {HEADER: json.dumps(header, allow_nan=False)})
+    return serialized(state, {HEADER_FIELD: json.dumps(header, allow_nan=False)})
 
 
 def full_state(model: KeypointRCNN) -> dict[str, torch.Tensor]:
@@ -130,7 +130,7 @@ def read_checkpoint(path: Path) -> tuple[dict[str, Any], dict[str, torch.Tensor]
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a mapping)
     except (SafetensorError, OSError) as error:
         raise UserError(f"{path}: not a safetensors file, or a truncated one ({error})") from None
-    return header, _unpacked(path, header, tensors) if _PACKED in header else tensors
+    return header, _unpacked(path, header, tensors) if PACKED_FIELD in header else tensors
 
 
 def config_in(path: Path, header: Mapping[str, Any]) -> DetectorConfig:
@@ -142,24 +142,24 @@ def config_in(path: Path, header: Mapping[str, Any]) -> DetectorConfig:
 
 
 def _unpacked(path: Path, header: dict[str, Any], tensors: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
-    digested = {name: value for name, value in header.items() if name != _CHECKSUM}
-    if compact_weights.digest(tensors, digested) != header.get(_CHECKSUM):
-        raise UserError(f"{path}: {_CHECKSUM} differs: the file is damaged, or was changed after it was written")
+    digested = {name: value for name, value in header.items() if name != CHECKSUM_FIELD}
+    if compact_weights.digest(tensors, digested) != header.get(CHECKSUM_FIELD):
+        raise UserError(f"{path}: {CHECKSUM_FIELD} differs: the file is damaged, or was changed after it was written")
     try:
-        return compact_weights.unpack(tensors, header[_PACKED])
+        return compact_weights.unpack(tensors, header[PACKED_FIELD])
     except compact_weights.DamagedError as error:
         raise UserError(f"{path}: {error}") from None
 
 
 def _check_header(path: Path, metadata: Mapping[str, str]) -> dict[str, Any]:
-    if HEADER not in metadata:
-        raise UserError(f"{path}: not a checkpoint of skope (its header has no field {HEADER})")
+    if HEADER_FIELD not in metadata:
+        raise UserError(f"{path}: not a checkpoint of skope (its header has no field {HEADER_FIELD})")
     try:
-        header = json.loads(metadata[HEADER])
+        header = json.loads(metadata[HEADER_FIELD])
     except json.JSONDecodeError:
         header = None
     if not isinstance(header, dict) or not {"config", "metadata"} <= set(header):
-        raise UserError(f"{path}: the header's field {HEADER} is damaged")
+        raise UserError(f"{path}: the header's field {HEADER_FIELD} is damaged")
     expected = {"version": _FORMAT_VERSION, "num_keypoints": keypoints.K}
     for name, value in expected.items():
         if header.get(name) != value:
@@ -179,7 +179,7 @@ def _check_tensors(path: Path, expected: Mapping[str, torch.Tensor], got: Mappin
             raise UserError(f"{path}: tensor {name}: expected {tuple(tensor.shape)}, got {tuple(got[name].shape)}")
 
 
-BEST: Final = "best.safetensors"
+BEST_WEIGHTS: Final = "best.safetensors"
 """File name of the weights of a run's best epoch."""
 
 
@@ -208,8 +208,8 @@ def find_checkpoint(path: Path) -> Path:
         shipped = "".join(f"; {name} comes with skope" for name in weights.names())
         raise UserError(f"{path}: no such checkpoint or run folder; `skope train` makes one{shipped}")
     found = checkpoints(path)
-    if not found and (path / BEST).is_file():
-        return path / BEST
+    if not found and (path / BEST_WEIGHTS).is_file():
+        return path / BEST_WEIGHTS
     if not found:
         raise UserError(f"{path}: no checkpoint in this folder (epoch_NNN.safetensors); `skope train` makes one")
     return found[max(found)]

@@ -16,15 +16,38 @@ import json
 import math
 import zlib
 from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
 from typing import Any, Final
 
 import torch
 from torch import Tensor
 
-_MOMENT_DAMPING: Final = 0.01
-"""Added to the moments' diagonal, as a share of its mean: they come from a sample."""
-_COLUMNS_AT_ONCE: Final = 128
-"""Columns whose errors are carried over to all later ones at once."""
+
+@dataclass(frozen=True)
+class PackingLimits:
+    """Size of packed weights, and the search for their steps."""
+
+    moment_damping: float = 0.01
+    """Added to the moments' diagonal, as a share of its mean. They come from a sample."""
+    columns_at_once: int = 128
+    """Number of columns whose errors are carried over to all later ones at once."""
+    most_bytes: int = 33_500_000
+    """Maximum size of the rounded weights of a detector."""
+    largest_step: int = 127
+    """Steps of a rounded weight to either side."""
+    finest: float = 2.0**-12
+    """Least factor of the search for the step of the largest tensor."""
+    coarsest: float = 4.0
+    """Largest factor of that search."""
+    halvings: int = 12
+    """Number of bisections of that search."""
+    sampled: int = 16
+    """The search examines one weight of this many."""
+    most_weights: int = 1 << 28
+    """Largest number of weights of a file. A file that claims more is rejected before memory is allocated."""
+
+
+PACKING: Final = PackingLimits()
 
 
 class CompensatedRounding:
@@ -35,7 +58,7 @@ class CompensatedRounding:
         self.device = moments.device
         damped = moments.double()
         diagonal = damped.diagonal()
-        diagonal += _MOMENT_DAMPING * diagonal.mean() + torch.finfo(torch.float32).tiny
+        diagonal += PACKING.moment_damping * diagonal.mean() + torch.finfo(torch.float32).tiny
         self._order = torch.argsort(diagonal, descending=True, stable=True)
         damped = damped[self._order][:, self._order]
         inverse = torch.cholesky_inverse(torch.linalg.cholesky(damped))
@@ -47,8 +70,8 @@ class CompensatedRounding:
         influence = self._influence
         left = weights.to(self.device)[:, self._order]
         rounded = torch.empty_like(left)
-        for begin in range(0, len(influence), _COLUMNS_AT_ONCE):
-            block = left[:, begin : begin + _COLUMNS_AT_ONCE]
+        for begin in range(0, len(influence), PACKING.columns_at_once):
+            block = left[:, begin : begin + PACKING.columns_at_once]
             end = begin + block.shape[1]
             errors, near = torch.empty_like(block), influence[begin:end, begin:end]
             for i in range(end - begin):
@@ -61,13 +84,10 @@ class CompensatedRounding:
         return out.to(weights.device)
 
 
-BYTES: Final = 33_500_000
-"""Bytes that the rounded weights of a detector take at most."""
+PACKING_WAYS: Final = ("integers", "half", "exact")
+"""Ways to keep a weight: rounded, as float16, or unchanged."""
 
-WAYS: Final = ("integers", "half", "exact")
-"""Ways to keep a weight: rounded, as float16, or as it is."""
-
-DELICATE: Final = (
+DELICATE_NAMES: Final = (
     "backbone.body.conv1.",  # of a ResNet
     "backbone.body.0.",  # of a MobileNet
     "rpn.head.cls_logits.",
@@ -76,16 +96,7 @@ DELICATE: Final = (
     "roi_heads.keypoint_predictor.",
 )
 """Beginnings of the names of weights that keep 16 bits."""
-_LARGEST_STEP: Final = 127
-_FINEST: Final = 2.0**-12
-_COARSEST: Final = 4.0
-"""Factors between which the one of the largest tensor is looked for."""
-_HALVINGS: Final = 12
-_SAMPLED: Final = 16
-"""The search looks at one weight of so many."""
 _STEPS_SUFFIX: Final = ".steps"
-_MOST_WEIGHTS: Final = 1 << 28
-"""More weights than a detector has: a file that claims them is refused before memory is asked for."""
 
 StateDict = Mapping[str, Tensor]
 PackedHeader = Mapping[str, Any]
@@ -99,7 +110,7 @@ class DamagedError(ValueError):
 
 
 def pack(
-    state: StateDict, most_bytes: int = BYTES, *, moments: StateDict | None = None
+    state: StateDict, most_bytes: int = PACKING.most_bytes, *, moments: StateDict | None = None
 ) -> tuple[dict[str, Tensor], dict[str, Any]]:
     """The tensors to store for a state dict, and how each weight is kept.
 
@@ -110,8 +121,8 @@ def pack(
             these are rounded by `skope.detector.compact_weights`, others to what is nearest.
 
     Returns:
-        Tensors by name, and for each name {"kept": one of `WAYS`, "shape": [...]}. Integers are stored as deflated
-        bytes under the weight's own name, their steps as `NAME.steps`, (channels,) float32.
+        Tensors by name, and for each name {"kept": one of `PACKING_WAYS`, "shape": [...]}. Integers are stored as
+        deflated bytes under the weight's own name, their steps as `NAME.steps`, (channels,) float32.
     """
     state = {name: tensor.detach().cpu().contiguous() for name, tensor in state.items()}
     kept = {name: {"kept": _way(name, tensor), "shape": list(tensor.shape)} for name, tensor in state.items()}
@@ -126,7 +137,7 @@ def pack(
 def _way(name: str, tensor: Tensor) -> str:
     if tensor.ndim < 2 or not tensor.is_floating_point():
         return "exact"
-    return "half" if name.startswith(DELICATE) else "integers"
+    return "half" if name.startswith(DELICATE_NAMES) else "integers"
 
 
 class _Weight:
@@ -135,12 +146,12 @@ class _Weight:
     def __init__(self, tensor: Tensor, relative: float, moments: Tensor | None) -> None:
         self._tensor = tensor
         self._rounding = None if moments is None else CompensatedRounding(moments)
-        self._sample = tensor.flatten(1)[:, ::_SAMPLED].contiguous()
+        self._sample = tensor.flatten(1)[:, :: PACKING.sampled].contiguous()
         self._mean_square = relative * tensor.flatten(1).square().mean(1).sqrt()
-        self._finest = tensor.flatten(1).abs().amax(1) / _LARGEST_STEP
+        self._finest = tensor.flatten(1).abs().amax(1) / PACKING.largest_step
 
     def steps(self, factor: float) -> Tensor:
-        """(C,) a step for each channel; never so fine that an integer exceeds `_LARGEST_STEP`."""
+        """(C,) a step for each channel; never so fine that an integer exceeds `PACKING.largest_step`."""
         return torch.maximum(factor * self._mean_square, self._finest)
 
     def integers(self, factor: float) -> Tensor:
@@ -155,7 +166,9 @@ class _Weight:
 
     def bits(self, factor: float) -> float:
         """Entropy of all integers, estimated from a sample."""
-        counts = torch.bincount(_integers(self._sample, self.steps(factor)).flatten().int() + _LARGEST_STEP).double()
+        counts = torch.bincount(
+            _integers(self._sample, self.steps(factor)).flatten().int() + PACKING.largest_step
+        ).double()
         shares = counts[counts > 0] / counts.sum()
         return float(-(shares * shares.log2()).sum()) * self._tensor.numel()
 
@@ -163,7 +176,7 @@ class _Weight:
 def _integers(tensor: Tensor, steps: Tensor) -> Tensor:
     """int8 of the tensor's shape; zeros where a channel is zero."""
     inverse = torch.where(steps > 0, 1 / steps, 0).view(-1, *[1] * (tensor.ndim - 1))
-    return (tensor * inverse).round().clamp(-_LARGEST_STEP, _LARGEST_STEP).to(torch.int8)
+    return (tensor * inverse).round().clamp(-PACKING.largest_step, PACKING.largest_step).to(torch.int8)
 
 
 def _deflated(weights: StateDict, most_bytes: int, moments: StateDict) -> dict[str, tuple[bytes, Tensor]]:
@@ -178,7 +191,7 @@ def _deflated(weights: StateDict, most_bytes: int, moments: StateDict) -> dict[s
     while True:
         out = {name: (_deflate(weight.integers(factor)), weight.steps(factor)) for name, weight in prepared.items()}
         excess = sum(len(data) for data, _ in out.values()) - most_bytes
-        if excess <= 0 or factor >= _COARSEST:
+        if excess <= 0 or factor >= PACKING.coarsest:
             return out
         # Deflate is a little longer than the entropy; a factor twice as large saves a bit a weight.
         factor *= 2.0 ** (8 * excess / count + 0.002)
@@ -186,8 +199,8 @@ def _deflated(weights: StateDict, most_bytes: int, moments: StateDict) -> dict[s
 
 def _finest_factor(weights: Iterable[_Weight], most_bytes: int) -> float:
     """The least factor of the largest tensor with which all integers' entropy is no more than `most_bytes`."""
-    low, high = math.log2(_FINEST), math.log2(_COARSEST)
-    for _ in range(_HALVINGS):
+    low, high = math.log2(PACKING.finest), math.log2(PACKING.coarsest)
+    for _ in range(PACKING.halvings):
         middle = (low + high) / 2
         bits = sum(weight.bits(2.0**middle) for weight in weights)
         low, high = (middle, high) if bits > 8 * most_bytes else (low, middle)
@@ -220,14 +233,14 @@ def unpack(stored: StateDict, kept: PackedHeader) -> dict[str, Tensor]:
 
 
 def _is_way(way: Any) -> bool:
-    if not isinstance(way, dict) or way.keys() != {"kept", "shape"} or way["kept"] not in WAYS:
+    if not isinstance(way, dict) or way.keys() != {"kept", "shape"} or way["kept"] not in PACKING_WAYS:
         return False
     return isinstance(way["shape"], list) and all(type(size) is int and size > 0 for size in way["shape"])
 
 
 def _inflated(name: str, data: Tensor, steps: Tensor, shape: list[int]) -> Tensor:
     size = math.prod(shape)
-    if not shape or size > _MOST_WEIGHTS or steps.shape != (shape[0],):
+    if not shape or size > PACKING.most_weights or steps.shape != (shape[0],):
         raise DamagedError(f"tensor {name}: shape {shape} is impossible")
     stream = zlib.decompressobj()
     try:

@@ -10,7 +10,7 @@ the columns: here it is a product of three matrices for all vehicles of a chunk 
 import contextlib
 import threading
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Final
 from weakref import WeakKeyDictionary
 
@@ -26,14 +26,25 @@ from torchvision.ops import clip_boxes_to_image
 
 from skope import keypoints, schema
 from skope.detections import MIN_SCORE, Detections, RoadUserDetections
-from skope.detector.build import MAX_DETECTIONS, box_passes_of
+from skope.detector.build import NETWORK_DEFAULTS, box_passes_of
 
 _VALUES_AT_ONCE: Final = {"cuda": 2**27, "cpu": 2**20}
 """Values of enlarged maps that are held together, by the kind of device."""
-_KERNEL_CELLS: Final = 2
-"""The bicubic kernel reaches over so many cells on either side; beyond a map's edge its last ones are repeated."""
-_SHARPNESS: Final = -0.75
-"""Parameter of the bicubic kernel (Keys, 1981), as in torch's `interpolate`."""
+
+
+@dataclass(frozen=True)
+class HeatmapKernel:
+    """Bicubic kernel of heat maps."""
+
+    reach_cells: int = 2
+    """Reach of the kernel on either side, cells. Beyond a map's edge its last cells are repeated."""
+    sharpness: float = -0.75
+    """Parameter of the kernel (Keys, 1981), as in torch's `interpolate`."""
+    regions_at_once: int = 128
+    """Given boxes that go through the keypoint head together. It limits memory."""
+
+
+HEATMAP_KERNEL: Final = HeatmapKernel()
 
 
 def heatmap_peaks(maps: Tensor, boxes: Tensor) -> tuple[Tensor, Tensor]:
@@ -79,7 +90,7 @@ def _largest(maps: Tensor, sizes: Tensor, width: int, height: int) -> tuple[Tens
 
     `width` and `height` are the largest of these.
     """
-    maps = pad(maps, (_KERNEL_CELLS,) * 4, mode="replicate")
+    maps = pad(maps, (HEATMAP_KERNEL.reach_cells,) * 4, mode="replicate")
     number, keypoints, rows, columns = maps.shape
     wide = maps.reshape(number, keypoints * rows, columns) @ _enlargement(sizes[:, 0], width, columns).mT
     wide = wide.view(number, keypoints, rows, width).transpose(1, 2).reshape(number, rows, keypoints * width)
@@ -95,19 +106,17 @@ def _enlargement(sizes: Tensor, longest: int, cells: int) -> Tensor:
     """(N, longest, cells) matrices that enlarge padded cells to each of the sizes, and then repeat the last value."""
     target = torch.arange(longest, device=sizes.device)
     target = torch.minimum(target, sizes[:, None] - 1)
-    at = (target + 0.5) * ((cells - 2 * _KERNEL_CELLS) / sizes[:, None]) - 0.5 + _KERNEL_CELLS
+    at = (target + 0.5) * ((cells - 2 * HEATMAP_KERNEL.reach_cells) / sizes[:, None]) - 0.5 + HEATMAP_KERNEL.reach_cells
     distance = (at[..., None] - torch.arange(cells, device=sizes.device)).abs()
-    a = _SHARPNESS
+    a = HEATMAP_KERNEL.sharpness
     near = ((a + 2) * distance - (a + 3)) * distance * distance + 1
     far = ((a * distance - 5 * a) * distance + 8 * a) * distance - 4 * a
-    return torch.where(distance <= 1, near, far.masked_fill_(distance >= _KERNEL_CELLS, 0.0))
+    return torch.where(distance <= 1, near, far.masked_fill_(distance >= HEATMAP_KERNEL.reach_cells, 0.0))
 
 
-_LOCKS: Final[WeakKeyDictionary[KeypointRCNN, threading.RLock]] = WeakKeyDictionary()
-"""One for each model, and not in it: models are copied and saved."""
+MODEL_LOCKS: Final[WeakKeyDictionary[KeypointRCNN, threading.RLock]] = WeakKeyDictionary()
+"""One lock for each model, and not in it: models are copied and saved."""
 _ALL_LOCKS: Final = threading.Lock()
-_REGIONS_AT_ONCE: Final = 128
-"""Given boxes that go through the keypoint head together, so that memory stays small."""
 
 
 def detect(
@@ -116,7 +125,7 @@ def detect(
     device: torch.device | str,
     *,
     min_score: float = MIN_SCORE,
-    max_detections: int = MAX_DETECTIONS,
+    max_detections: int = NETWORK_DEFAULTS.max_detections,
     categories: Sequence[str] = schema.VEHICLE_ALONE,
 ) -> list[Detections]:
     """Find vehicles, and other road users, in images, which go through the network as one batch.
@@ -284,11 +293,11 @@ def detect_on_boxes(
     boxes = torch.as_tensor(np.asarray(boxes_xyxy, dtype=np.float32).reshape(-1, 4), device=device)
     if not len(boxes):
         return np.zeros((0, keypoints.K, 3))
-    with _inference(model, MIN_SCORE, MAX_DETECTIONS):
+    with _inference(model, MIN_SCORE, NETWORK_DEFAULTS.max_detections):
         batch, _ = model.transform([as_tensor(image, device)])
         (inner_size,) = batch.image_sizes
         features = model.backbone(batch.tensors)
-        parts = resize_boxes(boxes, list(image.shape[:2]), list(inner_size)).split(_REGIONS_AT_ONCE)
+        parts = resize_boxes(boxes, list(image.shape[:2]), list(inner_size)).split(HEATMAP_KERNEL.regions_at_once)
         found = torch.cat([_keypoints(model, features, [part], [inner_size]) for part in parts])
         return _with_probability(found.cpu().double(), _scale(inner_size, (image.shape[1], image.shape[0])))
 
@@ -311,7 +320,7 @@ def _inference(model: KeypointRCNN, min_score: float, max_detections: int) -> It
 def _lock_of(model: KeypointRCNN) -> threading.RLock:
     """The lock that a call holds while it changes a model: thresholds, mode, what its parts hand on."""
     with _ALL_LOCKS:
-        return _LOCKS.setdefault(model, threading.RLock())
+        return MODEL_LOCKS.setdefault(model, threading.RLock())
 
 
 def as_tensor(image: NDArray[np.uint8], device: torch.device | str) -> torch.Tensor:

@@ -24,7 +24,7 @@ from skope.detector import score_calibration
 from skope.detector.checkpoint import checkpoint_bytes, find_checkpoint, load_weights
 from skope.detector.network_settings import Settings
 from skope.detector.predictor import CALIBRATED_KEY, Predictor
-from skope.detector.score_calibration import ALPHA, CALIBRATION_IOU, ScoreCalibration, fit_one, raw_maxima, sigmoid
+from skope.detector.score_calibration import CALIBRATION, ScoreCalibration, fit_one, raw_maxima, sigmoid
 from skope.detector.weights import shipped
 from skope.errors import UserError
 from skope.files.output_folders import check_file, work_of, write_new
@@ -36,23 +36,33 @@ from skope.schema import CATEGORY_ID, AnnotationFile, Result, RoadUserResult
 from skope.terminal.console import Console
 from skope.types import Array
 
-LEAST_SCORE: Final = 0.02
-"""Detections above this score are learnt from."""
-FOUND_IOU: Final = 0.5
-"""A vehicle is found by a detection whose box overlaps its own by so much."""
-_LARGEST_LOGIT_GAP: Final = 16.0
-"""Largest difference of logits that a score in float32 still tells."""
-_FLATTEST: Final = 1e-3
-"""Least scale: with 0 the place of a heat map's maximum would be lost, and the order of the vehicles."""
+
+@dataclass(frozen=True)
+class CalibrationFit:
+    """Limits of the fit of score calibration."""
+
+    least_score: float = 0.02
+    """Score above which detections are used."""
+    found_iou: float = 0.5
+    """IoU from which a detection finds a vehicle."""
+    largest_logit_gap: float = 16.0
+    """Largest difference of logits that a score in float32 resolves."""
+    least_scale: float = 1e-3
+    """Least scale. With 0 the position of a heat map's maximum and the order of vehicles would be lost."""
+    least_outcomes: int = 20
+    """Smallest number of right and of wrong detections for a category's own calibration."""
+
+
+CALIBRATION_FIT: Final = CalibrationFit()
 
 
 def vehicle_outcomes(file: AnnotationFile, results: Sequence[Result]) -> tuple[Array, NDArray[np.bool_]]:
-    """Scores of detections above `LEAST_SCORE` and whether each found a vehicle, (D,) each.
+    """Scores of detections above `CALIBRATION_FIT.least_score` and whether each found a vehicle, (D,) each.
 
     A second detection of a vehicle found none; those on ignored vehicles are left out.
     """
-    matches = match(file, results, score=LEAST_SCORE, thresholds=(FOUND_IOU,))
-    right = matches.taken[FOUND_IOU] >= 0
+    matches = match(file, results, score=CALIBRATION_FIT.least_score, thresholds=(CALIBRATION_FIT.found_iou,))
+    right = matches.taken[CALIBRATION_FIT.found_iou] >= 0
     counts = right | ~matches.det_on_ignored
     return matches.det_score[counts], right[counts]
 
@@ -60,7 +70,7 @@ def vehicle_outcomes(file: AnnotationFile, results: Sequence[Result]) -> tuple[A
 def fit_boxes(scores: Array, right: NDArray[np.bool_]) -> tuple[float, float]:
     """Scale and offset of the logits of a category's scores, from scores and outcomes (D,)."""
     scale, offset = fit_one(_logits(scores), right)
-    return max(scale, _FLATTEST), offset
+    return max(scale, CALIBRATION_FIT.least_scale), offset
 
 
 def calibrated(scores: Array, scale: float, offset: float) -> Array:
@@ -78,7 +88,7 @@ def calibrated(scores: Array, scale: float, offset: float) -> Array:
 
 
 def _logits(scores: Array) -> Array:
-    return np.clip(raw_maxima(scores), -_LARGEST_LOGIT_GAP, _LARGEST_LOGIT_GAP)
+    return np.clip(raw_maxima(scores), -CALIBRATION_FIT.largest_logit_gap, CALIBRATION_FIT.largest_logit_gap)
 
 
 def fold(model: KeypointRCNN, boxes: Mapping[int, tuple[float, float]], points: ScoreCalibration) -> None:
@@ -87,10 +97,11 @@ def fold(model: KeypointRCNN, boxes: Mapping[int, tuple[float, float]], points: 
     Args:
         model: Its box and keypoint predictors are changed in place.
         boxes: Category's id, from 1 -> scale and offset of its logit. The others get the vehicles' scale.
-        points: Scale and offset of the keypoints' heat maps; a scale is taken to be `_FLATTEST` at least.
+        points: Scale and offset of the keypoints' heat maps; a scale is taken to be `CALIBRATION_FIT.least_scale` at
+        least.
     """
     box, maps = model.roi_heads.box_predictor.cls_score, model.roi_heads.keypoint_predictor.kps_score_lowres
-    steepness = torch.as_tensor(np.maximum(points.scale, _FLATTEST), dtype=torch.float32)
+    steepness = torch.as_tensor(np.maximum(points.scale, CALIBRATION_FIT.least_scale), dtype=torch.float32)
     rest = (boxes[CATEGORY_ID][0], 0.0)
     fitted = [(0.0, 0.0), *(boxes.get(number, rest) for number in range(1, len(box.bias)))]
     with torch.no_grad():
@@ -107,8 +118,6 @@ def fold(model: KeypointRCNN, boxes: Mapping[int, tuple[float, float]], points: 
 
 
 TRAIN_SPLIT: Final = "train"
-LEAST_OUTCOMES: Final = 20
-"""A category's scores are fitted to so many right and as many wrong detections at least."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -139,7 +148,7 @@ def fit_calibration(job: CalibrationJob, console: Console) -> Path:
         check_file(job.out, lambda head: head[8:9] == b"{")
     elif shipped(weights):
         raise UserError(f"--checkpoint {job.checkpoint}: comes with skope; copy {weights} and calibrate the copy")
-    least = job.score if job.out is None else min(job.score, LEAST_SCORE)
+    least = job.score if job.out is None else min(job.score, CALIBRATION_FIT.least_score)
     predictor = Predictor.load(weights, replace(job.settings, calibrated=False, min_score=least), console)
     truth = read_inputs.read_dataset(job.data, [job.split])
     predictor.check_scheme(truth.scheme, job.data)
@@ -152,10 +161,10 @@ def fit_calibration(job: CalibrationJob, console: Console) -> Path:
         raise UserError(f"{job.data}: split {job.split}: the last {share:g} of its recordings is less than one image")
     results, others = apart([one for _, found in predictor.by_image(file, truth.root) for one in found])
 
-    matches = match(file, results, score=job.score, thresholds=(CALIBRATION_IOU,))
-    outcomes = outcomes_at(matches, CALIBRATION_IOU, Options(alpha=ALPHA, iou=(CALIBRATION_IOU,)))
+    matches = match(file, results, score=job.score, thresholds=(CALIBRATION.iou,))
+    outcomes = outcomes_at(matches, CALIBRATION.iou, Options(alpha=CALIBRATION.alpha, iou=(CALIBRATION.iou,)))
     points = matches.det_keypoints[outcomes.detection[outcomes.found]]
-    right = outcomes.correct(ALPHA)[outcomes.found]
+    right = outcomes.correct(CALIBRATION.alpha)[outcomes.found]
     if not len(matches.gt_image):
         raise UserError(f"{job.data}: split {job.split}: shows no vehicle to fit to; name another --split")
     if not len(points):
@@ -169,8 +178,8 @@ def fit_calibration(job: CalibrationJob, console: Console) -> Path:
         "last": share,
         "images": len(file.images),
         "vehicles": len(points),
-        "alpha": ALPHA,
-        "iou": CALIBRATION_IOU,
+        "alpha": CALIBRATION.alpha,
+        "iou": CALIBRATION.iou,
         "score": job.score,
     }
     fitted = score_calibration.fit(score_calibration.raw_maxima(points[..., 2]), right, fitted_on)
@@ -199,11 +208,11 @@ def _fitted_boxes(
         if number == CATEGORY_ID:
             scores, hits = vehicle_outcomes(file, vehicles)
         else:
-            scores, hits = box_outcomes(file, [one for one in others if one.score > LEAST_SCORE], name)
-            if min(hits.sum(), (~hits).sum()) < LEAST_OUTCOMES:
+            scores, hits = box_outcomes(file, [one for one in others if one.score > CALIBRATION_FIT.least_score], name)
+            if min(hits.sum(), (~hits).sum()) < CALIBRATION_FIT.least_outcomes:
                 console.say(
                     f"{name}: not calibrated, a threshold means another thing for it: of {len(hits)} detections "
-                    f"{hits.sum()} are right; {LEAST_OUTCOMES} right and as many wrong ones are needed"
+                    f"{hits.sum()} are right; {CALIBRATION_FIT.least_outcomes} right and as many wrong ones are needed"
                 )
                 continue
         fitted[number] = fit_boxes(scores, hits)

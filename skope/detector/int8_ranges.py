@@ -11,7 +11,7 @@ from typing import Any, Final
 
 from torch import Tensor, nn
 
-from skope.detector.compact_weights import DELICATE
+from skope.detector.compact_weights import DELICATE_NAMES
 from skope.errors import UserError
 
 RANGES_KEY: Final = "activation_ranges"
@@ -20,16 +20,16 @@ RANGES_KEY: Final = "activation_ranges"
 Ranges = Mapping[str, tuple[float, float]]
 """Least and largest input by a layer's name."""
 
-_BEYOND: Final = 1e-4
-"""Share of a call's inputs that a range leaves out at each end: what is rare and huge would make all others coarser."""
-_SAMPLED: Final = 1 << 18
-"""Inputs of a call that are looked at."""
+CLIPPED_SHARE: Final = 1e-4
+"""Share of a call's inputs outside its range at each end. Rare, huge values would make all others coarser."""
+SAMPLED_INPUTS: Final = 1 << 18
+"""Number of inputs of a call that are examined."""
 
 
 def rounded_layers(model: nn.Module) -> dict[str, nn.Conv2d | nn.Linear]:
     """The layers that have ranges, by name."""
     layers = ((n, m) for n, m in model.named_modules() if isinstance(m, nn.Conv2d | nn.Linear))
-    return {name: module for name, module in layers if not f"{name}.".startswith(DELICATE)}
+    return {name: module for name, module in layers if not f"{name}.".startswith(DELICATE_NAMES)}
 
 
 @contextlib.contextmanager
@@ -45,8 +45,8 @@ def noted(model: nn.Module) -> Iterator[dict[str, tuple[float, float]]]:
         x = inputs[0].detach().flatten()
         if not len(x):
             return
-        x = x[:: max(1, len(x) // _SAMPLED)].float().sort().values
-        beyond = int(_BEYOND * len(x))
+        x = x[:: max(1, len(x) // SAMPLED_INPUTS)].float().sort().values
+        beyond = int(CLIPPED_SHARE * len(x))
         low, high = float(x[beyond]), float(x[-1 - beyond])
         before = found.get(name, (low, high))
         found[name] = (min(low, before[0]), max(high, before[1]))

@@ -5,11 +5,11 @@ from typing import Final
 
 from skope.errors import UserError, one_of
 
-BACKENDS: Final = ("auto", "torch", "openvino", "onnx")
-FASTEST: Final = "openvino"
+BACKEND_CHOICES: Final = ("auto", "torch", "openvino", "onnx")
+FASTEST_BACKEND: Final = "openvino"
 """Backend that "auto" is on a CPU, where it is installed."""
-PRECISIONS: Final = ("auto", "float32", "bfloat16", "int8")
-TILES: Final = ("none", "auto")
+PRECISION_CHOICES: Final = ("auto", "float32", "bfloat16", "int8")
+TILE_CHOICES: Final = ("none", "auto")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,9 +42,9 @@ class Settings:
     """Use the calibration beside the weights, if there is one."""
 
     def __post_init__(self) -> None:
-        one_of("--backend", self.backend, BACKENDS)
-        one_of("--precision", self.precision, PRECISIONS)
-        one_of("--tiles", self.tiles, TILES)
+        one_of("--backend", self.backend, BACKEND_CHOICES)
+        one_of("--precision", self.precision, PRECISION_CHOICES)
+        one_of("--tiles", self.tiles, TILE_CHOICES)
         if self.min_size is not None and not 64 <= self.min_size <= 4096:
             raise UserError(f"--min-size: expected 64 to 4096 pixels, got {self.min_size}")
         if self.batch_size is not None and self.batch_size < 1:

@@ -9,7 +9,7 @@ import time
 from collections import deque
 from collections.abc import Container, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final, TypeVar
 
@@ -38,9 +38,26 @@ from skope.types import Pixels
 
 Item = TypeVar("Item")
 
-_END: Final = object()
-_LOOK_S: Final = 0.1
-"""A thread that waits for its caller looks so often whether the caller is gone."""
+END_MARK: Final = object()
+
+
+@dataclass(frozen=True)
+class BatchSizes:
+    """Batches and threads of a predictor."""
+
+    poll_s: float = 0.1
+    """Interval at which a thread that waits for its caller checks whether the caller is gone, seconds."""
+    gpu: int = 8
+    """Images that go through the network together on a GPU. A CPU gains nothing from batches."""
+    large_gpu: int = 16
+    """The same on a GPU with `large_gpu_bytes` or more. At short side 1080 they take 10 GB, and are a tenth faster."""
+    large_gpu_bytes: int = 24 * 10**9
+    """Memory of a large GPU, bytes."""
+    decoders: int = 2
+    """Threads that decode images."""
+
+
+BATCH_SIZES: Final = BatchSizes()
 
 
 def read_ahead(items: Iterable[Item], count: int) -> Generator[Item]:
@@ -54,7 +71,7 @@ def read_ahead(items: Iterable[Item], count: int) -> Generator[Item]:
     def put(item: object) -> None:
         while not unwanted.is_set():
             with contextlib.suppress(queue.Full):
-                made.put(item, timeout=_LOOK_S)
+                made.put(item, timeout=BATCH_SIZES.poll_s)
                 return
 
     def make() -> None:
@@ -63,14 +80,14 @@ def read_ahead(items: Iterable[Item], count: int) -> Generator[Item]:
                 put(item)
                 if unwanted.is_set():
                     return
-            put(_END)
+            put(END_MARK)
         except BaseException as error:  # raised again where the items are taken
             put(_Raised(error))
 
     thread = threading.Thread(target=make, daemon=True)
     thread.start()
     try:
-        while (item := made.get()) is not _END:
+        while (item := made.get()) is not END_MARK:
             if isinstance(item, _Raised):
                 raise item.error
             yield item  # type: ignore[misc]
@@ -88,13 +105,6 @@ T = TypeVar("T")
 
 CALIBRATED_KEY: Final = "calibrated"
 """Key of a checkpoint's metadata under which it says what its own scores were calibrated on."""
-_GPU_BATCH: Final = 8
-"""Images that go through the network together on a GPU; a CPU gains nothing from batches."""
-_LARGE_GPU_BATCH: Final = 16
-"""The same on a GPU with `_LARGE_GPU_BYTES` and more: at short side 1080 they take 10 GB, and are a tenth faster."""
-_LARGE_GPU_BYTES: Final = 24 * 10**9
-_DECODERS: Final = 2
-"""Threads that decode images."""
 
 
 class Predictor:
@@ -320,8 +330,8 @@ def default_batch_size(device: torch.device) -> int:
     """Number of images that go through the network together on a device, unless it is said otherwise."""
     if device.type != "cuda":
         return 1
-    large = torch.cuda.get_device_properties(device).total_memory >= _LARGE_GPU_BYTES
-    return _LARGE_GPU_BATCH if large else _GPU_BATCH
+    large = torch.cuda.get_device_properties(device).total_memory >= BATCH_SIZES.large_gpu_bytes
+    return BATCH_SIZES.large_gpu if large else BATCH_SIZES.gpu
 
 
 def _decoded(images: Sequence[Image], root: Path, ahead: int) -> Iterator[tuple[Image, Pixels]]:
@@ -332,7 +342,7 @@ def _decoded(images: Sequence[Image], root: Path, ahead: int) -> Iterator[tuple[
 
     left = iter(images)
     waiting: deque[tuple[Image, Future[Any]]] = deque()
-    with ThreadPoolExecutor(_DECODERS) as pool:
+    with ThreadPoolExecutor(BATCH_SIZES.decoders) as pool:
         try:
             for image in itertools.islice(left, ahead):
                 waiting.append((image, pool.submit(read, image)))

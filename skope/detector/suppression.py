@@ -12,8 +12,8 @@ from typing import Final
 import torch
 from torch import Tensor
 
-_PAIRS: Final = 1 << 26
-"""Pairs of boxes that are compared at once: a quarter of a gigabyte in float32, several times over."""
+PAIRS_AT_ONCE: Final = 1 << 26
+"""Pairs of boxes that are compared at once: several quarters of a gigabyte in float32."""
 
 
 def not_overlapped(boxes: Tensor, good: Tensor, most: float) -> Tensor:
@@ -27,7 +27,7 @@ def not_overlapped(boxes: Tensor, good: Tensor, most: float) -> Tensor:
     Returns:
         (G, P) bool.
     """
-    at_once = max(1, _PAIRS // max(1, boxes.shape[1] ** 2))
+    at_once = max(1, PAIRS_AT_ONCE // max(1, boxes.shape[1] ** 2))
     parts = zip(torch.split(boxes, at_once), torch.split(good, at_once), strict=True)
     return torch.cat([_not_overlapped(*part, most) for part in parts])
 

@@ -16,16 +16,25 @@ from torchvision.ops import batched_nms, nms
 from skope import boxes
 from skope.detections import Detections, RoadUserDetections
 
-_WORTH: Final = 1.25
-"""An image is cut into tiles where it is larger than inside the network by more than this."""
-_TILE_OVERLAP: Final = 0.15
-"""Neighbours have at least this share of their sides in common."""
-_EDGE_PX: Final = 3.0
-"""A box that ends so near to an edge of its tile is one that the tile cuts."""
-_SAME_IOU: Final = 0.5
-"""Boxes that overlap more are of one vehicle, as inside the network."""
-_INSIDE_SHARE: Final = 0.7
-"""A box of which this share lies inside a vehicle that its tile cuts is a part of that."""
+
+@dataclass(frozen=True)
+class TileLimits:
+    """When an image is cut into tiles, and how their detections are merged."""
+
+    worth_factor: float = 1.25
+    """Factor over the size inside the network from which an image is cut into tiles."""
+    overlap: float = 0.15
+    """Least overlap of neighbours, as a share of their sides."""
+    edge_px: float = 3.0
+    """A box that ends this close to an edge of its tile is cut by the tile, pixels."""
+    same_iou: float = 0.5
+    """IoU above which boxes are of one vehicle, as inside the network."""
+    inside_share: float = 0.7
+    """A box with this share inside a vehicle that its tile cuts is a part of it."""
+
+
+TILE_LIMITS: Final = TileLimits()
+
 
 _Scored: TypeAlias = tuple[NDArray[np.float64], NDArray[np.float64]]
 """(N, 4) boxes xyxy, pixels, and their (N,) scores."""
@@ -54,7 +63,7 @@ def tiles_of(width: int, height: int, *, short: int, long: int) -> list[Tile]:
         short: Short side of images inside the network, pixels.
         long: Most that their long side has there, pixels.
     """
-    if min(width, height) <= _WORTH * short and max(width, height) <= _WORTH * long:
+    if min(width, height) <= TILE_LIMITS.worth_factor * short and max(width, height) <= TILE_LIMITS.worth_factor * long:
         return []
     across, down = (long, short) if width >= height else (short, long)
     w, h = min(across, width), min(down, height)
@@ -62,8 +71,8 @@ def tiles_of(width: int, height: int, *, short: int, long: int) -> list[Tile]:
 
 
 def _begins(whole: int, part: int) -> list[int]:
-    """Begins of parts that cover a side evenly, each a share of `_TILE_OVERLAP` or more over the next one."""
-    count = max(1, math.ceil((whole - _TILE_OVERLAP * part) / ((1 - _TILE_OVERLAP) * part)))
+    """Begins of parts that cover a side evenly, each a share of `TILE_LIMITS.overlap` or more over the next one."""
+    count = max(1, math.ceil((whole - TILE_LIMITS.overlap * part) / ((1 - TILE_LIMITS.overlap) * part)))
     return [round(i * (whole - part) / max(1, count - 1)) for i in range(count)]
 
 
@@ -77,7 +86,7 @@ def join_tiles(whole: Detections, parts: Sequence[tuple[Tile, Detections]]) -> D
     users = [whole.road_users, *(_whole_road_users(tile, part.road_users, whole) for tile, part in parts)]
     rectangles = np.concatenate([one.boxes_xyxy for one in found])
     scores = np.concatenate([one.scores for one in found])
-    kept = nms(torch.from_numpy(rectangles), torch.from_numpy(scores), _SAME_IOU).numpy()
+    kept = nms(torch.from_numpy(rectangles), torch.from_numpy(scores), TILE_LIMITS.same_iou).numpy()
     points = np.concatenate([one.keypoints for one in found])
     road_users = _best_of_each(RoadUserDetections.together(users))
     return Detections(rectangles[kept], scores[kept], points[kept], whole.size, road_users=road_users)
@@ -86,7 +95,9 @@ def join_tiles(whole: Detections, parts: Sequence[tuple[Tile, Detections]]) -> D
 def _best_of_each(users: RoadUserDetections) -> RoadUserDetections:
     """Those that none of their own category with a better score overlaps, best first."""
     of_category = torch.from_numpy(users.categories)
-    kept = batched_nms(torch.from_numpy(users.boxes_xyxy), torch.from_numpy(users.scores), of_category, _SAME_IOU)
+    kept = batched_nms(
+        torch.from_numpy(users.boxes_xyxy), torch.from_numpy(users.scores), of_category, TILE_LIMITS.same_iou
+    )
     return users.of(kept.numpy())
 
 
@@ -123,9 +134,9 @@ def _uncut(tile: Tile, size: tuple[int, int], part: _Scored, whole: _Scored) -> 
     corner = np.array([tile.x, tile.y], dtype=np.float64)
     end = corner + (tile.width, tile.height)
     inner = np.concatenate([corner > 0, end < size])
-    cut = (np.abs(rectangles - np.concatenate([corner, end])) < _EDGE_PX) & inner
+    cut = (np.abs(rectangles - np.concatenate([corner, end])) < TILE_LIMITS.edge_px) & inner
     boxes_xyxy, surer = whole
     beyond = np.concatenate([boxes_xyxy[:, :2] < corner, boxes_xyxy[:, 2:] > end], axis=1).any(axis=1)
     inside = boxes.share_inside(rectangles, boxes_xyxy[beyond])
     better = surer[beyond] > scores[:, None]
-    return np.asarray(~cut.any(axis=1) & ~((inside > _INSIDE_SHARE) & better).any(axis=1))
+    return np.asarray(~cut.any(axis=1) & ~((inside > TILE_LIMITS.inside_share) & better).any(axis=1))

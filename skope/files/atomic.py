@@ -46,8 +46,8 @@ def read_bytes(path: Path) -> bytes:
         raise UserError(f"{path}: cannot be read: {error.strerror or error}") from None
 
 
-_LEFTOVER: Final = re.compile(r"\..*\.(\d+)\.part(?:\..*)?")
-"""Names that `replacing` gives to what is not yet whole."""
+LEFTOVER_NAME: Final = re.compile(r"\..*\.(\d+)\.part(?:\..*)?")
+"""Names that `replacing` gives to incomplete files."""
 
 
 @contextlib.contextmanager
@@ -75,7 +75,7 @@ def remove_leftovers(folder: Path) -> None:
     What a process that still lives is writing stays.
     """
     for path in folder.glob(".*.part*"):
-        found = _LEFTOVER.fullmatch(path.name)
+        found = LEFTOVER_NAME.fullmatch(path.name)
         if found and path.is_file() and not _lives(int(found[1])):
             path.unlink(missing_ok=True)
 

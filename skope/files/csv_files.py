@@ -17,9 +17,10 @@ from typing import IO, Any, Final
 from skope.errors import UserError
 from skope.files.atomic import read_text, replacing
 
-_FORMULA: Final = re.compile("'*[=+\\-@\t\r\n\uff1d\uff0b\uff0d\uff20]")
-"""Beginning of a text that a spreadsheet may run. Apostrophes before it count too, or else reading would drop them; the
-last four are =, +, - and @ in full width."""
+FORMULA_START: Final = re.compile("'*[=+\\-@\t\r\n\uff1d\uff0b\uff0d\uff20]")
+"""Start of a text that a spreadsheet may execute. Apostrophes before it count too, or reading would drop them; the
+last four are =, +, - and @ in full width.
+"""
 
 
 def write_csv(
@@ -63,7 +64,7 @@ class _UnixLines:
 
 def _cell(value: Any, digits: int | None) -> str:
     if isinstance(value, str):
-        return f"'{value}" if _FORMULA.match(value) else value
+        return f"'{value}" if FORMULA_START.match(value) else value
     if value is None or (isinstance(value, float) and not math.isfinite(value)):
         return ""
     if isinstance(value, float):
@@ -96,4 +97,4 @@ def read_csv(path: Path) -> tuple[list[str], list[dict[str | None, Any]]]:
 
 def _text(cell: Any) -> Any:
     """The text of a cell without the apostrophe that `write_csv` put before it."""
-    return cell[1:] if isinstance(cell, str) and cell.startswith("'") and _FORMULA.match(cell) else cell
+    return cell[1:] if isinstance(cell, str) and cell.startswith("'") and FORMULA_START.match(cell) else cell

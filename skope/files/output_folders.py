@@ -22,8 +22,8 @@ from skope.files.atomic import (
 from skope.files.json_files import json_bytes, parse_json, read_json, write_json
 from skope.version import __version__
 
-WORK: Final = "work.json"
-_CHOICE: Final = "choose another folder, or move what is there away"
+WORK_FILE: Final = "work.json"
+FOLDER_ADVICE: Final = "choose another folder, or move what is there away"
 _OTHER_FILE: Final = "is there already, with other content; choose another file, or move it away"
 
 
@@ -48,7 +48,7 @@ def claim_output(folder: Path, command: str, inputs: Iterable[Path], options: Ma
     work = work_of(command, inputs, options)
     found = _recorded_work(folder, "--out")
     if found is not None and (different := work_differences(found, work)):
-        raise UserError(f"--out: {folder} holds other work ({different}); {_CHOICE}")
+        raise UserError(f"--out: {folder} holds other work ({different}); {FOLDER_ADVICE}")
     remove_leftovers(folder)
     return _write_record(folder, work)
 
@@ -88,7 +88,7 @@ def replaceable_output(
     work["of"] = os.path.relpath(of.resolve(), folder.resolve()) if isinstance(of, Path) else of
     found = _recorded_work(folder, flag)
     if found is not None and [found.get(name) for name in ("command", "of")] != [command, work["of"]]:
-        raise UserError(f"{flag}: {folder} holds other work ({_described(found)}); {_CHOICE}")
+        raise UserError(f"{flag}: {folder} holds other work ({_described(found)}); {FOLDER_ADVICE}")
     earlier = {name for name in _files(found or {}) if (folder / name).is_file()}
     same = options is not None and found is not None and found.get("skope") == __version__
     stale = set() if same and not work_differences(found, work) else earlier
@@ -97,7 +97,7 @@ def replaceable_output(
         new = {path.name for path in drawn.iterdir()}
         for name in sorted(new - earlier):
             if (folder / name).exists():
-                raise UserError(f"{flag}: {folder / name} is there already, and is no earlier look's; {_CHOICE}")
+                raise UserError(f"{flag}: {folder / name} is there already, and is no earlier look's; {FOLDER_ADVICE}")
         # Whenever this is interrupted, the files that lie there are among those that the record names.
         _write_record(folder, {**work, "files": sorted(earlier | new)})
         for name in stale - new:
@@ -181,21 +181,21 @@ def _recorded_work(folder: Path, flag: str) -> Any:
     """
     if file := file_in_place_of(folder):
         raise UserError(f"{flag}: {file} is a file, expected a folder")
-    if not folder.is_dir() or all(path.name == WORK for path in folder.iterdir()):
+    if not folder.is_dir() or all(path.name == WORK_FILE for path in folder.iterdir()):
         return None
-    if not (folder / WORK).is_file():
-        raise UserError(f"{flag}: {folder} holds other files; {_CHOICE}")
+    if not (folder / WORK_FILE).is_file():
+        raise UserError(f"{flag}: {folder} holds other files; {FOLDER_ADVICE}")
     try:
-        found = read_json(folder / WORK)
+        found = read_json(folder / WORK_FILE)
     except UserError as error:
-        raise UserError(f"{flag}: {folder} holds other work ({error}); {_CHOICE}") from None
+        raise UserError(f"{flag}: {folder} holds other work ({error}); {FOLDER_ADVICE}") from None
     return found if isinstance(found, dict) else {}
 
 
 def _write_record(folder: Path, work: Mapping[str, Any]) -> dict[str, Any]:
     """Write `work.json`; returns what it holds."""
     signed = {**work, "skope": __version__, "date": datetime.now(UTC).date().isoformat()}
-    write_json(folder / WORK, signed)
+    write_json(folder / WORK_FILE, signed)
     return signed
 
 

@@ -6,17 +6,29 @@ that are listed come in the order in which people count.
 
 import os
 import re
+from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any, Final
 
 from skope.errors import UserError
 
-NAME_BYTES: Final = 100
-"""Bytes of the longest name: two names and a suffix fit into a file's name."""
-_PART_BYTES: Final = 255
-_PATH_BYTES: Final = 2000
-_REFUSED: Final = re.compile(r"\A\.{0,2}\Z|\A[A-Za-z]:|[\x00-\x1f\x7f-\x9f\u2028\u2029/\\]")
-"""Nothing, a folder itself or the one above it, a drive; control characters, ends of lines and separators."""
+
+@dataclass(frozen=True)
+class NameLimits:
+    """Limits of names and paths."""
+
+    name_bytes: int = 100
+    """Bytes of the longest name: two names and a suffix fit into a file's name."""
+    part_bytes: int = 255
+    """Bytes of the longest file name."""
+    path_bytes: int = 2000
+    """Bytes of the longest path."""
+
+
+NAME_LIMITS: Final = NameLimits()
+
+UNSAFE_NAME: Final = re.compile(r"\A\.{0,2}\Z|\A[A-Za-z]:|[\x00-\x1f\x7f-\x9f\u2028\u2029/\\]")
+"""Nothing, a folder itself or its parent, a drive; control characters, line ends and separators."""
 
 
 def name(field: str, value: Any) -> str:
@@ -24,9 +36,10 @@ def name(field: str, value: Any) -> str:
 
     Hidden names, which begin with a dot, are refused too.
     """
-    if not isinstance(value, str) or value.startswith(".") or not _is_part(value, NAME_BYTES):
+    if not isinstance(value, str) or value.startswith(".") or not _is_part(value, NAME_LIMITS.name_bytes):
         raise UserError(
-            f"{field}: expected a name of up to {NAME_BYTES} bytes without slashes, control characters or a leading "
+            f"{field}: expected a name of up to {NAME_LIMITS.name_bytes} bytes without slashes, control "
+            f"characters or a leading "
             f"dot, got {_short(value)}"
         )
     return value
@@ -41,10 +54,10 @@ def relative(field: str, value: Any) -> str:
 
 def is_relative(value: Any) -> bool:
     """Whether `value` is a path with forward slashes that stays inside whatever folder it is relative to."""
-    if not isinstance(value, str) or len(value) > _PATH_BYTES:
+    if not isinstance(value, str) or len(value) > NAME_LIMITS.path_bytes:
         return False
     parts = PurePosixPath(value).parts
-    return bool(parts) and all(_is_part(part, _PART_BYTES) for part in parts)
+    return bool(parts) and all(_is_part(part, NAME_LIMITS.part_bytes) for part in parts)
 
 
 def counting_order(path: Path | str) -> list[str | int]:
@@ -75,7 +88,7 @@ def _in_utf8(path: Path | str, program: str) -> str:
 def _is_part(text: str, most: int) -> bool:
     """Whether text can be one part of a path of at most so many bytes."""
     try:
-        return not _REFUSED.search(text) and len(os.fsencode(text)) <= most
+        return not UNSAFE_NAME.search(text) and len(os.fsencode(text)) <= most
     except UnicodeEncodeError:  # half a character, which no file system can hold
         return False
 

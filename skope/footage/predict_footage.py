@@ -24,15 +24,15 @@ from skope.cpu_count import usable_processors
 from skope.dataset import coco
 from skope.dataset.camera_of_file import with_camera
 from skope.dataset.folder import (
-    BEGINS,
-    CHANGES,
-    DETECTOR,
-    FOLLOWED,
-    FRAMES,
+    BEGINS_KEY,
+    CHANGES_KEY,
+    DETECTOR_KEY,
+    FOLLOWED_KEY,
+    FRAMES_FILE,
     PIXEL_WIDTH,
-    PREDICTIONS,
+    PREDICTIONS_FILE,
     SIGHT_FIELD,
-    SKIPPED,
+    SKIPPED_KEY,
 )
 from skope.detector import weights
 from skope.detector.network_settings import Settings
@@ -122,7 +122,7 @@ def _loaded(job: PredictJob, settings: Settings, console: Console) -> Predictor 
     given = None if job.checkpoint is None else str(job.checkpoint)
     if job.footage.live and (given is None or (given in weights.BY_ACCURACY and not Path(given).exists())):
         return LiveChoice.load(given, settings, job.footage.cut.every, console)
-    return Predictor.load(Path(given or weights.DEFAULT), settings, console)
+    return Predictor.load(Path(given or weights.DEFAULT_WEIGHTS), settings, console)
 
 
 class Prediction:
@@ -143,8 +143,8 @@ class Prediction:
         """The `track_id` of each road user of the last key frame."""
         for row in self._progress.rows():
             self._keep(coco.image_from_dict(row["image"]), motion_of_row(row["motion"]), row["look"])
-            if BEGINS in row["image"]:
-                job.footage.begins = datetime.fromisoformat(row["image"][BEGINS])
+            if BEGINS_KEY in row["image"]:
+                job.footage.begins = datetime.fromisoformat(row["image"][BEGINS_KEY])
             if row["key"]:
                 self._last_key = self.images[-1].id
                 self._last_numbers = [result.get("track_id", 0) for result in row["results"]]
@@ -175,7 +175,7 @@ class Prediction:
             watched=(looks, sway, *watched),
         ):
             image = with_camera(bare, job.camera)
-            begins = {} if job.footage.begins is None else {BEGINS: job.footage.begins.isoformat()}
+            begins = {} if job.footage.begins is None else {BEGINS_KEY: job.footage.begins.isoformat()}
             row = {**coco.image_to_dict(image), **begins}
             entry = {"image": row, "results": list(map(coco.result_to_dict, found))}
             look = looks.taken.pop(image.id, None)
@@ -205,7 +205,7 @@ class Prediction:
             raise UserError(f"{job.footage.name}: none of its images can be read: {why}")
         scheme = self._detector.scheme
         kept = _kept(job, progress, images)
-        written = [job.out / PREDICTIONS, job.out / FRAMES]
+        written = [job.out / PREDICTIONS_FILE, job.out / FRAMES_FILE]
         seen = _Seen()
         coco.write_result_rows(written[0], (seen.noted(result) for row in progress.rows() for result in kept(row)))
         record, looked = record_of(images, self._motions, images[0].width), self._looks
@@ -220,7 +220,7 @@ class Prediction:
         frames_file = AnnotationFile(
             images=tuple(images),
             annotations=(),
-            info={**_info(job, looked, changed, sways), DETECTOR: self._detector.name},
+            info={**_info(job, looked, changed, sways), DETECTOR_KEY: self._detector.name},
             name=job.footage.name,
             scheme=scheme,
             categories=self._detector.categories,
@@ -259,17 +259,17 @@ def _info(
     """The `info` of the frames: what is known of the footage."""
     info: dict[str, Any] = {"source": job.footage.name, "fps": job.footage.fps, **found_at(job), **job.camera_info}
     if job.footage.begins is not None:
-        info[BEGINS] = job.footage.begins.isoformat(timespec="milliseconds")
+        info[BEGINS_KEY] = job.footage.begins.isoformat(timespec="milliseconds")
     if job.footage.clip and not job.footage.clip.square:
         info[PIXEL_WIDTH] = round(job.footage.clip.pixel_width, 4)
     if job.footage.skipped:
-        info[SKIPPED] = list(job.footage.skipped)
+        info[SKIPPED_KEY] = list(job.footage.skipped)
     if job.key_every > 1:
-        info[FOLLOWED] = True
+        info[FOLLOWED_KEY] = True
     if looked:
         info[SIGHT_FIELD] = sight_rows(looked)
     if changed:
-        info[CHANGES] = [change.to_dict() for change in changed]
+        info[CHANGES_KEY] = [change.to_dict() for change in changed]
     if sways:
         info[MOTION_KEY] = sways.to_dict()
     return info

@@ -16,7 +16,7 @@ from skope.detector.device import choose_device
 from skope.detector.network_settings import Settings
 from skope.files.atomic import sha256_of
 from skope.files.json_files import read_json
-from skope.files.output_folders import WORK, claim_output
+from skope.files.output_folders import WORK_FILE, claim_output
 from skope.footage.confirmation import CONFIRMATION
 from skope.footage.key_frames import KEY_FRAME_LIMITS
 from skope.schema import CATEGORIES, AnyResult, Found
@@ -155,9 +155,9 @@ def claim(job: PredictJob, files: Sequence[Path]) -> None:
 
 def _killed_source(job: PredictJob) -> str | None:
     """Source of a killed run of a live stream in the output folder; None: there was none."""
-    if not job.footage.live or not (job.out / PROGRESS_FILE).is_file() or not (job.out / WORK).is_file():
+    if not job.footage.live or not (job.out / PROGRESS_FILE).is_file() or not (job.out / WORK_FILE).is_file():
         return None
-    held = read_json(job.out / WORK)
+    held = read_json(job.out / WORK_FILE)
     options = held.get("options") if isinstance(held, dict) else None
     source = options.get("source") if isinstance(options, dict) else None
     return source if isinstance(source, str) and source.startswith(f"{job.footage.name} of ") else None

@@ -17,14 +17,27 @@ from skope.metrics.outcome_counts import ratio
 from skope.schema import Annotation, Image
 from skope.types import Mask
 
-DISTANCES_M: Final = (20.0, 40.0, 60.0)
-HEIGHTS_PX: Final = (25.0, 50.0, 100.0, 200.0)
-OCCLUSION_EDGES: Final = (0.1, 0.4)
-TRUNCATIONS: Final = (0.1, 0.4)
 
-# Bounds of the part that the paper reports by itself: vehicles that nothing hides, within 40 m.
-_UNOCCLUDED: Final = 0.01
-_NEAR_M: Final = 40.0
+@dataclass(frozen=True)
+class BreakdownBands:
+    """Edges of the bands of a breakdown."""
+
+    distances_m: tuple[float, float, float] = (20.0, 40.0, 60.0)
+    """Distances from the camera, metres."""
+    heights_px: tuple[float, float, float, float] = (25.0, 50.0, 100.0, 200.0)
+    """Heights of boxes, pixels."""
+    occlusions: tuple[float, float] = (0.1, 0.4)
+    """Hidden shares."""
+    truncations: tuple[float, float] = (0.1, 0.4)
+    """Truncated shares."""
+    # Bounds of the part that the paper reports by itself: vehicles that nothing hides, within 40 m.
+    unoccluded: float = 0.01
+    """Hidden share below which a vehicle is unoccluded."""
+    near_m: float = 40.0
+    """Distance of near vehicles, metres."""
+
+
+BREAKDOWN_BANDS: Final = BreakdownBands()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,10 +90,12 @@ def _parts(images: Sequence[Image], matches: Matches, fleet: FleetInfo) -> dict[
     vehicles = matches.vehicles
     weather = [images[i].weather for i in matches.gt_image]
     parts = {
-        "distance": _by_band([v.distance for v in vehicles], DISTANCES_M),
-        "height": _by_band((matches.gt_boxes_xyxy[:, 3] - matches.gt_boxes_xyxy[:, 1]).tolist(), HEIGHTS_PX),
-        "occlusion": _by_band([v.occlusion for v in vehicles], OCCLUSION_EDGES, last="1"),
-        "truncation": _by_band([v.truncation for v in vehicles], TRUNCATIONS, last="1"),
+        "distance": _by_band([v.distance for v in vehicles], BREAKDOWN_BANDS.distances_m),
+        "height": _by_band(
+            (matches.gt_boxes_xyxy[:, 3] - matches.gt_boxes_xyxy[:, 1]).tolist(), BREAKDOWN_BANDS.heights_px
+        ),
+        "occlusion": _by_band([v.occlusion for v in vehicles], BREAKDOWN_BANDS.occlusions, last="1"),
+        "truncation": _by_band([v.truncation for v in vehicles], BREAKDOWN_BANDS.truncations, last="1"),
         "unoccluded_within_40_m": _by_yes_or_no(vehicles, _paper_cell, {True: "yes", False: "no"}),
         "vehicle_type": _by_name([v.vehicle_type for v in vehicles]),
         "weather": _by_name(weather),
@@ -93,7 +108,7 @@ def _parts(images: Sequence[Image], matches: Matches, fleet: FleetInfo) -> dict[
 def _paper_cell(vehicle: Annotation) -> bool | None:
     if vehicle.occlusion is None or vehicle.distance is None:
         return None
-    return vehicle.occlusion < _UNOCCLUDED and vehicle.distance < _NEAR_M
+    return vehicle.occlusion < BREAKDOWN_BANDS.unoccluded and vehicle.distance < BREAKDOWN_BANDS.near_m
 
 
 def _unseen(vehicle: Annotation, fleet: FleetInfo) -> bool | None:

@@ -18,12 +18,21 @@ from skope.metrics.outcome_counts import Name, Quotients, nested, ratio
 from skope.schema import Image
 from skope.types import Array, Integers
 
-BLOCK_S: Final = 10.0
-"""Length of a block of the only recording, seconds."""
-ENOUGH_SITES: Final = 3
-"""So many sites make sites the blocks."""
-INTERVAL_LEVEL: Final = 0.95
-"""Probability that an interval claims to hold the figure."""
+
+@dataclass(frozen=True)
+class BootstrapRules:
+    """Blocks and level of bootstrap intervals."""
+
+    block_s: float = 10.0
+    """Length of a block of the only recording, seconds."""
+    enough_sites: int = 3
+    """Number of sites from which sites are the blocks."""
+    level: float = 0.95
+    """Nominal coverage of an interval."""
+
+
+BOOTSTRAP_RULES: Final = BootstrapRules()
+
 
 Interval = tuple[float, float] | None
 
@@ -46,7 +55,7 @@ class Blocks:
 
     def to_dict(self) -> dict[str, Any]:
         """Basis of the intervals, as `metrics.json` says it."""
-        return {"unit": self.unit, "blocks": self.count, "sites": self.sites, "level": INTERVAL_LEVEL}
+        return {"unit": self.unit, "blocks": self.count, "sites": self.sites, "level": BOOTSTRAP_RULES.level}
 
 
 def blocks_of(images: Sequence[Image]) -> Blocks:
@@ -56,13 +65,13 @@ def blocks_of(images: Sequence[Image]) -> Blocks:
     sites = len(set(site_names)) if images and len(site_names) == len(images) else None
     recordings = {(image.site, image.recording) for image in images if image.recording is not None}
     keys: list[Any]
-    if sites is not None and sites >= ENOUGH_SITES:
+    if sites is not None and sites >= BOOTSTRAP_RULES.enough_sites:
         unit, keys = "site", site_names
     elif len(recordings) > 1:
         unit, keys = "recording", [(image.site, image.recording) for image in images]
     elif images and all(image.time_s is not None for image in images):
-        unit = f"{BLOCK_S:g} s"
-        keys = [(image.site, int((image.time_s or 0.0) // BLOCK_S)) for image in images]
+        unit = f"{BOOTSTRAP_RULES.block_s:g} s"
+        keys = [(image.site, int((image.time_s or 0.0) // BOOTSTRAP_RULES.block_s)) for image in images]
     else:
         unit, keys = "image", list(range(len(images)))
     number = {key: i for i, key in enumerate(dict.fromkeys(keys))}
@@ -110,7 +119,7 @@ def student(freedom: int) -> float:
     """Bound of |t| with probability INTERVAL_LEVEL, for Student's t with `freedom` degrees of freedom."""
     from scipy.special import stdtrit  # only what says intervals waits for it
 
-    return float(stdtrit(freedom, (1 + INTERVAL_LEVEL) / 2))
+    return float(stdtrit(freedom, (1 + BOOTSTRAP_RULES.level) / 2))
 
 
 def intervals(values: Quotients, blocks: Blocks) -> dict[str, Any]:

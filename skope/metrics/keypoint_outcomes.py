@@ -10,11 +10,11 @@ from skope import keypoints
 from skope.errors import UserError, one_of
 from skope.keypoints import Scheme
 from skope.metrics.match import BOX_KINDS, Matches
-from skope.metrics.thresholds import COUNTED_SCORE, IOU_THRESHOLDS, PCK_ALPHA
+from skope.metrics.thresholds import PAPER_THRESHOLDS
 from skope.types import Array, Integers, Mask
 
-PROTOCOLS: Final = ("pooled", "paper")
-LABELLED: Final = ("visible", "all")
+PROTOCOL_NAMES: Final = ("pooled", "paper")
+LABELLED_CHOICES: Final = ("visible", "all")
 """Choices of the ground-truth keypoints that count: those with v = 2, or all with v > 0."""
 
 
@@ -22,15 +22,15 @@ LABELLED: Final = ("visible", "all")
 class Options:
     """Rules on what counts as a detection, a labelled keypoint, a predicted one and a correct one."""
 
-    score: float = COUNTED_SCORE
+    score: float = PAPER_THRESHOLDS.score
     """A detection counts when it scores above this."""
-    alpha: float = PCK_ALPHA
+    alpha: float = PAPER_THRESHOLDS.alpha
     """A keypoint is correct within alpha times the longer edge of the ground-truth box."""
     labelled: str = "visible"
-    """Keypoints of the ground truth that count, one of `LABELLED`."""
+    """Keypoints of the ground truth that count, one of `LABELLED_CHOICES`."""
     boxes: str = "full"
     """Boxes of the ground truth that detections are matched to, one of `BOX_KINDS`."""
-    iou: tuple[float, ...] = IOU_THRESHOLDS
+    iou: tuple[float, ...] = PAPER_THRESHOLDS.iou
     """Thresholds at which detections match, in the order in which they are reported."""
     keypoint_score: float = 0.0
     """A keypoint counts as predicted when it scores above this; 0 takes all, as the paper does."""
@@ -50,7 +50,7 @@ class Options:
                 raise UserError(f"--iou: expected numbers above 0 and up to 1, got {threshold}")
         if not self.iou or len(set(self.iou)) != len(self.iou):
             raise UserError(f"--iou: expected different numbers, got {', '.join(map(str, self.iou)) or 'none'}")
-        one_of("--labelled", self.labelled, LABELLED)
+        one_of("--labelled", self.labelled, LABELLED_CHOICES)
         one_of("--boxes", self.boxes, BOX_KINDS)
 
     @property

@@ -12,7 +12,7 @@ import numpy as np
 from skope import boxes as box_math
 from skope import keypoints
 from skope.errors import UserError, one_of
-from skope.metrics.thresholds import COUNTED_SCORE, IOU_THRESHOLDS
+from skope.metrics.thresholds import PAPER_THRESHOLDS
 from skope.schema import Annotation, AnnotationFile, Labelled, Result
 from skope.types import Array, Integers, Mask
 
@@ -70,9 +70,9 @@ def match(
     file: AnnotationFile,
     results: Sequence[Result],
     *,
-    score: float = COUNTED_SCORE,
+    score: float = PAPER_THRESHOLDS.score,
     boxes: str = "full",
-    thresholds: Sequence[float] = IOU_THRESHOLDS,
+    thresholds: Sequence[float] = PAPER_THRESHOLDS.iou,
 ) -> Matches:
     """Match detections to ground-truth vehicles, image by image and greedily.
 

@@ -18,7 +18,7 @@ from skope.types import Array, Integers
 
 Name = tuple[str, str | None]
 """A figure, and its protocol where there are two."""
-FIGURES: Final[tuple[Name, ...]] = (
+FIGURE_NAMES: Final[tuple[Name, ...]] = (
     ("pck", None),
     *(
         (name, protocol)
@@ -103,7 +103,7 @@ Quotients = dict[Name, tuple[Array, Array]]
 
 
 def quotients(counts: Tally) -> Quotients:
-    """Numerators and denominators whose sums over images give each figure of `FIGURES`.
+    """Numerators and denominators whose sums over images give each figure of `FIGURE_NAMES`.
 
     The figures are those of the SKoPe3D paper's table in its own protocol (`paper`) and pooled (`pooled`).
     """

@@ -6,7 +6,7 @@ decided in keypoint_outcomes.py, and counted image by image in outcome_counts.py
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
@@ -30,15 +30,22 @@ __all__ = [
     "scores_document",
 ]
 
-METRICS_VERSION: Final = 1
-"""Version of the layout of `metrics.json`."""
 
-STRICT_ALPHA: Final = 0.05
-"""PCK at this alpha is reported beside the one that was asked for."""
-AT_PRECISION: Final = (0.9, 0.95)
-"""Box recall is reported at these precisions: how detectors scale their scores makes no difference to it."""
-AREA_ALPHA: Final = 0.2
-"""The area under PCK(alpha) runs from 0 to this, divided by it: 1 is perfect."""
+@dataclass(frozen=True)
+class MetricRules:
+    """Thresholds of reported figures."""
+
+    version: int = 1
+    """Version of the layout of `metrics.json`."""
+    strict_alpha: float = 0.05
+    """Second alpha at which PCK is reported."""
+    at_precision: tuple[float, float] = (0.9, 0.95)
+    """Precisions at which box recall is reported. They do not depend on how a detector scales its scores."""
+    area_alpha: float = 0.2
+    """The area under PCK(alpha) from 0 to this, divided by it: 1 is perfect."""
+
+
+METRIC_RULES: Final = MetricRules()
 
 
 def scores_document(
@@ -59,7 +66,7 @@ def scores_document(
         work: What `skope.files.output_folders.claim_output` says of the files that were read, the version and the date.
     """
     return {
-        "version": METRICS_VERSION,
+        "version": METRIC_RULES.version,
         "score_threshold": options.score,
         "alpha": options.alpha,
         "labelled": options.labelled,
@@ -131,8 +138,8 @@ def localisation(outcomes: Outcomes) -> dict[str, Any]:
     labelled = int(counted.sum())
     return {
         "labelled": labelled,
-        "pck_0.05": ratio(outcomes.correct(STRICT_ALPHA).sum(), labelled),
-        "pck_area": ratio(np.maximum(AREA_ALPHA - error, 0.0).sum() / AREA_ALPHA, labelled),
+        "pck_0.05": ratio(outcomes.correct(METRIC_RULES.strict_alpha).sum(), labelled),
+        "pck_area": ratio(np.maximum(METRIC_RULES.area_alpha - error, 0.0).sum() / METRIC_RULES.area_alpha, labelled),
         "median_error": _finite(np.median(error)) if labelled else None,
     }
 
@@ -150,7 +157,7 @@ def ranked(matches: Matches, threshold: float) -> tuple[NDArray[np.float64], NDA
 
 
 def recalls(file: AnnotationFile, results: Sequence[Result], options: Options) -> dict[str, float | None]:
-    """Box recall at each precision of `AT_PRECISION`, at the loosest IoU and whatever score it takes.
+    """Box recall at each precision of `METRIC_RULES.at_precision`, at the loosest IoU and whatever score it takes.
 
     Args:
         file: The ground truth.
@@ -163,7 +170,7 @@ def recalls(file: AnnotationFile, results: Sequence[Result], options: Options) -
     every = match_split(file, results, replace(options, score=0.0, iou=(options.loosest,)))
     scores, hits = ranked(every, options.loosest)
     truth = len(every.vehicles)
-    return {f"{p:g}": recall_at_precision(scores, hits, truth, p)["recall"] for p in AT_PRECISION}
+    return {f"{p:g}": recall_at_precision(scores, hits, truth, p)["recall"] for p in METRIC_RULES.at_precision}
 
 
 def recall_at_precision(

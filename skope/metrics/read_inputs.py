@@ -8,7 +8,7 @@ from typing import Any, Final, TypeVar
 
 from skope import keypoints
 from skope.dataset import coco
-from skope.dataset.folder import CARD, MANIFEST, open_dataset
+from skope.dataset.folder import CARD_FILE, MANIFEST_FILE, open_dataset
 from skope.dataset.image_selection import take
 from skope.errors import UserError, one_of
 from skope.keypoints import Scheme
@@ -48,7 +48,7 @@ def read_dataset(root: Path, names: Sequence[str]) -> GroundTruth:
         there = ", ".join(data.splits) or "none"
         raise UserError(f"{root}: has none of the splits {', '.join(TEST_SPLITS)}; name one with --split: {there}")
     splits = tuple(data.read(name) for name in wanted)
-    manifest = root / MANIFEST
+    manifest = root / MANIFEST_FILE
     sources = (manifest,) if manifest.is_file() else tuple(root / "annotations" / f"{name}.json" for name in wanted)
     return GroundTruth(splits=splits, root=root, fleet=_fleet(root, data.card), sources=sources)
 
@@ -62,10 +62,10 @@ def _fleet(root: Path, card: dict[str, Any]) -> FleetInfo:
         substituted = {str(model): tuple(names) for model, names in entry["substituted"].items()}
         unknown = {name for names in substituted.values() for name in names} - set(keypoints.NAMES)
         if unknown:
-            raise UserError(f"{root / CARD}: fleet.substituted: no keypoint {min(unknown)!r}")
+            raise UserError(f"{root / CARD_FILE}: fleet.substituted: no keypoint {min(unknown)!r}")
         return FleetInfo(held_out=frozenset(entry["held_out"]), substituted=substituted)
     except (KeyError, TypeError, AttributeError):
-        raise UserError(f"{root / CARD}: fleet: expected held_out and substituted") from None
+        raise UserError(f"{root / CARD_FILE}: fleet: expected held_out and substituted") from None
 
 
 def read_annotations(path: Path) -> GroundTruth:

@@ -66,7 +66,7 @@ def split_metrics(
         "recall_at_precision": (
             pck_precision_recall.recalls(file, results, options)
             if all_scores
-            else dict.fromkeys(f"{p:g}" for p in pck_precision_recall.AT_PRECISION)
+            else dict.fromkeys(f"{p:g}" for p in pck_precision_recall.METRIC_RULES.at_precision)
         ),
         "by": breakdown(file.images, matches, options, fleet),
         "localisation": {f"{t:g}": pck_precision_recall.localisation(outcomes[t]) for t in options.iou},

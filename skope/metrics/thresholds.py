@@ -1,10 +1,19 @@
 """Limits from which detections, boxes and keypoints count, unless others are asked for."""
 
+from dataclasses import dataclass
 from typing import Final
 
-IOU_THRESHOLDS: Final = (0.9, 0.8, 0.7, 0.6)
-"""Overlaps from which a box counts as found: those of the paper's table, in its order."""
-COUNTED_SCORE: Final = 0.9
-"""A detection counts when it scores above this."""
-PCK_ALPHA: Final = 0.1
-"""A keypoint counts as found within this share of the longer edge of the vehicle's box."""
+
+@dataclass(frozen=True)
+class PaperThresholds:
+    """Default thresholds of the metrics."""
+
+    iou: tuple[float, float, float, float] = (0.9, 0.8, 0.7, 0.6)
+    """IoU from which a box counts as found: those of the paper's table, in its order."""
+    score: float = 0.9
+    """Score above which a detection counts."""
+    alpha: float = 0.1
+    """Largest distance of a found keypoint, as a share of the longer edge of the vehicle's box."""
+
+
+PAPER_THRESHOLDS: Final = PaperThresholds()

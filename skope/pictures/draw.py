@@ -7,6 +7,7 @@ that their keypoints do not run together. Arrays of another shape or type raise 
 
 import itertools
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
@@ -26,29 +27,41 @@ from skope.types import Pixels
 
 Color = tuple[int, int, int]
 
-PALETTE: Final[tuple[Color, ...]] = (
-    (86, 180, 233),
-    (230, 159, 0),
-    (0, 200, 140),
-    (240, 228, 66),
-    (90, 140, 255),
-    (255, 110, 40),
-    (230, 140, 190),
-    (190, 230, 120),
-)
-"""Colours of vehicles, by track: Okabe and Ito's, brightened where they would drown in asphalt."""
-IGNORED: Final[Color] = (200, 200, 200)
-_DARK_RGB: Final[Color] = (16, 16, 16)
+
+@dataclass(frozen=True)
+class DrawingStyle:
+    """Colours and sizes of drawn vehicles."""
+
+    palette: tuple[Color, ...] = (
+        (86, 180, 233),
+        (230, 159, 0),
+        (0, 200, 140),
+        (240, 228, 66),
+        (90, 140, 255),
+        (255, 110, 40),
+        (230, 140, 190),
+        (190, 230, 120),
+    )
+    """Colours of vehicles, by track: Okabe and Ito's, brightened where they would be lost on asphalt."""
+    ignored: Color = (200, 200, 200)
+    """Colour of ignored vehicles."""
+    dark: Color = (16, 16, 16)
+    """Colour of outlines behind letters."""
+    drawn_probability: float = 0.5
+    """Probability from which a keypoint is drawn in full."""
+    faint_probability: float = 0.15
+    """Keypoints of a lower probability are not drawn. Up to `drawn_probability` they are faint."""
+    faintness: float = 0.4
+    """Share of a faint keypoint's colour in the image."""
+    small_px: int = 36
+    """Longer side of a small box, pixels of the enlarged image at 960x540."""
+    subpixel_bits: int = 4
+    """OpenCV takes sub-pixel positions as integers of 1 / 2**subpixel_bits pixel."""
+
+
+DRAWING_STYLE: Final = DrawingStyle()
+
 _LABEL_FONT: Final = cv2.FONT_HERSHEY_SIMPLEX
-_SURE_KEYPOINT: Final = 0.5
-_FAINT_KEYPOINT: Final = 0.15
-"""Keypoints of a lower probability are not drawn; from here to `_SURE_KEYPOINT` they are faint."""
-_FAINTNESS: Final = 0.4
-"""Share of a faint keypoint's colour in the picture."""
-_SMALL_PX: Final = 36
-"""Longer side of a box that is small, pixels of the enlarged image at 960x540."""
-SUBPIXEL_BITS: Final = 4
-"""OpenCV takes sub-pixel positions as integers of 1 / 2**SUBPIXEL_BITS pixel."""
 
 
 def annotations(
@@ -98,7 +111,9 @@ def number_of(label: Labelled) -> int:
 
 def color_of(label: Labelled) -> Color:
     """The colour that a road user is drawn in, wherever it is seen."""
-    return IGNORED if label.ignored else PALETTE[number_of(label) % len(PALETTE)]
+    return (
+        DRAWING_STYLE.ignored if label.ignored else DRAWING_STYLE.palette[number_of(label) % len(DRAWING_STYLE.palette)]
+    )
 
 
 def words_of(vehicle: Annotation | RoadUser) -> str:
@@ -132,7 +147,7 @@ def numbered(image: Pixels, vehicles: Iterable[Annotation], *, scale: int = 1) -
     canvas = _Canvas(image, scale)
     for vehicle in vehicles:
         seen = vehicle.keypoints[:, 2]
-        canvas.vehicle(vehicle.bbox, vehicle.keypoints, seen > 0, seen > 1, PALETTE[0])
+        canvas.vehicle(vehicle.bbox, vehicle.keypoints, seen > 0, seen > 1, DRAWING_STYLE.palette[0])
         for i in np.flatnonzero(seen > 0):
             canvas.number(vehicle.keypoints[i, :2], int(i), bold=bool(seen[i] > 1))
     return canvas.pixels
@@ -164,14 +179,14 @@ def results(
     """
     canvas = _Canvas(image, scale, scheme)
     for user in sorted(road_users, key=lambda r: r.score):
-        color = PALETTE[user.category_id]
+        color = DRAWING_STYLE.palette[user.category_id]
         canvas.box(user.bbox, color)
         if not canvas.is_small(user.bbox):
             canvas.label(user.bbox, f"{user.category[0]} {user.score:.2f}", color)
     ordered = sorted(found, key=lambda r: r.score)
     canvas.faint_points(ordered)
     for i, result in enumerate(ordered):
-        color = PALETTE[i % len(PALETTE)]
+        color = DRAWING_STYLE.palette[i % len(DRAWING_STYLE.palette)]
         canvas.prediction(result.bbox, result.keypoints, color)
         if not canvas.is_small(result.bbox):
             canvas.label(result.bbox, f"{result.score:.2f}", color)
@@ -239,7 +254,7 @@ def depth(metres: NDArray[np.float32], *, near: float = 4.0) -> Pixels:
         )
     nearness = np.clip(255 * near / np.maximum(metres, near), 0, 255).astype(np.uint8)
     colors = cv2.cvtColor(cv2.applyColorMap(nearness, cv2.COLORMAP_TURBO), cv2.COLOR_BGR2RGB)
-    colors[~np.isfinite(metres)] = _DARK_RGB
+    colors[~np.isfinite(metres)] = DRAWING_STYLE.dark
     return np.asarray(colors, dtype=np.uint8)
 
 
@@ -259,7 +274,7 @@ def caption(image: Pixels, text: str) -> Pixels:
     """A copy of (H, W, 3) `image` with a line of text on a dark strip above it, shortened where it is too long."""
     image = check_image("image", image)
     size = max(0.4, image.shape[1] / 1600)
-    strip = np.full((round(36 * size) + 4, image.shape[1], 3), _DARK_RGB, dtype=np.uint8)
+    strip = np.full((round(36 * size) + 4, image.shape[1], 3), DRAWING_STYLE.dark, dtype=np.uint8)
     # The Hershey fonts have ASCII only, about 18 pixels a letter.
     text = text.encode("ascii", "replace").decode()[: int(image.shape[1] / (18 * size))]
     origin = (round(8 * size), round(26 * size) + 2)
@@ -284,7 +299,7 @@ def contact_sheet(images: Sequence[Pixels], columns: int, *, gap: int = 4) -> Pi
     columns = min(columns, len(images))
     rows = -(-len(images) // columns)
     height, width = (max(image.shape[axis] for image in images) + gap for axis in (0, 1))
-    sheet = np.full((rows * height - gap, columns * width - gap, 3), _DARK_RGB, dtype=np.uint8)
+    sheet = np.full((rows * height - gap, columns * width - gap, 3), DRAWING_STYLE.dark, dtype=np.uint8)
     for i, image in enumerate(images):
         y, x = i // columns * height, i % columns * width
         sheet[y : y + image.shape[0], x : x + image.shape[1]] = image
@@ -328,7 +343,7 @@ class _Canvas:
 
     def prediction(self, bbox: ArrayLike, points: NDArray[np.float64], color: Color) -> None:
         """A predicted vehicle: a box, and of keypoints (33, 3: x, y, probability) and skeleton what is sure."""
-        sure = points[:, 2] >= _SURE_KEYPOINT
+        sure = points[:, 2] >= DRAWING_STYLE.drawn_probability
         self._box(bbox, color, max(1, self._line // 2) if self.is_small(bbox) else self._line)
         if not self.is_small(bbox):
             self._skeleton(points, sure, sure, color)
@@ -336,16 +351,16 @@ class _Canvas:
 
     def is_small(self, bbox: ArrayLike) -> bool:
         """Whether what is drawn in a box would cover all of it."""
-        return bool(max(np.asarray(bbox)[2:]) * self._scale < _SMALL_PX * self._unit)
+        return bool(max(np.asarray(bbox)[2:]) * self._scale < DRAWING_STYLE.small_px * self._unit)
 
     def faint_points(self, found: Iterable[Result]) -> None:
         """The keypoints of predicted vehicles that are not sure, but not improbable either."""
         before = self.pixels.copy()
         for result in found:
             probability = result.keypoints[:, 2]
-            faint = (probability >= _FAINT_KEYPOINT) & (probability < _SURE_KEYPOINT)
+            faint = (probability >= DRAWING_STYLE.faint_probability) & (probability < DRAWING_STYLE.drawn_probability)
             self._points(result.bbox, result.keypoints, faint, ~faint)
-        cv2.addWeighted(self.pixels, _FAINTNESS, before, 1 - _FAINTNESS, 0, dst=self.pixels)
+        cv2.addWeighted(self.pixels, DRAWING_STYLE.faintness, before, 1 - DRAWING_STYLE.faintness, 0, dst=self.pixels)
 
     def box(self, bbox: ArrayLike, color: Color) -> None:
         """The outline of a box."""
@@ -402,15 +417,22 @@ class _Canvas:
         bottom = min(max(y, height + base), self.pixels.shape[0] - 1)
         cv2.rectangle(self.pixels, (x, bottom - height - base), (x + width + 2, bottom), color, -1)
         cv2.putText(
-            self.pixels, text, (x + 1, bottom - base // 2 - 1), _LABEL_FONT, size, _DARK_RGB, self._line, cv2.LINE_AA
+            self.pixels,
+            text,
+            (x + 1, bottom - base // 2 - 1),
+            _LABEL_FONT,
+            size,
+            DRAWING_STYLE.dark,
+            self._line,
+            cv2.LINE_AA,
         )
 
     def number(self, at: ArrayLike, number: int, *, bold: bool) -> None:
         """A keypoint's number, to the upper right of it."""
         x, y = (int(v * self._scale) for v in np.asarray(at))
-        size, color = 0.36 * self._unit, (255, 255, 255) if bold else IGNORED
+        size, color = 0.36 * self._unit, (255, 255, 255) if bold else DRAWING_STYLE.ignored
         origin = (x + round(3 * self._unit), y - round(3 * self._unit))
-        for ink, thickness in ((_DARK_RGB, 3 * self._line), (color, self._line)):
+        for ink, thickness in ((DRAWING_STYLE.dark, 3 * self._line), (color, self._line)):
             cv2.putText(self.pixels, str(number), origin, _LABEL_FONT, size, ink, thickness, cv2.LINE_AA)
 
     def note(self, bbox: ArrayLike, text: str, color: Color) -> None:
@@ -422,19 +444,29 @@ class _Canvas:
         cv2.putText(self.pixels, text, origin, _LABEL_FONT, size, color, 1, cv2.LINE_AA)
 
     def _fixed(self, points: ArrayLike) -> NDArray[np.int32]:
-        at = (np.asarray(points, dtype=np.float64) * self._scale - 0.5) * (1 << SUBPIXEL_BITS)
+        at = (np.asarray(points, dtype=np.float64) * self._scale - 0.5) * (1 << DRAWING_STYLE.subpixel_bits)
         # A stray prediction must not overflow OpenCV's fixed-point numbers.
         return np.rint(np.clip(at, -(2**26), 2**26)).astype(np.int32)
 
     def _polyline(self, points: ArrayLike, color: Sequence[int], thickness: int) -> None:
-        cv2.polylines(self.pixels, [self._fixed(points)], False, color, thickness, cv2.LINE_AA, SUBPIXEL_BITS)
+        cv2.polylines(
+            self.pixels, [self._fixed(points)], False, color, thickness, cv2.LINE_AA, DRAWING_STYLE.subpixel_bits
+        )
 
     def _point(self, at: ArrayLike, radius: float, color: Color, *, filled: bool) -> None:
         x, y = self._fixed(at).tolist()
-        fixed_radius = round(radius * (1 << SUBPIXEL_BITS))
+        fixed_radius = round(radius * (1 << DRAWING_STYLE.subpixel_bits))
         if filled:
-            rim = round(min(1.0, radius / 3) * (1 << SUBPIXEL_BITS))
-            cv2.circle(self.pixels, (x, y), fixed_radius + rim, _DARK_RGB, -1, cv2.LINE_AA, SUBPIXEL_BITS)
-            cv2.circle(self.pixels, (x, y), fixed_radius, color, -1, cv2.LINE_AA, SUBPIXEL_BITS)
+            rim = round(min(1.0, radius / 3) * (1 << DRAWING_STYLE.subpixel_bits))
+            cv2.circle(
+                self.pixels,
+                (x, y),
+                fixed_radius + rim,
+                DRAWING_STYLE.dark,
+                -1,
+                cv2.LINE_AA,
+                DRAWING_STYLE.subpixel_bits,
+            )
+            cv2.circle(self.pixels, (x, y), fixed_radius, color, -1, cv2.LINE_AA, DRAWING_STYLE.subpixel_bits)
         else:
-            cv2.circle(self.pixels, (x, y), fixed_radius, color, self._line, cv2.LINE_AA, SUBPIXEL_BITS)
+            cv2.circle(self.pixels, (x, y), fixed_radius, color, self._line, cv2.LINE_AA, DRAWING_STYLE.subpixel_bits)

@@ -18,7 +18,7 @@ from skope.camera.motion.view_registration import REGISTRATION, KnownView, read_
 from skope.camera.uncertain_camera import UncertainCamera
 from skope.dataset import coco
 from skope.dataset.camera_of_file import read_camera, sized
-from skope.dataset.folder import FRAMES, PREDICTIONS
+from skope.dataset.folder import FRAMES_FILE, PREDICTIONS_FILE
 from skope.dataset.image_selection import part as part_of
 from skope.errors import UserError
 from skope.metrics import read_inputs
@@ -286,7 +286,7 @@ def read_scene(
     if folder is not None:
         if not folder.is_dir():
             raise UserError(f"{folder}: no such folder; `skope eval predict SOURCE --out {folder}` makes it")
-        annotations, predictions = folder / FRAMES, predictions or folder / PREDICTIONS
+        annotations, predictions = folder / FRAMES_FILE, predictions or folder / PREDICTIONS_FILE
     assert annotations is not None
     file = coco.read(annotations)
     if file.scheme.name != keypoints.SCHEME:

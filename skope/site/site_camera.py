@@ -35,8 +35,8 @@ from skope.types import Array
 ImageSize = tuple[int, int]
 
 DEFAULT_SIZE_PX: Final = (1920, 1080)
-_WORST: Final = 0.05
-"""Largest reprojection error of a control point, as a share of the image's width; a larger one is a mistake."""
+WORST_CONTROL_POINT: Final = 0.05
+"""Largest reprojection error of a control point, as a share of the image's width. A larger one is a mistake."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -196,7 +196,7 @@ def _from_points(table: Table, size: ImageSize, K: Array | None, lens: Distortio
     values = np.array(table.matrix("points", len(rows), 5)).reshape(-1, 5)
     fit = fit_camera_to_points(values[:, :2], values[:, 2:], size, K=K, distortion=lens)
     worst = int(fit.errors_px.argmax())
-    if fit.errors_px[worst] > _WORST * size[0]:
+    if fit.errors_px[worst] > WORST_CONTROL_POINT * size[0]:
         raise table.wrong(
             "points", f"point {worst + 1} is {fit.errors_px[worst]:.0f} px from where the best camera projects it"
         )

@@ -47,7 +47,7 @@ def on_earth(world: Mapping[str, Any] | None, places: Array) -> Array:
         raise UserError(f"world.origin: easting and northing lie too far from UTM zone {zone}") from None
 
 
-ZONE: Final = re.compile(r"([1-9]|[1-5][0-9]|60)([NS])")
+UTM_ZONE: Final = re.compile(r"([1-9]|[1-5][0-9]|60)([NS])")
 """A UTM zone: its number and half of the Earth."""
 _FARTHEST_M: Final = 1e8
 
@@ -66,7 +66,7 @@ def read_world(table: Table, unknown: list[str]) -> Mapping[str, Any]:
         out["axes"] = table.text("axes")
     if "utm_zone" in table:
         out["utm_zone"] = table.text("utm_zone")
-        if not ZONE.fullmatch(out["utm_zone"]):
+        if not UTM_ZONE.fullmatch(out["utm_zone"]):
             raise table.wrong("utm_zone", f'expected a zone like "32N", got {out["utm_zone"][:20]!r}')
     if "epsg" in table:
         code = table.number("epsg", low=1024, high=99999)

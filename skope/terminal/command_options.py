@@ -15,27 +15,27 @@ from skope.errors import UserError, one_of
 from skope.terminal.console import Console
 from skope.version import __version__
 
-DATA: Final = Path("data/skope")
+DATA_FOLDER: Final = Path("data/skope")
 """Dataset that `skope gen` makes, `skope train` learns from and `skope eval` measures on."""
-RUN: Final = Path("runs/skope")
+RUN_FOLDER: Final = Path("runs/skope")
 """Run that `skope train` makes and `skope eval` measures."""
-SHEETS: Final = Path("runs/show")
-GALLERIES: Final = Path("runs/gallery")
+SHEETS_FOLDER: Final = Path("runs/show")
+GALLERY_FOLDER: Final = Path("runs/gallery")
 SITE_PLANS: Final = Path("runs/sites")
 VEHICLE_SHEETS: Final = Path("runs/vehicles")
-VIDEOS: Final = Path("runs/video")
-PREDICTED: Final = Path("runs/predict")
-POSES: Final = Path("runs/pose")
+VIDEO_FOLDER: Final = Path("runs/video")
+PREDICTION_FOLDER: Final = Path("runs/predict")
+POSE_FOLDER: Final = Path("runs/pose")
 DEFAULT_TRACKS: Final = Path("runs/tracks")
-TRAFFIC: Final = Path("runs/traffic")
+TRAFFIC_FOLDER: Final = Path("runs/traffic")
 CAMERA_FILE: Final = Path("runs/camera.json")
 SITE_FILE: Final = Path("site.toml")
 
-DIR: Final = "DIR"
+DIR_METAVAR: Final = "DIR"
 FILE_METAVAR: Final = "FILE"
-LIST: Final = "A,B,.."
-SITE: Final = "NAME|FILE"
-SIZE: Final = "WIDTHxHEIGHT"
+LIST_METAVAR: Final = "A,B,.."
+SITE_METAVAR: Final = "NAME|FILE"
+SIZE_METAVAR: Final = "WIDTHxHEIGHT"
 
 C = TypeVar("C", bound=Callable[..., Any])
 

@@ -11,7 +11,7 @@ from typing import Any, Final, TypeVar
 import typer
 from tqdm import tqdm
 
-_ALIGNMENTS: Final = {"l": "left", "r": "right"}
+COLUMN_ALIGNMENTS: Final = {"l": "left", "r": "right"}
 
 
 def text_table(head: Sequence[str], rows: Iterable[Sequence[object]], align: str = "l") -> list[str]:
@@ -24,7 +24,7 @@ def text_table(head: Sequence[str], rows: Iterable[Sequence[object]], align: str
     """
     from tabulate import tabulate  # only where something is printed
 
-    sides = [_ALIGNMENTS[side] for side in align.ljust(len(head), "r")]
+    sides = [COLUMN_ALIGNMENTS[side] for side in align.ljust(len(head), "r")]
     cells = [[str(cell) for cell in row] for row in rows]
     text = tabulate(cells, headers=list(head), tablefmt="plain", colalign=sides, disable_numparse=True)
     return [line.rstrip() for line in text.split("\n")]

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from skope.camera.ground_plane import Ground
 from skope.camera.model import Camera
-from skope.pictures.draw import PALETTE
+from skope.pictures.draw import DRAWING_STYLE
 from skope.tracking import map_signs
 from skope.tracking.birdseye import extent
 from skope.tracking.ground_view import GroundView
@@ -115,7 +115,7 @@ def birdseye_frames(
 
 def _draw(picture: Pixels, shown: _Map, track: Track, i: int) -> None:
     """A vehicle in its i-th frame, and the way that it has come."""
-    color = PALETTE[track.number % len(PALETTE)]
+    color = DRAWING_STYLE.palette[track.number % len(DRAWING_STYLE.palette)]
     since = int(np.searchsorted(track.times_s, track.times_s[i] - MAP_VIDEO_STYLE.trail_s))
     cv2.polylines(picture, [shown.at(track.position[since : i + 1, :2])], False, color, 2, cv2.LINE_AA)
     outline = shown.at(np.array(map_signs.vehicle_points(track, i, map_signs.MAP_SYMBOLS.outline)))
@@ -129,7 +129,7 @@ def _draw(picture: Pixels, shown: _Map, track: Track, i: int) -> None:
 
 def _draw_dot(picture: Pixels, shown: _Map, track: Track, i: int) -> None:
     """Somebody on foot or on two wheels in the track's i-th frame, and the way behind."""
-    color = PALETTE[track.number % len(PALETTE)]
+    color = DRAWING_STYLE.palette[track.number % len(DRAWING_STYLE.palette)]
     since = int(np.searchsorted(track.times_s, track.times_s[i] - MAP_VIDEO_STYLE.trail_s))
     cv2.polylines(picture, [shown.at(track.position[since : i + 1, :2])], False, color, 1, cv2.LINE_AA)
     x, y = shown.at(track.position[i, :2]).tolist()

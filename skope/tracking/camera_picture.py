@@ -15,7 +15,7 @@ import numpy as np
 
 from skope.camera.model import Camera
 from skope.errors import UserError
-from skope.pictures.draw import PALETTE
+from skope.pictures.draw import DRAWING_STYLE
 from skope.pose.keypoint_views import Scene, View
 from skope.pose.pose_records import corners_of, locate_view
 from skope.schema import AnnotationFile
@@ -87,7 +87,7 @@ def with_tracks_drawn(pixels: Pixels, present: Sequence[tuple[Track, int]]) -> P
     picture = pixels.copy()
     for track, i in present:
         x, y, w, h = track.boxes[i].tolist()
-        color = PALETTE[track.number % len(PALETTE)]
+        color = DRAWING_STYLE.palette[track.number % len(DRAWING_STYLE.palette)]
         corners = np.rint([[x, y], [x + w, y], [x + w, y + h], [x, y + h]]).astype(np.int32)
         cv2.polylines(picture, [corners], True, color, CAMERA_PICTURE_SETTINGS.line_px, cv2.LINE_AA)
         if max(w, h) < CAMERA_PICTURE_SETTINGS.labelled_share * picture.shape[1]:

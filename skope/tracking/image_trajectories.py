@@ -11,7 +11,7 @@ import numpy as np
 
 from skope.camera.motion.view_registration import KnownView, is_inside, read_views, transformed, view_numbers
 from skope.dataset import coco
-from skope.dataset.folder import BEGINS, FRAMES, PREDICTIONS, SIGHT_FIELD
+from skope.dataset.folder import BEGINS_KEY, FRAMES_FILE, PREDICTIONS_FILE, SIGHT_FIELD
 from skope.errors import UserError
 from skope.metrics.read_inputs import read_all_results
 from skope.schema import CATEGORIES, VEHICLE, AnnotationFile
@@ -69,13 +69,13 @@ def read_image_trajectories(folder: Path, gates: Sequence[Gate] = ()) -> tuple[l
     Raises:
         UserError: A file is missing or wrong, the images have no times, or what was found has no numbers.
     """
-    file = coco.read(folder / FRAMES)
+    file = coco.read(folder / FRAMES_FILE)
     views, notes = _followed_views(file, gates)
     timed = {image.id: image.time_s for image in file.images if image.time_s is not None}
     shown = dict(zip(timed, view_numbers(views, list(timed.values())).tolist(), strict=True))
     observed = {number for number, view in enumerate(views) if view.from_first is not None}
     rows: dict[tuple[int, int], list[tuple[int, MotRow]]] = defaultdict(list)
-    results = read_all_results(folder / PREDICTIONS, file)
+    results = read_all_results(folder / PREDICTIONS_FILE, file)
     for result in results:
         view = shown.get(result.image_id)
         if result.track_id is not None and view is not None and view in observed:
@@ -84,7 +84,7 @@ def read_image_trajectories(folder: Path, gates: Sequence[Gate] = ()) -> tuple[l
             rows[result.category_id, result.track_id].append((view, row))
     if results and not rows:
         raise UserError(
-            f"{folder / PREDICTIONS}: track_id: missing: what images show is not followed from one to another"
+            f"{folder / PREDICTIONS_FILE}: track_id: missing: what images show is not followed from one to another"
         )
     tracks = [(category_id, _in_first_view(own, views)) for (category_id, _), own in rows.items()]
     made = [_trajectory(k, *track) for k, track in enumerate(_without_doubles(tracks), start=1)]
@@ -93,8 +93,10 @@ def read_image_trajectories(folder: Path, gates: Sequence[Gate] = ()) -> tuple[l
         times_s=np.array(sorted(time_s for number, time_s in timed.items() if shown[number] in observed)),
         source=source,
         moved_s=np.array(sorted(time_s for number, time_s in timed.items() if shown[number] not in observed)),
-        sight=checked_sight(file.info.get(SIGHT_FIELD, []), f"{folder / FRAMES}: info.{SIGHT_FIELD}"),
-        begins=read_begins(file.info[BEGINS], f"{folder / FRAMES}: info.{BEGINS}") if BEGINS in file.info else None,
+        sight=checked_sight(file.info.get(SIGHT_FIELD, []), f"{folder / FRAMES_FILE}: info.{SIGHT_FIELD}"),
+        begins=read_begins(file.info[BEGINS_KEY], f"{folder / FRAMES_FILE}: info.{BEGINS_KEY}")
+        if BEGINS_KEY in file.info
+        else None,
     )
     return [one for one in made if one.confirmed], observation, notes
 

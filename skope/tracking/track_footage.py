@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skope.camera.model import Camera
-from skope.dataset.folder import BEGINS, FOLLOWED, SIGHT_FIELD
+from skope.dataset.folder import BEGINS_KEY, FOLLOWED_KEY, SIGHT_FIELD
 from skope.errors import UserError
 from skope.files.atomic import replacing, write_bytes, write_text
 from skope.files.json_files import json_bytes
@@ -129,8 +129,8 @@ def follow_footage(job: TrackJob, console: Console) -> Iterator[str]:
 
 def begins_of(scene: Scene, begins: datetime | None) -> datetime | None:
     """Time of second 0: as `begins` says, else as the file of frames, which says so of live streams; None: neither."""
-    said = scene.file.info.get(BEGINS)
-    where = f"{scene.file.name}: info.{BEGINS}"
+    said = scene.file.info.get(BEGINS_KEY)
+    where = f"{scene.file.name}: info.{BEGINS_KEY}"
     return read_begins(said, where) if begins is None and said is not None else begins
 
 
@@ -247,7 +247,7 @@ def _seen(job: TrackJob, progress: Progress, refused: Counter[str]) -> Iterator[
         if (row := next(earlier, None)) is not None:
             found = [detection_from_dict(entry) for entry in row["sights"]]
         else:
-            found = detections_of(locate_view(view, job.scene), linked=job.scene.file.info.get(FOLLOWED) is True)
+            found = detections_of(locate_view(view, job.scene), linked=job.scene.file.info.get(FOLLOWED_KEY) is True)
             progress.add({"sights": [detection_to_dict(detection) for detection in found]})
         refused.update(one.refused for one in found if one.refused)
         yield found

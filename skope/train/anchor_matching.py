@@ -7,6 +7,7 @@ waits every time. Here every count has a bound that is known beforehand, and wha
 What lies on an ignored vehicle or other road user counts neither as one of a category nor as background.
 """
 
+from dataclasses import dataclass
 from typing import Final
 
 import torch
@@ -14,16 +15,25 @@ from torch import Tensor
 
 from skope.train.target_batch import TargetBatch
 
-DISCARD: Final = -1
-"""Label of what is neither of a category nor background."""
+
+@dataclass(frozen=True)
+class MatchingLimits:
+    """Limits of matching anchors and proposals to boxes."""
+
+    discarded: int = -1
+    """Label of what is neither of a category nor background."""
+    ignored_share: float = 0.5
+    """Share of a box's area inside an ignored box from which it is ignored."""
+    iou: float = 0.5
+    """IoU from which a box belongs to a ground-truth box, whatever it lies on."""
+    pairs_at_once: int = 1 << 26
+    """Pairs of boxes that are compared at once: several quarters of a gigabyte in float32."""
+
+
+MATCHING_LIMITS: Final = MatchingLimits()
+
 
 _BELOW, _BETWEEN = -1, -2
-_IGNORED_SHARE: Final = 0.5
-"""Share of a box's area inside an ignored box from which it lies on what is ignored."""
-_IOU: Final = 0.5
-"""IoU with a box of the ground truth from which a box is that one's, whatever it lies on."""
-_PAIRS: Final = 1 << 26
-"""Pairs of boxes that are compared at once: a quarter of a gigabyte in float32, several times over."""
 
 
 def assign(boxes: Tensor, batch: TargetBatch, *, low: float, high: float, low_quality: bool) -> tuple[Tensor, Tensor]:
@@ -37,11 +47,11 @@ def assign(boxes: Tensor, batch: TargetBatch, *, low: float, high: float, low_qu
         low_quality: Whether the boxes that overlap somebody most are theirs, however little that is.
 
     Returns:
-        (B, N) int64 labels: that of the ground truth, 0 for background, `DISCARD`; and (B, N) int64 indices into the
-        ground truth, 0 where there is none.
+        (B, N) int64 labels: that of the ground truth, 0 for background, `MATCHING_LIMITS.discarded`; and (B, N) int64
+        indices into the ground truth, 0 where there is none.
     """
     count = len(batch.boxes)
-    at_once = max(1, _PAIRS // max(1, batch.boxes.shape[1] * boxes.shape[-2]))
+    at_once = max(1, MATCHING_LIMITS.pairs_at_once // max(1, batch.boxes.shape[1] * boxes.shape[-2]))
     labels, matched = [], []
     for first in range(0, count, at_once):
         part = slice(first, first + at_once)
@@ -49,9 +59,9 @@ def assign(boxes: Tensor, batch: TargetBatch, *, low: float, high: float, low_qu
         present, quality = batch.present[part], anchor_iou(batch.boxes[part], own)
         best, match = _match(quality, present, low, high, low_quality=low_quality)
         label = batch.labels[part].gather(1, match.clamp(min=0))
-        label = torch.where(match >= 0, label, torch.where(match == _BELOW, 0, DISCARD))
-        on_nobody = best < _IOU
-        labels.append(label.masked_fill_(_inside(own, batch.ignored[part]) & on_nobody, DISCARD))
+        label = torch.where(match >= 0, label, torch.where(match == _BELOW, 0, MATCHING_LIMITS.discarded))
+        on_nobody = best < MATCHING_LIMITS.iou
+        labels.append(label.masked_fill_(_inside(own, batch.ignored[part]) & on_nobody, MATCHING_LIMITS.discarded))
         matched.append(match.clamp_(min=0))
     return torch.cat(labels), torch.cat(matched)
 
@@ -92,7 +102,7 @@ def _match(quality: Tensor, present: Tensor, low: float, high: float, *, low_qua
 def _inside(boxes: Tensor, ignored: Tensor) -> Tensor:
     """(B, N) bool: lies to half of its area inside one of (B, M, 4) ignored boxes."""
     own = _area(boxes)
-    return (_shared(ignored, boxes).amax(dim=1) >= _IGNORED_SHARE * own) & (own > 0)
+    return (_shared(ignored, boxes).amax(dim=1) >= MATCHING_LIMITS.ignored_share * own) & (own > 0)
 
 
 def sample_anchors(labels: Tensor, count: int, share: float) -> tuple[Tensor, Tensor]:

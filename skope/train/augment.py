@@ -26,12 +26,22 @@ _PIXEL_LEVELS: Final = np.arange(256, dtype=np.uint8)
 
 _NORMAL_LEVELS: Final = np.array([NormalDist().inv_cdf((k + 0.5) / 256) for k in range(256)])
 """Values that a standard normal number takes as often as a byte takes each of its 256."""
-_MARGIN_ROWS: Final = 5
-"""Rows that the picture is reduced to for the margin around it: nothing in it can be made out any more."""
-_CUTTING: Final = 0.25
-"""Share of the parts that are chosen so that an edge passes through a vehicle, and enlarged by 1.5 at least for it."""
-_WORTH_CUTTING: Final = 0.05
-"""Least height of a vehicle that is cut so, in heights of the image."""
+
+
+@dataclass(frozen=True)
+class CropRules:
+    """Margins and cuts of cropped images."""
+
+    margin_rows: int = 5
+    """Rows to which the image is reduced for the margin around it. Nothing in it can be recognised."""
+    cutting_share: float = 0.25
+    """Share of the crops whose edge passes through a vehicle. They are enlarged by 1.5 or more."""
+    least_cut_height: float = 0.05
+    """Least height of a vehicle that is cut, in heights of the image."""
+
+
+CROP_RULES: Final = CropRules()
+
 
 Step = Callable[[Pixels, Vehicles, np.random.Generator], tuple[Pixels, Vehicles]]
 
@@ -102,7 +112,7 @@ class Augment:
                 pixels, vehicles = (
                     _part(pixels, vehicles, step_rng, size) if chosen else _resized(pixels, vehicles, size)
                 )
-            elif chosen and (name in _GEOMETRY or not clean):
+            elif chosen and (name in GEOMETRIC_STEPS or not clean):
                 pixels, vehicles = step(pixels, vehicles, step_rng)
         return pixels, vehicles
 
@@ -138,7 +148,7 @@ def _part(
 ) -> tuple[Pixels, Vehicles]:
     """Another part of the view, or more than it, at another scale, as an image of `size`, (width, height)."""
     height, width = pixels.shape[:2]
-    cutting = rng.random() < _CUTTING
+    cutting = rng.random() < CROP_RULES.cutting_share
     scale = float(np.exp(rng.uniform(np.log(1.5 if cutting else 0.3), np.log(2.5))))
     part = np.array([width, height]) / scale
     room = [width, height] - part  # negative: the image leaves a margin
@@ -163,7 +173,7 @@ def _part(
 def _margin(pixels: Pixels, size: tuple[int, int]) -> Pixels:
     """Surroundings of a reduced image, (width, height): its own colours, in which nothing can be made out."""
     height, width = pixels.shape[:2]
-    few = (max(1, round(_MARGIN_ROWS * width / height)), _MARGIN_ROWS)
+    few = (max(1, round(CROP_RULES.margin_rows * width / height)), CROP_RULES.margin_rows)
     tiny = cv2.resize(pixels, few, interpolation=cv2.INTER_AREA)
     return _pixels(cv2.resize(tiny, size, interpolation=cv2.INTER_CUBIC))
 
@@ -179,7 +189,7 @@ def _cutting(corner: Array, part: Array, room: Array, boxes_xyxy: Array, rng: np
         rng: Draws vehicle and edge.
     """
     height = part[1] + room[1]
-    high = boxes_xyxy[boxes_xyxy[:, 3] - boxes_xyxy[:, 1] >= _WORTH_CUTTING * height]
+    high = boxes_xyxy[boxes_xyxy[:, 3] - boxes_xyxy[:, 1] >= CROP_RULES.least_cut_height * height]
     if not len(high):
         return corner
     box = rng.choice(high)
@@ -349,9 +359,9 @@ def _bytes(values: NDArray[np.generic]) -> Pixels:
     return np.clip(np.rint(values), 0, 255).astype(np.uint8)  # type: ignore[no-any-return]
 
 
-_GEOMETRY: Final[dict[str, Step]] = {"flip": _flip, "crop": _crop, "occluders": _occluders}
-"""Steps that move pixels or cover them, which images that stay clean take too."""
-_PHOTOMETRIC: Final = {
+GEOMETRIC_STEPS: Final[dict[str, Step]] = {"flip": _flip, "crop": _crop, "occluders": _occluders}
+"""Steps that move or cover pixels. Images without photometric changes take them too."""
+PHOTOMETRIC_STEPS: Final = {
     "color": _color,
     "brightness": _brightness,
     "spectrum": _spectrum,
@@ -366,7 +376,7 @@ _PHOTOMETRIC: Final = {
 }
 """Changes that leave every pixel where it is."""
 AUGMENT_STEPS: Final = MappingProxyType(
-    {**_GEOMETRY, **{name: _photometric(change) for name, change in _PHOTOMETRIC.items()}}
+    {**GEOMETRIC_STEPS, **{name: _photometric(change) for name, change in PHOTOMETRIC_STEPS.items()}}
 )
 """The steps by name, in the order of nature: the scene, its light, the lens and sensor, then the encoder."""
 assert (*AUGMENT_STEPS, "clean", "reduce") == tuple(field.name for field in fields(Augment))

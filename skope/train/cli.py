@@ -6,10 +6,19 @@ from typing import Annotated, Any
 import typer
 
 from skope.errors import UserError
-from skope.terminal.command_options import DATA, DIR, FILE_METAVAR, LIST, RUN, Commands, option, panel
+from skope.terminal.command_options import (
+    DATA_FOLDER,
+    DIR_METAVAR,
+    FILE_METAVAR,
+    LIST_METAVAR,
+    RUN_FOLDER,
+    Commands,
+    option,
+    panel,
+)
 from skope.terminal.console import Console
 
-_RECIPES = "the recipe's"
+RECIPE_DEFAULT = "the recipe's"
 
 app = Commands(help="Train the detector: Keypoint R-CNN with 33 keypoints.")
 data_option, training, output, machine = map(panel, ("Data", "Training", "Output", "Machine"))
@@ -20,7 +29,11 @@ def run(
     console: Console,
     data: Annotated[
         list[Path] | None,
-        data_option(metavar=DIR, help="Dataset folder; several, repeated, train together.", show_default=str(DATA)),
+        data_option(
+            metavar=DIR_METAVAR,
+            help="Dataset folder; several, repeated, train together.",
+            show_default=str(DATA_FOLDER),
+        ),
     ] = None,
     mix: Annotated[
         float | None,
@@ -32,19 +45,19 @@ def run(
         int | None, data_option(help="Train on this many images with vehicles of each dataset only.")
     ] = None,
     exclude_types: Annotated[
-        str | None, data_option(metavar=LIST, help="Vehicle types to ignore, as in pickup,bus.")
+        str | None, data_option(metavar=LIST_METAVAR, help="Vehicle types to ignore, as in pickup,bus.")
     ] = None,
     categories: Annotated[
         str | None,
         data_option(
-            metavar=LIST,
+            metavar=LIST_METAVAR,
             help="What to learn, as in vehicle,pedestrian; the others are background.",
             show_default="all that the data labels",
         ),
     ] = None,
     val_fraction: Annotated[
         float | None,
-        data_option(help="Share of each recording's end to validate on.", show_default=_RECIPES),
+        data_option(help="Share of each recording's end to validate on.", show_default=RECIPE_DEFAULT),
     ] = None,
     recipe: Annotated[
         str | None,
@@ -62,7 +75,7 @@ def run(
             help="Any value of the recipe, as in --set weight_decay=1e-4 --set augment.blur=0.2.",
         ),
     ] = None,
-    epochs: Annotated[int | None, training(help="Passes over the images.", show_default=_RECIPES)] = None,
+    epochs: Annotated[int | None, training(help="Passes over the images.", show_default=RECIPE_DEFAULT)] = None,
     init: Annotated[
         str | None,
         training(
@@ -70,7 +83,7 @@ def run(
             help="First weights. coco and imagenet are downloaded when missing, FILE may be a run folder; auto: COCO "
             "weights if torchvision's cache has them, else the detector that comes with skope; for another network "
             "than theirs a backbone trained on ImageNet if cached, else random.",
-            show_default=_RECIPES,
+            show_default=RECIPE_DEFAULT,
         ),
     ] = None,
     backbone: Annotated[
@@ -82,7 +95,7 @@ def run(
             show_default="the recipe's or the first weights'",
         ),
     ] = None,
-    batch_size: Annotated[int | None, training(help="Images a step.", show_default=_RECIPES)] = None,
+    batch_size: Annotated[int | None, training(help="Images a step.", show_default=RECIPE_DEFAULT)] = None,
     min_size: Annotated[
         int | None,
         training(
@@ -91,10 +104,12 @@ def run(
     ] = None,
     supervise: Annotated[
         str | None,
-        training(choices=("visible", "all"), help="Keypoints to learn; all: hidden ones too.", show_default=_RECIPES),
+        training(
+            choices=("visible", "all"), help="Keypoints to learn; all: hidden ones too.", show_default=RECIPE_DEFAULT
+        ),
     ] = None,
     seed: Annotated[int | None, training(help="Seed of weights, order, changes and samples.", show_default="0")] = None,
-    out: Annotated[Path, output(metavar=DIR, help="Run folder for checkpoints.")] = RUN,
+    out: Annotated[Path, output(metavar=DIR_METAVAR, help="Run folder for checkpoints.")] = RUN_FOLDER,
     resume: Annotated[
         bool,
         output(
@@ -144,7 +159,7 @@ def run(
         config = configure.again(out, data or (), flags)
     else:
         bfloat16 = not on_gpu and has_bfloat16(where)
-        config, resume = configure.new_or_same(out, data or (DATA,), flags, gpu=on_gpu, bfloat16=bfloat16)
+        config, resume = configure.new_or_same(out, data or (DATA_FOLDER,), flags, gpu=on_gpu, bfloat16=bfloat16)
     if workers is None:
         workers = configure.loading_workers(gpu=on_gpu)
     saving = Saving(keep=keep, state_interval_s=60 * save_minutes)
@@ -154,13 +169,15 @@ def run(
         typer.echo(f"skope: stopped; {configure.how_to_go_on(out)}", err=True)
         raise typer.Exit(130) from None
     learnt = open_dataset(Path(config.data[0]))
-    console.result(f"wrote {checkpoint}; next: {configure.next_command(out, learnt.root, learnt.splits, RUN, DATA)}")
+    console.result(
+        f"wrote {checkpoint}; next: {configure.next_command(out, learnt.root, learnt.splits, RUN_FOLDER, DATA_FOLDER)}"
+    )
 
 
 @app.command()
 def export(
     console: Console,
-    checkpoint: Annotated[Path, typer.Argument(metavar="RUN", help="Run folder, or a checkpoint file.")] = RUN,
+    checkpoint: Annotated[Path, typer.Argument(metavar="RUN", help="Run folder, or a checkpoint file.")] = RUN_FOLDER,
     to: Annotated[
         str,
         option(choices=("torchscript", "onnx", "compact", "state_dict"), help="Form; onnx needs the extra `onnx`."),
@@ -170,7 +187,9 @@ def export(
     ] = None,
     data: Annotated[
         Path | None,
-        option(metavar=DIR, help="Round compact weights so that on this dataset the layers' outputs change least."),
+        option(
+            metavar=DIR_METAVAR, help="Round compact weights so that on this dataset the layers' outputs change least."
+        ),
     ] = None,
 ) -> None:
     """Write a checkpoint in another form.

@@ -13,8 +13,8 @@ from torch import Tensor
 
 T = TypeVar("T")
 
-_PATIENCE = timedelta(hours=2)
-"""Time for which processes wait for each other: the first one validates and writes while the others wait."""
+WAITING_LIMIT = timedelta(hours=2)
+"""Time for which processes wait for each other. The first one validates and writes while the others wait."""
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ def process_group(device: torch.device) -> Iterator[tuple[ProcessGroup, torch.de
     if device.type == "cuda":
         device = torch.device("cuda", int(os.environ.get("LOCAL_RANK", "0")))
         torch.cuda.set_device(device)
-    dist.init_process_group("nccl" if device.type == "cuda" else "gloo", timeout=_PATIENCE)
+    dist.init_process_group("nccl" if device.type == "cuda" else "gloo", timeout=WAITING_LIMIT)
     try:
         yield ProcessGroup(dist.get_rank(), size), device
     finally:

@@ -14,7 +14,7 @@ import io
 import tempfile
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Final
@@ -30,8 +30,8 @@ from skope.dataset import image_selection
 from skope.dataset.folder import open_dataset
 from skope.detections import MIN_SCORE
 from skope.detector import int8_ranges, weights
-from skope.detector.backbones import BACKBONES
-from skope.detector.build import ASPECTS, BOX_CELLS, HEADS, MAX_DETECTIONS, PROPOSALS, DetectorConfig
+from skope.detector.backbones import BACKBONE_CHOICES
+from skope.detector.build import NETWORK_DEFAULTS, DetectorConfig
 from skope.detector.checkpoint import checkpoint_bytes, find_checkpoint, full_state, load_weights
 from skope.detector.detect import detect
 from skope.detector.device import choose_device
@@ -39,7 +39,7 @@ from skope.errors import UserError, one_of
 from skope.files.output_folders import check_file, write_new
 from skope.schema import VEHICLE_ALONE
 from skope.terminal.console import Console
-from skope.train.splits import SPLIT
+from skope.train.splits import TRAINING_SPLIT
 
 
 def torchvision_code(path: Path, config: DetectorConfig) -> str:
@@ -51,7 +51,7 @@ def torchvision_code(path: Path, config: DetectorConfig) -> str:
     labels += ", ".join(config.categories) if labels else ""
     sizes = ", ".join(f"({side},)" for side in config.anchors)
     imports, heads = _heads(config)
-    kind = BACKBONES[config.backbone]
+    kind = BACKBONE_CHOICES[config.backbone]
     layers = f".{kind.layers}" if kind.layers else ""
     return f"""\
 import torch
@@ -65,11 +65,11 @@ layers = {config.backbone}(weights=None, norm_layer=norm){layers}
 backbone = BackboneWithFPN(
     layers, {kind.returned},
     in_channels_list={list(kind.channels)}, out_channels={config.pyramid_width})
-anchors = AnchorGenerator(({sizes}), ({ASPECTS},) * {len(config.anchors)})
+anchors = AnchorGenerator(({sizes}), ({NETWORK_DEFAULTS.aspects},) * {len(config.anchors)})
 model = KeypointRCNN(
     backbone, {heads}, rpn_anchor_generator=anchors,
-    min_size={config.min_size}, max_size={config.max_size}, box_detections_per_img={MAX_DETECTIONS},
-    rpn_post_nms_top_n_test={PROPOSALS})
+    min_size={config.min_size}, max_size={config.max_size}, box_detections_per_img={NETWORK_DEFAULTS.max_detections},
+    rpn_post_nms_top_n_test={NETWORK_DEFAULTS.proposals})
 model.load_state_dict(torch.load({str(path)!r}))
 model.eval(){labels}"""
 
@@ -77,7 +77,7 @@ model.eval(){labels}"""
 def _heads(config: DetectorConfig) -> tuple[str, str]:
     """Lines of imports, and what `KeypointRCNN` is given for the heads."""
     classes = 1 + len(config.categories)
-    if config.heads == HEADS:
+    if config.heads == NETWORK_DEFAULTS.heads:
         return "", f"num_classes={classes}, num_keypoints={keypoints.K}"
     imports = """\
 from torchvision.models.detection.faster_rcnn import FastRCNNPredictor, TwoMLPHead
@@ -85,15 +85,28 @@ from torchvision.models.detection.keypoint_rcnn import KeypointRCNNHeads, Keypoi
 """
     layers, width, box_width = config.heads
     return imports, (
-        f"box_head=TwoMLPHead({config.pyramid_width * BOX_CELLS**2}, {box_width}),\n"
+        f"box_head=TwoMLPHead({config.pyramid_width * NETWORK_DEFAULTS.box_cells**2}, {box_width}),\n"
         f"    box_predictor=FastRCNNPredictor({box_width}, {classes}),\n"
         f"    keypoint_head=KeypointRCNNHeads({config.pyramid_width}, ({width},) * {layers}),\n"
         f"    keypoint_predictor=KeypointRCNNPredictor({width}, {keypoints.K})"
     )
 
 
-_CALL_SAMPLES: Final = 256
-"""Positions, or regions, that each call of a layer gives."""
+@dataclass(frozen=True)
+class ExportSampling:
+    """Samples for rounding, and the traced image."""
+
+    per_call: int = 256
+    """Number of positions, or regions, from each call of a layer."""
+    images: int = 64
+    """Number of images of a dataset that give the layers' inputs."""
+    opset: int = 17
+    """Version of ONNX's operators."""
+    traced_size: tuple[int, int] = (360, 640)
+    """Height and width of the traced image. The written model takes any size."""
+
+
+EXPORT_SAMPLING: Final = ExportSampling()
 
 
 def gather(
@@ -153,9 +166,9 @@ def _sample(module: nn.Module, x: Tensor, generator: torch.Generator) -> Tensor:
 
 
 def _some(count: int, generator: torch.Generator) -> Tensor:
-    if count <= _CALL_SAMPLES:
+    if count <= EXPORT_SAMPLING.per_call:
         return torch.arange(count)
-    return torch.randint(count, (_CALL_SAMPLES,), generator=generator)
+    return torch.randint(count, (EXPORT_SAMPLING.per_call,), generator=generator)
 
 
 EXPORT_SUFFIXES: Final = {
@@ -164,7 +177,7 @@ EXPORT_SUFFIXES: Final = {
     "compact": ".compact.safetensors",
     "state_dict": ".pth",
 }
-_BEGINS: Final[dict[str, Callable[[bytes], bool]]] = {
+FORMAT_MARKS: Final[dict[str, Callable[[bytes], bool]]] = {
     "torchscript": lambda head: head.startswith(b"PK\x03\x04"),
     "onnx": lambda head: head.startswith(b"\x08"),
     "compact": lambda head: head[8:9] == b"{",
@@ -172,25 +185,19 @@ _BEGINS: Final[dict[str, Callable[[bytes], bool]]] = {
 }
 """Whether a file may be of a format, by its first bytes: a zip archive; the field ir_version; the header's length, then
 the header."""
-CALIBRATION_IMAGES: Final = 64
-"""Of a dataset, that tell what the layers' inputs are."""
-OUTPUTS: Final = ("boxes", "scores", "keypoints", "keypoint_scores")
+OUTPUT_NAMES: Final = ("boxes", "scores", "keypoints", "keypoint_scores")
 CATEGORIES_OUTPUT: Final = "categories"
-
-_OPSET: Final = 17
-_TRACED_SIZE: Final = (360, 640)
-"""Height and width of the image that ONNX export follows through the network; the written model takes any size."""
 
 
 class Deployed(nn.Module):
-    """A detector of one image whose answer is a tuple of tensors, `OUTPUTS`."""
+    """A detector of one image whose answer is a tuple of tensors, `OUTPUT_NAMES`."""
 
     def __init__(self, model: KeypointRCNN) -> None:
         super().__init__()
         self.model = model
 
     def forward(self, image: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """Detect in one (3, H, W) image; returns `OUTPUTS`."""
+        """Detect in one (3, H, W) image; returns `OUTPUT_NAMES`."""
         return _in_order(self.model([image])[0])
 
 
@@ -202,7 +209,7 @@ class _Scripted(Deployed):
 
 
 class DeployedCategories(nn.Module):
-    """A detector of one image and several categories, whose answer is `OUTPUTS` and `CATEGORIES_OUTPUT`."""
+    """A detector of one image and several categories, whose answer is `OUTPUT_NAMES` and `CATEGORIES_OUTPUT`."""
 
     ids: Tensor
     """Id of the category of each of the network's labels."""
@@ -214,7 +221,7 @@ class DeployedCategories(nn.Module):
         self.register_buffer("ids", torch.tensor(ids), persistent=False)
 
     def forward(self, image: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
-        """Detect in one (3, H, W) image; returns `OUTPUTS` and `CATEGORIES_OUTPUT`."""
+        """Detect in one (3, H, W) image; returns `OUTPUT_NAMES` and `CATEGORIES_OUTPUT`."""
         return _with_categories(self.model([image])[0], self.ids)
 
 
@@ -226,7 +233,7 @@ class _ScriptedCategories(DeployedCategories):
 
 
 def _with_categories(found: dict[str, Tensor], ids: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
-    """`OUTPUTS` and `CATEGORIES_OUTPUT`, where `ids` are the categories of the network's labels."""
+    """`OUTPUT_NAMES` and `CATEGORIES_OUTPUT`, where `ids` are the categories of the network's labels."""
     boxes, scores, points, sure = _in_order(found)
     vehicles = (found["labels"] == 1).to(sure.dtype)
     return boxes, scores, points, sure * vehicles[:, None], ids[found["labels"]]
@@ -261,7 +268,7 @@ def export(checkpoint: Path, to: str, out: Path | None, *, data: Path | None = N
     path = find_checkpoint(checkpoint)
     folder = Path() if weights.shipped(path) else path.parent
     out = out or folder / (path.name.removesuffix(path.suffix) + EXPORT_SUFFIXES[to])
-    check_file(out, _BEGINS[to])
+    check_file(out, FORMAT_MARKS[to])
     model, config, metadata = load_weights(path, "cpu")
     if to == "compact":
         # As in torchvision, trained weights come with frozen normalisation: the next training's batches may be small.
@@ -290,7 +297,7 @@ def export(checkpoint: Path, to: str, out: Path | None, *, data: Path | None = N
 def _moments(model: KeypointRCNN, data: Path, categories: Sequence[str], console: Console) -> dict[str, Tensor]:
     """Second moments of the layers' inputs on some of a dataset's training images, where a GPU is there on it."""
     opened = open_dataset(data)
-    images = image_selection.take(opened.read(SPLIT), CALIBRATION_IMAGES).images
+    images = image_selection.take(opened.read(TRAINING_SPLIT), EXPORT_SAMPLING.images).images
     pixels = map(opened.image, images)
     seen = console.bar(pixels, total=len(images), unit="image", label="layers' inputs")
     return gather(model.to(choose_device("auto")), seen, categories)
@@ -314,7 +321,7 @@ def _torchscript(model: KeypointRCNN, categories: Sequence[str]) -> bytes:
 def _onnx(model: KeypointRCNN, categories: Sequence[str]) -> bytes:
     alone = len(categories) == 1
     deployed = Deployed(model) if alone else DeployedCategories(model, categories)
-    outputs = OUTPUTS if alone else (*OUTPUTS, CATEGORIES_OUTPUT)
+    outputs = OUTPUT_NAMES if alone else (*OUTPUT_NAMES, CATEGORIES_OUTPUT)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "model.onnx"
         _to_onnx(deployed.eval(), outputs, path)
@@ -322,13 +329,13 @@ def _onnx(model: KeypointRCNN, categories: Sequence[str]) -> bytes:
 
 
 def _to_onnx(deployed: nn.Module, outputs: Sequence[str], path: Path) -> None:
-    image = torch.rand(3, *_TRACED_SIZE, generator=torch.Generator().manual_seed(0))
+    image = torch.rand(3, *EXPORT_SAMPLING.traced_size, generator=torch.Generator().manual_seed(0))
     torch.onnx.export(
         deployed,
         (image,),
         str(path),
         dynamo=False,
-        opset_version=_OPSET,
+        opset_version=EXPORT_SAMPLING.opset,
         input_names=["image"],
         output_names=list(outputs),
         dynamic_axes={"image": {1: "height", 2: "width"}, **{name: {0: "found"} for name in outputs}},

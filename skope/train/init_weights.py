@@ -7,7 +7,7 @@ import argparse
 import math
 import pickle
 import re
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 from urllib.parse import urlparse
@@ -21,9 +21,9 @@ from torchvision.models.detection.keypoint_rcnn import KeypointRCNNPredictor
 
 from skope import keypoints
 from skope.detector import weights
-from skope.detector.backbones import BACKBONES, DEFAULT_BACKBONE
+from skope.detector.backbones import BACKBONE_CHOICES, DEFAULT_BACKBONE
 from skope.detector.build import DetectorConfig, build
-from skope.detector.checkpoint import HEADER, config_in, find_checkpoint, read_checkpoint
+from skope.detector.checkpoint import HEADER_FIELD, config_in, find_checkpoint, read_checkpoint
 from skope.errors import UserError
 from skope.keypoints import Scheme
 from skope.schema import VEHICLE_ALONE
@@ -82,16 +82,25 @@ def unpickled(path: Path) -> PublishedState:
     return state
 
 
-INITS: Final = ("auto", "coco", "imagenet", "random")
+INIT_CHOICES: Final = ("auto", "coco", "imagenet", "random")
 
-_COCO_KEYPOINTS: Final = 17
-_COCO_EPS: Final = 0.0
-"""These weights were trained while FrozenBatchNorm2d added nothing to the variance."""
-_PREDICTOR: Final = "roi_heads.keypoint_predictor.kps_score_lowres.weight"
+
+@dataclass(frozen=True)
+class FirstWeights:
+    """Numbers of published weights, and the bias of a new class."""
+
+    coco_keypoints: int = 17
+    """Number of keypoints of COCO's weights."""
+    coco_eps: float = 0.0
+    """Value added to the variance by normalisation when these weights were trained."""
+    class_bias: float = math.log(0.01)
+    """Bias of a new class: a hundredth as likely as a logit of 0, as in RetinaNet (Lin et al., 2017)."""
+
+
+FIRST_WEIGHTS: Final = FirstWeights()
+
+PREDICTOR_WEIGHT: Final = "roi_heads.keypoint_predictor.kps_score_lowres.weight"
 _BOX_PREDICTOR: Final = "roi_heads.box_predictor."
-_RARE: Final = math.log(0.01)
-"""Bias of a class that begins anew: a hundredth as likely as what has a logit of 0, as in RetinaNet (Lin et al.,
-2017)."""
 
 
 def initialise(
@@ -163,34 +172,34 @@ def initialise(
     check_init(init)
     given = _plain("batch", network)
     if init == "auto" and not given.stock:
-        init = "imagenet" if cached_weights(BACKBONES[given.backbone].imagenet).is_file() else "random"
+        init = "imagenet" if cached_weights(BACKBONE_CHOICES[given.backbone].imagenet).is_file() else "random"
     coco_file = cached_weights(KeypointRCNN_ResNet50_FPN_Weights.COCO_V1)
     with torch.random.fork_rng(devices=[]):
         torch.default_generator.manual_seed(seed)
         if init == "coco" or (init == "auto" and coco_file.is_file()):
-            coco = replace(_plain("frozen", AS_GIVEN), norm_eps=_COCO_EPS)
+            coco = replace(_plain("frozen", AS_GIVEN), norm_eps=FIRST_WEIGHTS.coco_eps)
             _check_network("--init coco", coco, network)
             path = fetch("coco", KeypointRCNN_ResNet50_FPN_Weights.COCO_V1)
             return loaded(path, unpickled(path), coco, "weights trained on COCO")
         if init == "imagenet":
             chosen = completed(replace(given, norm="frozen"))
             return _from_imagenet(chosen, trainable_layers), chosen, "a backbone trained on ImageNet"
-        shipped = init == "auto" and scheme.name == keypoints.SCHEME and weights.DEFAULT in weights.names()
-        if init in INITS and not shipped:
+        shipped = init == "auto" and scheme.name == keypoints.SCHEME and weights.DEFAULT_WEIGHTS in weights.names()
+        if init in INIT_CHOICES and not shipped:
             chosen = completed(given)
             return build(chosen, trainable_layers=5), chosen, "random weights"
-        file = weights.path(weights.DEFAULT) if shipped else find_checkpoint(Path(init))
+        file = weights.path(weights.DEFAULT_WEIGHTS) if shipped else find_checkpoint(Path(init))
         state, own = _from_file(file, scheme, categories, network)
         words = f"weights `{file.stem}` of the package" if weights.shipped(file) else f"weights of {file}"
         return loaded(file, state, own, words)
 
 
 def check_init(init: str) -> None:
-    """Raise a UserError unless a value of `--init` is one of `INITS` or names weights that are there."""
-    if init in INITS:
+    """Raise a UserError unless a value of `--init` is one of `INIT_CHOICES` or names weights that are there."""
+    if init in INIT_CHOICES:
         return
     if not Path(init).exists() and init not in weights.names():
-        raise UserError(f"--init: {init!r} is neither a file nor one of {', '.join((*INITS, *weights.names()))}")
+        raise UserError(f"--init: {init!r} is neither a file nor one of {', '.join((*INIT_CHOICES, *weights.names()))}")
     find_checkpoint(Path(init))
 
 
@@ -216,9 +225,9 @@ def _from_file(
     else:
         state = unpickled(path)
     counted = any(name.endswith(".num_batches_tracked") for name in state)
-    coco = _num_keypoints(path, state) == _COCO_KEYPOINTS and not counted
+    coco = _num_keypoints(path, state) == FIRST_WEIGHTS.coco_keypoints and not counted
     plain = _plain("batch" if counted else "frozen", network)
-    plain = replace(plain, norm_eps=_COCO_EPS) if coco else plain
+    plain = replace(plain, norm_eps=FIRST_WEIGHTS.coco_eps) if coco else plain
     classes = state.get(f"{_BOX_PREDICTOR}cls_score.bias")
     alike = classes is not None and len(classes) == 1 + len(categories)
     return state, replace(plain, categories=categories) if alike else plain
@@ -227,7 +236,7 @@ def _from_file(
 def _plain(norm: str, network: NetworkShape) -> DetectorConfig:
     """The config of weights that say nothing of it but what their tensors show."""
     asked = network.asked
-    eps = BACKBONES[asked.get("backbone", DEFAULT_BACKBONE)].norm_eps
+    eps = BACKBONE_CHOICES[asked.get("backbone", DEFAULT_BACKBONE)].norm_eps
     return DetectorConfig(norm=norm, norm_eps=eps, min_size=SMALL_SIZE[0], max_size=SMALL_SIZE[1], **asked)
 
 
@@ -244,7 +253,7 @@ def _check_network(where: str, given: DetectorConfig, network: NetworkShape) -> 
 def _is_ours(path: Path) -> bool:
     try:
         with safe_open(path, framework="pt") as file:
-            return HEADER in (file.metadata() or {})
+            return HEADER_FIELD in (file.metadata() or {})
     except (SafetensorError, OSError) as error:
         raise UserError(f"{path}: not a safetensors file, or a truncated one ({error})") from None
 
@@ -257,8 +266,10 @@ def _loaded(
     A predictor for COCO's 17 keypoints makes room for a new one for 33.
     """
     count = _num_keypoints(path, state)
-    if count not in (keypoints.K, _COCO_KEYPOINTS):
-        raise UserError(f"{path}: predicts {count} keypoints; expected {keypoints.K}, or COCO's {_COCO_KEYPOINTS}")
+    if count not in (keypoints.K, FIRST_WEIGHTS.coco_keypoints):
+        raise UserError(
+            f"{path}: predicts {count} keypoints; expected {keypoints.K}, or COCO's {FIRST_WEIGHTS.coco_keypoints}"
+        )
     model = build(config, trainable_layers=trainable_layers, num_keypoints=count)
     if categories != config.categories:
         state = _with_categories(path, state, categories, model.state_dict(), config.categories)
@@ -294,19 +305,19 @@ def _with_categories(
             if category in before:
                 new[i] = old[before.index(category)]
             elif name.endswith("cls_score.bias"):
-                new[i] = _RARE
+                new[i] = FIRST_WEIGHTS.class_bias
         out[name] = new.flatten(0, 1)
     return out
 
 
 def _num_keypoints(path: Path, state: PublishedState) -> int:
-    if _PREDICTOR not in state:
-        raise UserError(f"{path}: not the weights of a Keypoint R-CNN of torchvision (no tensor {_PREDICTOR})")
-    return int(state[_PREDICTOR].shape[1])
+    if PREDICTOR_WEIGHT not in state:
+        raise UserError(f"{path}: not the weights of a Keypoint R-CNN of torchvision (no tensor {PREDICTOR_WEIGHT})")
+    return int(state[PREDICTOR_WEIGHT].shape[1])
 
 
 def _from_imagenet(config: DetectorConfig, trainable_layers: int) -> KeypointRCNN:
-    kind = BACKBONES[config.backbone]
+    kind = BACKBONE_CHOICES[config.backbone]
     path = fetch("imagenet", kind.imagenet)
     model = build(config, trainable_layers=trainable_layers)
     prefix = f"{kind.layers}." if kind.layers else ""

@@ -39,19 +39,26 @@ from skope.train.teacher import Teacher
 from skope.train.training_samples import Draw, TrainingSample, TrainingSet
 from skope.train.training_state import TrainingState
 
-CHECKPOINT_INTERVAL_S: Final = 60.0
-"""Half a gigabyte is written for a checkpoint: not after every epoch when epochs take seconds."""
-STATE_INTERVAL_S: Final = 600.0
 
-_CURVES_INTERVAL_S = 5.0
-"""Drawing takes a third of a second: not after every epoch when epochs take seconds."""
-_LEAST_VALIDATED = 4
-"""Images that are validated on at least, where there are so many."""
-_VALIDATED_PART = 5
-"""An epoch over few images is validated on no more than a fifth of their number: to look must not cost more than to
-learn."""
-_LEAST_INSIDE = 0.8
-"""Share of the labelled keypoints that must lie inside their vehicle's box in the first batch."""
+@dataclass(frozen=True)
+class TrainingIntervals:
+    """Intervals of saving and drawing, and limits of validation."""
+
+    checkpoint_s: float = 60.0
+    """Least time between checkpoints, seconds. Each is half a gigabyte."""
+    state_s: float = 600.0
+    """Least time between saved states, seconds."""
+    curves_s: float = 5.0
+    """Least time between drawn curves, seconds. Drawing takes a third of a second."""
+    least_validated: int = 4
+    """Least number of validated images."""
+    validated_part: int = 5
+    """An epoch over few images validates one image for this many that it learns from."""
+    least_inside: float = 0.8
+    """Share of the labelled keypoints that must lie inside their vehicle's box in the first batch."""
+
+
+TRAINING_INTERVALS: Final = TrainingIntervals()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,9 +67,9 @@ class Saving:
 
     keep: int = 1
     """Checkpoints of epochs that stay, beside the best one."""
-    checkpoint_interval_s: float = CHECKPOINT_INTERVAL_S
+    checkpoint_interval_s: float = TRAINING_INTERVALS.checkpoint_s
     """A checkpoint is written after an epoch only when the last one is older than this, seconds."""
-    state_interval_s: float = STATE_INTERVAL_S
+    state_interval_s: float = TRAINING_INTERVALS.state_s
     """Within an epoch the state is saved so often, seconds."""
 
 
@@ -185,7 +192,10 @@ class _Run:
         """Make ready what the epochs need: images to validate on, what loads images, what shows progress."""
         recipe = config.recipe
         left = len(training_set) * (recipe.epochs - training.epochs_done) - training.steps_done * recipe.batch_size
-        most = min(recipe.val_images, max(_LEAST_VALIDATED, len(training_set) // _VALIDATED_PART))
+        most = min(
+            recipe.val_images,
+            max(TRAINING_INTERVALS.least_validated, len(training_set) // TRAINING_INTERVALS.validated_part),
+        )
         file, paths = splits.validation_images(parts, most)
         if file.images and all(vehicle.ignored for vehicle in file.annotations):
             said = f"{counted(len(file.images), 'image')} to validate on show no vehicle: nothing is validated"
@@ -326,7 +336,7 @@ class _Run:
             better = training.best is None or validate.rank(figures) > training.best
             training.best = validate.rank(figures) if better else training.best
         last = training.epochs_done == recipe.epochs
-        if last or time.monotonic() - self.drawn_at >= _CURVES_INTERVAL_S:
+        if last or time.monotonic() - self.drawn_at >= TRAINING_INTERVALS.curves_s:
             monitor.curves(self.out / "curves.png", training.history)
             self.drawn_at = time.monotonic()
         if last or time.monotonic() - self.checkpoint_at >= self.saving.checkpoint_interval_s:
@@ -375,7 +385,7 @@ def _explain_out_of_memory(config: RunConfig) -> Iterator[None]:
 def _check_first(batch: Sequence[TrainingSample], console: Console) -> None:
     """Keypoint R-CNN can only learn points inside their box: stop when boxes and keypoints do not belong together."""
     share = training_samples.mean_share_inside(batch)
-    if share is None or share >= _LEAST_INSIDE:
+    if share is None or share >= TRAINING_INTERVALS.least_inside:
         return
     names = ", ".join(sample.name for sample in batch)
     if share == 0:

@@ -26,11 +26,11 @@ from skope import schema
 from skope.detector.build import box_passes_of
 from skope.detector.detect import offsets_of_label
 from skope.detector.suppression import not_overlapped
-from skope.train.anchor_matching import DISCARD, assign, sample_anchors
+from skope.train.anchor_matching import MATCHING_LIMITS, assign, sample_anchors
 from skope.train.target_batch import HeightWidth, Target, TargetBatch, to_device
 from skope.train.teacher import Lesson, Teacher
 
-_BETA = 1 / 9
+BOX_LOSS_BETA = 1 / 9
 """Error of a box's offset from which the loss grows linearly."""
 _LEAST_SIDE = 1.0
 """Least side of a box that is looked at again, pixels inside the network."""
@@ -226,7 +226,9 @@ def _head_losses(
     return {
         "loss_classifier": wrong.where(drawn, 0.0).sum() / number,
         "loss_box_reg": error / number,
-        **_keypoint_losses(heads, features, boxes, labels.where(drawn, DISCARD), matched, sizes, batch, rules, lesson),
+        **_keypoint_losses(
+            heads, features, boxes, labels.where(drawn, MATCHING_LIMITS.discarded), matched, sizes, batch, rules, lesson
+        ),
         **({} if lesson is None else lesson.of_boxes(boxes, sizes, logits, deltas, labels, drawn)),
     }
 
@@ -272,7 +274,9 @@ def _regions(
     boxes = torch.cat([padded, batch.boxes], dim=1)
     there = torch.cat([torch.arange(padded.shape[1], device=lengths.device) < lengths, batch.present], dim=1)
     labels, matched = _assigned(heads.proposal_matcher, boxes, batch)
-    at, drawn = sample_anchors(labels.where(there, DISCARD), rules.regions, heads.fg_bg_sampler.positive_fraction)
+    at, drawn = sample_anchors(
+        labels.where(there, MATCHING_LIMITS.discarded), rules.regions, heads.fg_bg_sampler.positive_fraction
+    )
     return _pick(boxes, at), labels.gather(1, at), matched.gather(1, at), drawn
 
 
@@ -324,7 +328,7 @@ def _box_error(found: Tensor, truth: Tensor, boxes: Tensor, weights: Sequence[fl
     wanted = encode_boxes(truth.flatten(0, 1), boxes.flatten(0, 1), to_device(weights, boxes.device)).view_as(found)
     # Where nothing is counted the offset may be infinite, and infinity times nothing is not a number.
     wanted = wanted.where(counted[..., None], found.detach())
-    return functional.smooth_l1_loss(found, wanted, beta=_BETA, reduction="none").sum(dim=2)
+    return functional.smooth_l1_loss(found, wanted, beta=BOX_LOSS_BETA, reduction="none").sum(dim=2)
 
 
 def _moved(boxes: Tensor, offsets: Tensor, coder: BoxCoder) -> Tensor:

@@ -3,6 +3,7 @@
 import importlib.util
 import time
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Protocol, Self
 
@@ -21,8 +22,20 @@ from skope.train.training_samples import TrainingSet
 from skope.train.training_state import TrainingState
 from skope.types import Pixels
 
-_MEASURED_STEPS: Final = 2
-"""Steps whose duration tells how long the run will take."""
+
+@dataclass(frozen=True)
+class MonitorLimits:
+    """What a run reports while it trains."""
+
+    measured_steps: int = 2
+    """Number of steps whose duration gives the expected length of the run."""
+    sheet_images: int = 4
+    """Number of images on the progress sheet."""
+    drawn_score: float = 0.5
+    """Score from which detections are drawn."""
+
+
+MONITOR_LIMITS: Final = MonitorLimits()
 
 
 class TrainingProgress:
@@ -55,9 +68,9 @@ class TrainingProgress:
             self._since, self._images = time.perf_counter(), 0
             return
         self._images += images
-        if self._seen == 1 + _MEASURED_STEPS:
+        if self._seen == 1 + MONITOR_LIMITS.measured_steps:
             seconds = time.perf_counter() - self._since
-            rate, each = self._images / seconds, seconds / _MEASURED_STEPS
+            rate, each = self._images / seconds, seconds / MONITOR_LIMITS.measured_steps
             self.note(f"{each:.2g} s a step: about {minutes(self._total / rate)} for {self._total} images")
 
 
@@ -124,11 +137,7 @@ def announce(
         console.say(f"recipe {recipe.name} fine-tunes trained weights; `--recipe scratch` is made for random ones")
 
 
-SHEET_IMAGES: Final = 4
-"""Images of the progress sheet."""
-
-_SURE_SCORE = 0.5
-_SHARES: Final = {
+CURVE_TITLES: Final = {
     "pck": "PCK@0.1 of found vehicles",
     "pck_given": "PCK@0.1 in given boxes",
     "keypoint_recall": "keypoint recall",
@@ -156,7 +165,7 @@ def curves(path: Path, history: Sequence[Mapping[str, Any]]) -> None:
         for name in (validated[0]["validation"] if validated else ())
         if name.removesuffix("_recall") in CATEGORIES
     }
-    for name, label in {**_SHARES, **others}.items() if validated else ():
+    for name, label in {**CURVE_TITLES, **others}.items() if validated else ():
         rows = [(row["epoch"], row["validation"][name]) for row in validated]
         known = [(epoch, value) for epoch, value in rows if value is not None]
         axes[1].plot([epoch for epoch, _ in known], [value for _, value in known], marker=".", label=label)
@@ -189,13 +198,15 @@ def prediction_sheet(
     pairs: list[Pixels] = []
     # The same images each time, so that one sees them change.
     for image, place in zip(file.images, images, strict=True):
-        if len(pairs) == 2 * SHEET_IMAGES:
+        if len(pairs) == 2 * MONITOR_LIMITS.sheet_images:
             break
         truth: list[Annotation] = vehicles[image.id]
         if all(vehicle.ignored for vehicle in truth):
             continue
         pixels = read_image(place, size=(image.width, image.height))
-        found, others = validate.detect_in_image(model, pixels, image.id, device, _SURE_SCORE, file.categories)
+        found, others = validate.detect_in_image(
+            model, pixels, image.id, device, MONITOR_LIMITS.drawn_score, file.categories
+        )
         labels = draw.annotations(pixels, truth, users[image.id], scheme=file.scheme)
         answers = draw.results(pixels, found, others, scheme=file.scheme)
         pairs.append(draw.caption(labels, f"{image.file_name}: ground truth"))

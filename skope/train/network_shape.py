@@ -3,7 +3,7 @@
 from dataclasses import asdict, dataclass
 from typing import Any, Final
 
-from skope.detector.backbones import BACKBONES
+from skope.detector.backbones import BACKBONE_CHOICES
 from skope.detector.build import SIZE_RANGES, check_size
 from skope.errors import one_of
 
@@ -25,7 +25,7 @@ class NetworkShape:
 
     def __post_init__(self) -> None:
         if self.backbone is not None:
-            one_of("backbone", self.backbone, tuple(BACKBONES))
+            one_of("backbone", self.backbone, tuple(BACKBONE_CHOICES))
         for name in SIZE_RANGES:
             if getattr(self, name) is not None:
                 check_size(name, getattr(self, name))

@@ -89,7 +89,7 @@ def _split(value: Any) -> Any:
     return [int(item) if item.isdecimal() else item for item in items]
 
 
-SUPERVISE: Final = ("visible", "all")
+SUPERVISE_CHOICES: Final = ("visible", "all")
 SMALL_SIZE: Final = (360, 640)
 """Short and largest long side of images inside the network where two cores are to learn from them, pixels."""
 NORM_CHOICES: Final = ("given", "frozen", "batch")
@@ -162,7 +162,7 @@ class Recipe:
     """The detector that is learnt from beside the labels."""
 
     def __post_init__(self) -> None:
-        one_of("supervise", self.supervise, SUPERVISE)
+        one_of("supervise", self.supervise, SUPERVISE_CHOICES)
         one_of("norm", self.norm, NORM_CHOICES)
         for name in self.exclude_types:
             one_of("exclude_types", name, VEHICLE_TYPES)
@@ -224,7 +224,7 @@ class Recipe:
         )
 
 
-_PAPER: Final[dict[str, Any]] = {
+PAPER_VALUES: Final[dict[str, Any]] = {
     # What the paper gives.
     "learning_rate": 0.001,
     "momentum": 0.9,
@@ -283,15 +283,15 @@ _FROM_NOTHING: Final[dict[str, Any]] = {
     "regions": 128,
 }
 
-RECIPES: Final[Mapping[str, Recipe]] = MappingProxyType(
+SHIPPED_RECIPES: Final[Mapping[str, Recipe]] = MappingProxyType(
     {
-        "paper": Recipe(**{**_PAPER, "name": "paper"}),
-        "laptop": Recipe(**{**_PAPER, **_SMALL_NETWORK, "name": "laptop"}),
-        "scratch": Recipe(**{**_PAPER, **_SMALL_NETWORK, **_FROM_NOTHING, "name": "scratch"}),
+        "paper": Recipe(**{**PAPER_VALUES, "name": "paper"}),
+        "laptop": Recipe(**{**PAPER_VALUES, **_SMALL_NETWORK, "name": "laptop"}),
+        "scratch": Recipe(**{**PAPER_VALUES, **_SMALL_NETWORK, **_FROM_NOTHING, "name": "scratch"}),
     }
 )
-CHOICES: Final = ("auto", *RECIPES)
-_BASE: Final = "base"
+RECIPE_CHOICES: Final = ("auto", *SHIPPED_RECIPES)
+BASE_KEY: Final = "base"
 """Key of a TOML recipe under which it names the recipe that it changes."""
 
 
@@ -299,7 +299,8 @@ def choose_recipe(name: str, *, gpu: bool, bfloat16: bool) -> Recipe:
     """The recipe that the flag `--recipe` names.
 
     Args:
-        name: One of `CHOICES`, or a TOML file that changes one of them. `auto` is `paper` on a GPU and `laptop` on a
+        name: One of `RECIPE_CHOICES`, or a TOML file that changes one of them. `auto` is `paper` on a GPU and `laptop`
+        on a
             CPU.
         gpu: Whether the run is on a GPU.
         bfloat16: Whether this processor has instructions for such numbers, which all recipes but `paper` make use of:
@@ -311,13 +312,13 @@ def choose_recipe(name: str, *, gpu: bool, bfloat16: bool) -> Recipe:
     if name.endswith(".toml"):
         path = Path(name)
         values = read_toml(path)
-        base = values.pop(_BASE, "auto")
-        if base not in CHOICES:
-            raise UserError(f"{path}: {_BASE}: {base!r} is not one of {', '.join(CHOICES)}")
+        base = values.pop(BASE_KEY, "auto")
+        if base not in RECIPE_CHOICES:
+            raise UserError(f"{path}: {BASE_KEY}: {base!r} is not one of {', '.join(RECIPE_CHOICES)}")
         recipe = choose_recipe(base, gpu=gpu, bfloat16=bfloat16)
         return with_values(recipe, with_flag_lists(Recipe, {"name": path.stem, **values}), f"{path}: ")
-    one_of("--recipe", name, CHOICES)
-    recipe = RECIPES[("paper" if gpu else "laptop") if name == "auto" else name]
+    one_of("--recipe", name, RECIPE_CHOICES)
+    recipe = SHIPPED_RECIPES[("paper" if gpu else "laptop") if name == "auto" else name]
     return recipe if recipe.name == "paper" else replace(recipe, bfloat16=bfloat16)
 
 

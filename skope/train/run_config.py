@@ -14,7 +14,7 @@ from skope.schema import checked_categories
 from skope.train.recipe import Recipe
 
 _RUN_VERSION = 2
-_CONFIG = "recipe.json"
+CONFIG_FILE = "recipe.json"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,7 +68,7 @@ class RunConfig:
     @classmethod
     def read(cls, run: Path) -> Self:
         """The configuration that a run folder records."""
-        values = read_json(run / _CONFIG)
+        values = read_json(run / CONFIG_FILE)
         try:
             if not isinstance(values, dict) or values.get("version") != _RUN_VERSION:
                 raise UserError(f"version: expected {_RUN_VERSION}")
@@ -77,11 +77,11 @@ class RunConfig:
             categories = checked_categories(values["categories"])
             return cls(recipe=recipe, data=data, categories=categories, **{name: values[name] for name in names})
         except KeyError as error:
-            raise UserError(f"{run / _CONFIG}: field {error.args[0]} is missing") from None
+            raise UserError(f"{run / CONFIG_FILE}: field {error.args[0]} is missing") from None
         except UserError as error:
-            raise UserError(f"{run / _CONFIG}: {error}") from None
+            raise UserError(f"{run / CONFIG_FILE}: {error}") from None
 
 
 def record_config(run: Path, config: RunConfig) -> None:
     """Write the configuration of a run into its folder."""
-    write_json(run / _CONFIG, config.to_dict())
+    write_json(run / CONFIG_FILE, config.to_dict())

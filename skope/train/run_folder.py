@@ -21,7 +21,7 @@ from torch import Tensor
 
 from skope import keypoints
 from skope.dataset.folder import Dataset
-from skope.detector.checkpoint import BEST, checkpoint_name, checkpoints, read_checkpoint, save_weights
+from skope.detector.checkpoint import BEST_WEIGHTS, checkpoint_name, checkpoints, read_checkpoint, save_weights
 from skope.errors import UserError
 from skope.files.atomic import locked, unwritable, write_text
 from skope.terminal.console import counted, disk_size
@@ -31,7 +31,7 @@ from skope.train.training_state import TrainingState, save_state
 from skope.train.validate import rank
 from skope.version import __version__
 
-_WEIGHTS = (
+WEIGHT_LICENCES = (
     ("COCO", "weights published with torchvision (BSD-3-Clause), trained on COCO's photographs (Flickr's terms)"),
     ("ImageNet", "weights published with torchvision (BSD-3-Clause), trained on ImageNet (research only)"),
     ("random", "nothing but the seed"),
@@ -110,7 +110,7 @@ def _road_users(config: RunConfig, count: int) -> list[str]:
 
 
 def _terms(origin: str) -> str:
-    return next((terms for word, terms in _WEIGHTS if word in origin), "under the terms of that file")
+    return next((terms for word, terms in WEIGHT_LICENCES if word in origin), "under the terms of that file")
 
 
 def _figures(history: Sequence[Mapping[str, Any]]) -> list[str]:
@@ -122,7 +122,8 @@ def _figures(history: Sequence[Mapping[str, Any]]) -> list[str]:
     images, vehicles = (rows[-1]["validation"][name] for name in ("images", "vehicles"))
     lines = [
         f"On {counted(images, 'image')} with {counted(vehicles, 'vehicle')} at the end of the training recordings, "
-        f"score above 0.9, IoU 0.6, alpha 0.1, visible keypoints, pooled; the best epoch's weights are `{BEST}`.",
+        f"score above 0.9, IoU 0.6, alpha 0.1, visible keypoints, pooled; the best epoch's weights are "
+        f"`{BEST_WEIGHTS}`.",
         "",
         "| epoch | " + " | ".join(names) + " |",
         "|---" * (len(names) + 1) + "|",
@@ -133,7 +134,7 @@ def _figures(history: Sequence[Mapping[str, Any]]) -> list[str]:
     return lines
 
 
-_METRICS = "metrics.jsonl"
+METRICS_LOG = "metrics.jsonl"
 
 
 @contextlib.contextmanager
@@ -181,7 +182,7 @@ def save_epoch(run: Path, config: RunConfig, training: TrainingState, *, keep: i
     """Write the state after an epoch and its checkpoint, of which the newest `keep` stay; returns the checkpoint."""
     checkpoint = run / checkpoint_name(training.epochs_done)
     _save_weights(checkpoint, config, training)
-    write_text(run / _METRICS, "".join(json.dumps(row) + "\n" for row in training.history))
+    write_text(run / METRICS_LOG, "".join(json.dumps(row) + "\n" for row in training.history))
     save_state(run, training)
     older = [epoch for epoch in checkpoints(run) if epoch <= training.epochs_done][:-keep]
     for epoch, path in checkpoints(run).items():
@@ -192,7 +193,7 @@ def save_epoch(run: Path, config: RunConfig, training: TrainingState, *, keep: i
 
 def save_best(run: Path, config: RunConfig, training: TrainingState) -> None:
     """Write the weights of the epoch with the best validation so far."""
-    _save_weights(run / BEST, config, training)
+    _save_weights(run / BEST_WEIGHTS, config, training)
 
 
 def ensure_best(run: Path, config: RunConfig, training: TrainingState) -> None:
@@ -202,7 +203,10 @@ def ensure_best(run: Path, config: RunConfig, training: TrainingState) -> None:
     last = bool(training.history) and "validation" in training.history[-1]
     if training.steps_done or not last or ranks[-1] != training.best or training.best in ranks[:-1]:
         return
-    if not (run / BEST).is_file() or read_checkpoint(run / BEST)[0]["metadata"]["epoch"] < training.epochs_done:
+    if (
+        not (run / BEST_WEIGHTS).is_file()
+        or read_checkpoint(run / BEST_WEIGHTS)[0]["metadata"]["epoch"] < training.epochs_done
+    ):
         save_best(run, config, training)
 
 

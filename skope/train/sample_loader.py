@@ -11,6 +11,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
@@ -26,14 +27,23 @@ DrawGroup = Sequence[Draw]
 """Draws that are loaded together."""
 
 SHARED_MEMORY: Final = Path("/dev/shm")
-_PREFETCH: Final = (4, 2)
-"""Batches that each process has ready: the usual number, and where memory is little."""
-_USED_SHARE: Final = 0.8
-"""Of the shared memory that is free."""
-_LOOK_S: Final = 5.0
-"""While no batch comes, it is looked so often whether to stop."""
-_SILENT_S: Final = 120.0
-"""After so long without a batch the loading processes are taken for lost."""
+
+
+@dataclass(frozen=True)
+class LoaderLimits:
+    """Memory and waiting times of the loading processes."""
+
+    prefetch: tuple[int, int] = (4, 2)
+    """Number of batches that each process prepares: usually, and with little memory."""
+    memory_share: float = 0.8
+    """Share of the free shared memory that is used."""
+    poll_s: float = 5.0
+    """Interval at which a stop is checked for while no batch comes, seconds."""
+    silent_s: float = 120.0
+    """Time without a batch after which the loading processes count as lost, seconds."""
+
+
+LOADER_LIMITS: Final = LoaderLimits()
 
 
 class Loader:
@@ -92,7 +102,7 @@ class Loader:
             pin_memory=self._pin,
             prefetch_factor=prefetch if self.workers else None,
             worker_init_fn=_begin_loading,
-            timeout=_LOOK_S if self.workers else 0,
+            timeout=LOADER_LIMITS.poll_s if self.workers else 0,
         )
         batches = iter(loader)
         if self.workers and threading.current_thread() is threading.main_thread():
@@ -107,14 +117,18 @@ class Loader:
             except RuntimeError as error:
                 if "DataLoader" not in str(error):
                     raise
-                ended, silent = "timed out" not in str(error), time.monotonic() - since > _SILENT_S
+                ended, silent = "timed out" not in str(error), time.monotonic() - since > LOADER_LIMITS.silent_s
                 if not (ended or silent or self._stopping()):
                     continue
                 for process in getattr(batches, "_workers", ()):  # they ignore the signal by which torch would end them
                     process.kill()
                 if not (ended or silent):
                     raise KeyboardInterrupt from None
-                how = "have ended: out of memory, or killed" if ended else f"have sent nothing for {_SILENT_S:.0f} s"
+                how = (
+                    "have ended: out of memory, or killed"
+                    if ended
+                    else f"have sent nothing for {LOADER_LIMITS.silent_s:.0f} s"
+                )
                 raise _LostError(how) from error
             yield batch
             since = time.monotonic()
@@ -125,13 +139,13 @@ class Loader:
             return 0
         free, batch = free_shared_memory(), images * self._training_set.largest_image
         if free is None or not batch:
-            return _PREFETCH[0]
-        room = int(_USED_SHARE * free / int(os.environ.get("LOCAL_WORLD_SIZE", "1")))
-        for prefetch in _PREFETCH:
+            return LOADER_LIMITS.prefetch[0]
+        room = int(LOADER_LIMITS.memory_share * free / int(os.environ.get("LOCAL_WORLD_SIZE", "1")))
+        for prefetch in LOADER_LIMITS.prefetch:
             # One more is being made, and one learnt from.
             if self.workers * (prefetch + 2) * batch <= room:
                 return prefetch
-        prefetch = _PREFETCH[-1]
+        prefetch = LOADER_LIMITS.prefetch[-1]
         wanted, self.workers = self.workers, room // ((prefetch + 2) * batch)
         self._console.warn(
             f"{SHARED_MEMORY} has room for {disk_size(free)}, too little for {wanted} processes that load images of "

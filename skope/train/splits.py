@@ -11,14 +11,14 @@ import numpy as np
 
 from skope import schema
 from skope.dataset import image_selection, shards
-from skope.dataset.folder import MANIFEST, Dataset, open_dataset
+from skope.dataset.folder import MANIFEST_FILE, Dataset, open_dataset
 from skope.errors import UserError
 from skope.files.atomic import read_bytes
 from skope.keypoints import Scheme
 from skope.schema import Annotation, AnnotationFile, Image, RoadUser
 from skope.train.targets import Vehicles, vehicles_of
 
-SPLIT: Final = "train"
+TRAINING_SPLIT: Final = "train"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,8 +71,8 @@ def read(root: Path, *, exclude_types: Sequence[str], val_fraction: float, max_i
         UserError: It holds nothing to learn from.
     """
     opened = open_dataset(root)
-    file = opened.read(SPLIT)
-    path = root / "annotations" / f"{SPLIT}.json"
+    file = opened.read(TRAINING_SPLIT)
+    path = root / "annotations" / f"{TRAINING_SPLIT}.json"
     if not file.images:
         raise UserError(f"{path}: field images is empty: nothing to train on")
     known = [annotation for annotation in file.annotations if not annotation.ignored]
@@ -151,7 +151,7 @@ def excluding(file: AnnotationFile, types: Sequence[str]) -> AnnotationFile:
 
 def _fingerprint(annotations: Path, root: Path, images: Sequence[Image]) -> str:
     # The labels of shards have their checksums in the manifest.
-    digest = hashlib.sha256(read_bytes(annotations if annotations.is_file() else root / MANIFEST))
+    digest = hashlib.sha256(read_bytes(annotations if annotations.is_file() else root / MANIFEST_FILE))
     for image in images:
         digest.update(f"{image.file_name} {shards.size(root / image.file_name)}\n".encode())
     return digest.hexdigest()

@@ -20,8 +20,8 @@ from skope.train.recipe import Recipe
 from skope.train.training_samples import TrainingSample
 from skope.train.training_state import TrainingState
 
-_SIGNALS = (signal.SIGINT, signal.SIGTERM)
-_ANSWER = b"\nskope: stopping after this step, to save it; once more stops at once\n"
+STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM)
+STOP_MESSAGE = b"\nskope: stopping after this step, to save it; once more stops at once\n"
 
 
 class StopRequest:
@@ -35,7 +35,7 @@ class StopRequest:
 
     def __enter__(self) -> Self:
         if threading.current_thread() is threading.main_thread():  # Python allows handlers nowhere else
-            self._before = {number: signal.signal(number, self._heard) for number in _SIGNALS}
+            self._before = {number: signal.signal(number, self._heard) for number in STOP_SIGNALS}
         return self
 
     def __exit__(
@@ -49,23 +49,23 @@ class StopRequest:
             raise KeyboardInterrupt
         self.asked = signal.Signals(number)
         if self._tell:  # print() may be in the middle of a line just now
-            os.write(2, _ANSWER)
+            os.write(2, STOP_MESSAGE)
 
 
 def ignore_signals(_worker: int) -> None:
     """Ignore SIGINT and SIGTERM in a loading process: whoever ends a whole group of processes ends this one through its
     parent, not before it."""
-    for number in _SIGNALS:
+    for number in STOP_SIGNALS:
         signal.signal(number, signal.SIG_IGN)
 
 
-LOSSES: Final = ("loss_classifier", "loss_box_reg", "loss_keypoint", "loss_objectness", "loss_rpn_box_reg")
+LOSS_NAMES: Final = ("loss_classifier", "loss_box_reg", "loss_keypoint", "loss_objectness", "loss_rpn_box_reg")
 """Names of the losses, in torchvision's order."""
 
 
 def loss_names(training: TrainingState) -> tuple[str, ...]:
     """Names of the losses that a step of a run has."""
-    return LOSSES if training.teacher is None else (*LOSSES, *teacher.TEACHER_LOSSES)
+    return LOSS_NAMES if training.teacher is None else (*LOSS_NAMES, *teacher.TEACHER_LOSSES)
 
 
 def seed(seed: int, epoch: int, step: int, processes: ProcessGroup) -> None:

@@ -25,8 +25,8 @@ from skope.train.target_batch import HeightWidth
 
 TEACHER_LOSSES: Final = ("loss_teacher_classes", "loss_teacher_boxes", "loss_teacher_keypoints")
 """Names of the losses that a teacher adds."""
-_BETA: Final = 1 / 9
-"""Error of a box's offset from which the loss grows linearly, as where labels are learnt."""
+TEACHER_BETA: Final = 1 / 9
+"""Error of a box's offset from which the loss grows linearly, as for labels."""
 
 
 @dataclass(frozen=True)
@@ -103,7 +103,9 @@ class Lesson:
         apart = self._divergence(logits, taught).view_as(drawn)
         label = labels.clamp(min=0).flatten()
         offsets, wanted = (offsets_of_label(each, label) for each in (deltas, moved))
-        error = functional.smooth_l1_loss(offsets, wanted, beta=_BETA, reduction="none").sum(dim=1).view_as(drawn)
+        error = (
+            functional.smooth_l1_loss(offsets, wanted, beta=TEACHER_BETA, reduction="none").sum(dim=1).view_as(drawn)
+        )
         return {
             "loss_teacher_classes": self.rules.classes * apart.where(drawn, 0.0).sum() / number,
             "loss_teacher_boxes": self.rules.boxes * error.where(drawn & (labels > 0), 0.0).sum() / number,

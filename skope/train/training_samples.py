@@ -17,8 +17,8 @@ from skope.dataset.folder import Dataset
 from skope.errors import UserError, one_of
 from skope.schema import Image
 from skope.train.augment import Augment
-from skope.train.recipe import SUPERVISE
-from skope.train.splits import SPLIT, TrainingSource
+from skope.train.recipe import SUPERVISE_CHOICES
+from skope.train.splits import TRAINING_SPLIT, TrainingSource
 from skope.train.target_batch import IGNORED_KEY
 from skope.train.targets import Vehicles, vehicles_of
 
@@ -84,7 +84,7 @@ class TrainingSet(TorchDataset[TrainingSample | UserError]):
         self.sizes = tuple(len(source.learnt.images) for source in sources)
         """Number of images of each dataset."""
         if not any((frame.vehicles.supervised(supervise)[..., 2] > 0).any() for frame in self._frames):
-            path = sources[0].dataset.root / "annotations" / f"{SPLIT}.json"
+            path = sources[0].dataset.root / "annotations" / f"{TRAINING_SPLIT}.json"
             least = "visible point (v = 2)" if supervise == "visible" else "labelled point (v > 0)"
             raise UserError(f"{path}: field keypoints: no {least} in any annotation")
 
@@ -131,7 +131,7 @@ class DetectionDataset(TorchDataset[tuple[torch.Tensor, dict[str, torch.Tensor]]
 
     def __init__(self, dataset: Dataset, split: str, supervise: str) -> None:
         """`supervise` is "visible", or "all" for hidden keypoints too."""
-        self._supervise = one_of("supervise", supervise, SUPERVISE)
+        self._supervise = one_of("supervise", supervise, SUPERVISE_CHOICES)
         self._images = list(dataset.images(split))
         self._categories = dataset.read(split).categories
 

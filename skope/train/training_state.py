@@ -23,8 +23,8 @@ from skope.train.optimizer import make_sgd, make_weight_ema, placed
 from skope.train.run_config import RunConfig
 from skope.train.teacher import Teacher
 
-_RESUME = "resume.pt"
-_PLAIN = ("origin", "fingerprints", "epochs_done", "steps_done", "sums", "history", "best")
+STATE_FILE = "resume.pt"
+PLAIN_FIELDS = ("origin", "fingerprints", "epochs_done", "steps_done", "sums", "history", "best")
 
 
 @dataclass
@@ -64,13 +64,13 @@ class TrainingState:
             "detector": self.config.to_dict(),
             "optimizer": self.optimizer.state_dict(),
             "mean": None if self.mean is None else self.mean.state_dict(),
-            **{name: getattr(self, name) for name in _PLAIN},
+            **{name: getattr(self, name) for name in PLAIN_FIELDS},
         }
 
 
 def resumable(run: Path) -> bool:
     """Whether a run folder holds a state to resume from."""
-    return (run / _RESUME).is_file()
+    return (run / STATE_FILE).is_file()
 
 
 def start(run: Path, config: RunConfig, fingerprints: Sequence[str], device: torch.device) -> TrainingState:
@@ -89,7 +89,7 @@ def start(run: Path, config: RunConfig, fingerprints: Sequence[str], device: tor
         raise UserError(f"{run}: holds a run already; go on with it by --resume, or choose another folder by --out")
     if checkpoints(run):
         raise UserError(
-            f"{run}: holds checkpoints, and no state to go on from ({_RESUME} is missing); choose another folder by "
+            f"{run}: holds checkpoints, and no state to go on from ({STATE_FILE} is missing); choose another folder by "
             "--out"
         )
     # Where several processes train together, the first one may already have written the configuration.
@@ -138,12 +138,12 @@ def resume(run: Path, config: RunConfig, fingerprints: Sequence[str], device: to
         UserError: Nothing was saved, a dataset has changed since, or the run has more epochs behind it than `config`
             asks for.
     """
-    path = run / _RESUME
+    path = run / STATE_FILE
     if not resumable(run):
-        raise UserError(f"{run}: nothing saved yet to resume from ({_RESUME} is missing); leave out --resume")
+        raise UserError(f"{run}: nothing saved yet to resume from ({STATE_FILE} is missing); leave out --resume")
     try:
         saved = torch.load(path, map_location="cpu", weights_only=True)
-        plain = {name: saved[name] for name in _PLAIN}
+        plain = {name: saved[name] for name in PLAIN_FIELDS}
         detector_config = DetectorConfig.from_dict(saved["detector"])
         model = build(detector_config, trainable_layers=config.recipe.trainable_layers)
         model.load_state_dict(saved["model"])
@@ -174,4 +174,4 @@ def save_state(run: Path, training: TrainingState) -> None:
     # Through memory: where there is no room for a file, torch's own writer ends the process.
     buffer = io.BytesIO()
     torch.save(training.state(), buffer)
-    write_bytes(run / _RESUME, buffer.getbuffer())
+    write_bytes(run / STATE_FILE, buffer.getbuffer())

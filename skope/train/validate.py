@@ -18,8 +18,8 @@ from skope.schema import VEHICLE_ALONE, AnnotationFile, Result, RoadUserResult
 
 Figures = dict[str, Any]
 
-_IOU = "0.6"
-"""The paper's laxest threshold: early epochs find boxes roughly."""
+VALIDATION_IOU = "0.6"
+"""The paper's lowest threshold. Early epochs find boxes roughly."""
 
 
 def detect_in_image(
@@ -105,13 +105,13 @@ def figures(file: AnnotationFile, found: ValidationResults) -> Figures:
     """
     options = Options()
     split = score_split(file, found.detected, options)
-    at = split["iou"][_IOU]
+    at = split["iou"][VALIDATION_IOU]
     road_users = category_figures(file, found.road_users, score=options.score, all_scores=False)
     return {
         "images": split["images"],
         "vehicles": split["ground_truth"],
         "pck": at["pck"],
-        "pck_given": score_split(file, found.given, options)["iou"][_IOU]["pck"],
+        "pck_given": score_split(file, found.given, options)["iou"][VALIDATION_IOU]["pck"],
         **{name: at[name]["pooled"] for name in ("box_precision", "box_recall", "keypoint_recall")},
         **{
             f"{category}_{name}": by_size["all"][name]

@@ -19,32 +19,42 @@ if TYPE_CHECKING:
     from av.container import InputContainer
     from av.video.stream import VideoStream
 
-ASSUMED_FPS: Final = 25.0
-"""Frame rate of a video that states none."""
-MOST_USUAL_FPS: Final = 120.0
-"""Frame rates above this are reported: containers often state the unit of their clock instead of a frame rate."""
-SILENCE_S: Final = 5.0
-"""A server that sends nothing for this long counts as broken off, seconds."""
+
+@dataclass(frozen=True)
+class ContainerLimits:
+    """Defaults and limits of times in containers."""
+
+    assumed_fps: float = 25.0
+    """Frame rate of a video that states none."""
+    usual_fps: float = 120.0
+    """Frame rates above this are reported: containers often state the unit of their clock instead of a frame rate."""
+    silence_s: float = 5.0
+    """A server that sends nothing for this long counts as broken off, seconds."""
+    square_within: float = 0.005
+    """Deviation of a pixel's aspect ratio from 1 that is ignored."""
+    same_s: float = 5e-4
+    """Times that differ by less are the same, seconds: containers count in thousandths of a second, or finer."""
+    gap_s: float = 1.0
+    """A time without frames is reported from this length on, seconds."""
+    gap_frames: float = 5.0
+    """It is also longer than this many frames last."""
+    most_gaps: int = 3
+    """Number of gaps that are reported."""
+    default_stream_pixels: int = 5_000_000
+    """A stream that its container marks as the default one counts as this many pixels larger, as in FFmpeg."""
+
+
+CONTAINER_LIMITS: Final = ContainerLimits()
+
 _RTSP_OPTIONS: Final = {"rtsp_transport": "tcp", "fpsprobesize": "0", "fflags": "nobuffer"}
 """Options of FFmpeg for cameras: no lost packets, and no seconds spent on guessing the frame rate."""
-_CREDENTIALS: Final = re.compile(r"^(\w+://)[^/]*@")
-_SQUARE_WITHIN: Final = 0.005
-SAME_S: Final = 5e-4
-"""Times that differ by less are the same, seconds: containers count in thousandths of a second, or finer."""
+CREDENTIALS_PATTERN: Final = re.compile(r"^(\w+://)[^/]*@")
 _RAW_FORMATS: Final = frozenset(
     ("h264", "hevc", "vvc", "mjpeg", "mpegvideo", "m4v", "h263", "vc1", "obu", "dirac", "cavsvideo", "rawvideo")
 )
 """FFmpeg's names of formats that are nothing but coded frames, without times."""
-_GAP_S: Final = 1.0
-"""A time without frames is reported from this length on, seconds."""
-_GAP_FRAMES: Final = 5.0
-"""It is also longer than this many frames last."""
-_MOST_GAPS: Final = 3
-"""Number of gaps that are reported."""
 _LISTS_FRAMES: Final = ("avi", "mov,")
 """Beginnings of FFmpeg's names of containers which list all their frames; others state estimates."""
-_DEFAULT_STREAM_PIXELS: Final = 5_000_000
-"""A stream that its container marks as the default one counts as this many pixels larger, as in FFmpeg."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,7 +71,7 @@ class Clip:
     """Number of frames that a file on this machine lists, and that it ends without."""
     given_fps: float | None = None
     """Frame rate that the user gave in place of the time stamps, frames per second."""
-    rate: float = ASSUMED_FPS
+    rate: float = CONTAINER_LIMITS.assumed_fps
     """Mean frame rate, frames per second."""
     times_s: tuple[float, ...] = ()
     """Time of each frame since the first one, seconds, of a file on this machine; empty for others."""
@@ -77,7 +87,7 @@ class Clip:
     @property
     def square(self) -> bool:
         """Whether its pixels are as wide as high."""
-        return abs(self.pixel_width - 1) < _SQUARE_WITHIN
+        return abs(self.pixel_width - 1) < CONTAINER_LIMITS.square_within
 
     @property
     def on_server(self) -> bool:
@@ -103,7 +113,9 @@ def opened(address: str) -> Iterator[tuple["InputContainer", "VideoStream"]]:
     # Named as a file: FFmpeg takes a name with a colon for an address.
     name = address if server else f"file:{for_ffmpeg(address)}"
     try:
-        container = av.open(name, options=options, timeout=(SILENCE_S, SILENCE_S) if server else None)
+        container = av.open(
+            name, options=options, timeout=(CONTAINER_LIMITS.silence_s, CONTAINER_LIMITS.silence_s) if server else None
+        )
     except (FFmpegError, ValueError) as error:
         raise UserError(
             f"{shown_address(address)}: neither an image nor a video that can be opened ({_reason(error)})"
@@ -122,7 +134,7 @@ def opened(address: str) -> Iterator[tuple["InputContainer", "VideoStream"]]:
 
 def shown_address(address: str) -> str:
     """An address for messages: without the user and password that it may hold. Paths of files stay as they are."""
-    return _CREDENTIALS.sub(r"\1", address) if "://" in address else address
+    return CREDENTIALS_PATTERN.sub(r"\1", address) if "://" in address else address
 
 
 def _reason(error: Exception) -> str:
@@ -136,7 +148,7 @@ def _video_streams(container: "InputContainer") -> list["VideoStream"]:
     streams = [s for s in container.streams.video if not s.disposition & Disposition.attached_pic]
 
     def size(stream: "VideoStream") -> int:
-        default = _DEFAULT_STREAM_PIXELS if stream.disposition & Disposition.default else 0
+        default = CONTAINER_LIMITS.default_stream_pixels if stream.disposition & Disposition.default else 0
         return stream.width * stream.height + default
 
     return sorted(streams, key=size, reverse=True)  # equals stay in their order
@@ -184,7 +196,7 @@ def open_clip(address: str, fps: float | None = None) -> Clip:
         times = tuple(k / seen.rate for k in range(count))
     if len(times) > 1:
         rate = (len(times) - 1) / times[-1]
-    if fps is None and seen.times_s and rate > MOST_USUAL_FPS:
+    if fps is None and seen.times_s and rate > CONTAINER_LIMITS.usual_fps:
         notes.append(
             f"has {rate:.4g} frames per second by its time stamps. If the camera recorded fewer, all speeds are wrong; "
             "--fps sets the rate"
@@ -228,14 +240,14 @@ def _look_through(container: "InputContainer", stream: "VideoStream") -> _Packet
     unit = stream.time_base or Fraction(1, 1)
     stamps = sorted(stamp for stamp in shown if stamp is not None)
     steps = [(later - earlier) * unit for earlier, later in itertools.pairwise(stamps)]
-    complete = len(stamps) == len(shown) and all(step > SAME_S for step in steps)
+    complete = len(stamps) == len(shown) and all(step > CONTAINER_LIMITS.same_s for step in steps)
     name = container.format.name
     if name in _RAW_FORMATS or name.endswith("_pipe"):  # whose reader invents time stamps
         complete = False
     times = tuple(float((stamp - stamps[0]) * unit) for stamp in stamps) if complete else ()
     # AVI numbers frames as they are decoded, not as they are shown.
     reliable = complete and not (name == "avi" and stream.codec_context.has_b_frames)
-    rate = float(stream.guessed_rate or ASSUMED_FPS)
+    rate = float(stream.guessed_rate or CONTAINER_LIMITS.assumed_fps)
     lost = max(0, stream.frames - len(found)) if name.startswith(_LISTS_FRAMES) else 0
     return _Packets(times, tuple(stamps) if reliable else (), len(shown), lost, rate)
 
@@ -245,8 +257,8 @@ def _gaps(times_s: Sequence[float]) -> list[tuple[float, float]]:
     steps = np.diff(times_s)
     if not len(steps):
         return []
-    found = np.flatnonzero(steps > max(_GAP_S, _GAP_FRAMES * float(np.median(steps))))
-    longest = sorted(found[np.argsort(-steps[found], kind="stable")][:_MOST_GAPS].tolist())
+    found = np.flatnonzero(steps > max(CONTAINER_LIMITS.gap_s, CONTAINER_LIMITS.gap_frames * float(np.median(steps))))
+    longest = sorted(found[np.argsort(-steps[found], kind="stable")][: CONTAINER_LIMITS.most_gaps].tolist())
     return [(times_s[k], times_s[k + 1]) for k in longest]
 
 
@@ -254,7 +266,7 @@ def _stated_rate(stream: "VideoStream") -> float:
     for rate in (stream.average_rate, stream.guessed_rate, stream.base_rate):
         if rate and math.isfinite(float(rate)) and 0 < rate <= 1000:
             return float(rate)
-    return ASSUMED_FPS
+    return CONTAINER_LIMITS.assumed_fps
 
 
 def _pixel_width(stream: "VideoStream") -> float:

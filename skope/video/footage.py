@@ -21,7 +21,7 @@ from skope.files import safe_names
 from skope.schema import Image
 from skope.types import Pixels
 from skope.video import live
-from skope.video.container import SAME_S, Clip, open_clip, opened, shown_address
+from skope.video.container import CONTAINER_LIMITS, Clip, open_clip, opened, shown_address
 from skope.video.decode import decode_frames, fitted, rgb_of, shown_size
 from skope.video.live import StreamRecord
 
@@ -30,11 +30,22 @@ if TYPE_CHECKING:
 
 IMAGE_SUFFIXES: Final = (".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp", ".ppm", ".pgm")
 _GLOB_CHARS: Final = frozenset("*?[")
-SEEK_FRAMES: Final = 50
-"""Decoding this many frames takes as long as seeking past them."""
-_MOST_FPS: Final = 1000.0
-_ROUNDED_S: Final = 0.5
-"""Containers may list this much more than they hold, and packets be this many more than frames, seconds."""
+
+
+@dataclass(frozen=True)
+class FootageLimits:
+    """Limits of seeking and of frame rates."""
+
+    seek_frames: int = 50
+    """Decoding this many frames takes as long as seeking past them."""
+    most_fps: float = 1000.0
+    """Largest frame rate."""
+    rounded_s: float = 0.5
+    """Containers may list this much more than they hold, and packets be this many more than frames, seconds."""
+
+
+FOOTAGE_LIMITS: Final = FootageLimits()
+
 
 FOUND_AT: Final = "found_at"
 """Field of `info` in the file of frames: the way from its folder to the video, or to the folder of the images."""
@@ -194,7 +205,7 @@ class RecordedVideo(VideoFootage):
     @property
     def _wanted(self) -> range:
         """Numbers of the frames that are wanted."""
-        edges = (self.cut.start_s - SAME_S, self.cut.end_s - SAME_S)
+        edges = (self.cut.start_s - CONTAINER_LIMITS.same_s, self.cut.end_s - CONTAINER_LIMITS.same_s)
         first, last = (bisect.bisect_left(self.clip.times_s, edge) for edge in edges)
         return range(first, last, self.cut.every)
 
@@ -221,9 +232,9 @@ class RecordedVideo(VideoFootage):
                 if not left:
                     break
         # Counted frames may be fewer than packets: some encoders write packets of frames that repeat the one before.
-        if clip.stamps or len(left) * self.cut.every > clip.rate * _ROUNDED_S:
+        if clip.stamps or len(left) * self.cut.every > clip.rate * FOOTAGE_LIMITS.rounded_s:
             self._note_missing([at for _, at in left])
-        if clip.lost > clip.rate * _ROUNDED_S and self.cut.end_s > clip.times_s[-1]:
+        if clip.lost > clip.rate * FOOTAGE_LIMITS.rounded_s and self.cut.end_s > clip.times_s[-1]:
             there = len(clip.times_s)
             self._skip(f"{clip.address}: ends after {there} of {there + clip.lost} frames that it lists")
 
@@ -247,9 +258,9 @@ class ServerVideo(VideoFootage):
                 stamp_s = math.nan if frame.time is None else frame.time
                 origin_s = stamp_s if origin_s is None else origin_s
                 time_s = stamp_s - origin_s if stamp_s - origin_s > time_s else time_s + 1 / clip.rate
-                if time_s >= self.cut.end_s - SAME_S:
+                if time_s >= self.cut.end_s - CONTAINER_LIMITS.same_s:
                     return
-                if time_s < self.cut.start_s - SAME_S:
+                if time_s < self.cut.start_s - CONTAINER_LIMITS.same_s:
                     begin = at + 1
                 elif (at - begin) % self.cut.every == 0:
                     number += 1
@@ -322,8 +333,8 @@ def open_footage(source: str, cut: Cut | None = None, *, fps: float | None = Non
         UserError: `source` is none of these, or cannot be opened; or `fps` does not fit it.
     """
     cut = cut or Cut()
-    if fps is not None and not 0 < fps <= _MOST_FPS:
-        raise UserError(f"--fps: expected frames per second up to {_MOST_FPS:g}, got {fps:g}")
+    if fps is not None and not 0 < fps <= FOOTAGE_LIMITS.most_fps:
+        raise UserError(f"--fps: expected frames per second up to {FOOTAGE_LIMITS.most_fps:g}, got {fps:g}")
     if "://" in source:
         return _of_clip("stream", cut, open_clip(source, fps))
     footage = _on_this_machine(source, cut, fps)
@@ -358,7 +369,7 @@ def _on_this_machine(source: str, cut: Cut, fps: float | None) -> Footage:
 
 def _numbered(clip: Clip, first: int) -> Generator[tuple[int, "VideoFrame"]]:
     """Frames of a file with their numbers, from number `first` on or somewhat before."""
-    if clip.stamps and first >= SEEK_FRAMES:
+    if clip.stamps and first >= FOOTAGE_LIMITS.seek_frames:
         with opened(clip.address) as (container, stream):
             # Two frames more, which the filter for interlaced ones looks back at.
             container.seek(clip.stamps[first - 2], stream=stream)

@@ -9,7 +9,7 @@ from typing import Final, Generic, TypeVar
 from skope.errors import UserError
 from skope.schema import Image
 from skope.types import Pixels
-from skope.video.footage import SEEK_FRAMES, open_footage
+from skope.video.footage import FOOTAGE_LIMITS, open_footage
 
 Encoded = TypeVar("Encoded")
 
@@ -53,7 +53,7 @@ class FrameCache(Generic[Encoded]):
 
     def _decode(self, index: int) -> None:
         """Keep a frame, and those shortly before it that are decoded on the way."""
-        if not 0 <= self._next <= index <= self._next + SEEK_FRAMES:
+        if not 0 <= self._next <= index <= self._next + FOOTAGE_LIMITS.seek_frames:
             begin = max(0, index - _KEPT_BEFORE)
             self._frames, self._next = self._footage.frames(begin), begin
         for frame, pixels in self._frames:

@@ -17,23 +17,32 @@ from skope.video.decode import Decoder, fitted, packets, rgb_of, same_shape, sho
 if TYPE_CHECKING:
     from av.video.frame import VideoFrame
 
-RETURN_S = 10.0
-"""A stream that broke off is waited for this long, seconds."""
-_PAUSE_S: Final = 1.0
-_PATIENCE_S: Final = 7.0
-"""The end waits this long for the reading thread, seconds: longer than the network may be silent."""
-_AGREE_S: Final = 0.5
-"""A camera's time stamp agrees with the arrival of its frame if it is ahead by less than this, seconds."""
-_LATE_S: Final = 5.0
-"""A frame may arrive this long after its time stamp says, seconds: a network that stalled delivers late."""
-_DRIFT_WINDOW_S: Final = 20.0
-"""If all frames of this time arrive late, the camera's clock is slow, seconds."""
-_STEADY_FRAMES: Final = 5
-"""Consecutive frames whose time stamps agree with each other, but not with the clock so far: the clock was set."""
-_STAMP_ROUND_S: Final = 2**32 / 90_000
-"""Time stamps of video over RTP begin anew after this time, seconds (RFC 3551: 32 bits, 90 kHz)."""
-_LEAST_STEP_S: Final = 1e-3
-"""Times of two frames differ by at least this, seconds."""
+
+@dataclass(frozen=True)
+class LiveLimits:
+    """Waiting times and clocks of live streams."""
+
+    return_s: float = 10.0
+    """A stream that broke off is waited for this long, seconds."""
+    pause_s: float = 1.0
+    """Time between two attempts to connect, seconds."""
+    patience_s: float = 7.0
+    """The end waits this long for the reading thread, seconds: longer than the network may be silent."""
+    agree_s: float = 0.5
+    """A camera's time stamp agrees with the arrival of its frame if it is ahead by less than this, seconds."""
+    late_s: float = 5.0
+    """A frame may arrive this long after its time stamp says, seconds: a network that stalled delivers late."""
+    drift_window_s: float = 20.0
+    """If all frames of this time arrive late, the camera's clock is slow, seconds."""
+    steady_frames: int = 5
+    """Consecutive frames whose time stamps agree with each other, but not with the clock so far: the clock was set."""
+    stamp_round_s: float = 2**32 / 90_000
+    """Time stamps of video over RTP begin anew after this time, seconds (RFC 3551: 32 bits, 90 kHz)."""
+    least_step_s: float = 1e-3
+    """Times of two frames differ by at least this, seconds."""
+
+
+LIVE_LIMITS: Final = LiveLimits()
 
 
 class BrokenOffError(Exception):
@@ -64,8 +73,8 @@ class CameraClock:
     """Times of frames: those of their arrival, with the camera's intervals as long as they agree with it.
 
     Arrival is late by what the network takes, which varies; a camera's time stamps are even, but clocks are set, and
-    single time stamps are wrong. A time stamp is believed while it puts the frame before its arrival, by `_LATE_S` at
-    most. The smallest delay so far is taken for none.
+    single time stamps are wrong. A time stamp is believed while it puts the frame before its arrival, by
+    `LIVE_LIMITS.late_s` at most. The smallest delay so far is taken for none.
     """
 
     def __init__(self) -> None:
@@ -94,7 +103,7 @@ class CameraClock:
             arrived_s: Time of arrival, seconds since the first frame.
         """
         time_s = arrived_s if stamp_s is None else self._believed(stamp_s, arrived_s)
-        self.last_s = max(time_s, self.last_s + _LEAST_STEP_S)
+        self.last_s = max(time_s, self.last_s + LIVE_LIMITS.least_step_s)
         return self.last_s
 
     def _believed(self, stamp_s: float, arrived_s: float) -> float:
@@ -102,28 +111,34 @@ class CameraClock:
             self._anchor(stamp_s, arrived_s)
             return arrived_s
         delay_s = arrived_s - (stamp_s + self._offset_s)
-        if stamp_s > self._good_stamp_s and -_AGREE_S < delay_s < _LATE_S:
+        if stamp_s > self._good_stamp_s and -LIVE_LIMITS.agree_s < delay_s < LIVE_LIMITS.late_s:
             self.strays += len(self._doubted)
             self._doubted.clear()
             self._good_stamp_s = stamp_s
             self._delays.append((arrived_s, delay_s))
-            while arrived_s - self._delays[0][0] > _DRIFT_WINDOW_S:
+            while arrived_s - self._delays[0][0] > LIVE_LIMITS.drift_window_s:
                 self._delays.popleft()
             # No frame arrives before it was taken; and if all are late, the clock is slow.
-            full = arrived_s - self._delays[0][0] > _DRIFT_WINDOW_S / 2
+            full = arrived_s - self._delays[0][0] > LIVE_LIMITS.drift_window_s / 2
             correction = min(delay_s, 0.0) or (min(delay for _, delay in self._delays) if full else 0.0)
             if correction:
                 self._offset_s += correction
                 self._delays = deque((at, delay - correction) for at, delay in self._delays)
             return stamp_s + self._offset_s
         self._doubted.append((stamp_s, arrived_s))
-        recent = self._doubted[-_STEADY_FRAMES:]
+        recent = self._doubted[-LIVE_LIMITS.steady_frames :]
         pairs = list(itertools.pairwise(recent))
-        steady = all(b[0] > a[0] and abs((b[0] - a[0]) - (b[1] - a[1])) < _AGREE_S for a, b in pairs)
-        if len(recent) == _STEADY_FRAMES and steady:
+        steady = all(b[0] > a[0] and abs((b[0] - a[0]) - (b[1] - a[1])) < LIVE_LIMITS.agree_s for a, b in pairs)
+        if len(recent) == LIVE_LIMITS.steady_frames and steady:
             # FFmpeg takes a step back for the rest of a round forward.
-            self.steps.append((arrived_s, (-delay_s + _STAMP_ROUND_S / 2) % _STAMP_ROUND_S - _STAMP_ROUND_S / 2))
-            self.strays += len(self._doubted) - _STEADY_FRAMES
+            self.steps.append(
+                (
+                    arrived_s,
+                    (-delay_s + LIVE_LIMITS.stamp_round_s / 2) % LIVE_LIMITS.stamp_round_s
+                    - LIVE_LIMITS.stamp_round_s / 2,
+                )
+            )
+            self.strays += len(self._doubted) - LIVE_LIMITS.steady_frames
             self.restart()
             self._anchor(stamp_s, arrived_s)
         return arrived_s
@@ -210,7 +225,7 @@ def stream_frames(address: str, every: int, record: StreamRecord) -> Generator[F
             yield Frame(arrived.number, arrived.time_s, pixels)
     finally:
         newest.ended = True
-        reader.join(_PATIENCE_S)
+        reader.join(LIVE_LIMITS.patience_s)
 
 
 class _Reader:
@@ -234,14 +249,14 @@ class _Reader:
             self._newest.end(error)
 
     def _come_back(self) -> None:
-        """Open a stream that broke off again; a BrokenOffError where it sends nothing within `RETURN_S`."""
+        """Open a stream that broke off again; a BrokenOffError where it sends nothing within `LIVE_LIMITS.return_s`."""
         record, begun, before = self._record, time.monotonic(), self._record.received
-        while time.monotonic() - begun < RETURN_S and not self._newest.ended:
+        while time.monotonic() - begun < LIVE_LIMITS.return_s and not self._newest.ended:
             with contextlib.suppress(UserError):
                 self._drain()
             if record.received > before:
                 return
-            time.sleep(min(_PAUSE_S, RETURN_S / 4))
+            time.sleep(min(LIVE_LIMITS.pause_s, LIVE_LIMITS.return_s / 4))
         if not self._newest.ended:
             raise BrokenOffError(
                 f"broke off after {record.last_s:.1f} s and {record.received} frames, and did not come back"

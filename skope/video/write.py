@@ -6,6 +6,7 @@ import math
 import os
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
     from av.container import OutputContainer
     from av.video.stream import VideoStream
 
-_FORMATS: Final[dict[str, tuple[str, str, str, dict[str, str]]]] = {
+VIDEO_FORMATS: Final[dict[str, tuple[str, str, str, dict[str, str]]]] = {
     ".mp4": ("mp4", "libx264", "yuv420p", {"preset": "veryfast", "crf": "20"}),
     ".avi": ("avi", "mjpeg", "yuvj420p", {"qmin": "2", "qmax": "2"}),
 }
@@ -29,11 +30,21 @@ _FORMATS: Final[dict[str, tuple[str, str, str, dict[str, str]]]] = {
 
 H.264 is what browsers, office programs and players have in common. In MJPEG each frame stands alone.
 """
-_MOST_DENOMINATOR: Final = 1001
-"""Frame rates are whole numbers, or over 1001 as those of television are."""
-_BT601: Final = 6
-"""Matrix by which colours become light and chroma (ITU-T H.273): OpenCV reads all files so."""
-_LIMITED_RANGE: Final = 1
+
+
+@dataclass(frozen=True)
+class VideoCoding:
+    """Numbers of written videos."""
+
+    denominator: int = 1001
+    """Frame rates are whole numbers, or over 1001 as those of television are."""
+    color_matrix: int = 6
+    """Matrix by which colours become light and chroma (ITU-T H.273): OpenCV reads all files so."""
+    color_range: int = 1
+    """Limited range of values (ITU-T H.273)."""
+
+
+VIDEO_CODING: Final = VideoCoding()
 
 
 class VideoFile:
@@ -77,7 +88,7 @@ def create_video(path: Path, size: tuple[int, int], fps: float) -> Iterator[Vide
     import av
     from av.error import FFmpegError
 
-    container, codec, kept, options = _FORMATS[path.suffix]
+    container, codec, kept, options = VIDEO_FORMATS[path.suffix]
     try:
         # Named as a file: FFmpeg takes some names for addresses. It writes by itself, as an interrupt that came while
         # it calls Python would be lost.
@@ -87,7 +98,10 @@ def create_video(path: Path, size: tuple[int, int], fps: float) -> Iterator[Vide
             stream.width, stream.height = (side + (side % 2 if even else 0) for side in size)
             stream.pix_fmt = kept
             if even:
-                stream.codec_context.colorspace, stream.codec_context.color_range = _BT601, _LIMITED_RANGE
+                stream.codec_context.colorspace, stream.codec_context.color_range = (
+                    VIDEO_CODING.color_matrix,
+                    VIDEO_CODING.color_range,
+                )
             video = VideoFile(file, stream, size)
             yield video
             video.end()
@@ -103,8 +117,8 @@ def _rate(path: Path, fps: float) -> Fraction:
     if not (math.isfinite(fps) and fps > 0):
         raise UserError(f"{path}: cannot be written as a video of {fps:g} frames a second")
     if fps < 1:
-        return 1 / Fraction(1 / float(fps)).limit_denominator(_MOST_DENOMINATOR)
-    return Fraction(float(fps)).limit_denominator(_MOST_DENOMINATOR)
+        return 1 / Fraction(1 / float(fps)).limit_denominator(VIDEO_CODING.denominator)
+    return Fraction(float(fps)).limit_denominator(VIDEO_CODING.denominator)
 
 
 def write_video(path: Path, frames: Iterable[Pixels], fps: float) -> None:

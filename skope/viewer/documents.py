@@ -10,7 +10,7 @@ from typing import Any, Final
 import numpy as np
 
 from skope.metrics import outcome_counts
-from skope.metrics.breakdown import HEIGHTS_PX, OCCLUSION_EDGES, band_names
+from skope.metrics.breakdown import BREAKDOWN_BANDS, band_names
 from skope.metrics.failures import false_detections, wrong_points
 from skope.metrics.keypoint_outcomes import outcomes_at
 from skope.metrics.match import box_of
@@ -32,8 +32,8 @@ class Quality:
 
 
 TYPE: Final = Quality(name="vehicle type", values=(*VEHICLE_TYPES, UNKNOWN_VALUE))
-OCCLUSION: Final = Quality(name="hidden share", values=(*band_names(OCCLUSION_EDGES, "1"), UNKNOWN_VALUE))
-HEIGHT_QUALITY: Final = Quality(name="height, px", values=tuple(band_names(HEIGHTS_PX)))
+OCCLUSION: Final = Quality(name="hidden share", values=(*band_names(BREAKDOWN_BANDS.occlusions, "1"), UNKNOWN_VALUE))
+HEIGHT_QUALITY: Final = Quality(name="height, px", values=tuple(band_names(BREAKDOWN_BANDS.heights_px)))
 QUALITIES: Final = (TYPE, OCCLUSION, HEIGHT_QUALITY)
 
 
@@ -45,8 +45,8 @@ def kind_number(vehicle: Annotation, boxes: str) -> int:
     height = float(box_of(vehicle, boxes)[3])
     places = (
         TYPE.values.index(vehicle.vehicle_type or UNKNOWN_VALUE),
-        _band(vehicle.occlusion, OCCLUSION_EDGES, OCCLUSION),
-        _band(height, HEIGHTS_PX, HEIGHT_QUALITY),
+        _band(vehicle.occlusion, BREAKDOWN_BANDS.occlusions, OCCLUSION),
+        _band(height, BREAKDOWN_BANDS.heights_px, HEIGHT_QUALITY),
     )
     number = 0
     for place, quality in zip(places, QUALITIES, strict=True):

@@ -40,7 +40,7 @@ def pixels() -> NDArray[np.uint8]:
 
 
 def shipped() -> KeypointRCNN:
-    model, _, _ = load_weights(weights.path(weights.DEFAULT), CPU)
+    model, _, _ = load_weights(weights.path(weights.DEFAULT_WEIGHTS), CPU)
     model.transform.min_size, model.transform.max_size = (320,), 640
     return model
 

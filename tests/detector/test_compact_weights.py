@@ -14,7 +14,7 @@ from torchvision.models.detection import KeypointRCNN, keypointrcnn_resnet50_fpn
 
 from skope import keypoints
 from skope.detector import compact_weights
-from skope.detector.build import PROPOSALS, DetectorConfig, build
+from skope.detector.build import NETWORK_DEFAULTS, DetectorConfig, build
 from skope.detector.checkpoint import checkpoint_bytes, load_weights, read_checkpoint
 from skope.detector.compact_weights import DamagedError
 from skope.detector.detect import detect
@@ -110,7 +110,11 @@ def test_a_packed_detector_is_small_and_near(model: KeypointRCNN, packed: Path) 
 
 def test_stock_torchvision_gives_the_same_detections(packed: Path) -> None:
     loaded, config, _ = load_weights(packed, "cpu")
-    sizes = {"min_size": config.min_size, "max_size": config.max_size, "rpn_post_nms_top_n_test": PROPOSALS}
+    sizes = {
+        "min_size": config.min_size,
+        "max_size": config.max_size,
+        "rpn_post_nms_top_n_test": NETWORK_DEFAULTS.proposals,
+    }
     stock = keypointrcnn_resnet50_fpn(
         weights=None, weights_backbone=None, num_classes=2, num_keypoints=keypoints.K, **sizes
     )

@@ -19,7 +19,7 @@ from torchvision.ops import FrozenBatchNorm2d
 
 from skope import keypoints
 from skope.detector import weights
-from skope.detector.build import PROPOSALS, DetectorConfig, box_passes_of, build
+from skope.detector.build import NETWORK_DEFAULTS, DetectorConfig, box_passes_of, build
 from skope.detector.checkpoint import checkpoint_name, find_checkpoint, load_weights, save_weights
 from skope.detector.detect import detect, detect_on_boxes
 from skope.detector.device import choose_device
@@ -126,7 +126,7 @@ def test_anchors_are_part_of_the_checkpoint(tmp_path: Path) -> None:
         norm = functools.partial(FrozenBatchNorm2d, eps=1e-5)
         backbone = resnet_fpn_backbone(backbone_name="resnet50", weights=None, norm_layer=norm)
         sizes = {"min_size": 96, "max_size": 160, "box_score_thresh": 0.0, "box_detections_per_img": 8}
-        sizes["rpn_post_nms_top_n_test"] = PROPOSALS
+        sizes["rpn_post_nms_top_n_test"] = NETWORK_DEFAULTS.proposals
         stock = KeypointRCNN(backbone, 2, num_keypoints=33, rpn_anchor_generator=anchors, **sizes).eval()
         stock.load_state_dict(load_file(path), strict=True)
         with torch.inference_mode():
@@ -315,7 +315,7 @@ def test_weights_of_the_package_go_by_their_name(
     small_model: KeypointRCNN, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(weights, "FOLDER", tmp_path / "package")
+    monkeypatch.setattr(weights, "WEIGHTS_FOLDER", tmp_path / "package")
     with pytest.raises(UserError, match="no such checkpoint"):
         find_checkpoint(Path("road33"))
     save_weights(weights.path("road33"), small_model, config(), {})

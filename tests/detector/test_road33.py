@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from skope import boxes, keypoints
 from skope.dataset import coco
-from skope.dataset.folder import PREDICTIONS
+from skope.dataset.folder import PREDICTIONS_FILE
 from skope.detections import Detections
 from skope.detector import int8_ranges, weights
 from skope.detector.build import build
@@ -24,7 +24,7 @@ from tests.samples import make_dataset
 
 PICTURE = Path(__file__).parents[2] / "docs" / "noon.jpg"
 """A generated junction by day with more than six vehicles, most of them clear of one another."""
-ROAD33 = weights.path(weights.DEFAULT)
+ROAD33 = weights.path(weights.DEFAULT_WEIGHTS)
 
 
 @pytest.fixture(scope="module")
@@ -83,7 +83,7 @@ def test_every_shipped_detector_is_one_that_a_live_stream_may_get() -> None:
 
 
 def test_the_light_one_finds_the_same_vehicles(picture: NDArray[np.uint8], found: Detections) -> None:
-    model, _, _ = load_weights(weights.path(weights.LIGHT), "cpu")
+    model, _, _ = load_weights(weights.path(weights.LIGHT_WEIGHTS), "cpu")
     light = detect(model, [picture], "cpu", categories=CATEGORIES)[0]
     sure, other = found[found.scores > 0.9], light[light.scores > 0.5]
     best = boxes.iou(sure.boxes_xyxy, other.boxes_xyxy)
@@ -138,7 +138,7 @@ def test_a_stock_torchvision_model_with_its_tensors_finds_the_same(
 def test_predict_runs_it_where_no_checkpoint_is_named(skope: Any, tmp_path: Path, found: Detections) -> None:
     code, _, error = skope("eval", "predict", PICTURE, "--precision", "float32", "--out", "seen", "--quiet")
     assert (code, error) == (0, "")
-    written = coco.read_results(tmp_path / "seen" / PREDICTIONS)
+    written = coco.read_results(tmp_path / "seen" / PREDICTIONS_FILE)
     np.testing.assert_allclose([one.score for one in written], found.scores[found.scores > 0.5], atol=1e-4)
 
 

@@ -10,7 +10,7 @@ from skope.detector.suppression import not_overlapped
 
 @pytest.mark.parametrize("pairs", [1 << 26, 1])
 def test_what_stays_is_what_torchvision_keeps(pairs: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(suppression, "_PAIRS", pairs)
+    monkeypatch.setattr(suppression, "PAIRS_AT_ONCE", pairs)
     draw = torch.Generator().manual_seed(1)
     centres = 40 * torch.randint(1, 8, (3, 400, 2), generator=draw) + 6 * torch.randn(3, 400, 2, generator=draw)
     halves = 10 + 15 * torch.rand(3, 400, 2, generator=draw)

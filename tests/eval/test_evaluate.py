@@ -10,7 +10,7 @@ import pytest
 
 from skope.dataset import coco
 from skope.errors import UserError
-from skope.files.output_folders import WORK, claim_output, move_new, replaceable_output, write_new
+from skope.files.output_folders import WORK_FILE, claim_output, move_new, replaceable_output, write_new
 from skope.schema import AnnotationFile, Result
 from tests.conftest import files_of
 from tests.samples import make_annotation, make_image
@@ -26,7 +26,7 @@ def source(tmp_path: Path) -> Path:
 def test_a_folder_is_taken_by_one_work(source: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     made = claim_output(out, "skope eval", [source], {"score": 0.9, "iou": (0.5, 0.6)})
-    assert json.loads((out / WORK).read_text()) == made
+    assert json.loads((out / WORK_FILE).read_text()) == made
     assert set(made) == {"command", "inputs", "options", "skope", "date"}
     (out / "figures").write_text("1")
     assert claim_output(out, "skope eval", [source], {"score": 0.9, "iou": (0.5, 0.6)}) == made
@@ -64,7 +64,7 @@ def test_other_work_is_refused(
 
 @pytest.mark.parametrize("content", ["", "[]", '"x"', '{"command": 3}', '{"command": "skope eval", "inputs": []}'])
 def test_a_folder_whose_record_says_nothing_is_refused(content: str, tmp_path: Path) -> None:
-    (tmp_path / WORK).write_text(content)
+    (tmp_path / WORK_FILE).write_text(content)
     (tmp_path / "figures").write_text("1")
     before = files_of(tmp_path)
     for taken in (
@@ -87,7 +87,7 @@ def seen(folder: Path, of: str | Path, pictures: dict[str, str], **how: Any) -> 
 
 
 def shown(folder: Path) -> dict[str, str]:
-    return {name: data.decode() for name, data in files_of(folder).items() if name != WORK}
+    return {name: data.decode() for name, data in files_of(folder).items() if name != WORK_FILE}
 
 
 def test_a_look_replaces_an_earlier_look_at_the_same_thing_and_no_other(tmp_path: Path) -> None:
@@ -119,8 +119,8 @@ def test_pictures_stay_beside_new_ones_of_the_same_state(source: Path, tmp_path:
     source.write_text("changed")
     seen(out, source, {"d": "3"}, **{**how, "options": {"layers": ["depth"]}})
     assert shown(out) == {"d": "3"}
-    work = json.loads((out / WORK).read_text())
-    (out / WORK).write_text(json.dumps({**work, "skope": "0.0.1"}))
+    work = json.loads((out / WORK_FILE).read_text())
+    (out / WORK_FILE).write_text(json.dumps({**work, "skope": "0.0.1"}))
     seen(out, source, {"e": "3"}, **{**how, "options": {"layers": ["depth"]}})
     assert shown(out) == {"e": "3"}
 
@@ -189,10 +189,10 @@ def test_a_strangers_record_removes_nothing_elsewhere(name: Any, tmp_path: Path)
     for path in (victim, out / "deep" / "a"):
         path.write_text("dear")
     name = str(victim) if name == "/victim" else name
-    work = json.loads((out / WORK).read_text())
+    work = json.loads((out / WORK_FILE).read_text())
     for files in ([name], name):
         (out / "a").unlink(missing_ok=True)
-        (out / WORK).write_text(json.dumps({**work, "files": files}))
+        (out / WORK_FILE).write_text(json.dumps({**work, "files": files}))
         seen(out, "fleet", {"a": "2"})
         assert (victim.read_text(), shown(out)) == ("dear", {"a": "2", "deep/a": "dear"})
 
@@ -209,7 +209,7 @@ def test_folders_of_other_files_and_files_are_refused_and_begun_ones_without_res
         claim_output(tmp_path / "thesis" / "thesis.txt", "skope eval", [], {})
     claim_output(tmp_path / "begun", "skope eval", [], {"score": 0.9})
     claim_output(tmp_path / "begun", "skope eval pose", [], {})
-    assert json.loads((tmp_path / "begun" / WORK).read_text())["command"] == "skope eval pose"
+    assert json.loads((tmp_path / "begun" / WORK_FILE).read_text())["command"] == "skope eval pose"
 
 
 def test_a_file_is_written_where_none_is(tmp_path: Path) -> None:
@@ -280,7 +280,7 @@ def test_each_command_makes_its_own_again_and_refuses_the_others(skope: Any, tmp
 def test_metrics_and_report_say_what_they_are_of(skope: Any, tmp_path: Path) -> None:
     truth, found = scene(tmp_path, "one", 10)
     assert skope("eval", "--annotations", truth, "--predictions", found, "--out", "scores")[0] == 0
-    of, work = (json.loads(Path("scores", name).read_text()) for name in ("metrics.json", WORK))
+    of, work = (json.loads(Path("scores", name).read_text()) for name in ("metrics.json", WORK_FILE))
     assert of["of"] == {name: work[name] for name in ("inputs", "skope", "date")}
     assert list(of["of"]["inputs"]) == [str(truth), str(found)]
     report = Path("scores/report.html").read_text()

@@ -115,7 +115,9 @@ def test_a_calibration_of_each_category(
     skope: Any, categories_run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Where the data tell, each category has its own numbers: a score of it is its share of right ones."""
-    monkeypatch.setattr(fit_score_calibration, "LEAST_OUTCOMES", 2)
+    monkeypatch.setattr(
+        fit_score_calibration, "CALIBRATION_FIT", replace(fit_score_calibration.CALIBRATION_FIT, least_outcomes=2)
+    )
     data = road_users.make_dataset(tmp_path / "data", images=2, splits=("easy",))
     common = ("--data", data, "--split", "easy", "--checkpoint", categories_run, "--device", "cpu")
     assert skope("eval", *common, "--out", "eval")[0] == 0

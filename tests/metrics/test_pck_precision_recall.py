@@ -8,7 +8,7 @@ from skope.errors import UserError
 from skope.metrics.keypoint_outcomes import Options
 from skope.metrics.match import match
 from skope.metrics.pck_precision_recall import recall_at_precision, recalls, score_split
-from skope.metrics.thresholds import IOU_THRESHOLDS
+from skope.metrics.thresholds import PAPER_THRESHOLDS
 from skope.schema import Annotation, AnnotationFile, Image, Result
 from tests.metrics import brute
 from tests.metrics.cases import as_records, random_case
@@ -220,7 +220,7 @@ def test_metrics_equal_the_loops(block: int) -> None:
             options = Options(labelled=labelled, alpha=alpha, score=score, keypoint_score=least, points=tuple(points))
             ours = score_split(file, results, options)
             assert ours["images"] == len(images)
-            for t in IOU_THRESHOLDS:
+            for t in PAPER_THRESHOLDS.iou:
                 expected = brute.evaluate(images, vehicles, detections, t, labelled, score, alpha, least, points)
                 compare(ours, t, expected)
                 for name in seen:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from skope.dataset import coco
-from skope.dataset.folder import FRAMES, PREDICTIONS
+from skope.dataset.folder import FRAMES_FILE, PREDICTIONS_FILE
 from skope.schema import AnnotationFile, Result, RoadUserResult
 from skope.tracking.image_trajectories import read_image_trajectories
 from skope.tracks.track import is_in_traffic
@@ -35,8 +35,8 @@ def seen_folder(folder: Path, of_vehicles: dict[int, np.ndarray], of_bicycles: d
         ]
     folder.mkdir()
     bare = AnnotationFile(images=images, annotations=(), info={"source": "a.mp4"}, name="a.mp4", scheme=file.scheme)
-    coco.write(folder / FRAMES, bare)
-    coco.write_results(folder / PREDICTIONS, rows)
+    coco.write(folder / FRAMES_FILE, bare)
+    coco.write_results(folder / PREDICTIONS_FILE, rows)
     return folder
 
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from skope.camera.motion.view_registration import transformed
 from skope.dataset import coco
-from skope.dataset.folder import CHANGES
+from skope.dataset.folder import CHANGES_KEY
 from skope.schema import AnnotationFile, Result, RoadUserResult
 from skope.site.gates_zones_lanes import Gate
 from skope.tracking.image_trajectories import read_image_trajectories
@@ -48,7 +48,7 @@ def write_seen(folder: Path, matrix: NDArray[np.float64] | None, *, known: bool 
     if matrix is not None:
         change: dict[str, Any] = {"time_s": LEFT_S, "cut": False, "shift": 0.04}
         followed = {"settled_s": SETTLED_S, "homography": matrix.tolist(), "residual_px": 0.1, "corner_error_px": 0.1}
-        info[CHANGES] = [change | (followed if known else {})]
+        info[CHANGES_KEY] = [change | (followed if known else {})]
     folder.mkdir()
     coco.write(
         folder / "frames.json",

@@ -7,7 +7,7 @@ from torchvision.models.detection.faster_rcnn import FastRCNNPredictor, TwoMLPHe
 from torchvision.models.detection.keypoint_rcnn import KeypointRCNNHeads, KeypointRCNNPredictor
 from torchvision.models.resnet import Bottleneck, ResNet
 
-from skope.detector.backbones import BACKBONES, NormLayer
+from skope.detector.backbones import BACKBONE_CHOICES, NormLayer
 from skope.detector.build import KeypointNetwork
 
 
@@ -21,8 +21,8 @@ def shrink(patch: pytest.MonkeyPatch, *, body: str = "thin", heads: int = 64) ->
     def thin(*, weights: None, norm_layer: NormLayer) -> ResNet:
         return ResNet(Bottleneck, [2, 2, 2, 2], width_per_group=16, norm_layer=norm_layer)
 
-    kind = BACKBONES["resnet18"] if body == "resnet18" else replace(BACKBONES["resnet50"], make=thin)
-    patch.setattr("skope.detector.backbones.BACKBONES", {**BACKBONES, "resnet50": kind})
+    kind = BACKBONE_CHOICES["resnet18"] if body == "resnet18" else replace(BACKBONE_CHOICES["resnet50"], make=thin)
+    patch.setattr("skope.detector.backbones.BACKBONE_CHOICES", {**BACKBONE_CHOICES, "resnet50": kind})
 
     def network(
         backbone: nn.Module, *, num_classes: int | None = None, num_keypoints: int | None = None, **options: object

@@ -16,7 +16,7 @@ from skope.dataset import coco
 from skope.dataset.folder import open_dataset, read_image
 from skope.detections import MIN_SCORE
 from skope.detector import int8_ranges
-from skope.detector.backbones import BACKBONES
+from skope.detector.backbones import BACKBONE_CHOICES
 from skope.detector.build import DetectorConfig, KeypointNetwork, build
 from skope.detector.checkpoint import load_weights, save_weights
 from skope.detector.detect import detect
@@ -24,7 +24,7 @@ from skope.errors import UserError
 from skope.terminal.console import Console
 from skope.train import init_weights, loop, splits
 from skope.train.augment import AUGMENT_STEPS, Augment
-from skope.train.export import CATEGORIES_OUTPUT, OUTPUTS, DeployedCategories, export, torchvision_code
+from skope.train.export import CATEGORIES_OUTPUT, OUTPUT_NAMES, DeployedCategories, export, torchvision_code
 from skope.train.loop import Saving
 from skope.train.recipe import Recipe
 from skope.train.run_config import RunConfig
@@ -326,7 +326,7 @@ def test_exports_say_the_category(learnt: tuple[Path, Path], to: str, tmp_path: 
         session = runtime.InferenceSession(
             str(export(checkpoint, to, tmp_path / "a.onnx", console=Console(quiet=True)))
         )
-        assert [output.name for output in session.get_outputs()] == [*OUTPUTS, CATEGORIES_OUTPUT]
+        assert [output.name for output in session.get_outputs()] == [*OUTPUT_NAMES, CATEGORIES_OUTPUT]
         answer = [torch.as_tensor(part) for part in session.run(None, {"image": image.numpy()})]
     else:
         path = export(checkpoint, to, tmp_path / "a.pt", console=Console(quiet=True))
@@ -370,7 +370,7 @@ def test_other_forms_have_as_many_classes(
     assert lines.endswith("# labels 1 to 4: vehicle, bicycle, motorcycle, pedestrian")
     # Of torchvision's own size: these lines build the whole network.
     with monkeypatch.context() as whole:
-        whole.setattr("skope.detector.backbones.BACKBONES", BACKBONES)
+        whole.setattr("skope.detector.backbones.BACKBONE_CHOICES", BACKBONE_CHOICES)
         whole.setattr("skope.detector.build.KeypointNetwork", KeypointNetwork)
         save_weights(tmp_path / "whole.safetensors", build(FOUR), FOUR, {})
         export(tmp_path / "whole.safetensors", "state_dict", tmp_path / "it's.pth", console=Console())

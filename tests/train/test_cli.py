@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 from skope.errors import UserError
 from skope.files.json_files import write_json
 from skope.train import cli, configure, loop
-from skope.train.recipe import RECIPES
+from skope.train.recipe import SHIPPED_RECIPES
 from skope.train.run_config import RunConfig
 from tests import samples
 
@@ -24,7 +24,7 @@ NO_FLAGS: dict[str, Any] = {
     "exclude_types": (),
     "categories": (),
 }
-TINY = replace(RECIPES["scratch"], min_size=64, max_size=96, regions=8, keypoint_regions=1, val_fraction=0.0)
+TINY = replace(SHIPPED_RECIPES["scratch"], min_size=64, max_size=96, regions=8, keypoint_regions=1, val_fraction=0.0)
 
 
 def new(**flags: Any) -> RunConfig:
@@ -120,7 +120,7 @@ def test_flags_change_the_recipe() -> None:
     recipe = config.recipe
     assert (recipe.epochs, recipe.batch_size, recipe.min_size, recipe.max_size) == (7, 3, 180, 320)
     assert (config.seed, config.max_images, config.recipe.init) == (5, 4, "random")
-    assert new().recipe == RECIPES["laptop"]
+    assert new().recipe == SHIPPED_RECIPES["laptop"]
     assert new().recipe.init == "auto"
     assert new(init="coco").recipe.init == "coco"
     narrow = new(backbone="resnet18", set=("network.pyramid_width=64",)).recipe.network

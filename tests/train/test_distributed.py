@@ -17,7 +17,7 @@ import torch
 from skope.detector.checkpoint import checkpoints
 from skope.train import distributed, step
 from skope.train.distributed import ProcessGroup
-from skope.train.recipe import RECIPES
+from skope.train.recipe import SHIPPED_RECIPES
 from skope.train.training_samples import TrainingSample
 from tests import samples
 
@@ -41,7 +41,7 @@ class Toy(torch.nn.Module):
         colors = torch.stack([image.float().mean(dim=(1, 2)) / 255 for image in pixels])
         self.running_mean += colors.detach().mean(dim=0)
         loss = ((colors @ self.weight - 1) ** 2).mean()
-        return {name: loss * factor for factor, name in enumerate(step.LOSSES, start=1)}
+        return {name: loss * factor for factor, name in enumerate(step.LOSS_NAMES, start=1)}
 
 
 def learn(out: str) -> None:
@@ -60,7 +60,7 @@ def learn(out: str) -> None:
             values, votes_of_all = step.train_on_batch(
                 training,
                 processes.share(batch),
-                RECIPES["paper"],
+                SHIPPED_RECIPES["paper"],
                 rate=RATES,
                 images=count,
                 processes=processes,
@@ -105,7 +105,7 @@ def test_parts_of_a_batch_teach_what_the_batch_does(monkeypatch: pytest.MonkeyPa
         training: Any = SimpleNamespace(model=toy, optimizer=sgd, epochs_done=0, teacher=None)
         pixels = np.random.default_rng(0).integers(0, 256, (5, 3, 4, 4), dtype=np.uint8)
         batch = [TrainingSample(str(i), torch.as_tensor(each), {}) for i, each in enumerate(pixels)]
-        recipe = replace(RECIPES["paper"], images_at_once=at_once)
+        recipe = replace(SHIPPED_RECIPES["paper"], images_at_once=at_once)
         step.train_on_batch(training, batch, recipe, rate=RATES, images=5, processes=ProcessGroup(), votes=())
         weights.append(toy.weight.detach())
     torch.testing.assert_close(weights[0], weights[1])

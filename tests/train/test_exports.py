@@ -15,12 +15,12 @@ from torchvision.models.detection import KeypointRCNN
 
 from skope.dataset.folder import read_image
 from skope.detections import MIN_SCORE
-from skope.detector.backbones import BACKBONES
+from skope.detector.backbones import BACKBONE_CHOICES
 from skope.detector.build import DetectorConfig, KeypointNetwork, build
 from skope.detector.checkpoint import load_weights, read_checkpoint, save_weights
 from skope.errors import UserError
 from skope.terminal.console import Console
-from skope.train.export import OUTPUTS, Deployed, export
+from skope.train.export import OUTPUT_NAMES, Deployed, export
 from tests import samples
 from tests.train.test_loop import train
 from tests.train.test_overfits import BY_HEART, scores_on_its_images
@@ -72,7 +72,7 @@ def check(answers: list[Answer], expected: list[Answer]) -> None:
     for own, answer in zip(expected, answers, strict=True):
         sure = int((own[1] > 0.5).sum())
         compared += sure
-        for name, one, other in zip(OUTPUTS, own, answer, strict=True):
+        for name, one, other in zip(OUTPUT_NAMES, own, answer, strict=True):
             assert other.shape[1:] == one.shape[1:], name
             limit = 1e-3 if "score" in name else 0.1
             assert torch.allclose(one[:sure], other[:sure], rtol=0, atol=limit), name
@@ -118,7 +118,7 @@ def test_compact_weights_are_rounded_for_a_dataset(
 
 def test_state_dict(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     """The lines that are printed build torchvision's own model, whose detections are the same."""
-    monkeypatch.setattr("skope.detector.backbones.BACKBONES", BACKBONES)  # of its own size
+    monkeypatch.setattr("skope.detector.backbones.BACKBONE_CHOICES", BACKBONE_CHOICES)  # of its own size
     monkeypatch.setattr("skope.detector.build.KeypointNetwork", KeypointNetwork)
     path = tmp_path / "other anchors.safetensors"
     anchors = (12, 24, 48, 96, 192)
@@ -146,7 +146,7 @@ def test_onnx(learnt: tuple[Path, Path], expected: list[Answer], tmp_path: Path)
     runtime = pytest.importorskip("onnxruntime")
     path = export(checkpoint, "onnx", tmp_path / "model.onnx", console=Console(quiet=True))
     session = runtime.InferenceSession(str(path))
-    assert [output.name for output in session.get_outputs()] == list(OUTPUTS)
+    assert [output.name for output in session.get_outputs()] == list(OUTPUT_NAMES)
     answers = [session.run(None, {"image": image.numpy()}) for image in images(data)]
     check([tuple(map(torch.as_tensor, answer)) for answer in answers], expected)
 

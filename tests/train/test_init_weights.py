@@ -15,7 +15,7 @@ from skope.detector.build import DetectorConfig, build
 from skope.detector.checkpoint import checkpoint_bytes, full_state, load_weights, save_weights
 from skope.errors import UserError
 from skope.train import init_weights
-from skope.train.recipe import RECIPES, SMALL_SIZE
+from skope.train.recipe import SHIPPED_RECIPES, SMALL_SIZE
 from tests.detector.test_detector import SMALL, body_outputs, use_uneven_statistics
 
 COCO_FILE = "keypointrcnn_resnet50_fpn_coco-fc266e95.pth"
@@ -56,13 +56,13 @@ def test_auto_takes_coco_weights_from_the_cache(tmp_path: Path, monkeypatch: pyt
 @pytest.mark.usefixtures("small_network")
 def test_without_a_cache_auto_takes_the_weights_of_the_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("TORCH_HOME", str(tmp_path))
-    monkeypatch.setattr(weights, "FOLDER", tmp_path)
+    monkeypatch.setattr(weights, "WEIGHTS_FOLDER", tmp_path)
     assert initialise("auto")[2] == "random weights"  # while there are none
     config = DetectorConfig(norm="frozen", norm_eps=1e-3, **SMALL)
     packed = checkpoint_bytes(build(config), config, {}, packed=True)
-    weights.path(weights.DEFAULT).write_bytes(packed)
+    weights.path(weights.DEFAULT_WEIGHTS).write_bytes(packed)
     (model, chosen, words), (named, _, _) = initialise("auto"), initialise("road33")
-    own, _, _ = load_weights(weights.path(weights.DEFAULT), "cpu")
+    own, _, _ = load_weights(weights.path(weights.DEFAULT_WEIGHTS), "cpu")
     assert chosen == config
     assert words == "weights `road33` of the package"
     assert torch.equal(body_outputs(model), body_outputs(own))
@@ -142,11 +142,11 @@ def test_the_size_of_images_travels_with_a_checkpoint_unless_one_is_asked_for(tm
         return chosen.min_size, chosen.max_size
 
     ours, stock = str(tmp_path / "ours.safetensors"), str(tmp_path / "stock.safetensors")
-    assert (RECIPES["laptop"].min_size, RECIPES["laptop"].max_size) == (None, None)
+    assert (SHIPPED_RECIPES["laptop"].min_size, SHIPPED_RECIPES["laptop"].max_size) == (None, None)
     assert size(ours, None, None) == (104, 184)
     assert size(ours, 96, 160) == (96, 160)
     assert size(stock, None, None) == size("random", None, None) == SMALL_SIZE
-    assert RECIPES["laptop"].with_min_size(180).max_size == 320
+    assert SHIPPED_RECIPES["laptop"].with_min_size(180).max_size == 320
 
 
 def test_files_that_are_no_weights_are_one_line(tmp_path: Path) -> None:

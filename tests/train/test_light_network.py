@@ -11,7 +11,7 @@ from torch import nn
 from torchvision.models import mobilenet_v3_large, resnet18
 from typer.testing import CliRunner
 
-from skope.detector.backbones import BACKBONES
+from skope.detector.backbones import BACKBONE_CHOICES
 from skope.detector.build import DetectorConfig, build
 from skope.detector.checkpoint import load_weights
 from skope.errors import UserError
@@ -38,7 +38,7 @@ def test_auto_takes_what_is_cached_of_imagenet_else_random_weights(
 ) -> None:
     monkeypatch.setenv("TORCH_HOME", str(tmp_path))
     _, chosen, words = initialise("auto", backbone)
-    kind = BACKBONES[backbone]
+    kind = BACKBONE_CHOICES[backbone]
     assert (chosen.backbone, chosen.norm, chosen.norm_eps, words) == (
         backbone,
         "batch",

@@ -16,20 +16,22 @@ from safetensors.torch import load_file
 
 from skope.dataset import coco
 from skope.dataset.folder import read_image
-from skope.detector.checkpoint import BEST, checkpoints, load_weights
+from skope.detector.checkpoint import BEST_WEIGHTS, checkpoints, load_weights
 from skope.errors import UserError
 from skope.terminal.console import Console
 from skope.train import loop, run_folder, step, training_state
 from skope.train.augment import AUGMENT_STEPS, Augment
 from skope.train.loop import Saving
-from skope.train.recipe import RECIPES, Recipe
+from skope.train.recipe import SHIPPED_RECIPES, Recipe
 from skope.train.run_config import RunConfig
 from tests import samples
 
 pytestmark = pytest.mark.usefixtures("small_network")
 
 CPU = torch.device("cpu")
-TINY = replace(RECIPES["scratch"], min_size=64, max_size=96, regions=8, keypoint_regions=1, epochs=2, step_size=1)
+TINY = replace(
+    SHIPPED_RECIPES["scratch"], min_size=64, max_size=96, regions=8, keypoint_regions=1, epochs=2, step_size=1
+)
 TINY = replace(TINY, val_fraction=0.0)
 
 
@@ -176,8 +178,8 @@ def test_what_a_run_leaves(tmp_path: Path) -> None:
     }
     rows = [json.loads(line) for line in (out / "metrics.jsonl").read_text().splitlines()]
     assert [row["epoch"] for row in rows] == [1, 2, 3]
-    assert {*step.LOSSES, "loss", "epoch", "validation"} == set(rows[0])
-    assert rows[0]["loss"] == pytest.approx(sum(rows[0][name] for name in step.LOSSES), rel=1e-5)
+    assert {*step.LOSS_NAMES, "loss", "epoch", "validation"} == set(rows[0])
+    assert rows[0]["loss"] == pytest.approx(sum(rows[0][name] for name in step.LOSS_NAMES), rel=1e-5)
     assert rows[0]["validation"]["images"] == 1
     card = (out / "README.md").read_text()
     for words in (
@@ -326,9 +328,9 @@ def test_where_the_best_cannot_be_written_the_epoch_is_not_lost(
         patch.setattr(run_folder, "save_best", full)
         with pytest.raises(UserError, match="No space left"):
             train(data, out, recipe)
-    assert not (out / BEST).exists()
+    assert not (out / BEST_WEIGHTS).exists()
     train(data, out, recipe, resume=True)
-    assert same_files(out / BEST, whole / BEST)
+    assert same_files(out / BEST_WEIGHTS, whole / BEST_WEIGHTS)
 
 
 def test_types_that_are_not_there_are_not_left_out_in_silence(

@@ -13,12 +13,12 @@ from skope.detector.checkpoint import load_weights
 from skope.detector.detect import detect
 from skope.schema import Annotation
 from skope.train.augment import Augment
-from skope.train.recipe import RECIPES
+from skope.train.recipe import SHIPPED_RECIPES
 from tests import samples
 from tests.train.test_loop import CPU, train
 
 SMALL = replace(
-    RECIPES["scratch"],
+    SHIPPED_RECIPES["scratch"],
     min_size=128,
     max_size=256,
     regions=64,

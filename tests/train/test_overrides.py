@@ -5,23 +5,23 @@ from pathlib import Path
 import pytest
 
 from skope.errors import UserError
-from skope.train.recipe import RECIPES, adjusted_recipe, choose_recipe
+from skope.train.recipe import SHIPPED_RECIPES, adjusted_recipe, choose_recipe
 
 
 def test_every_value_of_a_recipe_can_be_set() -> None:
     for text in ("16,32,64,160,400", "[16, 32, 64, 160, 400]", " 16, 32,64,160,400"):
-        assert adjusted_recipe(RECIPES["paper"], [f"anchors={text}"]).anchors == (16, 32, 64, 160, 400)
+        assert adjusted_recipe(SHIPPED_RECIPES["paper"], [f"anchors={text}"]).anchors == (16, 32, 64, 160, 400)
     flags = ["learning_rate=1", "step_size=none", "augment.blur=0.25", "exclude_types=pickup, bus", "bfloat16=true"]
-    recipe = adjusted_recipe(RECIPES["paper"], [*flags, "init=a/b.pth", "name='mine'", "keypoint_regions=8"])
+    recipe = adjusted_recipe(SHIPPED_RECIPES["paper"], [*flags, "init=a/b.pth", "name='mine'", "keypoint_regions=8"])
     assert (recipe.learning_rate, recipe.step_size, recipe.augment.blur) == (1.0, None, 0.25)
     assert (recipe.exclude_types, recipe.bfloat16, recipe.init) == (("pickup", "bus"), True, "a/b.pth")
     assert (recipe.name, recipe.keypoint_regions) == ("mine", 8)
     assert recipe.augment.flip == 0.5
-    for name, value in RECIPES["scratch"].to_dict().items():
+    for name, value in SHIPPED_RECIPES["scratch"].to_dict().items():
         if name not in ("augment", "network", "teacher"):
             text = "none" if value is None else repr(value).lower() if isinstance(value, bool) else repr(value)
-            assert getattr(adjusted_recipe(RECIPES["scratch"], [f"{name}={text}"]), name) == getattr(
-                RECIPES["scratch"], name
+            assert getattr(adjusted_recipe(SHIPPED_RECIPES["scratch"], [f"{name}={text}"]), name) == getattr(
+                SHIPPED_RECIPES["scratch"], name
             )
 
 
@@ -45,7 +45,7 @@ def test_every_value_of_a_recipe_can_be_set() -> None:
 )
 def test_mistakes_name_the_value(flag: str, words: str) -> None:
     with pytest.raises(UserError) as caught:
-        adjusted_recipe(RECIPES["paper"], [flag])
+        adjusted_recipe(SHIPPED_RECIPES["paper"], [flag])
     assert str(caught.value).startswith(words)
 
 
@@ -55,7 +55,7 @@ def test_a_recipe_of_ones_own(tmp_path: Path) -> None:
     recipe = choose_recipe(str(path), gpu=False, bfloat16=True)
     assert (recipe.name, recipe.epochs, recipe.exclude_types) == ("night", 3, ("bus",))
     assert recipe.augment.brightness == 0.5
-    assert recipe.learning_rate == RECIPES["scratch"].learning_rate
+    assert recipe.learning_rate == SHIPPED_RECIPES["scratch"].learning_rate
     assert recipe.bfloat16
     for text, words in [
         ("epochs = ", "night.toml: not valid TOML"),

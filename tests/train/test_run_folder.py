@@ -116,10 +116,12 @@ def test_a_state_without_room_is_one_line(tmp_path: Path) -> None:
 def state() -> object:
     """As much of a training as a saved state has."""
     from skope.train.optimizer import make_sgd
-    from skope.train.recipe import RECIPES
+    from skope.train.recipe import SHIPPED_RECIPES
     from skope.train.training_state import TrainingState
 
     with pytest.MonkeyPatch.context() as patch:
         shrink(patch)
         model = build(CONFIG)
-    return TrainingState(model, CONFIG, make_sgd(model, RECIPES["paper"]), "random weights", [], 0, 0, {}, [], None)
+    return TrainingState(
+        model, CONFIG, make_sgd(model, SHIPPED_RECIPES["paper"]), "random weights", [], 0, 0, {}, [], None
+    )

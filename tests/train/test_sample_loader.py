@@ -4,6 +4,7 @@ import itertools
 import os
 import signal
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -115,8 +116,8 @@ class _Ending(TrainingSet):
 def test_no_sample_is_lost_with_a_process(
     images: TrainingSet, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], how: str
 ) -> None:
-    monkeypatch.setattr(sample_loader, "_LOOK_S", 0.5)
-    monkeypatch.setattr(sample_loader, "_SILENT_S", 2.0)
+    monkeypatch.setattr(sample_loader, "LOADER_LIMITS", replace(sample_loader.LOADER_LIMITS, poll_s=0.5))
+    monkeypatch.setattr(sample_loader, "LOADER_LIMITS", replace(sample_loader.LOADER_LIMITS, silent_s=2.0))
     expected = [batch[0].name for batch in Loader(images, workers=0, console=Console()).batches(GROUPS, 1)]
     images.__class__ = _Ending
     images.how, images.parent = how, os.getpid()  # type: ignore[attr-defined]
@@ -129,7 +130,7 @@ def test_no_sample_is_lost_with_a_process(
 
 
 def test_waiting_for_a_silent_process_can_be_stopped(images: TrainingSet, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sample_loader, "_LOOK_S", 0.3)
+    monkeypatch.setattr(sample_loader, "LOADER_LIMITS", replace(sample_loader.LOADER_LIMITS, poll_s=0.3))
     images.__class__ = _Ending
     images.how, images.parent = "falls silent", os.getpid()  # type: ignore[attr-defined]
     loader = Loader(images, workers=1, console=Console(quiet=True), stopping=lambda: True)

@@ -1,6 +1,7 @@
 """Whatever moves pixels moves boxes and keypoints: one lit pixel at a keypoint, and both arrive together."""
 
 import math
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -116,7 +117,7 @@ def test_parts_of_an_image_have_all_scales_and_often_cut_vehicles(monkeypatch: p
     vehicles = Vehicles(box, np.zeros((1, keypoints.K, 3)), NO_BOXES)
     cuts = {}
     for share in (0.25, 0.0):
-        monkeypatch.setattr(augment, "_CUTTING", share)
+        monkeypatch.setattr(augment, "CROP_RULES", replace(augment.CROP_RULES, cutting_share=share))
         scales = []
         for seed in range(400):
             _, moved = AUGMENT_STEPS["crop"](pixels, vehicles, np.random.default_rng(seed))

@@ -48,8 +48,8 @@ def test_a_teacher_that_counts_nothing_changes_nothing() -> None:
     nothing = {"classes": 0.0, "boxes": 0.0, "keypoints": 0.0}
     student = drawn(NARROW, 1)
     without, beside = (taught(student, one) for one in (None, teacher_of(drawn(CONFIG, 2), **nothing)))
-    assert without.keys() == set(step.LOSSES)
-    assert beside.keys() == {*step.LOSSES, *teacher.TEACHER_LOSSES}
+    assert without.keys() == set(step.LOSS_NAMES)
+    assert beside.keys() == {*step.LOSS_NAMES, *teacher.TEACHER_LOSSES}
     assert all(torch.equal(beside[name], loss) for name, loss in without.items())
     assert all(beside[name] == 0 for name in teacher.TEACHER_LOSSES)
     assert Teacher.load(TeacherRules(checkpoint="no such file", **nothing), NARROW, torch.device("cpu")) is None
@@ -135,6 +135,6 @@ def test_a_run_with_a_teacher(tmp_path: Path) -> None:
     assert done.exit_code == 0, done.output
     assert f"learns from {run} beside the labels" in done.output
     (row,) = (json.loads(line) for line in (tmp_path / "out" / "metrics.jsonl").read_text().splitlines())
-    names = (*step.LOSSES, *teacher.TEACHER_LOSSES)
+    names = (*step.LOSS_NAMES, *teacher.TEACHER_LOSSES)
     assert all(row[name] > 0 for name in names)
     assert row["loss"] == pytest.approx(sum(row[name] for name in names), rel=1e-5)

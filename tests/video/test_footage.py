@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,7 @@ from skope.errors import UserError
 from skope.types import Pixels
 from skope.video.container import open_clip
 from skope.video.decode import same_shape
-from skope.video.footage import Cut, open_footage
+from skope.video.footage import FOOTAGE_LIMITS, Cut, open_footage
 from skope.video.write import write_video
 
 Skope = Callable[..., tuple[int, str, str]]
@@ -224,7 +225,7 @@ def test_interlaced_frames_are_made_progressive_also_after_a_jump(
     for (_, pixels), interlaced in zip(whole, images, strict=True):
         assert pixels.max() > 100
         assert combed(pixels) < 0.5 * combed(interlaced)
-    monkeypatch.setattr("skope.video.footage.SEEK_FRAMES", 3)
+    monkeypatch.setattr("skope.video.footage.FOOTAGE_LIMITS", replace(FOOTAGE_LIMITS, seek_frames=3))
     for first in (3, 9, 11, 13):
         image, pixels = next(open_footage(str(path)).frames(first))
         assert image.frame_index == first

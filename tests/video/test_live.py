@@ -3,6 +3,7 @@
 import socket
 import threading
 import time
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -45,7 +46,9 @@ def test_a_network_that_stalls_delivers_late_what_was_taken_in_time() -> None:
     assert times_of(taken(100), arrivals)[1] == pytest.approx([k / FPS for k in range(100)], abs=1e-6)
 
 
-@pytest.mark.parametrize("step_s", [-7200.0, -3.0, -0.7, 0.7, 3.0, 600.0, 20000.0, live._STAMP_ROUND_S - 600])
+@pytest.mark.parametrize(
+    "step_s", [-7200.0, -3.0, -0.7, 0.7, 3.0, 600.0, 20000.0, live.LIVE_LIMITS.stamp_round_s - 600]
+)
 def test_a_clock_that_is_set_does_not_move_the_times(step_s: float) -> None:
     stamps = [stamp + (step_s if k >= 100 else 0) for k, stamp in enumerate(taken(300)) if stamp is not None]
     arrivals = late(300)
@@ -54,7 +57,7 @@ def test_a_clock_that_is_set_does_not_move_the_times(step_s: float) -> None:
     assert np.max(np.abs(np.array(times) - arrivals)) < 1.0
     # Small steps look like a delay, and are taken back within the time that a slow clock is.
     if abs(step_s) > 1:
-        known = -600.0 if step_s > live._STAMP_ROUND_S / 2 else step_s  # it began a new round
+        known = -600.0 if step_s > live.LIVE_LIMITS.stamp_round_s / 2 else step_s  # it began a new round
         assert [round(by_s) for _, by_s in clock.steps] == [known]
         assert clock.steps[0][0] == pytest.approx(10.4, abs=0.3)
     assert np.max(np.abs(np.array(times) - np.arange(300) / FPS)) < 0.8
@@ -120,8 +123,8 @@ class Web:
 @pytest.fixture
 def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     """Waits of a second in place of ten."""
-    monkeypatch.setattr(live, "RETURN_S", 1.0)
-    monkeypatch.setattr(container, "SILENCE_S", 0.6)
+    monkeypatch.setattr(live, "LIVE_LIMITS", replace(live.LIVE_LIMITS, return_s=1.0))
+    monkeypatch.setattr(container, "CONTAINER_LIMITS", replace(container.CONTAINER_LIMITS, silence_s=0.6))
 
 
 WIDE, HALF, OTHER = (96, 64), (48, 32), (64, 64)

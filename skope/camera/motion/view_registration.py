@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skope.camera.motion.image_shift import ReferencePicture, SmallPicture
-from skope.dataset.folder import CHANGES
+from skope.dataset.folder import CHANGES_KEY
 from skope.errors import UserError
 from skope.types import Array, Mask, Pixels
 
@@ -218,14 +218,14 @@ def read_views(name: str, info: Mapping[str, Any]) -> list[KnownView]:
         UserError: `info.view_changes` is malformed.
     """
     first = KnownView(-np.inf, -np.inf, ViewHomography(np.eye(3), 0.0, 0.0))
-    changes = info.get(CHANGES)
+    changes = info.get(CHANGES_KEY)
     if not isinstance(changes, list):
         return [first]
     try:
         return [first, *map(_view, changes)]
     except (KeyError, TypeError, ValueError):
         raise UserError(
-            f"{name}: info.{CHANGES}: expected objects with time_s, and perhaps settled_s, homography (3 rows of 3 "
+            f"{name}: info.{CHANGES_KEY}: expected objects with time_s, and perhaps settled_s, homography (3 rows of 3 "
             "numbers), residual_px and corner_error_px"
         ) from None
 

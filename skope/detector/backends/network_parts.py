@@ -24,8 +24,22 @@ from torchvision.ops.poolers import LevelMapper, MultiScaleRoIAlign
 
 from skope.types import Floats32
 
-_CANONICAL: Final = (224, 4)
-"""A region of this side is pooled from the level of this number, as in torchvision."""
+
+@dataclass(frozen=True)
+class ExportShape:
+    """Shapes and version of exported graphs."""
+
+    canonical_px: tuple[int, int] = (224, 4)
+    """A region of this side is pooled from the level of this number, as in torchvision."""
+    opset: int = 17
+    """Version of ONNX's operators."""
+    pyramid_levels: int = 5
+    """Levels of the feature pyramid."""
+    keypoint_factor: int = 2
+    """torchvision's keypoint predictor enlarges its maps by this factor."""
+
+
+EXPORT_SHAPE: Final = ExportShape()
 
 
 class RegionPooling(nn.Module):
@@ -53,7 +67,7 @@ class RegionPooling(nn.Module):
         tallest = max(height for height, _ in image_shapes)
         strides = [2 ** round(math.log2(tallest / one.shape[2])) for one in maps]
         first, last = (int(math.log2(stride)) for stride in (strides[0], strides[-1]))
-        level_of = LevelMapper(first, last, *_CANONICAL)(list(boxes))
+        level_of = LevelMapper(first, last, *EXPORT_SHAPE.canonical_px)(list(boxes))
         image_of = torch.repeat_interleave(torch.tensor([len(one) for one in boxes]))
         together = torch.cat(list(boxes))
         cells = self.output_size[0] * self.output_size[1]
@@ -122,15 +136,11 @@ class HandedProposals(nn.Module):
 RunNetwork = Callable[[Floats32], list[Floats32]]
 """Computes a part: its input, (N, ...), to its outputs. They may be overwritten by the next call."""
 
-PYRAMID: Final = "pyramid"
+PYRAMID_NAME: Final = "pyramid"
 BOX_HEAD: Final = "box_head"
 KEYPOINT_HEAD: Final = "keypoint_head"
 
-INPUT: Final = "x"
-_OPSET: Final = 17
-_PYRAMID_LEVELS: Final = 5
-_UPSAMPLED: Final = 2
-"""torchvision's keypoint predictor enlarges its maps by this factor."""
+INPUT_NAME: Final = "x"
 
 
 @dataclass(frozen=True)
@@ -144,8 +154,8 @@ class NetworkPart:
     """Whether its input mostly has one size, or one of few."""
 
     def to_onnx(self) -> bytes:
-        """The part as an ONNX model with one input, `INPUT`."""
-        example = torch.zeros([_EXAMPLE.get(i, 1) if size < 0 else size for i, size in enumerate(self.shape)])
+        """The part as an ONNX model with one input, `INPUT_NAME`."""
+        example = torch.zeros([EXAMPLE_SIZES.get(i, 1) if size < 0 else size for i, size in enumerate(self.shape)])
         free = {i: f"size{i}" for i, size in enumerate(self.shape) if size < 0}
         buffer = io.BytesIO()
         with warnings.catch_warnings(), torch.no_grad():
@@ -155,15 +165,15 @@ class NetworkPart:
                 (example,),
                 buffer,  # type: ignore[arg-type]  # the exporter that follows an example writes to memory too
                 dynamo=False,
-                opset_version=_OPSET,
-                input_names=[INPUT],
-                dynamic_axes={INPUT: free},
+                opset_version=EXPORT_SHAPE.opset,
+                input_names=[INPUT_NAME],
+                dynamic_axes={INPUT_NAME: free},
                 do_constant_folding=False,
             )
         return buffer.getvalue()
 
 
-_EXAMPLE: Final = {0: 1, 2: 128, 3: 192}
+EXAMPLE_SIZES: Final = {0: 1, 2: 128, 3: 192}
 """Sizes of the example along the axes that are free: images in a batch or regions, height and width."""
 
 
@@ -173,7 +183,7 @@ def parts_of(model: KeypointRCNN) -> dict[str, NetworkPart]:
     channels = model.backbone.out_channels
     box, keypoint = heads.box_roi_pool.output_size, heads.keypoint_roi_pool.output_size
     return {
-        PYRAMID: NetworkPart(_Pyramid(model), (-1, 3, -1, -1)),
+        PYRAMID_NAME: NetworkPart(_Pyramid(model), (-1, 3, -1, -1)),
         BOX_HEAD: NetworkPart(nn.Sequential(heads.box_head, heads.box_predictor), (-1, channels, *box)),
         KEYPOINT_HEAD: NetworkPart(
             nn.Sequential(heads.keypoint_head, heads.keypoint_predictor.kps_score_lowres),
@@ -186,7 +196,7 @@ def parts_of(model: KeypointRCNN) -> dict[str, NetworkPart]:
 def hand_over(model: KeypointRCNN, runs: Mapping[str, RunNetwork]) -> None:
     """Let `runs` compute the parts of a model from now on; its own layers are given up."""
     heads = model.roi_heads
-    pyramid = _HandedPyramid(runs[PYRAMID], model.backbone.out_channels)
+    pyramid = _HandedPyramid(runs[PYRAMID_NAME], model.backbone.out_channels)
     model.backbone, model.rpn.head = pyramid, HandedProposals(pyramid)
     heads.box_roi_pool = RegionPooling(heads.box_roi_pool)
     heads.keypoint_roi_pool = RegionPooling(heads.keypoint_roi_pool)
@@ -215,7 +225,8 @@ class _HandedPyramid(PyramidWithProposals):
     def forward(self, images: Tensor) -> OrderedDict[str, Tensor]:
         out = _computed(self._run, images)
         features, scores, offsets = (
-            out[i : i + _PYRAMID_LEVELS] for i in range(0, 3 * _PYRAMID_LEVELS, _PYRAMID_LEVELS)
+            out[i : i + EXPORT_SHAPE.pyramid_levels]
+            for i in range(0, 3 * EXPORT_SHAPE.pyramid_levels, EXPORT_SHAPE.pyramid_levels)
         )
         self.proposals = (scores, offsets)
         # As the pooling of regions wants them, which happens up to three times.
@@ -245,7 +256,11 @@ class _HandedKeypointHead(nn.Module):
 class _Upsampled(nn.Module):
     def forward(self, maps: Tensor) -> Tensor:
         return nn.functional.interpolate(
-            maps, scale_factor=float(_UPSAMPLED), mode="bilinear", align_corners=False, recompute_scale_factor=False
+            maps,
+            scale_factor=float(EXPORT_SHAPE.keypoint_factor),
+            mode="bilinear",
+            align_corners=False,
+            recompute_scale_factor=False,
         )
 
 

@@ -6,7 +6,7 @@ arithmetic. For images of one size, anchors are computed once, and images are no
 """
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import torch
@@ -19,7 +19,7 @@ from torchvision.models.detection.transform import GeneralizedRCNNTransform
 from skope.detector import int8_ranges, network_settings
 from skope.detector.backends import bfloat16, network_parts
 from skope.detector.backends.region_suppression import suppress_best_first, suppress_together
-from skope.detector.backends.runtimes import RUNTIMES, Runtime, UnusableError
+from skope.detector.backends.runtimes import RUNTIME_CLASSES, Runtime, UnusableError
 from skope.detector.device import has_bfloat16
 from skope.detector.int8_ranges import Ranges
 from skope.errors import UserError
@@ -77,10 +77,19 @@ class KeptAnchors(nn.Module):
         return self._kept[1]
 
 
-_INPUT_STEPS: Final = 255
-_LARGEST_STEP: Final = 127
-_LEAST_STEP: Final = 1e-12
-"""Least step of a weight: a channel of zeros has none."""
+@dataclass(frozen=True)
+class Int8Steps:
+    """Steps of int8 numbers."""
+
+    inputs: int = 255
+    """Steps of an input."""
+    weights: int = 127
+    """Steps of a weight to either side."""
+    least: float = 1e-12
+    """Least step of a weight: a channel of zeros has none."""
+
+
+INT8_STEPS: Final = Int8Steps()
 
 
 def convert(model: nn.Module, ranges: Ranges) -> None:
@@ -102,16 +111,16 @@ class _Rounded(nn.Module):
         super().__init__()
         self.layer = layer
         low, high = min(low, 0.0), max(high, 0.0)  # the padding's zeros have to be exact
-        self._step = max(high - low, _LEAST_STEP) / _INPUT_STEPS
+        self._step = max(high - low, INT8_STEPS.least) / INT8_STEPS.inputs
         self._zero = round(-low / self._step)
         largest = layer.weight.detach().flatten(1).abs().amax(1)
-        self._steps = (largest / _LARGEST_STEP).clamp(min=_LEAST_STEP)
+        self._steps = (largest / INT8_STEPS.weights).clamp(min=INT8_STEPS.least)
 
     def forward(self, x: Tensor) -> Tensor:
-        x = torch.fake_quantize_per_tensor_affine(x, self._step, self._zero, 0, _INPUT_STEPS)
+        x = torch.fake_quantize_per_tensor_affine(x, self._step, self._zero, 0, INT8_STEPS.inputs)
         zeros = torch.zeros(len(self._steps), dtype=torch.int32)
         weight = torch.fake_quantize_per_channel_affine(
-            self.layer.weight, self._steps, zeros, 0, -_LARGEST_STEP - 1, _LARGEST_STEP
+            self.layer.weight, self._steps, zeros, 0, -INT8_STEPS.weights - 1, INT8_STEPS.weights
         )
         if isinstance(self.layer, nn.Conv2d):
             layer = self.layer
@@ -154,12 +163,12 @@ def prepare(
     keep_anchors(model)
     if device.type == "cpu":
         suppress_best_first(model)
-    name = (network_settings.FASTEST if device.type == "cpu" else "torch") if backend == "auto" else backend
+    name = (network_settings.FASTEST_BACKEND if device.type == "cpu" else "torch") if backend == "auto" else backend
     if name != "torch":
         if device.type != "cpu":
             raise UserError(f"--backend {backend}: computes on the CPU only; give --device cpu, or --backend torch")
         try:
-            return _by_runtime(RUNTIMES[name](), model, metadata, precision, one_size=one_size)
+            return _by_runtime(RUNTIME_CLASSES[name](), model, metadata, precision, one_size=one_size)
         except UnusableError as error:
             if backend != "auto":
                 raise

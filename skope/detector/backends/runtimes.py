@@ -14,7 +14,7 @@ from typing import Any, ClassVar, Final
 import torch
 
 from skope.cpu_count import usable_processors
-from skope.detector.backends.network_parts import INPUT, NetworkPart, RunNetwork
+from skope.detector.backends.network_parts import INPUT_NAME, NetworkPart, RunNetwork
 from skope.detector.device import has_bfloat16
 from skope.errors import UserError
 from skope.types import Floats32
@@ -113,7 +113,7 @@ class OpenVino(Runtime):
         def compiled(shape: tuple[int, ...] | None) -> Any:
             fitting = model.clone()
             if shape:
-                fitting.reshape({INPUT: list(shape)})
+                fitting.reshape({INPUT_NAME: list(shape)})
             return core.compile_model(fitting, "CPU", hints)
 
         def run(x: Floats32) -> list[Floats32]:
@@ -138,7 +138,7 @@ class OnnxRuntime(Runtime):
         options.intra_op_num_threads = usable_processors()
         model = _without_shapes(part.to_onnx())
         session = self._library.InferenceSession(model, options, providers=["CPUExecutionProvider"])
-        return lambda x: list(session.run(None, {INPUT: x}))
+        return lambda x: list(session.run(None, {INPUT_NAME: x}))
 
 
 def _without_shapes(model: bytes) -> bytes:
@@ -154,4 +154,4 @@ def _first_line(error: Exception) -> str:
     return (str(error).splitlines() or [type(error).__name__])[0]
 
 
-RUNTIMES: Final[dict[str, type[Runtime]]] = {runtime.backend: runtime for runtime in (OpenVino, OnnxRuntime)}
+RUNTIME_CLASSES: Final[dict[str, type[Runtime]]] = {runtime.backend: runtime for runtime in (OpenVino, OnnxRuntime)}

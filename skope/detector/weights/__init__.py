@@ -3,27 +3,27 @@
 from pathlib import Path
 from typing import Final
 
-DEFAULT: Final = "road33"
-"""The detector that runs where none is named, and from which training begins where COCO's weights are not at hand."""
+DEFAULT_WEIGHTS: Final = "road33"
+"""Name of the default detector, from which training also begins if COCO's weights are not available."""
 
-LIGHT: Final = "road33-lite"
-"""The light detector, for every frame of a live camera on a CPU."""
-BY_ACCURACY: Final = (DEFAULT, LIGHT)
+LIGHT_WEIGHTS: Final = "road33-lite"
+"""Name of the light detector, for every frame of a live camera on a CPU."""
+BY_ACCURACY: Final = (DEFAULT_WEIGHTS, LIGHT_WEIGHTS)
 """The detectors that come with the package, the most accurate first: alike in keypoints and categories."""
 
-FOLDER: Final = Path(__file__).parent
+WEIGHTS_FOLDER: Final = Path(__file__).parent
 
 
 def names() -> tuple[str, ...]:
     """Names of the detectors that come with the package."""
-    return tuple(sorted(path.stem for path in FOLDER.glob("*.safetensors")))
+    return tuple(sorted(path.stem for path in WEIGHTS_FOLDER.glob("*.safetensors")))
 
 
 def path(name: str) -> Path:
     """The file of the weights called `name`, one of `names`."""
-    return FOLDER / f"{name}.safetensors"
+    return WEIGHTS_FOLDER / f"{name}.safetensors"
 
 
 def shipped(weights: Path) -> bool:
     """Whether a file of weights lies in the package, where nothing of a user's is written."""
-    return weights.parent == FOLDER
+    return weights.parent == WEIGHTS_FOLDER

@@ -7,7 +7,7 @@ from typing import Annotated
 from skope.errors import UserError
 from skope.eval.cli.options import check_pixels, check_probability, counts, data_option, output
 from skope.eval.cli.scene_options import KeypointOptions, NoiseOption, ScoreOption, SigmaOption
-from skope.terminal.command_options import CAMERA_FILE, FILE_METAVAR, SIZE, panel
+from skope.terminal.command_options import CAMERA_FILE, FILE_METAVAR, SIZE_METAVAR, panel
 from skope.terminal.console import Console
 
 turned = panel("A camera that was turned")
@@ -26,7 +26,9 @@ def find_camera(
     ] = None,
     size: Annotated[
         str | None,
-        data_option(metavar=SIZE, help="Size of the image that --points were marked in; a site.toml may say it."),
+        data_option(
+            metavar=SIZE_METAVAR, help="Size of the image that --points were marked in; a site.toml may say it."
+        ),
     ] = None,
     max_vehicles: Annotated[int, counts(least=5, help="Use at most so many vehicles.")] = 40,
     height: Annotated[

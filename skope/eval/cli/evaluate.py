@@ -11,7 +11,7 @@ from skope import keypoints
 from skope.detector import weights
 from skope.errors import UserError
 from skope.eval.cli.options import (
-    PAPER,
+    PAPER_PROTOCOL,
     PROTOCOL_CHOICES,
     MachineOptions,
     check_probability,
@@ -20,8 +20,17 @@ from skope.eval.cli.options import (
     machine,
     output,
 )
-from skope.metrics.thresholds import COUNTED_SCORE, IOU_THRESHOLDS, PCK_ALPHA
-from skope.terminal.command_options import DATA, DIR, FILE_METAVAR, LIST, RUN, PortOption, option, separated
+from skope.metrics.thresholds import PAPER_THRESHOLDS
+from skope.terminal.command_options import (
+    DATA_FOLDER,
+    DIR_METAVAR,
+    FILE_METAVAR,
+    LIST_METAVAR,
+    RUN_FOLDER,
+    PortOption,
+    option,
+    separated,
+)
 from skope.terminal.console import Console
 
 
@@ -29,8 +38,8 @@ def calibrate_scores(
     *,
     checkpoint: Annotated[
         Path, option(metavar="PATH", help="Checkpoint file, or run folder for its newest one.")
-    ] = RUN,
-    data: Annotated[Path, option(metavar=DIR, help="Dataset folder.")] = DATA,
+    ] = RUN_FOLDER,
+    data: Annotated[Path, option(metavar=DIR_METAVAR, help="Dataset folder.")] = DATA_FOLDER,
     split: Annotated[
         str,
         option(metavar="NAME", help="Split to fit on; of train, the part that training kept for validation."),
@@ -108,16 +117,18 @@ def compare_runs(
     console.result(text)
 
 
-GIVEN = "given"
+GIVEN_BOXES = "given"
 
 
 def evaluate_or_score(
     *,
-    data: Annotated[Path | None, data_option(metavar=DIR, help="Dataset folder.", show_default=str(DATA))] = None,
+    data: Annotated[
+        Path | None, data_option(metavar=DIR_METAVAR, help="Dataset folder.", show_default=str(DATA_FOLDER))
+    ] = None,
     split: Annotated[
         list[str] | None,
         data_option(
-            metavar=LIST,
+            metavar=LIST_METAVAR,
             help="Split to evaluate; several: repeat it or separate by commas.",
             show_default="all test splits",
         ),
@@ -127,7 +138,7 @@ def evaluate_or_score(
         data_option(
             metavar="PATH",
             help="Checkpoint file, run folder for its newest one, or weights that come with skope.",
-            show_default=f"{RUN} where it is there, else {weights.DEFAULT}",
+            show_default=f"{RUN_FOLDER} where it is there, else {weights.DEFAULT_WEIGHTS}",
         ),
     ] = None,
     annotations: Annotated[
@@ -159,20 +170,20 @@ def evaluate_or_score(
     boxes: Annotated[
         str,
         counts(
-            choices=("full", "visible", GIVEN),
+            choices=("full", "visible", GIVEN_BOXES),
             help="Ground-truth boxes, whole or of visible pixels; given: keypoints on the ground truth's own boxes.",
         ),
     ] = "full",
-    score: Annotated[float, counts(help="A detection counts when it scores above this.")] = COUNTED_SCORE,
+    score: Annotated[float, counts(help="A detection counts when it scores above this.")] = PAPER_THRESHOLDS.score,
     alpha: Annotated[
         float, counts(help="A keypoint is correct within this share of the box's longer edge.")
-    ] = PCK_ALPHA,
+    ] = PAPER_THRESHOLDS.alpha,
     iou: Annotated[
         list[str] | None,
         counts(
-            metavar=LIST,
+            metavar=LIST_METAVAR,
             help="IoU at which a detection matches; several: repeat it or separate by commas.",
-            show_default=",".join(map(str, IOU_THRESHOLDS)),
+            show_default=",".join(map(str, PAPER_THRESHOLDS.iou)),
         ),
     ] = None,
     keypoint_score: Annotated[
@@ -188,11 +199,11 @@ def evaluate_or_score(
     ] = None,
     compare: Annotated[
         str | None,
-        output(choices=(PAPER,), help="Print the published rows below ours (splits easy, medium, hard)."),
+        output(choices=(PAPER_PROTOCOL,), help="Print the published rows below ours (splits easy, medium, hard)."),
     ] = None,
     out: Annotated[
         Path | None,
-        output(metavar=DIR, help="Where to write.", show_default="RUN/eval, or eval for a results file"),
+        output(metavar=DIR_METAVAR, help="Where to write.", show_default="RUN/eval, or eval for a results file"),
     ] = None,
     fast: Annotated[
         bool, machine("--fast", help="Place keypoints only on detections above --score; no AP then.")
@@ -209,21 +220,27 @@ def evaluate_or_score(
         score=score,
         alpha=alpha,
         labelled=labelled,
-        boxes="full" if boxes == GIVEN else boxes,
-        iou=_thresholds(iou) or IOU_THRESHOLDS,
+        boxes="full" if boxes == GIVEN_BOXES else boxes,
+        iou=_thresholds(iou) or PAPER_THRESHOLDS.iou,
         keypoint_score=keypoint_score,
     )
     splits = separated(split)
     _refuse_mixtures(data, checkpoint, splits, annotations, predictions, boxes)
-    if fast and (predictions or boxes == GIVEN):
+    if fast and (predictions or boxes == GIVEN_BOXES):
         raise UserError("--fast is for running a checkpoint that detects vehicles")
     if scheme and not predictions:
         raise UserError("--scheme needs --predictions: a checkpoint's scheme is its own")
-    checkpoint = None if predictions else checkpoint or (RUN if RUN.exists() else Path(weights.DEFAULT))
+    checkpoint = (
+        None if predictions else checkpoint or (RUN_FOLDER if RUN_FOLDER.exists() else Path(weights.DEFAULT_WEIGHTS))
+    )
     out = out or _default_out(checkpoint)
     if out.exists() and not out.is_dir():
         raise UserError(f"--out: {out} is a file, expected a folder")
-    truth = read_inputs.read_annotations(annotations) if annotations else read_inputs.read_dataset(data or DATA, splits)
+    truth = (
+        read_inputs.read_annotations(annotations)
+        if annotations
+        else read_inputs.read_dataset(data or DATA_FOLDER, splits)
+    )
     scheme = scheme or truth.scheme.name
     options = replace(options, scheme=truth.scheme, points=read_inputs.scheme_points(scheme, truth.scheme))
     evaluate(
@@ -231,14 +248,14 @@ def evaluate_or_score(
             truth=truth,
             out=out,
             options=options,
-            protocol=protocol or (PAPER if compare else "pooled"),
+            protocol=protocol or (PAPER_PROTOCOL if compare else "pooled"),
             checkpoint=checkpoint,
             predictions=predictions,
-            settings=hardware.settings(given=boxes == GIVEN),
+            settings=hardware.settings(given=boxes == GIVEN_BOXES),
             fast=fast,
             max_images=max_images,
             scheme=scheme,
-            beside_paper=compare == PAPER,
+            beside_paper=compare == PAPER_PROTOCOL,
         ),
         console,
         width=shutil.get_terminal_size((120, 24)).columns,
@@ -266,7 +283,13 @@ def _refuse_mixtures(
             raise UserError(f"{a} and {b} do not go together: {why}")
 
     clash("--predictions", "--checkpoint", predictions, checkpoint, "results are scored as they are")
-    clash("--predictions", "--boxes given", predictions, boxes == GIVEN, "only a checkpoint can be run on given boxes")
+    clash(
+        "--predictions",
+        "--boxes given",
+        predictions,
+        boxes == GIVEN_BOXES,
+        "only a checkpoint can be run on given boxes",
+    )
     clash("--annotations", "--data", annotations, data, "each says what the ground truth is")
     clash("--annotations", "--split", annotations, splits, "an annotation file is one split")
     if annotations and not predictions:
@@ -279,5 +302,5 @@ def _default_out(checkpoint: Path | None) -> Path:
     if not checkpoint:
         return Path("eval")
     shipped = str(checkpoint) in weights.names() and not checkpoint.exists()
-    run = RUN.parent / checkpoint if shipped else checkpoint
+    run = RUN_FOLDER.parent / checkpoint if shipped else checkpoint
     return (run.parent if run.is_file() else run) / "eval"

@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any, Final
 
-from skope.detector.network_settings import BACKENDS, PRECISIONS
+from skope.detector.network_settings import BACKEND_CHOICES, PRECISION_CHOICES
 from skope.errors import UserError
 from skope.terminal.command_options import panel
 
@@ -41,20 +41,21 @@ def check_probability(flag: str, value: float) -> None:
 
 data_option, counts, output, machine = map(panel, ("Data", "What counts", "Output", "Machine"))
 
-PAPER = "paper"
-PROTOCOL_CHOICES = ("pooled", PAPER)
+PAPER_PROTOCOL = "paper"
+PROTOCOL_CHOICES = ("pooled", PAPER_PROTOCOL)
 """Ways in which figures of images become one: sums over the split, or the mean of each image's as in the paper."""
 
 BackendOption = Annotated[
     str,
     machine(
-        choices=BACKENDS, help="What computes the costly parts; auto: OpenVINO where it is installed and no GPU is."
+        choices=BACKEND_CHOICES,
+        help="What computes the costly parts; auto: OpenVINO where it is installed and no GPU is.",
     ),
 ]
 PrecisionOption = Annotated[
     str,
     machine(
-        choices=PRECISIONS,
+        choices=PRECISION_CHOICES,
         help="Of the costly parts; auto: the fastest that backend, processor and checkpoint have.",
     ),
 ]

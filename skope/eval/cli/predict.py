@@ -8,11 +8,11 @@ from typing import Annotated
 import typer
 
 from skope.detector import weights
-from skope.detector.network_settings import TILES
+from skope.detector.network_settings import TILE_CHOICES
 from skope.errors import UserError
 from skope.eval.cli.options import FastMachineOptions, check_probability, counts, data_option, output
 from skope.eval.cli.scene_options import CameraOption
-from skope.terminal.command_options import DIR, PREDICTED
+from skope.terminal.command_options import DIR_METAVAR, PREDICTION_FOLDER
 from skope.terminal.console import Console
 
 
@@ -27,7 +27,8 @@ def predict(
         data_option(
             metavar="PATH",
             help="Checkpoint file, run folder for its newest one, or weights that come with skope.",
-            show_default=f"{weights.DEFAULT}; of a live stream the first of {', '.join(weights.BY_ACCURACY)} that "
+            show_default=f"{weights.DEFAULT_WEIGHTS}; of a live stream the first of "
+            f"{', '.join(weights.BY_ACCURACY)} that "
             "keeps up",
         ),
     ] = None,
@@ -44,7 +45,7 @@ def predict(
     ] = None,
     tiles: Annotated[
         str,
-        counts(choices=TILES, help="auto: look at parts too where the image is larger than in the network."),
+        counts(choices=TILE_CHOICES, help="auto: look at parts too where the image is larger than in the network."),
     ] = "none",
     score: Annotated[float, output(help="Keep detections above this.")] = 0.5,
     unconfirmed: Annotated[
@@ -65,7 +66,7 @@ def predict(
     blur: Annotated[bool, output("--blur", help="Blur plates, glass and heads in the overlay.")] = False,
     out: Annotated[
         Path | None,
-        output(metavar=DIR, help="Where to write.", show_default=f"{PREDICTED}/ and the source's name"),
+        output(metavar=DIR_METAVAR, help="Where to write.", show_default=f"{PREDICTION_FOLDER}/ and the source's name"),
     ] = None,
     hardware: FastMachineOptions,
     console: Console,
@@ -81,7 +82,7 @@ def predict(
     if overlay and footage.live:
         raise UserError("--overlay: a live stream cannot be read again; record it to a file first")
     settings = hardware.settings(tiles=tiles)
-    out = out or PREDICTED / (Path(footage.name).stem or "images")
+    out = out or PREDICTION_FOLDER / (Path(footage.name).stem or "images")
     fixed = None
     if camera:
         size = footage.frame_size()

@@ -6,20 +6,20 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from skope.dataset.folder import FRAMES, PREDICTIONS
+from skope.dataset.folder import FRAMES_FILE, PREDICTIONS_FILE
 from skope.errors import UserError
 from skope.eval.cli.options import check_pixels, check_probability, counts, data_option, numbers_of, output
 from skope.files.output_folders import claim_output
-from skope.terminal.command_options import DIR, FILE_METAVAR
+from skope.terminal.command_options import DIR_METAVAR, FILE_METAVAR
 from skope.terminal.console import Console
 
 if TYPE_CHECKING:
     from skope.pose.keypoint_views import Scene
 
-_FITTED = ("auto", "fit")
+FITTED_CHOICES = ("auto", "fit")
 _HIGHEST_M = 10_000.0
 
-OutOption = Annotated[Path, output(metavar=DIR, help="Where to write.")]
+OutOption = Annotated[Path, output(metavar=DIR_METAVAR, help="Where to write.")]
 CameraOption = Annotated[
     Path | None,
     data_option(
@@ -102,7 +102,7 @@ class SceneOptions(KeypointOptions):
             console.result(f"{scene.file.name}: {scene.motion}")
         if scene.known:
             console.result(doubt(self.camera or scene.file.name, scene.known.ways_sigma()))
-        if self.ground in _FITTED:
+        if self.ground in FITTED_CHOICES:
             scene, words = with_fitted_ground(scene, self.ground, score=self.score, noise=noise[0], sigma_px=self.sigma)
             if words:
                 console.result(words)
@@ -118,14 +118,14 @@ class SceneOptions(KeypointOptions):
 
     def claim_output(self, out: Path, command: str, **options: Any) -> None:
         """Take the output folder of a command for these options and `options`."""
-        inputs = [self.folder / FRAMES, self.folder / PREDICTIONS] if self.folder else []
+        inputs = [self.folder / FRAMES_FILE, self.folder / PREDICTIONS_FILE] if self.folder else []
         inputs += [path for path in (self.annotations, self.predictions, self.camera) if path]
         claim_output(out, command, inputs, {"ground": self.ground, **options, "score": self.score, "sigma": self.sigma})
 
 
 def _ground(text: str) -> float | None:
     """Height of the plane to begin with; None: no plane."""
-    if text in _FITTED:
+    if text in FITTED_CHOICES:
         return 0.0
     if text == "none":
         return None

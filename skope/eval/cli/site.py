@@ -6,7 +6,7 @@ from typing import Annotated, Any
 import typer
 
 from skope.errors import UserError
-from skope.terminal.command_options import FILE_METAVAR, SITE_FILE, SIZE, PortOption, option
+from skope.terminal.command_options import FILE_METAVAR, SITE_FILE, SIZE_METAVAR, PortOption, option
 from skope.terminal.console import Console
 
 
@@ -28,7 +28,9 @@ def site(
     ] = None,
     size: Annotated[
         str | None,
-        option(metavar=SIZE, help="Size of the empty canvas where there is no footage.", show_default="800x600"),
+        option(
+            metavar=SIZE_METAVAR, help="Size of the empty canvas where there is no footage.", show_default="800x600"
+        ),
     ] = None,
     port: PortOption = None,
 ) -> None:

@@ -5,7 +5,7 @@ from typing import Annotated
 from skope.errors import UserError
 from skope.eval.cli.options import counts, data_option, numbers_of, output
 from skope.eval.cli.scene_options import NoiseOption, OutOption, SceneOptions
-from skope.terminal.command_options import DEFAULT_TRACKS, LIST, POSES
+from skope.terminal.command_options import DEFAULT_TRACKS, LIST_METAVAR, POSE_FOLDER
 from skope.terminal.console import Console
 
 
@@ -14,9 +14,9 @@ def pose(
     console: Console,
     noise: Annotated[
         str,
-        counts(metavar=LIST, help="Pixels of noise added to ground-truth keypoints; several: measure each."),
+        counts(metavar=LIST_METAVAR, help="Pixels of noise added to ground-truth keypoints; several: measure each."),
     ] = "0",
-    out: OutOption = POSES,
+    out: OutOption = POSE_FOLDER,
 ) -> None:
     """Position, heading and size of each vehicle in metres; with a ground truth, also how far off they are."""
     from skope.pose.pose_footage import PoseJob, locate_footage

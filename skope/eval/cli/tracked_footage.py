@@ -5,7 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from skope.dataset.folder import FRAMES, SKIPPED
+from skope.dataset.folder import FRAMES_FILE, SKIPPED_KEY
 from skope.errors import UserError
 from skope.eval.cli.options import MachineOptions
 from skope.eval.cli.scene_options import SceneOptions
@@ -80,7 +80,7 @@ def skipped_lines(folder: Path) -> list[str]:
     """Lines of `skope eval predict` on what could not be read in the footage whose frames lie in a folder."""
     from skope.dataset import coco
 
-    return list(map(str, coco.read(folder / FRAMES).info.get(SKIPPED, ())))
+    return list(map(str, coco.read(folder / FRAMES_FILE).info.get(SKIPPED_KEY, ())))
 
 
 def detected_footage(
@@ -116,7 +116,7 @@ def detected_footage(
 
     claim_output(out, command, [site.path], {**options, "source": content_of(footage), "checkpoint": str(checkpoint)})
     seen = out / SEEN_NAME
-    if (seen / FRAMES).is_file() and not (seen / PROGRESS_FILE).exists():
+    if (seen / FRAMES_FILE).is_file() and not (seen / PROGRESS_FILE).exists():
         console.say(f"{seen}: has the detections of {footage.name}")
         return seen
     job = PredictJob(footage=footage, checkpoint=checkpoint, out=seen, settings=hardware.settings(tiles="none"))

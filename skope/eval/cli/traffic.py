@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 
-from skope.dataset.folder import FRAMES, PREDICTIONS
+from skope.dataset.folder import FRAMES_FILE, PREDICTIONS_FILE
 from skope.detector import weights
 from skope.errors import UserError
 from skope.eval.cli.options import FastMachineOptions, data_option, output
 from skope.files.atomic import sha256_of
 from skope.files.output_folders import claim_output
-from skope.terminal.command_options import DIR, FILE_METAVAR, LIST, SITE_FILE, TRAFFIC
+from skope.terminal.command_options import DIR_METAVAR, FILE_METAVAR, LIST_METAVAR, SITE_FILE, TRAFFIC_FOLDER
 from skope.terminal.console import Console
 
 if TYPE_CHECKING:
@@ -25,8 +25,8 @@ if TYPE_CHECKING:
     from skope.traffic.road_picture import EmptyRoadPicture
     from skope.traffic.traffic_report import TrafficReport
 
-_COMMAND: Final = "skope eval traffic"
-_BEGINS: Final = "--begins"
+COMMAND_NAME: Final = "skope eval traffic"
+BEGINS_FLAG: Final = "--begins"
 
 
 def traffic(
@@ -62,16 +62,16 @@ def traffic(
     ] = None,
     checkpoint: Annotated[
         Path, data_option(metavar="PATH", help="Of footage: what to detect with, as `skope eval predict` takes it.")
-    ] = Path(weights.DEFAULT),
+    ] = Path(weights.DEFAULT_WEIGHTS),
     also: Annotated[
         str,
         output(
-            metavar=LIST,
+            metavar=LIST_METAVAR,
             help="Also the files of other programs: excel, parquet, geojson, openlabel, otanalytics, ssam, sumo.",
             show_default="none",
         ),
     ] = "",
-    out: Annotated[Path, output(metavar=DIR, help="Where to write.")] = TRAFFIC,
+    out: Annotated[Path, output(metavar=DIR_METAVAR, help="Where to write.")] = TRAFFIC_FOLDER,
     hardware: FastMachineOptions,
     console: Console,
 ) -> None:
@@ -106,7 +106,7 @@ def _report(
     if len(sources) > 1 or (folder / TRACKS_CSV).is_file() or (folder.is_dir() and (folder / FOOTAGE_FILE).is_file()):
         return _report_of_tracks([Path(one) for one in sources], site, begins, hand_count, out, formats)
     start = _only_begin(begins, site)
-    if (folder / FRAMES).is_file():
+    if (folder / FRAMES_FILE).is_file():
         return _report_in_image(folder, site, start, hand_count, out, also)
     return _report_of_footage(sources[0], site, start, hand_count, out, formats, also, checkpoint, hardware, console)
 
@@ -134,7 +134,7 @@ def _report_of_tracks(
     from skope.traffic.observation import track_files
     from skope.traffic.recordings import read_recordings
 
-    footage = read_recordings(folders, begins, site, _BEGINS)
+    footage = read_recordings(folders, begins, site, BEGINS_FLAG)
     observation, start = footage.observation, footage.start
     counted = _counted_by_hand(hand_count, site, gates_on_road(site.gates), start, observation)
     # Of several the files alone do not tell which of them began when.
@@ -142,7 +142,7 @@ def _report_of_tracks(
     options = _options(several or _isoformat(_only_begin(begins, site)), hand_count)
     ordered = [one.folder for one in footage.recordings] or folders
     inputs = [*(path for folder in ordered for path in track_files(folder)), site.path]
-    claim_output(out, _COMMAND, inputs, options)
+    claim_output(out, COMMAND_NAME, inputs, options)
     further = _claimed(out, inputs, options, site, formats)
     report = measure(footage.tracks, observation, site, start, counted, recordings=footage.recordings)
     source = list(map(str, ordered)) if footage.recordings else str(folders[0])
@@ -179,8 +179,9 @@ def _report_of_footage(
     again = out / (SEEN_NAME if site.camera is None else TRACKS_NAME)
     if hand_count is not None:
         raise UserError(
-            f"--hand-count: needs a folder, not footage: `{_COMMAND} {source} --site {site.path} --out {out}` first, "
-            f"then `{_COMMAND} {again} --site {site.path}` with --hand-count and another --out"
+            f"--hand-count: needs a folder, not footage: `{COMMAND_NAME} {source} --site {site.path} --out "
+            f"{out}` first, "
+            f"then `{COMMAND_NAME} {again} --site {site.path}` with --hand-count and another --out"
         )
     draw = f"`skope eval site {source} --site {site.path}`"
     if site.camera is None and not any(gate.pixels for gate in site.gates):
@@ -190,7 +191,7 @@ def _report_of_footage(
         )
     if not site.gates:
         console.warn(
-            f"{site.path}: has no gates: nothing will be counted; {draw} draws them, and `{_COMMAND} {again}` then "
+            f"{site.path}: has no gates: nothing will be counted; {draw} draws them, and `{COMMAND_NAME} {again}` then "
             "counts without detecting again"
         )
     options = _options(_isoformat(start), None)
@@ -199,10 +200,10 @@ def _report_of_footage(
     footage = recorded_video(source)
     site = site_at_size(site, footage, console)
     if site.camera is None:
-        folder = detected_footage(footage, site, checkpoint, hardware, out, _COMMAND, options, console)
+        folder = detected_footage(footage, site, checkpoint, hardware, out, COMMAND_NAME, options, console)
         yield from _counted_in_image(folder, source, site, start, None, out, also, options)
         return
-    folder = tracked_footage(footage, site, checkpoint, hardware, out, _COMMAND, options, console)
+    folder = tracked_footage(footage, site, checkpoint, hardware, out, COMMAND_NAME, options, console)
     observation = read_observation(folder)
     tracks = read_tracks(folder / TRACKS_CSV)
     further = _claimed(out, [*track_files(folder), site.path], options, site, formats)
@@ -224,7 +225,7 @@ def _claimed(
     """
     camera = None if site.camera is None else site.camera.camera.to_dict()
     for name in formats:
-        claim_output(out / name, _COMMAND, inputs, {**options, "camera": camera})
+        claim_output(out / name, COMMAND_NAME, inputs, {**options, "camera": camera})
     return {name: out / name for name in formats}
 
 
@@ -285,7 +286,7 @@ def _report_in_image(
             f"{folder}: holds what `skope eval predict` found, in pixels: `skope eval track {folder}` makes tracks in "
             f"metres of it where the camera is known; without, {site.path} needs gates with `pixels`"
         )
-    images = coco.read(folder / FRAMES).images
+    images = coco.read(folder / FRAMES_FILE).images
     if images:
         site = gates_at_size(site, (images[0].width, images[0].height))
     options = _options(_isoformat(start), hand_count)
@@ -323,14 +324,14 @@ def _counted_in_image(
     tracks, observation, notes = read_image_trajectories(folder, gates)
     begin = begin_of(start, observation, site)
     counted = _counted_by_hand(hand_count, site, gates, begin, observation)
-    inputs = [folder / FRAMES, folder / PREDICTIONS, site.path]
+    inputs = [folder / FRAMES_FILE, folder / PREDICTIONS_FILE, site.path]
     if claim:
-        claim_output(out, _COMMAND, inputs, options)
+        claim_output(out, COMMAND_NAME, inputs, options)
     further = _claimed(out, inputs, options, site, formats)
     report = _with_skipped(count_in_image(tracks, observation, site, begin, counted), skipped_lines(folder))
     report = replace(report, refused=(*report.refused, *notes))
     try:
-        road = empty_road(folder, coco.read(folder / FRAMES))
+        road = empty_road(folder, coco.read(folder / FRAMES_FILE))
         view = None if road is None else empty_road_picture(road, observation.times_s)
     except UserError as error:
         view = None
@@ -360,5 +361,5 @@ def _only_begin(begins: list[str], site: "SiteFile") -> datetime | None:
     from skope.traffic.recordings import said_begin
 
     if len(begins) > 1:
-        raise UserError(f"{_BEGINS}: expected one time for one recording, got {len(begins)}")
-    return said_begin(begins[0], site, _BEGINS) if begins else None
+        raise UserError(f"{BEGINS_FLAG}: expected one time for one recording, got {len(begins)}")
+    return said_begin(begins[0], site, BEGINS_FLAG) if begins else None

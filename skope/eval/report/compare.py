@@ -16,18 +16,18 @@ from skope.eval.report.table import evidence, ratio_text
 from skope.files.json_files import read_json
 from skope.metrics import pck_precision_recall
 from skope.metrics.intervals import Blocks, difference
-from skope.metrics.keypoint_outcomes import PROTOCOLS
-from skope.metrics.outcome_counts import FIGURES, Name, Tally, quotients, ratio
+from skope.metrics.keypoint_outcomes import PROTOCOL_NAMES
+from skope.metrics.outcome_counts import FIGURE_NAMES, Name, Tally, quotients, ratio
 from skope.metrics.split_scores import from_tallies
 from skope.terminal.console import text_table
 
 T = TypeVar("T")
 
-TALLIES: Final = "tallies.json"
-METRICS: Final = "metrics.json"
+TALLIES_FILE: Final = "tallies.json"
+METRICS_FILE: Final = "metrics.json"
 # Evaluations that differ in one of these measure different things; those that differ in the scores from which a
 # detection or a keypoint counts may well be compared: each detector has its own scale.
-_ALIKE: Final = ("alpha", "labelled", "boxes", "points")
+SAME_OPTIONS: Final = ("alpha", "labelled", "boxes", "points")
 _CATEGORY_FIGURES: Final = {"precision": "precision", "recall": "recall", "ap": "box AP", "ap50": "box AP50"}
 
 
@@ -44,18 +44,19 @@ class Run:
 def read_run(folder: Path) -> Run:
     """Read what `skope eval` wrote to a folder; a UserError names what is missing or of another version."""
     documents = {}
-    for name in (METRICS, TALLIES):
+    for name in (METRICS_FILE, TALLIES_FILE):
         path = folder / name
         documents[name] = document = read_json(path)
         if (
             not isinstance(document, dict)
-            or document.get("version") != pck_precision_recall.METRICS_VERSION
+            or document.get("version") != pck_precision_recall.METRIC_RULES.version
             or "splits" not in document
         ):
             raise UserError(
-                f"{path}: not a file of `skope eval` of version {pck_precision_recall.METRICS_VERSION}; evaluate again"
+                f"{path}: not a file of `skope eval` of version {pck_precision_recall.METRIC_RULES.version}; "
+                f"evaluate again"
             )
-    return Run(name=str(folder), metrics=documents[METRICS], tallies=documents[TALLIES]["splits"])
+    return Run(name=str(folder), metrics=documents[METRICS_FILE], tallies=documents[TALLIES_FILE]["splits"])
 
 
 def compare(folders: Sequence[Path]) -> dict[str, Any]:
@@ -68,7 +69,7 @@ def compare(folders: Sequence[Path]) -> dict[str, Any]:
     runs = [read_run(folder) for folder in folders]
     first = runs[0]
     for run in runs[1:]:
-        for name in _ALIKE:
+        for name in SAME_OPTIONS:
             ours, theirs = first.metrics.get(name), run.metrics.get(name)
             if ours != theirs:
                 raise UserError(f"{first.name} and {run.name} differ in {name}: {ours} and {theirs}")
@@ -76,7 +77,7 @@ def compare(folders: Sequence[Path]) -> dict[str, Any]:
     if not splits:
         raise UserError(f"{' and '.join(run.name for run in runs)} have no split in common")
     return {
-        "version": pck_precision_recall.METRICS_VERSION,
+        "version": pck_precision_recall.METRIC_RULES.version,
         "runs": [run.name for run in runs],
         "alpha": first.metrics["alpha"],
         "score_thresholds": [run.metrics["score_threshold"] for run in runs],
@@ -100,8 +101,8 @@ def _split(runs: Sequence[Run], split: str) -> dict[str, Any]:
 
 def _aligned(first: Run, run: Run, split: str) -> tuple[Blocks, dict[str, Tally]]:
     """Blocks and counts of a run, its images in the order of the first run's."""
-    path = Path(run.name) / TALLIES
-    reference = _valid(Path(first.name) / TALLIES, lambda: list(first.tallies[split]["image_ids"]))
+    path = Path(run.name) / TALLIES_FILE
+    reference = _valid(Path(first.name) / TALLIES_FILE, lambda: list(first.tallies[split]["image_ids"]))
     image_ids = _valid(path, lambda: list(run.tallies[split]["image_ids"]))
     if sorted(image_ids) != sorted(reference):
         raise UserError(f"{path}: split {split}: not the images of {first.name}")
@@ -142,7 +143,7 @@ def _differences(blocks: Blocks, runs: Sequence[Tally]) -> list[dict[str, Any]]:
                 for run_columns in columns[1:]
             ],
         }
-        for name in FIGURES
+        for name in FIGURE_NAMES
     ]
 
 
@@ -160,7 +161,7 @@ def _minus(b: float | None, a: float | None) -> float | None:
 
 def render_comparison(document: Mapping[str, Any], protocol: str) -> str:
     """A table per split: a row per threshold and figure, a column per run, and the differences from the first."""
-    one_of("--protocol", protocol, PROTOCOLS)
+    one_of("--protocol", protocol, PROTOCOL_NAMES)
     letters = [chr(ord("A") + i) if i < 26 else str(i) for i in range(len(document["runs"]))]
     scores = document["score_thresholds"]
     lines = [f"{a}  {name}  (score > {s:g})" for a, name, s in zip(letters, document["runs"], scores, strict=True)]

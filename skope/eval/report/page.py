@@ -9,9 +9,9 @@ import numpy as np
 
 from skope.eval.report.gallery import gallery
 from skope.eval.report.table import AREA_WORDS, FIGURE_COLUMNS, evidence, published_row, road_user_rows, row_of
-from skope.metrics.keypoint_outcomes import PROTOCOLS, Options
+from skope.metrics.keypoint_outcomes import PROTOCOL_NAMES, Options
 from skope.metrics.match import match
-from skope.metrics.pck_precision_recall import AT_PRECISION
+from skope.metrics.pck_precision_recall import METRIC_RULES
 from skope.metrics.road_users import AP50_IOU
 from skope.metrics.score_reliability import curve
 from skope.metrics.split_scores import SplitScores
@@ -186,11 +186,11 @@ def _figures(document: Mapping[str, Any], protocol: str, beside: Mapping[str, An
     """The table in both protocols, one shown at a time, and the counts."""
     choices = "".join(
         f'<label><input type="radio" name="protocol" value="{p}"{" checked" if p == protocol else ""}> {p}</label>'
-        for p in PROTOCOLS
+        for p in PROTOCOL_NAMES
     )
     panels = [
         tag("div", _table(document, p, beside), data_protocol=p, hidden=None if p == protocol else "hidden")
-        for p in PROTOCOLS
+        for p in PROTOCOL_NAMES
     ]
     meaning = (
         "pooled: sums over the whole split, the figures to decide by; paper: the mean of each image's own figures, as "
@@ -207,7 +207,7 @@ def _figures(document: Mapping[str, Any], protocol: str, beside: Mapping[str, An
     splits = document["splits"].values()
     counts = [[words, *(str(split[key]) for split in splits)] for key, words in _COUNTS.items()]
     counts += [[words, *(plain(split["coco"][key]) for split in splits)] for key, words in _PRECISIONS.items()]
-    for precision in (f"{p:g}" for p in AT_PRECISION):
+    for precision in (f"{p:g}" for p in METRIC_RULES.at_precision):
         recalls = [plain(split["recall_at_precision"][precision]) for split in splits]
         counts.append([f"box recall at precision {precision}", *recalls])
     return tag(

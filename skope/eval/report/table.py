@@ -7,9 +7,9 @@ from importlib import resources
 from typing import Any, Final
 
 from skope.errors import one_of
-from skope.metrics.intervals import ENOUGH_SITES
-from skope.metrics.keypoint_outcomes import PROTOCOLS
-from skope.metrics.pck_precision_recall import AT_PRECISION
+from skope.metrics.intervals import BOOTSTRAP_RULES
+from skope.metrics.keypoint_outcomes import PROTOCOL_NAMES
+from skope.metrics.pck_precision_recall import METRIC_RULES
 from skope.metrics.road_users import AP50_IOU
 from skope.terminal.console import text_table
 
@@ -60,7 +60,7 @@ def render_table(
     Raises:
         UserError: There is no such protocol.
     """
-    one_of("--protocol", protocol, PROTOCOLS)
+    one_of("--protocol", protocol, PROTOCOL_NAMES)
     splits = list(metrics["splits"].items())
     side_by_side = max(1, (width - _MARGIN_CHARS + len(_BLOCK_GAP)) // (_BLOCK_CHARS + len(_BLOCK_GAP)))
     lines = [f"Protocol: {_MEANING[protocol]}"]
@@ -126,7 +126,7 @@ def _counts(splits: Mapping[str, Any], score: float) -> list[str]:
         + [ratio_text(value) for value in (*split["coco"].values(), *split["recall_at_precision"].values())]
         for name, split in splits.items()
     ]
-    recalls = [f"recall at precision {p:g}" for p in AT_PRECISION]
+    recalls = [f"recall at precision {p:g}" for p in METRIC_RULES.at_precision]
     return text_table([*head, "box AP", "box AP50", "keypoint AP", "keypoint AP50", *recalls], rows)
 
 
@@ -217,7 +217,7 @@ def evidence(intervals: Mapping[str, Any]) -> str:
         return words + " of one recording: this infers to no other weather, light or site"
     if sites == 1:
         return words + " of one site: this infers to no other site"
-    if sites is not None and sites < ENOUGH_SITES:
+    if sites is not None and sites < BOOTSTRAP_RULES.enough_sites:
         return words + f" of {sites} sites: too few to infer to others"
     return words
 

@@ -7,14 +7,14 @@ from typing import Any
 
 from skope import keypoints, schema
 from skope.dataset import coco
-from skope.dataset.folder import CARD, FRAMES, MANIFEST, PREDICTIONS
+from skope.dataset.folder import CARD_FILE, FRAMES_FILE, MANIFEST_FILE, PREDICTIONS_FILE
 from skope.dataset.image_selection import part
 from skope.detections import apart
 from skope.errors import UserError
 from skope.eval.report import compare
 from skope.files.atomic import sha256_of
 from skope.files.json_files import read_json
-from skope.files.output_folders import WORK
+from skope.files.output_folders import WORK_FILE
 from skope.metrics import read_inputs
 from skope.metrics.keypoint_outcomes import Options
 from skope.metrics.read_inputs import GroundTruth
@@ -27,8 +27,8 @@ from skope.viewer.collection import Collection, Picture, ShownSplit, encoded, re
 
 def footage_collection(folder: Path) -> Collection:
     """The frames of a folder that `skope eval predict` wrote, and what was found in them."""
-    file = replace(coco.read(folder / FRAMES), name="")  # footage is no split
-    results, others = apart(read_inputs.read_all_results(folder / PREDICTIONS, file))
+    file = replace(coco.read(folder / FRAMES_FILE), name="")  # footage is no split
+    results, others = apart(read_inputs.read_all_results(folder / PREDICTIONS_FILE, file))
     users = tuple(_as_label(number, other) for number, other in enumerate(others, start=1))
     known = schema.checked_categories({*file.categories, *(user.category for user in users)})
     file = replace(file, road_users=users, categories=known)
@@ -56,7 +56,7 @@ def _as_label(number: int, found: RoadUserResult) -> RoadUser:
 
 def _checkpoint(folder: Path) -> str:
     """The name of the checkpoint that was run, if the folder says it."""
-    work = read_json(folder / WORK) if (folder / WORK).is_file() else None
+    work = read_json(folder / WORK_FILE) if (folder / WORK_FILE).is_file() else None
     inputs = work.get("inputs") if isinstance(work, dict) else None
     return "/".join(Path(next(iter(inputs))).parts[-2:]) if isinstance(inputs, dict) and inputs else "a detector"
 
@@ -69,9 +69,11 @@ def _pictures(folder: Path, found_at: Any) -> Callable[[Image], Picture]:
 
     def picture(image: Image) -> Picture:
         if source is None:
-            raise UserError(f"{folder / FRAMES}: info.{FOUND_AT}: does not say where the images are; predict again")
+            raise UserError(
+                f"{folder / FRAMES_FILE}: info.{FOUND_AT}: does not say where the images are; predict again"
+            )
         if not source.is_dir():
-            raise UserError(f"{source}: no such file or folder, but {folder / FRAMES} is of it")
+            raise UserError(f"{source}: no such file or folder, but {folder / FRAMES_FILE} is of it")
         return read_picture(source / image.file_name)
 
     return picture
@@ -84,19 +86,21 @@ def read_results_folder(folder: Path, console: Console) -> Collection:
     """
     if not folder.is_dir():
         raise UserError(f"{folder}: no such folder; `skope eval --out {folder}` makes it")
-    if (folder / compare.METRICS).is_file():
+    if (folder / compare.METRICS_FILE).is_file():
         return _evaluation(folder, console)
-    if (folder / FRAMES).is_file():
+    if (folder / FRAMES_FILE).is_file():
         return footage_collection(folder)
-    raise UserError(f"{folder}: neither {compare.METRICS} of `skope eval` nor {FRAMES} of `skope eval predict` in it")
+    raise UserError(
+        f"{folder}: neither {compare.METRICS_FILE} of `skope eval` nor {FRAMES_FILE} of `skope eval predict` in it"
+    )
 
 
 def _evaluation(folder: Path, console: Console) -> Collection:
     run = compare.read_run(folder)
-    path = folder / compare.METRICS
+    path = folder / compare.METRICS_FILE
     inputs = _inputs(path, run.metrics)
     if not isinstance(run.metrics["splits"], dict) or not isinstance(run.tallies, dict):
-        raise UserError(f"{folder}: {compare.METRICS}, {compare.TALLIES}: splits: expected an object")
+        raise UserError(f"{folder}: {compare.METRICS_FILE}, {compare.TALLIES_FILE}: splits: expected an object")
     truth = _ground_truth(path, inputs, list(run.metrics["splits"]))
     options = _options(path, run.metrics, truth)
     scored = [Path(name) for name in list(inputs)[len(truth.sources) :]]
@@ -108,7 +112,7 @@ def _evaluation(folder: Path, console: Console) -> Collection:
         _check_unchanged(path, given, inputs)
     splits = []
     for file in console.bar(truth.splits, unit="split", label="reading"):
-        shown = _evaluated(folder / compare.TALLIES, run.tallies, file)
+        shown = _evaluated(folder / compare.TALLIES_FILE, run.tallies, file)
         results = _results(given or folder / f"predictions_{file.name}.json", file, run.metrics["scheme"])
         splits.append(ShownSplit(file=shown, results=read_inputs.for_images(results, shown)))
     names = ", ".join(file.name for file in truth.splits)
@@ -133,9 +137,9 @@ def _inputs(path: Path, metrics: Mapping[str, Any]) -> dict[str, str]:
 def _ground_truth(path: Path, inputs: Mapping[str, str], names: Sequence[str]) -> GroundTruth:
     """The ground truth of the splits `names`, which must still be what was evaluated."""
     source = Path(next(iter(inputs)))
-    roots = [source.parent] if source.name == MANIFEST else []
+    roots = [source.parent] if source.name == MANIFEST_FILE else []
     roots += [source.parent.parent] if source.parent.name == "annotations" else []
-    root = next((root for root in roots if (root / CARD).is_file()), None)
+    root = next((root for root in roots if (root / CARD_FILE).is_file()), None)
     _check_unchanged(path, source, inputs)
     truth = read_inputs.read_dataset(root, names) if root else read_inputs.read_annotations(source)
     for other in truth.sources[1:]:

@@ -12,7 +12,15 @@ from skope.errors import UserError
 from skope.files.output_folders import replaceable_output
 from skope.gen.cli import inspect, sites, vehicles
 from skope.gen.cli.options import DatasetOptions, RendererOption, WorkerOptions, machine, output
-from skope.terminal.command_options import DATA, DIR, FILE_METAVAR, LIST, Commands, JsonOption, option
+from skope.terminal.command_options import (
+    DATA_FOLDER,
+    DIR_METAVAR,
+    FILE_METAVAR,
+    LIST_METAVAR,
+    Commands,
+    JsonOption,
+    option,
+)
 from skope.terminal.console import Console, counted
 
 if TYPE_CHECKING:
@@ -36,10 +44,14 @@ def convert(
     ] = None,
     images: Annotated[
         Path | None,
-        option(metavar=DIR, help="Where the images of --from coco or cvat lie.", show_default="beside the annotations"),
+        option(
+            metavar=DIR_METAVAR,
+            help="Where the images of --from coco or cvat lie.",
+            show_default="beside the annotations",
+        ),
     ] = None,
     keypoints: Annotated[
-        str | None, option(metavar=LIST, help="Names of the keypoints of --to yolo.", show_default="all")
+        str | None, option(metavar=LIST_METAVAR, help="Names of the keypoints of --to yolo.", show_default="all")
     ] = None,
     split: Annotated[str | None, option(metavar="NAME", help="Split for all that is read.")] = None,
     stored_pixels: Annotated[
@@ -94,7 +106,7 @@ for command in (
 LONG_RECORDING: Final = 150
 """Frames of a recording from which it is said that they show one light only; the presets' have up to 105."""
 
-OutOption = Annotated[Path, output(metavar=DIR, help="Dataset folder.")]
+OutOption = Annotated[Path, output(metavar=DIR_METAVAR, help="Dataset folder.")]
 
 
 @app.callback()
@@ -102,7 +114,7 @@ def gen(
     dataset: DatasetOptions,
     workers: WorkerOptions,
     console: Console,
-    out: OutOption = DATA,
+    out: OutOption = DATA_FOLDER,
     dry_run: Annotated[
         bool, machine("--dry-run", help="Only say how many images, how much disk and how long; write nothing.")
     ] = False,
@@ -127,7 +139,7 @@ def gen(
 
 
 @app.command()
-def simulate(dataset: DatasetOptions, workers: WorkerOptions, console: Console, out: OutOption = DATA) -> None:
+def simulate(dataset: DatasetOptions, workers: WorkerOptions, console: Console, out: OutOption = DATA_FOLDER) -> None:
     """Make the recordings only; `skope gen render` draws them, here or on a machine without SUMO and pybullet."""
     from skope.gen.pipeline.generate import simulate_dataset
 
@@ -142,7 +154,9 @@ def simulate(dataset: DatasetOptions, workers: WorkerOptions, console: Console, 
 def render(
     workers: WorkerOptions,
     console: Console,
-    dataset: Annotated[Path, typer.Argument(metavar="DATASET", help="Folder that `skope gen simulate` made.")] = DATA,
+    dataset: Annotated[
+        Path, typer.Argument(metavar="DATASET", help="Folder that `skope gen simulate` made.")
+    ] = DATA_FOLDER,
     renderer: RendererOption = "auto",
 ) -> None:
     """Draw and annotate the recordings of a folder."""
@@ -168,7 +182,7 @@ def _announce(console: Console, request: "DatasetRequest", who: str) -> None:
 
 
 def _data(out: Path) -> str:
-    return "" if out == DATA else f" --data {shlex.quote(str(out))}"
+    return "" if out == DATA_FOLDER else f" --data {shlex.quote(str(out))}"
 
 
 def _next(console: Console, out: Path, wrote: str, command: str) -> None:
@@ -178,7 +192,9 @@ def _next(console: Console, out: Path, wrote: str, command: str) -> None:
 @app.command()
 def doctor(
     console: Console,
-    pictures: Annotated[Path | None, option(metavar=DIR, help="Folder for a test image of each renderer.")] = None,
+    pictures: Annotated[
+        Path | None, option(metavar=DIR_METAVAR, help="Folder for a test image of each renderer.")
+    ] = None,
     json: JsonOption = False,
 ) -> None:
     """Say what is installed, what of it works, and what to do about the rest; exit code 1 when something does not."""

@@ -11,13 +11,13 @@ import typer
 from skope.files.output_folders import replaceable_output
 from skope.gen.cli.options import HOUR_CHOICES, WEATHER_CHOICES, RendererOption, WorkerOptions, camera, output, traffic
 from skope.terminal.command_options import (
-    DATA,
-    DIR,
-    GALLERIES,
-    LIST,
-    SHEETS,
-    SIZE,
-    VIDEOS,
+    DATA_FOLDER,
+    DIR_METAVAR,
+    GALLERY_FOLDER,
+    LIST_METAVAR,
+    SHEETS_FOLDER,
+    SIZE_METAVAR,
+    VIDEO_FOLDER,
     JsonOption,
     PortOption,
     option,
@@ -46,10 +46,10 @@ def _look(dataset: "Dataset", command: str, out: Path, **how: Any) -> AbstractCo
 
 def check(
     console: Console,
-    dataset: DatasetArgument = DATA,
+    dataset: DatasetArgument = DATA_FOLDER,
     repair: Annotated[bool, option("--repair", help="Make what is broken again.")] = False,
     against: Annotated[
-        Path | None, option(metavar=DIR, help="Another dataset: say how the two differ instead.")
+        Path | None, option(metavar=DIR_METAVAR, help="Another dataset: say how the two differ instead.")
     ] = None,
     workers: Annotated[int | None, option(help="Worker processes of --repair.", show_default="one per core")] = None,
     json: JsonOption = False,
@@ -82,8 +82,8 @@ def check(
 
 def stats(
     console: Console,
-    dataset: DatasetArgument = DATA,
-    plots: Annotated[Path | None, option(metavar=DIR, help="Folder for plots (PNG).")] = None,
+    dataset: DatasetArgument = DATA_FOLDER,
+    plots: Annotated[Path | None, option(metavar=DIR_METAVAR, help="Folder for plots (PNG).")] = None,
     json: JsonOption = False,
 ) -> None:
     """Say what a dataset holds: vehicles, distances, sizes, occlusion, visible keypoints and types, split by split."""
@@ -107,11 +107,11 @@ def stats(
 
 def show(
     console: Console,
-    dataset: DatasetArgument = DATA,
+    dataset: DatasetArgument = DATA_FOLDER,
     image: Annotated[int | None, option(help="Draw the image with this id.")] = None,
     sites: Annotated[
         str | None,
-        option(metavar=LIST, help="A sheet of each of these sites instead of one of each split."),
+        option(metavar=LIST_METAVAR, help="A sheet of each of these sites instead of one of each split."),
     ] = None,
     keypoints: Annotated[bool, layer("--keypoints", help="Boxes, keypoints and skeletons.")] = False,
     boxes_3d: Annotated[bool, layer("--boxes-3d", help="3D boxes.")] = False,
@@ -120,7 +120,11 @@ def show(
     occlusion: Annotated[bool, layer("--occlusion", help="Hidden shares and reasons to ignore.")] = False,
     out: Annotated[
         Path | None,
-        option(metavar=DIR, help="Folder for the pictures.", show_default=f"{SHEETS}/ and the dataset's name"),
+        option(
+            metavar=DIR_METAVAR,
+            help="Folder for the pictures.",
+            show_default=f"{SHEETS_FOLDER}/ and the dataset's name",
+        ),
     ] = None,
 ) -> None:
     """Draw labels on images: keypoints by default, and anything else of them."""
@@ -130,7 +134,7 @@ def show(
     flags = (keypoints, boxes_3d, mask, depth, occlusion)
     layers = [name for name, wanted in zip(LAYER_NAMES, flags, strict=True) if wanted] or ["keypoints"]
     folder = open_dataset(dataset)
-    out = out or _named(SHEETS, dataset)
+    out = out or _named(SHEETS_FOLDER, dataset)
     with _look(folder, "show", out, options={"layers": layers}) as drawn:
         if image is not None:
             paths = [one_image(folder, image, layers, drawn)]
@@ -143,14 +147,16 @@ def show(
 
 def report(
     console: Console,
-    dataset: DatasetArgument = DATA,
+    dataset: DatasetArgument = DATA_FOLDER,
     max_images: Annotated[
         int,
         option(least=1, help="At most so many images, spread over splits, sites and recordings."),
     ] = 48,
     out: Annotated[
         Path | None,
-        option(metavar=DIR, help="Folder for the page.", show_default=f"{GALLERIES}/ and the dataset's name"),
+        option(
+            metavar=DIR_METAVAR, help="Folder for the page.", show_default=f"{GALLERY_FOLDER}/ and the dataset's name"
+        ),
     ] = None,
 ) -> None:
     """One page to look at a dataset: its card, numbers and plots, and images with layers to switch and to filter by."""
@@ -158,7 +164,7 @@ def report(
     from skope.gen.inspect.report import write_dataset_report
 
     folder = open_dataset(dataset)
-    out = out or _named(GALLERIES, dataset)
+    out = out or _named(GALLERY_FOLDER, dataset)
     with _look(folder, "report", out) as drawn:
         page = write_dataset_report(folder, max_images, drawn / "index.html", console)
     console.result(f"wrote {out / page.name}")
@@ -166,11 +172,11 @@ def report(
 
 def view(
     console: Console,
-    dataset: DatasetArgument = DATA,
+    dataset: DatasetArgument = DATA_FOLDER,
     split: Annotated[
         list[str] | None,
         option(
-            metavar=LIST,
+            metavar=LIST_METAVAR,
             help="Split to look at; several: repeat it or separate by commas.",
             show_default="all of them",
         ),
@@ -191,7 +197,7 @@ def video(
     seconds: Annotated[float, traffic(help="Length.")] = 30.0,
     fps: Annotated[float, traffic(help="Frames a second: 5, 8, 10, 12.5, 20, 25, 40 or 50.")] = 25.0,
     seed: Annotated[int, traffic(help="Same seed, same footage.")] = 0,
-    size: Annotated[str, camera(metavar=SIZE, help="Image size.")] = "1280x720",
+    size: Annotated[str, camera(metavar=SIZE_METAVAR, help="Image size.")] = "1280x720",
     fov: Annotated[float, camera(help="Horizontal field of view, degrees.")] = 80.0,
     weather: Annotated[
         str | None,
@@ -208,7 +214,9 @@ def video(
         bool, traffic("--road-users", help="Label people on foot and on two wheels too, and draw more of them.")
     ] = False,
     overlay: Annotated[bool, output("--overlay", help="Write a second video with the labels drawn.")] = False,
-    out: Annotated[Path, output(metavar=DIR, help="Folder for the video and its annotation file.")] = VIDEOS,
+    out: Annotated[
+        Path, output(metavar=DIR_METAVAR, help="Folder for the video and its annotation file.")
+    ] = VIDEO_FOLDER,
     renderer: RendererOption = "auto",
 ) -> None:
     """Make footage of a site, with labels of every frame."""

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Final
 
 from skope.cpu_count import usable_processors
 from skope.errors import UserError
-from skope.terminal.command_options import LIST, SITE, SIZE, panel
+from skope.terminal.command_options import LIST_METAVAR, SITE_METAVAR, SIZE_METAVAR, panel
 from skope.terminal.console import counted
 
 if TYPE_CHECKING:
@@ -44,11 +44,12 @@ class DatasetOptions:
         ),
     ] = "demo"
     seed: Annotated[int, traffic(help="Same seed, same dataset.", max=2**63 - 1)] = 0
-    sites: Annotated[str | None, traffic(metavar=LIST, help="Sites of `skope gen sites` instead of the preset's.")] = (
-        None
-    )
+    sites: Annotated[
+        str | None, traffic(metavar=LIST_METAVAR, help="Sites of `skope gen sites` instead of the preset's.")
+    ] = None
     site: Annotated[
-        str | None, traffic(metavar=SITE, help="One site instead of --sites; or a site file, your own road and camera.")
+        str | None,
+        traffic(metavar=SITE_METAVAR, help="One site instead of --sites; or a site file, your own road and camera."),
     ] = None
     frames: Annotated[int | None, traffic(help="Frames per site.", show_default="the preset's")] = None
     recordings: Annotated[
@@ -64,7 +65,7 @@ class DatasetOptions:
     vehicles: Annotated[
         str | None,
         traffic(
-            metavar=LIST,
+            metavar=LIST_METAVAR,
             help="Models of `skope gen vehicles list` that drive by too: added ones, with --share also the fleet's.",
         ),
     ] = None
@@ -114,7 +115,8 @@ class DatasetOptions:
         ),
     ] = None
     size: Annotated[
-        str | None, camera(metavar=SIZE, help="Width and height of the images, pixels.", show_default="the preset's")
+        str | None,
+        camera(metavar=SIZE_METAVAR, help="Width and height of the images, pixels.", show_default="the preset's"),
     ] = None
     fov: Annotated[float | None, camera(help="Horizontal field of view, degrees.", show_default="the preset's")] = None
     settings: Annotated[

@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from skope.files.output_folders import replaceable_output
-from skope.terminal.command_options import DIR, FILE_METAVAR, SITE_PLANS, JsonOption, option
+from skope.terminal.command_options import DIR_METAVAR, FILE_METAVAR, SITE_PLANS, JsonOption, option
 from skope.terminal.console import Console, text_table
 
 
@@ -18,7 +18,7 @@ def sites(
     out: Annotated[
         Path | None,
         option(
-            metavar=DIR,
+            metavar=DIR_METAVAR,
             help="Folder for the pictures.",
             show_default=f"{SITE_PLANS}/towns, or {SITE_PLANS}/ and the site's name",
         ),

@@ -11,7 +11,7 @@ from skope.errors import UserError
 from skope.files.output_folders import replaceable_output
 from skope.files.safe_names import name as check_name
 from skope.gen.cli.options import RendererOption
-from skope.terminal.command_options import DIR, VEHICLE_SHEETS, Commands, option
+from skope.terminal.command_options import DIR_METAVAR, VEHICLE_SHEETS, Commands, option
 from skope.terminal.console import Console, counted, text_table
 
 if TYPE_CHECKING:
@@ -81,7 +81,7 @@ def check(console: Console, name: NameArgument = None) -> None:
 def show(
     console: Console,
     name: NameArgument = None,
-    out: Annotated[Path, option(metavar=DIR, help="Folder for the sheets.")] = VEHICLE_SHEETS,
+    out: Annotated[Path, option(metavar=DIR_METAVAR, help="Folder for the sheets.")] = VEHICLE_SHEETS,
     renderer: RendererOption = "auto",
 ) -> None:
     """Draw contact sheets: front, rear, side, top and three quarters, plain and with numbered keypoints."""

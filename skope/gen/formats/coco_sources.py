@@ -13,7 +13,7 @@ import numpy as np
 
 from skope import schema
 from skope.dataset import coco
-from skope.dataset.folder import FRAMES, PREDICTIONS
+from skope.dataset.folder import FRAMES_FILE, PREDICTIONS_FILE
 from skope.dataset.picture_headers import PictureHeader, read_header
 from skope.errors import UserError
 from skope.files.json_files import parse_json, read_json
@@ -79,7 +79,7 @@ def annotation_sources(
     Raises:
         UserError: There is none, or one is malformed.
     """
-    if files.find(FRAMES) is not None and files.find(PREDICTIONS) is not None and not _alone(source):
+    if files.find(FRAMES_FILE) is not None and files.find(PREDICTIONS_FILE) is not None and not _alone(source):
         yield _predictions(source, split)
         return
     names = [source.name] if _alone(source) else _annotation_names(source, files, form)
@@ -175,9 +175,9 @@ def _parsed(where: str, content: Path | bytes | None) -> Mapping[str, Any]:
 
 def _predictions(folder: Path, split: str | None) -> AnnotationSource:
     """Results of `skope eval predict` as a COCO document; keypoints are visible from a probability of 0.5 on."""
-    frames = coco.read(folder / FRAMES)
+    frames = coco.read(folder / FRAMES_FILE)
     rows, categories = [], dict.fromkeys(frames.categories)
-    for number, result in enumerate(coco.iter_all_results(folder / PREDICTIONS), start=1):
+    for number, result in enumerate(coco.iter_all_results(folder / PREDICTIONS_FILE), start=1):
         row = {"id": number, "image_id": result.image_id, "bbox": result.bbox.tolist()}
         if isinstance(result, Result):
             points = result.keypoints.copy()
@@ -194,7 +194,7 @@ def _predictions(folder: Path, split: str | None) -> AnnotationSource:
         "categories": schema.category_rows(schema.checked_categories(categories), frames.scheme),
     }
     return AnnotationSource(
-        path=str(folder / PREDICTIONS),
+        path=str(folder / PREDICTIONS_FILE),
         name=file_name_rules.source_name([folder.resolve().name]),
         document=document,
         split=split or "train",

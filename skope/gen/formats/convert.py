@@ -9,7 +9,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Final
 
-from skope.dataset.folder import CARD, MANIFEST, Dataset
+from skope.dataset.folder import CARD_FILE, MANIFEST_FILE, Dataset
 from skope.errors import UserError, one_of
 from skope.files.atomic import read_bytes, replacing_folder, write_bytes, write_text
 from skope.files.output_folders import move_new
@@ -24,11 +24,11 @@ from skope.terminal.console import Console
 
 def _to_folder_or_shards(dataset: Dataset, form: str, out: Path, console: Console) -> None:
     """Write a dataset that `skope gen` made in the other of the two forms at `out`, an empty folder."""
-    if not (dataset.root / MANIFEST).is_file():
-        raise UserError(f"{dataset.root / MANIFEST}: no such file: only what `skope gen` made can be converted")
+    if not (dataset.root / MANIFEST_FILE).is_file():
+        raise UserError(f"{dataset.root / MANIFEST_FILE}: no such file: only what `skope gen` made can be converted")
     if not dataset.card.get("takes") or "parameters" not in dataset.card:
-        raise UserError(f"{dataset.root / CARD}: takes, parameters: missing")
-    plan = DatasetPlan.from_dict(dataset.card, dataset.root / CARD)
+        raise UserError(f"{dataset.root / CARD_FILE}: takes, parameters: missing")
+    plan = DatasetPlan.from_dict(dataset.card, dataset.root / CARD_FILE)
     if form == dataset.card.get("format"):
         raise UserError(f"{dataset.root}: is in this format already ({form})")
     writer = writer_of(form, out, dataset.scheme, dataset.categories)

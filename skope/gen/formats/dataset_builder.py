@@ -11,7 +11,7 @@ import numpy as np
 
 from skope import schema
 from skope.dataset import coco, shards
-from skope.dataset.folder import CARD, Dataset, open_dataset
+from skope.dataset.folder import CARD_FILE, Dataset, open_dataset
 from skope.errors import UserError
 from skope.files.atomic import read_bytes, sha256_of, write_text
 from skope.files.json_files import write_json
@@ -101,7 +101,7 @@ def finish_dataset(
         **more,
     }
     write_text(writer.root / "README.md", card_text.markdown(card))
-    write_json(writer.root / CARD, card)
+    write_json(writer.root / CARD_FILE, card)
 
 
 def dataset_at(root: Path) -> Dataset:

@@ -12,7 +12,7 @@ from pathlib import PurePosixPath
 from typing import Final
 from urllib.parse import unquote, urlsplit
 
-from skope.files.safe_names import NAME_BYTES, is_relative
+from skope.files.safe_names import NAME_LIMITS, is_relative
 
 SPLIT_NAMES: Final[Mapping[str, str]] = {
     **dict.fromkeys(("train", "training", "trainset"), "train"),
@@ -43,7 +43,7 @@ DATED_NAME: Final = re.compile(
 )
 """A name that ends in date and time: 20240501_173000, 2024-05-01T17-30-00."""
 SKOPE_NAME: Final = re.compile(r"(.+)_([0-9]{6})")
-_RECORDING_BYTES: Final = NAME_BYTES - 8
+_RECORDING_BYTES: Final = NAME_LIMITS.name_bytes - 8
 """Room for a number after a name that is taken."""
 
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from skope.dataset import shards
-from skope.dataset.folder import MANIFEST, Dataset, read_manifest
+from skope.dataset.folder import MANIFEST_FILE, Dataset, read_manifest
 from skope.dataset.image_selection import recordings
 from skope.errors import UserError
 from skope.files.atomic import replacing_folder
@@ -99,7 +99,7 @@ def _write_images(
     names, begun, taken, left_out = _Sites(), dict[str, tuple[Path, str]](), set[str](), 0
     for dataset in datasets:
         twice = Counter[Path]()
-        sums = read_manifest(dataset.root)["sha256"] if (dataset.root / MANIFEST).is_file() else {}
+        sums = read_manifest(dataset.root)["sha256"] if (dataset.root / MANIFEST_FILE).is_file() else {}
         for split in dataset.splits:
             file = dataset.read(split)
             if vehicles_alone:

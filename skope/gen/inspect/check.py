@@ -15,7 +15,7 @@ import numpy as np
 
 from skope import keypoints
 from skope.dataset import shards
-from skope.dataset.folder import CARD, MANIFEST, Dataset, read_manifest
+from skope.dataset.folder import CARD_FILE, MANIFEST_FILE, Dataset, read_manifest
 from skope.errors import UserError
 from skope.gen.formats.source_files import added_by_system
 from skope.gen.inspect.label_checks import (
@@ -91,7 +91,7 @@ def check(dataset: Dataset) -> Iterator[Finding]:
         yield from seen.twice(name, split, file)
         if file.categories != dataset.categories:
             yield Finding(
-                name, f"categories: are {', '.join(file.categories)}, {CARD} says {', '.join(dataset.categories)}"
+                name, f"categories: are {', '.join(file.categories)}, {CARD_FILE} says {', '.join(dataset.categories)}"
             )
         yield from _check_motion(name, file)
         yield from _check_totals(dataset, name, split)
@@ -106,13 +106,13 @@ def check(dataset: Dataset) -> Iterator[Finding]:
     for key, count in counts.items():
         said = dataset.card.get("counts", {}).get(key)
         if said is not None and said != count:
-            yield Finding(CARD, f"counts.{key}: is {said}, the annotations hold {count}")
+            yield Finding(CARD_FILE, f"counts.{key}: is {said}, the annotations hold {count}")
     told = dataset.card.get("counts", {}).get("by_category", {})
     for name, kind in itertools.product(dataset.categories[1:], ("ground_truth", "ignored")):
         said = told.get(name, {}).get(kind, 0)
         if said != others[name, kind]:
             yield Finding(
-                CARD, f"counts.by_category.{name}.{kind}: is {said}, the annotations hold {others[name, kind]}"
+                CARD_FILE, f"counts.by_category.{name}.{kind}: is {said}, the annotations hold {others[name, kind]}"
             )
 
 
@@ -160,12 +160,12 @@ class _Seen:
 
 def _check_manifest(dataset: Dataset) -> Iterator[Finding]:
     """Check the checksums of all files, and find stray files; nothing for datasets that came without a manifest."""
-    if "takes" not in dataset.card and not (dataset.root / MANIFEST).exists():
+    if "takes" not in dataset.card and not (dataset.root / MANIFEST_FILE).exists():
         return
     try:
         sums = read_manifest(dataset.root)["sha256"]
     except UserError as error:
-        yield Finding(MANIFEST, f"cannot be read: {error}")
+        yield Finding(MANIFEST_FILE, f"cannot be read: {error}")
         return
     for name, wanted in sums.items():
         path = dataset.root / name
@@ -180,7 +180,7 @@ def _check_manifest(dataset: Dataset) -> Iterator[Finding]:
     found = (path for folder in folders for path in (dataset.root / folder).rglob("*") if path.is_file())
     for name in sorted(path.relative_to(dataset.root).as_posix() for path in found):
         if name not in sums and not added_by_system(name):
-            yield Finding(name, f"is not in {MANIFEST}", stray=True)
+            yield Finding(name, f"is not in {MANIFEST_FILE}", stray=True)
 
 
 def _check_takes(dataset: Dataset, made: Container[tuple[str | None, str | None, int | None]]) -> Iterator[Finding]:
@@ -188,7 +188,7 @@ def _check_takes(dataset: Dataset, made: Container[tuple[str | None, str | None,
         lost = [frame for frame in range(frames) if (site, recording, frame) not in made]
         if lost:
             yield Finding(
-                CARD, f"takes: {site}, recording {recording}: {len(lost)} frames have no image, from {lost[0]}"
+                CARD_FILE, f"takes: {site}, recording {recording}: {len(lost)} frames have no image, from {lost[0]}"
             )
 
 
@@ -282,7 +282,7 @@ def _check_image(dataset: Dataset, image: Image, labels: Sequence[Annotation | R
 def _lost_splits(dataset: Dataset, findings: Sequence[Finding]) -> set[str]:
     """Splits whose annotation file, or the manifest, is broken: none of their labels can be trusted."""
     files = {finding.where for finding in findings if finding.image is None}
-    if MANIFEST in files:
+    if MANIFEST_FILE in files:
         return set(dataset.splits)
     return {split for split in dataset.splits if f"annotations/{split}.json" in files}
 

@@ -13,7 +13,7 @@ from skope.gen.towns.land_use import LAND_USE, Layout
 from skope.gen.towns.regions import polygons
 from skope.gen.towns.road_graph import RoadGraph, driven
 from skope.gen.towns.town import OwnRoad, Town
-from skope.pictures.draw import SUBPIXEL_BITS
+from skope.pictures.draw import DRAWING_STYLE
 from skope.types import Array, Pixels
 
 PlotColor = tuple[int, int, int]
@@ -67,12 +67,12 @@ def town_map(town: Town) -> Pixels:
 
     def pixels(points: ArrayLike) -> NDArray[np.int32]:
         at = (np.asarray(points)[..., :2] - [x0, y1]) * [scale, -scale] + [0, 60]
-        return np.asarray(np.rint(at * 2**SUBPIXEL_BITS), dtype=np.int32)
+        return np.asarray(np.rint(at * 2**DRAWING_STYLE.subpixel_bits), dtype=np.int32)
 
     def fill(region: Any, color: PlotColor) -> None:
         for polygon in polygons(region):
             outline = [pixels(ring.coords) for ring in (polygon.exterior, *polygon.interiors)]
-            cv2.fillPoly(image, outline, color, cv2.LINE_AA, SUBPIXEL_BITS)
+            cv2.fillPoly(image, outline, color, cv2.LINE_AA, DRAWING_STYLE.subpixel_bits)
 
     fill(layout.sidewalk, _WALK)
     built = scenery(town)
@@ -82,11 +82,11 @@ def town_map(town: Town) -> Pixels:
         cv2.circle(
             image,
             pixels([x, y]).tolist(),
-            round(reach * scale * 2**SUBPIXEL_BITS),
+            round(reach * scale * 2**DRAWING_STYLE.subpixel_bits),
             _TREE,
             -1,
             cv2.LINE_AA,
-            SUBPIXEL_BITS,
+            DRAWING_STYLE.subpixel_bits,
         )
     fill(layout.graph.ground_road, _ROAD_COLORS)
     fill(layout.islands, _ISLAND)
@@ -96,10 +96,12 @@ def town_map(town: Town) -> Pixels:
     for site in layout.sites:
         angle = np.radians(site.yaw_deg + np.linspace(-LAND_USE.half_view_deg, LAND_USE.half_view_deg, 24))
         rim = np.array(site.position[:2]) + TOWN_MAP.view_m * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-        cv2.fillPoly(cones, [pixels([site.position[:2], *rim])], SPLIT_RGB[site.split], cv2.LINE_AA, SUBPIXEL_BITS)
+        cv2.fillPoly(
+            cones, [pixels([site.position[:2], *rim])], SPLIT_RGB[site.split], cv2.LINE_AA, DRAWING_STYLE.subpixel_bits
+        )
     image = cv2.addWeighted(cones, 0.35, image, 0.65, 0.0)
     for site in layout.sites:
-        x, y = (pixels(site.position) // 2**SUBPIXEL_BITS).tolist()
+        x, y = (pixels(site.position) // 2**DRAWING_STYLE.subpixel_bits).tolist()
         cv2.circle(image, (x, y), 7, SPLIT_RGB[site.split], -1, cv2.LINE_AA)
         cv2.circle(image, (x, y), 7, (255, 255, 255), 2, cv2.LINE_AA)
         label = f"{site.name} ({site.split})"
@@ -137,8 +139,8 @@ def draw_lanes(road: OwnRoad) -> Pixels:
                 _draw_lane(image, road, graph, barbs, _ARROW)
     outlines = [*((one.polygon, _OCCLUDER) for one in road.occluders), *((one, _SHADE) for one in road.shades)]
     for outline, color in outlines:
-        corners = np.rint((np.array(outline) - 0.5) * 2**SUBPIXEL_BITS).astype(np.int32)
-        cv2.polylines(image, [corners], True, color, 1, cv2.LINE_AA, SUBPIXEL_BITS)
+        corners = np.rint((np.array(outline) - 0.5) * 2**DRAWING_STYLE.subpixel_bits).astype(np.int32)
+        cv2.polylines(image, [corners], True, color, 1, cv2.LINE_AA, DRAWING_STYLE.subpixel_bits)
     return image
 
 
@@ -156,6 +158,6 @@ def _draw_lane(image: Pixels, road: OwnRoad, graph: RoadGraph, line: Array, colo
     """A line (N, 3) of the graph where it is before the camera."""
     pixels, depth, valid = road.camera.project(graph.world(line))
     near = valid & (depth < TOWN_MAP.drawn_within_m) & (np.abs(np.nan_to_num(pixels)) < 1e4).all(axis=-1)
-    at = np.rint((np.where(near[:, None], pixels, 0.0) - 0.5) * 2**SUBPIXEL_BITS).astype(int).tolist()
+    at = np.rint((np.where(near[:, None], pixels, 0.0) - 0.5) * 2**DRAWING_STYLE.subpixel_bits).astype(int).tolist()
     for k in np.flatnonzero(near[:-1] & near[1:]):
-        cv2.line(image, at[k], at[k + 1], color, 2, cv2.LINE_AA, SUBPIXEL_BITS)
+        cv2.line(image, at[k], at[k + 1], color, 2, cv2.LINE_AA, DRAWING_STYLE.subpixel_bits)

@@ -137,7 +137,7 @@ class _Candidates:
     eyes: Array
     """(U, 3) place of the camera in each patch's part, metres."""
     corners: Array
-    """(3 axes, 3 corners, U, _PATCH) corners of the patches' triangles, metres."""
+    """(3 axes, 3 corners, U, patch_triangles) corners of the patches' triangles, metres."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,7 +146,8 @@ class _Patches:
     boxes around them."""
 
     corners: Array
-    """(3 axes, 3 corners, P, _PATCH) metres, in the frame of their part; smaller patches repeat their triangles."""
+    """(3 axes, 3 corners, P, patch_triangles) metres, in the frame of their part; smaller patches repeat their
+    triangles."""
     part: NDArray[np.int64]
     """(P,) part that a patch belongs to: 0 is the body, then its moving parts."""
     centers: Array
@@ -171,7 +172,7 @@ def _patches(vehicle: Body) -> _Patches:
 
 @lru_cache(maxsize=8)
 def _part_corners(mesh: Mesh) -> Array:
-    """(P, _PATCH, 3, 3) corners of a mesh's triangles by patch; smaller patches repeat their triangles.
+    """(P, patch_triangles, 3, 3) corners of a mesh's triangles by patch; smaller patches repeat their triangles.
 
     The last ones are kept: front and rear wheels are the same mesh.
     """
@@ -180,7 +181,8 @@ def _part_corners(mesh: Mesh) -> Array:
 
 
 def _split_in_patches(places: Array) -> NDArray[np.int64]:
-    """(P, _PATCH) groups of the indices of `places` (N, 3) that lie close together; smaller ones repeat theirs.
+    """(P, patch_triangles) groups of the indices of `places` (N, 3) that lie close together; smaller ones repeat
+    theirs.
 
     They follow each other along a Z-order curve (Morton 1966).
     """

@@ -11,7 +11,7 @@ from typing import Any, Final
 
 from skope import schema
 from skope.dataset import shards
-from skope.dataset.depth_files import DEPTH_SCALE
+from skope.dataset.depth_files import DEPTH_CODING
 from skope.gen.output import card_text
 from skope.gen.output.licences import LICENCE_ADDRESSES
 from skope.gen.vehicles.fleet import fleet
@@ -68,7 +68,7 @@ MIME_TYPES: Final = {
 }
 FOLDER_DESCRIPTIONS: Final = {
     "images/*/*": "Camera images.",
-    "depth/*/*": f"Planar depth, metres = value / {DEPTH_SCALE:.0f}, 0 = sky.",
+    "depth/*/*": f"Planar depth, metres = value / {DEPTH_CODING.scale:.0f}, 0 = sky.",
     "recordings/*": "Poses of every vehicle in every frame.",
 }
 

@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Any, Final
 
 from skope import keypoints, schema
-from skope.dataset.depth_files import DEPTH_SCALE
-from skope.dataset.folder import CARD, read_manifest
+from skope.dataset.depth_files import DEPTH_CODING
+from skope.dataset.folder import CARD_FILE, read_manifest
 from skope.files.atomic import write_text
 from skope.files.json_files import write_json
 from skope.gen.labels import annotate, visibility
@@ -51,7 +51,7 @@ def card(plan: DatasetPlan, counts: Counts) -> dict[str, Any]:
             "taken_by_paper": counts.tally["occluded_paper"],
         },
         "localizer_difference_m": counts.localizer_difference(),
-        "depth": f"16-bit PNG, metres = value / {DEPTH_SCALE:.0f}, 0 = sky, 65535 = 255.99 m or farther"
+        "depth": f"16-bit PNG, metres = value / {DEPTH_CODING.scale:.0f}, 0 = sky, 65535 = 255.99 m or farther"
         if parameters.encoding.depth
         else "none",
         "renderer": parameters.renderer,
@@ -148,7 +148,7 @@ def write_card(root: Path, content: Mapping[str, Any]) -> None:
     sums = read_manifest(root)["sha256"]
     write_text(root / "README.md", readme(content))
     write_json(root / CROISSANT_FILE, croissant(content, sums))
-    write_json(root / CARD, content)
+    write_json(root / CARD_FILE, content)
 
 
 def readme(content: Mapping[str, Any]) -> str:

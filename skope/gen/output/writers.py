@@ -15,7 +15,7 @@ from typing import IO, Any, Final
 import orjson
 
 from skope.dataset import coco, shards
-from skope.dataset.folder import MANIFEST, Dataset, read_manifest
+from skope.dataset.folder import MANIFEST_FILE, Dataset, read_manifest
 from skope.errors import UserError
 from skope.files import safe_names
 from skope.files.atomic import link, sha256_of, write_bytes
@@ -148,7 +148,9 @@ class DatasetWriter(ABC):
     def finish(self) -> Counts:
         """Write what is left, the manifest last; returns the counts of images and vehicles."""
         content = {"sha256": dict(sorted(self._sums.items())), "tallies": self._tallies}
-        write_bytes(self.root / MANIFEST, orjson.dumps(content, option=orjson.OPT_INDENT_2 | orjson.OPT_APPEND_NEWLINE))
+        write_bytes(
+            self.root / MANIFEST_FILE, orjson.dumps(content, option=orjson.OPT_INDENT_2 | orjson.OPT_APPEND_NEWLINE)
+        )
         return self._counts
 
     def _numbered(self, split: str, labels: Labels) -> Labels:
@@ -331,7 +333,7 @@ def frames_of_split(dataset: Dataset, split: str) -> Iterator[FrameFiles]:
                     image[key] = f"{folder}/{name}{Path(there).suffix}"
                     files[image[key]], sums[image[key]] = dataset.root / there, manifest["sha256"][there]
         except KeyError as error:
-            raise UserError(f"{dataset.root / MANIFEST}: names no {error}") from None
+            raise UserError(f"{dataset.root / MANIFEST_FILE}: names no {error}") from None
         # Other tools may have rewritten the file: ids are put first, as `_with_ids` needs them.
         rows = [json_bytes({"id": row["id"], "image_id": row["image_id"], **row}) for row in annotations]
         kinds = [_kind_of_row(row, dataset.categories) for row in annotations]

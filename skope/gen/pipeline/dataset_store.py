@@ -12,7 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
-from skope.dataset.folder import CARD, Dataset, read_card
+from skope.dataset.folder import CARD_FILE, Dataset, read_card
 from skope.errors import UserError
 from skope.files import safe_names
 from skope.files.atomic import file_in_place_of, locked, no_links_out, read_bytes, write_bytes, writing
@@ -38,7 +38,7 @@ class Store:
     @property
     def complete(self) -> bool:
         """Whether the folder holds a finished dataset."""
-        return (self.root / CARD).is_file() and not self._plan_path.is_file()
+        return (self.root / CARD_FILE).is_file() and not self._plan_path.is_file()
 
     @contextmanager
     def locked(self) -> Iterator[None]:
@@ -108,7 +108,7 @@ class Store:
         Raises:
             UserError: The file that says it is damaged.
         """
-        path = self._plan_path if self._plan_path.is_file() else self.root / CARD
+        path = self._plan_path if self._plan_path.is_file() else self.root / CARD_FILE
         if not path.is_file():
             return None
         try:

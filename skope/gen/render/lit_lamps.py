@@ -15,7 +15,7 @@ from skope.gen.mesh import Mesh
 from skope.gen.scene.recording import LAMP_BITS, Moment, body_of
 from skope.gen.scenery.build import Signal
 from skope.gen.vehicles.model import TRAILER_PART, Body
-from skope.pictures.draw import SUBPIXEL_BITS
+from skope.pictures.draw import DRAWING_STYLE
 from skope.types import Array
 
 _LAMP_OF_STATE: Final = {"r": 0, "u": 0, "y": 1, "g": 2, "s": 2}
@@ -89,15 +89,15 @@ def light_signals(
         at = pixel * fine
         if z < depth[int(at[1]), int(at[0])] + 0.3:
             radius = max(0.7, LAMP_COLORS.radius_m * camera.K[0, 0] / z * fine)
-            center = np.rint((at - 0.5) * 2**SUBPIXEL_BITS).astype(int).tolist()
+            center = np.rint((at - 0.5) * 2**DRAWING_STYLE.subpixel_bits).astype(int).tolist()
             cv2.circle(
                 rgb,
                 center,
-                round(radius * 2**SUBPIXEL_BITS),
+                round(radius * 2**DRAWING_STYLE.subpixel_bits),
                 LAMP_COLORS.signal_colors[lamp],
                 -1,
                 cv2.LINE_AA,
-                SUBPIXEL_BITS,
+                DRAWING_STYLE.subpixel_bits,
             )
 
 

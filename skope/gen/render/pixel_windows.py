@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from skope.camera.model import Camera
 from skope.gen.vehicles.model import TRAILER_PART, Body, straight_lwh
-from skope.pictures.draw import SUBPIXEL_BITS
+from skope.pictures.draw import DRAWING_STYLE
 from skope.types import Array
 
 Window = tuple[int, int, int, int]
@@ -148,8 +148,8 @@ def tiles(hulls: Iterable[Array], size: tuple[int, int]) -> NDArray[np.bool_]:
     touched = np.zeros((rows, columns), dtype=np.uint8)
     for hull in hulls:
         if len(hull):
-            corners = np.rint((hull / WINDOW_LIMITS.tile_px - 0.5) * 2**SUBPIXEL_BITS).astype(np.int32)
-            cv2.fillConvexPoly(touched, corners, 1, shift=SUBPIXEL_BITS)
+            corners = np.rint((hull / WINDOW_LIMITS.tile_px - 0.5) * 2**DRAWING_STYLE.subpixel_bits).astype(np.int32)
+            cv2.fillConvexPoly(touched, corners, 1, shift=DRAWING_STYLE.subpixel_bits)
     # What is filled has its centre in a polygon or lies on its edge.
     return np.asarray(cv2.dilate(touched, np.ones((3, 3), dtype=np.uint8)) > 0)
 

@@ -140,7 +140,7 @@ class Moment:
     velocity: Array
     """(N, 3) world, m/s."""
     lamps: NDArray[np.uint8]
-    """(N,) lamps that are lit, as bits of `skope.gen.scene.recording.LAMPS`."""
+    """(N,) lamps that are lit, as bits of `skope.gen.scene.recording.LAMP_BITS`."""
     signals: Mapping[str, str]
     """SUMO's state string of each signal program."""
     T_world_trailer: Array
@@ -193,7 +193,7 @@ class Recording:
     velocity: Array
     """(R, 3) world, m/s."""
     lamps: NDArray[np.uint8]
-    """(R,) lamps that are lit, as bits of `skope.gen.scene.recording.LAMPS`."""
+    """(R,) lamps that are lit, as bits of `skope.gen.scene.recording.LAMP_BITS`."""
     T_world_trailer: Array | None = None
     """(R, 3, 4, 4) poses of a trailer and its wheels, as in `Moment`. Default: no vehicle has one."""
     photograph: NDArray[np.uint8] | None = None

@@ -22,7 +22,7 @@ from skope.camera.model import Camera
 from skope.errors import UserError
 from skope.files.atomic import read_bytes, replacing
 from skope.site.page.document_values import positions
-from skope.site.world import ZONE
+from skope.site.world import UTM_ZONE
 from skope.viewer.collection import Picture, encoded
 
 _PAIR: Final = re.compile(
@@ -61,7 +61,7 @@ def map_places(sent: Mapping[str, Any]) -> dict[str, Any]:
 
 def _metres_in(world: Mapping[str, Any], degrees: Any) -> Any:
     """(N, 2) metres from the origin of a world, of (N, 2) longitudes and latitudes."""
-    origin, zone = world.get("origin"), ZONE.fullmatch(str(world.get("utm_zone")))
+    origin, zone = world.get("origin"), UTM_ZONE.fullmatch(str(world.get("utm_zone")))
     told = origin if isinstance(origin, dict) else {}
     if about := positions([[told.get("longitude"), told.get("latitude")]], 2):
         return local_metres(degrees[:, 0], degrees[:, 1], (about[0][0], about[0][1]))

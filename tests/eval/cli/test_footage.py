@@ -27,7 +27,7 @@ from skope.camera.motion.camera_motion import turned_camera
 from skope.camera.uncertain_camera import UncertainCamera
 from skope.dataset import coco
 from skope.dataset.camera_of_file import read_camera
-from skope.dataset.folder import CHANGES
+from skope.dataset.folder import CHANGES_KEY
 from skope.errors import UserError
 from skope.files.json_files import write_json
 from skope.files.progress import Progress
@@ -38,7 +38,7 @@ from skope.pose.shape_model import fleet_shapes
 from skope.schema import Annotation, AnnotationFile, Box3D, Result
 from skope.traffic.observation import read_observation
 from skope.video import live
-from skope.video.footage import Cut, open_footage
+from skope.video.footage import FOOTAGE_LIMITS, Cut, open_footage
 from tests.footage import streams
 from tests.pose.test_estimate_pose import drawn
 from tests.sightings import CAMERA, drive, scene
@@ -115,7 +115,7 @@ def test_a_cut_takes_the_frames_it_says(tmp_path: Path) -> None:
 def test_a_camera_on_the_network_is_read_until_it_hangs_up(
     skope: Any, random_run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(live, "RETURN_S", 0.5)
+    monkeypatch.setattr(live, "LIVE_LIMITS", replace(live.LIVE_LIMITS, return_s=0.5))
     with streams.rtsp(numbered_video(tmp_path / "v.ts", 30), times=2) as address:  # it is looked at, then read
         begun = time.monotonic()
         code, _, err = skope("eval", "predict", address, "--checkpoint", random_run, "--every", 3, "--out", "p")
@@ -136,7 +136,7 @@ def test_a_camera_on_the_network_is_read_until_it_hangs_up(
 
 
 def test_a_slow_reader_of_a_live_stream_gets_the_newest_frames(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(live, "RETURN_S", 0.5)
+    monkeypatch.setattr(live, "LIVE_LIMITS", replace(live.LIVE_LIMITS, return_s=0.5))
     with streams.mjpeg(24, 20, times=2) as address:
         footage = open_footage(address, Cut())
         assert footage.live
@@ -189,7 +189,7 @@ def test_jumping_into_a_long_video_lands_on_the_frame_that_is_meant(
     path = numbered_video(tmp_path / "v.mp4", 30)
     if varied:
         streams.vary(path, [1] * 15 + [9] * 15)
-    monkeypatch.setattr("skope.video.footage.SEEK_FRAMES", 3)
+    monkeypatch.setattr("skope.video.footage.FOOTAGE_LIMITS", replace(FOOTAGE_LIMITS, seek_frames=3))
     for first in range(30):
         image, pixels = next(open_footage(str(path)).frames(first))
         assert image.frame_index == first
@@ -782,7 +782,7 @@ def test_a_calibration_ends_where_the_camera_moves(skope: Any) -> None:
     """It is one of the view with which the footage begins, unless it says of which seconds it is."""
     file = drive(4, 5, speeds=(8.0, 3.0))
     changes = [{"time_s": 2.5, "cut": True, "shift": 0.0}]
-    coco.write(Path("road.json"), replace(file, info={**file.info, CHANGES: changes}))
+    coco.write(Path("road.json"), replace(file, info={**file.info, CHANGES_KEY: changes}))
     code, out, error = skope("eval", "track", "--annotations", "road.json", "--noise", 1, "--out", "t")
     assert code == 0, error
     told = "road: the view changes (1 time): the camera's calibration holds from 0.0 s to 2.5 s; 7 other images have no"
@@ -808,7 +808,7 @@ def test_a_calibration_ends_where_the_camera_moves(skope: Any) -> None:
     assert "holds from 2.5 s on; 13 other images" in out
     poses = [json.loads(line) for line in Path("l/poses.jsonl").read_text().splitlines()]
     assert {pose["refused"] for pose in poses if pose["time_s"] < 2.5} == {"camera_moved"}
-    coco.write(Path("bad.json"), replace(file, info={**file.info, CHANGES: [{"cut": True}]}))
+    coco.write(Path("bad.json"), replace(file, info={**file.info, CHANGES_KEY: [{"cut": True}]}))
     code, _, error = skope("eval", "track", "--annotations", "bad.json", "--out", "u")
     assert (code, error.count("\n")) == (2, 1)
     assert error.startswith("skope: bad: info.view_changes: expected objects with time_s")
@@ -848,8 +848,8 @@ def test_a_turned_camera_goes_on_to_give_metres(skope: Any) -> None:
     Path("camera.json").write_text(json.dumps(camera))
     files = {
         "still": file,
-        "turned": replace(turned_file(file, 2.0, after), info={**file.info, CHANGES: [change | followed]}),
-        "lost": replace(turned_file(file, 2.0, after), info={**file.info, CHANGES: [change]}),
+        "turned": replace(turned_file(file, 2.0, after), info={**file.info, CHANGES_KEY: [change | followed]}),
+        "lost": replace(turned_file(file, 2.0, after), info={**file.info, CHANGES_KEY: [change]}),
     }
     rows, watched = {}, {}
     for name, of_name in files.items():

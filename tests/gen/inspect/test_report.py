@@ -227,7 +227,7 @@ def test_a_masks_outline_encloses_its_pixels(dataset: Path) -> None:
 
 
 def test_vehicles_have_the_colours_of_the_overlays(dataset: Path) -> None:
-    assert "--c:#{:02x}{:02x}{:02x}".format(*draw.PALETTE[1]) in shown(dataset)
+    assert "--c:#{:02x}{:02x}{:02x}".format(*draw.DRAWING_STYLE.palette[1]) in shown(dataset)
 
 
 def test_plots_count_every_vehicle_once() -> None:
