@@ -110,9 +110,6 @@ bench: $(STAMP) $(DATA)/dataset.json
 	$(VENV)/bin/python scripts/bench_backbones.py
 	$(VENV)/bin/python scripts/bench_eval.py
 	$(VENV)/bin/python scripts/bench_gen.py
-	$(VENV)/bin/python scripts/bench_import.py
-	$(VENV)/bin/python scripts/bench_localize.py
-	OMP_NUM_THREADS=1 $(VENV)/bin/python scripts/bench_pose.py $(DATA)/annotations/hard.json
 	$(SKOPE) gen video t06_plaza_opening --fps 10 --seconds 4 --out $(FOOTAGE) --quiet
 	$(VENV)/bin/python scripts/bench_predict.py $(FOOTAGE) --frames 10
 	$(VENV)/bin/python scripts/bench_render.py

@@ -76,9 +76,6 @@ RUNS: Final[Sequence[Run]] = (
     ),
     Run("bench_gen.py", "--flat 1 --processes 1", says="1 images", apart=True, slow=True),
     Run("bench_gen.py", f"{RENDERING} --images 1 --peer-frames 1", says="EGL plugin", apart=True, slow=True),
-    Run("bench_import.py", "--images 2 --rounds 1", says="AP: differs from pycocotools' by 0.0", apart=True),
-    Run("bench_localize.py", "--vehicles 2 --repeats 1", says="33 keypoints of 2 vehicles"),
-    Run("bench_pose.py", "{road}", says="vehicles a second on one core"),
     Run(
         "bench_tracks.py",
         "{footage}/v.mp4 --camera {camera} --checkpoint {checkpoint}",
@@ -148,7 +145,6 @@ RUNS: Final[Sequence[Run]] = (
         says='{"rate": ',
     ),
     Run("research/marker_offsets.py", "{road}", says="kind                points"),
-    Run("research/offline_kit.py", "{out}", says="no wheel of libsumo", code=2),
     Run("train_leg.py", "run 1 --out {out}", says="leg 1 goes on from weights: --state", code=2),
     Run("train_leg.py", "join {out} --out {out}/a.safetensors", says="parts.json", code=2),
     Run(
@@ -163,7 +159,6 @@ RUNS: Final[Sequence[Run]] = (
         says="mean over the cameras",
         slow=True,
     ),
-    Run("research/night_statistics.py", "real={dataset} now={dataset}", says="luma_50"),
     Run("research/track_rates.py", "{road} --fps 10", says="  10    0/0"),
     Run("research/fit_lengths.py", "{out}", says="no clips that were tracked", code=2),
     Run("research/gate_coverage.py", "{clips}/t06_plaza_opening_day --true-keypoints", says="busy gate-minutes"),
@@ -371,7 +366,7 @@ COMMANDS: Final[Mapping[str, int]] = {
         "data": 1,
         "model": 2,
     },
-    **{"help": 0, "report": 3, "reference": 3, "lite": 1, "docs": 1, "bench": 12, "clean": 0},
+    **{"help": 0, "report": 3, "reference": 3, "lite": 1, "docs": 1, "bench": 9, "clean": 0},
 }
 """Target -> number of the virtual environment's programs that it runs from nothing."""
 
