@@ -34,7 +34,9 @@ from tests.train.conftest import shrink
 
 ROOT: Final = Path(__file__).parents[1]
 SCRIPTS: Final = ROOT / "scripts"
-PYTHON: Final = sorted(path.relative_to(SCRIPTS).as_posix() for path in SCRIPTS.rglob("*.py"))
+SHARED: Final = "benchmark.py"
+"""What the benchmarks share, no script itself."""
+PYTHON: Final = sorted({path.relative_to(SCRIPTS).as_posix() for path in SCRIPTS.rglob("*.py")} - {SHARED})
 SHELL: Final = sorted(path.name for path in SCRIPTS.glob("*.sh"))
 MAKEFILE: Final = (ROOT / "Makefile").read_text(encoding="utf-8")
 TARGETS: Final = sorted(set(re.findall(r"^([a-z][a-z-]*):", MAKEFILE, re.MULTILINE)))
@@ -65,17 +67,18 @@ TRAINING: Final = "--data {dataset} --min-size 64 --device cpu"
 RENDERING: Final = "--size 96x54 --processes 1"
 RUNS: Final[Sequence[Run]] = (
     Run(
-        "bench_backbones.py",
-        "--size 64x96 --vehicles 1 --rounds 1 --backend torch --precision float32 --variants mobilenet-64-4x128",
+        "bench_detector.py",
+        "backbones --size 64x96 --vehicles 1 --rounds 1 --backend torch --precision float32 --variants mobilenet-64-4x128",
         says="| mobilenet-64-4x128 | 4.7 | ",
     ),
+    Run("bench_detector.py", "metrics --images 2", says="apart by at most 0.0e+00"),
     Run(
-        "bench_eval.py",
-        "--metric-images 2 --checkpoint {checkpoint} --data {dataset} --split easy --images 1 --device cpu",
+        "bench_detector.py",
+        "inference --checkpoint {checkpoint} --data {dataset} --split easy --images 1 --device cpu",
         says="PCK@0.1 on the ground truth's boxes",
     ),
-    Run("bench_gen.py", "--flat 1 --processes 1", says="1 images", apart=True, slow=True),
-    Run("bench_gen.py", f"{RENDERING} --images 1 --peer-frames 1", says="EGL plugin", apart=True, slow=True),
+    Run("bench_gen.py", "dataset --flat 1 --processes 1", says="1 images", apart=True, slow=True),
+    Run("bench_gen.py", f"dataset {RENDERING} --images 1 --peer-frames 1", says="EGL plugin", apart=True, slow=True),
     Run(
         "bench_tracks.py",
         "{footage}/v.mp4 --camera {camera} --checkpoint {checkpoint}",
@@ -94,8 +97,8 @@ RUNS: Final[Sequence[Run]] = (
         "{footage} --checkpoint {checkpoint} --frames 2 --stages --sizes 64 --ways torch-float32",
         says="torch-float32 at 64 px, ms: ",
     ),
-    Run("bench_render.py", f"{RENDERING} --vehicles 1 --frames 1 --skope-only", says="files", apart=True),
-    Run("bench_render.py", f"{RENDERING} --vehicles 1 --frames 1", says="EGL plugin", apart=True, slow=True),
+    Run("bench_gen.py", f"frames {RENDERING} --vehicles 1 --frames 1 --skope-only", says="files", apart=True),
+    Run("bench_gen.py", f"frames {RENDERING} --vehicles 1 --frames 1", says="EGL plugin", apart=True, slow=True),
     Run(
         "bench_train.py",
         f"{TRAINING} --batch-size 1 --steps 1 --warm-up 0 --rounds 1 --workers 0",
@@ -104,8 +107,8 @@ RUNS: Final[Sequence[Run]] = (
         slow=True,
     ),
     Run(
-        "bench_world.py",
-        "--size 96x54 --frames 1 --workers 1",
+        "bench_gen.py",
+        f"world {RENDERING} --frames 1",
         says="1 images of t01_mill_corner",
         apart=True,
         slow=True,
