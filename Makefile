@@ -113,7 +113,7 @@ bench: $(STAMP) $(DATA)/dataset.json
 	$(VENV)/bin/python scripts/bench_gen.py dataset
 	$(VENV)/bin/python scripts/bench_gen.py world
 	$(SKOPE) gen video t06_plaza_opening --fps 10 --seconds 4 --out $(FOOTAGE) --quiet
-	$(VENV)/bin/python scripts/bench_predict.py $(FOOTAGE) --frames 10
+	$(VENV)/bin/python scripts/bench_footage.py ways $(FOOTAGE) --frames 10
 	$(VENV)/bin/python scripts/bench_train.py --data $(DATA)
 
 clean:

@@ -386,9 +386,7 @@ def main() -> None:
     inference.add_argument("--split", default="hard")
     inference.add_argument("--images", type=int, default=24)
     inference.add_argument("--score", type=float, default=0.9)
-    inference.add_argument(
-        "--floor", type=float, default=0.05, help="torchvision's own; 0 fills its 100 per image"
-    )
+    inference.add_argument("--floor", type=float, default=0.05, help="torchvision's own; 0 fills its 100 per image")
     inference.add_argument("--device", default="auto")
     inference.set_defaults(run=bench_inference)
     backbones = commands.add_parser("backbones", help="parts of a network by backbone and widths")

@@ -68,7 +68,8 @@ RENDERING: Final = "--size 96x54 --processes 1"
 RUNS: Final[Sequence[Run]] = (
     Run(
         "bench_detector.py",
-        "backbones --size 64x96 --vehicles 1 --rounds 1 --backend torch --precision float32 --variants mobilenet-64-4x128",
+        "backbones --size 64x96 --vehicles 1 --rounds 1 --backend torch --precision float32"
+        " --variants mobilenet-64-4x128",
         says="| mobilenet-64-4x128 | 4.7 | ",
     ),
     Run("bench_detector.py", "metrics --images 2", says="apart by at most 0.0e+00"),
@@ -80,21 +81,21 @@ RUNS: Final[Sequence[Run]] = (
     Run("bench_gen.py", "dataset --flat 1 --processes 1", says="1 images", apart=True, slow=True),
     Run("bench_gen.py", f"dataset {RENDERING} --images 1 --peer-frames 1", says="EGL plugin", apart=True, slow=True),
     Run(
-        "bench_tracks.py",
-        "{footage}/v.mp4 --camera {camera} --checkpoint {checkpoint}",
+        "bench_footage.py",
+        "steps {footage}/v.mp4 --camera {camera} --checkpoint {checkpoint}",
         says="v.mp4                 track",
     ),
     Run("legs_table.py", "--curve {out}/legs.svg", says="| wet_night |"),
     Run("research/camera_errors.py", "{road}", says="1 cameras answered"),
     Run("research/camera_sway.py", "{road} --picture {photograph}", says="| 10 px | "),
     Run(
-        "bench_predict.py",
-        "{footage} --checkpoint {checkpoint} --frames 2 --times 2 --only torch-float32@64",
+        "bench_footage.py",
+        "ways {footage} --checkpoint {checkpoint} --frames 2 --times 2 --only torch-float32@64",
         says='"cells": ["0", ',
     ),
     Run(
-        "bench_predict.py",
-        "{footage} --checkpoint {checkpoint} --frames 2 --stages --sizes 64 --ways torch-float32",
+        "bench_footage.py",
+        "ways {footage} --checkpoint {checkpoint} --frames 2 --stages --sizes 64 --ways torch-float32",
         says="torch-float32 at 64 px, ms: ",
     ),
     Run("bench_gen.py", f"frames {RENDERING} --vehicles 1 --frames 1 --skope-only", says="files", apart=True),
@@ -138,13 +139,13 @@ RUNS: Final[Sequence[Run]] = (
     Run("reference_table.py", "{metrics} --beside {metrics} --data {metrics}/..", says="| 100.0 | 1.000 | 1.000 |"),
     Run("score_photographs.py", "{labels} --predictions {predictions} --out {out}", says="Wrote metrics.json"),
     Run(
-        "research/live_stream.py",
-        "{footage}/v.mp4 --fps 5 --minutes 0.03 --min-size 64 --checkpoint {checkpoint}",
+        "bench_footage.py",
+        "live {footage}/v.mp4 --fps 5 --minutes 0.03 --min-size 64 --checkpoint {checkpoint}",
         says="| minutes | images/s |",
     ),
     Run(
-        "research/detector_curve.py",
-        "{out} --look {checkpoint}@64@every --paths {footage}/v.json",
+        "bench_footage.py",
+        "curve {out} --look {checkpoint}@64@every --paths {footage}/v.json",
         says='{"rate": ',
     ),
     Run("research/marker_offsets.py", "{road}", says="kind                points"),
@@ -162,7 +163,7 @@ RUNS: Final[Sequence[Run]] = (
         says="mean over the cameras",
         slow=True,
     ),
-    Run("research/track_rates.py", "{road} --fps 10", says="  10    0/0"),
+    Run("research/footage_scores.py", "tracks {road} --fps 10", says="  10    0/0"),
     Run("research/fit_lengths.py", "{out}", says="no clips that were tracked", code=2),
     Run("research/gate_coverage.py", "{clips}/t06_plaza_opening_day --true-keypoints", says="busy gate-minutes"),
     Run("research/traffic_clips.py", "score {clips} --true-keypoints --only t06_plaza_opening_day", says=" holds"),
@@ -185,7 +186,9 @@ RUNS: Final[Sequence[Run]] = (
     Run("research/traffic_scores.py", "{clips}/t06_plaza_opening_day --true-keypoints", says="why missed: -"),
     Run("research/traffic_tables.py", "{clips}/no_results.json", says="why missed: -"),
     Run("research/traffic_truth.py", "t06_plaza_opening --seconds 0.5 --out {out}", slow=True),
-    Run("research/video_modes.py", "{clip} {clip}/seen", says=" | 1.000 | 0.000 | 1.000 | - | 100.0 | 1.000 |"),
+    Run(
+        "research/footage_scores.py", "frames {clip} {clip}/seen", says="| 1.000 | 0.000 | 1.000 | - | 100.0 |"
+    ),
     Run("research/wrong_point_bound.py", "--draws 1", says="of 8 sets: forced", slow=True),
     Run("vehicle_shapes.py", "--samples 1 --out {out}/shapes.json", says="wrote", slow=True),
     Run("vehicle_sight.py", "--azimuth-step 180 --out {out}/sight.json", says="wrote", slow=True),

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from track_rates import matched
+from footage_scores import matched
 from traffic_gates import SITE
 
 from skope.dataset import coco
