@@ -5,11 +5,12 @@
     python scripts/bench_detector.py backbones                                    # fastest backend and number format
     python scripts/bench_detector.py backbones --variants road33,resnet18-128-4x128 --rounds 20
 
-`metrics`: 3,000 images of 6 vehicles, all four IoU thresholds in both protocols, without AP (which pycocotools computes
-in any case). The peer is a straightforward loop over images, thresholds and vehicles with IoU from pycocotools.
+`metrics`: 3,000 images of 6 vehicles, all four IoU thresholds in both protocols, without AP (which pycocotools
+computes in any case). The peer is a straightforward loop over images, thresholds and vehicles with IoU from
+pycocotools.
 
-`inference`: images per second against the stock model call of torchvision, image by image, with at most 100 detections
-above 0.05 per image; --floor 0 makes them 100, as in crowded scenes.
+`inference`: images per second against the stock model call of torchvision, image by image, with at most 100
+detections above 0.05 per image; --floor 0 makes them 100, as in crowded scenes.
 
 `backbones`: the time of each part of a network, by backbone and widths, with the backend of `skope eval predict`.
 Weights are random: apart from the suppression of proposals, time hardly depends on them. The stages are the pyramid

@@ -9,22 +9,22 @@
     python scripts/bench_footage.py live footage/t06_plaza_opening.mp4 --fps 10 --minutes 30
 
 `ways`: torchvision's own call, image by image; skope's backends and number formats on every frame; and `video`, the
-default of `skope eval predict`. Each runs in a process of its own, which has loaded the detector and processed a batch
-before the clock starts; decoding counts. Use `--times` where a clip is over before pipelines are full. Memory is the
-process's, on a GPU the GPU's. Every frame is scored at IoU 0.6 (research/footage_scores.py): what `skope eval predict`
-writes, after frames have confirmed each other, and for torchvision's call the detections above 0.5.
+default of `skope eval predict`. Each runs in a process of its own, which has loaded the detector and processed a
+batch before the clock starts; decoding counts. Use `--times` where a clip is over before pipelines are full. Memory
+is the process's, on a GPU the GPU's. Every frame is scored at IoU 0.6 (research/footage_scores.py): what `skope eval
+predict` writes, after frames have confirmed each other, and for torchvision's call the detections above 0.5.
 
 `steps`: seconds of `skope eval predict`, `track` and `pose`, seconds of footage per second, and megabytes written.
 
-`curve`: a row is a detector, the short side inside the network, and `key` (default of `skope eval predict` on a CPU) or
-`every` (--every-frame). Missing clips (CLIPS) are generated: roads that no detector was trained on, in two groups.
-Images per second are over all clips, with decoding, camera shake and writing of results, without loading; memory is the
-peak of the process. Every frame and what `skope eval track` makes of them is scored; tracks are means over the clips of
-a group. The folder keeps what was measured.
+`curve`: a row is a detector, the short side inside the network, and `key` (default of `skope eval predict` on a CPU)
+or `every` (--every-frame). Missing clips (CLIPS) are generated: roads that no detector was trained on, in two groups.
+Images per second are over all clips, with decoding, camera shake and writing of results, without loading; memory is
+the peak of the process. Every frame and what `skope eval track` makes of them is scored; tracks are means over the
+clips of a group. The folder keeps what was measured.
 
 `live`: the video is sent again and again as a web camera would (MJPEG over HTTP, from JPEG files made before), and
-`skope eval predict` reads it in a process of its own. The table has a row for each sixth of the time: lag from sending
-a frame to its results, frames passed over, memory.
+`skope eval predict` reads it in a process of its own. The table has a row for each sixth of the time: lag from
+sending a frame to its results, frames passed over, memory.
 """
 
 import argparse

@@ -5,9 +5,9 @@
     python scripts/bench_gen.py dataset --flat 100,1000,5000    # cost of an image in datasets of growing size
     python scripts/bench_gen.py world --frames 192 --sites t01_mill_corner,t05_market_first
 
-`frames`: skope writes whole frames (JPEG, depth, annotations). The peers draw colour, depth and ids of the whole scene
-with one `getCameraImage` per frame, and for labels each vehicle once more by itself; they write nothing. Each core runs
-one process of one thread, all at the same time. The clock starts after each vehicle model has been built.
+`frames`: skope writes whole frames (JPEG, depth, annotations). The peers draw colour, depth and ids of the whole
+scene with one `getCameraImage` per frame, and for labels each vehicle once more by itself; they write nothing. Each
+core runs one process of one thread, all at the same time. The clock starts after each vehicle model has been built.
 
 `dataset`: the peer is a plain loop over pybullet's camera on the same recording, with `getCameraImage` once more for
 each vehicle (its whole silhouette, for box and occlusion), and JPEG and depth by OpenCV; one process per core.

@@ -9,8 +9,8 @@ train_one_epoch, written again here), its model Keypoint R-CNN with 33 keypoints
 stages. Both contenders start from the same weights and learn the same images in the same order of size. Each runs in
 a process of its own, in turn with the other, so that neither has the other's memory or a quieter moment.
 
-The number of proposals on vehicles decides how much work the keypoint head has. Both contenders therefore start from a
-trained detector, `road33` unless `--checkpoint` names another. The mean number of regions on vehicles per image is
+The number of proposals on vehicles decides how much work the keypoint head has. Both contenders therefore start from
+a trained detector, `road33` unless `--checkpoint` names another. The mean number of regions on vehicles per image is
 printed.
 """
 

@@ -86,8 +86,8 @@ RUNS: Final[Sequence[Run]] = (
         says="v.mp4                 track",
     ),
     Run("legs_table.py", "--curve {out}/legs.svg", says="| wet_night |"),
-    Run("research/camera_errors.py", "{road}", says="1 cameras answered"),
-    Run("research/camera_sway.py", "{road} --picture {photograph}", says="| 10 px | "),
+    Run("research/camera_errors.py", "vehicles {road}", says="1 cameras answered"),
+    Run("research/camera_errors.py", "shake {road} --picture {photograph}", says="| 10 px | "),
     Run(
         "bench_footage.py",
         "ways {footage} --checkpoint {checkpoint} --frames 2 --times 2 --only torch-float32@64",
@@ -152,14 +152,14 @@ RUNS: Final[Sequence[Run]] = (
     Run("train_leg.py", "run 1 --out {out}", says="leg 1 goes on from weights: --state", code=2),
     Run("train_leg.py", "join {out} --out {out}/a.safetensors", says="parts.json", code=2),
     Run(
-        "research/site_calibration.py",
-        "--draws 1 --cameras 1 --rows 4-points 6-points-one-wrong lengths",
+        "research/camera_calibration.py",
+        "marks --draws 1 --cameras 1 --rows 4-points 6-points-one-wrong lengths",
         says="all cameras: ",
         slow=True,
     ),
     Run(
-        "research/site_vehicles.py",
-        "--draws 1 --cameras 1 --vehicles 5 --size-sigma 0.04",
+        "research/camera_calibration.py",
+        "vehicles --draws 1 --cameras 1 --vehicles 5 --size-sigma 0.04",
         says="mean over the cameras",
         slow=True,
     ),
@@ -186,10 +186,8 @@ RUNS: Final[Sequence[Run]] = (
     Run("research/traffic_scores.py", "{clips}/t06_plaza_opening_day --true-keypoints", says="why missed: -"),
     Run("research/traffic_tables.py", "{clips}/no_results.json", says="why missed: -"),
     Run("research/traffic_truth.py", "t06_plaza_opening --seconds 0.5 --out {out}", slow=True),
-    Run(
-        "research/footage_scores.py", "frames {clip} {clip}/seen", says="| 1.000 | 0.000 | 1.000 | - | 100.0 |"
-    ),
-    Run("research/wrong_point_bound.py", "--draws 1", says="of 8 sets: forced", slow=True),
+    Run("research/footage_scores.py", "frames {clip} {clip}/seen", says="| 1.000 | 0.000 | 1.000 | - | 100.0 |"),
+    Run("research/camera_calibration.py", "bound --draws 1", says="of 8 sets: forced", slow=True),
     Run("vehicle_shapes.py", "--samples 1 --out {out}/shapes.json", says="wrote", slow=True),
     Run("vehicle_sight.py", "--azimuth-step 180 --out {out}/sight.json", says="wrote", slow=True),
 )
