@@ -164,9 +164,16 @@ RUNS: Final[Sequence[Run]] = (
         slow=True,
     ),
     Run("research/footage_scores.py", "tracks {road} --fps 10", says="  10    0/0"),
-    Run("research/fit_lengths.py", "{out}", says="no clips that were tracked", code=2),
     Run("research/gate_coverage.py", "{clips}/t06_plaza_opening_day --true-keypoints", says="busy gate-minutes"),
-    Run("research/traffic_clips.py", "score {clips} --true-keypoints --only t06_plaza_opening_day", says=" holds"),
+    Run("research/traffic_scores.py", "counts {clips} --true-keypoints", says="why missed: -"),
+    Run("research/traffic_scores.py", "lengths {clips} --true-keypoints", says="2 tracks; shares"),
+    Run(
+        "research/traffic_clips.py",
+        "detect {clips} --only t06_plaza_opening_night",
+        says="not all clips",
+        code=1,
+        apart=True,
+    ),
     Run(
         "research/traffic_clips.py",
         "make --only t06_plaza_opening_day --seconds 0.5 --size 96x54 --out {out}",
@@ -174,8 +181,6 @@ RUNS: Final[Sequence[Run]] = (
         apart=True,
         slow=True,
     ),
-    Run("research/traffic_evidence.py", "{clips}/labels.json {clips}", says="track 1: 1 ("),
-    Run("research/traffic_gates.py", "t06_plaza_opening --out {out}", says="arm2"),
     Run(
         "research/traffic_hours.py",
         "--hours 0.02 --kills 2 --recordings 2 --out {out}/hours",
@@ -183,9 +188,6 @@ RUNS: Final[Sequence[Run]] = (
         apart=True,
         slow=True,
     ),
-    Run("research/traffic_scores.py", "{clips}/t06_plaza_opening_day --true-keypoints", says="why missed: -"),
-    Run("research/traffic_tables.py", "{clips}/no_results.json", says="why missed: -"),
-    Run("research/traffic_truth.py", "t06_plaza_opening --seconds 0.5 --out {out}", slow=True),
     Run("research/footage_scores.py", "frames {clip} {clip}/seen", says="| 1.000 | 0.000 | 1.000 | - | 100.0 |"),
     Run("research/camera_calibration.py", "bound --draws 1", says="of 8 sets: forced", slow=True),
     Run("vehicle_shapes.py", "--samples 1 --out {out}/shapes.json", says="wrote", slow=True),
@@ -239,8 +241,7 @@ def one_clip(folder: Path) -> Path:
     vehicles = [a for a in road.annotations if a.box_3d and a.velocity is not None]
     state = [[*a.box_3d.center[:2], a.box_3d.yaw, *a.velocity[:2]] for a in vehicles if a.box_3d]
     (folder / name).mkdir(parents=True)
-    for path in (folder, folder / name):
-        coco.write(path / "labels.json", road)
+    coco.write(folder / name / "labels.json", road)
     np.savez(
         folder / name / "truth.npz",
         times_s=np.array([image.time_s for image in road.images]),
@@ -255,9 +256,6 @@ def one_clip(folder: Path) -> Path:
     line = [(middle + across).tolist(), (middle - across).tolist()]
     (folder / name / "site.toml").write_text(f'[[gates]]\nname = "gate"\nline = {line}\n')
     (folder / name / "clip.json").write_text(json.dumps({"name": name, "light": "day"}))
-    boxes = [f"{a.image_id},{a.track_id},{','.join(map(str, a.bbox))},1" for a in vehicles]
-    (folder / "mot.txt").write_text("\n".join(boxes))
-    (folder / "no_results.json").write_text('{"clips": []}')
     return folder
 
 

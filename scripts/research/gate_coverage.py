@@ -24,12 +24,10 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+from camera_calibration import points
 from scipy.optimize import minimize
 from scipy.special import betaln, gammaln
-from camera_calibration import points
-from traffic_evidence import LABELS, NOISE_PX
-from traffic_gates import SITE
-from traffic_truth import read_truth
+from traffic_clips import LABELS, NOISE_PX, SITE, read_truth
 
 from skope.dataset import coco
 from skope.errors import UserError
