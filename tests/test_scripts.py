@@ -116,9 +116,15 @@ RUNS: Final[Sequence[Run]] = (
     ),
     Run("compile_towns.py", "town01 --out {out}", says="town01.net.xml"),
     Run("demo_page.py", "{out}/none --data {dataset}", says="no such file", code=2),  # a page: test_demo_page.py
-    Run("draw_docs.py", "nonsense", says="no picture is called nonsense", code=2),
+    Run("draw_docs.py", "nonsense", says="no image is called nonsense", code=2),
     Run("draw_docs.py", "vehicle_sheet --out {out}", says="vehicle_sheet.jpg", apart=True, slow=True),
-    Run("draw_method.py", "--out {out}", says="method_occlusion.jpg", apart=True, slow=True),
+    Run(
+        "draw_docs.py",
+        "method_trilateration method_occlusion --out {out}",
+        says="method_occlusion.jpg",
+        apart=True,
+        slow=True,
+    ),
     Run(
         "research/experiment_train.py",
         f"{TRAINING} --init {{checkpoint}} --epochs 1 --max-images 1 --seeds 0 --variants exact --splits easy"
@@ -190,8 +196,7 @@ RUNS: Final[Sequence[Run]] = (
     ),
     Run("research/footage_scores.py", "frames {clip} {clip}/seen", says="| 1.000 | 0.000 | 1.000 | - | 100.0 |"),
     Run("research/camera_calibration.py", "bound --draws 1", says="of 8 sets: forced", slow=True),
-    Run("vehicle_shapes.py", "--samples 1 --out {out}/shapes.json", says="wrote", slow=True),
-    Run("vehicle_sight.py", "--azimuth-step 180 --out {out}/sight.json", says="wrote", slow=True),
+    Run("vehicle_shapes.py", "--samples 1 --azimuth-step 180 --out {out}", says="keypoint_visibility.json", slow=True),
 )
 
 
