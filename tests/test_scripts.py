@@ -85,7 +85,7 @@ RUNS: Final[Sequence[Run]] = (
         "steps {footage}/v.mp4 --camera {camera} --checkpoint {checkpoint}",
         says="v.mp4                 track",
     ),
-    Run("legs_table.py", "--curve {out}/legs.svg", says="| wet_night |"),
+    Run("results_tables.py", "legs --curve {out}/legs.svg", says="| wet_night |"),
     Run("research/camera_errors.py", "vehicles {road}", says="1 cameras answered"),
     Run("research/camera_errors.py", "shake {road} --picture {photograph}", says="| 10 px | "),
     Run(
@@ -141,8 +141,12 @@ RUNS: Final[Sequence[Run]] = (
     Run("house_figures.py", "{out}", says="has no folder skope", code=2),  # of a small tree: test_house_figures.py
     Run("infer_order.py", "{out}", says="no scene_K.zip", code=2),  # from scenes: test_infer_order.py
     Run("reference_run.py", "nonsense", says="invalid choice: 'nonsense'", code=2),
-    Run("reference_table.py", "{metrics}", says="| dataset easy | 0.6 |"),
-    Run("reference_table.py", "{metrics} --beside {metrics} --data {metrics}/..", says="| 100.0 | 1.000 | 1.000 |"),
+    Run("results_tables.py", "reference {metrics}", says="| dataset easy | 0.6 |"),
+    Run(
+        "results_tables.py",
+        "reference {metrics} --beside {metrics} --data {metrics}/..",
+        says="| 100.0 | 1.000 | 1.000 |",
+    ),
     Run("score_photographs.py", "{labels} --predictions {predictions} --out {out}", says="Wrote metrics.json"),
     Run(
         "bench_footage.py",
@@ -640,7 +644,7 @@ def test_the_demonstration_does_what_is_not_done(make: Any, tmp_path: Path) -> N
 
 def test_tables_of_the_legs_have_what_their_log_says(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.syspath_prepend(str(SCRIPTS))
-    table = importlib.import_module("legs_table")
+    table = importlib.import_module("results_tables")
     rows = table.read_log()
     found = list(table.points(rows))
     assert [one.name for one in found] == ["start", *(row["leg"] for row in rows)]
