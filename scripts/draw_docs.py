@@ -5,7 +5,7 @@
     python scripts/draw_docs.py noon fog --out elsewhere       # some
 
 Chromium takes `gallery` and `report` from their pages. docs/real_footage.jpg is a frame of real footage, from
-`skope eval predict VIDEO --overlay`; `python scripts/results_tables.py legs --curve docs/legs.svg` draws docs/legs.svg.
+`skope eval predict VIDEO --overlay`; `python scripts/legs_table.py --curve docs/legs.svg` draws docs/legs.svg.
 """
 
 import argparse

@@ -85,7 +85,7 @@ RUNS: Final[Sequence[Run]] = (
         "steps {footage}/v.mp4 --camera {camera} --checkpoint {checkpoint}",
         says="v.mp4                 track",
     ),
-    Run("results_tables.py", "legs --curve {out}/legs.svg", says="| wet_night |"),
+    Run("legs_table.py", "--curve {out}/legs.svg", says="| wet_night |"),
     Run("research/camera_errors.py", "vehicles {road}", says="1 cameras answered"),
     Run("research/camera_errors.py", "shake {road} --picture {photograph}", says="| 10 px | "),
     Run(
@@ -141,12 +141,6 @@ RUNS: Final[Sequence[Run]] = (
     Run("house_figures.py", "{out}", says="has no folder skope", code=2),  # of a small tree: test_house_figures.py
     Run("infer_order.py", "{out}", says="no scene_K.zip", code=2),  # from scenes: test_infer_order.py
     Run("reference_run.py", "nonsense", says="invalid choice: 'nonsense'", code=2),
-    Run("results_tables.py", "reference {metrics}", says="| dataset easy | 0.6 |"),
-    Run(
-        "results_tables.py",
-        "reference {metrics} --beside {metrics} --data {metrics}/..",
-        says="| 100.0 | 1.000 | 1.000 |",
-    ),
     Run("score_photographs.py", "{labels} --predictions {predictions} --out {out}", says="Wrote metrics.json"),
     Run(
         "bench_footage.py",
@@ -315,7 +309,7 @@ def test_help(script: Script, name: str) -> None:
 
 @pytest.mark.parametrize("run", [pytest.param(run, id=run.script, marks=run.marks) for run in RUNS])
 def test_smallest_run(
-    skope: Any, script: Script, inputs: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, run: Run
+    script: Script, inputs: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, run: Run
 ) -> None:
     if "{checkpoint}" in run.arguments:
         shrink(monkeypatch)
@@ -330,13 +324,6 @@ def test_smallest_run(
         monkeypatch.setattr(subprocess, "run", start_small)
         monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(ROOT), os.environ["PYTHONPATH"]]))
     given = dict(inputs)
-    if "{metrics}" in run.arguments:
-        given["metrics"] = tmp_path / "metrics"
-        out = given["metrics"] / "dataset"
-        scored = ["--data", inputs["dataset"], "--split", "easy", "--predictions", inputs["predictions"]]
-        assert skope("eval", *scored, "--out", out, "--quiet")[0] == 0
-        shutil.copy(inputs["predictions"], out / "predictions_easy.json")
-        shutil.copytree(inputs["dataset"], tmp_path / "dataset")
     given["out"] = tmp_path / "out"
     given["out"].mkdir()
     arguments = run.arguments.format_map(given).split()
@@ -644,7 +631,7 @@ def test_the_demonstration_does_what_is_not_done(make: Any, tmp_path: Path) -> N
 
 def test_tables_of_the_legs_have_what_their_log_says(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.syspath_prepend(str(SCRIPTS))
-    table = importlib.import_module("results_tables")
+    table = importlib.import_module("legs_table")
     rows = table.read_log()
     found = list(table.points(rows))
     assert [one.name for one in found] == ["start", *(row["leg"] for row in rows)]
