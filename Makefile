@@ -107,17 +107,14 @@ real: $(if $(REAL),$(STAMP))
 	$(VENV)/bin/python scripts/score_photographs.py "$(REAL)" --checkpoint "$(CHECKPOINT)" --out "$(SCORED)"
 
 bench: $(STAMP) $(DATA)/dataset.json
-	$(VENV)/bin/python scripts/bench_backbones.py
-	$(VENV)/bin/python scripts/bench_eval.py
-	$(VENV)/bin/python scripts/bench_gen.py
-	$(VENV)/bin/python scripts/bench_import.py
-	$(VENV)/bin/python scripts/bench_localize.py
-	OMP_NUM_THREADS=1 $(VENV)/bin/python scripts/bench_pose.py $(DATA)/annotations/hard.json
+	$(VENV)/bin/python scripts/bench_detector.py backbones
+	$(VENV)/bin/python scripts/bench_detector.py metrics
+	$(VENV)/bin/python scripts/bench_gen.py frames
+	$(VENV)/bin/python scripts/bench_gen.py dataset
+	$(VENV)/bin/python scripts/bench_gen.py world
 	$(SKOPE) gen video t06_plaza_opening --fps 10 --seconds 4 --out $(FOOTAGE) --quiet
-	$(VENV)/bin/python scripts/bench_predict.py $(FOOTAGE) --frames 10
-	$(VENV)/bin/python scripts/bench_render.py
+	$(VENV)/bin/python scripts/bench_footage.py ways $(FOOTAGE) --frames 10
 	$(VENV)/bin/python scripts/bench_train.py --data $(DATA)
-	$(VENV)/bin/python scripts/bench_world.py
 
 clean:
 	rm -rf $(VENV) build dist site *.egg-info .mypy_cache .pytest_cache .ruff_cache

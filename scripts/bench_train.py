@@ -1,4 +1,4 @@
-"""Images a second of a training step, against torchvision's own reference loop, in one run on one machine.
+"""Images per second of a training step, against torchvision's own reference loop, in one run on one machine.
 
     python scripts/bench_train.py --data data/skope                         (this machine's CPU)
     python scripts/bench_train.py --data data/skope --device cuda --amp --min-size 800 --steps 100
@@ -6,28 +6,27 @@
 
 The reference is the loop of torchvision's references/detection (its dataset, transforms, data loader and
 train_one_epoch, written again here), its model Keypoint R-CNN with 33 keypoints, frozen norms and three trainable
-stages. Both contenders start from the same weights, learn the same images in the same order of size, and run in
-processes of their own, in turns, so that neither has the other's memory or a quieter moment.
+stages. Both contenders start from the same weights and learn the same images in the same order of size. Each runs in
+a process of its own, in turn with the other, so that neither has the other's memory or a quieter moment.
 
-How many proposals lie on vehicles decides how much the keypoint head has to do, so both start from a trained detector,
-the package's unless `--checkpoint` names another; its mean number of regions on vehicles an image is printed.
+The number of proposals on vehicles decides how much work the keypoint head has. Both contenders therefore start from
+a trained detector, `road33` unless `--checkpoint` names another. The mean number of regions on vehicles per image is
+printed.
 """
 
 import argparse
 import dataclasses
 import json
-import os
-import platform
 import resource
-import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import torch
 import torchvision
+from benchmark import in_own_process, in_turn, machine, print_head, print_row
 from PIL import Image
 from torchvision.models.detection import KeypointRCNN
 from torchvision.models.detection.backbone_utils import resnet_fpn_backbone
@@ -58,11 +57,8 @@ def main() -> None:
     contenders: dict[str, list[str]] = {"torchvision": [], "skope": []}
     if options.each:
         contenders |= {f"skope {value}": ["--set", value] for value in SHORTCUTS}
-    rows: dict[str, list[dict[str, Any]]] = {name: [] for name in contenders}
-    for _ in range(options.rounds):
-        for name, more in contenders.items():
-            rows[name].append(in_own_process(name.split()[0], more))
-    report(options, rows)
+    ways = {name: partial(in_own_process, "--only", name.split()[0], *more) for name, more in contenders.items()}
+    report(options, in_turn(ways, options.rounds))
 
 
 def parse() -> argparse.Namespace:
@@ -276,37 +272,23 @@ def peak_mb(device: torch.device) -> float:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**10
 
 
-def in_own_process(name: str, more: Sequence[str]) -> dict[str, Any]:
-    command = [sys.executable, __file__, *sys.argv[1:], "--only", name, *more]
-    done = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True)
-    return json.loads(done.stdout.splitlines()[-1])  # type: ignore[no-any-return]
-
-
 def report(options: argparse.Namespace, rows: dict[str, list[dict[str, Any]]]) -> None:
+    """Print the best figures of each contender, and how they compare with torchvision's."""
     names = ("images_per_s", "cpu_s_per_image", "peak_mb", "vehicle_regions")
     best = {name: {key: best_of(key, each) for key in names} for name, each in rows.items()}
-    where = torch.cuda.get_device_name() if options.device != "cpu" else f"{os.cpu_count()}-core CPU"
-    versions = f"Python {platform.python_version()}, torch {torch.__version__}, torchvision {torchvision.__version__}"
-    print(
-        f"{time.strftime('%Y-%m-%d')}, {where}, {torch.get_num_threads()} threads, {versions}; batch "
-        f"{options.batch_size}, short side {options.min_size} px, {options.steps} steps x {options.rounds} rounds, the "
-        "best of each"
-    )
-    print(
-        "| contender | images/s | times | CPU s/image | times | peak MB | vehicle regions/image |\n" + "|---" * 7 + "|"
-    )
+    print(f"{machine(options.device)}, torchvision {torchvision.__version__}; batch {options.batch_size}, short side")
+    print(f"{options.min_size} px, {options.steps} steps x {options.rounds} rounds, the best of each")
+    print_head(("contender", "images/s", "times", "CPU s/image", "times", "peak MB", "vehicle regions/image"))
     peer = best["torchvision"]
     for name, row in best.items():
         faster = row["images_per_s"] / peer["images_per_s"]
         cheaper = peer["cpu_s_per_image"] / row["cpu_s_per_image"]
-        print(
-            f"| {name} | {row['images_per_s']:.3f} | {faster:.2f} | {row['cpu_s_per_image']:.2f} | {cheaper:.2f} "
-            f"| {row['peak_mb']:.0f} | {row['vehicle_regions']:.1f} |"
-        )
+        rates = (f"{row['images_per_s']:.3f}", f"{faster:.2f}", f"{row['cpu_s_per_image']:.2f}", f"{cheaper:.2f}")
+        print_row((name, *rates, f"{row['peak_mb']:.0f}", f"{row['vehicle_regions']:.1f}"))
 
 
 def best_of(key: str, rows: Sequence[dict[str, Any]]) -> float:
-    """The quietest round's figure."""
+    """The figure of the quietest round."""
     values = [float(row[key]) for row in rows]
     return max(values) if key == "images_per_s" else min(values)
 

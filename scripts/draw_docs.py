@@ -1,14 +1,15 @@
-"""Make the pictures of README and docs again, with the commands that they show; ten minutes on two cores.
+"""Make the images of README and docs again, with the commands that they show; ten minutes on two cores.
 
-    make demo                                                  # what birdseye and footage_overlay show
+    make demo                                                  # gives birdseye and footage_overlay
     python scripts/draw_docs.py                                # all
     python scripts/draw_docs.py noon fog --out elsewhere       # some
 
-`gallery` and `report` are photographed by Chromium. docs/method.md has its figures from `draw_method.py`, and
-docs/real_footage.jpg is a frame of somebody's footage: `skope eval predict VIDEO --overlay`.
+Chromium takes `gallery` and `report` from their pages. docs/real_footage.jpg is a frame of real footage, from
+`skope eval predict VIDEO --overlay`; `python scripts/legs_table.py --curve docs/legs.svg` draws docs/legs.svg.
 """
 
 import argparse
+import math
 import shutil
 import subprocess
 import sys
@@ -21,28 +22,49 @@ from typing import Final
 
 import cv2
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.layout_engine import ConstrainedLayoutEngine
+from matplotlib.lines import Line2D
+from matplotlib.patches import Polygon
 from numpy.typing import NDArray
 
+from skope import keypoints as scheme
+from skope.camera.model import Camera
 from skope.dataset.folder import open_dataset, read_image
 from skope.files.atomic import replacing
+from skope.gen.inspect.vehicle_models import parked_recording
+from skope.gen.labels.annotate import Rules, annotate
+from skope.gen.labels.visibility import VISIBILITY, behind
+from skope.gen.labels.world_keypoints import WorldKeypoints, world_keypoints
+from skope.gen.pipeline.config import from_preset
+from skope.gen.render.choose_renderer import choose_renderer, make_renderer
+from skope.gen.render.frame import RenderedFrame
+from skope.gen.scene.recording import Recording
+from skope.gen.simulation.simulate import simulate
+from skope.gen.vehicles.fleet import fleet
+from skope.gen.vehicles.model import wheel_plane
+from skope.pictures import draw
+from skope.schema import Annotation
 
+JUNCTION: Final = "t01_mill_corner"
 Pixels = NDArray[np.uint8]
 
 ROOT: Final = Path(__file__).parents[1]
-SITE: Final = "t01_mill_corner"
 MOST_BYTES: Final = 290_000
-"""A page shows many of them."""
+"""Largest file: a page shows many of them."""
 OVERLAY_FRAME: Final = 30
 
 
 @dataclass(frozen=True)
 class Places:
-    """Where pictures come from."""
+    """Folders that images come from."""
 
     work: Path
-    """For what is made on the way."""
+    """Folder for intermediate files."""
     run: Path
-    """What `make demo` made."""
+    """Folder that `make demo` wrote."""
 
 
 def skope(*words: object, at: Path = ROOT) -> None:
@@ -62,10 +84,10 @@ def generated(folder: Path, *options: object) -> Pixels:
 
 
 def weather(name: str, sky: str, time: str) -> Callable[[Places], Pixels]:
-    """What makes a picture of one junction in some weather."""
+    """A function that draws one junction in some weather."""
 
     def draw(places: Places) -> Pixels:
-        options = ("--site", SITE, "--weather", sky, "--time-of-day", time, "--frames", 2)
+        options = ("--site", JUNCTION, "--weather", sky, "--time-of-day", time, "--frames", 2)
         return generated(places.work / name, *options)
 
     return draw
@@ -126,7 +148,7 @@ def report(places: Places) -> Pixels:
 
 
 def queue(places: Places) -> str:
-    """The name of a dataset of vehicles before a signal, which reports show as it is given."""
+    """The name of a dataset of vehicles before a signal; reports show it as given."""
     skope("gen", "--site", "t01_mill_south", "--frames", 8, "--size", "1280x720", "--out", "queue", at=places.work)
     return "queue"
 
@@ -146,24 +168,200 @@ def narrowed(pixels: Pixels, width: int) -> Pixels:
     return np.asarray(cv2.resize(pixels, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), dtype=np.uint8)
 
 
+MODEL, POINT = "suv", "roof_front_left"
+BUSY_SITE, BUSY_FRAMES = "t01_mill_south", 8
+COLORS = {"visible": "#009e73", "hidden by itself": "#e69f00", "hidden by something else": "#cc3399"}
+WHEEL_COLORS = ("#d55e00", "#0072b2", "#cc79a7", "#009e73")
+LABELS = (0.6, 0.6, 0.4, 0.75)
+"""Position of the label of each distance, from the point (0) to the wheel centre (1)."""
+Array = np.ndarray
+
+
+def trilateration_figure(renderer: str) -> Figure:
+    """The 33 points of a vehicle; and one of them found from its distances to the four wheel centres."""
+    vehicle = fleet()[MODEL].vehicle
+    figure = Figure(figsize=(16, 6.3), layout=ConstrainedLayoutEngine(h_pad=0.12))
+    left, right = figure.subplots(1, 2)
+    for axis, fov in ((left, 15.5), (right, 20.0)):
+        camera = _camera(math.radians(fov))
+        recording = parked_recording(vehicle, camera)
+        view = make_renderer(renderer, recording).render(0)
+        if axis is left:
+            annotations, _ = annotate(recording.moment(0), view, camera, Rules(), image_id=1)
+            axis.imshow(draw.numbered(view.rgb, annotations))
+            axis.set_title("The 33 keypoints (pale: hidden from here)")
+        else:
+            axis.imshow(view.rgb // 2 + 110)
+            spheres(axis, vehicle.points, vehicle.sidecar.distances[scheme.INDEX[POINT]], camera)
+            axis.set_title(f"Keypoint {scheme.INDEX[POINT]} from its distances to the wheel centres")
+        axis.set_axis_off()
+        axis.set(xlim=(0, camera.width), ylim=(camera.height, 0))
+    return figure
+
+
+def _camera(fov: float) -> Camera:
+    """A camera that looks at the middle of a vehicle at the origin, from its front left."""
+    azimuth, elevation = math.radians(58), math.radians(17)
+    toward = np.array([math.cos(azimuth), math.sin(azimuth), math.tan(elevation)])
+    place = np.array([0, 0, 0.7]) + 19 * toward
+    return Camera.looking(place, yaw=azimuth + math.pi, pitch_down=elevation, size=(1000, 760), fov=fov)
+
+
+def spheres(axis: Axes, points: Array, distances: Array, camera: Camera) -> None:
+    """Around each wheel centre the circle of its sphere that goes through the point and its mirror image."""
+    wheels, target = points[list(scheme.WHEELS)], points[scheme.INDEX[POINT]]
+    center, _, normal = wheel_plane(wheels)
+    height = (target - center) @ normal
+    mirrored = target - 2 * height * normal
+
+    def at(places: Array) -> Array:
+        return camera.project(places)[0] - 0.5  # matplotlib counts the centre of a pixel as i
+
+    axis.add_patch(Polygon(at(wheels[[0, 1, 3, 2]]), color="#56b4e9", alpha=0.35, lw=0))
+    turn = np.linspace(0, 2 * math.pi, 200)[:, None]
+    for wheel, distance, color, part, name in zip(wheels, distances, WHEEL_COLORS, LABELS, "1234", strict=True):
+        along = (target - wheel) - ((target - wheel) @ normal) * normal
+        along = along / np.linalg.norm(along)
+        circle = wheel + distance * (np.cos(turn) * along + np.sin(turn) * normal)
+        axis.plot(*at(circle).T, color=color, lw=1.4)
+        axis.plot(*at(np.stack([wheel, target])).T, color=color, lw=1.2, ls="--")
+        axis.plot(*at(wheel[None]).T, "o", color=color, ms=7, mec="black")
+        middle = at((part * wheel + (1 - part) * target)[None])[0]
+        label = {"ha": "center", "va": "center", "fontsize": 9, "color": color}
+        axis.text(*middle, f"$d_{name}$ = {distance:.2f} m", bbox={"fc": "white", "ec": "none", "pad": 1.5}, **label)
+    axis.plot(*at(target[None]).T, "o", color="black", ms=9, mfc="yellow")
+    axis.plot(*at(mirrored[None]).T, "o", color="black", ms=9, mfc="none")
+    axis.annotate("mirror solution, below\nthe plane of the wheels", at(mirrored[None])[0], (34, -6), **_NOTE)
+
+
+_NOTE = {"textcoords": "offset points", "fontsize": 9, "arrowprops": {"arrowstyle": "-"}, "bbox": {"fc": "white"}}
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A frame, and the vehicle of it that is shown."""
+
+    recording: Recording
+    view: RenderedFrame
+    world: WorldKeypoints
+    index: int
+    annotation: Annotation
+
+
+def hidden_vehicle(renderer: str) -> Scene:
+    """The tallest car on a busy road of which something else hides about a third."""
+    _, driver, _ = choose_renderer(renderer)
+    plan = from_preset(
+        "demo", seed=0, renderer=renderer, driver=driver, rules=Rules(), frames=BUSY_FRAMES, sites=(BUSY_SITE,),
+        size="1280x720", fov_deg=70.0,
+    ).plans()[0]  # fmt: skip
+    recording = simulate(plan)
+    drawn = make_renderer(renderer, recording)
+    found = []
+    for frame in range(len(recording)):
+        view, moment = drawn.render(frame), recording.moment(frame)
+        world = world_keypoints(moment, "rigid")
+        tracks = [vehicle.track_id for vehicle in moment.vehicles]
+        for annotation in annotate(moment, view, recording.camera, Rules(), image_id=1)[0]:
+            if not annotation.ignored and 0.2 < (annotation.occlusion or 0) < 0.5 and not annotation.truncation:
+                index = tracks.index(annotation.track_id)
+                found.append((annotation.bbox[3], Scene(recording, view, world, index, annotation)))
+    return max(found, key=lambda pair: pair[0])[1]
+
+
+def occlusion_figure(scene: Scene) -> Figure:
+    """A partly hidden vehicle, and d_k - d_p of each of its points."""
+    camera, view = scene.recording.camera, scene.view
+    points = scene.world.tested[scene.index]
+    gap, shown = (values[0] for values in behind(view, camera, points))
+    own = shown == scene.index + 1
+    seen = scene.annotation.keypoints[:, 2]
+    kinds = np.where(seen == 2, "visible", np.where(own, "hidden by itself", "hidden by something else"))
+    figure = Figure(figsize=(16, 5.6), layout=ConstrainedLayoutEngine(h_pad=0.12))
+    left, right = figure.subplots(1, 2, width_ratios=(1, 1.25))
+    x, y, w, h = scene.annotation.bbox
+    left.imshow(view.rgb)
+    left.set(xlim=(x - 0.35 * w, x + 1.35 * w), ylim=(y + h / 2 + 0.72 * w, y + h / 2 - 0.72 * w))
+    left.set_axis_off()
+    for kind, color in COLORS.items():
+        mine = (kinds == kind) & (seen > 0)
+        fill = color if kind == "visible" else "none"
+        left.plot(*(scene.annotation.keypoints[mine, :2] - 0.5).T, "o", color=color, ms=7, mfc=fill, mew=2)
+        right.plot(np.flatnonzero(mine), gap[mine], "o", color=color, ms=7, mfc=fill, mew=2)
+        right.vlines(np.flatnonzero(mine), 0, gap[mine], color=color, lw=1)
+    annotate_depths(
+        left, scene, int(np.nanargmin(np.where(kinds == "visible", np.abs(gap), np.nan))), points, (-80, 95)
+    )
+    annotate_depths(
+        left, scene, int(np.nanargmax(np.where(kinds == "hidden by something else", gap, np.nan))), points, (0, -95)
+    )
+    for tolerance, words in (
+        (VISIBILITY.point_m, "a point is hidden"),
+        (VISIBILITY.vehicle_m, "counts for the whole vehicle"),
+    ):
+        right.axhline(tolerance, color="black", lw=0.8, ls="--")
+        right.text(32.4, tolerance * 1.08, f"> {tolerance:g} m: {words}", ha="right", va="bottom", fontsize=9)
+    right.set_yscale("symlog", linthresh=0.05, linscale=0.6)
+    right.set_yticks(ticks := (-5, -1, -0.2, -0.05, 0, 0.05, 0.2, 1, 5), [f"{tick:g}" for tick in ticks])
+    right.minorticks_off()
+    right.set(xlabel="keypoint", ylabel="$d_k - d_p$ less the slope's allowance, m", xticks=range(0, 33, 2))
+    right.spines[["top", "right"]].set_visible(False)
+    handles = [
+        Line2D([], [], marker="o", ls="", color=color, mfc=color if kind == "visible" else "none", mew=2, label=kind)
+        for kind, color in COLORS.items()
+    ]
+    right.legend(handles=handles, frameon=False, loc="upper left", bbox_to_anchor=(0, 1.12), ncols=3)
+    return figure
+
+
+def annotate_depths(axis: Axes, scene: Scene, k: int, points: Array, offset: tuple[int, int]) -> None:
+    """Write a point's distance from the camera and that of what its pixel shows beside it."""
+    camera = scene.recording.camera
+    pixel = camera.project(points[k])[0]
+    column, row = (int(v) for v in pixel)
+    ray, _ = camera.rays(np.array([column + 0.5, row + 0.5]))
+    shown = float(scene.view.depth[row, column]) * float(np.linalg.norm(ray))
+    own = float(np.linalg.norm(camera.to_camera(points[k])))
+    text = f"{k} {scheme.NAMES[k]}\n$d_k$ = {own:.2f} m, $d_p$ = {shown:.2f} m"
+    axis.annotate(text, pixel - 0.5, offset, **_NOTE)
+
+
+def method_trilateration(_: Places) -> Pixels:
+    """The figure of docs/method.md on trilateration."""
+    return rasterised(trilateration_figure(choose_renderer("auto")[0]))
+
+
+def method_occlusion(_: Places) -> Pixels:
+    """The figure of docs/method.md on hidden points."""
+    return rasterised(occlusion_figure(hidden_vehicle(choose_renderer("auto")[0])))
+
+
+def rasterised(figure: Figure) -> Pixels:
+    """(H, W, 3) of a figure."""
+    figure.set_dpi(90)
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    return np.ascontiguousarray(np.asarray(canvas.buffer_rgba())[..., :3])
+
+
 PICTURES: Final[dict[str, Callable[[Places], Pixels]]] = {
     "noon": weather("noon", "clear", "noon"),
     "low_sun": weather("low_sun", "clear", "low_sun"),
     "rain_night": weather("rain_night", "rain", "night"),
     "fog": weather("fog", "fog", "noon"),
-    "own_road": own_road,
-    "vehicle_sheet": vehicle_sheet,
-    "keypoints": keypoints,
-    "birdseye": birdseye,
-    "footage_overlay": footage_overlay,
-    "gallery": gallery,
-    "report": report,
+    **{
+        draw.__name__: draw
+        for draw in (
+            *(own_road, vehicle_sheet, keypoints, method_trilateration, method_occlusion),
+            *(birdseye, footage_overlay, gallery, report),
+        )
+    },
 }
 NEEDS_BROWSER: Final = ("gallery", "report")
 
 
 def write(path: Path, pixels: Pixels) -> None:
-    """As JPEG, in the best quality that `MOST_BYTES` allow."""
+    """Write a JPEG in the best quality that `MOST_BYTES` allow."""
     for quality in range(90, 40, -5):
         made, data = cv2.imencode(".jpg", cv2.cvtColor(pixels, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, quality])
         if made and len(data) <= MOST_BYTES:
@@ -181,7 +379,7 @@ def main() -> None:
     options = parser.parse_args()
     names = options.names or list(PICTURES)
     if unknown := set(names) - PICTURES.keys():
-        parser.error(f"no picture is called {', '.join(sorted(unknown))}; there are {', '.join(PICTURES)}")
+        parser.error(f"no image is called {', '.join(sorted(unknown))}; there are {', '.join(PICTURES)}")
     if set(names) & set(NEEDS_BROWSER) and shutil.which("chromium") is None:
         parser.error(f"{', '.join(NEEDS_BROWSER)}: chromium is not installed")
     options.out.mkdir(parents=True, exist_ok=True)

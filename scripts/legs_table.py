@@ -1,10 +1,10 @@
-"""The legs of road33's training, as tables and as a curve, from scripts/legs.jsonl.
+"""Tables and a curve of the training stages of road33, from scripts/legs.jsonl.
 
     python scripts/legs_table.py
     python scripts/legs_table.py --curve docs/legs.svg
 
-Figures are those at the end of each leg, against all images that were visited until then; those before the first leg
-are its start's.
+Figures are those at the end of each stage, against all images that were visited until then; those before the first
+stage are its start's.
 """
 
 import argparse
@@ -28,7 +28,7 @@ Figures = Mapping[str, Any]
 
 @dataclass(frozen=True)
 class Point:
-    """What a detector reached after so many images were visited."""
+    """Figures of a detector after a number of visited images."""
 
     name: str
     visits: int
@@ -43,13 +43,13 @@ class Point:
 
 
 def read_log() -> list[dict[str, Any]]:
-    """The legs of road33, in their order."""
+    """The stages of road33, in their order."""
     rows = [json.loads(line) for line in LOG.read_text().splitlines()]
     return [row for row in rows if row["leg"].isdecimal()]
 
 
 def points(log: Sequence[Mapping[str, Any]]) -> Iterator[Point]:
-    """The start, and the end of each leg."""
+    """The start, and the end of each stage."""
     visits = 0
     for row in log:
         if row["leg"] == "1":
@@ -77,7 +77,7 @@ MEANS: Final = {"AP50 of boxes": ap50, "AP50 of keypoints": keypoint_ap50, "reca
 
 
 def legs_table(log: Sequence[Mapping[str, Any]], found: Sequence[Point]) -> str:
-    """What each leg did and reached, in the mean over the conditions, and on photographs."""
+    """Machine, images and figures of each stage: mean over the conditions, and photographs."""
     did = {"start": ("", ""), **{row["leg"]: (row["machine"], _images(row)) for row in log}}
     return markdown_table(
         ["leg", "machine", "images", "visits", *MEANS, "photographs: keypoints", "AP50", "recall at precision 0.95"],
@@ -95,7 +95,7 @@ def legs_table(log: Sequence[Mapping[str, Any]], found: Sequence[Point]) -> str:
 
 
 def splits_table(found: Sequence[Point], value: Callable[[Figures], float]) -> str:
-    """A figure of each split of each dataset, by leg."""
+    """A figure of each split of each dataset, by stage."""
     names = sorted({(dataset, split) for one in found for dataset, splits in one.figures.items() for split in splits})
     return markdown_table(
         ["split", *(one.name for one in found)],

@@ -1,31 +1,39 @@
-"""Work out the fleet's shape space for `skope eval pose`: of each body type the mean and principal directions of its
-33 keypoints and its dimensions. Writes skope/pose/vehicle_shapes.json; takes two minutes. Run after the fleet
-changes:
+"""Compute from the fleet what `skope eval pose` knows of vehicles; takes ten minutes. Run after the fleet changes:
 
     python scripts/vehicle_shapes.py
 
-Models that are held out for test sites are left out here too, so that evaluation meets shapes that nobody has seen.
-Each model counts as often as it drives by. A type may have two models only: how much its unseen models may differ is
-taken from how much the models of all types, of heavy and of other vehicles apart, differ from their type's mean, in
-shares of its length, width and height. Trailers of articulated vehicles bend behind them, `BEND_DEG` as a rule.
+It writes two files of skope/pose. Models that are held out for test sites are left out, so that evaluation meets
+shapes that were not used here.
+
+vehicle_shapes.json is the shape space: mean and principal directions of the 33 keypoints and the dimensions of each
+body type. A model has the weight of its share of traffic. A type may have two models only. How much its other models
+may differ is taken from how much the models of all types differ from their type's mean, heavy and other vehicles
+apart, as shares of length, width and height. Trailers of articulated vehicles bend behind them, with a standard
+deviation of `BEND_DEG`.
+
+keypoint_visibility.json has the directions from which each keypoint is visible past the vehicle's own body. Rays are
+cast from eyes around the models of each body type. The file holds a logistic regression on the direction from
+keypoint to eye, four numbers per keypoint.
 """
 
 import argparse
+import itertools
 import math
 from pathlib import Path
 
 import numpy as np
+from scipy.optimize import minimize
 
 from skope import keypoints
 from skope.files.atomic import write_text
 from skope.gen.labels.boxes_and_masks import box_around
+from skope.gen.labels.raycast import Fan
 from skope.gen.traffic.demand import DEMAND_LIMITS
 from skope.gen.vehicles.fleet import build_vehicle, fleet, jittered
-from skope.gen.vehicles.model import ON_TRAILER, Vehicle
+from skope.gen.vehicles.model import ON_TRAILER, Vehicle, straight_mesh
 
-DEFAULT_OUT = Path(__file__).parents[1] / "skope" / "eval" / "pose" / "vehicle_shapes.json"
 POOLED = 0.5
-"""Share of the other types' variance between models that a type gets besides its own."""
+"""Share of the other types' variance between models that is added to a type's own."""
 DIRECTIONS = 8
 BEND_DEG = 3.0
 """Standard deviation of the angle between an articulated vehicle and its trailer, degrees."""
@@ -35,7 +43,7 @@ Array = np.ndarray
 
 
 def row(vehicle: Vehicle, bend: float = 0.0) -> Array:
-    """(34, 3) keypoints and, last, length, width, height; metres. A trailer is bent by so many radians.
+    """(34, 3) keypoints and, last, length, width, height; metres. `bend` is the angle of a trailer, radians.
 
     The origin is on the road under the middle of the box around the whole vehicle, along the axes of its first part.
     """
@@ -50,11 +58,47 @@ def row(vehicle: Vehicle, bend: float = 0.0) -> Array:
     return np.concatenate([points - middle * [1, 1, 0], [size]])
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--samples", type=int, default=12, help="jittered shapes of each model")
-    parser.add_argument("--out", type=Path, default=DEFAULT_OUT)
-    options = parser.parse_args()
+def text(values: Array) -> str:
+    """Numbers of a JSON list at 0.1 mm."""
+    return f"[{','.join(f'{value:.4f}' for value in (np.round(values, 4) + 0.0).ravel())}]"
+
+
+ELEVATIONS = np.radians([4, 10, 18, 28, 40, 55])
+DISTANCE = 25.0
+TOLERANCE = 0.05
+"""Metres; the same as for labels."""
+RIDGE = 0.02
+"""Penalty on weights, which keeps those of keypoints finite that are always or never visible."""
+
+
+def seen(vehicle: Vehicle, eye: Array) -> Array:
+    """(33,) whether keypoints are visible from an eye; a wheel's is the middle of its outer face."""
+    wheels = list(keypoints.WHEELS)
+    own, hitched = vehicle.parts[1:5], vehicle.parts[6:]
+    places = [*vehicle.shape.wheel_centers(), *vehicle.points[wheels[2:]][: len(hitched)]]
+    body = straight_mesh(vehicle)
+    corners = [body.vertices[body.triangles]]
+    corners += [part.vertices[part.triangles] + place for part, place in zip((*own, *hitched), places, strict=True)]
+    targets = vehicle.points.copy()
+    targets[wheels] += vehicle.wheel_face_offsets
+    rays = targets - eye
+    reach, _ = Fan(np.concatenate(corners) - eye).first_hits(rays)
+    return np.asarray((1 - reach) * np.linalg.norm(rays, axis=1) < TOLERANCE)
+
+
+def logistic(directions: Array, was_seen: Array) -> Array:
+    """(4,) weights of a direction's x, y, z and 1."""
+    x = np.column_stack([directions, np.ones(len(directions))])
+    sign = np.where(was_seen, 1.0, -1.0)
+
+    def loss(w: Array) -> float:
+        return float(np.logaddexp(0, -sign * (x @ w)).sum() + RIDGE * (w @ w))
+
+    return np.asarray(minimize(loss, np.zeros(4), method="BFGS").x)
+
+
+def write_shapes(path: Path, samples_per_model: int) -> None:
+    """Write the shape space of the fleet."""
     rng = np.random.default_rng(0)
     kinds: dict[str, list[Array]] = {}
     weights: dict[str, list[float]] = {}
@@ -66,7 +110,7 @@ def main() -> None:
             continue
         kind = entry.vehicle.vehicle_type
         samples = [row(entry.vehicle)]
-        for _ in range(options.samples):
+        for _ in range(samples_per_model):
             vehicle = build_vehicle(model, jittered(model, rng))
             # As much to the left as to the right, so that the mean vehicle is symmetric.
             bends = rng.normal(0, math.radians(BEND_DEG), BENDS) if vehicle.trailer else np.zeros(1)
@@ -111,15 +155,48 @@ def main() -> None:
         print(
             f"{kind:<10} {len(own):3d} shapes; beyond {DIRECTIONS} directions a keypoint has {rest.mean():.3f} m left"
         )
-    head = f'"version":1,"scheme":"{keypoints.SCHEME}","unit":"m"'
+    write_types(path, '"unit":"m",\n', lines)
+
+
+def write_visibility(path: Path, azimuth_step_deg: float) -> None:
+    """Write the directions from which keypoints are visible."""
+    azimuths = np.radians(np.arange(0, 360, azimuth_step_deg))
+    kinds: dict[str, list[Vehicle]] = {}
+    for entry in fleet().values():
+        if not entry.held_out:
+            kinds.setdefault(entry.vehicle.vehicle_type, []).append(entry.vehicle)
+    lines = []
+    for kind, models in sorted(kinds.items()):
+        directions, hits = [], []
+        for vehicle, azimuth, elevation in itertools.product(models, azimuths, ELEVATIONS):
+            flat = math.cos(elevation)
+            eye = DISTANCE * np.array([flat * math.cos(azimuth), flat * math.sin(azimuth), math.sin(elevation)])
+            away = eye - vehicle.points
+            directions.append(away / np.linalg.norm(away, axis=1, keepdims=True))
+            hits.append(seen(vehicle, eye))
+        u, hit = np.stack(directions), np.stack(hits)
+        rows = np.stack([logistic(u[:, k], hit[:, k]) for k in range(keypoints.K)])
+        guess = np.einsum("nki,ki->nk", u, rows[:, :3]) + rows[:, 3] > 0
+        print(f"{kind:<10} {hit.mean():.1%} visible, {(guess == hit).mean():.1%} of them predicted correctly")
+        lines.append(f'"{kind}":[{",".join(f"{value:.2f}" for value in rows.ravel())}]')
+    write_types(path, "", lines)
+
+
+def write_types(path: Path, head: str, lines: list[str]) -> None:
+    """Write a file with a line or more for each body type."""
     body = ",\n".join(lines)
-    write_text(options.out, f'{{{head},\n"types":{{\n{body}\n}}}}\n')
-    print(f"wrote {options.out} ({options.out.stat().st_size / 1000:.0f} kB)")
+    write_text(path, f'{{"version":1,"scheme":"{keypoints.SCHEME}",{head}"types":{{\n{body}\n}}}}\n')
+    print(f"wrote {path} ({path.stat().st_size / 1000:.0f} kB)")
 
 
-def text(values: Array) -> str:
-    """Numbers of a JSON list at 0.1 mm."""
-    return f"[{','.join(f'{value:.4f}' for value in (np.round(values, 4) + 0.0).ravel())}]"
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--samples", type=int, default=12, help="jittered shapes of each model")
+    parser.add_argument("--azimuth-step", type=float, default=15, help="degrees between the eyes around a vehicle")
+    parser.add_argument("--out", type=Path, default=Path(__file__).parents[1] / "skope" / "pose", help="folder")
+    options = parser.parse_args()
+    write_shapes(options.out / "vehicle_shapes.json", options.samples)
+    write_visibility(options.out / "keypoint_visibility.json", options.azimuth_step)
 
 
 if __name__ == "__main__":

@@ -34,7 +34,9 @@ from tests.train.conftest import shrink
 
 ROOT: Final = Path(__file__).parents[1]
 SCRIPTS: Final = ROOT / "scripts"
-PYTHON: Final = sorted(path.relative_to(SCRIPTS).as_posix() for path in SCRIPTS.rglob("*.py"))
+SHARED: Final = "benchmark.py"
+"""What the benchmarks share, no script itself."""
+PYTHON: Final = sorted({path.relative_to(SCRIPTS).as_posix() for path in SCRIPTS.rglob("*.py")} - {SHARED})
 SHELL: Final = sorted(path.name for path in SCRIPTS.glob("*.sh"))
 MAKEFILE: Final = (ROOT / "Makefile").read_text(encoding="utf-8")
 TARGETS: Final = sorted(set(re.findall(r"^([a-z][a-z-]*):", MAKEFILE, re.MULTILINE)))
@@ -65,40 +67,39 @@ TRAINING: Final = "--data {dataset} --min-size 64 --device cpu"
 RENDERING: Final = "--size 96x54 --processes 1"
 RUNS: Final[Sequence[Run]] = (
     Run(
-        "bench_backbones.py",
-        "--size 64x96 --vehicles 1 --rounds 1 --backend torch --precision float32 --variants mobilenet-64-4x128",
+        "bench_detector.py",
+        "backbones --size 64x96 --vehicles 1 --rounds 1 --backend torch --precision float32"
+        " --variants mobilenet-64-4x128",
         says="| mobilenet-64-4x128 | 4.7 | ",
     ),
+    Run("bench_detector.py", "metrics --images 2", says="apart by at most 0.0e+00"),
     Run(
-        "bench_eval.py",
-        "--metric-images 2 --checkpoint {checkpoint} --data {dataset} --split easy --images 1 --device cpu",
+        "bench_detector.py",
+        "inference --checkpoint {checkpoint} --data {dataset} --split easy --images 1 --device cpu",
         says="PCK@0.1 on the ground truth's boxes",
     ),
-    Run("bench_gen.py", "--flat 1 --processes 1", says="1 images", apart=True, slow=True),
-    Run("bench_gen.py", f"{RENDERING} --images 1 --peer-frames 1", says="EGL plugin", apart=True, slow=True),
-    Run("bench_import.py", "--images 2 --rounds 1", says="AP: differs from pycocotools' by 0.0", apart=True),
-    Run("bench_localize.py", "--vehicles 2 --repeats 1", says="33 keypoints of 2 vehicles"),
-    Run("bench_pose.py", "{road}", says="vehicles a second on one core"),
+    Run("bench_gen.py", "dataset --flat 1 --processes 1", says="1 images", apart=True, slow=True),
+    Run("bench_gen.py", f"dataset {RENDERING} --images 1 --peer-frames 1", says="EGL plugin", apart=True, slow=True),
     Run(
-        "bench_tracks.py",
-        "{footage}/v.mp4 --camera {camera} --checkpoint {checkpoint}",
+        "bench_footage.py",
+        "steps {footage}/v.mp4 --camera {camera} --checkpoint {checkpoint}",
         says="v.mp4                 track",
     ),
     Run("legs_table.py", "--curve {out}/legs.svg", says="| wet_night |"),
-    Run("research/camera_errors.py", "{road}", says="1 cameras answered"),
-    Run("research/camera_sway.py", "{road} --picture {photograph}", says="| 10 px | "),
+    Run("research/camera_errors.py", "vehicles {road}", says="1 cameras answered"),
+    Run("research/camera_errors.py", "shake {road} --picture {photograph}", says="| 10 px | "),
     Run(
-        "bench_predict.py",
-        "{footage} --checkpoint {checkpoint} --frames 2 --times 2 --only torch-float32@64",
+        "bench_footage.py",
+        "ways {footage} --checkpoint {checkpoint} --frames 2 --times 2 --only torch-float32@64",
         says='"cells": ["0", ',
     ),
     Run(
-        "bench_predict.py",
-        "{footage} --checkpoint {checkpoint} --frames 2 --stages --sizes 64 --ways torch-float32",
+        "bench_footage.py",
+        "ways {footage} --checkpoint {checkpoint} --frames 2 --stages --sizes 64 --ways torch-float32",
         says="torch-float32 at 64 px, ms: ",
     ),
-    Run("bench_render.py", f"{RENDERING} --vehicles 1 --frames 1 --skope-only", says="files", apart=True),
-    Run("bench_render.py", f"{RENDERING} --vehicles 1 --frames 1", says="EGL plugin", apart=True, slow=True),
+    Run("bench_gen.py", f"frames {RENDERING} --vehicles 1 --frames 1 --skope-only", says="files", apart=True),
+    Run("bench_gen.py", f"frames {RENDERING} --vehicles 1 --frames 1", says="EGL plugin", apart=True, slow=True),
     Run(
         "bench_train.py",
         f"{TRAINING} --batch-size 1 --steps 1 --warm-up 0 --rounds 1 --workers 0",
@@ -107,17 +108,23 @@ RUNS: Final[Sequence[Run]] = (
         slow=True,
     ),
     Run(
-        "bench_world.py",
-        "--size 96x54 --frames 1 --workers 1",
+        "bench_gen.py",
+        f"world {RENDERING} --frames 1",
         says="1 images of t01_mill_corner",
         apart=True,
         slow=True,
     ),
     Run("compile_towns.py", "town01 --out {out}", says="town01.net.xml"),
     Run("demo_page.py", "{out}/none --data {dataset}", says="no such file", code=2),  # a page: test_demo_page.py
-    Run("draw_docs.py", "nonsense", says="no picture is called nonsense", code=2),
+    Run("draw_docs.py", "nonsense", says="no image is called nonsense", code=2),
     Run("draw_docs.py", "vehicle_sheet --out {out}", says="vehicle_sheet.jpg", apart=True, slow=True),
-    Run("draw_method.py", "--out {out}", says="method_occlusion.jpg", apart=True, slow=True),
+    Run(
+        "draw_docs.py",
+        "method_trilateration method_occlusion --out {out}",
+        says="method_occlusion.jpg",
+        apart=True,
+        slow=True,
+    ),
     Run(
         "research/experiment_train.py",
         f"{TRAINING} --init {{checkpoint}} --epochs 1 --max-images 1 --seeds 0 --variants exact --splits easy"
@@ -134,40 +141,43 @@ RUNS: Final[Sequence[Run]] = (
     Run("house_figures.py", "{out}", says="has no folder skope", code=2),  # of a small tree: test_house_figures.py
     Run("infer_order.py", "{out}", says="no scene_K.zip", code=2),  # from scenes: test_infer_order.py
     Run("reference_run.py", "nonsense", says="invalid choice: 'nonsense'", code=2),
-    Run("reference_table.py", "{metrics}", says="| dataset easy | 0.6 |"),
-    Run("reference_table.py", "{metrics} --beside {metrics} --data {metrics}/..", says="| 100.0 | 1.000 | 1.000 |"),
     Run("score_photographs.py", "{labels} --predictions {predictions} --out {out}", says="Wrote metrics.json"),
     Run(
-        "research/live_stream.py",
-        "{footage}/v.mp4 --fps 5 --minutes 0.03 --min-size 64 --checkpoint {checkpoint}",
+        "bench_footage.py",
+        "live {footage}/v.mp4 --fps 5 --minutes 0.03 --min-size 64 --checkpoint {checkpoint}",
         says="| minutes | images/s |",
     ),
     Run(
-        "research/detector_curve.py",
-        "{out} --look {checkpoint}@64@every --paths {footage}/v.json",
+        "bench_footage.py",
+        "curve {out} --look {checkpoint}@64@every --paths {footage}/v.json",
         says='{"rate": ',
     ),
     Run("research/marker_offsets.py", "{road}", says="kind                points"),
-    Run("research/offline_kit.py", "{out}", says="no wheel of libsumo", code=2),
     Run("train_leg.py", "run 1 --out {out}", says="leg 1 goes on from weights: --state", code=2),
     Run("train_leg.py", "join {out} --out {out}/a.safetensors", says="parts.json", code=2),
     Run(
-        "research/site_calibration.py",
-        "--draws 1 --cameras 1 --rows 4-points 6-points-one-wrong lengths",
+        "research/camera_calibration.py",
+        "marks --draws 1 --cameras 1 --rows 4-points 6-points-one-wrong lengths",
         says="all cameras: ",
         slow=True,
     ),
     Run(
-        "research/site_vehicles.py",
-        "--draws 1 --cameras 1 --vehicles 5 --size-sigma 0.04",
+        "research/camera_calibration.py",
+        "vehicles --draws 1 --cameras 1 --vehicles 5 --size-sigma 0.04",
         says="mean over the cameras",
         slow=True,
     ),
-    Run("research/night_statistics.py", "real={dataset} now={dataset}", says="luma_50"),
-    Run("research/track_rates.py", "{road} --fps 10", says="  10    0/0"),
-    Run("research/fit_lengths.py", "{out}", says="no clips that were tracked", code=2),
+    Run("research/footage_scores.py", "tracks {road} --fps 10", says="  10    0/0"),
     Run("research/gate_coverage.py", "{clips}/t06_plaza_opening_day --true-keypoints", says="busy gate-minutes"),
-    Run("research/traffic_clips.py", "score {clips} --true-keypoints --only t06_plaza_opening_day", says=" holds"),
+    Run("research/traffic_scores.py", "counts {clips} --true-keypoints", says="why missed: -"),
+    Run("research/traffic_scores.py", "lengths {clips} --true-keypoints", says="2 tracks; shares"),
+    Run(
+        "research/traffic_clips.py",
+        "detect {clips} --only t06_plaza_opening_night",
+        says="not all clips",
+        code=1,
+        apart=True,
+    ),
     Run(
         "research/traffic_clips.py",
         "make --only t06_plaza_opening_day --seconds 0.5 --size 96x54 --out {out}",
@@ -175,8 +185,6 @@ RUNS: Final[Sequence[Run]] = (
         apart=True,
         slow=True,
     ),
-    Run("research/traffic_evidence.py", "{clips}/labels.json {clips}", says="track 1: 1 ("),
-    Run("research/traffic_gates.py", "t06_plaza_opening --out {out}", says="arm2"),
     Run(
         "research/traffic_hours.py",
         "--hours 0.02 --kills 2 --recordings 2 --out {out}/hours",
@@ -184,13 +192,9 @@ RUNS: Final[Sequence[Run]] = (
         apart=True,
         slow=True,
     ),
-    Run("research/traffic_scores.py", "{clips}/t06_plaza_opening_day --true-keypoints", says="why missed: -"),
-    Run("research/traffic_tables.py", "{clips}/no_results.json", says="why missed: -"),
-    Run("research/traffic_truth.py", "t06_plaza_opening --seconds 0.5 --out {out}", slow=True),
-    Run("research/video_modes.py", "{clip} {clip}/seen", says=" | 1.000 | 0.000 | 1.000 | - | 100.0 | 1.000 |"),
-    Run("research/wrong_point_bound.py", "--draws 1", says="of 8 sets: forced", slow=True),
-    Run("vehicle_shapes.py", "--samples 1 --out {out}/shapes.json", says="wrote", slow=True),
-    Run("vehicle_sight.py", "--azimuth-step 180 --out {out}/sight.json", says="wrote", slow=True),
+    Run("research/footage_scores.py", "frames {clip} {clip}/seen", says="| 1.000 | 0.000 | 1.000 | - | 100.0 |"),
+    Run("research/camera_calibration.py", "bound --draws 1", says="of 8 sets: forced", slow=True),
+    Run("vehicle_shapes.py", "--samples 1 --azimuth-step 180 --out {out}", says="keypoint_visibility.json", slow=True),
 )
 
 
@@ -240,8 +244,7 @@ def one_clip(folder: Path) -> Path:
     vehicles = [a for a in road.annotations if a.box_3d and a.velocity is not None]
     state = [[*a.box_3d.center[:2], a.box_3d.yaw, *a.velocity[:2]] for a in vehicles if a.box_3d]
     (folder / name).mkdir(parents=True)
-    for path in (folder, folder / name):
-        coco.write(path / "labels.json", road)
+    coco.write(folder / name / "labels.json", road)
     np.savez(
         folder / name / "truth.npz",
         times_s=np.array([image.time_s for image in road.images]),
@@ -256,9 +259,6 @@ def one_clip(folder: Path) -> Path:
     line = [(middle + across).tolist(), (middle - across).tolist()]
     (folder / name / "site.toml").write_text(f'[[gates]]\nname = "gate"\nline = {line}\n')
     (folder / name / "clip.json").write_text(json.dumps({"name": name, "light": "day"}))
-    boxes = [f"{a.image_id},{a.track_id},{','.join(map(str, a.bbox))},1" for a in vehicles]
-    (folder / "mot.txt").write_text("\n".join(boxes))
-    (folder / "no_results.json").write_text('{"clips": []}')
     return folder
 
 
@@ -309,7 +309,7 @@ def test_help(script: Script, name: str) -> None:
 
 @pytest.mark.parametrize("run", [pytest.param(run, id=run.script, marks=run.marks) for run in RUNS])
 def test_smallest_run(
-    skope: Any, script: Script, inputs: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, run: Run
+    script: Script, inputs: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, run: Run
 ) -> None:
     if "{checkpoint}" in run.arguments:
         shrink(monkeypatch)
@@ -324,13 +324,6 @@ def test_smallest_run(
         monkeypatch.setattr(subprocess, "run", start_small)
         monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(ROOT), os.environ["PYTHONPATH"]]))
     given = dict(inputs)
-    if "{metrics}" in run.arguments:
-        given["metrics"] = tmp_path / "metrics"
-        out = given["metrics"] / "dataset"
-        scored = ["--data", inputs["dataset"], "--split", "easy", "--predictions", inputs["predictions"]]
-        assert skope("eval", *scored, "--out", out, "--quiet")[0] == 0
-        shutil.copy(inputs["predictions"], out / "predictions_easy.json")
-        shutil.copytree(inputs["dataset"], tmp_path / "dataset")
     given["out"] = tmp_path / "out"
     given["out"].mkdir()
     arguments = run.arguments.format_map(given).split()
@@ -371,7 +364,7 @@ COMMANDS: Final[Mapping[str, int]] = {
         "data": 1,
         "model": 2,
     },
-    **{"help": 0, "report": 3, "reference": 3, "lite": 1, "docs": 1, "bench": 12, "clean": 0},
+    **{"help": 0, "report": 3, "reference": 3, "lite": 1, "docs": 1, "bench": 9, "clean": 0},
 }
 """Target -> number of the virtual environment's programs that it runs from nothing."""
 

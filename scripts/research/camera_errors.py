@@ -1,26 +1,40 @@
-"""How far cameras that are worked out from vehicles are off: generated recordings, whose cameras are known.
+"""Errors of cameras that are estimated from vehicles, and of positions and speeds when a camera shakes.
 
     skope gen --preset world --recordings 4 --frames 600 --interval 0.2 --seed 888 --no-depth --out data
     skope eval --data data --checkpoint road33 --split train --fast --score 0.3 --out seen
-    python scripts/research/camera_errors.py data/annotations/train.json --predictions seen/predictions_train.json
+    python scripts/research/camera_errors.py vehicles data/annotations/train.json \\
+        --predictions seen/predictions_train.json
 
-A line for each recording: what is true, what came out, in how many of its own standard deviations that is off, and how
-far off distances are: of vehicles from the camera's foot, and of ways that they drive, of five metres or more. The last
-line sums up. Without --predictions the labels' keypoints are taken, with a pixel of noise.
+    skope gen --preset demo --sites t01_main_west --frames 100 --recordings 1 --interval 0.1 --size 1280x720 \\
+        --weather clear --time-of-day noon --no-depth --out street
+    python scripts/research/camera_errors.py shake street/annotations/medium.json --images street
 
---broken takes what no camera from vehicles can know, and shows how often it is refused: `bend` and `bend-little` bend
-the image as one more lens would, `crop` moves it by a fifth of its width and a seventh of its height, `stretch`
+`vehicles`: a line for each generated recording, whose camera is known: the truth, the estimate, its error in its own
+standard deviations, and the errors of distances: of vehicles from the camera's foot, and of travelled distances of at
+least five metres. The last lines sum up. Without --predictions the labels' keypoints are used, with a pixel of noise.
+--broken takes what no camera from vehicles can know, and shows how often it is rejected: `bend` and `bend-little`
+bend the image as another lens would, `crop` moves it by a fifth of its width and a seventh of its height, `stretch`
 squeezes it to three quarters of its width, `noise` moves keypoints by a twentieth of their boxes, `swap` takes the
 front for the rear in three of ten detections.
+
+`shake`: a camera of 640x360 and 80 degrees sees each generated image. It is turned frame by frame, which is exact:
+its rays are looked up in the wider image. Images are compressed as a stream's are, and the motion is measured as
+`skope eval predict` does. Keypoints are the true ones with noise of a pixel. The shake has an amplitude across (1.3
+s), 0.4 of it up and down (0.8 s), and a roll. In the last row the camera is moved by 40 px halfway. Errors are of the
+camera at rest. In the last column the camera was calibrated at a moment of its shake (five of them): the share of
+positions within the stated 90% error.
 """
 
 import argparse
 import math
+import sys
+import tempfile
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 
 from skope.camera.fit.camera_doubts import sigma_of_ways, why_not
@@ -28,19 +42,28 @@ from skope.camera.fit.camera_unknowns import FOCAL, HEIGHT, PITCH, on_road
 from skope.camera.fit.fit_camera import fit_camera_to_vehicles
 from skope.camera.fit.vehicle_sample import sample_vehicles
 from skope.camera.model import Camera
+from skope.camera.motion.camera_motion import MOTION_KEY, turned_camera
+from skope.camera.motion.camera_shake import SwayWatch, record_of
+from skope.camera.motion.view_changes import Looks
+from skope.camera.uncertain_camera import UNCERTAINTY, radius_of
 from skope.dataset import coco
+from skope.dataset.folder import CHANGES_KEY, read_image
 from skope.dataset.image_selection import part
 from skope.errors import UserError
 from skope.footage.confirmation import Confirmation
 from skope.keypoints import FLIP, OTHER_END
-from skope.pose.keypoint_views import Scene
-from skope.schema import AnnotationFile, Result
+from skope.pose.camera_error import with_camera_error
+from skope.pose.keypoint_views import Scene, read_scene
+from skope.pose.pose_records import locate_view
+from skope.schema import Annotation, AnnotationFile, Image, Result
+from skope.tracking.tracker_inputs import detections_of
+from skope.tracking.vehicle_tracker import follow
 from skope.types import Array
 
-SCORE = 0.5
+CONFIRMED_SCORE = 0.5
 LONG_M = 5.0
 FARTHEST_M = 100.0
-NOISE = 0.05
+BROKEN_NOISE = 0.05
 SWAPPED = 0.3
 TURNED = np.array([FLIP[i] for i in OTHER_END])
 Warp = Callable[[Array], Array]
@@ -49,7 +72,7 @@ Warp = Callable[[Array], Array]
 
 @dataclass(frozen=True)
 class Row:
-    """A camera that was answered."""
+    """Errors of a camera that was estimated."""
 
     off: Array
     """(3,) errors of log focal length, tilt (radians) and log height."""
@@ -70,11 +93,11 @@ def recordings(file: AnnotationFile) -> Iterator[tuple[str, AnnotationFile]]:
 
 
 def named(file: AnnotationFile, results: Sequence[Result]) -> list[Result]:
-    """What the frames confirm of each other, with the numbers of the vehicles, as `skope eval predict` writes it."""
+    """Detections that the frames confirm, with the numbers of their vehicles, as `skope eval predict` writes them."""
     by_image = defaultdict(list)
     for result in results:
         by_image[result.image_id].append(result)
-    confirmation, found = Confirmation(SCORE), []
+    confirmation, found = Confirmation(CONFIRMED_SCORE), []
     for image in file.images:
         assert image.time_s is not None
         confirmation.add(image.time_s, by_image[image.id])
@@ -84,7 +107,7 @@ def named(file: AnnotationFile, results: Sequence[Result]) -> list[Result]:
 
 
 def places_on_road(file: AnnotationFile, camera: Camera) -> dict[int, Array]:
-    """Of each track the places on the road that the camera sees, world."""
+    """Places of each track on the road that the camera sees, world coordinates."""
     places = defaultdict(list)
     for a in file.annotations:
         if a.box_3d is not None and a.track_id is not None and not a.ignored:
@@ -100,7 +123,7 @@ def places_on_road(file: AnnotationFile, camera: Camera) -> dict[int, Array]:
 
 
 def warps(width: int, height: int) -> dict[str, Warp]:
-    """What `--broken` does to an image's pixels."""
+    """The motion of an image's pixels for each fault of `--broken`."""
     middle = np.array([width / 2, height / 2])
 
     def bend(k: float) -> Warp:
@@ -122,7 +145,7 @@ def broken(result: Result, how: str, warp: Warp, rng: np.random.Generator) -> Re
     """A detection as it would be with that fault."""
     points = result.keypoints.copy()
     if how == "noise":
-        points[:, :2] += rng.normal(0, NOISE, (len(points), 2)) * result.bbox[2:]
+        points[:, :2] += rng.normal(0, BROKEN_NOISE, (len(points), 2)) * result.bbox[2:]
     elif how == "swap" and rng.random() < SWAPPED:
         points = points[TURNED]
     points[:, :2] = warp(points[:, :2])
@@ -167,7 +190,7 @@ def measure(name: str, file: AnnotationFile, results: list[Result] | None, how: 
     except UserError as error:
         reason = str(error)
     if reason:
-        print(f"{said}: refused: {reason}", flush=True)
+        print(f"{said}: rejected: {reason}", flush=True)
         return None
     unknowns = estimate.solved.bundle.camera[[FOCAL, PITCH, HEIGHT]]
     sigma = np.sqrt(np.diag(estimate.covariance))[[FOCAL, PITCH, HEIGHT]]
@@ -182,16 +205,191 @@ def measure(name: str, file: AnnotationFile, results: list[Result] | None, how: 
     return row
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("annotations", type=Path, help="labels of generated recordings, with their cameras")
-    parser.add_argument("--predictions", type=Path, help="COCO results for them, in place of noisy labels")
-    parser.add_argument(
-        "--broken", choices=(*warps(2, 2), "noise", "swap"), default="", help="a fault of --predictions"
+SIZE = (640, 360)
+FOV_DEG = 80.0
+NOISE_PX = 1.0
+QUALITY = 85
+SWAYS_PX = (0.0, 0.2, 1.0, 3.0, 10.0)
+BUMP_PX = 40.0
+SLOWEST = 2.0
+"""Speeds are compared of vehicles that drive as fast as this, m/s."""
+MOMENTS = 5
+
+
+@dataclass(frozen=True)
+class Shaken:
+    """Footage of a camera that is turned frame by frame."""
+
+    file: AnnotationFile
+    turns: list[Camera]
+    """The camera in each frame."""
+    said: str
+    """The measured motion."""
+
+
+def moves(count: int, times_s: Sequence[float], sway_px: float, bump_px: float) -> Iterator[tuple[float, float, float]]:
+    """Shift (pixels) and turn (radians) of each frame."""
+    for k, time_s in enumerate(times_s):
+        across, down = math.sin(2 * math.pi * time_s / 1.3), math.sin(2 * math.pi * time_s / 0.8 + 1)
+        roll = 3e-4 * sway_px * math.sin(2 * math.pi * time_s / 1.1 + 2)
+        yield sway_px * across + (bump_px if 2 * k >= count else 0.0), 0.4 * sway_px * down, roll
+
+
+def at_rest(wide: Camera) -> Camera:
+    """A narrower camera at the place of a generated one."""
+    focal = SIZE[0] / 2 / math.tan(math.radians(FOV_DEG) / 2)
+    K = np.array([[focal, 0, SIZE[0] / 2], [0, focal, SIZE[1] / 2], [0, 0, 1]])
+    return Camera(*SIZE, K, wide.T_camera_world)
+
+
+def seen_by(camera: Camera, wide: Camera, pixels: np.ndarray) -> np.ndarray:
+    """The image of a camera, from the image of a wider one at the same place, compressed."""
+    u, v = np.meshgrid(np.arange(SIZE[0]) + 0.5, np.arange(SIZE[1]) + 0.5)
+    rays = camera.rays(np.stack([u, v], axis=-1).reshape(-1, 2))[0] @ camera.T_camera_world[:3, :3]
+    at = wide.project(wide.position + rays)[0].reshape(SIZE[1], SIZE[0], 2).astype(np.float32) - np.float32(0.5)
+    picture = cv2.remap(pixels, at[..., 0], at[..., 1], cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
+    _, encoded = cv2.imencode(".jpg", picture[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
+    return np.ascontiguousarray(cv2.imdecode(encoded, cv2.IMREAD_COLOR)[..., ::-1])
+
+
+def labelled(a: Annotation, wide: Camera, camera: Camera) -> Annotation | None:
+    """A vehicle in the image of a turned camera; None where too little of it is visible."""
+    rays = wide.rays(a.keypoints[:, :2])[0] @ wide.T_camera_world[:3, :3]
+    pixels, _, valid = camera.project(camera.position + rays)
+    shown = valid & camera.inside(pixels) & (a.keypoints[:, 2] == 2)
+    if shown.sum() < 8:
+        return None
+    known = valid & (a.keypoints[:, 2] > 0)
+    low, high = pixels[known].min(axis=0), pixels[known].max(axis=0)
+    return replace(
+        a,
+        bbox=np.concatenate([low, high - low]),
+        keypoints=np.where(shown[:, None], np.column_stack([pixels, np.full(len(pixels), 2.0)]), 0.0),
+        segmentation=None,
+        bbox_visible=None,
+        box_3d_pixels=None,
     )
-    options = parser.parse_args()
+
+
+def shaken(file: AnnotationFile, pictures: "Pictures", sway_px: float, bump_px: float) -> Shaken:
+    """The footage of a shaking camera with its labels, and its measured motion."""
+    wide = file.images[0].camera
+    assert wide is not None
+    rest = at_rest(wide)
+    times = [image.time_s or 0.0 for image in file.images]
+    turns = [turned_camera(rest, *move) for move in moves(len(times), times, sway_px, bump_px)]
+    watch, looks = SwayWatch(), Looks()
+    images = [replace(image, width=SIZE[0], height=SIZE[1], camera=rest) for image in file.images]
+    frames = ((one, seen_by(turn, wide, pictures(one))) for one, turn in zip(images, turns, strict=True))
+    for _ in looks.watch(watch.watch(frames)):
+        pass
+    record = record_of(images, (watch.taken(one.id) for one in images), SIZE[0])
+    seconds = {one.id: time_s for one, time_s in zip(images, times, strict=True)}
+    changes = record.view_changes([(seconds[number], look) for number, look in looks.taken.items()])
+    motion = record.motion(changes)
+    by_image = file.by_image()
+    labels = [
+        made
+        for one, turn in zip(images, turns, strict=True)
+        for a in by_image[one.id]
+        if not a.ignored and (made := labelled(a, wide, turn)) is not None
+    ]
+    info = {
+        **({CHANGES_KEY: [change.to_dict() for change in changes]} if changes else {}),
+        **({MOTION_KEY: motion.to_dict()} if motion else {}),
+    }
+    said = f"{motion.median_px:.2f} px" if motion else "still"
+    said += "".join(f", moved at {change.time_s:.1f} s" for change in changes)
+    return Shaken(AnnotationFile(images=tuple(images), annotations=tuple(labels), info=info), turns, said)
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Errors of places (m) and speeds (m/s), whether places are within the stated 90% error, and how many have none."""
+
+    places: Array
+    speeds: Array
+    within: Array
+    without: int
+
+    def __str__(self) -> str:
+        def told(values: Array, unit: str) -> str:
+            if not len(values):
+                return "-"
+            return f"{np.median(values):.2f} {unit} (90%: {np.percentile(values, 90):.2f})"
+
+        return f"{told(self.places, 'm')} | {told(self.speeds, 'm/s')}"
+
+
+def errors_of(scene: Scene) -> Errors:
+    """How far places and speeds are from the truth of the labels."""
+    times = [image.time_s or 0.0 for image in scene.file.images]
+    places, within, without, found = list[float](), list[bool](), 0, []
+    for view in scene.views(noise=NOISE_PX):
+        located = locate_view(view, scene)
+        found.append(detections_of(located, linked=False))
+        known = scene.known_in(view.image)
+        poses = with_camera_error(located.poses, known, scene.road_in(view.image)) if known else located.poses
+        for i, good in enumerate(located.good):
+            truth = view.truth[i]
+            if not good or truth is None or truth.box_3d is None:
+                without += not good
+                continue
+            off = float(np.linalg.norm((poses.position[i] - truth.box_3d.center)[:2]))
+            places.append(off)
+            within.append(off <= float(radius_of(poses.covariance[i, :2, :2], UNCERTAINTY.place_coverage)))
+    labels = {(a.image_id, a.track_id): a for a in scene.file.annotations}
+    ids = [image.id for image in scene.file.images]
+    speeds = []
+    for track in follow(found, times):
+        for frame, number, speed in zip(track.frames, track.truth_ids.tolist(), track.speed, strict=True):
+            label = labels.get((ids[frame], number))
+            if label is not None and label.velocity is not None and np.linalg.norm(label.velocity) >= SLOWEST:
+                speeds.append(abs(float(speed) - float(np.linalg.norm(label.velocity))))
+    return Errors(np.array(places), np.array(speeds), np.array(within), without)
+
+
+def scene_of(file: AnnotationFile, folder: Path, camera: Camera | None = None) -> Scene:
+    """The scene as the commands read it; `camera`: the one that it was calibrated to be."""
+    if camera is not None:
+        file = replace(file, images=tuple(replace(image, camera=camera) for image in file.images))
+    path = folder / "labels.json"
+    coco.write(path, file)
+    return read_scene(None, path, None, None, 0.0)
+
+
+def row(footage: Shaken, name: str) -> str:
+    """A row of the table."""
+    bare = replace(footage.file, info={})
+    with tempfile.TemporaryDirectory() as folder:
+        kept, left = (errors_of(scene_of(file, Path(folder))) for file in (bare, footage.file))
+        within = []
+        # Of footage that is knocked, calibrations are of its first half.
+        for k in np.linspace(0, 0.45 * len(footage.turns), MOMENTS).astype(int):
+            scene = scene_of(footage.file, Path(folder), footage.turns[k])
+            within += errors_of(scene).within.tolist()
+    share = f"{np.mean(within):.0%}" if within else "-"
+    return f"| {name} | {footage.said} | {kept} | {left} | {left.without} | {share} |"
+
+
+class Pictures:
+    """Pictures of the images of a file, from their folder, or one for all."""
+
+    def __init__(self, folder: Path | None, picture: Path | None, size: tuple[int, int]) -> None:
+        self._folder, self._size = folder, size
+        self._one = None if picture is None else cv2.resize(read_image(picture), size, interpolation=cv2.INTER_AREA)
+
+    def __call__(self, image: Image) -> np.ndarray:
+        if self._one is not None:
+            return self._one
+        assert self._folder is not None
+        return read_image(self._folder / image.file_name)
+
+
+def vehicles_table(options: argparse.Namespace) -> None:
+    """Print a line for each recording, and the summary."""
     if options.broken and not options.predictions:
-        parser.error("--broken needs --predictions")
+        sys.exit("--broken needs --predictions")
     file = coco.read(options.annotations)
     results = coco.read_results(options.predictions) if options.predictions else None
     by_image: dict[int, list[Result]] = defaultdict(list)
@@ -208,11 +406,42 @@ def main() -> None:
         focal = np.abs([row.off[0] for row in answered])
         distance = np.abs([np.median(row.distances) for row in answered if row.distances.size])
         way = np.abs([np.median(row.ways) for row in answered if row.ways.size])
-        for what, errors in (("focal length", focal), ("distances", distance), ("ways", way)):
+        for what, errors in (("focal length", focal), ("distances", distance), ("travelled distances", way)):
             if len(errors):
-                print(f"{what}: {np.median(errors):.1%} off in the median, 90% within {np.percentile(errors, 90):.1%}")
+                print(f"{what}: median error {np.median(errors):.1%}, 90% within {np.percentile(errors, 90):.1%}")
         inside = np.mean([row.sigmas < 2 for row in answered], axis=0)
-        print(f"95% intervals hold the truth: focal {inside[0]:.0%}, tilt {inside[1]:.0%}, height {inside[2]:.0%}")
+        print(f"95% intervals cover the truth: focal {inside[0]:.0%}, tilt {inside[1]:.0%}, height {inside[2]:.0%}")
+
+
+def shake_table(options: argparse.Namespace) -> None:
+    """Print a row for each amplitude, and one with a moved camera."""
+    file = coco.read(options.annotations)
+    first = file.images[0]
+    pictures = Pictures(options.images, options.picture, (first.width, first.height))
+    print("| shake | measured | places without | speeds without | places | speeds | without metres | within 90% |")
+    print("|---|---|---|---|---|---|---|---|")
+    for sway_px in SWAYS_PX:
+        print(row(shaken(file, pictures, sway_px, 0.0), f"{sway_px:g} px"), flush=True)
+    print(row(shaken(file, pictures, 1.0, BUMP_PX), f"1 px, and {BUMP_PX:g} px halfway"), flush=True)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    commands = parser.add_subparsers(required=True)
+    vehicles = commands.add_parser("vehicles", help="cameras that are estimated from vehicles")
+    vehicles.add_argument("annotations", type=Path, help="labels of generated recordings, with their cameras")
+    vehicles.add_argument("--predictions", type=Path, help="COCO results for them, in place of noisy labels")
+    faults = (*warps(2, 2), "noise", "swap")
+    vehicles.add_argument("--broken", choices=faults, default="", help="a fault of --predictions")
+    vehicles.set_defaults(run=vehicles_table)
+    shake = commands.add_parser("shake", help="positions and speeds when a camera shakes")
+    shake.add_argument("annotations", type=Path, help="labels of a generated recording, with its camera")
+    where = shake.add_mutually_exclusive_group(required=True)
+    where.add_argument("--images", type=Path, help="folder of the labels' images")
+    where.add_argument("--picture", type=Path, help="one image for all: of an empty road")
+    shake.set_defaults(run=shake_table)
+    options = parser.parse_args()
+    options.run(options)
 
 
 if __name__ == "__main__":

@@ -24,12 +24,10 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+from camera_calibration import points
 from scipy.optimize import minimize
 from scipy.special import betaln, gammaln
-from site_calibration import points
-from traffic_evidence import LABELS, NOISE_PX
-from traffic_gates import SITE
-from traffic_truth import read_truth
+from traffic_clips import LABELS, NOISE_PX, SITE, read_truth
 
 from skope.dataset import coco
 from skope.errors import UserError
@@ -55,7 +53,7 @@ VISIBLE_S: Final = 0.5
 SAME_S: Final = 2.0
 """A counted crossing is the true one of its gate and direction that is nearest in time, within this, seconds."""
 MARKED: Final = 8
-"""Points that are marked for a camera from points, each with the errors of `site_calibration.points`."""
+"""Points that are marked for a camera from points, each with the errors of `camera_calibration.points`."""
 PRIOR_SIGMA: Final = 1.0
 """The parameters of Beta distributions are known to this before, in logarithms, around those of the rates' file."""
 DRAWS: Final = 2000

@@ -1,12 +1,12 @@
-"""How far the fleet's keypoints lie beside where people mark them, on labelled photographs of real vehicles.
+"""Offsets of the fleet's keypoints from hand-placed labels, on photographs of real vehicles.
 
     python scripts/research/marker_offsets.py dev_real.json
 
-To the other labelled keypoints of each vehicle the fleet's shape space is fitted, with no road and no known camera: the
-field of view is, for each site, the one of a few under which its vehicles fit best. The keypoints of one kind, which
-took no part, are then projected and held against their labels. A line for each kind: the number of points, and in
-hundredths of the box's longer edge the median distance, and the median shift of the labels against the model: outwards
-from the box's middle, along the image's rows, and downwards.
+For each kind of keypoint, the fleet's shape space is fitted to the other labelled keypoints of each vehicle, without
+road and camera: the field of view of a site is the one of a few under which its vehicles fit best. The keypoints of the
+kind are then projected and compared with their labels. A line for each kind gives the number of points, the median
+distance, and the median shift of the labels from the model: outwards from the box's middle along the image's rows, and
+downwards; in hundredths of the box's longer edge.
 """
 
 import argparse

@@ -1,62 +1,68 @@
-"""How right `skope eval traffic` is on generated clips, of which everything is known.
+"""Generated clips with their complete truth, for scores of `skope eval traffic`.
 
-    python scripts/research/traffic_clips.py make --out clips                          # many cores and a GPU
+    python scripts/research/traffic_clips.py make --out clips                                    # many cores and a GPU
     python scripts/research/traffic_clips.py detect clips --checkpoint NEW.safetensors --gpus 0,1,2,3
-    python scripts/research/traffic_clips.py score clips/travel --out scored           # anywhere, on a CPU
-    python scripts/research/traffic_clips.py score clips/travel --out scored --true-keypoints  # labels, 2 px of noise
+    python scripts/research/traffic_scores.py counts clips                                       # a CPU
 
-Four sites by day, at night and in rain, and one of them at 25 frames a second too. `detect` packs what `score` needs,
-without pictures, in the folder `travel`: CLIP.tar.gz in parts of at most 15 MiB (CLIP.tar.gz.00, ...), with their
-SHA-256 in CLIP.parts.json. Bring that folder and give it to `score`. What is finished is not done again. Where time is
-short, --only names clips, separated by commas; --seconds and --size make smaller ones.
+A clip's folder has the video, its labels, truth.npz with the place of each road user in each frame (also where the
+image does not show it), site.toml with the gates, and the detections. Gates are placed by a rule that knows the road
+network and the camera only: one lies across each arm of a junction, 10 to 40 m from it, or across a road without a
+junction so near; wholly inside the image, with some road before and behind.
 
-`road33` has learnt from t03_circle_mast; of the others (split extra), on which it has only been measured, nothing.
+The clips are four sites by day, at night and in rain, and one of them also at 25 frames per second. `--only` selects
+clips by name, separated by commas; `--seconds` and `--size` make smaller ones. Finished work is not repeated. `truth`
+is what `make` runs for each clip: it simulates what `skope gen video` simulates with the same options.
+
+`road33` was trained on t03_circle_mast, and on none of the others (split extra).
 """
 
 import argparse
-import hashlib
-import io
+import math
 import os
-import shutil
 import subprocess
 import sys
-import tarfile
-from collections.abc import Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
-from dataclasses import dataclass
-from multiprocessing import get_context
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
 from pathlib import Path
 from queue import SimpleQueue
 from typing import Any, Final
 
-from traffic_evidence import LABELS, SEEN
-from traffic_gates import SITE, gates_of, road_of, write_site
-from traffic_scores import RESULTS, score_clip
-from traffic_tables import print_tables
-from traffic_truth import FOV_DEG, TRUTH, check_labels, read_truth
+import numpy as np
 
-from skope.dataset.folder import FRAMES_FILE, PREDICTIONS_FILE
-from skope.files.atomic import write_bytes
-from skope.files.json_files import json_bytes, read_json, write_json
+from skope.camera.model import Camera
+from skope.dataset.folder import PREDICTIONS_FILE
+from skope.errors import UserError
+from skope.files.atomic import replacing
+from skope.files.json_files import read_json, write_json
+from skope.gen.bystanders import bystander
+from skope.gen.bystanders.bystander import CATEGORY_OF
+from skope.gen.labels.annotate import Rules
+from skope.gen.labels.boxes_and_masks import box_around
+from skope.gen.pipeline.config import from_preset
+from skope.gen.pipeline.write_footage import plan_of
+from skope.gen.scene.recording import Recording, RecordingPlan, vehicle_body
+from skope.gen.simulation.simulate import simulate
+from skope.gen.towns.road_graph import RoadGraph, beside, legs
+from skope.gen.towns.sites import site
+from skope.schema import VEHICLE
+from skope.site.gates_zones_lanes import Gate
+from skope.tracking.tracks import OF_BODY_TYPE
+from skope.tracks.track import Track
+from skope.traffic.gates import signed_distances
+from skope.types import Array
 
-HERE: Final = Path(__file__).parent
-PART_BYTES: Final = 15 * 2**20
 CLIP: Final = "clip.json"
-"""What a clip was made with; written last."""
-TRAVEL: Final = "travel"
-NOT_NEEDED: Final = (
-    *("segmentation", "keypoints_3d", "bbox_visible", "color", "model", "contrast", "area_full", "num_keypoints"),
-    *("box_3d", "velocity", "articulation", "parked", "vehicle_type"),
-)
-"""Of a label, what no score asks for; nor are keypoints of ignored ones."""
-OFF: Final = "labels_off_m"
+"""The options that a clip was made with; written last."""
+LABELS: Final = "labels.json"
+SEEN: Final = "seen"
+NOISE_PX: Final = "2"
 PER_GPU: Final = 2
-TRAVELS: Final = (CLIP, SITE, TRUTH, LABELS, f"{SEEN}/{FRAMES_FILE}", f"{SEEN}/{PREDICTIONS_FILE}")
 
 
 @dataclass(frozen=True)
 class Clip:
-    """A clip that is made."""
+    """A clip to make."""
 
     site: str
     light: str
@@ -65,7 +71,7 @@ class Clip:
 
     @property
     def name(self) -> str:
-        """What its folder is called."""
+        """The name of its folder."""
         return f"{self.site}_{self.light}" + ("" if self.fps == 10 else f"_{self.fps:g}")
 
 
@@ -76,21 +82,270 @@ SITES: Final = {
     "t06_plaza_opening": "the opening of a median before a plaza",
 }
 SEEDS: Final = {"t03_circle_mast": 1}
-"""Others than 0: with that the roundabout is one jam, and nobody crosses a gate before the camera."""
+"""Seeds other than 0: with 0 the roundabout is one jam, and no vehicle crosses a gate in the image."""
 LIGHTS: Final = {"day": ("clear", "noon"), "night": ("clear", "night"), "rain": ("rain", "noon")}
 CLIPS: Final = (
-    Clip("t05_third_median", "day", fps=25.0, seconds=120.0),  # the longest one begins first
+    Clip("t05_third_median", "day", fps=25.0, seconds=120.0),  # the longest one first
     *(Clip(site, light) for site in SITES for light in LIGHTS),
 )
 CHECKS: Final = (
     *(Clip("t06_willow_turn", "day"), Clip("t02_elm_corner", "day")),
     *(Clip("t06_harlan_long", "night"), Clip("t02_cedar_pole", "rain")),
 )
-"""Clips of other sites: what is fitted on the clips above (skope/traffic/event_probability.py) is held against them."""
+"""Clips of other sites, to check what is fitted on `CLIPS` (skope/traffic/event_probability.py)."""
+TRUTH: Final = "truth.npz"
+FOV_DEG: Final = 80.0
+STILL_M: Final = 2.0
+"""Road users that move less than this are stationary."""
+
+
+def plan_as_video(
+    name: str, *, seconds: float, fps: float, size: str, weather: str, time_of_day: str, seed: int
+) -> RecordingPlan:
+    """The plan that `skope gen video` makes with --road-users."""
+    asked = from_preset(
+        "demo",
+        seed=seed,
+        renderer="gl",
+        driver="",
+        rules=Rules(),
+        frames=1,
+        sites=(name,),
+        size=size,
+        fov_deg=FOV_DEG,
+        road_users=True,
+    )
+    plan = plan_of(asked.plans()[0], fps, seconds)
+    return replace(plan, site=replace(plan.site, weather=weather, time_of_day=time_of_day, conditions={}))
+
+
+def write_truth(path: Path, recording: Recording) -> None:
+    """Write the place of each road user in each frame, as in labels: under the middle of its box."""
+    rows = []
+    who: dict[int, tuple[str, str, float, float, bool]] = {}
+    for frame in range(len(recording)):
+        moment = recording.moment(frame)
+        for i, recorded in enumerate(moment.vehicles):
+            T = moment.T_world_chassis[i]
+            if recorded.labelled:
+                vehicle = vehicle_body(recorded)
+                category, kind = VEHICLE, OF_BODY_TYPE.get(vehicle.vehicle_type, "car")
+                center, size = T[:3, 3] + T[:3, 2] * vehicle.size_lwh[2] / 2, vehicle.size_lwh
+                if vehicle.trailer is not None:
+                    center, size = box_around(vehicle, vehicle.trailer, T, moment.T_world_trailer[i, 0])
+            else:
+                category = kind = CATEGORY_OF[recorded.model]
+                low, high = bystander.build_bystander(recorded.model, recorded.shape).box
+                center, size = T[:3, :3] @ ((low + high) / 2) + T[:3, 3], high - low
+            who.setdefault(recorded.track_id, (category, kind, float(size[0]), float(size[1]), recorded.parked))
+            yaw = math.atan2(T[1, 0], T[0, 0])
+            rows.append((frame, recorded.track_id, *center[:2], yaw, *moment.velocity[i][:2]))
+    table = np.array(rows, dtype=np.float64).reshape(-1, 7)
+    with replacing(path) as temporary, temporary.open("wb") as file:
+        np.savez_compressed(
+            file,
+            times_s=recording.times_s,
+            frame=table[:, 0].astype(np.int32),
+            track=table[:, 1].astype(np.int32),
+            state=table[:, 2:].astype(np.float32),
+            who=np.array([(str(number), *map(str, row)) for number, row in sorted(who.items())]),
+        )
+
+
+@dataclass(frozen=True)
+class Truth:
+    """The tracks of all road users."""
+
+    times_s: Array
+    trajectories: Sequence[Track]
+    """By number; road users that never move have the flag `never_moved`."""
+
+
+def read_truth(folder: Path) -> Truth:
+    """Read truth.npz; places are exact, so their covariances are zero."""
+    with np.load(folder / TRUTH, allow_pickle=False) as file:
+        times, frame, track = file["times_s"], file["frame"], file["track"]
+        state, who = file["state"].astype(np.float64), file["who"]
+    found = [_trajectory(row, times, frame[own], state[own]) for row in who for own in [track == int(row[0])]]
+    return Truth(times, [one for one in found if len(one.times_s) > 1])
+
+
+def _trajectory(row: Sequence[str], times: Array, frame: Array, state: Array) -> Track:
+    number, category, kind, length, width, parked = row
+    n = len(frame)
+    moves = n > 0 and float(np.ptp(state[:, :2], axis=0).max()) > STILL_M
+    return Track(
+        number=int(number),
+        category=str(category),
+        class_name=str(kind),
+        class_confidence=1.0,
+        times_s=times[frame],
+        position=np.column_stack([state[:, :2], np.zeros(n)]),
+        velocity=state[:, 3:5],
+        heading=state[:, 2],
+        covariance=np.zeros((n, 2, 2)),
+        speed_sigma=np.zeros(n),
+        located=np.ones(n, dtype=bool),
+        length=float(length),
+        width=float(width),
+        flags=() if moves and parked == "False" else ("never_moved",),
+    )
+
+
+def check_labels(truth: Truth, document: Mapping[str, Any]) -> float:
+    """Largest distance of labels from the true places, metres. Raises UserError where they are of other traffic.
+
+    `document` is the file that `skope gen video` wrote.
+    """
+    at = {
+        (one.number, round(float(time_s), 4)): place
+        for one in truth.trajectories
+        for time_s, place in zip(one.times_s, one.xy, strict=True)
+    }
+    times = {image["id"]: round(float(image["time_s"]), 4) for image in document["images"]}
+    places = [at.get((row["track_id"], times[row["image_id"]])) for row in document["annotations"]]
+    pairs = zip(places, document["annotations"], strict=True)
+    worst = max((math.dist(p, row["box_3d"]["center"][:2]) for p, row in pairs if p is not None), default=0.0)
+    missing = sum(place is None for place in places)
+    if worst > 0.05 or missing > 0.01 * len(places):
+        raise UserError(f"the truth is of other traffic than the labels: {worst:.2f} m off, {missing} are not in it")
+    return worst
+
+
+def plain_counts(truth: Truth, gates: Sequence[Gate]) -> Mapping[tuple[str, int], list[tuple[int, float]]]:
+    """Crossings of road users' middles over gates: (gate, direction) -> numbers and times.
+
+    A crossing is where the step from one moment to the next cuts the line. Without hysteresis, it checks what
+    `skope.traffic` makes of the same places.
+    """
+    out: dict[tuple[str, int], list[tuple[int, float]]] = {(gate.name, k): [] for gate in gates for k in (0, 1)}
+    for one in truth.trajectories:
+        for gate in gates if "never_moved" not in one.flags else ():
+            signed, along = signed_distances(gate, one.xy)
+            left = signed > 0
+            for i in np.flatnonzero(left[1:] != left[:-1]):
+                share = signed[i] / (signed[i] - signed[i + 1])
+                if 0 <= along[i] + share * (along[i + 1] - along[i]) < math.dist(*gate.line):
+                    time_s = float(one.times_s[i] + share * (one.times_s[i + 1] - one.times_s[i]))
+                    out[gate.name, 0 if left[i] else 1].append((one.number, time_s))
+    return out
+
+
+SITE: Final = "site.toml"
+FROM_JUNCTION_M: Final = (10.0, 40.0)
+STEP_M: Final = 2.5
+BESIDE_M: Final = 3.0
+"""A gate ends this far beyond the outermost lanes: it covers the pavements, where people walk up to 2.1 m away."""
+BEFORE_M: Final = 7.0
+"""Length of road before and behind a gate that must be in the image."""
+HIGHEST_M: Final = 1.5
+"""Height above the road that must be in the image."""
+MARGIN: Final = 0.03
+"""Least distance from the edge of the image, as a share of its size."""
+FARTHEST_M: Final = 80.0
+USUAL_M: Final = 35.0
+"""Preferred distance of a gate from the camera where no junction is near."""
+
+
+@dataclass(frozen=True)
+class _Place:
+    """A place where a gate may lie."""
+
+    line: Array
+    """(2, 2) first and second end; traffic towards the junction comes from its left."""
+    from_junction: float
+    """Metres along the road; infinite where there is none."""
+    from_camera: float
+
+
+def gates_of(graph: RoadGraph, camera: Camera, level: float) -> list[Gate]:
+    """Gates across the arms that a camera sees, by the rule above."""
+    arms: dict[frozenset[str], list[Any]] = {}
+    for edge in graph.edges:
+        arms.setdefault(frozenset((edge.getFromNode().getID(), edge.getToNode().getID())), []).append(edge)
+    chosen = []
+    for edges in arms.values():
+        places = [place for place in _places(graph, edges, camera.position) if _seen(place, camera, level)]
+        near = [place for place in places if FROM_JUNCTION_M[0] <= place.from_junction <= FROM_JUNCTION_M[1]]
+        if near:
+            chosen.append(min(near, key=lambda one: (one.from_junction, one.from_camera)))
+        elif places:
+            chosen.append(min(places, key=lambda one: abs(one.from_camera - USUAL_M)))
+    chosen.sort(key=lambda one: one.from_camera)
+    return [
+        Gate(
+            name=f"arm{number}",
+            line=tuple((round(float(x), 2), round(float(y), 2)) for x, y in place.line),
+            directions=("in", "out"),
+        )
+        for number, place in enumerate(chosen, start=1)
+    ]
+
+
+def _places(graph: RoadGraph, edges: Sequence[Any], eye: Array) -> Iterator[_Place]:
+    """Places along an arm, from either of its ends; across all its lanes."""
+    lanes = np.concatenate([graph.lane_points[str(edge.getID())][:, :2] for edge in edges])
+    half = max(lane.getWidth() for edge in edges for lane in edge.getLanes()) / 2
+    edge = edges[0]
+    length = edge.getLength()
+    for s in np.arange(STEP_M, length, STEP_M):
+        at, heading = beside(edge, float(s), 0.0)
+        at = graph.world(at)
+        ahead = graph.world([math.cos(heading), math.sin(heading)])
+        left = np.array([-ahead[1], ahead[0]])
+        near = np.abs((lanes - at) @ ahead) < 1.0
+        aside = ((lanes - at) @ left)[near]
+        if not len(aside):
+            continue
+        low, high = aside.min() - half - BESIDE_M, aside.max() + half + BESIDE_M
+        for node, away, sign in ((edge.getToNode(), length - s, 1), (edge.getFromNode(), s, -1)):
+            # Traffic along `ahead` has the line's first end on its right, and so comes from the line's left.
+            ends = (low, high) if sign > 0 else (high, low)
+            line = np.array([at + left * end for end in ends])
+            yield _Place(line, float(away) if _is_junction(node) else math.inf, math.dist(line.mean(axis=0), eye[:2]))
+
+
+def _is_junction(node: Any) -> bool:
+    """Whether three or more arms meet at a node."""
+    others = {n.getID() for edge in legs(node) for n in (edge.getFromNode(), edge.getToNode())} - {node.getID()}
+    return len(others) > 2
+
+
+def _seen(place: _Place, camera: Camera, level: float) -> bool:
+    along = place.line[1] - place.line[0]
+    ahead = np.array([along[1], -along[0]]) / np.linalg.norm(along)
+    points = [
+        [*(end + ahead * shift), level + height]
+        for end in place.line
+        for shift in (-BEFORE_M, BEFORE_M)
+        for height in (0.0, HIGHEST_M)
+    ]
+    pixels, _, valid = camera.project(np.array(points))
+    size = np.array([camera.width, camera.height])
+    inside = ((pixels > MARGIN * size) & (pixels < (1 - MARGIN) * size)).all()
+    return bool(valid.all() and inside and place.from_camera < FARTHEST_M)
+
+
+def write_site(path: Path, gates: Sequence[Gate]) -> None:
+    """Write a site file with these gates and nothing else."""
+    rows = []
+    for gate in gates:
+        line = [list(end) for end in gate.line]
+        rows.append(f'[[gates]]\nname = "{gate.name}"\nline = {line}\ndirections = {list(gate.directions or ())}\n')
+    path.write_text("\n".join(rows).replace("'", '"'))
+
+
+def road_of(name: str, size: str) -> tuple[RoadGraph, Camera, float]:
+    """Network, camera and height of the road of a site; `size` of the image as 1280x720."""
+    width, height = map(int, size.split("x"))
+    here = site(name)
+    graph, camera = RoadGraph.of(here.town), here.camera((width, height), FOV_DEG)
+    yaw = camera.angles[0]
+    return graph, camera, graph.road_level(camera.position[:2] + 25 * np.array([math.cos(yaw), math.sin(yaw)]))
 
 
 def chosen(only: str) -> list[Clip]:
-    """The clips of these names; without any, those that are fitted on, and for "checks" those that are not."""
+    """The clips of these names, `CHECKS` for "checks", `CLIPS` without names."""
     if only == "checks":
         return list(CHECKS)
     known = {clip.name: clip for clip in (*CLIPS, *CHECKS)}
@@ -100,55 +355,47 @@ def chosen(only: str) -> list[Clip]:
     return [known[name] for name in only.split(",")] if only else list(CLIPS)
 
 
-# -------------------------------------------------------------------------------------------------------------- making
-
-
 def make(options: argparse.Namespace) -> None:
-    """All clips at once, each with its truth, its gates and labels that are small enough to travel."""
+    """Make all clips at the same time, each with its truth and its gates."""
     clips = chosen(options.only)
-    with (
-        ThreadPoolExecutor(len(clips)) as threads,
-        ProcessPoolExecutor(min(len(clips), os.cpu_count() or 1), get_context("spawn")) as small,
-    ):
-        jobs = [threads.submit(make_one, clip, options, small) for clip in clips]
-        failed = [clip.name for clip, job in zip(clips, jobs, strict=True) if not job.result()]
-    if failed:
-        sys.exit(f"not made: {', '.join(failed)}")
+    with ThreadPoolExecutor(len(clips)) as threads:
+        made = list(threads.map(lambda clip: make_one(clip, options), clips))
+    if not all(made):
+        sys.exit(f"not made: {', '.join(clip.name for clip, there in zip(clips, made, strict=True) if not there)}")
 
 
-def make_one(clip: Clip, options: argparse.Namespace, small: ProcessPoolExecutor) -> bool:
-    """Whether the clip is there now."""
+def make_one(clip: Clip, options: argparse.Namespace) -> bool:
+    """Make a clip unless it is there; returns whether it is there now."""
     folder = options.out / clip.name
     asked = asked_for(clip, options)
     if (folder / CLIP).is_file():
-        made = read_json(folder / CLIP)
-        if {key: made.get(key) for key in asked} == asked:
+        if read_json(folder / CLIP) == asked:
             return True
         print(f"{folder}: holds another clip of this name; choose another --out")
         return False
     same = [f"--{key.replace('_', '-')}={asked[key]}" for key in ("seconds", "fps", "size", "weather", "time_of_day")]
     same += ["--seed", str(asked["seed"]), "--out", str(folder)]
     video = ["-m", "skope", "gen", "video", clip.site, "--road-users", "--fov", f"{FOV_DEG:g}", "-q", *same]
-    truth = [str(HERE / "traffic_truth.py"), clip.site, *same]
     folder.mkdir(parents=True, exist_ok=True)
     few = {**os.environ, "OMP_NUM_THREADS": "2", "OPENBLAS_NUM_THREADS": "2"}  # many run side by side
     with (folder / "make.log").open("wb") as log:
         started = [
             subprocess.Popen(["nice", "-n", "10", sys.executable, *words], stdout=log, stderr=log, env=few)
-            for words in (video, truth)
+            for words in (video, [__file__, "truth", clip.site, *same])
         ]
         if max([process.wait() for process in started]):
-            print(f"{clip.name}: failed; {folder}/make.log says why")
+            print(f"{clip.name}: failed; see {folder}/make.log")
             return False
-    off = small.submit(slim, folder, folder / f"{clip.site}.json").result()
+    (folder / f"{clip.site}.json").replace(folder / LABELS)
+    check_labels(read_truth(folder), read_json(folder / LABELS))
     write_site(folder / SITE, gates_of(*road_of(clip.site, options.size)))
-    write_json(folder / CLIP, {**asked, OFF: off})
+    write_json(folder / CLIP, asked)
     print(f"{clip.name}: made", flush=True)
     return True
 
 
 def asked_for(clip: Clip, options: argparse.Namespace) -> dict[str, Any]:
-    """What a clip is made with."""
+    """The options that a clip is made with."""
     weather, time_of_day = LIGHTS[clip.light]
     return {
         "name": clip.name,
@@ -163,135 +410,41 @@ def asked_for(clip: Clip, options: argparse.Namespace) -> dict[str, Any]:
     }
 
 
-def slim(folder: Path, labels: Path) -> float:
-    """Write labels without what no score asks for; how far they are from the truth, metres, at most."""
-    document = read_json(labels)
-    off = check_labels(read_truth(folder), document)
-    for row in document["annotations"]:
-        for key in NOT_NEEDED:
-            row.pop(key, None)
-        points = [0] * len(row["keypoints"]) if row["iscrowd"] else row["keypoints"]
-        row["keypoints"] = [int(value) if value == int(value) else round(value, 1) for value in points]
-    write_bytes(folder / LABELS, json_bytes(document))
-    return off
-
-
-# ----------------------------------------------------------------------------------------------------------- detecting
-
-
 def detect(options: argparse.Namespace) -> None:
-    """Run the detector on all clips, and pack what travels."""
+    """Run the detector on all clips."""
     gpus: SimpleQueue[str] = SimpleQueue()
     numbers = options.gpus.split(",")
     for gpu in numbers * PER_GPU:
         gpus.put(gpu)
 
-    def one(clip: Clip) -> bool:
-        gpu = gpus.get()
-        try:
-            return detect_one(options.folder / clip.name, clip, gpu, options)
-        finally:
-            gpus.put(gpu)
+    def detect_one(clip: Clip) -> bool:
+        gpu, folder = gpus.get(), options.folder / clip.name
+        words = ["eval", "predict", str(folder / f"{clip.site}.mp4"), "--checkpoint", str(options.checkpoint)]
+        with (folder / "detect.log").open("wb") as log:
+            code = subprocess.run(
+                [sys.executable, "-m", "skope", *words, "--out", str(folder / SEEN), "-q"],
+                stdout=log,
+                stderr=log,
+                check=False,
+                env={**os.environ, "CUDA_VISIBLE_DEVICES": gpu},
+            ).returncode
+        gpus.put(gpu)
+        print(f"{clip.name}: {'failed; see its detect.log' if code else 'detected'}", flush=True)
+        return not code
 
     clips = [clip for clip in chosen(options.only) if (options.folder / clip.name / CLIP).is_file()]
+    new = [clip for clip in clips if not (options.folder / clip.name / SEEN / PREDICTIONS_FILE).is_file()]
     with ThreadPoolExecutor(PER_GPU * len(numbers)) as threads:
-        done = dict(zip(clips, threads.map(one, clips), strict=True))
-    if not clips or not all(done.values()):
-        sys.exit(f"not detected: {', '.join(clip.name for clip, there in done.items() if not there) or 'no clips'}")
+        done = list(threads.map(detect_one, new))
+    if not clips or not all(done):
+        sys.exit(f"{options.folder}: not all clips are detected")
 
 
-def detect_one(folder: Path, clip: Clip, gpu: str, options: argparse.Namespace) -> bool:
-    """Whether what was found in the clip is packed now."""
-    packed = options.travel or options.folder / TRAVEL
-    if (packed / f"{clip.name}.parts.json").is_file():
-        return True
-    video = ["eval", "predict", str(folder / f"{clip.site}.mp4"), "--checkpoint", str(options.checkpoint)]
-    with (folder / "detect.log").open("wb") as log:
-        code = subprocess.run(
-            [sys.executable, "-m", "skope", *video, "--out", str(folder / SEEN), "-q"],
-            stdout=log,
-            stderr=log,
-            check=False,
-            env={**os.environ, "CUDA_VISIBLE_DEVICES": gpu},
-        ).returncode
-    if code:
-        print(f"{clip.name}: failed; {folder}/detect.log says why")
-        return False
-    size = pack(folder, packed)
-    print(f"{clip.name}: {size / 2**20:.1f} MiB to travel", flush=True)
-    return True
-
-
-def pack(folder: Path, out: Path) -> int:
-    """Pack a clip's folder, without pictures; returns the bytes."""
-    out.mkdir(parents=True, exist_ok=True)
-    buffer = io.BytesIO()
-    with tarfile.open(fileobj=buffer, mode="w:gz") as tar:
-        for name in TRAVELS:
-            if (folder / name).is_file():
-                tar.add(folder / name, f"{folder.name}/{name}")
-    whole = buffer.getvalue()
-    parts = {}
-    for number, first in enumerate(range(0, len(whole), PART_BYTES)):
-        part = whole[first : first + PART_BYTES]
-        name = f"{folder.name}.tar.gz.{number:02d}"
-        write_bytes(out / name, part)
-        parts[name] = hashlib.sha256(part).hexdigest()
-    write_json(out / f"{folder.name}.parts.json", parts)
-    return len(whole)
-
-
-def unpack(folder: Path, out: Path) -> None:
-    """Unpack the clips of a folder whose parts are all there and whole; says which are not."""
-    for manifest in sorted(folder.glob("*.parts.json")):
-        name = manifest.name.removesuffix(".parts.json")
-        if (out / name / CLIP).is_file():
-            continue
-        whole, parts = bytearray(), read_json(manifest)
-        for part, digest in parts.items():
-            data = (folder / part).read_bytes() if (folder / part).is_file() else b""
-            if hashlib.sha256(data).hexdigest() != digest:
-                print(f"{folder / part}: missing or damaged; bring it again")
-                break
-            whole += data
-        else:
-            with tarfile.open(fileobj=io.BytesIO(bytes(whole)), mode="r:gz") as tar:
-                tar.extractall(out, filter="data")
-
-
-# ------------------------------------------------------------------------------------------------------------- scoring
-
-
-def place_gates(folder: Path) -> None:
-    """Place a clip's gates by the rule as it is now; what was counted at others is done again.
-
-    A clip that names no site keeps its own.
-    """
-    made, before = read_json(folder / CLIP), (folder / SITE).read_bytes()
-    if "site" not in made:
-        return
-    write_site(folder / SITE, gates_of(*road_of(made["site"], made["size"])))
-    if (folder / SITE).read_bytes() != before:
-        for report in folder.glob("*/report"):
-            shutil.rmtree(report)
-
-
-def score(options: argparse.Namespace) -> None:
-    """Tables on the terminal, and everything in results.json."""
-    work = options.out or options.folder
-    unpack(options.folder, work)
-    folders = [work / clip.name for clip in chosen(options.only) if (work / clip.name / CLIP).is_file()]
-    if not folders:
-        sys.exit(f"{work}: no clips")
-    for folder in folders:
-        place_gates(folder)
-    scored: Sequence[Mapping[str, Any]] = [
-        score_clip(folder, true_keypoints=options.true_keypoints, clip=read_json(folder / CLIP)) for folder in folders
-    ]
-    out = work / (RESULTS if not options.true_keypoints else f"true_{RESULTS}")
-    write_json(out, {"clips": scored})
-    print_tables(scored)
-    print(f"wrote {out}")
+def simulate_truth(options: argparse.Namespace) -> None:
+    """Simulate a clip, and write its truth."""
+    options.out.mkdir(parents=True, exist_ok=True)
+    asked = {name: getattr(options, name) for name in ("seconds", "fps", "size", "weather", "time_of_day", "seed")}
+    write_truth(options.out / TRUTH, simulate(plan_as_video(options.site, **asked)))
 
 
 def main() -> None:
@@ -300,21 +453,25 @@ def main() -> None:
     making = commands.add_parser("make", help="make the clips")
     making.add_argument("--out", type=Path, required=True)
     making.add_argument("--seconds", type=float, default=0.0, help="length of each; default: its own")
-    making.add_argument("--size", default="1280x720")
     making.set_defaults(run=make)
-    detecting = commands.add_parser("detect", help="run the detector and pack what travels")
+    detecting = commands.add_parser("detect", help="run the detector")
     detecting.add_argument("folder", type=Path)
     detecting.add_argument("--checkpoint", default="road33")
     detecting.add_argument("--gpus", default="0", help="numbers of the GPUs, separated by commas")
-    detecting.add_argument("--travel", type=Path, help=f"where what travels is packed; default: FOLDER/{TRAVEL}")
     detecting.set_defaults(run=detect)
-    scoring = commands.add_parser("score", help="tracks, counts and the truth")
-    scoring.add_argument("folder", type=Path, help="of clips, or of what travelled")
-    scoring.add_argument("--out", type=Path, help="where clips are unpacked and scored; default: FOLDER")
-    scoring.add_argument("--true-keypoints", action="store_true", help="labels with 2 px of noise, no detections")
-    scoring.set_defaults(run=score)
-    for command in (making, detecting, scoring):
+    for command in (making, detecting):
         command.add_argument("--only", default="", help="names of clips, separated by commas, or `checks`")
+    truth = commands.add_parser("truth", help="write the truth of one clip")
+    truth.add_argument("site", help="a site of `skope gen sites`")
+    truth.add_argument("--seconds", type=float, default=30.0)
+    truth.add_argument("--fps", type=float, default=10.0)
+    truth.add_argument("--weather", default="clear")
+    truth.add_argument("--time-of-day", default="noon")
+    truth.add_argument("--seed", type=int, default=0)
+    truth.add_argument("--out", type=Path, required=True, help="folder of the clip")
+    truth.set_defaults(run=simulate_truth)
+    for command in (making, truth):
+        command.add_argument("--size", default="1280x720")
     options = parser.parse_args()
     options.run(options)
 

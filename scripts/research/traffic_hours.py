@@ -1,14 +1,14 @@
-"""Hours of made-up tracks through `skope eval traffic`: time, memory, size; and killed at random, begun again.
+"""Time, memory and size of `skope eval traffic` on hours of synthetic tracks, also when it is killed and resumed.
 
     python scripts/research/traffic_hours.py --hours 1 --kills 5 --out hours
     python scripts/research/traffic_hours.py --hours 0.8 --kills 0 --recordings 8 --out recordings
 
-It makes tracks of a crossroads with signals, as `skope eval track` writes them, and measures them once undisturbed and
-once in another folder, where the command is killed (SIGKILL) at moments that are drawn anew each time, also while it
-writes, and begun again. In the end both folders must hold the same bytes.
+It makes tracks of a crossroads with signals, as `skope eval track` writes them, and measures them twice. The second
+time the command is killed (SIGKILL) at random moments, also while it writes, and resumed. Both folders must hold the
+same bytes at the end.
 
-With `--recordings` the same tracks are also measured as so many recordings that follow each other, as a camera writes
-them that begins a file each hour; who is on the road then is left out of both, or, with `--cut`, cut in two.
+With `--recordings` the same tracks are also measured as several recordings that follow each other, like those of a
+camera that begins a file each hour. Vehicles on the road at a seam are left out of both or, with `--cut`, cut in two.
 """
 
 import argparse
@@ -38,12 +38,12 @@ from skope.types import Array
 
 PER_HOUR: Final = 800
 HALF_M: Final = 100.0
-"""Ways begin and end so far from the middle of the crossroads."""
+"""Distance from the middle of the crossroads at which tracks begin and end, metres."""
 LANE_M: Final = 2.0
 GREEN_S: Final = 30.0
-"""One road is green for so long, then the other one."""
+"""Duration of green for one road, then the other, seconds."""
 CLEAR_S: Final = 0.5
-"""And nobody comes at the end of it: short enough for conflicts."""
+"""Time without arrivals at the end of green, short enough for conflicts, seconds."""
 HEADWAY_S: Final = 1.8
 SIZES: Final = {"car": (4.4, 1.8), "van": (5.4, 2.0), "lorry": (9.0, 2.5), "bus": (12.0, 2.5)}
 SHARES: Final = (0.75, 0.12, 0.09, 0.04)
@@ -169,7 +169,7 @@ def arrivals(rng: np.random.Generator, seconds: float) -> Iterator[tuple[float, 
 
 
 def drive(rng: np.random.Generator, number: int, begin_s: float, arm: int, fps: float) -> Iterator[dict[str, str]]:
-    """The rows of somebody who drives straight on, or turns right, with errors of some centimetres."""
+    """The rows of a vehicle that drives straight on or turns right, with errors of some centimetres."""
     name = str(rng.choice(list(SIZES), p=SHARES))
     speed = float(rng.normal(12, 0.3))
     way = straight_on(speed, fps) if rng.random() < 0.8 else to_the_right(speed, fps)
@@ -323,8 +323,8 @@ def main() -> None:
     parser.add_argument("--hours", type=float, default=1.0, help="of footage, 8 for a working day")
     parser.add_argument("--fps", type=float, default=10.0)
     parser.add_argument("--kills", type=int, default=5, help="how often the second run is killed; 0: there is none")
-    parser.add_argument("--recordings", type=int, default=1, help="also measure it as so many recordings")
-    parser.add_argument("--cut", action="store_true", help="keep who is on the road when a recording ends")
+    parser.add_argument("--recordings", type=int, default=1, help="also measure it as this many recordings")
+    parser.add_argument("--cut", action="store_true", help="keep vehicles that are on the road when a recording ends")
     parser.add_argument("--broken", action="store_true", help="with gaps, clocks that change, a camera that is moved")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--out", type=Path, required=True, help="a new folder")

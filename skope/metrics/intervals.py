@@ -116,7 +116,7 @@ def share_interval(value: float | None, without: Array) -> Interval:
 
 
 def student(freedom: int) -> float:
-    """Bound of |t| with probability INTERVAL_LEVEL, for Student's t with `freedom` degrees of freedom."""
+    """Bound of |t| with probability `BOOTSTRAP_RULES.level`, for Student's t with `freedom` degrees of freedom."""
     from scipy.special import stdtrit  # only what says intervals waits for it
 
     return float(stdtrit(freedom, (1 + BOOTSTRAP_RULES.level) / 2))

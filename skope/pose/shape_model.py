@@ -5,8 +5,8 @@ each body type's keypoints and dimensions. Coordinates are the vehicle frame's (
 ground under the middle of the box), metres. A shape is `mean + a @ directions`, where the numbers `a` are independent
 and of unit variance among vehicles of the type.
 
-`keypoint_visibility.json` is computed from the fleet by `scripts/vehicle_sight.py`: for each body type and keypoint the
-logistic regression of "visible" on the direction from the keypoint to the eye, which is right for 97 to 99% of them.
+`keypoint_visibility.json` is computed from the fleet by `scripts/vehicle_shapes.py`: for each body type and keypoint
+the logistic regression of "visible" on the direction from the keypoint to the eye, right for 97 to 99% of them.
 Detectors place hidden keypoints anywhere, with high scores.
 """
 

@@ -1,6 +1,6 @@
 """How probable counted events are, and how many road users are missed: rates measured on generated footage.
 
-The rates and what they were measured on are in crossing_rates.json (scripts/research/fit_events.py writes it).
+The rates and what they were measured on are in crossing_rates.json (scripts/research/gate_coverage.py writes it).
 """
 
 import json

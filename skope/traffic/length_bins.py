@@ -1,9 +1,9 @@
 """Vehicles by length: short, medium and long ones, with how sure each is in its bin.
 
 How far lengths are off was measured on 13 generated clips of four sites by day, at night and in rain, of which
-everything is known (`scripts/research/fit_lengths.py`, 1205 tracks of vehicles that are 3.6 to 12 m long). Of cars and
-vans three of four are right to 2%, the others to 14 and 5%; of others half are to 3%, half to 9%; and of a few the body
-is mistaken for another one.
+everything is known (`scripts/research/traffic_scores.py`, 1205 tracks of vehicles that are 3.6 to 12 m long). Of cars
+and vans three of four are right to 2%, the others to 14 and 5%; of others half are to 3%, half to 9%; and of a few the
+body is mistaken for another one.
 """
 
 import math
