@@ -70,8 +70,7 @@ class Detections:
     """(N, 33, 3) x, y, p: pixels of the original image, and the sigmoid of the heat map's peak, 0 to 1.
 
     p grows with the network's certainty but is not calibrated, and says nothing on whether a point is hidden. It is
-    taken in float64, from which the peak can be had back (`skope.detector.score_calibration` does).
-    """
+    taken in float64, from which the peak can be had back (`skope.detector.score_calibration` does)."""
     size: tuple[int, int]
     """Width and height of the image, pixels."""
     scheme: Scheme = SKOPE33

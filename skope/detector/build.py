@@ -30,18 +30,15 @@ class NetworkDefaults:
 
     anchors: tuple[int, ...] = (32, 64, 128, 256, 512)
     """Sides of the anchors in torchvision's own model, pixels inside the network: one for each level of the
-    pyramid.
-    """
+    pyramid."""
     aspects: tuple[float, float, float] = (0.5, 1.0, 2.0)
     """Heights of the anchors of a level over their widths, as in torchvision's own model."""
     max_detections: int = 300
     """Maximum number of detections in one image, vehicles and other road users together. torchvision's own 100 is
-    too few for a queue at rush hour.
-    """
+    too few for a queue at rush hour."""
     proposals: int = 300
     """Number of regions that the second stage examines. Of torchvision's own 1000 the others cost a third of the
-    time on a CPU and found no further vehicle (docs/results.md).
-    """
+    time on a CPU and found no further vehicle (docs/results.md)."""
     pyramid_width: int = 256
     """Channels of the pyramid of torchvision's own model."""
     heads: tuple[int, int, int] = (8, 512, 1024)

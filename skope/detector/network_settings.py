@@ -23,8 +23,7 @@ class Settings:
     min_score: float | None = None
     """Only detections above this go through the keypoint head; None: those above `detections.MIN_SCORE`.
 
-    Footage has a score of its own (`PredictJob.score`), from which this follows.
-    """
+    Footage has a score of its own (`PredictJob.score`), from which this follows."""
     backend: str = "torch"
     """Library for the network's costly parts; "auto" is OpenVINO on a CPU where it is installed, else torch."""
     precision: str = "float32"

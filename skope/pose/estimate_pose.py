@@ -47,8 +47,7 @@ class PoseLimits:
     """Number of vehicles that are computed together. It limits memory."""
     agreement: float = 0.4
     """Smallest share of the keypoints that must agree with a pose. Detectors that learn from visible keypoints
-    alone put the hidden half anywhere, with a high score.
-    """
+    alone put the hidden half anywhere, with a high score."""
     doubt: float = 0.8
     """Share of agreeing keypoints below which other starts are tried."""
     heading_cost_gap: float = 6.0

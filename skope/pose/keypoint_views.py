@@ -47,8 +47,7 @@ class ViewErrors:
     """Least of that distance, pixels."""
     pushed_share: float = 0.02
     """Largest distance of a keypoint from the edge that cuts its box to be taken as pushed there by the detector,
-    as a share of the box's longer edge.
-    """
+    as a share of the box's longer edge."""
     pushed_px: float = 2.0
     """Least of that distance, pixels."""
 

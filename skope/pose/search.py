@@ -37,12 +37,10 @@ class PoseSearch:
     """Labels count as exchanged if the cost (twice the negative log likelihood) falls by this much."""
     hidden_cost: float = 9.0
     """Cost of a keypoint unrelated to the pose, uniform over the box: about the box's area over that of the
-    keypoint's own uncertainty, as a log likelihood.
-    """
+    keypoint's own uncertainty, as a log likelihood."""
     rival_gap: float = 30.0
     """Difference of cost within which the opposite heading leaves doubt: 2% of the right headings, half of the
-    wrong ones.
-    """
+    wrong ones."""
     hidden_rounds: int = 2
     """Number of times that the hidden keypoints are determined from a pose and the pose is fitted without them."""
 

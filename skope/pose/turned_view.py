@@ -24,8 +24,7 @@ class TurnLimits:
 
     residual_px: float = 0.5
     """Largest root mean square distance of pixels from where a turn puts them, per axis, in images `image_width_px`
-    wide.
-    """
+    wide."""
     image_width_px: int = 1280
     """Image width to which `residual_px` refers, pixels."""
     near_m: float = 60.0

@@ -22,8 +22,7 @@ class FootErrors:
 
     box_shares: tuple[float, float] = (0.03, 0.06)
     """Standard deviations of the middle of the lower edge, across and up, as shares of a predicted box's longer
-    edge. Measured on generated footage by day, at night and in rain.
-    """
+    edge. Measured on generated footage by day, at night and in rain."""
     least_px: float = 1.0
     """Least standard deviation, pixels."""
     labelled_px: float = 0.5

@@ -26,8 +26,7 @@ class KalmanSettings:
     """Squared Mahalanobis distance from which a measurement is not assigned to a track."""
     jerk_density: float = 1.0
     """Spectral density of the change of acceleration, m^2 / s^5. The value allows hard braking within one or two
-    seconds.
-    """
+    seconds."""
     memory_s: float = 1.5
     """Time constant of the decay of an acceleration, seconds."""
     speed_mps: float = 15.0
@@ -40,8 +39,7 @@ class KalmanSettings:
     """Standard deviation of a standing vehicle's lateral speed, m/s."""
     slip_ratio: float = 0.15
     """Share of the speed that is added to `slide_mps`. The middle of a turning vehicle does not move along its
-    heading.
-    """
+    heading."""
 
 
 KALMAN_SETTINGS: Final = KalmanSettings()

@@ -41,8 +41,7 @@ class FootTrackLimits:
     """Detections older than this are final, seconds."""
     link_variances: float = 36.0
     """A detection with a track's number joins it within this squared distance, in variances. Numbers jump between
-    pedestrians who meet.
-    """
+    pedestrians who meet."""
     foot_mps: float = 4.0
     """Median speed above which a road user is on wheels, whatever the boxes say, m/s."""
     other_category_cost: float = 4.0

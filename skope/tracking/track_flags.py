@@ -33,8 +33,7 @@ class FlagLimits:
     """A track that stays within this distance of its median position in 95% of its frames never moved, metres."""
     standing_sizes: float = 0.25
     """The same for boxes in the image, in square roots of the box's area. In footage of two junctions the 20
-    standing vehicles stayed within 0.16, and all pedestrians moved by more than 0.5.
-    """
+    standing vehicles stayed within 0.16, and all pedestrians moved by more than 0.5."""
     standing_growth: float = 1.3
     """Ratio of the 95th to the 5th percentile of a box's size from which it moved towards the camera or away."""
     standing_s: float = 5.0
@@ -65,8 +64,7 @@ class FlagLimits:
     """Maximum number of spots of a track at which its speed is compared."""
     flow_angle_rad: float = math.radians(45)
     """Largest difference of direction from tracks in the same flow, radians. Tracks slower than `direction_mps`
-    have none.
-    """
+    have none."""
     flow_factor: float = 1.8
     """A speed is implausible if it differs from the median of the flow by this factor or more."""
     flow_sigmas: float = 3.0

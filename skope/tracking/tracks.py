@@ -38,8 +38,7 @@ class TrackLimits:
     """Confidence from which a class is named."""
     box_s: float = 0.5
     """Time for which a track's last box still locates it in the image, and for which boxes alone extend it,
-    seconds.
-    """
+    seconds."""
     fewest_poses: int = 2
     """Smallest number of poses of a track."""
     shortest_s: float = 0.4

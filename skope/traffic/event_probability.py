@@ -43,12 +43,10 @@ class EventFactors:
     same_vehicle: tuple[float, float, float] = (6.13, -3.55, -1.54)
     """Coefficients of the log odds that a track is one vehicle from one gate to the next: intercept; log(0.1 s +
     longest gap); log(1 s + time). Of 526 such tracks 13 had switched to another vehicle, 12 of them in a gap of at
-    least 1 s.
-    """
+    least 1 s."""
     same_pedestrian: tuple[float, float] = (-1.91, -4.54)
     """The same for pedestrians: intercept; log(0.05 m + largest standard deviation of the position). Of 43 tracks
-    25 had switched to another pedestrian.
-    """
+    25 had switched to another pedestrian."""
     same_rider: float = 0.976
     """Probability for two-wheelers: 41 of 42 tracks were one."""
     few_lost: int = 2

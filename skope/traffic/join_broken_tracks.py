@@ -25,8 +25,7 @@ class JoinLimits:
     """Longest gap between two tracks of one road user, seconds."""
     overlap_s: float = 0.6
     """Longest overlap of two tracks, seconds. A track continues by its box for half a second after another has
-    begun.
-    """
+    begun."""
     acceleration_mps2: float = 1.5
     """Standard deviation of the acceleration in a gap, along and across, m/s^2."""
     unevenness_mps2: float = 1.5

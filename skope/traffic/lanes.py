@@ -27,8 +27,7 @@ class LaneLimits:
     """Longest time between two lanes for a change from one to the other, seconds."""
     parallel_cos: float = math.cos(math.radians(45))
     """Cosine of the largest angle between lanes of one direction. Lanes at a larger angle are two arms of a
-    junction.
-    """
+    junction."""
     no_lane: int = -1
     """Number of no lane."""
 

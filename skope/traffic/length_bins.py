@@ -42,8 +42,7 @@ class LengthModel:
     """Longest vehicle among those on which errors were measured, metres."""
     other_errors: tuple[tuple[float, float], tuple[float, float]] = ((0.5, 0.03), (0.46, 0.09))
     """Shares of tracks with the standard deviation of their lengths' errors, relative. The rest may have any
-    length.
-    """
+    length."""
     longest_car_m: float = 6.2
     """Longest car, metres. Large errors of cars are of short ones."""
     mistaken_m: tuple[float, float] = (3.0, 13.0)

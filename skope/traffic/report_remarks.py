@@ -28,12 +28,10 @@ class RemarkLimits:
 
     dark: float = 0.1
     """Mean brightness below which images show hardly anything. Of 386 generated images of all hours and weathers,
-    the darkest two have 0.089 (a road without lamps) and 0.097; nights with lamps have 0.105 and more.
-    """
+    the darkest two have 0.089 (a road without lamps) and 0.097; nights with lamps have 0.105 and more."""
     flat: float = 0.015
     """Contrast below which images show hardly anything. The thickest fog of these images has 0.010 and 0.012, other
-    fog 0.031 and more, photographs of a car park from above 0.022.
-    """
+    fog 0.031 and more, photographs of a car park from above 0.022."""
     lost_s: float = 0.5
     """Unobserved time within the footage that is worth a warning, seconds."""
     beside_m: float = 2.0

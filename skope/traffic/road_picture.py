@@ -27,8 +27,7 @@ class RoadImage:
     """Smallest number of frames."""
     shortest_s: float = 10.0
     """Minimum length of the footage, seconds. In less, slow road users cover the same pixels in most frames and
-    stay visible.
-    """
+    stay visible."""
 
 
 ROAD_IMAGE: Final = RoadImage()

@@ -35,8 +35,7 @@ class SpeedModel:
     """Share of the measured variance below which the variance of true speeds is hidden by errors."""
     shape_sigma: float = 0.15
     """Standard deviation of the error if speeds are not normally distributed, as a share of the spread that is
-    removed; from simulations with skewed speeds.
-    """
+    removed; from simulations with skewed speeds."""
     step_m: float = 1.0
     """Step in which path lengths are measured, metres. Shorter ones would add up the jitter of positions."""
 

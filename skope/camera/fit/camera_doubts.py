@@ -36,8 +36,7 @@ class DoubtLimits:
     """Gain of likelihood (twice the logarithm) from which pixels are taken as squeezed."""
     heading_gap_rad: float = math.radians(6.0)
     """Median angle between direction of travel and heading from which the road is not a plane or the camera is
-    wrong.
-    """
+    wrong."""
     least_travel_m: float = 3.0
     """Least distance between two views that gives a direction of travel, metres."""
     fewest_directions: int = 5

@@ -41,8 +41,7 @@ class CameraSearch:
     """Largest cost of a view, so that a false detection does not decide."""
     start_distance: float = 0.45
     """Cameras of the grid closer than this are one start. Distances are in logarithms and in twice the angle in
-    radians.
-    """
+    radians."""
     starts: int = 10
     """Number of cameras of the grid that are adjusted."""
     refined: int = 4
@@ -51,8 +50,7 @@ class CameraSearch:
     """Cameras whose unknowns differ by less than this are one."""
     sigma_factor: float = 1.5
     """Factor of standard deviations over those that differences between vehicles give. With it and the two floors
-    below, 95% intervals cover 95% of generated cameras (docs/from-camera-to-tracks.md).
-    """
+    below, 95% intervals cover 95% of generated cameras (docs/from-camera-to-tracks.md)."""
     focal_floor: float = 0.03
     """Least relative standard deviation of the focal length, however many vehicles there are."""
     first_steps: int = 10

@@ -48,8 +48,7 @@ class GroundSearch:
     """Maximum number of vehicles that are used."""
     clear_gap: float = 5.0
     """The plane z = 0 is replaced only if the views fit another plane better by this much (twice the log
-    likelihood).
-    """
+    likelihood)."""
 
 
 GROUND_SEARCH: Final = GroundSearch()

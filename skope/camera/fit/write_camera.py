@@ -41,8 +41,7 @@ class KnownLengthErrors:
     """Relative standard deviation of a measured length."""
     contradiction: float = 3.0
     """Difference between a length and its estimate from vehicles, in standard deviations, from which one of them is
-    wrong.
-    """
+    wrong."""
     step_px: float = 0.1
     """Step of numerical derivatives, pixels."""
     property_share: float = 0.02

@@ -39,15 +39,13 @@ class ShakeLimits:
     """Time within which the measuring process ends after its pipes are closed, seconds."""
     still_px: float = 0.1
     """Standard deviation of the shift, pixels per axis of an image `still_width_px` wide, below which the camera is
-    still. Keypoints are ten times as uncertain.
-    """
+    still. Keypoints are ten times as uncertain."""
     still_width_px: int = 640
     rayleigh_95: float = 2.448
     """Radius that contains 95% of shifts, in standard deviations per axis."""
     around_s: float = 3.0
     """Duration before and after a move over which the mean image position is compared, seconds. Masts vibrate
-    several times in it.
-    """
+    several times in it."""
     fewest_frames: int = 3
     """Smallest number of frames of such a mean."""
 

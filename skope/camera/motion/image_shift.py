@@ -60,8 +60,7 @@ class ShiftLimits:
     """Rounds of the robust fit."""
     floor_px: float = 0.03
     """Standard deviation that remains with any number of corners. Images are interpolated in steps of 1/32 pixel,
-    and all corners share that error.
-    """
+    and all corners share that error."""
     vague_px: float = 0.5
     """A shift with a larger standard deviation is not known, pixels of these images."""
 

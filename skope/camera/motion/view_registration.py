@@ -43,8 +43,7 @@ class RegistrationLimits:
     """Rows and columns of parts into which the overlap of both views is divided."""
     fewest_parts: int = 9
     """Smallest number of these parts that have corners: more than half, so that a lorry beside the camera is not
-    enough.
-    """
+    enough."""
     fewest_per_part: int = 3
     """Smallest number of corners in such a part."""
     moving_view: int = -1
