@@ -25,6 +25,12 @@ TEXT: Final = "text/plain; charset=utf-8"
 HTML: Final = "text/html; charset=utf-8"
 CSS: Final = "text/css; charset=utf-8"
 SCRIPT: Final = "text/javascript; charset=utf-8"
+SHARED_FILES: Final = {
+    "/page.css": ("skope.page", "page.css", CSS),
+    "/dom.js": ("skope.page", "dom.js", SCRIPT),
+    "/viewport.js": ("skope.page", "viewport.js", SCRIPT),
+}
+"""Files that every page has: path -> package, name and media type."""
 _HOST: Final = re.compile(r"(localhost|127\.0\.0\.1|\[::1\])(:[0-9]{1,5})?", re.IGNORECASE)
 _LARGEST_REQUEST_BYTES: Final = 1 << 25
 """Bytes that a request may bring along."""

@@ -13,6 +13,7 @@ from skope.viewer.local_server import (
     HTML,
     JSON,
     SCRIPT,
+    SHARED_FILES,
     Answer,
     LocalHandler,
     LocalServer,
@@ -23,9 +24,8 @@ from skope.viewer.local_server import (
 
 _IMAGE: Final = re.compile(r"/images/([0-9]{1,9})(\.json)?")
 _SCORES: Final = re.compile(r"/scores/([0-9]{1,4})\.json")
-_SERVED_FILES: Final = {
+_SERVED_FILES: Final = SHARED_FILES | {
     "/": ("skope.viewer", "viewer.html", HTML),
-    "/page.css": ("skope.page", "page.css", CSS),
     "/viewer.css": ("skope.viewer", "viewer.css", CSS),
     "/viewer.js": ("skope.viewer", "viewer.js", SCRIPT),
 }

@@ -28,6 +28,7 @@ from skope.viewer.local_server import (
     HTML,
     JSON,
     SCRIPT,
+    SHARED_FILES,
     Answer,
     LocalHandler,
     LocalServer,
@@ -39,29 +40,9 @@ from skope.viewer.local_server import (
 _HERE: Final = "skope.site.page"
 _PLAN: Final = re.compile(r"/plans/([0-9a-f]{64})")
 _FRAME: Final = re.compile(r"/frames/([0-9]{1,9})")
-_SCRIPTS: Final = (
-    "site",
-    "controls",
-    "server",
-    "history",
-    "kinds",
-    "marking",
-    "viewport",
-    "draw_marks",
-    "panel",
-    "pointer",
-    "keys",
-    "plan_view",
-    "saving",
-    "moved_drawings",
-    "views",
-    "camera_panel",
-    "hints",
-    "edits",
-)
-_FILES: Final = {
+_SCRIPTS: Final = ("site", "draw", "input", "marks", "panel", "picture", "server", "views")
+_FILES: Final = SHARED_FILES | {
     "/": (_HERE, "site.html", HTML),
-    "/page.css": ("skope.page", "page.css", CSS),
     "/site.css": (_HERE, "site.css", CSS),
     **{f"/{name}.js": (_HERE, f"{name}.js", SCRIPT) for name in _SCRIPTS},
 }
