@@ -5,7 +5,7 @@ const DRAGGED_PX = 5; // a press that goes farther is a drag
 
 export class Viewport {
   constructor(stage, canvas, svg) {
-    Object.assign(this, { stage, canvas, svg, size: [1, 1], scale: 1, x: 0, y: 0, picture: null });
+    Object.assign(this, { stage, canvas, svg, size: [1, 1], scale: 1, x: 0, y: 0, picture: null, whole: true });
     this.shown = () => {};
   }
 
@@ -23,12 +23,8 @@ export class Viewport {
     return Math.min(this.stage.clientWidth / this.size[0], this.stage.clientHeight / this.size[1]);
   }
 
-  // Whether the whole picture is seen.
-  get fits() {
-    return this.scale <= this.least * 1.001;
-  }
-
   fit() {
+    this.whole = true;
     this.scale = this.least || 1;
     this.x = (this.size[0] - this.stage.clientWidth / this.scale) / 2;
     this.y = (this.size[1] - this.stage.clientHeight / this.scale) / 2;
@@ -41,7 +37,14 @@ export class Viewport {
     this.x += left / this.scale - left / scale;
     this.y += top / this.scale - top / scale;
     this.scale = scale;
+    this.whole = scale <= this.least;
     this.move(0, 0);
+  }
+
+  // The stage has another size: what was seen whole is so still.
+  resized() {
+    if (this.whole) this.fit();
+    else this.move(0, 0);
   }
 
   // Moves the picture by pixels of the screen, as far as some of it stays in the stage.

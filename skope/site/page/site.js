@@ -249,7 +249,7 @@ function listen() {
   for (const name of ["mark", "put", "ended", "cancel", "setTool", "finish"]) does[name] = (...told) => marking[name](...told);
   new Pointer(stage, viewport, now, page, does);
   new Keys(stage, viewport, now, page, does);
-  new ResizeObserver(() => viewport.move(0, 0)).observe(stage);
+  new ResizeObserver(() => viewport.resized()).observe(stage);
   addEventListener("beforeunload", (event) => !saving.has(document_()) && event.preventDefault());
 }
 
