@@ -9,7 +9,7 @@ import pytest
 from skope.api.checks import in_range
 from skope.errors import UserError
 from skope.field_checks import check_number, check_share, image_pixels, is_number, probability
-from skope.site.page.document_values import number_or_none
+from skope.site.mark_parser import number_or_none
 
 NO_NUMBERS = (True, False, None, "1", [1], math.nan, math.inf, -math.inf, 10**400)
 """Whole numbers have any length in JSON and in Python: no float holds the last one."""

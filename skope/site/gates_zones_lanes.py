@@ -9,7 +9,7 @@ from shapely import Polygon
 from skope.camera.ground_plane import Ground, ground_places
 from skope.camera.model import Camera, same_aspect
 from skope.errors import UserError
-from skope.site.mark_limits import FARTHEST, LONGEST_NAME
+from skope.site.mark_parser import FARTHEST, LONGEST_NAME
 from skope.site.toml_table import TomlTable
 from skope.types import Array
 

@@ -53,13 +53,13 @@ class TomlTable:
     def text(self, key: str, default: str = "") -> str:
         value = self.value(key) if key in self else default
         if not isinstance(value, str):
-            raise self.wrong(key, f"expected a text, got {_shown(value)}")
+            raise self.wrong(key, f"expected a text, got {shown(value)}")
         return value
 
     def flag(self, key: str) -> bool:
         value = self.value(key) if key in self else False
         if not isinstance(value, bool):
-            raise self.wrong(key, f"expected true or false, got {_shown(value)}")
+            raise self.wrong(key, f"expected true or false, got {shown(value)}")
         return value
 
     def number(
@@ -84,13 +84,13 @@ class TomlTable:
         # Whole numbers have any length in TOML: those that no float holds are no numbers here.
         if not is_number(value) or abs(value) >= _LARGEST_NUMBER or not low <= value <= high:
             limits = "" if (low, high) == (-math.inf, math.inf) else f" from {low:g} to {high:g}"
-            raise self.wrong(key, f"expected a number{limits}, got {_shown(value)}" if key in self else "missing")
+            raise self.wrong(key, f"expected a number{limits}, got {shown(value)}" if key in self else "missing")
         return float(value)
 
     def numbers(self, key: str, count: int) -> tuple[float, ...]:
         value = self.value(key)
         if not isinstance(value, list) or len(value) != count:
-            raise self.wrong(key, f"expected {count} numbers, got {_shown(value)}" if key in self else "missing")
+            raise self.wrong(key, f"expected {count} numbers, got {shown(value)}" if key in self else "missing")
         return tuple(self._checked(key, item) for item in value)
 
     def matrix(self, key: str, rows: int, columns: int) -> list[tuple[float, ...]]:
@@ -153,7 +153,7 @@ class TomlTable:
             raise self.wrong(unknown[0], f"unknown; known are {', '.join(sorted(self._asked))}")
 
 
-def _shown(value: Any) -> str:
+def shown(value: Any) -> str:
     """A value in a message of one line."""
     try:
         text = repr(value)

@@ -15,8 +15,8 @@ from shapely import Polygon
 from skope.camera.ground_plane import ground_places
 from skope.camera.model import Camera
 from skope.site.gates_zones_lanes import line_on_road
-from skope.site.page.document_values import NO_NAME, entries_of, is_name, number_or_none, positions
-from skope.site.page.marks import Problem
+from skope.site.mark_parser import Problem, number_or_none, positions
+from skope.site.page.marks import NO_NAME, entries_of, is_name
 from skope.site.page.overlays import Polyline, polylines_of
 from skope.types import Array
 

@@ -16,11 +16,10 @@ from zoneinfo import available_timezones
 from skope.errors import UserError
 from skope.files.json_files import json_bytes, parse_json
 from skope.site.page.drawings import drawn_in_image, read_drawings
-from skope.site.page.frames import SiteFrames, decoded_frame, read_time
-from skope.site.page.inputs import merged_document, read_file
-from skope.site.page.marks import marks_of_document
+from skope.site.page.inputs import SiteFrames, decoded_frame, read_file
+from skope.site.page.marks import marks_of_document, read_time
 from skope.site.page.plan import PlanPictures, map_places, plan_scale, seen_from_above
-from skope.site.page.site_store import Opened, SavedElsewhereError, SiteStore
+from skope.site.page.site_store import Opened, SavedElsewhereError, SiteStore, merged_document
 from skope.site.page.solved_page import SolvedPage, unfinished
 from skope.terminal.console import Console
 from skope.viewer.local_server import (
