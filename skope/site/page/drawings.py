@@ -106,7 +106,7 @@ LANE_M: Final = 3.5
 """Width of a lane that says none."""
 _FIELDS: Final = {"gates": "line", "zones": "polygon", "lanes": "line", "occluders": "polygon"}
 """Field of each kind that holds its positions."""
-_FEWEST: Final = {"gates": 2, "zones": 3, "lanes": 2, "occluders": 3}
+FEWEST: Final = {"gates": 2, "zones": 3, "lanes": 2, "occluders": 3}
 _STEP_M: Final = 0.5
 """Lines on the road are projected in so many metres each, since a lens bends them."""
 _ARROW_M: Final = 3.0
@@ -190,8 +190,8 @@ def _problems(kind: str, index: int, entry: Mapping[str, Any], names: set[str], 
         wrong(field, "expected two numbers for each corner")
     elif field == "pixels" and (drawn is None or drawn[0] != list(size)):
         wrong(field, _other_size(drawn[0] if drawn else None, size))
-    elif len(rows) < _FEWEST[kind] or (kind == "gates" and len(rows) != 2):
-        wrong(field, f"needs {_FEWEST[kind]} positions" + (" or more" if kind != "gates" else ""), missing=True)
+    elif len(rows) < FEWEST[kind] or (kind == "gates" and len(rows) != 2):
+        wrong(field, f"needs {FEWEST[kind]} positions" + (" or more" if kind != "gates" else ""), missing=True)
     elif field == "polygon" and not Polygon(rows).is_valid:
         wrong(field, "its sides cross each other")
     elif field in ("line", "pixels") and not any(a != b for a, b in itertools.pairwise(rows)):

@@ -9,11 +9,19 @@ export const KINDS = {
   lengths: { word: "Length", key: "l", count: 2, hint: "Click both ends of something on the road whose length you know." },
   parallels: { word: "Parallel lines", key: "r", count: 2, hint: "Click both ends of a line on the road, then of another one that is parallel to it." },
   verticals: { word: "Vertical", key: "v", count: 2, hint: "Click the foot, then the top of something upright: a post, the corner of a house." },
-  gates: { word: "Gate", key: "g", count: 2, world: true, hint: "Click both ends of a line across the road: vehicles that cross it are counted. No calibration is needed." },
-  zones: { word: "Zone", key: "z", count: 3, open: true, world: true, hint: "Click the corners of an area of the road; Enter or Finish closes it." },
-  lanes: { word: "Lane", key: "n", count: 2, open: true, world: true, hint: "Click along the middle of a lane in its driving direction; Enter or Finish ends it." },
-  occluders: { word: "Occluder", key: "o", count: 3, open: true, hint: "Click around what hides traffic: a tree, a sign; Enter or Finish closes it." },
+  gates: { word: "Gate", key: "g", world: true, hint: "Click both ends of a line across the road: vehicles that cross it are counted. No calibration is needed." },
+  zones: { word: "Zone", key: "z", open: true, world: true, hint: "Click the corners of an area of the road; Enter or Finish closes it." },
+  lanes: { word: "Lane", key: "n", open: true, world: true, hint: "Click along the middle of a lane in its driving direction; Enter or Finish ends it." },
+  occluders: { word: "Occluder", key: "o", open: true, hint: "Click around what hides traffic: a tree, a sign; Enter or Finish closes it." },
 };
+// Limits of the server's parser: values of fields that are empty, letters of a name.
+export const LIMITS = {};
+
+export function setLimits(limits) {
+  Object.assign(LIMITS, limits);
+  for (const [kind, count] of Object.entries(limits.fewest)) KINDS[kind].count = count;
+}
+
 export const MARKED = ["points", "lengths", "parallels", "verticals"];
 export const DRAWN = ["gates", "zones", "lanes", "occluders"];
 
@@ -65,7 +73,7 @@ function made(kind, positions, entries, size = null) {
   if (kind === "verticals") return { name: freeName("vertical ", entries), pixels: positions, metres: null };
   if (kind === "gates") return { name: freeName("gate ", entries), ...(size ? { pixels: positions, size } : { line: positions }), directions: ["", ""] };
   if (kind === "zones") return { name: freeName("zone ", entries), polygon: positions };
-  if (kind === "lanes") return { name: freeName("lane ", entries), line: positions, width: 3.5 };
+  if (kind === "lanes") return { name: freeName("lane ", entries), line: positions, width: LIMITS.usual.lanes };
   const lowest = positions.reduce((a, b) => (b[1] > a[1] ? b : a));
   return { polygon: positions, foot: [...lowest] };
 }
@@ -86,9 +94,9 @@ export function fieldsOf(kind, entry) {
   const corner = (list, words) => entry[list].flatMap((_, i) => at([list, i], list, `${words[i] || `corner ${i + 1}`},`, ", pixels"));
   if (kind === "points") {
     const place = ["x", "y", "z"].map((axis, i) => ({ way: ["place", i], name: "place." + axis, words: `${axis}, metres` }));
-    return [...place, name, ...at(["pixel"], "pixel", "pixel"), { way: ["sigma_m"], name: "sigma_m", words: "exact to, m", usual: "0.1" }];
+    return [...place, name, ...at(["pixel"], "pixel", "pixel"), { way: ["sigma_m"], name: "sigma_m", words: "exact to, m", usual: LIMITS.usual.points }];
   }
-  if (kind === "lengths") return [name, { way: ["metres"], name: "metres", words: "length, metres", two: true }, { way: ["sigma_m"], name: "sigma_m", words: "exact to, m", usual: "0.05" }, ...corner("pixels", ["one end", "other end"])];
+  if (kind === "lengths") return [name, { way: ["metres"], name: "metres", words: "length, metres", two: true }, { way: ["sigma_m"], name: "sigma_m", words: "exact to, m", usual: LIMITS.usual.lengths }, ...corner("pixels", ["one end", "other end"])];
   if (kind === "verticals") return [name, { way: ["metres"], name: "metres", words: "height, metres (if known)", wide: true }, ...corner("pixels", ["foot", "top"])];
   if (kind === "parallels") return [name, ...entry.lines.flatMap((line, i) => line.flatMap((_, j) => at(["lines", i, j], "lines", `line ${i + 1}, end ${j + 1},`, ", px")))];
   if (kind === "gates") {
@@ -97,7 +105,7 @@ export function fieldsOf(kind, entry) {
     return [name, ...directions, ...(inImage(kind, entry) ? corner("pixels", ["end 1", "end 2"]) : corners("line", "end"))];
   }
   if (kind === "zones") return [name, ...corners("polygon", "corner")];
-  if (kind === "lanes") return [name, { way: ["width"], name: "width", words: "width, metres", usual: "3.5", wide: true }, ...corners("line", "point")];
+  if (kind === "lanes") return [name, { way: ["width"], name: "width", words: "width, metres", usual: LIMITS.usual.lanes, wide: true }, ...corners("line", "point")];
   return [...corner("polygon", []), ...at(["foot"], "foot", "foot,", ", pixels")];
 }
 

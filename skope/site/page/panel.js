@@ -1,7 +1,7 @@
 // What the page has around the picture: tools, layers, lists of entries with their fields, figures of the camera, advice.
 
 import { byId, terms, text } from "./dom.js";
-import { DRAWN, KINDS, MARKED, MovedDrawings, fieldsOf, inImage, setPosition, setValue, typed, valueAt } from "./marks.js";
+import { DRAWN, KINDS, LIMITS, MARKED, MovedDrawings, fieldsOf, inImage, setPosition, setValue, typed, valueAt } from "./marks.js";
 import { post } from "./server.js";
 import { CLASSES, COLORS } from "./picture.js";
 
@@ -134,6 +134,7 @@ function labelled(box, focus, { words, wide, two, half, text: plain, usual, name
   const label = text("label", words, { class: wide ? "wide" : two ? "two" : half ? "half" : "" });
   const input = text("input", "", { "data-focus": focus, "data-name": name, autocomplete: "off" });
   if (!plain) input.inputMode = "decimal";
+  if (name === "name") input.maxLength = LIMITS.longest_name;
   if (usual) input.placeholder = usual;
   if (list) input.setAttribute("list", list);
   input.value = value === null || value === undefined ? "" : String(value);

@@ -4,7 +4,7 @@
 import { byId, get, text } from "./dom.js";
 import { handlesOf, redraw } from "./draw.js";
 import { Keys, Pointer, handleOf } from "./input.js";
-import { History, KINDS, MARKED, Marking, edits, inImage, loadFile } from "./marks.js";
+import { History, KINDS, MARKED, Marking, edits, inImage, loadFile, setLimits } from "./marks.js";
 import { CameraPanel, fill, footage, hintFor, keyList, known, legend, switches, toolbar } from "./panel.js";
 import { SitePicture } from "./picture.js";
 import { Saving, newest, post } from "./server.js";
@@ -261,6 +261,7 @@ function firstTool({ document, frames }) {
 
 async function begin() {
   begun = await (await get("/begin.json")).json();
+  setLimits(begun.limits);
   history = new History(begun.document);
   saving = new Saving(begun, { refresh, trouble, wrong, replace });
   byId("title").textContent = `${begun.title} → ${begun.file}`;

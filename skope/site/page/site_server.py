@@ -13,9 +13,11 @@ from pathlib import Path
 from typing import Any, Final
 from zoneinfo import available_timezones
 
+from skope.camera.evidence import MEASURED_M
 from skope.errors import UserError
 from skope.files.json_files import json_bytes, parse_json
-from skope.site.page.drawings import drawn_in_image, read_drawings
+from skope.site.mark_parser import LONGEST_NAME, MARKED_LENGTH_SIGMA_M
+from skope.site.page.drawings import FEWEST, LANE_M, drawn_in_image, read_drawings
 from skope.site.page.inputs import SiteFrames, decoded_frame, read_file
 from skope.site.page.marks import marks_of_document, read_time
 from skope.site.page.plan import PlanPictures, map_places, plan_scale, seen_from_above
@@ -45,6 +47,12 @@ _FILES: Final = SHARED_FILES | {
     "/site.css": (_HERE, "site.css", CSS),
     **{f"/{name}.js": (_HERE, f"{name}.js", SCRIPT) for name in _SCRIPTS},
 }
+LIMITS: Final = {
+    "fewest": FEWEST,
+    "usual": {"points": MEASURED_M, "lengths": MARKED_LENGTH_SIGMA_M, "lanes": LANE_M},
+    "longest_name": LONGEST_NAME,
+}
+"""Limits of the parser as the page has them: positions of each kind, values of fields that are empty, letters."""
 _QUESTIONS: Final = ("/look", "/places", "/above", "/plan", "/plan-picture", "/map-places", "/read", "/save", "/merge")
 _ELSEWHERE: Final = "{name} was saved by another window since this one read it. Nothing of yours is lost: join both, or take the saved one (undo brings yours back)."  # noqa: E501
 
@@ -123,6 +131,7 @@ class SiteServer(LocalServer):
             "saved": opened.document,
             "revision": opened.revision,
             "zones": sorted(available_timezones()),
+            "limits": LIMITS,
         }
 
     def _opened(self) -> Opened:
