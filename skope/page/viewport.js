@@ -5,7 +5,7 @@ const DRAGGED_PX = 5; // a press that goes farther is a drag
 
 export class Viewport {
   constructor(stage, canvas, svg) {
-    Object.assign(this, { stage, canvas, svg, size: [1, 1], scale: 1, x: 0, y: 0, picture: null, whole: true });
+    Object.assign(this, { stage, canvas, svg, size: [1, 1], scale: 1, x: 0, y: 0, picture: null, whole: true, squares: 3 });
     this.shown = () => {};
   }
 
@@ -86,7 +86,7 @@ export class Viewport {
 
   paintInto(context, scale, x, y) {
     context.setTransform(scale, 0, 0, scale, -x * scale, -y * scale);
-    context.imageSmoothingEnabled = scale < 3;
+    context.imageSmoothingEnabled = scale < this.squares; // beyond it pixels are seen as squares
     if (this.picture) context.drawImage(this.picture, 0, 0, ...this.size);
     else {
       context.fillStyle = "#d8d8d8";

@@ -15,6 +15,7 @@ from importlib import resources
 from typing import Any, Final, TypeVar
 
 from skope.errors import UserError
+from skope.page.templates import render
 from skope.terminal.console import Console
 
 ADDRESS: Final = "127.0.0.1"
@@ -203,6 +204,17 @@ def serve_until_stopped(server: LocalServer, title: str, console: Console) -> No
             server.serve_forever()
         except KeyboardInterrupt:
             console.say("")
+
+
+@lru_cache
+def served_page(template: str, name: str) -> bytes:
+    """A page from its template.
+
+    Args:
+        template: Path of the template below skope/.
+        name: Name of its style and script.
+    """
+    return render(template, title=f"skope {name}", name=name).encode()
 
 
 @lru_cache

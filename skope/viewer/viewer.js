@@ -33,7 +33,7 @@ const KEYS = [
 const stage = byId("stage");
 const canvas = byId("canvas");
 const drawing = byId("drawing");
-const viewport = new Viewport(stage, canvas, drawing);
+const viewport = Object.assign(new Viewport(stage, canvas, drawing), { squares: Infinity });
 let index; // what the server has of all images
 let scores = null; // what detections above the threshold are worth, image by image
 let threshold = 0; // of scores, in steps

@@ -45,7 +45,7 @@ def looking(browser: Browser, served: Callable[[Collection], int]) -> Iterator[C
     assert asked
     assert all(url.startswith((origin, "data:")) for url in asked), asked
     assert browser.told("Runtime.exceptionThrown") == []
-    assert [event["entry"]["text"] for event in browser.told("Log.entryAdded")] == []
+    assert [(event["entry"]["text"], event["entry"].get("url")) for event in browser.told("Log.entryAdded")] == []
 
 
 def seen(browser: Browser, css: str) -> int:

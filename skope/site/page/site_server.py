@@ -36,6 +36,7 @@ from skope.viewer.local_server import (
     bound_to,
     read_resource,
     serve_until_stopped,
+    served_page,
 )
 
 _HERE: Final = "skope.site.page"
@@ -43,7 +44,6 @@ _PLAN: Final = re.compile(r"/plans/([0-9a-f]{64})")
 _FRAME: Final = re.compile(r"/frames/([0-9]{1,9})")
 _SCRIPTS: Final = ("site", "draw", "input", "marks", "panel", "picture", "server", "views")
 _FILES: Final = SHARED_FILES | {
-    "/": (_HERE, "site.html", HTML),
     "/site.css": (_HERE, "site.css", CSS),
     **{f"/{name}.js": (_HERE, f"{name}.js", SCRIPT) for name in _SCRIPTS},
 }
@@ -204,6 +204,8 @@ class _Handler(LocalHandler):
     posts = True
 
     def answer_to(self, path: str) -> Answer | None:
+        if path == "/":
+            return HTML, served_page("site/page/site.html", "site")
         if file := _FILES.get(path):
             return file[2], read_resource(*file[:2])
         if path == "/begin.json":
