@@ -5,7 +5,7 @@ import os
 import re
 import shlex
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from datetime import UTC, datetime
 from http import HTTPStatus
@@ -53,7 +53,6 @@ LIMITS: Final = {
     "longest_name": LONGEST_NAME,
 }
 """Limits of the parser as the page has them: positions of each kind, values of fields that are empty, letters."""
-_QUESTIONS: Final = ("/look", "/places", "/above", "/plan", "/plan-picture", "/map-places", "/read", "/save", "/merge")
 _ELSEWHERE: Final = "{name} was saved by another window since this one read it. Nothing of yours is lost: join both, or take the saved one (undo brings yours back)."  # noqa: E501
 
 
@@ -177,6 +176,11 @@ class SiteServer(LocalServer):
         said = "" if counts else "saved; the camera is not calibrated yet"
         return HTTPStatus.OK, {"revision": revision, "said": said}
 
+    def read(self, sent: Mapping[str, Any]) -> dict[str, Any]:
+        """What a file that the browser sends holds."""
+        with tempfile.TemporaryDirectory() as folder:
+            return read_file(sent, Path(folder), self.frames.size)
+
     def merge(self, sent: Mapping[str, Any]) -> dict[str, Any]:
         """The page's document joined with the saved one, and the saved one with its revision."""
         opened = self._opened()
@@ -219,7 +223,18 @@ class _Handler(LocalHandler):
         return None
 
     def answer_to_post(self, path: str, data: bytes) -> tuple[int, str, bytes] | None:
-        if path not in _QUESTIONS:
+        server = self.server
+        answers: dict[str, Callable[[Mapping[str, Any]], dict[str, Any]]] = {
+            "/look": server.solved.look,
+            "/places": lambda sent: server.solved.places(_document(sent), sent.get("pixels")),
+            "/above": server.above,
+            "/plan": plan_scale,
+            "/plan-picture": server.hold_plan,
+            "/map-places": map_places,
+            "/read": server.read,
+            "/merge": server.merge,
+        }
+        if path not in answers and path != "/save":
             return None
         try:
             sent = parse_json(data)
@@ -227,26 +242,7 @@ class _Handler(LocalHandler):
             raise UserError("expected JSON") from None
         if not isinstance(sent, dict):
             raise UserError("expected a JSON object")
-        status, answer = HTTPStatus.OK, {}
-        if path == "/look":
-            answer = self.server.solved.look(sent)
-        elif path == "/places":
-            answer = self.server.solved.places(_document(sent), sent.get("pixels"))
-        elif path == "/above":
-            answer = self.server.above(sent)
-        elif path == "/plan":
-            answer = plan_scale(sent)
-        elif path == "/plan-picture":
-            answer = self.server.hold_plan(sent)
-        elif path == "/map-places":
-            answer = map_places(sent)
-        elif path == "/read":
-            with tempfile.TemporaryDirectory() as folder:
-                answer = read_file(sent, Path(folder), self.server.frames.size)
-        elif path == "/merge":
-            answer = self.server.merge(sent)
-        else:
-            status, answer = self.server.save(sent)  # type: ignore[assignment]
+        status, answer = server.save(sent) if path == "/save" else (HTTPStatus.OK, answers[path](sent))
         return status, JSON, json_bytes(answer)
 
 
