@@ -27,6 +27,8 @@ LEAST_KNOWN_SIGMA: Final = 1e-4
 LENS: Final = {"focal_px": (10.0, 1e5), "k1": (-2.0, 2.0)}
 LONGEST_NAME: Final = 200
 """Letters of a name."""
+NO_NAME: Final = f"expected a name of one line and up to {LONGEST_NAME} letters"
+LANE_WIDTH_M: Final = (0.5, 50.0)
 MARKED_LENGTH_SIGMA_M: Final = 0.05
 """Standard deviation of a length where nothing is said of it, metres."""
 HEIGHT_SIGMA_M: Final = 0.1
@@ -50,6 +52,11 @@ class Problem:
     text: str
     missing: bool = False
     """Whether the field is only not filled in yet."""
+
+
+def is_name(value: Any) -> bool:
+    """Whether something is a name of one line, in any script, and not too long to be shown."""
+    return isinstance(value, str) and bool(value.strip()) and len(value) <= LONGEST_NAME and value.isprintable()
 
 
 def number_or_none(value: Any) -> float | None:

@@ -15,8 +15,8 @@ from shapely import Polygon
 from skope.camera.ground_plane import ground_places
 from skope.camera.model import Camera
 from skope.site.gates_zones_lanes import line_on_road
-from skope.site.mark_parser import Problem, number_or_none, positions
-from skope.site.page.marks import NO_NAME, entries_of, is_name
+from skope.site.mark_parser import LANE_WIDTH_M, NO_NAME, Problem, is_name, number_or_none, positions
+from skope.site.page.marks import entries_of
 from skope.site.page.overlays import Polyline, polylines_of
 from skope.types import Array
 
@@ -198,8 +198,9 @@ def _problems(kind: str, index: int, entry: Mapping[str, Any], names: set[str], 
         wrong(field, "its ends are the same")
     if kind == "lanes" and entry.get("width") not in (None, ""):
         width = number_or_none(entry.get("width"))
-        if width is None or not 0.5 <= width <= 30:
-            wrong("width", "expected a width from 0.5 to 30 metres")
+        low, high = LANE_WIDTH_M
+        if width is None or not low <= width <= high:
+            wrong("width", f"expected a width from {low:g} to {high:g} metres")
     far = number_or_none(entry.get("distance")) is not None
     if kind == "occluders" and positions([entry.get("foot")], 2) is None and not far:
         wrong("foot", "click where it stands on the ground", missing=True)

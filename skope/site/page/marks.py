@@ -15,10 +15,9 @@ from zoneinfo import ZoneInfo
 from skope.camera.evidence import Belief, Evidence
 from skope.errors import UserError
 from skope.site.calibration_marks import beliefs_of
-from skope.site.mark_parser import KINDS, KNOWN_RANGES, LENS, LONGEST_NAME, Problem, known_value, read_mark
+from skope.site.mark_parser import KINDS, KNOWN_RANGES, LENS, NO_NAME, Problem, is_name, known_value, read_mark
 from skope.site.site_file import clock_doubt
 
-NO_NAME: Final = f"expected a name of one line and up to {LONGEST_NAME} letters"
 _MAX_ENTRIES: Final = 500
 """Maximum number of entries of a list: a person marks some dozens."""
 SIGMA_FIELDS: Final = ("sigma_m", "sigma_px", "sigma_z_m")
@@ -44,11 +43,6 @@ def unique_names(entries: Sequence[Mapping[str, Any]]) -> list[str]:
             name, again = f"{plain} ({again})", again + 1
         out.append(name)
     return out
-
-
-def is_name(value: Any) -> bool:
-    """Whether something is a name of one line, in any script, and not too long to be shown."""
-    return isinstance(value, str) and bool(value.strip()) and len(value) <= LONGEST_NAME and value.isprintable()
 
 
 @dataclass(kw_only=True)
