@@ -6,16 +6,13 @@ It writes RUN/index.html, with the pictures inside and links to the files beside
 """
 
 import argparse
-import base64
 import csv
 import math
 import os
 from collections.abc import Mapping
-from html import escape
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -23,8 +20,8 @@ from skope.dataset.folder import open_dataset, read_image
 from skope.errors import UserError
 from skope.files.atomic import write_text
 from skope.files.json_files import read_json
-from skope.page import html_document
-from skope.page.html_pieces import percent_text, table, tag
+from skope.page.image_viewer import jpeg
+from skope.page.templates import Table, percent_text, render
 from skope.pictures import draw
 from skope.video.footage import open_footage
 
@@ -33,17 +30,10 @@ SPLIT = "extra"
 FIGURES = {"PCK@0.1": "pck", "box precision": "box_precision", "box recall": "box_recall"}
 
 
-def embedded(pixels: NDArray[np.uint8], alt: str) -> str:
-    """(H, W, 3) as a picture inside the page."""
-    done, data = cv2.imencode(".jpg", cv2.cvtColor(pixels, cv2.COLOR_RGB2BGR), [cv2.IMWRITE_JPEG_QUALITY, 82])
-    assert done
-    source = f"data:image/jpeg;base64,{base64.b64encode(data.tobytes()).decode('ascii')}"
-    return tag("div", tag("img", src=source, alt=alt, width=pixels.shape[1], height=pixels.shape[0]), class_="stage")
-
-
-def figure(pixels: NDArray[np.uint8], title: str, note: str) -> str:
-    """A picture under its title; `note`, below, is markup."""
-    return tag("figure", tag("figcaption", escape(title)), embedded(pixels, title), tag("p", note))
+def photo(pixels: NDArray[np.uint8], title: str) -> dict[str, Any]:
+    """(H, W, 3) as a picture inside the page, under its title."""
+    height, width = pixels.shape[:2]
+    return {"title": title, "source": jpeg(pixels, longest=max(width, height), quality=82), "size": (width, height)}
 
 
 def rates(metrics: Mapping[str, Any]) -> dict[str, tuple[float | None, int]]:
@@ -89,45 +79,33 @@ def page(run: Path, data: Path) -> tuple[str, str]:
     """The page, and the verdict on fine-tuning."""
     before, after = (read_json(run / name / "metrics.json") for name in ("road33", "tuned_score"))
 
-    def link(path: Path, words: str) -> str:
-        return tag("a", escape(words), href=Path(os.path.relpath(path, run)).as_posix())
-
-    video, tracks = run / "seen" / "overlay.mp4", run / "tracks"
-    files = ", ".join(link(tracks / name, name) for name in ("tracks.csv", "fcd.xml", "mot.txt"))
-    reports = {"road33": run / "road33", "fine-tuned": run / "tuned_score"}
-    links = ", ".join(link(folder / "report.html", words) for words, folder in reports.items())
+    seen, tracks = run / "seen", run / "tracks"
+    files = {name: tracks / name for name in ("tracks.csv", "fcd.xml", "mot.txt")}
+    files |= {"overlay.mp4": seen / "overlay.mp4", "The card": data / "README.md"}
+    files |= {"road33": run / "road33" / "report.html", "fine-tuned": run / "tuned_score" / "report.html"}
     said = verdict(before, after)
-    parts = (
-        tag("h1", "What skope made here"),
-        figure(
-            read_image(tracks / "birdseye.png"),
-            "Vehicles followed in metres, from above",
-            f"{tracked(tracks / 'tracks.csv')} Files: {files}.",
-        ),
-        figure(
-            middle_frame(video),
-            "The same road before the camera, with what road33 found",
-            f"A frame of {link(video, 'overlay.mp4')}: the whole footage with boxes and keypoints, for a video player.",
-        ),
-        tag("h2", "Generated images and their labels"),
-        tag("div", *labelled(data), class_="grid"),
-        tag("p", f"{link(data / 'README.md', 'The card')} says what is in this dataset."),
-        tag("h2", "How good the detector is there, and what fine-tuning changed"),
-        scores(before, after),
-        tag("p", f"{escape(said)} Reports with pictures: {links}."),
+    made = render(
+        Path(__file__).with_suffix(".html"),
+        title="skope: the demonstration",
+        links={name: Path(os.path.relpath(path, run)).as_posix() for name, path in files.items()},
+        tracked=tracked(tracks / "tracks.csv"),
+        above=photo(read_image(tracks / "birdseye.png"), "Vehicles followed in metres, from above"),
+        before=photo(middle_frame(seen / "overlay.mp4"), "The same road before the camera, with what road33 found"),
+        labelled=labelled(data),
+        scores=scores(before, after),
+        verdict=said,
     )
-    return html_document("skope: the demonstration", *parts), said
+    return made, said
 
 
-def scores(before: Mapping[str, Any], after: Mapping[str, Any]) -> str:
+def scores(before: Mapping[str, Any], after: Mapping[str, Any]) -> Table:
     """The figures of both detectors beside each other."""
     later = rates(after)
     rows = [
-        [name, percent_text(old), percent_text(later[name][0]), str(count)]
-        for name, (old, count) in rates(before).items()
+        [name, percent_text(old), percent_text(later[name][0]), count] for name, (old, count) in rates(before).items()
     ]
     caption = f"{before['splits'][SPLIT]['images']} images of a road that neither was trained on, at IoU {IOU}"
-    return table(("", "road33", "fine-tuned", "of (road33)"), rows, caption=caption)
+    return Table(caption=caption, head=("", "road33", "fine-tuned", "of (road33)"), rows=rows)
 
 
 def middle_frame(video: Path) -> NDArray[np.uint8]:
@@ -137,16 +115,15 @@ def middle_frame(video: Path) -> NDArray[np.uint8]:
     return pixels
 
 
-def labelled(data: Path) -> list[str]:
-    """A figure of an image of each split with its ground truth."""
+def labelled(data: Path) -> dict[str, dict[str, Any]]:
+    """An image of each split with its ground truth."""
     opened = open_dataset(data)
-    out = []
+    out = {}
     for split in opened.splits:
         images = list(opened.images(split))
         chosen = images[len(images) // 2]
         drawn = draw.annotations(chosen.pixels(), chosen.annotations)
-        note = f"Split {escape(split)}: filled keypoints are visible, hollow ones hidden; dashed boxes are ignored."
-        out.append(figure(drawn, chosen.record.site or split, note))
+        out[split] = photo(drawn, chosen.record.site or split)
     return out
 
 

@@ -11,7 +11,7 @@ import pytest
 import skope
 
 ROOT = Path(skope.__file__).parent
-HEAVY = ("torch", "torchvision", "pybullet", "moderngl", "libsumo", "matplotlib", "ray")
+HEAVY = ("torch", "torchvision", "pybullet", "moderngl", "libsumo", "matplotlib", "ray", "jinja2")
 
 
 def imported(path: Path) -> set[str]:

@@ -10,7 +10,7 @@ import pytest
 
 from skope.errors import UserError
 from skope.records import check_image, check_number, check_share, dataclass_of, is_number, value_of, with_values
-from skope.site.page.document_values import number_or_none
+from skope.site.mark_parser import number_or_none
 
 NO_NUMBERS = (True, False, None, "1", [1], math.nan, math.inf, -math.inf, 10**400)
 """Whole numbers have any length in JSON and in Python: no float holds the last one."""

@@ -5,10 +5,12 @@ A line is told by its dashes and the shape of its markers as well as by its colo
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from html import escape
 from typing import Final
 
-from skope.page.html_pieces import details, plain, table, tag
+from markupsafe import Markup, escape
+
+from skope.page.svg import tag
+from skope.page.templates import Table, number_text, piece
 
 PLOT_WIDTH, PLOT_HEIGHT = 460, 320
 PLOT_LEFT, PLOT_RIGHT, PLOT_TOP, PLOT_BOTTOM = 48, 14, 14, 44
@@ -47,7 +49,7 @@ class Axes:
         return round(PLOT_LEFT + x / self.x_end * across, 1), round(PLOT_TOP + (1 - y / self.y_end) * up, 1)
 
 
-def chart(title: str, axes: Axes, lines: Sequence[Line], *, diagonal: bool = False, every: int = 1) -> str:
+def chart(title: str, axes: Axes, lines: Sequence[Line], *, diagonal: bool = False, every: int = 1) -> Markup:
     """Draw a figure with lines; each marker says its numbers.
 
     Args:
@@ -68,7 +70,7 @@ def chart(title: str, axes: Axes, lines: Sequence[Line], *, diagonal: bool = Fal
     return _figure(title, axes, lines, parts, every)
 
 
-def histogram(title: str, axes: Axes, groups: Sequence[Line]) -> str:
+def histogram(title: str, axes: Axes, groups: Sequence[Line]) -> Markup:
     """Draw a figure with a bar for each band of each group.
 
     Args:
@@ -83,18 +85,18 @@ def histogram(title: str, axes: Axes, groups: Sequence[Line]) -> str:
     return _figure(title, axes, groups, parts, every=1)
 
 
-def _figure(title: str, axes: Axes, lines: Sequence[Line], parts: Sequence[str], every: int) -> str:
+def _figure(title: str, axes: Axes, lines: Sequence[Line], parts: Sequence[str], every: int) -> Markup:
     drawing = tag(
         "svg",
-        *parts,
+        Markup("".join(parts)),
         viewBox=f"0 0 {PLOT_WIDTH} {PLOT_HEIGHT}",
         role="img",
         aria_label=f"{title}. The numbers are in the table below.",
         tabindex=0,
         class_="chart",
     )
-    legend = tag("ul", *(_legend(i, line.name) for i, line in enumerate(lines)), class_="legend")
-    return tag("figure", tag("figcaption", escape(title)), drawing, legend, _numbers(title, axes, lines, every))
+    legend = [_legend(i, line.name) for i, line in enumerate(lines)]
+    return piece("figure", title, drawing, legend, _numbers(title, axes, lines, every))
 
 
 def _grid(axes: Axes) -> str:
@@ -129,7 +131,7 @@ def _line(number: int, line: Line, axes: Axes, every: int) -> str:
             note = f"; {line.notes[i]}" if line.notes else ""
             tip = f"{line.name}: {axes.x_label} {x:.3g}, {axes.y_label} {y:.3f}{note}"
             shape = _SHAPES[_MARKERS[number % 4]].format(px, py)
-            out.append(f'<path class="mark s{number % 4}" d="{shape}" data-tip="{escape(tip, quote=True)}"/>')
+            out.append(f'<path class="mark s{number % 4}" d="{shape}" data-tip="{escape(tip)}"/>')
     return "".join(out)
 
 
@@ -146,20 +148,21 @@ def _bars(number: int, group: Line, axes: Axes) -> str:
         tip = f"{group.name}: {axes.x_label} {x - half:.3g} to {x + half:.3g}, {axes.y_label} {y:.3f}"
         shape = _SHAPES[_MARKERS[number % 4]].format(px, py)
         if y > 0:
-            out.append(f'<path class="mark s{number % 4}" d="{shape}" data-tip="{escape(tip, quote=True)}"/>')
+            out.append(f'<path class="mark s{number % 4}" d="{shape}" data-tip="{escape(tip)}"/>')
     return "".join(out)
 
 
-def _legend(number: int, name: str) -> str:
+def _legend(number: int, name: str) -> Markup:
+    shape = _SHAPES[_MARKERS[number % 4]].format(17, 6)
     sample = (
-        f'<svg viewBox="0 0 34 12" aria-hidden="true"><path class="line s{number % 4}" d="M1 6H33"/>'
-        f'<path class="mark s{number % 4}" d="{_SHAPES[_MARKERS[number % 4]].format(17, 6)}"/></svg>'
+        tag("path", class_=f"line s{number % 4}", d="M1 6H33"),
+        tag("path", class_=f"mark s{number % 4}", d=shape),
     )
-    return tag("li", sample, escape(name))
+    return tag("svg", *sample, viewBox="0 0 34 12", aria_hidden="true") + escape(name)
 
 
-def _numbers(title: str, axes: Axes, lines: Sequence[Line], every: int) -> str:
+def _numbers(title: str, axes: Axes, lines: Sequence[Line], every: int) -> Table:
     xs = sorted({x for line in lines for i, x, _ in _known(line) if i % every == 0})
     values = [{x: y for _, x, y in _known(line)} for line in lines]
-    rows = [[f"{x:.3g}", *(plain(of.get(x)) for of in values)] for x in xs]
-    return details("Numbers", table([axes.x_label, *(line.name for line in lines)], rows, caption=title))
+    rows = [[f"{x:.3g}", *(number_text(of.get(x)) for of in values)] for x in xs]
+    return Table(caption=title, head=[axes.x_label, *(line.name for line in lines)], rows=rows)

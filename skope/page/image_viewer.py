@@ -2,18 +2,18 @@
 
 import base64
 from collections.abc import Collection, Sequence
-from html import escape
 from pathlib import Path
 from typing import Final
 
 import cv2
 import numpy as np
+from markupsafe import Markup
 from numpy.typing import ArrayLike, NDArray
 
 from skope import keypoints
 from skope.boxes import xywh_to_xyxy
 from skope.dataset.folder import read_image
-from skope.page.html_pieces import tag
+from skope.page.svg import path_svg, tag
 from skope.types import Array, Mask
 
 LONGEST: Final = 960
@@ -63,28 +63,9 @@ def encoded_jpeg(pixels: NDArray[np.uint8], *, longest: int, quality: int) -> by
     return bytes(data.tobytes())
 
 
-def drawing(layers: Sequence[str], size: tuple[int, int]) -> str:
+def drawing(layers: Sequence[str], size: tuple[int, int]) -> Markup:
     """Layers as one drawing over a photograph of `size` (width, height)."""
     return tag("svg", *layers, viewBox="0 0 {} {}".format(*size), aria_hidden="true", preserveAspectRatio="none")
-
-
-def switches(legend: str, layers: dict[str, str], shown: Collection[str]) -> str:
-    """Write a box to tick for each layer of the gallery around it.
-
-    Args:
-        legend: Title of the boxes, plain text.
-        layers: Class of each layer -> its words, plain text.
-        shown: Classes of those that are ticked at first.
-
-    Returns:
-        The boxes as markup.
-    """
-    boxes = "".join(
-        f'<label><input type="checkbox" data-layer="{layer}"{" checked" if layer in shown else ""}> '
-        f'<span class="key {layer}"></span>{escape(words)}</label>'
-        for layer, words in layers.items()
-    )
-    return tag("fieldset", tag("legend", escape(legend)), boxes, class_="choices")
 
 
 def unit(width: int) -> float:
@@ -92,15 +73,10 @@ def unit(width: int) -> float:
     return max(1.0, width / 640)
 
 
-def box_svg(box_xywh: ArrayLike, name: str | None = None) -> str:
+def box_svg(box_xywh: ArrayLike, name: str | None = None) -> Markup:
     """A rectangle; `name` is said when it is pointed at."""
     x, y, w, h = (round(float(v), 1) for v in np.asarray(box_xywh))
     return tag("rect", x=x, y=y, width=max(w, 0), height=max(h, 0), data_tip=name)
-
-
-def path_svg(d: str, class_: str) -> str:
-    """A path, or nothing where there is nothing to draw."""
-    return f'<path class="{class_}" d="{d}"/>' if d else ""
 
 
 def points(
@@ -111,7 +87,7 @@ def points(
     scale: float,
     skeleton: Sequence[tuple[int, int]],
     shown: Collection[int] = range(keypoints.K),
-) -> str:
+) -> Markup:
     """Keypoints of a vehicle as SVG paths.
 
     Args:
@@ -138,7 +114,7 @@ def place(point: Array) -> str:
     return f"{point[0]:.1f} {point[1]:.1f}"
 
 
-def labels_svg(of: Sequence[tuple[ArrayLike, str]], size: tuple[int, int]) -> str:
+def labels_svg(of: Sequence[tuple[ArrayLike, str]], size: tuple[int, int]) -> Markup:
     """A text for each of some boxes in an image of `size` (width, height), near its box and clear of the other texts.
 
     A text stands above its box, or else below it, or else as little higher or lower as there is room, with a line that
@@ -164,9 +140,8 @@ def labels_svg(of: Sequence[tuple[ArrayLike, str]], size: tuple[int, int]) -> st
             out.append(path_svg(f"M{left:.1f} {bottom:.1f}L{x0:.1f} {y0:.1f}", "leader"))
         elif top > below + high:
             out.append(path_svg(f"M{left:.1f} {top:.1f}L{x0:.1f} {y1:.1f}", "leader"))
-        attributes = f'x="{left:.1f}" y="{bottom - 0.3 * letters:.1f}" font-size="{letters:g}"'
-        out.append(f"<text {attributes}>{escape(text)}</text>")
-    return "".join(out)
+        out.append(tag("text", text, x=f"{left:.1f}", y=f"{bottom - 0.3 * letters:.1f}", font_size=f"{letters:g}"))
+    return Markup().join(out)
 
 
 def _overlap(a: Array, b: Array) -> bool:

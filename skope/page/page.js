@@ -1,4 +1,7 @@
-"use strict";
+// What every report does: choices, layers, filters, tables that sort, and tips.
+
+import { hideTip, showTip } from "./dom.js";
+
 // Which protocol's table is shown.
 for (const radio of document.querySelectorAll("input[name=protocol]")) {
   radio.addEventListener("change", () => {
@@ -66,29 +69,25 @@ for (const table of document.querySelectorAll("table.sortable")) {
 }
 
 // Tooltips: by pointer, by touch, and by the arrow keys in a chart that has the focus.
-const tip = document.getElementById("tip");
 let marked = null;
 const hide = () => {
-  tip.hidden = true;
+  hideTip();
   if (marked) marked.classList.remove("active");
   marked = null;
 };
-const showTip = (target) => {
+const tell = (target) => {
   hide();
   marked = target;
   target.classList.add("active");
-  tip.textContent = target.dataset.tip;
-  tip.hidden = false;
   const at = target.getBoundingClientRect();
-  const left = Math.min(Math.max(4, at.left), innerWidth - tip.offsetWidth - 4);
+  const tip = showTip(target.dataset.tip, at.left, at.bottom + 8);
   const above = at.top - tip.offsetHeight - 8;
-  tip.style.left = left + "px";
-  tip.style.top = (above > 4 ? above : Math.min(at.bottom + 8, innerHeight - tip.offsetHeight - 4)) + "px";
+  if (above > 4) tip.style.top = above + "px";
 };
 for (const kind of ["pointerover", "pointerdown"]) {
   document.addEventListener(kind, (event) => {
     const target = event.target.closest && event.target.closest("[data-tip]");
-    if (target) showTip(target);
+    if (target) tell(target);
     else hide();
   });
 }
@@ -101,7 +100,7 @@ document.addEventListener("keydown", (event) => {
   if (!marks.length) return;
   event.preventDefault();
   const next = marks.indexOf(marked) < 0 ? (step > 0 ? 0 : marks.length - 1) : (marks.indexOf(marked) + step + marks.length) % marks.length;
-  showTip(marks[next]);
+  tell(marks[next]);
 });
 document.addEventListener("focusout", hide);
 addEventListener("scroll", hide, { passive: true });

@@ -2,13 +2,14 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from html import escape
 from typing import Final
 
 import numpy as np
+from markupsafe import Markup
 
 from skope import keypoints
-from skope.page.html_pieces import details, table, tag
+from skope.page.svg import path_svg, tag
+from skope.page.templates import Table, piece
 
 # A vehicle seen from above with its sides folded out, the lower a point the farther: forward, and from the middle.
 _PLAN: Final = {
@@ -54,7 +55,7 @@ class Point:
     """Cells of the keypoint's row of the table, after its name."""
 
 
-def outline(title: str, points: Mapping[str, Point], head: Sequence[str]) -> str:
+def outline(title: str, points: Mapping[str, Point], head: Sequence[str]) -> Markup:
     """Draw shares of keypoints in their places on the vehicle.
 
     Of keypoints whose place is not known, those of another scheme, there are only the numbers.
@@ -72,24 +73,24 @@ def outline(title: str, points: Mapping[str, Point], head: Sequence[str]) -> str
         "M{:g} {:g}L{:g} {:g}".format(*places[keypoints.NAMES[a]], *places[keypoints.NAMES[b]])
         for a, b in keypoints.SKELETON
     )
-    dots = [f'<path class="skeleton" d="{edges}"/>']
+    dots = [path_svg(edges, "skeleton")]
     for name, point in points.items():
         if name not in places:
             continue
-        x, y = places[name]
+        x, y = (f"{value:g}" for value in places[name])
         step = "none" if point.share is None else f"p{int(np.clip(point.share * 5, 0, 4))}"
         text = "–" if point.share is None else f"{100 * point.share:.0f}"
-        dots.append(
-            f'<g class="dot {step}" data-tip="{escape(f"{name}: {point.tip}", quote=True)}">'
-            f'<circle cx="{x:g}" cy="{y:g}" r=".34"/>'
-            f'<text x="{x:g}" y="{y:g}" dy=".11" text-anchor="middle">{text}</text></g>'
-        )
-    rows = [[escape(name), *point.cells] for name, point in points.items()]
-    words = '<text x="6.1" y=".1" class="end">front</text><text x="-6.9" y=".1" class="end">rear</text>'
+        dot = tag("circle", cx=x, cy=y, r=".34") + tag("text", text, x=x, y=y, dy=".11", text_anchor="middle")
+        dots.append(tag("g", dot, class_=f"dot {step}", data_tip=f"{name}: {point.tip}"))
+    rows = [[name, *point.cells] for name, point in points.items()]
+    numbers = Table(caption=title, head=["keypoint", *head], rows=rows, sortable=True)
+    if not points.keys() & places.keys():
+        return piece("figure", title, "", numbers=numbers, wide=True)
     drawing = tag(
         "svg",
         *dots,
-        words,
+        tag("text", "front", x="6.1", y=".1", class_="end"),
+        tag("text", "rear", x="-6.9", y=".1", class_="end"),
         viewBox="-7.1 -2.9 14.2 5.8",
         role="img",
         tabindex=0,
@@ -97,10 +98,5 @@ def outline(title: str, points: Mapping[str, Point], head: Sequence[str]) -> str
         aria_label=f"{title}. The numbers are in the table below.",
     )
     steps = ("under 20 %", "20 to 40 %", "40 to 60 %", "60 to 80 %", "80 % and more")
-    legend = tag(
-        "ul", *(f'<li><span class="swatch p{i}"></span>{s}</li>' for i, s in enumerate(steps)), class_="legend"
-    )
-    numbers = details("Numbers", table(["keypoint", *head], rows, caption=title, sortable=True))
-    if not points.keys() & places.keys():
-        return tag("figure", tag("figcaption", escape(title)), numbers, class_="wide")
-    return tag("figure", tag("figcaption", escape(title)), drawing, legend, numbers, class_="wide")
+    legend = [tag("span", class_=f"swatch p{i}") + step for i, step in enumerate(steps)]
+    return piece("figure", title, drawing, legend, numbers, wide=True)

@@ -1,30 +1,17 @@
 """The [calibration] table of a site file: marks that calibrate the camera."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import datetime
-from typing import Final, TypeVar
-
-import numpy as np
+from typing import Any, Final
 
 from skope.camera.calibration_files import read_uncertain_camera
-from skope.camera.evidence import MARKING_ERRORS, Belief, Evidence, MarkedLength, MarkedPoint, ParallelLines, Vertical
+from skope.camera.evidence import Belief, Evidence, MarkedLength, MarkedPoint, ParallelLines, Vertical
 from skope.errors import UserError
 from skope.records import Table
 from skope.site.gates_zones_lanes import checked_name
-from skope.site.mark_limits import (
-    FARTHEST,
-    KNOWN_RANGES,
-    LENGTH_M,
-    LENS,
-    MARKED_LENGTH_SIGMA_M,
-    SIGMA,
-    VERTICAL_M,
-    WIDEST_PX,
-    is_known,
-)
+from skope.site.mark_parser import KNOWN_RANGES, LENS, known_value, read_mark
 
-_Mark = TypeVar("_Mark")
 _LARGEST_PX: Final = 8192
 
 
@@ -100,10 +87,10 @@ def read_marks(table: Table, unknown: list[str]) -> CalibrationMarks:
     made = CalibrationMarks(
         size=_size(table),
         when=_time(table, "when"),
-        points=_rows(table, "points", _point, unknown),
-        lengths=_rows(table, "lengths", _length, unknown),
-        parallels=_rows(table, "parallels", _parallel, unknown),
-        verticals=_rows(table, "verticals", _vertical, unknown),
+        points=_rows(table, "points", unknown),
+        lengths=_rows(table, "lengths", unknown),
+        parallels=_rows(table, "parallels", unknown),
+        verticals=_rows(table, "verticals", unknown),
         fov_deg=_measured(table, "fov_deg", KNOWN_RANGES["fov_deg"]),
         lens=_lens(table.table("lens"), unknown) if "lens" in table else None,
         height_m=_measured(table, "height_m", KNOWN_RANGES["height_m"]),
@@ -113,99 +100,29 @@ def read_marks(table: Table, unknown: list[str]) -> CalibrationMarks:
     return made
 
 
-def _rows(table: Table, key: str, read: Callable[[Table, str], _Mark], unknown: list[str]) -> tuple[_Mark, ...]:
+def _rows(table: Table, kind: str, unknown: list[str]) -> tuple[Any, ...]:
     out, names = [], set[str]()
-    for number, row in enumerate(table.rows(key), start=1):
-        name = checked_name(row, "name", row.text("name")) if "name" in row else str(number)
+    for index, row in enumerate(table.rows(kind)):
+        name = checked_name(row, "name", row.text("name")) if "name" in row else str(index + 1)
         if name in names:
-            raise row.wrong("name", f"{name!r} is the name of two {key}")
+            raise row.wrong("name", f"{name!r} is the name of two {kind}")
         names.add(name)
-        try:
-            out.append(read(row, name))
-        except UserError as error:
-            raise error if str(error).startswith(str(row.path)) else row.wrong("", str(error)) from None
+        mark, problems = read_mark(kind, index, name, row.value)
+        for one in problems:
+            raise row.wrong(one.field, f"missing: {one.text}" if one.missing else one.text)
+        out.append(mark)
         unknown += row.unread
     return tuple(out)
-
-
-def _point(row: Table, name: str) -> MarkedPoint:
-    place = row.value("place")
-    count = 2 if isinstance(place, list) and len(place) == 2 else 3
-    where = row.numbers("place", count)
-    if max(map(abs, where)) > FARTHEST:
-        raise row.wrong("place", f"expected numbers within {FARTHEST:g}")
-    return MarkedPoint(
-        _pixels(row, "pixel", 1)[0],
-        np.array([*where, 0.0][:3]),
-        sigma_px=_sigma(row, "sigma_px", MARKING_ERRORS.pixel),
-        sigma_m=_sigma(row, "sigma_m", MARKING_ERRORS.place_m),
-        sigma_z_m=_sigma(row, "sigma_z_m", MARKING_ERRORS.height_m),
-        name=name,
-    )
-
-
-def _length(row: Table, name: str) -> MarkedLength:
-    return MarkedLength(
-        _pixels(row, "pixels", 2),
-        row.number("metres", low=LENGTH_M[0], high=LENGTH_M[1]),
-        sigma_m=_sigma(row, "sigma_m", MARKED_LENGTH_SIGMA_M),
-        sigma_px=_sigma(row, "sigma_px", MARKING_ERRORS.pixel),
-        name=name,
-    )
-
-
-def _parallel(row: Table, name: str) -> ParallelLines:
-    lines = row.value("lines")
-    if not isinstance(lines, list) or len(lines) < 2 or not all(isinstance(line, list) for line in lines):
-        raise row.wrong("lines", "expected two or more lines of two pixels each")
-    marked = [_ends(row, line) for line in lines]
-    return ParallelLines(np.array(marked), sigma_px=_sigma(row, "sigma_px", MARKING_ERRORS.pixel), name=name)
-
-
-def _ends(row: Table, line: object) -> list[list[float]]:
-    one = Table(row.path, "", {"line": line})
-    try:
-        ends = one.matrix("line", 2, 2)
-    except UserError:
-        raise row.wrong("lines", "expected two pixels [column, row] for each line") from None
-    if max(abs(value) for end in ends for value in end) > WIDEST_PX or ends[0] == ends[1]:
-        raise row.wrong("lines", f"expected lines between two pixels within {WIDEST_PX:g}")
-    return [list(end) for end in ends]
-
-
-def _vertical(row: Table, name: str) -> Vertical:
-    return Vertical(
-        _pixels(row, "pixels", 2),
-        metres=row.number("metres", low=VERTICAL_M[0], high=VERTICAL_M[1]) if "metres" in row else None,
-        sigma_m=_sigma(row, "sigma_m", 0.1),
-        sigma_px=_sigma(row, "sigma_px", MARKING_ERRORS.pixel),
-        name=name,
-    )
-
-
-def _pixels(row: Table, key: str, count: int) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
-    """(count, 2) pixels; of one the key holds the pixel itself."""
-    rows = [row.numbers(key, 2)] if count == 1 else row.matrix(key, count, 2)
-    out = np.array(rows, dtype=np.float64)
-    if np.abs(out).max() > WIDEST_PX:
-        raise row.wrong(key, f"expected pixels within {WIDEST_PX:g}")
-    if count == 2 and (out[0] == out[1]).all():
-        raise row.wrong(key, "its ends are one pixel")
-    return out
-
-
-def _sigma(row: Table, key: str, default: float) -> float:
-    return row.number(key, default, low=SIGMA[0], high=SIGMA[1])
 
 
 def _measured(table: Table, key: str, limits: tuple[float, float]) -> tuple[float, float] | None:
     """A value with its standard deviation, [value, sigma]."""
     if key not in table:
         return None
-    value, sigma = table.numbers(key, 2)
-    if not is_known(value, sigma, limits):
-        raise table.wrong(key, f"expected [value, standard deviation] from {limits[0]:g} to {limits[1]:g}")
-    return value, sigma
+    found = known_value(table.value(key), limits)
+    if found is None:
+        raise table.wrong(key, f"expected 2 numbers, value and standard deviation, from {limits[0]:g} to {limits[1]:g}")
+    return found
 
 
 def _lens(table: Table, unknown: list[str]) -> Mapping[str, tuple[float, float]]:

@@ -1,7 +1,6 @@
 """Drawings of a user on a road, as a site file has them: gates, zones, lanes, occluders."""
 
 from dataclasses import dataclass, replace
-from typing import Final
 
 import numpy as np
 from shapely import Polygon
@@ -10,11 +9,10 @@ from skope.camera.ground_plane import Ground, ground_places
 from skope.camera.model import Camera, same_aspect
 from skope.errors import UserError
 from skope.records import Table
-from skope.site.mark_limits import FARTHEST, LONGEST_NAME
+from skope.site.mark_parser import FARTHEST, LANE_WIDTH_M, NO_NAME, is_name
 from skope.types import Array
 
 Outline = tuple[tuple[float, float], ...]
-_LANE_M: Final = (0.5, 50.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -183,7 +181,7 @@ def read_zone(row: Table) -> Zone:
 
 def read_lane(row: Table) -> Lane:
     line = read_line(row, "line")
-    width = row.number("width", low=_LANE_M[0], high=_LANE_M[1]) if "width" in row else None
+    width = row.number("width", low=LANE_WIDTH_M[0], high=LANE_WIDTH_M[1]) if "width" in row else None
     return Lane(name=read_name(row), line=line, width=width)
 
 
@@ -235,8 +233,8 @@ def checked_name(row: Table, key: str, name: str) -> str:
         The name.
 
     Raises:
-        UserError: It is empty, longer than `LONGEST_NAME`, or cannot be printed in one line.
+        UserError: It is empty, too long, or cannot be printed in one line.
     """
-    if not name.strip() or len(name) > LONGEST_NAME or not name.isprintable():
-        raise row.wrong(key, f"expected a name of one line and up to {LONGEST_NAME} letters")
+    if not is_name(name):
+        raise row.wrong(key, NO_NAME)
     return name

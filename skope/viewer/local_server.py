@@ -15,6 +15,7 @@ from importlib import resources
 from typing import Any, Final, TypeVar
 
 from skope.errors import UserError
+from skope.page.templates import render
 from skope.terminal.console import Console
 
 ADDRESS: Final = "127.0.0.1"
@@ -25,6 +26,12 @@ TEXT: Final = "text/plain; charset=utf-8"
 HTML: Final = "text/html; charset=utf-8"
 CSS: Final = "text/css; charset=utf-8"
 SCRIPT: Final = "text/javascript; charset=utf-8"
+SHARED_FILES: Final = {
+    "/page.css": ("skope.page", "page.css", CSS),
+    "/dom.js": ("skope.page", "dom.js", SCRIPT),
+    "/viewport.js": ("skope.page", "viewport.js", SCRIPT),
+}
+"""Files that every page has: path -> package, name and media type."""
 _HOST: Final = re.compile(r"(localhost|127\.0\.0\.1|\[::1\])(:[0-9]{1,5})?", re.IGNORECASE)
 _LARGEST_REQUEST_BYTES: Final = 1 << 25
 """Bytes that a request may bring along."""
@@ -197,6 +204,17 @@ def serve_until_stopped(server: LocalServer, title: str, console: Console) -> No
             server.serve_forever()
         except KeyboardInterrupt:
             console.say("")
+
+
+@lru_cache
+def served_page(template: str, name: str) -> bytes:
+    """A page from its template.
+
+    Args:
+        template: Path of the template below skope/.
+        name: Name of its style and script.
+    """
+    return render(template, title=f"skope {name}", name=name).encode()
 
 
 @lru_cache

@@ -13,19 +13,19 @@ from skope.viewer.local_server import (
     HTML,
     JSON,
     SCRIPT,
+    SHARED_FILES,
     Answer,
     LocalHandler,
     LocalServer,
     bound_to,
     read_resource,
     serve_until_stopped,
+    served_page,
 )
 
 _IMAGE: Final = re.compile(r"/images/([0-9]{1,9})(\.json)?")
 _SCORES: Final = re.compile(r"/scores/([0-9]{1,4})\.json")
-_SERVED_FILES: Final = {
-    "/": ("skope.viewer", "viewer.html", HTML),
-    "/page.css": ("skope.page", "page.css", CSS),
+_SERVED_FILES: Final = SHARED_FILES | {
     "/viewer.css": ("skope.viewer", "viewer.css", CSS),
     "/viewer.js": ("skope.viewer", "viewer.js", SCRIPT),
 }
@@ -67,6 +67,8 @@ class _Handler(LocalHandler):
 
     def answer_to(self, path: str) -> Answer | None:
         documents = self.server.documents
+        if path == "/":
+            return HTML, served_page("viewer/viewer.html", "viewer")
         if file := _SERVED_FILES.get(path):
             return file[2], read_resource(*file[:2])
         if path == "/index.json":

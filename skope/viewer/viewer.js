@@ -1,11 +1,13 @@
-"use strict";
 // All images of a collection, one at a time. Whatever a file says gets into the page as text or as numbers of a drawing.
 
-const SVG = "http://www.w3.org/2000/svg";
+import { byId, element, get, hideTip, keyOf, showTip, terms, text } from "./dom.js";
+import { Gestures, Viewport } from "./viewport.js";
+
 const STEPS = 1000; // of a score, as the server counts
 const KEPT = 9; // images with their vehicles: the one that is shown, its neighbours, and the last ones
 const UNSURE = 0.5; // predicted keypoints below this probability are rings
 const NEAR_PX = 8; // on the screen, for pointing at a keypoint
+const SWIPED_PX = 50; // a finger that goes farther sideways turns the page
 const REST_MS = 150; // so long a threshold, or an image, has to stay before what takes time is done
 
 const LAYERS = [
@@ -28,10 +30,10 @@ const KEYS = [
   ["?", "this list"],
 ];
 
-const byId = (id) => document.getElementById(id);
 const stage = byId("stage");
-const canvas = document.createElement("canvas");
-canvas.setAttribute("role", "img");
+const canvas = byId("canvas");
+const drawing = byId("drawing");
+const viewport = Object.assign(new Viewport(stage, canvas, drawing), { squares: Infinity });
 let index; // what the server has of all images
 let scores = null; // what detections above the threshold are worth, image by image
 let threshold = 0; // of scores, in steps
@@ -39,19 +41,12 @@ let order = []; // numbers of the images that pass the filters, in the order in 
 let at = 0; // place in `order`
 let shown = null; // { number, details, bitmap, problem } of the image in the stage
 let direction = 1;
-let zoom = 1;
 const filters = { show: "all", order: "file", facets: {}, qualities: {} };
 
 // ------------------------------------------------------------------------------------------------- from the server
 
-async function ask(path) {
-  const answer = await fetch(path);
-  if (!answer.ok) throw new Error(await answer.text());
-  return answer;
-}
-
 async function fetched(number) {
-  const [picture, details] = await Promise.all([pictureOf(number), ask(`/images/${number}.json`)]);
+  const [picture, details] = await Promise.all([pictureOf(number), get(`/images/${number}.json`)]);
   return { number, ...picture, details: await details.json() };
 }
 
@@ -60,7 +55,7 @@ async function fetched(number) {
 async function pictureOf(number) {
   let blob;
   try {
-    blob = await (await ask("/images/" + number)).blob();
+    blob = await (await get("/images/" + number)).blob();
     return { bitmap: await createImageBitmap(blob), problem: "" };
   } catch (error) {
     return { bitmap: null, problem: blob ? `${index.names[number]}: not an image that a browser shows` : error.message };
@@ -115,14 +110,13 @@ function go(place) {
 function show(loaded) {
   shown = loaded;
   const [width, height] = loaded.details.size;
-  stage.style.setProperty("--w", width);
-  stage.style.setProperty("--h", height);
   const { bitmap, problem } = loaded;
   const other = bitmap && (bitmap.width !== width || bitmap.height !== height);
   trouble(other ? `the image is ${bitmap.width}x${bitmap.height}, its annotations say ${width}x${height}` : problem);
-  [canvas.width, canvas.height] = bitmap ? [bitmap.width, bitmap.height] : [0, 0];
-  if (bitmap) canvas.getContext("2d", { alpha: false }).drawImage(bitmap, 0, 0);
+  stage.style.setProperty("--w", width);
+  stage.style.setProperty("--h", height);
   canvas.setAttribute("aria-label", index.names[loaded.number]);
+  viewport.show(bitmap, [width, height], true);
   draw();
   // Reloading leads to the same image. Browsers refuse addresses that change too often.
   clearTimeout(resting);
@@ -149,12 +143,6 @@ function tell() {
 
 // -------------------------------------------------------------------------------------------------------- drawing
 
-const element = (name, attributes, ...children) => {
-  const made = document.createElementNS(SVG, name);
-  for (const [key, value] of Object.entries(attributes)) made.setAttribute(key, value);
-  made.append(...children);
-  return made;
-};
 const spot = (points, k) => `${points[3 * k]} ${points[3 * k + 1]}`;
 const counts = (detection) => detection.step > threshold;
 const missed = (vehicle) => index.truth && !vehicle.ignored && vehicle.found !== undefined && vehicle.found <= threshold;
@@ -162,8 +150,10 @@ const every = () => index.keypoints.map((_, k) => k);
 
 function draw() {
   hideTip();
-  if (!shown || !order.length) return stage.replaceChildren();
-  const { size, vehicles, others, detections } = shown.details;
+  drawnAt = viewport.scale;
+  stage.hidden = !shown || !order.length;
+  if (stage.hidden) return drawing.replaceChildren();
+  const { vehicles, others, detections } = shown.details;
   const wanted = vehicles.filter((vehicle) => isWanted(vehicle.kind));
   const [ignored, truth] = [wanted.filter((v) => v.ignored), wanted.filter((v) => !v.ignored)];
   const found = detections.filter(counts);
@@ -176,9 +166,7 @@ function draw() {
     element("g", { class: "found" }, ...found.map((d) => detectionGroup(d)).reverse()),
     element("g", { class: "wrong" }, ...failures(truth, found, detections)),
   ];
-  const drawing = element("svg", { viewBox: `0 0 ${size[0]} ${size[1]}`, preserveAspectRatio: "none" }, ...layers);
-  drawing.setAttribute("aria-hidden", "true");
-  stage.replaceChildren(canvas, drawing);
+  drawing.replaceChildren(...layers);
   facts(truth, ignored, found);
 }
 
@@ -240,14 +228,14 @@ function failures(truth, found, detections) {
 }
 
 function label([x, y, width], words) {
-  const scale = shown.details.size[0] / (stage.clientWidth || shown.details.size[0]);
+  const scale = 1 / viewport.scale;
   const late = x > 0.8 * shown.details.size[0];
-  const text = element("text", { x: late ? x + width : Math.max(x, 0), y: Math.max(y - 3 * scale, 12 * scale) });
-  if (late) text.setAttribute("text-anchor", "end");
-  text.style.fontSize = 12 * scale + "px";
-  text.style.strokeWidth = 3 * scale + "px";
-  text.textContent = words;
-  return text;
+  const made = element("text", { x: late ? x + width : Math.max(x, 0), y: Math.max(y - 3 * scale, 12 * scale) });
+  if (late) made.setAttribute("text-anchor", "end");
+  made.style.fontSize = 12 * scale + "px";
+  made.style.strokeWidth = 3 * scale + "px";
+  made.textContent = words;
+  return made;
 }
 
 function facts(truth, ignored, found) {
@@ -262,22 +250,7 @@ function facts(truth, ignored, found) {
     rows.push(["missed", scores.missed[number].length], ["false", scores.false[number]]);
     rows.push(["quality", quality === null ? "nothing is labelled" : quality.toFixed(2)]);
   }
-  list(byId("facts"), rows);
-}
-
-function list(where, rows) {
-  const pairs = rows.map(([name, value]) => {
-    const pair = document.createElement("div");
-    pair.append(text("dt", name), text("dd", value));
-    return pair;
-  });
-  where.replaceChildren(...pairs);
-}
-
-function text(name, words) {
-  const made = document.createElement(name);
-  made.textContent = words;
-  return made;
+  terms(byId("facts"), rows);
 }
 
 // --------------------------------------------------------------------------------------------------------- layers
@@ -291,17 +264,13 @@ function switches() {
     wrong: index.truth && index.score !== null,
   };
   for (const layer of LAYERS.filter(({ name }) => there[name] !== false)) {
-    const input = document.createElement("input");
-    input.type = "checkbox";
+    const input = text("input", "", { type: "checkbox", "data-layer": layer.name });
     input.checked = layer.name !== "ignored";
-    input.dataset.layer = layer.name;
     const set = () => stage.classList.toggle("no-" + layer.name, !input.checked);
     input.addEventListener("change", set);
     set();
-    const key = document.createElement("span");
-    key.className = "key " + layer.name;
-    const whole = document.createElement("label");
-    whole.append(input, key, layer.words, text("kbd", layer.key));
+    const whole = text("label");
+    whole.append(input, text("span", "", { class: "key " + layer.name }), layer.words, text("kbd", layer.key));
     byId("layers").append(whole);
     actions[layer.key] = () => input.click();
     KEYS.push([layer.key, layer.words]);
@@ -356,23 +325,18 @@ function filter() {
 }
 
 function select(words, choices, chosen) {
-  const made = document.createElement("select");
-  for (const [value, name] of choices) {
-    const option = text("option", name);
-    option.value = value;
-    made.append(option);
-  }
+  const made = text("select", "", { "data-filter": words });
+  made.append(...choices.map(([value, name]) => text("option", name, { value })));
   made.addEventListener("change", () => {
     chosen(made.value);
     filter();
   });
-  const label = document.createElement("label");
-  label.append(words, made);
+  const label = text("label", words);
+  label.append(made);
   byId("filters").append(label);
-  made.dataset.filter = words;
 }
 
-const valueOf = (text) => (text === "" ? undefined : Number(text));
+const valueOf = (typed) => (typed === "" ? undefined : Number(typed));
 
 function controls() {
   if (index.score !== null) {
@@ -399,10 +363,7 @@ function controls() {
 }
 
 function thresholds() {
-  const input = document.createElement("input");
-  input.type = "range";
-  input.id = "threshold";
-  [input.max, input.step, input.value] = [STEPS, 5, index.score];
+  const input = text("input", "", { type: "range", id: "threshold", max: STEPS, step: 5, value: index.score });
   const output = text("output", threshold / STEPS);
   let timer;
   input.addEventListener("input", () => {
@@ -412,14 +373,14 @@ function thresholds() {
     clearTimeout(timer);
     timer = setTimeout(() => score().then(filter, (error) => trouble(error.message)), REST_MS);
   });
-  const label = document.createElement("label");
-  label.append("score above", input, output);
+  const label = text("label", "score above");
+  label.append(input, output);
   byId("filters").append(label);
 }
 
 async function score() {
   const asked = threshold;
-  const answer = await (await ask(`/scores/${asked}.json`)).json();
+  const answer = await (await get(`/scores/${asked}.json`)).json();
   if (asked === threshold) scores = answer;
 }
 
@@ -433,9 +394,9 @@ const actions = {
   PageUp: () => go(at - 10),
   Home: () => go(0),
   End: () => go(order.length - 1),
-  "+": () => enlarge(2),
-  "=": () => enlarge(2),
-  "-": () => enlarge(0.5),
+  "+": () => viewport.zoom(2),
+  "=": () => viewport.zoom(2),
+  "-": () => viewport.zoom(0.5),
   0: () => stage.classList.toggle("bare"),
   "?": () => byId("help").showModal(),
 };
@@ -444,23 +405,11 @@ document.addEventListener("keydown", (event) => {
   if (event.ctrlKey || event.metaKey || event.altKey || byId("help").open) return;
   const own = event.target.closest("select, input[type=range]");
   const pressed = event.key === " " && event.target.closest("button, input");
-  const action = actions[event.key.length === 1 ? event.key.toLowerCase() : event.key];
+  const action = actions[keyOf(event)];
   if (own || pressed || !action) return;
   event.preventDefault();
   action(event);
 });
-
-// Twice or half as large; what is in the middle of the window stays there.
-function enlarge(factor) {
-  const view = byId("window");
-  const x = (view.scrollLeft + view.clientWidth / 2) / view.scrollWidth;
-  const y = (view.scrollTop + view.clientHeight / 2) / view.scrollHeight;
-  zoom = Math.min(Math.max(zoom * factor, 1), 8);
-  stage.style.setProperty("--zoom", zoom);
-  view.scrollLeft = x * view.scrollWidth - view.clientWidth / 2;
-  view.scrollTop = y * view.scrollHeight - view.clientHeight / 2;
-  draw();
-}
 
 // What lies at a position of the image: the nearest keypoint, and the smallest box around it.
 function under(x, y, near) {
@@ -498,51 +447,54 @@ function wordsOf(one) {
   return [`detection, score ${one.score.toFixed(2)}`, one.false ? "false" : "", one.words].filter(Boolean).join(", ");
 }
 
-function hideTip() {
-  byId("tip").hidden = true;
-}
+// What is known of a place is told where it is pointed at; a finger that goes sideways over the whole image turns the page.
+class Looking extends Gestures {
+  begin(event) {
+    this.hover(event);
+    return { does: event.pointerType === "touch" && viewport.whole ? "swipe" : "move" };
+  }
 
-for (const kind of ["pointermove", "pointerdown"]) {
-  stage.addEventListener(kind, (event) => {
+  hover(event) {
     hideTip();
     if (!shown || stage.classList.contains("bare")) return;
-    const place = stage.getBoundingClientRect();
-    const scale = shown.details.size[0] / place.width;
-    const lines = under((event.clientX - place.left) * scale, (event.clientY - place.top) * scale, NEAR_PX * scale);
-    if (!lines.length) return;
-    const tip = byId("tip");
-    tip.textContent = lines.join("\n");
-    tip.hidden = false;
-    tip.style.left = Math.min(event.clientX + 12, innerWidth - tip.offsetWidth - 4) + "px";
-    tip.style.top = Math.min(event.clientY + 12, innerHeight - tip.offsetHeight - 4) + "px";
-  });
+    const lines = under(...viewport.at(event), NEAR_PX / viewport.scale);
+    if (lines.length) showTip(lines.join("\n"), event.clientX + 12, event.clientY + 12);
+  }
+
+  move(event) {
+    super.move(event);
+    if (this.action?.moved) hideTip();
+  }
+
+  end(event, { does, first }) {
+    const [x, y] = [event.clientX - first.clientX, event.clientY - first.clientY];
+    if (does === "swipe" && Math.abs(x) > SWIPED_PX && Math.abs(x) > 2 * Math.abs(y)) go(at - Math.sign(x));
+  }
 }
+
+new Looking(stage, viewport);
 stage.addEventListener("pointerleave", hideTip);
 addEventListener("scroll", hideTip, { passive: true });
-addEventListener("resize", () => shown && draw());
+new ResizeObserver(() => viewport.resized()).observe(stage);
 
-let touch = null;
-stage.addEventListener("touchstart", ({ touches }) => {
-  touch = touches.length === 1 && zoom === 1 && visualViewport.scale === 1 ? touches[0] : null;
-}, { passive: true });
-stage.addEventListener("touchend", ({ changedTouches: [end] }) => {
-  if (!touch) return;
-  const [x, y] = [end.clientX - touch.clientX, end.clientY - touch.clientY];
-  if (Math.abs(x) > 50 && Math.abs(x) > 2 * Math.abs(y)) go(at - Math.sign(x));
-  touch = null;
-}, { passive: true });
+// Texts and their rims keep their size on the screen.
+let drawnAt = 1;
+viewport.shown = () => {
+  stage.classList.toggle("enlarged", !viewport.whole);
+  if (shown && drawnAt !== viewport.scale) draw();
+};
 
 // ---------------------------------------------------------------------------------------------------------- begin
 
 async function begin() {
-  index = await (await ask("/index.json")).json();
+  index = await (await get("/index.json")).json();
   threshold = index.score || 0;
   byId("title").textContent = index.title;
   const first = Number(location.hash.slice(1)) - 1;
   order = [...index.names.keys()];
   at = first in index.names ? first : 0;
   switches();
-  list(byId("keys"), KEYS);
+  terms(byId("keys"), KEYS);
   tell();
   const turned = turn();
   if (index.score !== null) await score();
@@ -554,7 +506,7 @@ async function begin() {
 byId("before").addEventListener("click", () => go(at - 1));
 byId("after").addEventListener("click", () => go(at + 1));
 byId("place").addEventListener("input", (event) => go(Number(event.target.value) - 1));
-byId("larger").addEventListener("click", () => enlarge(2));
-byId("smaller").addEventListener("click", () => enlarge(0.5));
+byId("larger").addEventListener("click", () => viewport.zoom(2));
+byId("smaller").addEventListener("click", () => viewport.zoom(0.5));
 byId("ask").addEventListener("click", () => byId("help").showModal());
 begin().catch((error) => trouble(error.message));

@@ -26,7 +26,7 @@ from skope.tracks.csv_file import TRACKS_CSV, write_tracks
 from skope.traffic.image_counts import count_in_image
 from skope.traffic.measure import measure
 from skope.traffic.observation import FOOTAGE_FILE, Observation
-from skope.traffic.page.hand_count import LETTERS, hand_count_data, hand_count_panel, packed_times
+from skope.traffic.page.hand_count import LETTERS, hand_count_data, hand_count_json, packed_times
 from skope.traffic.page.page import traffic_page
 from skope.traffic.recordings import SiteRecording
 from skope.traffic.traffic_report import TrafficReport
@@ -345,7 +345,7 @@ def test_too_many_crossings_are_left_out_and_said(monkeypatch: pytest.MonkeyPatc
     report = report_of()
     data = hand_count_data(report, None)
     assert (data["crossings"], data["movements"]) == (None, None)
-    assert "The page does not hold so many crossings" in hand_count_panel(report)
+    assert "The page does not hold so many crossings" in traffic_page(report, tracks="t")
 
 
 def test_clocks_that_change_meanwhile_are_told() -> None:
@@ -414,5 +414,5 @@ def test_gates_of_the_image_are_drawn_where_they_are() -> None:
 
 def test_without_gates_or_frames_there_is_nothing_to_count() -> None:
     plain = report_of()
-    assert hand_count_panel(replace(plain, gates=())) == ""
-    assert hand_count_panel(measure([], Observation(times_s=np.zeros(0)), plain.site)) == ""
+    assert hand_count_json(replace(plain, gates=())) is None
+    assert hand_count_json(measure([], Observation(times_s=np.zeros(0)), plain.site)) is None

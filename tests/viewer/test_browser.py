@@ -45,7 +45,7 @@ def looking(browser: Browser, served: Callable[[Collection], int]) -> Iterator[C
     assert asked
     assert all(url.startswith((origin, "data:")) for url in asked), asked
     assert browser.told("Runtime.exceptionThrown") == []
-    assert [event["entry"]["text"] for event in browser.told("Log.entryAdded")] == []
+    assert [(event["entry"]["text"], event["entry"].get("url")) for event in browser.told("Log.entryAdded")] == []
 
 
 def seen(browser: Browser, css: str) -> int:
@@ -53,6 +53,11 @@ def seen(browser: Browser, css: str) -> int:
     return int(
         browser.run(f"[...document.querySelectorAll('#stage {css}')].filter(e => e.getClientRects().length).length")
     )
+
+
+def view_of(browser: Browser) -> list[float]:
+    """Left, top, width and height of what is seen of the image, pixels."""
+    return [float(v) for v in browser.run("document.getElementById('drawing').getAttribute('viewBox')").split()]
 
 
 def choose(browser: Browser, name: str, words: str) -> str:
@@ -106,10 +111,7 @@ def test_the_drawing_lies_where_the_labels_are(looking: Callable[..., Browser], 
         " return [(b.left - c.left) * s, (b.top - c.top) * s, b.width * s, b.height * s]; })()"
     )
     assert place == pytest.approx(vehicle.bbox.tolist(), abs=1.0)
-    assert browser.run("[document.querySelector('canvas').width, document.querySelector('canvas').height]") == [
-        160,
-        120,
-    ]
+    assert view_of(browser) == pytest.approx([0, 0, 160, 120], abs=0.1)
 
 
 def test_people_and_two_wheelers_have_a_layer_of_their_own(
@@ -203,5 +205,31 @@ def test_it_fits_a_phone_and_a_screen(
     browser.run("document.getElementById('after').click()")
     browser.until(f"{SHOWN} === 1")
     browser.run("document.getElementById('larger').click()")
-    assert browser.run("document.getElementById('window').scrollWidth > document.getElementById('window').clientWidth")
+    assert view_of(browser)[2] == pytest.approx(80, abs=0.1)
+    assert browser.run("document.getElementById('stage').classList.contains('enlarged')")
     assert browser.run("document.documentElement.scrollWidth <= innerWidth")
+
+
+def test_wheel_and_mouse_move_the_picture_and_a_swipe_turns_the_page(
+    looking: Callable[..., Browser], labelled: Collection
+) -> None:
+    browser = looking(labelled)
+    box = browser.run("document.getElementById('stage').getBoundingClientRect().toJSON()")
+    x, y = box["left"] + box["width"] / 2, box["top"] + box["height"] / 2
+    browser.call("Input.dispatchMouseEvent", type="mouseWheel", x=x, y=y, deltaX=0, deltaY=-100)
+    browser.until("document.getElementById('stage').classList.contains('enlarged')")
+    left, _, width, _ = view_of(browser)
+    assert width < 140
+    assert left + width / 2 == pytest.approx(80, abs=1)
+    for kind, at in (("mousePressed", x), ("mouseMoved", x - 20), ("mouseReleased", x - 20)):
+        browser.call("Input.dispatchMouseEvent", type=kind, x=at, y=y, button="left", buttons=1, clickCount=1)
+    assert view_of(browser)[0] == pytest.approx(left + 20 * width / box["width"], abs=0.5)
+    browser.call("Emulation.setTouchEmulationEnabled", enabled=True)
+    looking(labelled, 390, 844)
+    box = browser.run("document.getElementById('stage').getBoundingClientRect().toJSON()")
+    y = box["top"] + box["height"] / 2
+    for kind, places in (("touchStart", [300]), ("touchMove", [200]), ("touchMove", [120]), ("touchEnd", [])):
+        points = [{"x": place, "y": y} for place in places]
+        browser.call("Input.dispatchTouchEvent", type=kind, touchPoints=points)
+    browser.until(f"{SHOWN} === 1")
+    browser.call("Emulation.setTouchEmulationEnabled", enabled=False)

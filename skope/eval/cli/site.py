@@ -39,8 +39,7 @@ def site(
     Nothing leaves this machine, and nothing is written before you save.
     """
     from skope.camera.fit.camera_from_marks import image_size
-    from skope.site.page.frames import SiteFrames
-    from skope.site.page.inputs import POINT_FILES, loaded
+    from skope.site.page.inputs import POINT_FILES, SiteFrames, loaded
     from skope.site.page.site_server import serve_site
 
     if footage is not None and size is not None:

@@ -1,11 +1,11 @@
 """The best, median and worst images of a split, with ground truth, predictions and failures as layers to switch."""
 
 from dataclasses import dataclass
-from html import escape
 from pathlib import Path
 from typing import Final
 
 import numpy as np
+from markupsafe import Markup
 
 from skope.errors import UserError
 from skope.metrics.failures import ERROR_KINDS, false_detections, wrong_points
@@ -14,7 +14,7 @@ from skope.metrics.match import box_of
 from skope.metrics.outcome_counts import quality
 from skope.metrics.split_scores import SplitScores
 from skope.page import image_viewer
-from skope.page.html_pieces import tag
+from skope.page.svg import path_svg, tag
 from skope.types import Array, Integers, Mask
 
 EACH: Final = 2
@@ -55,7 +55,21 @@ def _spread(candidates: list[int], blocks: Integers) -> list[int]:
     return sorted(candidates, key=lambda i: first[int(blocks[i])] != i)
 
 
-def gallery(measured: SplitScores, root: Path, options: Options) -> str:
+@dataclass(frozen=True, kw_only=True)
+class Photo:
+    """An image of the gallery."""
+
+    words: str
+    quality: float
+    picture: str
+    """Data address of the photograph."""
+    drawing: Markup
+    """What is drawn over it."""
+    failures: str
+    """Failures in words."""
+
+
+def gallery(measured: SplitScores, root: Path, options: Options) -> list[Photo]:
     """Draw the best, the median and the worst images of a split, with the failures in each.
 
     Args:
@@ -64,12 +78,12 @@ def gallery(measured: SplitScores, root: Path, options: Options) -> str:
         options: How was measured; the loosest IoU threshold chooses the images.
 
     Returns:
-        Figures as markup; images whose files cannot be read are left out.
+        The images; those whose files cannot be read are left out.
     """
     threshold = options.loosest
     outcomes = measured.outcomes[threshold]
     kinds = wrong_points(measured.matches, outcomes, options)
-    figures = []
+    photos = []
     for choice in chosen_images(quality(measured.tallies[threshold]), measured.blocks.number):
         image = measured.file.images[choice.index]
         try:
@@ -77,23 +91,16 @@ def gallery(measured: SplitScores, root: Path, options: Options) -> str:
         except UserError:
             continue
         layers, failures = _layers(measured, choice.index, outcomes, kinds, options)
-        words = f"{choice.kind} of {measured.file.name}: {image.file_name}"
-        failure_words = "; ".join(failures) or "no failures"
-        figures.append(
-            tag(
-                "figure",
-                tag("figcaption", tag("b", escape(words)), f" (quality {choice.quality:.2f})"),
-                tag(
-                    "div",
-                    f'<img src="{picture}" alt="{escape(f"{words}. {failure_words}", quote=True)}">',
-                    image_viewer.drawing(layers, (image.width, image.height)),
-                    class_="stage",
-                ),
-                tag("p", escape(f"Failures: {failure_words}.")),
-                class_="photo",
+        photos.append(
+            Photo(
+                words=f"{choice.kind} of {measured.file.name}: {image.file_name}",
+                quality=choice.quality,
+                picture=picture,
+                drawing=image_viewer.drawing(layers, (image.width, image.height)),
+                failures="; ".join(failures) or "no failures",
             )
         )
-    return "".join(figures)
+    return photos
 
 
 # --------------------------------------------------------------------------------------------------------------- layers
@@ -106,7 +113,7 @@ def _layers(
     matches, image = measured.matches, measured.file.images[index]
     unit = image_viewer.unit(image.width)
 
-    def drawn(points: Array, placed: Mask, sure: Mask, joined: Mask) -> str:
+    def drawn(points: Array, placed: Mask, sure: Mask, joined: Mask) -> Markup:
         return image_viewer.points(points, placed, sure, joined, unit, options.scheme.skeleton, options.points)
 
     truth, found, wrong, words = [], [], [], []
@@ -154,9 +161,9 @@ def _layers(
     return [tag("g", *parts, class_=name) for name, parts in layers.items()], words
 
 
-def _strays(truth: Array, found: Array, wrong: Mask) -> str:
+def _strays(truth: Array, found: Array, wrong: Mask) -> Markup:
     """Lines that lead from where each wrong point was put to where it belongs."""
-    return image_viewer.path_svg(
+    return path_svg(
         "".join(f"M{image_viewer.place(found[k])}L{image_viewer.place(truth[k])}" for k in np.flatnonzero(wrong)),
         "stray",
     )

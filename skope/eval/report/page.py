@@ -1,11 +1,11 @@
-"""The page: its sections in reading order, with style and script inside, and the curves of its charts."""
+"""The report of an evaluation: what `report.html` is filled with, and the curves of its charts."""
 
 from collections.abc import Mapping, Sequence
-from html import escape
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+from markupsafe import Markup
 
 from skope.eval.report.gallery import gallery
 from skope.eval.report.table import AREA_WORDS, FIGURE_COLUMNS, evidence, published_row, road_user_rows, row_of
@@ -15,10 +15,8 @@ from skope.metrics.pck_precision_recall import METRIC_RULES
 from skope.metrics.road_users import AP50_IOU
 from skope.metrics.score_reliability import curve
 from skope.metrics.split_scores import SplitScores
-from skope.page import html_document as page
 from skope.page.charts import Axes, Line, chart
-from skope.page.html_pieces import percent_text, plain, share_bar, table, tag
-from skope.page.image_viewer import switches
+from skope.page.templates import Cell, ShareCell, Table, number_text, percent_text, render
 from skope.page.vehicle_outline import Point, outline
 from skope.version import __version__
 
@@ -101,13 +99,6 @@ _LAYERS: Final = {
 }
 
 
-_HOW_TO_READ: Final = tag(
-    "p",
-    "The best, the median and the worst images of each split. Quality is the share of an image's labelled keypoints "
-    "that are right, times vehicles / (vehicles + false detections). Lines lead from a wrong keypoint to its place.",
-)
-
-
 def render_page(
     document: Mapping[str, Any],
     measured: Sequence[SplitScores],
@@ -131,30 +122,21 @@ def render_page(
     Returns:
         The page as HTML.
     """
-    names = ", ".join(split.file.name for split in measured)
-    links = {"images": "Images", "figures": "Figures", **{_anchor(s): f"Split {s.file.name}" for s in measured}}
-    body = [
-        tag("h1", escape(subject)),
-        tag("nav", *(tag("a", escape(words), href=f"#{name}") for name, words in links.items())),
-        tag("section", tag("h2", "Images", id="images"), _HOW_TO_READ, *(_images(s, root, options) for s in measured)),
-        _figures(document, protocol, beside),
-        *(_split(split, options) for split in measured),
-    ]
-    return page(f"{subject} ({names})", *body)
-
-
-def _anchor(measured: SplitScores) -> str:
-    return f"split-{measured.file.name}"
-
-
-def _images(measured: SplitScores, root: Path, options: Options) -> str:
-    """The best, median and worst images of a split."""
-    name = measured.file.name
-    shown = gallery(measured, root, options)
-    if not shown:
-        return tag("p", escape(f"{name}: no image file is there."))
-    layers = switches(f"Layers of the images of {name}", _LAYERS, _LAYERS.keys() - {"ignored"})
-    return tag("div", layers, shown, class_="gallery")
+    splits = document["splits"]
+    return render(
+        "eval/report/report.html",
+        title=f"{subject} ({', '.join(split.file.name for split in measured)})",
+        subject=subject,
+        layers=_LAYERS,
+        protocol=protocol,
+        about=[_about(document), _source(document["of"])],
+        tables={name: _table(document, name, beside) for name in PROTOCOL_NAMES},
+        evidence={name: evidence(split["intervals"]) for name, split in splits.items()},
+        counts=_counts(splits),
+        categories=_categories(splits),
+        partial=any(_lacks_low_scores(split) for split in splits.values()),
+        splits=[_split(split, root, options) for split in measured],
+    )
 
 
 def _about(document: Mapping[str, Any]) -> str:
@@ -164,127 +146,85 @@ def _about(document: Mapping[str, Any]) -> str:
         False: "not calibrated (skope eval calibrate-scores)",
     }[document["calibrated"]]
     least = document["keypoint_score_threshold"]
-    facts = (
+    return (
         f"A detection counts when it scores above {document['score_threshold']:g}; a keypoint is correct within "
         f"{document['alpha']:g} of the longer edge L of the ground-truth box ({document['boxes']} boxes); keypoints "
         f"that count: {document['labelled']}; keypoint scores: {scores}; "
         f"{'all keypoints count as predicted' if not least else f'keypoints above {least:g} count as predicted'}. "
         f"{len(document['points'])} keypoints of scheme {document['scheme']}."
     )
-    return tag("p", escape(facts)) + _source(document["of"])
 
 
 def _source(of: Mapping[str, Any] | None) -> str:
     """Sentence on the files that the figures are of, and on what worked them out when."""
     if of is None:
-        return tag("p", escape(f"skope {__version__}."))
+        return f"skope {__version__}."
     files = "; ".join(f"{path} (SHA-256 {digest[:12]})" for path, digest in of["inputs"].items())
-    return tag("p", escape(f"Of {files}. skope {of['skope']}, {of['date']}."))
+    return f"Of {files}. skope {of['skope']}, {of['date']}."
 
 
-def _figures(document: Mapping[str, Any], protocol: str, beside: Mapping[str, Any] | None) -> str:
-    """The table in both protocols, one shown at a time, and the counts."""
-    choices = "".join(
-        f'<label><input type="radio" name="protocol" value="{p}"{" checked" if p == protocol else ""}> {p}</label>'
-        for p in PROTOCOL_NAMES
-    )
-    panels = [
-        tag("div", _table(document, p, beside), data_protocol=p, hidden=None if p == protocol else "hidden")
-        for p in PROTOCOL_NAMES
-    ]
-    meaning = (
-        "pooled: sums over the whole split, the figures to decide by; paper: the mean of each image's own figures, as "
-        "the published table has it."
-    )
-    partial = (
-        "Only detections above the score threshold were carried through (--fast): there is no average precision, "
-        "and the curves end where that threshold is."
-    )
-    sources = "".join(
-        tag("li", escape(f"Intervals of {name}: {evidence(split['intervals'])}"))
-        for name, split in document["splits"].items()
-    )
-    splits = document["splits"].values()
-    counts = [[words, *(str(split[key]) for split in splits)] for key, words in _COUNTS.items()]
-    counts += [[words, *(plain(split["coco"][key]) for split in splits)] for key, words in _PRECISIONS.items()]
+def _counts(splits: Mapping[str, Any]) -> Table:
+    """Counts and average precision, a column per split."""
+    every = splits.values()
+    rows: list[list[object]] = [[words, *(split[key] for split in every)] for key, words in _COUNTS.items()]
+    rows += [[words, *(number_text(split["coco"][key]) for split in every)] for key, words in _PRECISIONS.items()]
     for precision in (f"{p:g}" for p in METRIC_RULES.at_precision):
-        recalls = [plain(split["recall_at_precision"][precision]) for split in splits]
-        counts.append([f"box recall at precision {precision}", *recalls])
-    return tag(
-        "section",
-        tag("h2", "Figures", id="figures"),
-        _about(document),
-        tag("fieldset", tag("legend", "Protocol"), choices, class_="choices"),
-        *panels,
-        tag("p", meaning),
-        tag("ul", sources),
-        table(("", *map(escape, document["splits"])), counts, caption="Counts and average precision"),
-        _categories(document["splits"]),
-        tag("p", partial) if any(_lacks_low_scores(split) for split in document["splits"].values()) else "",
-    )
+        recalls = [number_text(split["recall_at_precision"][precision]) for split in every]
+        rows.append([f"box recall at precision {precision}", *recalls])
+    return Table(caption="Counts and average precision", head=("", *splits), rows=rows)
 
 
-def _categories(splits: Mapping[str, Any]) -> str:
-    """Figures of other road users than vehicles; nothing where none are labelled."""
+def _categories(splits: Mapping[str, Any]) -> Table:
+    """Figures of other road users than vehicles; no rows where none are labelled."""
+    counts, shares = ("ground_truth", "ignored", "detections"), ("precision", "recall", "ap", "ap50")
     rows = [
         [
-            escape(split),
+            split,
             name,
             AREA_WORDS[size],
-            *(str(figures[key]) for key in ("ground_truth", "ignored", "detections")),
+            *(figures[key] for key in counts),
+            *(number_text(figures[key]) for key in shares),
         ]
-        + [plain(figures[key]) for key in ("precision", "recall", "ap", "ap50")]
         for split, entry in splits.items()
         for name, size, figures in road_user_rows(entry)
     ]
-    head = (
-        "split",
-        "category",
-        "size",
-        "labelled",
-        "ignored",
-        "detections",
-        "precision",
-        "recall",
-        "box AP",
-        "box AP50",
-    )
+    head = ("split", "category", "size", "labelled", "ignored", "detections", *shares[:2], "box AP", "box AP50")
     caption = f"People on foot and on two wheels: boxes, precision and recall at IoU {AP50_IOU:g}"
-    return table(head, rows, caption=caption, sortable=True) if rows else ""
+    return Table(caption=caption, head=head, rows=rows, sortable=True)
 
 
 def _lacks_low_scores(split: Mapping[str, Any]) -> bool:
     return bool(split["ground_truth"]) and split["coco"]["box_ap"] is None
 
 
-def _table(document: Mapping[str, Any], protocol: str, beside: Mapping[str, Any] | None) -> str:
+def _table(document: Mapping[str, Any], protocol: str, beside: Mapping[str, Any] | None) -> Table:
     rows = []
     for name, split in document["splits"].items():
         for t, figures in split["iou"].items():
             spans = row_of(split["intervals"]["iou"][t], protocol)
             cells = [_cell(v, s, i == 0) for i, (v, s) in enumerate(zip(row_of(figures, protocol), spans, strict=True))]
-            rows.append([escape(f"{name}, IoU {t}"), *cells])
+            rows.append([f"{name}, IoU {t}", *cells])
             if beside and protocol == "paper":
                 theirs = [_cell(v, None, i == 0) for i, v in enumerate(published_row(beside, name, t))]
-                rows.append([escape(f"{name}, IoU {t}: published"), *theirs])
+                rows.append([f"{name}, IoU {t}: published", *theirs])
     assert len(_TITLES) == len(FIGURE_COLUMNS) + 1
-    return table(
-        ("split, threshold", *_TITLES), rows, caption=f"Protocol {protocol}, with 95% intervals", sortable=True
-    )
+    caption = f"Protocol {protocol}, with 95% intervals"
+    return Table(caption=caption, head=("split, threshold", *_TITLES), rows=rows, sortable=True)
 
 
-def _cell(value: float | None, interval: Sequence[float] | None, percent: bool) -> str:
+def _cell(value: float | None, interval: Sequence[float] | None, percent: bool) -> Cell:
     """A figure and its interval below it."""
     scale, digits = (100, 2) if percent else (1, 3)
     text = "–" if value is None else f"{scale * value:.{digits}f}"
     if interval is None:
-        return text
+        return Cell(text, None)
     low, high = interval
-    return f"{text}<small>{scale * low:.{digits}f}–{scale * high:.{digits}f}</small>"
+    return Cell(text, f"{scale * low:.{digits}f}–{scale * high:.{digits}f}")
 
 
-def _split(measured: SplitScores, options: Options) -> str:
-    entry, name = measured.entry, measured.file.name
+def _split(measured: SplitScores, root: Path, options: Options) -> dict[str, Any]:
+    """What the page has of a split."""
+    entry = measured.entry
     loosest = f"{options.loosest:g}"
     boxes = Axes(x_label="recall", y_label="precision")
     within = Axes(x_label="alpha", y_label="PCK", x_end=0.2)
@@ -295,30 +235,24 @@ def _split(measured: SplitScores, options: Options) -> str:
         chart("Are keypoint scores what they claim?", claimed, reliability_curve(measured), diagonal=True),
         chart("Keypoints: precision over recall", boxes, keypoint_precision_recall(measured), every=5),
     ]
-    # A table of one row would say what the split's own figures say.
-    parts = [
-        _part(title, entry["by"][key], loosest)
-        for key, title in _BREAKDOWN_TITLES.items()
-        if len(entry["by"].get(key, ())) > 1
-    ]
-    return tag(
-        "section",
-        tag("h2", escape(f"Split {name}"), id=_anchor(measured)),
-        tag(
-            "div",
-            *charts,
-            _keypoints(entry["by"]["keypoint"], loosest),
-            class_="grid",
-        ),
-        _confidence(entry["confidence"], loosest),
-        tag("h3", f"By parts, IoU {loosest}") if parts else "",
-        tag("div", *parts, class_="grid"),
-        tag("h3", "What goes wrong"),
-        _failures(entry["failures"]),
-    )
+    charts.append(_keypoints(entry["by"]["keypoint"], loosest))
+    return {
+        "name": measured.file.name,
+        "loosest": loosest,
+        "photos": gallery(measured, root, options),
+        "charts": charts,
+        "confidence": _confidence(entry["confidence"], loosest),
+        # A table of one row would say what the split's own figures say.
+        "parts": [
+            _part(title, entry["by"][key], loosest)
+            for key, title in _BREAKDOWN_TITLES.items()
+            if len(entry["by"].get(key, ())) > 1
+        ],
+        "failures": _failures(entry["failures"]),
+    }
 
 
-def _keypoints(entry: Mapping[str, Any], threshold: str) -> str:
+def _keypoints(entry: Mapping[str, Any], threshold: str) -> Markup:
     """PCK of each keypoint in its place on the vehicle."""
     points = {}
     for name, by_threshold in entry.items():
@@ -333,29 +267,27 @@ def _keypoints(entry: Mapping[str, Any], threshold: str) -> str:
 
 
 def _confidence(entry: Mapping[str, Any], threshold: str) -> str:
-    return tag(
-        "p",
-        escape(
-            f"Keypoint scores at IoU {threshold}: {entry['points']} keypoints of matched vehicles, {entry['right']} of "
-            f"them visible and near enough; calibration error {plain(entry['calibration_error'])}; a visible keypoint "
-            f"outscores a hidden one with probability {plain(entry['auc_visible'])} (AUC; {entry['visible']} visible, "
-            f"{entry['hidden']} hidden); average precision of keypoints {plain(entry['average_precision'])}."
-        ),
+    error, auc, average = (number_text(entry[key]) for key in ("calibration_error", "auc_visible", "average_precision"))
+    return (
+        f"Keypoint scores at IoU {threshold}: {entry['points']} keypoints of matched vehicles, {entry['right']} of "
+        f"them visible and near enough; calibration error {error}; a visible keypoint outscores a hidden one with "
+        f"probability {auc} (AUC; {entry['visible']} visible, {entry['hidden']} hidden); average precision of "
+        f"keypoints {average}."
     )
 
 
-def _part(title: str, of: Mapping[str, Any], threshold: str) -> str:
+def _part(title: str, of: Mapping[str, Any], threshold: str) -> Table:
     rows = []
     for name, by_threshold in of.items():
         figures = by_threshold[threshold]
-        vehicles = (
-            (str(figures["ground_truth"]), share_bar(figures["box_recall"])) if "ground_truth" in figures else ("", "")
-        )
-        rows.append([escape(name), *vehicles, str(figures["labelled"]), share_bar(figures["pck"])])
-    return table(("part", "vehicles", "recall %", "keypoints", "PCK %"), rows, caption=title, sortable=True)
+        known = "ground_truth" in figures
+        vehicles = (figures["ground_truth"], ShareCell(figures["box_recall"])) if known else ("", "")
+        rows.append([name, *vehicles, figures["labelled"], ShareCell(figures["pck"])])
+    head = ("part", "vehicles", "recall %", "keypoints", "PCK %")
+    return Table(caption=title, head=head, rows=rows, sortable=True)
 
 
-def _failures(entry: Mapping[str, Mapping[str, int]]) -> str:
+def _failures(entry: Mapping[str, Mapping[str, int]]) -> Table:
     head = ("IoU", "vehicles missed", "false vehicles", "left/right swapped", "front/rear swapped", "jitter")
-    rows = [[t, *(str(count) for count in counts.values())] for t, counts in entry.items()]
-    return table(head, rows, caption="Vehicles missed and false; wrong keypoints by kind")
+    rows = [[t, *counts.values()] for t, counts in entry.items()]
+    return Table(caption="Vehicles missed and false; wrong keypoints by kind", head=head, rows=rows)

@@ -4,7 +4,6 @@ import math
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from html import escape
 from pathlib import Path
 from typing import Final
 
@@ -15,14 +14,13 @@ from skope import keypoints
 from skope.dataset.folder import Dataset
 from skope.errors import UserError
 from skope.files.atomic import write_text
-from skope.gen.inspect.report_layers import LAYER_TITLES, SHOWN, figure, filter_kind
+from skope.gen.inspect.report_layers import LAYER_TITLES, SHOWN, ShownPhoto, filter_kind, shown_photo
 from skope.gen.inspect.stats import SplitStats, rows, split_stats
 from skope.gen.output import card_text
 from skope.keypoints import Scheme
-from skope.page import html_document
 from skope.page.charts import Axes, Line, histogram
-from skope.page.html_pieces import percent_text, share_bar, table, tag
-from skope.page.image_viewer import switches
+from skope.page.svg import tag
+from skope.page.templates import ShareCell, Table, percent_text, render
 from skope.page.vehicle_outline import Point, outline
 from skope.schema import Annotation, AnnotationFile, Image, RoadUser
 from skope.terminal.console import Console
@@ -65,7 +63,7 @@ def _known_values(known: Sequence[Annotation], value: Callable[[Annotation], flo
     return np.array([v for a in known if (v := value(a)) is not None], dtype=np.float64)
 
 
-def spread_plots(spreads: Mapping[str, Spread], scheme: Scheme) -> list[str]:
+def spread_plots(spreads: Mapping[str, Spread], scheme: Scheme) -> list[str | Table]:
     """Figures and tables, as parts of a page."""
     distance = {split: of.distance_m for split, of in spreads.items()}
     height = {split: of.height_px for split, of in spreads.items()}
@@ -103,14 +101,14 @@ def _histogram(title: str, unit: str, values: Mapping[str, NDArray[np.float64]],
     return [histogram(title, axes, lines)]
 
 
-def _bars(title: str, unit: str, groups: Sequence[Mapping[str, int]]) -> str:
+def _bars(title: str, unit: str, groups: Sequence[Mapping[str, int]]) -> str | Table:
     counts = sum((Counter(group) for group in groups), Counter())
     total = max(1, counts.total())
     if len(counts) == 1:
         ((name, count),) = counts.items()
-        return tag("p", tag("b", escape(f"{title}: ")), escape(f"{name} ({count} {unit})"))
-    rows = [[escape(name), str(count), share_bar(count / total)] for name, count in counts.most_common()]
-    return table((title.lower(), unit, "%"), rows, caption=title, sortable=True)
+        return tag("p", tag("b", f"{title}: "), f"{name} ({count} {unit})")
+    rows = [[name, count, ShareCell(count / total)] for name, count in counts.most_common()]
+    return Table(caption=title, head=(title.lower(), unit, "%"), rows=rows, sortable=True)
 
 
 def _visible(spreads: Sequence[Spread], scheme: Scheme) -> str:
@@ -165,7 +163,6 @@ def _even_places(size: int, count: int) -> list[int]:
 ShownImage = tuple[Image, Sequence[Annotation | RoadUser]]
 
 _FILTERS: Final = {"split": "split", "site": "site", "weather": "weather", "type": "vehicle type"}
-_HINT: Final = "Each vehicle has its own colour; point at its box, or touch it, for what is known of it."
 
 
 def write_dataset_report(dataset: Dataset, count: int, path: Path, console: Console) -> Path:
@@ -185,8 +182,8 @@ def write_dataset_report(dataset: Dataset, count: int, path: Path, console: Cons
     if not candidates:
         raise UserError(f"{dataset.root}: has no images")
     chosen = [candidates[i] for i in spread_out([image for image, _ in candidates], count)]
-    figures = [figure(dataset, *pair) for pair in console.bar(chosen, unit="image", label="drawing")]
-    write_text(path, _page(dataset, stats, spreads, chosen, figures))
+    photos = [shown_photo(dataset, *pair) for pair in console.bar(chosen, unit="image", label="drawing")]
+    write_text(path, _page(dataset, stats, spreads, chosen, photos))
     return path
 
 
@@ -195,51 +192,34 @@ def _page(
     stats: Mapping[str, SplitStats],
     spreads: Mapping[str, Spread],
     chosen: Sequence[ShownImage],
-    figures: Sequence[str],
+    photos: Sequence[ShownPhoto],
 ) -> str:
     total = sum(of.images for of in stats.values())
-    shown = f"{len(chosen)} of {total} images" if len(chosen) < total else f"All {total} images"
-    how = (
-        ", spread evenly over splits, sites and recordings. Numbers and plots are of all."
-        if len(chosen) < total
-        else "."
+    shown = f"All {total} images."
+    if len(chosen) < total:
+        shown = (
+            f"{len(chosen)} of {total} images, spread evenly over splits, sites and recordings. Numbers and plots are "
+            "of all."
+        )
+    name = dataset.root.resolve().name
+    caption = "Of ground truth; distance and height: median and quartiles"
+    numbers = [[row.strip(), *cells] for row, cells in rows(stats)]
+    return render(
+        "gen/inspect/report.html",
+        title=f"skope gen: {name}",
+        heading=card_text.DATASET_TITLE,
+        name=name,
+        summary=card_text.card_summary(dataset.card),
+        shown=shown,
+        layers={layer: words for layer, words in LAYER_TITLES.items() if _has(layer, chosen)},
+        layers_on=SHOWN,
+        filters={key: (words, counts) for key, words in _FILTERS.items() if len(counts := _kinds(key, chosen)) > 1},
+        photos=photos,
+        numbers=Table(caption=caption, head=("", *stats), rows=numbers),
+        plots=spread_plots(spreads, dataset.scheme),
+        card=card_text.sections(dataset.card),
+        limits=card_text.LIMITS_HEADING,
     )
-    numbers = [[escape(name.strip()), *map(escape, cells)] for name, cells in rows(stats)]
-    return html_document(
-        f"skope gen: {dataset.root.resolve().name}",
-        tag("h1", card_text.DATASET_TITLE),
-        tag("p", tag("b", escape(dataset.root.resolve().name)), escape(f": {card_text.card_summary(dataset.card)}")),
-        tag(
-            "section",
-            tag("h2", "Images"),
-            tag("p", escape(f"{shown}{how} {_HINT}")),
-            tag("div", _controls(chosen), *figures, class_="gallery"),
-        ),
-        tag(
-            "section",
-            tag("h2", "Numbers"),
-            table(("", *stats), numbers, caption="Of ground truth; distance and height: median and quartiles"),
-            tag("div", *spread_plots(spreads, dataset.scheme), class_="grid"),
-        ),
-        tag("section", card_text.html(dataset.card)),
-    )
-
-
-def _controls(chosen: Sequence[ShownImage]) -> str:
-    filters = "".join(
-        _select(key, words, counts) for key, words in _FILTERS.items() if len(counts := _kinds(key, chosen)) > 1
-    )
-    status = tag("output", f"{len(chosen)} images", class_="count")
-    parts = [switches("Layers", {name: words for name, words in LAYER_TITLES.items() if _has(name, chosen)}, SHOWN)]
-    parts.append(tag("fieldset", tag("legend", "Filters"), filters, status, class_="choices filters"))
-    return tag("div", *parts, class_="controls")
-
-
-def _select(key: str, words: str, counts: Mapping[str, int]) -> str:
-    """A choice among what the images are of, with how many are."""
-    options = [tag("option", "all", value="")]
-    options += [tag("option", escape(f"{name} ({count})"), value=name) for name, count in sorted(counts.items())]
-    return tag("label", escape(f"{words} "), tag("select", *options, data_filter=key))
 
 
 def _kinds(key: str, chosen: Sequence[ShownImage]) -> Counter[str]:

@@ -1,19 +1,19 @@
 """One image of the gallery: the photograph, depth over it, and labels as layers of a drawing."""
 
 from collections import Counter
-from collections.abc import Callable, Sequence
-from html import escape
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Final
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
+from markupsafe import Markup
 
 from skope.dataset.folder import Dataset
 from skope.errors import UserError
 from skope.keypoints import Scheme
 from skope.page import image_viewer
-from skope.page.html_pieces import tag
+from skope.page.svg import path_svg, tag
 from skope.pictures import draw
 from skope.schema import Annotation, Image, RoadUser
 from skope.terminal.console import counted
@@ -32,7 +32,24 @@ _DEPTH: Final = 480
 """Pixels of the longer edge of a depth picture."""
 
 
-def figure(dataset: Dataset, image: Image, labels: Sequence[Annotation | RoadUser]) -> str:
+@dataclass(frozen=True, kw_only=True)
+class ShownPhoto:
+    """An image of the gallery with its layers."""
+
+    name: str
+    caption: str
+    picture: str
+    """Data address of the photograph."""
+    size: tuple[int, int]
+    depth: str | None
+    """Data address of its depth as a picture, which is hidden until its layer is switched on."""
+    drawing: Markup
+    """What is drawn over it."""
+    filters: Mapping[str, str | None]
+    """Value by which each filter knows the image."""
+
+
+def shown_photo(dataset: Dataset, image: Image, labels: Sequence[Annotation | RoadUser]) -> ShownPhoto:
     """An image with its layers; a UserError says what is wrong with one of its files."""
     try:
         photograph, metres = dataset.image(image), dataset.depth(image)
@@ -46,45 +63,25 @@ def figure(dataset: Dataset, image: Image, labels: Sequence[Annotation | RoadUse
     if len(labels) > len(known):
         words += f", {len(labels) - len(known)} ignored"
     caption = ", ".join(part for part in (image.split, image.site, image.weather, _sun(image), words) if part)
-    photo = tag(
-        "img",
-        src=image_viewer.jpeg(photograph),
-        alt=f"{caption}: {image.file_name}",
-        width=image.width,
-        height=image.height,
-        loading="lazy",
-    )
-    larger = tag("button", "larger", type="button", class_="larger", aria_pressed="false")
-    return tag(
-        "figure",
-        tag("figcaption", larger, tag("b", escape(image.file_name)), tag("div", escape(caption))),
-        tag(
-            "div",
-            photo,
-            _depth(metres),
-            image_viewer.drawing(_layers(image, labels, dataset.scheme), size),
-            class_="stage",
-        ),
-        class_="photo",
-        data_split=image.split,
-        data_site=image.site,
-        data_weather=image.weather,
-        data_type=" ".join(sorted({filter_kind(label) for label in known})),
+    return ShownPhoto(
+        name=image.file_name,
+        caption=caption,
+        picture=image_viewer.jpeg(photograph),
+        size=size,
+        depth=None if metres is None else image_viewer.jpeg(draw.depth(metres), longest=_DEPTH),
+        drawing=image_viewer.drawing(_layers(image, labels, dataset.scheme), size),
+        filters={
+            "split": image.split,
+            "site": image.site,
+            "weather": image.weather,
+            "type": " ".join(sorted({filter_kind(label) for label in known})),
+        },
     )
 
 
 def filter_kind(label: Annotation | RoadUser) -> str:
     """Kind of a label, by which it is filtered: type of a vehicle, category of another road user."""
     return (label.vehicle_type or "unknown") if isinstance(label, Annotation) else label.category
-
-
-def _depth(metres: NDArray[np.float32] | None) -> str:
-    """Depth as a picture over the photograph, hidden until its layer is switched on."""
-    if metres is None:
-        return ""
-    return tag(
-        "img", src=image_viewer.jpeg(draw.depth(metres), longest=_DEPTH), alt="", loading="lazy", class_="depth off"
-    )
 
 
 def _sun(image: Image) -> str:
@@ -96,7 +93,7 @@ def _sun(image: Image) -> str:
 
 def _layers(image: Image, labels: Sequence[Annotation | RoadUser], scheme: Scheme) -> list[str]:
     known = [label for label in labels if not label.ignored]
-    kinds: dict[str, Callable[[Annotation | RoadUser], str]] = {
+    kinds: dict[str, Callable[[Annotation | RoadUser], Markup]] = {
         "masks": _mask,
         "boxes3d": lambda label: _box_3d(image, label),
         "boxes": lambda label: image_viewer.box_svg(label.bbox, draw.words_of(label)),
@@ -115,10 +112,10 @@ def _scale(label: Annotation | RoadUser, image: Image) -> float:
     return float(np.clip(label.bbox[2:].max() / 60, 0.3, image_viewer.unit(image.width)))
 
 
-def _own(label: Annotation | RoadUser, drawn: str, scale: float) -> str:
+def _own(label: Annotation | RoadUser, drawn: Markup, scale: float) -> Markup:
     """The SVG group of one road user, with what is drawn of it in its colour."""
     if not drawn:
-        return ""
+        return Markup()
     return tag(
         "g",
         drawn,
@@ -127,32 +124,30 @@ def _own(label: Annotation | RoadUser, drawn: str, scale: float) -> str:
     )
 
 
-def _points(vehicle: Annotation | RoadUser, scale: float, scheme: Scheme) -> str:
+def _points(vehicle: Annotation | RoadUser, scale: float, scheme: Scheme) -> Markup:
     if isinstance(vehicle, RoadUser):
-        return ""
+        return Markup()
     seen = vehicle.keypoints[:, 2]
     return image_viewer.points(vehicle.keypoints, seen > 0, seen > 1, seen > 0, scale, scheme.skeleton)
 
 
-def _box_3d(image: Image, label: Annotation | RoadUser) -> str:
+def _box_3d(image: Image, label: Annotation | RoadUser) -> Markup:
     if label.box_3d is None or image.camera is None:
-        return ""
+        return Markup()
     straight = image.camera.distortion.model == "none"
     ends: dict[bool, str] = {False: "", True: ""}
     for pieces, front in draw.edges_3d(label.box_3d, image.camera):
         if pieces and straight:
             pieces = [np.stack([pieces[0][0], pieces[-1][1]])]
         ends[front] += "".join(f"M{image_viewer.place(start)}L{image_viewer.place(end)}" for start, end in pieces)
-    return image_viewer.path_svg(ends[False], "edges_3d") + image_viewer.path_svg(ends[True], "front")
+    return path_svg(ends[False], "edges_3d") + path_svg(ends[True], "front")
 
 
-def _mask(label: Annotation | RoadUser) -> str:
+def _mask(label: Annotation | RoadUser) -> Markup:
     """The outline of the visible pixels, simplified by less than a pixel."""
     inside = draw.visible_mask(label)
     if inside is None:
-        return ""
+        return Markup()
     contours, _ = cv2.findContours(inside.astype(np.uint8), cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
     rings = [cv2.approxPolyDP(contour, 0.7, True)[:, 0] + 0.5 for contour in contours]
-    return image_viewer.path_svg(
-        "".join(f"M{'L'.join(image_viewer.place(p) for p in ring)}Z" for ring in rings), "area"
-    )
+    return path_svg("".join(f"M{'L'.join(image_viewer.place(p) for p in ring)}Z" for ring in rings), "area")

@@ -5,12 +5,11 @@ Cards of imported datasets say less; what they do not say is left out.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from html import escape
 from typing import Any, Final
 
 from skope import keypoints
 from skope.gen.output.licences import LICENCE_ADDRESSES
-from skope.page import html_pieces
+from skope.page.templates import Table
 
 Card = Mapping[str, Any]
 
@@ -22,20 +21,13 @@ LIMITS_HEADING: Final = "Limits"
 class Command:
     """A line for the shell."""
 
-    text: str
-
-
-@dataclass(frozen=True)
-class TextTable:
-    caption: str
-    head: Sequence[str]
-    rows: Sequence[Sequence[str]]
+    command: str
 
 
 @dataclass(frozen=True)
 class Section:
     title: str
-    blocks: Sequence[str | list[str] | Command | TextTable]
+    blocks: Sequence[str | list[str] | Command | Table]
     """Paragraphs, lists, commands and tables."""
 
 
@@ -160,7 +152,7 @@ def _rules_in_numbers(card: Card) -> list[str]:
     return said
 
 
-def _balance(card: Card) -> list[TextTable]:
+def _balance(card: Card) -> list[Table]:
     counts = card.get("counts", {})
     tables = []
     for key, title in (("split", "Split"), ("weather", "Weather"), ("vehicle_type", "Vehicle type"), ("site", "Site")):
@@ -181,12 +173,13 @@ def _balance(card: Card) -> list[TextTable]:
             for name in names
         ]
         heads = {"ground_truth": "vehicles"}
-        tables.append(
-            TextTable(title, [key.replace("_", " "), *(heads.get(c, c) for c in columns), "of vehicles"], rows)
-        )
+        head = [key.replace("_", " "), *(heads.get(c, c) for c in columns), "of vehicles"]
+        tables.append(Table(caption=title, head=head, rows=rows, sortable=True))
     if others := _by_category(card):
         rows = [[name, str(row["ground_truth"]), str(row["ignored"])] for name, row in others.items()]
-        tables.append(TextTable("Other road users", ["category", "ground_truth", "ignored"], rows))
+        tables.append(
+            Table(caption="Other road users", head=["category", "ground_truth", "ignored"], rows=rows, sortable=True)
+        )
     return tables
 
 
@@ -248,9 +241,6 @@ def licence(card: Card) -> str:
     return f"{stated} ({LICENCE_ADDRESSES[stated]})" if stated in LICENCE_ADDRESSES else stated
 
 
-# ------------------------------------------------------------------------------------------------------------ two forms
-
-
 def markdown(card: Card) -> str:
     """A card as README.md."""
     lines = [f"# {DATASET_TITLE}", "", card_summary(card), ""]
@@ -261,31 +251,12 @@ def markdown(card: Card) -> str:
     return "\n".join(lines)
 
 
-def _markdown(block: str | list[str] | Command | TextTable) -> list[str]:
+def _markdown(block: str | list[str] | Command | Table) -> list[str]:
     if isinstance(block, Command):
-        return [f"    {block.text}"]
+        return [f"    {block.command}"]
     if isinstance(block, list):
         return [f"- {line}" for line in block]
-    if isinstance(block, TextTable):
+    if isinstance(block, Table):
         rows = (block.head, ["---"] * len(block.head), *block.rows)
-        return ["| " + " | ".join(cell.replace("|", "/") for cell in row) + " |" for row in rows]
+        return ["| " + " | ".join(str(cell).replace("|", "/") for cell in row) + " |" for row in rows]
     return [block]
-
-
-def html(card: Card) -> str:
-    """A card as parts of a page, to be unfolded, without its title and summary."""
-    return "".join(
-        html_pieces.details(section.title, *map(_html, section.blocks), opened=section.title == LIMITS_HEADING)
-        for section in sections(card)
-    )
-
-
-def _html(block: str | list[str] | Command | TextTable) -> str:
-    if isinstance(block, Command):
-        return html_pieces.tag("pre", escape(block.text), tabindex=0)
-    if isinstance(block, list):
-        return html_pieces.tag("ul", *(html_pieces.tag("li", escape(line)) for line in block))
-    if isinstance(block, TextTable):
-        rows = [[escape(cell) for cell in row] for row in block.rows]
-        return html_pieces.table(block.head, rows, caption=block.caption, sortable=True)
-    return html_pieces.tag("p", escape(block))

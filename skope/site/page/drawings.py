@@ -15,8 +15,8 @@ from shapely import Polygon
 from skope.camera.ground_plane import ground_places
 from skope.camera.model import Camera
 from skope.site.gates_zones_lanes import line_on_road
-from skope.site.page.document_values import NO_NAME, entries_of, is_name, number_or_none, positions
-from skope.site.page.marks import Problem
+from skope.site.mark_parser import LANE_WIDTH_M, NO_NAME, Problem, is_name, number_or_none, positions
+from skope.site.page.marks import entries_of
 from skope.site.page.overlays import Polyline, polylines_of
 from skope.types import Array
 
@@ -106,7 +106,7 @@ LANE_M: Final = 3.5
 """Width of a lane that says none."""
 _FIELDS: Final = {"gates": "line", "zones": "polygon", "lanes": "line", "occluders": "polygon"}
 """Field of each kind that holds its positions."""
-_FEWEST: Final = {"gates": 2, "zones": 3, "lanes": 2, "occluders": 3}
+FEWEST: Final = {"gates": 2, "zones": 3, "lanes": 2, "occluders": 3}
 _STEP_M: Final = 0.5
 """Lines on the road are projected in so many metres each, since a lens bends them."""
 _ARROW_M: Final = 3.0
@@ -190,16 +190,17 @@ def _problems(kind: str, index: int, entry: Mapping[str, Any], names: set[str], 
         wrong(field, "expected two numbers for each corner")
     elif field == "pixels" and (drawn is None or drawn[0] != list(size)):
         wrong(field, _other_size(drawn[0] if drawn else None, size))
-    elif len(rows) < _FEWEST[kind] or (kind == "gates" and len(rows) != 2):
-        wrong(field, f"needs {_FEWEST[kind]} positions" + (" or more" if kind != "gates" else ""), missing=True)
+    elif len(rows) < FEWEST[kind] or (kind == "gates" and len(rows) != 2):
+        wrong(field, f"needs {FEWEST[kind]} positions" + (" or more" if kind != "gates" else ""), missing=True)
     elif field == "polygon" and not Polygon(rows).is_valid:
         wrong(field, "its sides cross each other")
     elif field in ("line", "pixels") and not any(a != b for a, b in itertools.pairwise(rows)):
         wrong(field, "its ends are the same")
     if kind == "lanes" and entry.get("width") not in (None, ""):
         width = number_or_none(entry.get("width"))
-        if width is None or not 0.5 <= width <= 30:
-            wrong("width", "expected a width from 0.5 to 30 metres")
+        low, high = LANE_WIDTH_M
+        if width is None or not low <= width <= high:
+            wrong("width", f"expected a width from {low:g} to {high:g} metres")
     far = number_or_none(entry.get("distance")) is not None
     if kind == "occluders" and positions([entry.get("foot")], 2) is None and not far:
         wrong("foot", "click where it stands on the ground", missing=True)

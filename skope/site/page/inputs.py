@@ -1,52 +1,101 @@
-"""Input of the page: files that a user loads (points with positions, cameras of other programs), and other windows."""
+"""Input of the page: frames of the footage, and files of points and cameras that a user loads."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Final
 
+import cv2
 import numpy as np
 
 from skope.camera.calibration_files import read_uncertain_camera
 from skope.camera.model import Camera
 from skope.camera.point_files import read_points
 from skope.dataset.camera_of_file import fitted_camera, read_camera
+from skope.dataset.folder import read_image
 from skope.errors import UserError
 from skope.files.atomic import write_text
-from skope.site.page.document_values import entries_of
-from skope.site.page.drawings import DRAWN
-from skope.site.page.marks import KINDS
+from skope.schema import Image
 from skope.site.page.site_store import camera_dict, point_entry
+from skope.types import Pixels
+from skope.video.footage import open_footage
+from skope.video.frame_cache import FrameCache
+from skope.viewer.collection import Picture, encoded, read_picture
+
+_LOOKED_AT: Final = 7
+"""So many frames are compared for the clearest one."""
 
 
-def merged_document(base: Mapping[str, Any], mine: Mapping[str, Any], theirs: Mapping[str, Any]) -> dict[str, Any]:
-    """One document with the changes of both.
+class SiteFrames:
+    """Pictures of footage by number, all of one size."""
 
-    Where both have changed the same entry, mine counts. Entries are told by their names, or by their content.
+    def __init__(
+        self,
+        title: str,
+        count: int,
+        size: tuple[int, int],
+        picture: Callable[[int], Picture],
+        source: str | None = None,
+    ) -> None:
+        self.title, self.count, self.size, self.picture = title, count, size, picture
+        self.source = source
+        """The footage as commands take it; None where there is none."""
 
-    Args:
-        base: What both began with.
-        mine: What this window made of it.
-        theirs: What is saved now.
-    """
-    out = dict(mine)
-    for kind in (*KINDS, *DRAWN):
-        own, other, before = (_by_name(document, kind) for document in (mine, theirs, base))
-        rows = []
-        for name, entry in own.items():
-            changed_here = entry != before.get(name)
-            if name in other:
-                rows.append(entry if changed_here else other[name])
-            elif changed_here:  # new here, or taken away there but changed here
-                rows.append(entry)
-        rows += [entry for name, entry in other.items() if name not in own and entry != before.get(name)]
-        out[kind] = rows
-    for key in ("camera", "known", "world", "plan", "time_zone", "start"):
-        out[key] = mine.get(key) if mine.get(key) != base.get(key) else theirs.get(key)
-    return out
+    @classmethod
+    def of_footage(cls, source: str) -> "SiteFrames":
+        """Frames of an image, a folder of images or a video file.
+
+        Raises:
+            UserError: It is none of these, or cannot be read.
+        """
+        footage = open_footage(source)
+        if footage.live or footage.place is None:
+            raise UserError(f"{source}: a stream has no frames to go back to; record some seconds of it")
+        if footage.images:
+            paths = footage.images
+            size = _size(read_image(paths[0]))
+            return cls(Path(source).name or source, len(paths), size, lambda i: read_picture(paths[i]), source)
+        frames, count = FrameCache(Path(source), encoded), max(1, len(footage))
+
+        def picture(number: int) -> Picture:
+            return frames.frame(Image(id=1, file_name=footage.name, width=1, height=1, frame_index=number))
+
+        return cls(Path(source).name, count, _size(decoded_frame(picture(0))), picture, source)
+
+    @classmethod
+    def canvas(cls, size: tuple[int, int], title: str) -> "SiteFrames":
+        """No footage: an empty canvas of a size, for points that were marked elsewhere."""
+
+        def picture(number: int) -> Picture:
+            raise UserError("an empty canvas has no pictures")
+
+        return cls(title, 0, size, picture)
+
+    def clearest(self) -> int:
+        """Number of the sharpest of some frames from all of the footage: not the one in fog or headlights."""
+        numbers = sorted({round(i) for i in np.linspace(0, self.count - 1, _LOOKED_AT).tolist()}) if self.count else []
+        best, most = 0, -1.0
+        for number in numbers:
+            try:
+                pixels = decoded_frame(self.picture(number))
+            except UserError:
+                continue
+            grey = cv2.cvtColor(pixels, cv2.COLOR_RGB2GRAY)
+            sharp = float(cv2.Laplacian(grey, cv2.CV_64F).var())
+            if _size(pixels) == self.size and sharp > most:
+                best, most = number, sharp
+        return best
 
 
-def _by_name(document: Mapping[str, Any], kind: str) -> dict[str, Mapping[str, Any]]:
-    return {str(entry.get("name") or entry): entry for entry in entries_of(document, kind)}
+def decoded_frame(picture: Picture) -> Pixels:
+    """(H, W, 3) RGB of a picture."""
+    pixels = cv2.imdecode(np.frombuffer(picture.data, np.uint8), cv2.IMREAD_COLOR_RGB)
+    if pixels is None:
+        raise UserError("a frame cannot be decoded")
+    return np.asarray(pixels, dtype=np.uint8)
+
+
+def _size(pixels: Pixels) -> tuple[int, int]:
+    return pixels.shape[1], pixels.shape[0]
 
 
 POINT_FILES: Final = (".otrfpts", ".csv")

@@ -1,13 +1,9 @@
-// The lists beside the picture: every entry with its residual or warning, and the fields of the one that is chosen.
+// What the page has around the picture: tools, layers, lists of entries with their fields, figures of the camera, advice.
 
-import { DRAWN, KINDS, MARKED, fieldsOf, inImage, setValue, typed, valueAt } from "./kinds.js";
-
-export function text(name, words, attributes = {}) {
-  const made = document.createElement(name);
-  made.textContent = words;
-  for (const [key, value] of Object.entries(attributes)) made.setAttribute(key, value);
-  return made;
-}
+import { byId, terms, text } from "./dom.js";
+import { DRAWN, KINDS, LIMITS, MARKED, MovedDrawings, fieldsOf, inImage, setPosition, setValue, typed, valueAt } from "./marks.js";
+import { post } from "./server.js";
+import { CLASSES, COLORS } from "./picture.js";
 
 // Fills the lists anew; the field that had the focus, and what is being typed into it, stay. Where the page is narrow,
 // the fields of what is chosen are in the sheet right below the picture, not in the list far down.
@@ -138,6 +134,7 @@ function labelled(box, focus, { words, wide, two, half, text: plain, usual, name
   const label = text("label", words, { class: wide ? "wide" : two ? "two" : half ? "half" : "" });
   const input = text("input", "", { "data-focus": focus, "data-name": name, autocomplete: "off" });
   if (!plain) input.inputMode = "decimal";
+  if (name === "name") input.maxLength = LIMITS.longest_name;
   if (usual) input.placeholder = usual;
   if (list) input.setAttribute("list", list);
   input.value = value === null || value === undefined ? "" : String(value);
@@ -213,14 +210,197 @@ function button(words, does) {
   return made;
 }
 
-export function figures(list, summary, camera) {
-  const rows = camera.figures.map(({ name, value, sigma, unit }) => {
-    const pair = document.createElement("div");
+function figures(list, summary, camera) {
+  terms(list, camera.figures.map(({ name, value, sigma, unit }) => {
     const digits = unit === "px" ? 0 : 2;
-    pair.append(text("dt", name), text("dd", `${value.toFixed(digits)}${sigma === null ? "" : " ± " + sigma.toFixed(digits)} ${unit}`));
-    return pair;
-  });
-  list.replaceChildren(...rows);
+    return [name, `${value.toFixed(digits)}${sigma === null ? "" : " ± " + sigma.toFixed(digits)} ${unit}`];
+  }));
   const [focal, height, tilt] = camera.figures;
   summary.textContent = `${height.value.toFixed(1)} m high, ${tilt.value.toFixed(1)}° down, focal length ${focal.value.toFixed(0)} px`;
+}
+
+// ------------------------------------------------------------------------------------------------------------ controls
+
+// What the page has around the picture and never changes: the tools' buttons, layers, the legend, the list of keys.
+
+const LAYERS = [
+  ["errors", "how well places are known"],
+  ["grid", "grid on the road, horizon"],
+  ["posts", "posts, 3 m"],
+  ["boxes", "boxes as large as cars"],
+  ["residuals", "how far marks are off, ten times as long"],
+  ["names", "names"],
+];
+
+const KEYS = [
+  ["Tab", "on to the next mark, button or field"],
+  ["← ↑ → ↓", "in the picture: move the cross-hair, or the mark that has the focus; with Shift ten times as far"],
+  ["Enter", "mark at the cross-hair; end a lane, a zone or an occluder on its last position"],
+  ["Esc", "leave what is being drawn, the tool, the choice"],
+  ["Delete", "take away what is chosen"],
+  ["Ctrl Z, Ctrl Y", "undo, redo"],
+  ["Ctrl S", "save"],
+  ["+ − 0", "larger, smaller, whole picture"],
+  ["S", "choose and move"],
+  ...Object.values(KINDS).map(({ key, word }) => [key.toUpperCase(), word]),
+];
+
+// What keys do, as a list of terms.
+export const keyList = (list) => terms(list, KEYS);
+
+// The buttons of all tools; `choose` is told the name of one.
+export function toolbar(bar, choose) {
+  const button = (name, words, key) => {
+    const made = text("button", words, { type: "button", "data-tool": name, "aria-pressed": "false", title: `${words} (${key})` });
+    made.addEventListener("click", () => choose(name));
+    return made;
+  };
+  bar.append(
+    button("select", "Choose", "S"),
+    text("span", "Draw"),
+    ...DRAWN.map((kind) => button(kind, KINDS[kind].word, KINDS[kind].key.toUpperCase())),
+    text("span", "Calibrate"),
+    ...MARKED.map((kind) => button(kind, KINDS[kind].word, KINDS[kind].key.toUpperCase())),
+  );
+}
+
+// A box to tick for each layer; `switched` is told its name.
+export function switches(box, layers, switched) {
+  for (const [name, words] of LAYERS) {
+    const input = text("input", "", { type: "checkbox", "data-layer": name });
+    input.checked = layers[name];
+    input.addEventListener("change", () => {
+      layers[name] = input.checked;
+      switched(name);
+    });
+    const whole = text("label", "");
+    whole.append(input, words);
+    box.append(whole);
+  }
+}
+
+// What the colours of the map of errors stand for.
+export function legend(list) {
+  const chips = COLORS.map((color, i) => {
+    const words = i < CLASSES.length ? `to ${CLASSES[i]} m` : `over ${CLASSES[CLASSES.length - 1]} m`;
+    const chip = text("span", "", { class: "chip" });
+    chip.style.backgroundColor = color;
+    const item = text("li", "");
+    item.append(chip, words);
+    return item;
+  });
+  list.replaceChildren(text("li", "How far off places may be (in 9 of 10 cases)"), ...chips);
+}
+
+// --------------------------------------------------------------------------------------------------------------- hints
+
+// What to do next, in a sentence over the picture.
+
+const CAMERA_NEEDED = "Zones and lanes are in metres: calibrate the camera first.";
+const CALIBRATED = "Where grid and boxes lie on the road, go on with Gate, Zone and Lane; more points make places more exact.";
+const PLAN = {
+  gone: "The plan's picture is not there any more: load it again.",
+  none: "Load a map, a plan or an aerial picture first.",
+  first: "Click the first of two points of the plan whose distance you know.",
+  second: "Click the second of two points whose distance you know.",
+};
+const CHOOSE = "Drag marks to mend them; drag the picture to move it, zoom with the wheel or two fingers.";
+const GATE_DRAWN = "Name its directions if you like, draw further gates, or press Save. Arrows 1 and 2 are the two directions.";
+const ANOTHER_LINE = "Click both ends of another line that is parallel to it on the road; Esc ends the group.";
+
+// `now` is what the page is at, `views` what is shown, `look` what the server says of `document`.
+export function hintFor(document, now, views, look) {
+  const { tool, picking, group, pending } = now;
+  if (views.scaling && !views.current) return document.plan ? PLAN.gone : PLAN.none;
+  if (views.scaling) return views.plan.ends.length ? PLAN.second : PLAN.first;
+  const point = picking === null ? undefined : document.points[picking];
+  if (point) return `Click the place of point ${point.name || picking + 1} on the plan (Esc: type it instead).`;
+  if (tool === "select") return CHOOSE;
+  if (KINDS[tool].world && tool !== "gates" && !(look && look.camera) && views.name === "image") return CAMERA_NEEDED;
+  if (tool === "parallels" && group !== null && !pending.length) return ANOTHER_LINE;
+  if (tool === "gates" && document.gates.length && !pending.length) return GATE_DRAWN;
+  if (tool !== "points" || !document.points.length || !look) return KINDS[tool].hint;
+  // What is still missing is said where the next click goes; on a phone the list is far below.
+  if (look.message) return look.message;
+  return look.camera && !DRAWN.some((kind) => document[kind].length) ? CALIBRATED : KINDS.points.hint;
+}
+
+// -------------------------------------------------------------------------------------------------------- camera panel
+
+// What is said of the camera: figures, warnings, what is missing, what a button can mend, and what moved with it.
+
+export class CameraPanel {
+  // `does` has `document`, `change`, `trouble`, and `placesOf` (pixels on the road).
+  constructor(does) {
+    Object.assign(this, { does, drawings: new MovedDrawings(), moved: [] });
+    byId("keep-image").addEventListener("click", () => this.keepInImage());
+    byId("keep-metres").addEventListener("click", () => this.keepMetres());
+    for (const button of byId("mend").children) button.addEventListener("click", () => this.mend(button.dataset.way));
+  }
+
+  // Says whether the camera of the newest marks is still being solved: what is shown is the one before then.
+  busy(solving) {
+    document.querySelector("main").classList.toggle("solving", solving);
+    const words = solving ? "Solving the camera…" : "";
+    if (byId("solving").textContent !== words) byId("solving").textContent = words;
+  }
+
+  show(look) {
+    const { message, camera, warnings } = look;
+    this.look = look;
+    byId("steps").hidden = Boolean(camera) || MARKED.some((kind) => this.does.document()[kind].length);
+    byId("message").textContent = message;
+    byId("message").hidden = !message || !byId("steps").hidden; // the steps say it too
+    for (const button of byId("mend").children) button.hidden = button.dataset.mend !== look.mend;
+    byId("warnings").replaceChildren(...warnings.map((words) => text("li", words)));
+    byId("figures-details").hidden = !camera;
+    if (camera) figures(byId("figures"), byId("figures-summary"), camera);
+    this.showMoved();
+  }
+
+  // Says that the camera has been calibrated again under gates, zones and lanes that were drawn before.
+  showMoved() {
+    const { entries, most } = this.drawings.compare(this.does.document(), this.look);
+    this.moved = entries;
+    byId("moved").hidden = !entries.length;
+    const names = entries.map(({ kind, index }) => this.does.document()[kind][index].name);
+    const which = names.length > 3 ? `${names.slice(0, 2).join(", ")} and ${names.length - 2} more` : names.join(", ");
+    byId("moved-words").textContent = `The camera was calibrated again: ${which} moved by up to ${Math.round(most)} px in the image.`;
+  }
+
+  // Draws what has moved again where it was in the image, by the camera as it is now.
+  async keepInImage() {
+    const entries = this.moved;
+    const places = await this.does.placesOf(entries.flatMap(({ corners }) => corners.filter(Boolean)));
+    if (!places.length) return;
+    this.does.change((all) => {
+      for (const { kind, index, corners } of entries) {
+        corners.forEach((corner, part) => corner && setPosition(kind, all[kind][index], part, places.shift()));
+      }
+    });
+  }
+
+  keepMetres() {
+    this.drawings.agree();
+    this.showMoved();
+  }
+
+  // Mends places that are all wrong in one way: axes that are swapped or turned, degrees in place of metres.
+  async mend(way) {
+    const { points } = this.does.document();
+    const whole = points.flatMap(({ place }, i) => (place.slice(0, 2).every((one) => typeof one === "number") ? [i] : []));
+    const pairs = whole.map((i) => points[i].place.slice(0, 2));
+    let found = { places: pairs.map(([x, y]) => (way === "swap" ? [y, x] : [x, -y])) };
+    if (way === "latitude" || way === "longitude") {
+      try {
+        found = await post("/map-places", { pairs, order: way, world: null });
+      } catch (error) {
+        return this.does.trouble(error.message);
+      }
+    }
+    this.does.change((all) => {
+      whole.forEach((index, i) => all.points[index].place.splice(0, 2, ...found.places[i]));
+      if (found.world) all.world = found.world;
+    });
+  }
 }

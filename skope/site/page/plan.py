@@ -21,7 +21,7 @@ from skope.camera.ground_plane import ground_places
 from skope.camera.model import Camera
 from skope.errors import UserError
 from skope.files.atomic import read_bytes, replacing
-from skope.site.page.document_values import positions
+from skope.site.mark_parser import positions
 from skope.site.world import UTM_ZONE
 from skope.viewer.collection import Picture, encoded
 

@@ -1,26 +1,18 @@
 // The page on which a camera is calibrated and a road drawn. What a file says gets into it as text or as numbers of a
 // drawing; places, residuals and warnings come from the server.
 
-import { CameraPanel } from "./camera_panel.js";
-import { keyList, legend, switches, toolbar } from "./controls.js";
-import { redraw, handlesOf } from "./draw_marks.js";
-import { edits, loadFile } from "./edits.js";
-import { History } from "./history.js";
-import { hintFor } from "./hints.js";
-import { Keys, handleOf } from "./keys.js";
-import { KINDS, MARKED, inImage } from "./kinds.js";
-import { Marking } from "./marking.js";
-import { fill, footage, known, text } from "./panel.js";
-import { Pointer } from "./pointer.js";
-import { Saving } from "./saving.js";
-import { get, newest, post } from "./server.js";
-import { Viewport } from "./viewport.js";
+import { byId, get, text } from "./dom.js";
+import { handlesOf, redraw } from "./draw.js";
+import { Keys, Pointer, handleOf } from "./input.js";
+import { History, KINDS, MARKED, Marking, edits, inImage, loadFile, setLimits } from "./marks.js";
+import { CameraPanel, fill, footage, hintFor, keyList, known, legend, switches, toolbar } from "./panel.js";
+import { SitePicture } from "./picture.js";
+import { Saving, newest, post } from "./server.js";
 import { Views } from "./views.js";
 
-const byId = (id) => document.getElementById(id);
 const stage = byId("stage");
 const svg = byId("drawing");
-const viewport = new Viewport(stage, byId("canvas"), svg, byId("loupe"));
+const viewport = new SitePicture(stage, byId("canvas"), svg, byId("loupe"));
 
 const WAIT_MS = 120; // before the server is asked for what changed
 
@@ -257,7 +249,7 @@ function listen() {
   for (const name of ["mark", "put", "ended", "cancel", "setTool", "finish"]) does[name] = (...told) => marking[name](...told);
   new Pointer(stage, viewport, now, page, does);
   new Keys(stage, viewport, now, page, does);
-  new ResizeObserver(() => viewport.move(0, 0)).observe(stage);
+  new ResizeObserver(() => viewport.resized()).observe(stage);
   addEventListener("beforeunload", (event) => !saving.has(document_()) && event.preventDefault());
 }
 
@@ -269,6 +261,7 @@ function firstTool({ document, frames }) {
 
 async function begin() {
   begun = await (await get("/begin.json")).json();
+  setLimits(begun.limits);
   history = new History(begun.document);
   saving = new Saving(begun, { refresh, trouble, wrong, replace });
   byId("title").textContent = `${begun.title} → ${begun.file}`;

@@ -5,7 +5,7 @@ import os
 import re
 import shlex
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from datetime import UTC, datetime
 from http import HTTPStatus
@@ -13,14 +13,15 @@ from pathlib import Path
 from typing import Any, Final
 from zoneinfo import available_timezones
 
+from skope.camera.evidence import MARKING_ERRORS
 from skope.errors import UserError
 from skope.files.json_files import json_bytes, parse_json
-from skope.site.page.drawings import drawn_in_image, read_drawings
-from skope.site.page.frames import SiteFrames, decoded_frame, read_time
-from skope.site.page.inputs import merged_document, read_file
-from skope.site.page.marks import marks_of_document
+from skope.site.mark_parser import LONGEST_NAME, MARKED_LENGTH_SIGMA_M
+from skope.site.page.drawings import FEWEST, LANE_M, drawn_in_image, read_drawings
+from skope.site.page.inputs import SiteFrames, decoded_frame, read_file
+from skope.site.page.marks import marks_of_document, read_time
 from skope.site.page.plan import PlanPictures, map_places, plan_scale, seen_from_above
-from skope.site.page.site_store import Opened, SavedElsewhereError, SiteStore
+from skope.site.page.site_store import Opened, SavedElsewhereError, SiteStore, merged_document
 from skope.site.page.solved_page import SolvedPage, unfinished
 from skope.terminal.console import Console
 from skope.viewer.local_server import (
@@ -28,44 +29,30 @@ from skope.viewer.local_server import (
     HTML,
     JSON,
     SCRIPT,
+    SHARED_FILES,
     Answer,
     LocalHandler,
     LocalServer,
     bound_to,
     read_resource,
     serve_until_stopped,
+    served_page,
 )
 
 _HERE: Final = "skope.site.page"
 _PLAN: Final = re.compile(r"/plans/([0-9a-f]{64})")
 _FRAME: Final = re.compile(r"/frames/([0-9]{1,9})")
-_SCRIPTS: Final = (
-    "site",
-    "controls",
-    "server",
-    "history",
-    "kinds",
-    "marking",
-    "viewport",
-    "draw_marks",
-    "panel",
-    "pointer",
-    "keys",
-    "plan_view",
-    "saving",
-    "moved_drawings",
-    "views",
-    "camera_panel",
-    "hints",
-    "edits",
-)
-_FILES: Final = {
-    "/": (_HERE, "site.html", HTML),
-    "/page.css": ("skope.page", "page.css", CSS),
+_SCRIPTS: Final = ("site", "draw", "input", "marks", "panel", "picture", "server", "views")
+_FILES: Final = SHARED_FILES | {
     "/site.css": (_HERE, "site.css", CSS),
     **{f"/{name}.js": (_HERE, f"{name}.js", SCRIPT) for name in _SCRIPTS},
 }
-_QUESTIONS: Final = ("/look", "/places", "/above", "/plan", "/plan-picture", "/map-places", "/read", "/save", "/merge")
+LIMITS: Final = {
+    "fewest": FEWEST,
+    "usual": {"points": MARKING_ERRORS.place_m, "lengths": MARKED_LENGTH_SIGMA_M, "lanes": LANE_M},
+    "longest_name": LONGEST_NAME,
+}
+"""Limits of the parser as the page has them: positions of each kind, values of fields that are empty, letters."""
 _ELSEWHERE: Final = "{name} was saved by another window since this one read it. Nothing of yours is lost: join both, or take the saved one (undo brings yours back)."  # noqa: E501
 
 
@@ -143,6 +130,7 @@ class SiteServer(LocalServer):
             "saved": opened.document,
             "revision": opened.revision,
             "zones": sorted(available_timezones()),
+            "limits": LIMITS,
         }
 
     def _opened(self) -> Opened:
@@ -188,6 +176,11 @@ class SiteServer(LocalServer):
         said = "" if counts else "saved; the camera is not calibrated yet"
         return HTTPStatus.OK, {"revision": revision, "said": said}
 
+    def read(self, sent: Mapping[str, Any]) -> dict[str, Any]:
+        """What a file that the browser sends holds."""
+        with tempfile.TemporaryDirectory() as folder:
+            return read_file(sent, Path(folder), self.frames.size)
+
     def merge(self, sent: Mapping[str, Any]) -> dict[str, Any]:
         """The page's document joined with the saved one, and the saved one with its revision."""
         opened = self._opened()
@@ -215,6 +208,8 @@ class _Handler(LocalHandler):
     posts = True
 
     def answer_to(self, path: str) -> Answer | None:
+        if path == "/":
+            return HTML, served_page("site/page/site.html", "site")
         if file := _FILES.get(path):
             return file[2], read_resource(*file[:2])
         if path == "/begin.json":
@@ -228,7 +223,18 @@ class _Handler(LocalHandler):
         return None
 
     def answer_to_post(self, path: str, data: bytes) -> tuple[int, str, bytes] | None:
-        if path not in _QUESTIONS:
+        server = self.server
+        answers: dict[str, Callable[[Mapping[str, Any]], dict[str, Any]]] = {
+            "/look": server.solved.look,
+            "/places": lambda sent: server.solved.places(_document(sent), sent.get("pixels")),
+            "/above": server.above,
+            "/plan": plan_scale,
+            "/plan-picture": server.hold_plan,
+            "/map-places": map_places,
+            "/read": server.read,
+            "/merge": server.merge,
+        }
+        if path not in answers and path != "/save":
             return None
         try:
             sent = parse_json(data)
@@ -236,26 +242,7 @@ class _Handler(LocalHandler):
             raise UserError("expected JSON") from None
         if not isinstance(sent, dict):
             raise UserError("expected a JSON object")
-        status, answer = HTTPStatus.OK, {}
-        if path == "/look":
-            answer = self.server.solved.look(sent)
-        elif path == "/places":
-            answer = self.server.solved.places(_document(sent), sent.get("pixels"))
-        elif path == "/above":
-            answer = self.server.above(sent)
-        elif path == "/plan":
-            answer = plan_scale(sent)
-        elif path == "/plan-picture":
-            answer = self.server.hold_plan(sent)
-        elif path == "/map-places":
-            answer = map_places(sent)
-        elif path == "/read":
-            with tempfile.TemporaryDirectory() as folder:
-                answer = read_file(sent, Path(folder), self.server.frames.size)
-        elif path == "/merge":
-            answer = self.server.merge(sent)
-        else:
-            status, answer = self.server.save(sent)  # type: ignore[assignment]
+        status, answer = server.save(sent) if path == "/save" else (HTTPStatus.OK, answers[path](sent))
         return status, JSON, json_bytes(answer)
 
 

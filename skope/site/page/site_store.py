@@ -18,10 +18,9 @@ from skope.errors import UserError
 from skope.files.atomic import sha256_of
 from skope.site.calibration_marks import CalibrationMarks
 from skope.site.gates_zones_lanes import Gate, gate_at_size, line_on_road
-from skope.site.page.document_values import entries_of, unique_names
+from skope.site.mark_parser import KINDS, MARKED_LENGTH_SIGMA_M
 from skope.site.page.drawings import DRAWN, drawn_in_image
-from skope.site.page.frames import read_time, time_texts
-from skope.site.page.marks import KINDS, SIGMA_FIELDS
+from skope.site.page.marks import SIGMA_FIELDS, entries_of, read_time, time_texts, unique_names
 from skope.site.page.solved_page import SolvedCamera
 from skope.site.site_file import SiteFile, read_site
 from skope.site.write_site import save_site
@@ -35,7 +34,6 @@ _POSES: Final = (
     "ground",
 )
 """Other ways in which a [camera] table says where a camera hangs; what the page has found takes their place."""
-_LENGTH_SIGMA_M: Final = 0.05
 
 
 class SavedElsewhereError(Exception):
@@ -111,6 +109,37 @@ class SiteStore:
         return sha256_of(self.path) if self.path.exists() else None
 
 
+def merged_document(base: Mapping[str, Any], mine: Mapping[str, Any], theirs: Mapping[str, Any]) -> dict[str, Any]:
+    """One document with the changes of both.
+
+    Where both have changed the same entry, mine counts. Entries are told by their names, or by their content.
+
+    Args:
+        base: What both began with.
+        mine: What this window made of it.
+        theirs: What is saved now.
+    """
+    out = dict(mine)
+    for kind in (*KINDS, *DRAWN):
+        own, other, before = (_by_name(document, kind) for document in (mine, theirs, base))
+        rows = []
+        for name, entry in own.items():
+            changed_here = entry != before.get(name)
+            if name in other:
+                rows.append(entry if changed_here else other[name])
+            elif changed_here:  # new here, or taken away there but changed here
+                rows.append(entry)
+        rows += [entry for name, entry in other.items() if name not in own and entry != before.get(name)]
+        out[kind] = rows
+    for key in ("camera", "known", "world", "plan", "time_zone", "start"):
+        out[key] = mine.get(key) if mine.get(key) != base.get(key) else theirs.get(key)
+    return out
+
+
+def _by_name(document: Mapping[str, Any], kind: str) -> dict[str, Mapping[str, Any]]:
+    return {str(entry.get("name") or entry): entry for entry in entries_of(document, kind)}
+
+
 def document_of(site: SiteFile | None, size: tuple[int, int]) -> dict[str, Any]:
     """The page's document of a site file.
 
@@ -159,7 +188,7 @@ def _marks(marks: CalibrationMarks, size: tuple[int, int]) -> dict[str, Any]:
         "points": [point_entry(one) for one in evidence.points],
         "lengths": [
             {"name": one.name, "pixels": one.pixels.tolist(), "metres": one.metres}
-            | _unless("sigma_m", one.sigma_m, _LENGTH_SIGMA_M)
+            | _unless("sigma_m", one.sigma_m, MARKED_LENGTH_SIGMA_M)
             for one in evidence.lengths
         ],
         "parallels": [{"name": one.name, "lines": one.lines.tolist()} for one in evidence.parallels],

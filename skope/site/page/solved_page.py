@@ -17,11 +17,9 @@ from skope.camera.pose_from_points import FEWEST_POINTS
 from skope.camera.uncertain_camera import UncertainCamera
 from skope.dataset.camera_of_file import sized
 from skope.errors import UserError
-from skope.site.mark_limits import KNOWN_RANGES
-from skope.site.page.document_values import entries_of, positions
+from skope.site.mark_parser import KINDS, KNOWN_RANGES, Problem, positions
 from skope.site.page.drawings import Drawing, read_drawings, shapes
-from skope.site.page.frames import read_time
-from skope.site.page.marks import KINDS, Marks, Problem, marks_of_document
+from skope.site.page.marks import Marks, entries_of, marks_of_document, read_time
 from skope.site.page.overlays import overlays
 from skope.types import Array
 

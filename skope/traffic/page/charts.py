@@ -6,19 +6,20 @@ Each chart has its numbers as a table below.
 import math
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from html import escape
 from typing import Final
 
 import numpy as np
+from markupsafe import Markup
 
 from skope.page.charts import Axes, Line, chart, histogram
-from skope.page.html_pieces import details, tag
+from skope.page.svg import tag
+from skope.page.templates import Cell, Table, piece
 from skope.schema import VEHICLE
 from skope.tracks.track import KMH_PER_MPS
 from skope.traffic.count_uncertainty import in_words
 from skope.traffic.gate_counts import ALL_CLASSES, Count
 from skope.traffic.gates import direction_names
-from skope.traffic.page.count_tables import interval_label, side_name, titled_table, with_interval
+from skope.traffic.page.count_tables import Block, interval_label, side_name, with_interval
 from skope.traffic.speeds import MOTOR_CLASSES
 from skope.traffic.traffic_report import TrafficReport
 from skope.traffic.turning_movements import NO_GATE, GateDirection, TurningCount
@@ -29,7 +30,7 @@ _MAX_INTERVALS: Final = 100
 Pair = tuple[GateDirection, GateDirection]
 
 
-def movement_matrices(report: TrafficReport, classes: Sequence[str]) -> list[str]:
+def movement_matrices(report: TrafficReport, classes: Sequence[str]) -> list[Block]:
     """A matrix of the whole footage for each class, and matrices by interval in a section that opens.
 
     Args:
@@ -37,18 +38,18 @@ def movement_matrices(report: TrafficReport, classes: Sequence[str]) -> list[str
         classes: `ALL`, and `VEHICLE` if others are counted too; the first one has matrices by interval.
 
     Returns:
-        Markup; empty if nobody was seen at two gates.
+        Empty if nobody was seen at two gates.
     """
     origins, destinations = _sides(report)
     if not origins:
         return []
-    out = []
+    out: list[Block] = []
     for class_name in classes:
         counts = {(row.gate, row.direction): row for row in report.counts_total if row.class_name == class_name}
         cells = _cells(report.turning_total, class_name)
         caption = f"Movements of {_words(class_name)}, from row to column, with 90% intervals of the true number"
         out.append(_matrix(cells, origins, destinations, caption, counts))
-    out.append(tag("p", escape(_about(report, origins, destinations))))
+    out.append(_about(report, origins, destinations))
     if len(report.intervals) > 1:
         by_interval = []
         for interval in report.intervals:
@@ -58,7 +59,7 @@ def movement_matrices(report: TrafficReport, classes: Sequence[str]) -> list[str
                 caption = f"{interval_label(report, interval)}: {_words(classes[0])}"
                 by_interval.append(_matrix(cells, origins, destinations, caption, {}))
         more = f", the first {_MAX_INTERVALS}" if len(by_interval) > _MAX_INTERVALS else ""
-        out.append(details(f"Movements by interval{more}", *by_interval[:_MAX_INTERVALS]))
+        out.append(piece("tables_in_details", f"Movements by interval{more}", by_interval[:_MAX_INTERVALS]))
     return out
 
 
@@ -92,37 +93,37 @@ def _matrix(
     destinations: Sequence[GateDirection],
     caption: str,
     counts: Mapping[GateDirection, Count],
-) -> str:
+) -> Table:
     """One matrix with totals. `counts` holds the gates' counts, which give the intervals of the totals."""
 
     def number(origin: GateDirection, destination: GateDirection) -> int:
         row = cells.get((origin, destination))
         return 0 if row is None or row.count is None else row.count
 
-    def cell(origin: GateDirection, destination: GateDirection) -> str:
+    def cell(origin: GateDirection, destination: GateDirection) -> Cell:
         row = cells.get((origin, destination))
-        bounds = "" if row is None or NO_GATE in (origin, destination) else f" <small>{in_words(row.expected)}</small>"
-        return f"{number(origin, destination)}{bounds}"
+        bounds = None if row is None or NO_GATE in (origin, destination) else in_words(row.expected)
+        return Cell(number(origin, destination), bounds)
 
-    def total(side: GateDirection, value: int) -> str:
+    def total(side: GateDirection, value: int) -> object:
         own = counts.get(side)
-        return with_interval(own) if own is not None and own.count == value else str(value)
+        return with_interval(own) if own is not None and own.count == value else value
 
-    rows = [
+    rows: list[list[object]] = [
         [
-            escape(side_name(origin)),
+            side_name(origin),
             *(cell(origin, destination) for destination in (*destinations, NO_GATE)),
             total(origin, sum(number(origin, destination) for destination in (*destinations, NO_GATE))),
         ]
         for origin in origins
     ]
     entered = [number(NO_GATE, destination) for destination in destinations]
-    rows.append(["not seen before", *map(str, entered), "–", str(sum(entered))])
+    rows.append(["not seen before", *entered, "–", sum(entered)])
     ends = [number(origin, NO_GATE) for origin in origins]
     columns = [sum(number(origin, destination) for origin in (*origins, NO_GATE)) for destination in destinations]
-    foot = ["total", *map(total, destinations, columns), str(sum(ends)), str(sum(columns) + sum(ends))]
+    foot = ["total", *map(total, destinations, columns), sum(ends), sum(columns) + sum(ends)]
     head = ["from", *(f"to {side_name(side)}" for side in destinations), "not seen after", "total"]
-    return titled_table(caption, head, rows, foot=foot)
+    return Table(caption=caption, head=head, rows=rows, foot=foot, sticky=True)
 
 
 def _about(report: TrafficReport, origins: Sequence[GateDirection], destinations: Sequence[GateDirection]) -> str:
@@ -156,7 +157,7 @@ _TURNED: Final = 0.6
 """And that of somebody who turns around."""
 
 
-def flow_diagram(report: TrafficReport) -> str:
+def flow_diagram(report: TrafficReport) -> Markup:
     """A figure; nothing where nobody was seen at two gates."""
     vehicles = any(one.class_name == VEHICLE for one in report.turning_total)
     whole = [
@@ -167,7 +168,7 @@ def flow_diagram(report: TrafficReport) -> str:
         and NO_GATE not in (one.origin, one.destination)
     ]
     if not whole:
-        return ""
+        return Markup()
     middles = {gate.name: np.mean(gate.line, axis=0) for gate in report.gates}
     used = {name for one in whole for name, _ in (one.origin, one.destination)}
     angles = _angles({name: place for name, place in middles.items() if name in used})
@@ -193,14 +194,8 @@ def flow_diagram(report: TrafficReport) -> str:
         aria_label="Movements between gates. The numbers are in the table of movements.",
         class_="chart flows",
     )
-    return tag(
-        "figure",
-        tag(
-            "figcaption",
-            f"Movements{' of vehicles' if vehicles else ''}; the number of a band is at its origin",
-        ),
-        drawing,
-    )
+    title = f"Movements{' of vehicles' if vehicles else ''}; the number of a band is at its origin"
+    return piece("figure", title, drawing)
 
 
 def _angles(middles: dict[str, Array]) -> dict[str, float]:
@@ -222,7 +217,7 @@ def _at(angle: float, radius: float) -> tuple[float, float]:
     return _SIZE / 2 + radius * math.cos(angle), _SIZE / 2 - radius * math.sin(angle)
 
 
-def _band(one: TurningCount, angles: dict[str, float], most: int, style: int, rank: int) -> tuple[str, str]:
+def _band(one: TurningCount, angles: dict[str, float], most: int, style: int, rank: int) -> tuple[Markup, Markup]:
     """The band of a movement, and its number: farther along for each larger one from the same gate and direction.
 
     Who comes in keeps to the right of who goes out.
@@ -248,12 +243,12 @@ def _side(side: tuple[str, str]) -> str:
     return f"{side[0]} ({side[1]})"
 
 
-def _names(angles: dict[str, float]) -> Iterator[str]:
+def _names(angles: dict[str, float]) -> Iterator[Markup]:
     for name, angle in angles.items():
         x, y = _at(angle, _RADIUS + 26)
         side = "middle" if abs(math.cos(angle)) < 0.4 else "start" if math.cos(angle) > 0 else "end"
         x += {"start": -14, "end": 14, "middle": 0}[side]
-        yield tag("text", escape(name), x=f"{x:.1f}", y=f"{y:.1f}", text_anchor=side, class_="gate")
+        yield tag("text", name, x=f"{x:.1f}", y=f"{y:.1f}", text_anchor=side, class_="gate")
 
 
 _SPEED_KMH: Final = 5.0
@@ -270,7 +265,7 @@ _LINES: Final = 4
 """A chart tells so many lines apart."""
 
 
-def counts_over_time(report: TrafficReport) -> Iterator[str]:
+def counts_over_time(report: TrafficReport) -> Iterator[Markup]:
     """A figure for each gate: how many of all crossed it in each interval, as flows an hour."""
     if len(report.intervals) < 2:
         return
@@ -304,7 +299,7 @@ def _hourly(count: int | None, observed_s: float) -> float | None:
     return None if count is None or observed_s <= 0 else count * 3600 / observed_s
 
 
-def speed_histograms(report: TrafficReport) -> Iterator[str]:
+def speed_histograms(report: TrafficReport) -> Iterator[Markup]:
     """A figure for each gate: how fast motor vehicles crossed it."""
     for gate in report.gates:
         groups = {
@@ -318,7 +313,7 @@ def speed_histograms(report: TrafficReport) -> Iterator[str]:
         yield from _histogram(f"{gate.name}: speeds of motor vehicles", "km/h", groups, _SPEED_KMH)
 
 
-def headway_histograms(report: TrafficReport) -> Iterator[str]:
+def headway_histograms(report: TrafficReport) -> Iterator[Markup]:
     """A figure for each gate: how long after the one before vehicles crossed it."""
     for gate in report.gates:
         groups = {
@@ -332,7 +327,7 @@ def headway_histograms(report: TrafficReport) -> Iterator[str]:
         yield from _histogram(f"{gate.name}: headways up to {_LONGEST_S:g} s", "seconds", groups, _HEADWAY_S)
 
 
-def _histogram(title: str, unit: str, groups: dict[str, list[float]], step: float) -> Iterator[str]:
+def _histogram(title: str, unit: str, groups: dict[str, list[float]], step: float) -> Iterator[Markup]:
     known = {name: np.array(values)[np.isfinite(values)] for name, values in groups.items() if values}
     enough = {name: values for name, values in known.items() if len(values) >= _FEWEST}
     if not enough:

@@ -3,12 +3,12 @@
 A gate counts fewer crossings than tracks that pass its line; the reasons are listed.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from datetime import datetime
-from html import escape
 from typing import Final
 
-from skope.page.html_pieces import details, table, tag
+from skope.page.svg import tag
+from skope.page.templates import Cell, Table
 from skope.schema import VEHICLE
 from skope.site.traffic_settings import OF_VEHICLES, UNKNOWN
 from skope.traffic.count_uncertainty import in_words
@@ -19,6 +19,8 @@ from skope.traffic.peak_hour import PeakHour, peak_hours, why_no_factor, why_no_
 from skope.traffic.traffic_report import TrafficReport
 
 GateDirection = tuple[str, str]
+Block = str | Table
+"""A paragraph, a table, or markup (`Markup`) as it is."""
 _MAX_INTERVALS: Final = 400
 """Maximum number of intervals in a table; the others are in counts.csv."""
 _MAX_OPEN_ROWS: Final = 12
@@ -35,10 +37,9 @@ def count_text(row: Count) -> str:
     return "–" if row.count is None else str(row.count)
 
 
-def with_interval(row: Count) -> str:
-    """A count and its 90% interval below it, markup."""
-    bounds = in_words(row.expected) if row.count is not None else row.observed
-    return f"{count_text(row)} <small>{bounds}</small>"
+def with_interval(row: Count) -> Cell:
+    """A count and its 90% interval below it."""
+    return Cell(count_text(row), in_words(row.expected) if row.count is not None else row.observed)
 
 
 def interval_label(report: TrafficReport, interval: ClockInterval) -> str:
@@ -54,13 +55,7 @@ def _time(report: TrafficReport, moment: datetime | None, seconds: float) -> str
     return moment.strftime("%a %d %b %H:%M" if several_days else "%H:%M").replace(" ", "\u00a0")
 
 
-def titled_table(title: str, head: Sequence[str], rows: Sequence[Sequence[str]], *, foot: Sequence[str] = ()) -> str:
-    """A table that scrolls in its box, with its title above; arguments are those of `skope.page.html_pieces.table`."""
-    shown = table(head, rows, caption=title, foot=foot, sticky=True)
-    return tag("p", escape(title), class_="title") + shown
-
-
-def class_tables(report: TrafficReport) -> list[str]:
+def class_tables(report: TrafficReport) -> list[Block]:
     """Counts by class of the whole footage, then a table by interval for each gate and direction."""
     whole = _class_rows(report)
     if not whole:
@@ -72,16 +67,17 @@ def class_tables(report: TrafficReport) -> list[str]:
     has_pce = any(own[ALL_CLASSES].count and own[ALL_CLASSES].pce is not None for own in whole.values())
     rows = [
         [
-            escape(side_name(side)),
+            side_name(side),
             *(with_interval(own[name]) for name in columns),
             *([_pce_text(own[ALL_CLASSES])] if has_pce else []),
         ]
         for side, own in whole.items()
     ]
     head = ["gate", *map(_heading, columns), *(["PCE"] if has_pce else [])]
+    caption = "Counts by gate and class, with 90% intervals of the true number"
     return [
-        titled_table("Counts by gate and class, with 90% intervals of the true number", head, rows),
-        *([tag("p", escape(about))] if (about := _about_pce(report, whole)) else []),
+        Table(caption=caption, head=head, rows=rows, sticky=True),
+        *([about] if (about := _about_pce(report, whole)) else []),
         *_by_interval(report, whole, groups),
     ]
 
@@ -124,7 +120,7 @@ def _about_pce(report: TrafficReport, whole: dict[GateDirection, dict[str, Count
 
 def _by_interval(
     report: TrafficReport, whole: dict[GateDirection, dict[str, Count]], groups: list[str]
-) -> Iterator[str]:
+) -> Iterator[Table]:
     """A folded table for each gate and direction: a row per interval, a column per class that occurs there."""
     intervals = report.intervals[:_MAX_INTERVALS]
     if len(report.intervals) < 2:
@@ -157,25 +153,21 @@ def _by_interval(
         head = ["from", *map(_heading, (*groups, *classes)), *(["PCE"] if has_pce else [])]
         more = "" if len(report.intervals) <= _MAX_INTERVALS else f", the first {_MAX_INTERVALS} intervals"
         caption = f"{side_name(side)}: counts by interval and class{more}"
-        yield details(
-            caption,
-            table(head, rows, caption=caption, foot=foot, sticky=True),
-            opened=len(rows) <= _MAX_OPEN_ROWS,
-        )
+        folded = len(rows) > _MAX_OPEN_ROWS
+        yield Table(caption=caption, head=head, rows=rows, foot=foot, sticky=True, folded=folded)
 
 
-def _observed_label(report: TrafficReport, interval: ClockInterval, row: Count) -> str:
-    """Begin of an interval, markup, with a note if it was observed in part."""
-    label = interval_label(report, interval)
-    return f"{label} <small>observed in part</small>" if row.observed == "part" else label
+def _observed_label(report: TrafficReport, interval: ClockInterval, row: Count) -> Cell:
+    """Begin of an interval, with a note if it was observed in part."""
+    return Cell(interval_label(report, interval), "observed in part" if row.observed == "part" else None)
 
 
-def all_by_interval(report: TrafficReport) -> str:
+def all_by_interval(report: TrafficReport) -> list[Block]:
     """Counts of all by interval: a row per interval, a column per gate and direction; empty for one interval."""
     own = [row for row in report.counts if (row.lane, row.class_name) == (ALL_CLASSES, ALL_CLASSES)]
     sides = list(dict.fromkeys((row.gate, row.direction) for row in own))
     if len(report.intervals) < 2 or not sides:
-        return ""
+        return []
     cells = {(row.interval.begin_s, row.gate, row.direction): row for row in own}
     rows = [
         [
@@ -184,8 +176,8 @@ def all_by_interval(report: TrafficReport) -> str:
         ]
         for interval in report.intervals[:_MAX_INTERVALS]
     ]
-    shown = titled_table("Counts of all by interval, with 90% intervals", ["from", *map(side_name, sides)], rows)
-    return shown if len(rows) <= _MAX_OPEN_ROWS else details("Counts of all by interval", shown)
+    caption, head = "Counts of all by interval, with 90% intervals", ["from", *map(side_name, sides)]
+    return [Table(caption=caption, head=head, rows=rows, sticky=True, folded=len(rows) > _MAX_OPEN_ROWS or None)]
 
 
 def _hour(report: TrafficReport, hour: PeakHour) -> str:
@@ -196,19 +188,19 @@ def _hour(report: TrafficReport, hour: PeakHour) -> str:
     return f"{_time(report, hour.begin, hour.begin_s)} to {end}"
 
 
-def peak_hour_table(report: TrafficReport) -> list[str]:
+def peak_hour_table(report: TrafficReport) -> list[Block]:
     """The peak hour and its factor for the site and each gate direction, or the reason why there is none."""
     if not report.gates:
         return []
     if reason := why_no_peak_hour(report):
-        return [tag("h3", "Peak hour"), tag("p", escape(f"Not available: {reason}."))]
+        return [tag("h3", "Peak hour"), f"Not available: {reason}."]
     reason = why_no_factor(report)
     rows = [
         [
-            escape(side_name((hour.gate, hour.direction))) if hour.gate else "whole site",
+            side_name((hour.gate, hour.direction)) if hour.gate else "whole site",
             _hour(report, hour),
-            str(hour.volume),
-            "–" if hour.highest_15_minutes is None else str(hour.highest_15_minutes),
+            hour.volume,
+            "–" if hour.highest_15_minutes is None else hour.highest_15_minutes,
             "–" if hour.factor is None else f"{hour.factor:.2f}",
         ]
         for hour in peak_hours(report)
@@ -222,6 +214,6 @@ def peak_hour_table(report: TrafficReport) -> list[str]:
     head = ["gate", "peak hour", "counted", "highest 15 minutes", "peak-hour factor"]
     return [
         tag("h3", "Peak hour"),
-        table(head, rows, caption=f"Peak hour of {vehicles}"),
-        tag("p", escape(notes + why)),
+        Table(caption=f"Peak hour of {vehicles}", head=head, rows=rows),
+        notes + why,
     ]

@@ -2,13 +2,14 @@
 
 import base64
 from collections.abc import Iterator
-from html import escape
 from typing import Any, Final
 
 import numpy as np
+from markupsafe import Markup
 
 from skope.camera.model import Camera
-from skope.page.html_pieces import tag
+from skope.page.svg import tag
+from skope.page.templates import piece
 from skope.traffic.count_uncertainty import in_words
 from skope.traffic.gate_counts import ALL_CLASSES, Count
 from skope.traffic.page.count_tables import count_text, side_name
@@ -29,7 +30,7 @@ _AT: Final = (0.35, 0.65)
 """Where on the gate the arrows of its two directions begin, from its first end to the second."""
 
 
-def gates_in_picture(report: TrafficReport, picture: EmptyRoadPicture | None, camera: Camera | None) -> str:
+def gates_in_picture(report: TrafficReport, picture: EmptyRoadPicture | None, camera: Camera | None) -> Markup:
     """A figure with the gates in the camera's image.
 
     Args:
@@ -42,7 +43,7 @@ def gates_in_picture(report: TrafficReport, picture: EmptyRoadPicture | None, ca
     """
     view = None if picture is None else view_of_gates(report, camera)
     if picture is None or not view or not view["gates"] or view["size"] not in (None, picture.size):
-        return ""
+        return Markup()
     scale = _WIDTH / picture.size[0]
     height = picture.size[1] * scale
     totals = [row for row in report.counts_total if row.class_name == ALL_CLASSES]
@@ -72,22 +73,13 @@ def gates_in_picture(report: TrafficReport, picture: EmptyRoadPicture | None, ca
     )
     drawn = {gate["gate"] for gate in view["gates"]}
     listed = [
-        tag(
-            "li",
-            tag("b", letters[row.gate, row.direction]),
-            escape(f" {side_name((row.gate, row.direction))}: {count_text(row)} ({in_words(row.expected)})"),
-        )
+        tag("b", letters[row.gate, row.direction])
+        + f" {side_name((row.gate, row.direction))}: {count_text(row)} ({in_words(row.expected)})"
         for row in totals
         if row.gate in drawn
     ]
     caption = "Gates in the camera's image, with the numbers counted by direction (90% intervals below)"
-    return tag(
-        "figure",
-        tag("figcaption", caption),
-        drawing,
-        tag("ul", *listed, class_="legend"),
-        class_="wide",
-    )
+    return piece("figure", caption, drawing, listed, wide=True)
 
 
 def _letter(number: int) -> str:
@@ -98,7 +90,7 @@ def _letter(number: int) -> str:
 
 def _gate(
     gate: dict[str, Any], rows: list[Count], letters: dict[tuple[str, str], str], scale: float, size: Array
-) -> Iterator[str]:
+) -> Iterator[Markup]:
     """Line of a gate, and an arrow with letter and count for each direction."""
     line = np.array(gate["line"]) * scale
     path = "M" + "L".join(f"{x:.1f} {y:.1f}" for x, y in line)
@@ -123,14 +115,16 @@ def _forward(line: Array, arrow: Array) -> Array:
     return np.asarray(across if across @ (arrow[1] - arrow[0]) > 0 else -across)
 
 
-def _name(gate: dict[str, Any], scale: float, size: Array) -> str:
+def _name(gate: dict[str, Any], scale: float, size: Array) -> Markup:
     """Name of a gate above its left end."""
     line = np.array(gate["line"]) * scale
     x, y = np.clip(line[np.argmin(line[:, 0])] + [0.0, -12.0], _EDGE, size - _EDGE)
-    return tag("text", escape(gate["gate"]), x=f"{x:.1f}", y=f"{y:.1f}", class_="gate name")
+    return tag("text", gate["gate"], x=f"{x:.1f}", y=f"{y:.1f}", class_="gate name")
 
 
-def _arrow(start: Array, along: Array, row: Count, letters: dict[tuple[str, str], str], size: Array) -> Iterator[str]:
+def _arrow(
+    start: Array, along: Array, row: Count, letters: dict[tuple[str, str], str], size: Array
+) -> Iterator[Markup]:
     tip = start + _ARROW * along
     across = np.array([-along[1], along[0]])
     corners = [tip + _HEAD * (across - along), tip, tip - _HEAD * (across + along)]

@@ -1,15 +1,14 @@
 // Counting by hand while the footage plays: the page's part that a person uses.
-const $ = (id) => document.getElementById("hand-" + id);
-const root = document.getElementById("hand"), video = $("video");
+
+import { byId, element, text } from "./dom.js";
+import { checkedState, clockAt, csvOf, gehOf, overlapOf, rowsOf, spoken, unobserved, within } from "./hand_count_numbers.js";
+
+const $ = (id) => byId("hand-" + id);
+const root = byId("hand"), video = $("video");
 const data = JSON.parse($("data").textContent);
 const KEYS = "123456789qwertyuiopasdfghjklzxcvbnm";
 const KEPT = "skope-hand-count:" + data.key;
 const RATES = [0.5, 0.75, 1, 1.5, 2], JUMP_S = 5, SLACK_S = 0.5, FEW = 20;
-const node = (name, text = "", attributes = {}) => {
-  const made = Object.assign(document.createElement(name), { textContent: text });
-  for (const [key, value] of Object.entries(attributes)) made.setAttribute(key, value);
-  return made;
-};
 const sideName = (k) => `${data.sides[k].gate} (${data.sides[k].direction})`;
 const keyOf = (k) => KEYS[k] || "";
 
@@ -44,7 +43,7 @@ const offset = () => Number($("offset").value) || 0;
 const now = () => video.currentTime + offset();
 const loaded = () => video.videoWidth > 0 && Number.isFinite(video.duration);
 const say = (...lines) => {
-  $("note").replaceChildren(...lines.filter(Boolean).flatMap((line, i) => (i ? [node("br"), line] : [line])));
+  $("note").replaceChildren(...lines.filter(Boolean).flatMap((line, i) => (i ? [text("br"), line] : [line])));
 };
 const UNPLAYABLE =
   "This browser cannot play that file. Browsers play H.264, VP9 and AV1, but neither MPEG-4 part 2 (mp4v, Xvid, DivX: what OpenCV and many recorders write), nor MJPEG, nor most AVI files. " +
@@ -157,10 +156,8 @@ const drawGates = () => {
   const unit = width / ($("picture").clientWidth || width);
   svg.setAttribute("viewBox", `0 0 ${width} ${height}`);
   svg.setAttribute("preserveAspectRatio", "none");
-  const add = (name, attributes, text = "") => {
-    const made = document.createElementNS(svg.namespaceURI, name);
-    for (const [key, value] of Object.entries(attributes)) made.setAttribute(key, value);
-    made.textContent = text;
+  const add = (name, attributes, words = "") => {
+    const made = element(name, attributes, words);
     made.style.fontSize = `${15 * unit}px`;
     svg.append(made);
   };
@@ -270,8 +267,8 @@ const listed = () => {
   const ordered = current.presses.map((one, k) => ({ ...one, k })).sort((a, b) => b.t - a.t || b.k - a.k);
   list.replaceChildren(
     ...ordered.map((one) => {
-      const item = node("li", `${spoken(one.t, 1)} ${clockAt(data.clocks, one.t)} ${pressName(one)} `);
-      const gone = node("button", "delete", { type: "button", "aria-label": `delete ${pressName(one)} at ${spoken(one.t, 1)}` });
+      const item = text("li", `${spoken(one.t, 1)} ${clockAt(data.clocks, one.t)} ${pressName(one)} `);
+      const gone = text("button", "delete", { type: "button", "aria-label": `delete ${pressName(one)} at ${spoken(one.t, 1)}` });
       gone.addEventListener("click", () => {
         current.presses.splice(one.k, 1);
         keep();
@@ -296,22 +293,22 @@ const listed = () => {
 const kindName = (kind) => ({ all: "all road users", motor: "vehicles and motorcycles" })[kind] || kind;
 const countTable = (count, number) => {
   const rows = rowsOf(data, count), held = rows.every((one) => one.counted !== null);
-  const table = node("table"), head = node("tr"), body = node("tbody");
+  const table = text("table"), head = text("tr"), body = text("tbody");
   const clock = clockAt(data.clocks, count.begin);
-  table.append(node("caption", `Count ${number}: ${kindName(count.kind)}, from ${spoken(count.begin)} to ${spoken(count.end)}${clock ? ` (${clock} to ${clockAt(data.clocks, count.end)})` : ""}`));
-  for (const title of [count.what === "crossings" ? "gate" : "movement", "by hand", "counted", "off", "GEH"]) head.append(node("th", title, { scope: "col" }));
+  table.append(text("caption", `Count ${number}: ${kindName(count.kind)}, from ${spoken(count.begin)} to ${spoken(count.end)}${clock ? ` (${clock} to ${clockAt(data.clocks, count.end)})` : ""}`));
+  for (const title of [count.what === "crossings" ? "gate" : "movement", "by hand", "counted", "off", "GEH"]) head.append(text("th", title, { scope: "col" }));
   const cells = ({ what, hand, counted }) => {
-    const row = node("tr"), signed = (value) => (value > 0 ? "+" : "") + value, held = counted !== null;
-    const off = node("td", held ? signed(counted - hand) + (hand ? " " : "") : "–");
-    if (held && hand) off.append(node("small", `(${signed(Math.round((100 * (counted - hand)) / hand))} %)`));
+    const row = text("tr"), signed = (value) => (value > 0 ? "+" : "") + value, held = counted !== null;
+    const off = text("td", held ? signed(counted - hand) + (hand ? " " : "") : "–");
+    if (held && hand) off.append(text("small", `(${signed(Math.round((100 * (counted - hand)) / hand))} %)`));
     const geh = held ? gehOf(hand, counted, count.end - count.begin).toFixed(1) : "–";
-    row.append(node("th", what, { scope: "row" }), node("td", hand), node("td", held ? counted : "–"), off, node("td", geh));
+    row.append(text("th", what, { scope: "row" }), text("td", hand), text("td", held ? counted : "–"), off, text("td", geh));
     return row;
   };
   body.append(...rows.map(cells));
-  table.append(node("thead"), body);
+  table.append(text("thead"), body);
   table.tHead.append(head);
-  const scroll = node("div", "", { class: "scroll", tabindex: "0", role: "region", "aria-label": `Count ${number}` });
+  const scroll = text("div", "", { class: "scroll", tabindex: "0", role: "region", "aria-label": `Count ${number}` });
   scroll.append(table);
   const few = rows.filter((one) => one.hand < FEW).length, late = count.presses.length - within(count).length;
   const wrong = rows.reduce((sum, one) => sum + Math.abs(one.counted - one.hand), 0), all = rows.reduce((sum, one) => sum + one.hand, 0);
@@ -323,14 +320,14 @@ const countTable = (count, number) => {
     late ? `${late} that you pressed after ${spoken(count.end)} are not in it: a count has whole seconds.` : "",
     count.what === "movements" ? "Movements are compared here alone: --hand-count reads crossings of gates." : "",
   ];
-  const gone = node("button", "delete this count", { type: "button" });
+  const gone = text("button", "delete this count", { type: "button" });
   gone.addEventListener("click", () => {
     if (!confirm("Delete this count?")) return;
     state.done.splice(number - 1, 1);
     keep();
     show();
   });
-  const said = node("p", lines.filter(Boolean).join(" ") + " ");
+  const said = text("p", lines.filter(Boolean).join(" ") + " ");
   said.append(gone);
   return [scroll, said];
 };
@@ -339,14 +336,14 @@ const results = () => {
   const out = state.done.flatMap((count, k) => countTable(count, k + 1)), twice = overlapOf(data, state.done);
   if (address) URL.revokeObjectURL(address);
   address = null;
-  if (twice) out.push(node("p", `${twice.gate} (${twice.direction}) was counted twice at one time: delete one of the two counts before you take the file.`));
+  if (twice) out.push(text("p", `${twice.gate} (${twice.direction}) was counted twice at one time: delete one of the two counts before you take the file.`));
   else if (state.done.some((one) => one.what === "crossings")) {
     address = URL.createObjectURL(new Blob([csvOf(data, state.done)], { type: "text/csv" }));
-    const link = node("p", "");
+    const link = text("p", "");
     link.append(
-      node("a", "Download hand_count.csv", { href: address, download: "hand_count.csv", id: "hand-download", class: "hand-main" }),
+      text("a", "Download hand_count.csv", { href: address, download: "hand_count.csv", id: "hand-download", class: "hand-main" }),
       " and give it to the same command on the same tracks, with another folder: ",
-      node("code", "--hand-count hand_count.csv --out ANOTHER"),
+      text("code", "--hand-count hand_count.csv --out ANOTHER"),
       ". That report says how far the counts may be from the truth.",
     );
     out.push(link);
@@ -356,9 +353,9 @@ const results = () => {
 const sideButtons = () => {
   $("keys").replaceChildren(
     ...state.current.sides.map((k) => {
-      const button = node("button", "", { type: "button", "data-side": k });
-      if (keyOf(k)) button.append(node("kbd", keyOf(k)), " ");
-      button.append(node("span", sideName(k)), node("output", ""));
+      const button = text("button", "", { type: "button", "data-side": k });
+      if (keyOf(k)) button.append(text("kbd", keyOf(k)), " ");
+      button.append(text("span", sideName(k)), text("output", ""));
       button.addEventListener("click", () => press(k));
       return button;
     }),
@@ -379,7 +376,7 @@ const show = () => {
     root.classList.remove("hand-lost");
     results();
   }
-  if (!keeps) $("note").append(node("br"), "This browser keeps nothing for this page: do not reload it before you have downloaded the file.");
+  if (!keeps) $("note").append(text("br"), "This browser keeps nothing for this page: do not reload it before you have downloaded the file.");
   clocked();
 };
 const sidesShown = () => {
@@ -407,7 +404,7 @@ document.addEventListener("keydown", (event) => {
 const clicks = { play, back: () => go(-JUMP_S), ahead: () => go(JUMP_S), before: () => step(-1), after: () => step(1), begin, undo, finish, drop };
 for (const [id, run] of Object.entries(clicks)) $(id).addEventListener("click", run);
 for (const rate of RATES) {
-  const button = node("button", `${rate}x`, { type: "button", "data-rate": rate, "aria-pressed": rate === 1 });
+  const button = text("button", `${rate}x`, { type: "button", "data-rate": rate, "aria-pressed": rate === 1 });
   button.addEventListener("click", () => rated(rate));
   $("rates").append(button);
 }
@@ -416,11 +413,11 @@ $("seek").addEventListener("input", () => {
   if (loaded()) video.currentTime = Number($("seek").value);
 });
 
-data.kinds.forEach(([name]) => $("kind").append(node("option", kindName(name), { value: name })));
-data.recordings.forEach((one, k) => $("recording").append(node("option", one.source || `recording ${k + 1}`, { value: k })));
+data.kinds.forEach(([name]) => $("kind").append(text("option", kindName(name), { value: name })));
+data.recordings.forEach((one, k) => $("recording").append(text("option", one.source || `recording ${k + 1}`, { value: k })));
 $("recording-label").hidden = data.recordings.length < 2;
 data.sides.forEach((side, k) => {
-  const label = node("label"), box = node("input", "", { type: "checkbox", value: k });
+  const label = text("label"), box = text("input", "", { type: "checkbox", value: k });
   box.checked = true;
   label.append(box, ` ${sideName(k)}`);
   $("sides").append(label);

@@ -9,13 +9,12 @@ import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from datetime import datetime
-from importlib import resources
 from typing import Any, Final
 
 import numpy as np
+from markupsafe import Markup
 
 from skope.camera.model import Camera
-from skope.page.html_pieces import tag
 from skope.site.gates_zones_lanes import Gate
 from skope.site.traffic_settings import CLASSES, UNKNOWN
 from skope.traffic.counting_intervals import ClockInterval
@@ -174,31 +173,9 @@ def packed_times(events: Iterable[tuple[float, str]]) -> str:
     return "".join(out)
 
 
-_SCRIPTS: Final = ("hand_count_numbers.js", "hand_count.js")
-
-
-def hand_count_panel(report: TrafficReport, camera: Camera | None = None) -> str:
-    """Markup, style and script; nothing where the report has no gates, or the footage no frames.
-
-    Args:
-        report: The report.
-        camera: What the footage was seen with, for the gates that are drawn over it; None: not known.
-    """
+def hand_count_json(report: TrafficReport, camera: Camera | None = None) -> Markup | None:
+    """`hand_count_data` as the page has it; None where the report has no gates, or the footage no frames."""
     if not report.gates or not len(report.observation.spans):
-        return ""
+        return None
     # No "<" of a name may end the element.
-    data = json.dumps(hand_count_data(report, camera), separators=(",", ":")).replace("<", "\\u003c")
-    script = "\n".join(map(_text, _SCRIPTS))
-    return "".join(
-        (
-            tag("style", _text("hand_count.css")),
-            tag("section", _text("hand_count.html"), id="hand", hidden="hidden"),
-            tag("script", data, type="application/json", id="hand-data"),
-            # Its names are its own.
-            tag("script", f'"use strict";\n{{\n{script}\n}}'),
-        )
-    )
-
-
-def _text(name: str) -> str:
-    return resources.files("skope.traffic.page").joinpath(name).read_text(encoding="utf-8")
+    return Markup(json.dumps(hand_count_data(report, camera), separators=(",", ":")).replace("<", "\\u003c"))

@@ -11,11 +11,11 @@ const machineCount = (text, letters, begin, end) =>
   unpacked(text).filter((one) => one.s >= begin && one.s < end && letters.includes(one.letter)).length;
 
 // The GEH statistic of two counts as vehicles per hour.
-const gehOf = (hand, counted, seconds) =>
+export const gehOf = (hand, counted, seconds) =>
   hand + counted ? Math.sqrt(((3600 / seconds) * 2 * (counted - hand) ** 2) / (counted + hand)) : 0;
 
 // What of a span of seconds was not observed: how many seconds, and where that begins.
-const unobserved = (spans, begin, end) => {
+export const unobserved = (spans, begin, end) => {
   let seconds = 0, first = null, at = begin;
   for (const [from, to] of [...spans, [Infinity, Infinity]]) {
     const gap = Math.min(from, end) - at;
@@ -29,7 +29,7 @@ const unobserved = (spans, begin, end) => {
 };
 
 // Seconds as h:mm:ss, with as many digits behind as asked for.
-const spoken = (seconds, digits = 0) => {
+export const spoken = (seconds, digits = 0) => {
   const unit = 10 ** digits, whole = Math.floor(Math.max(0, seconds) * unit + 1e-6), rest = Math.floor(whole / unit);
   const two = (n) => String(n).padStart(2, "0");
   const part = digits ? "." + String(whole % unit).padStart(digits, "0") : "";
@@ -37,16 +37,16 @@ const spoken = (seconds, digits = 0) => {
 };
 
 // The clock at a second of the footage, of [second of the footage, second of the day] wherever clocks were changed.
-const clockAt = (clocks, seconds) => {
+export const clockAt = (clocks, seconds) => {
   const known = clocks.filter(([from]) => from <= seconds).pop() || clocks[0];
   return known ? spoken((((known[1] + seconds - known[0]) % 86400) + 86400) % 86400) : "";
 };
 
 // The presses of a count that lie in it.
-const within = (count) => count.presses.filter((one) => one.t >= count.begin && one.t < count.end);
+export const within = (count) => count.presses.filter((one) => one.t >= count.begin && one.t < count.end);
 
 // A row for each gate and direction, or pair of them, that was counted: names, by hand, by the machine (null: not held).
-const rowsOf = (data, count) => {
+export const rowsOf = (data, count) => {
   const own = within(count), letters = new Map(data.kinds).get(count.kind), name = (k) => `${data.sides[k].gate} (${data.sides[k].direction})`;
   const row = (what, hand, text) => ({ what, hand, counted: text === null ? null : machineCount(text, letters, count.begin, count.end) });
   if (count.what === "crossings")
@@ -65,7 +65,7 @@ const rowsOf = (data, count) => {
 };
 
 // Two counts by hand that would count somebody twice: of a gate and direction, of some class, at some time.
-const overlapOf = (data, counts) => {
+export const overlapOf = (data, counts) => {
   const kinds = new Map(data.kinds), plain = counts.filter((one) => one.what === "crossings");
   for (const [i, a] of plain.entries())
     for (const b of plain.slice(0, i)) {
@@ -78,7 +78,7 @@ const overlapOf = (data, counts) => {
 
 // The file that --hand-count reads: whole seconds of the footage. As in skope/files/csv_files.py, a text that a spreadsheet
 // would run as a formula has an apostrophe before it, and the file begins with a byte order mark.
-const csvOf = (data, counts) => {
+export const csvOf = (data, counts) => {
   const safe = (value) => (typeof value === "string" && /^'*[=+\-@\t\r\n\uff1d\uff0b\uff0d\uff20]/.test(value) ? `'${value}` : String(value));
   const cell = (text) => (/[",\n\r]/.test(text) ? `"${text.replaceAll('"', '""')}"` : text);
   const lines = ["gate,direction,class,begin,end,count"];
@@ -91,7 +91,7 @@ const csvOf = (data, counts) => {
 };
 
 // What was kept, if it is what this page keeps; else nothing.
-const checkedState = (data, value) => {
+export const checkedState = (data, value) => {
   const second = (s) => Number.isFinite(s) && s >= 0 && s < 1e8, side = (k) => Number.isInteger(k) && k >= 0 && k < data.sides.length;
   const kinds = data.kinds.map(([name]) => name);
   const press = (one) => one && second(one.t) && side(one.side) && (one.to === undefined || side(one.to));

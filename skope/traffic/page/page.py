@@ -1,18 +1,17 @@
 """The page of a traffic report: one HTML file with nothing outside it, to read and to print."""
 
 import math
-import re
 from collections.abc import Iterator, Sequence
-from html import escape
 from pathlib import Path
 from typing import Final
 
 import numpy as np
+from markupsafe import Markup
 
 from skope.camera.model import Camera
 from skope.files.atomic import write_text
-from skope.page import html_document
-from skope.page.html_pieces import details, table, tag
+from skope.page.svg import tag
+from skope.page.templates import Cell, Table, render
 from skope.schema import VEHICLE
 from skope.terminal.console import counted
 from skope.tracks.track import KMH_PER_MPS
@@ -28,13 +27,14 @@ from skope.traffic.page.charts import (
     speed_histograms,
 )
 from skope.traffic.page.count_tables import (
+    Block,
     all_by_interval,
     class_tables,
     peak_hour_table,
     side_name,
 )
 from skope.traffic.page.gates_in_picture import gates_in_picture
-from skope.traffic.page.hand_count import hand_count_panel
+from skope.traffic.page.hand_count import hand_count_json
 from skope.traffic.page.road_map import road_map
 from skope.traffic.report_tables import clock
 from skope.traffic.road_picture import EmptyRoadPicture, RoadPicture
@@ -47,7 +47,6 @@ REPORT_FILE: Final = "report.html"
 _CONFLICTS: Final = 20
 _SECONDS_TO_MINUTES: Final = 2.0
 """Observations shorter than this are stated in seconds, minutes."""
-_CODE: Final = re.compile(r"`([^`]+)`")
 _HOURS_FROM_MINUTES: Final = 120
 """Longer observations are given in hours."""
 _MAX_LEFT_OUT: Final = 30
@@ -101,26 +100,28 @@ def traffic_page(
     Returns:
         The page as HTML.
     """
-    name = report.observation.source or tracks
-    by_hand = hand_count_panel(report, camera)
-    sections = {
-        "Counts": [*class_tables(report), *peak_hour_table(report), _lengths(report)],
+    sections: dict[str, list[Block]] = {
+        "Counts": [*class_tables(report), *peak_hour_table(report), *_lengths(report)],
         "Movements": _movements(report),
-        "Speeds": [_speeds(report), *_figures(speed_histograms(report))] if report.metres else [],
+        "Speeds": [*_speeds(report), *_figures(speed_histograms(report))] if report.metres else [],
         "Headways": _figures(headway_histograms(report)) if report.metres else [],
-        "Over time": [*_figures(counts_over_time(report)), all_by_interval(report)],
-        "Conflicts": [_conflicts(report)] if report.metres else [],
+        "Over time": [*_figures(counts_over_time(report)), *all_by_interval(report)],
+        "Conflicts": _conflicts(report) if report.metres else [],
         "Crossings that are not counted": _left_out(report),
-        "Accuracy": [_accuracy(report), by_hand],
-        "What to know": [_remarks(report)],
+        "Accuracy": _accuracy(report),
     }
-    parts = [tag("h1", escape(f"Traffic: {name}")), tag("p", escape(_what(report)))]
-    parts += [gates_in_picture(report, view, camera), road_map(report, road)]
-    for title, found in sections.items():
-        if any(found):
-            parts += [tag("h2", title), *found]
-    parts.append(tag("p", tag("small", escape(f"skope {__version__}; tracks of {tracks}; intervals hold 90%"))))
-    return html_document(f"Traffic: {name}", *parts, plays_files=True)
+    hand_data = hand_count_json(report, camera)
+    return render(
+        "traffic/page/report.html",
+        title=f"Traffic: {report.observation.source or tracks}",
+        what=_what(report),
+        drawings=[gates_in_picture(report, view, camera), road_map(report, road)],
+        sections=sections,
+        hand_data=hand_data,
+        hand_scripts=["traffic/page/hand_count.js"] if hand_data else [],
+        remarks=report.refused,
+        colophon=f"skope {__version__}; tracks of {tracks}; intervals hold 90%",
+    )
 
 
 def _what(report: TrafficReport) -> str:
@@ -144,7 +145,7 @@ def _what(report: TrafficReport) -> str:
     return f"{told}, from {begin:%Y-%m-%d %H:%M:%S} to {end:%Y-%m-%d %H:%M:%S}{zone}."
 
 
-def _figures(found: Iterator[str]) -> list[str]:
+def _figures(found: Iterator[Markup]) -> list[Block]:
     every = list(found)
     return [tag("div", *every, class_="grid figures")] if every else []
 
@@ -155,27 +156,26 @@ def _without_repeats(report: TrafficReport, rows: Sequence[TurningCount]) -> lis
     return [one for one in rows if mixed or one.class_name != VEHICLE]
 
 
-def _lengths(report: TrafficReport) -> str:
+def _lengths(report: TrafficReport) -> list[Block]:
     """Vehicles by length, a row for each gate and direction; nothing where nobody was told."""
-    cells: dict[tuple[str, str], list[str]] = {}
+    cells: dict[tuple[str, str], list[Cell]] = {}
     for one in report.lengths_total:
-        number = "–" if one.count is None else str(one.count)
-        bounds = "" if one.bin_name == NO_BIN else f" <small>{in_words(one.expected)}</small>"
-        cells.setdefault((one.gate, one.direction), []).append(number + bounds)
+        bounds = None if one.bin_name == NO_BIN else in_words(one.expected)
+        cells.setdefault((one.gate, one.direction), []).append(Cell("–" if one.count is None else one.count, bounds))
     if not any(one.count for one in report.lengths_total):
-        return ""
+        return []
     first, second = report.site.traffic.length_bins_m
     head = ["gate", f"short, up to {first:g} m", f"medium, up to {second:g} m", "long", "not sure"]
-    rows = [[escape(f"{gate} ({direction})"), *own] for (gate, direction), own in cells.items()]
     untold = (
         f"; of those over {LENGTH_MODEL.longest_measured_m:g} m that is not known"
         if second >= LENGTH_MODEL.longest_measured_m
         else ""
     )
-    return table(head, rows, caption=f"Vehicles by length, with 90% intervals{untold}")
+    caption = f"Vehicles by length, with 90% intervals{untold}"
+    return [Table(caption=caption, head=head, rows=[[side_name(side), *own] for side, own in cells.items()])]
 
 
-def _movements(report: TrafficReport) -> list[str]:
+def _movements(report: TrafficReport) -> list[Block]:
     """Matrices and diagram of movements; vehicles first where others are counted too."""
     rows = _without_repeats(report, report.turning_total)
     classes = sorted({row.class_name for row in rows}, key=lambda name: name != VEHICLE)
@@ -183,15 +183,14 @@ def _movements(report: TrafficReport) -> list[str]:
     return [*matrices, flow_diagram(report)] if matrices else []
 
 
-def _speeds(report: TrafficReport) -> str:
+def _speeds(report: TrafficReport) -> list[Block]:
     """Speeds of all motor vehicles, and those of single classes where somebody opens them."""
     whole = [one for one in report.speeds if one.interval is None]
     groups = [one for one in whole if any(part.value is not None for part in one.percentiles.values())]
     rows, of_classes = (
         [
             [
-                escape(one.where.replace(" -> ", " → ")),
-                *(escape(one.kind), escape(one.class_name), str(one.number)),
+                *(one.where.replace(" -> ", " → "), one.kind, one.class_name, one.number),
                 *(_speed(one.percentiles[name]) for name in SPEED_PERCENTILES),
             ]
             for one in groups
@@ -200,45 +199,42 @@ def _speeds(report: TrafficReport) -> str:
         for together in (True, False)
     )
     head = ["where", "kind", "class", "vehicles", *(f"{name}, km/h" for name in SPEED_PERCENTILES)]
-    caption = "Speeds with enough vehicles (the others are in speeds.csv)"
-    shown = table(head, rows, caption=caption) if rows else ""
-    return shown + (details("By class", table(head, of_classes, caption="Speeds by class")) if of_classes else "")
+    shown = Table(caption="Speeds with enough vehicles (the others are in speeds.csv)", head=head, rows=rows)
+    folded = Table(caption="Speeds by class", head=head, rows=of_classes, folded=True)
+    return [one for one in (shown, folded) if one.rows]
 
 
-def _speed(one: Percentile) -> str:
+def _speed(one: Percentile) -> Cell:
     if one.value is None or one.low is None or one.high is None:
-        return "–"
-    return f"{one.value * KMH_PER_MPS:.1f} <small>{one.low * KMH_PER_MPS:.1f} to {one.high * KMH_PER_MPS:.1f}</small>"
+        return Cell("–", None)
+    return Cell(f"{one.value * KMH_PER_MPS:.1f}", f"{one.low * KMH_PER_MPS:.1f} to {one.high * KMH_PER_MPS:.1f}")
 
 
-def _left_out(report: TrafficReport) -> list[str]:
+def _left_out(report: TrafficReport) -> list[Block]:
     """A table for each gate and direction with many crossings that are not counted."""
     found = left_out_crossings(report)
     if not found:
         return []
     head = ["time", "track", "class", "reason"]
-    parts = [
-        tag(
-            "p",
-            "Crossings that were seen and not counted, and tracks that may have crossed unseen. They widen the 90% "
-            "intervals. Gates with fewer than three of them are left out, and so are tracks that were never confirmed "
-            "or never moved. Before a gate and behind it are meant in the direction of travel.",
-        )
+    parts: list[Block] = [
+        "Crossings that were seen and not counted, and tracks that may have crossed unseen. They widen the 90% "
+        "intervals. Gates with fewer than three of them are left out, and so are tracks that were never confirmed or "
+        "never moved. Before a gate and behind it are meant in the direction of travel."
     ]
     for side, left_out in found.items():
         rows = []
         for one in left_out[:_MAX_LEFT_OUT]:
             moment = clock(report, one.time_s)
             when = f"{one.time_s:.1f}\u00a0s" if moment is None else f"{moment:%H:%M:%S}"
-            rows.append([when, str(one.track), escape(one.class_name), escape(one.reason)])
+            rows.append([when, one.track, one.class_name, one.reason])
         caption = f"{side_name(side)}: {len(left_out)} crossings that are not counted"
-        parts.append(table(head, rows, caption=caption))
+        parts.append(Table(caption=caption, head=head, rows=rows))
         if len(left_out) > len(rows):
-            parts.append(tag("p", f"and {len(left_out) - len(rows)} more"))
+            parts.append(f"and {len(left_out) - len(rows)} more")
     return parts
 
 
-def _conflicts(report: TrafficReport) -> str:
+def _conflicts(report: TrafficReport) -> list[Block]:
     found = report.conflicts.conflicts
 
     def severe(value: float) -> float:
@@ -256,10 +252,11 @@ def _conflicts(report: TrafficReport) -> str:
         )
         who = f"{one.first.class_name} {one.first.number}, {one.second.class_name} {one.second.number}"
         when = f"{one.time_s:.1f} s" if moment is None else f"{moment:%H:%M:%S}"
-        rows.append([when, escape(who), escape(one.kind), escape(one.zone), ttc, pet])
+        rows.append([when, who, one.kind, one.zone, ttc, pet])
     head = ["when", "who", "kind", "zone", "TTC, s", "PET (SSAM), s"]
     more = f": the {len(rows)} nearest of {len(found)}" if len(found) > len(rows) else ""
-    return table(head, rows, caption=f"Conflicts{more}; use them to find locations, not as a count") if rows else ""
+    caption = f"Conflicts{more}; use them to find locations, not as a count"
+    return [Table(caption=caption, head=head, rows=rows)] if rows else []
 
 
 def _upwards(value: float) -> float:
@@ -271,7 +268,7 @@ def _end(value: float) -> str:
     return f"{value:.1f}" if math.isfinite(value) else "none"
 
 
-def _accuracy(report: TrafficReport) -> str:
+def _accuracy(report: TrafficReport) -> list[Block]:
     """Table of hand counts beside what was counted here."""
     rows = []
     for one in report.hand_checks:
@@ -285,24 +282,15 @@ def _accuracy(report: TrafficReport) -> str:
         )
         off = "–" if not hand.number else f"{100 * (one.count - hand.number) / hand.number:+.0f} %"
         cells = (f"{begin} to {end}", str(hand.number), str(one.count), off, f"{one.geh:.1f}", in_words(one.expected))
-        rows.append([escape(f"{hand.gate} ({hand.direction_name})"), escape(hand.class_name), *cells])
+        rows.append([f"{hand.gate} ({hand.direction_name})", hand.class_name, *cells])
     if not rows:
-        return tag(
-            "p",
+        return [
             "No manual counts. Count 10 to 15 minutes at each gate and pass the file with --hand-count. This section "
-            "then shows errors and GEH, and all count intervals are updated.",
-        )
+            "then shows errors and GEH, and all count intervals are updated."
+        ]
     errors = [abs(one.count - one.hand.number) for one in report.hand_checks]
     total = sum(one.hand.number for one in report.hand_checks)
     said = f"Together {sum(errors)} off, of {total} counted by hand"
     said += f"; GEH under 5 in {np.mean([one.geh < 5 for one in report.hand_checks]):.0%}." if rows else "."
     head = ["gate", "class", "when", "by hand", "counted", "off", "GEH", "90% interval without the manual count"]
-    return table(head, rows, caption="Counted by hand") + tag("p", said)
-
-
-def _remarks(report: TrafficReport) -> str:
-    return _list(report.refused)
-
-
-def _list(lines: Sequence[str]) -> str:
-    return tag("ul", *(tag("li", _CODE.sub(r"<code>\1</code>", escape(line))) for line in lines)) if lines else ""
+    return [Table(caption="Counted by hand", head=head, rows=rows), said]

@@ -3,12 +3,13 @@
 import base64
 import math
 from collections.abc import Iterator, Sequence
-from html import escape
 from typing import Final
 
 import numpy as np
+from markupsafe import Markup
 
-from skope.page.html_pieces import tag
+from skope.page.svg import tag
+from skope.page.templates import piece
 from skope.schema import PEDESTRIAN, VEHICLE
 from skope.site.gates_zones_lanes import Outline
 from skope.tracks.track import Track
@@ -55,13 +56,13 @@ class _Frame:
         return "M" + "L".join(f"{x:.1f} {y:.1f}" for x, y in self.points(places)) + ("Z" if closed else "")
 
 
-def road_map(report: TrafficReport, road: RoadPicture | None) -> str:
+def road_map(report: TrafficReport, road: RoadPicture | None) -> Markup:
     """A figure, on a picture of the empty road where there is one; nothing where there is nothing to draw."""
     tracks = [one for one in report.trajectories if may_count(one, report.site.traffic)]
     chosen = tracks[:: max(1, math.ceil(len(tracks) / _MOST_TRACKS))]
     places = _outline(chosen, [gate.line for gate in report.gates])
     if not len(places):
-        return ""
+        return Markup()
     frame = _Frame(places)
     under = [] if road is None or not report.metres else [_picture(road, frame)]
     parts = [*under, *_marks(report, frame), *_tracks(chosen, frame), *_conflicts(report, frame)]
@@ -81,8 +82,8 @@ def road_map(report: TrafficReport, road: RoadPicture | None) -> str:
     drawn = f"{len(chosen)} of {len(tracks)}" if len(chosen) < len(tracks) else f"{len(tracks)}"
     told = f"{drawn} tracks {'from above' if report.metres else 'in the image'}; gates with their counts"
     names = ("vehicles", "two-wheelers", "people", "conflicts")
-    keys = [tag("li", tag("span", class_=f"key road-{k}"), name) for k, name in enumerate(names)]
-    return tag("figure", tag("figcaption", told), drawing, tag("ul", *keys, class_="legend"), class_="wide")
+    keys = [tag("span", class_=f"key road-{k}") + name for k, name in enumerate(names)]
+    return piece("figure", told, drawing, keys, wide=True)
 
 
 def _outline(tracks: Sequence[Track], lines: Sequence[Outline]) -> Array:
@@ -99,7 +100,7 @@ def _outline(tracks: Sequence[Track], lines: Sequence[Outline]) -> Array:
     return np.concatenate([ends, corners.clip(low - around, high + around)])
 
 
-def _picture(road: RoadPicture, frame: _Frame) -> str:
+def _picture(road: RoadPicture, frame: _Frame) -> Markup:
     (west, north), (east, south) = frame.points([(road.low[0], road.high[1]), (road.high[0], road.low[1])])
     return tag(
         "image",
@@ -112,14 +113,14 @@ def _picture(road: RoadPicture, frame: _Frame) -> str:
     )
 
 
-def _marks(report: TrafficReport, frame: _Frame) -> Iterator[str]:
+def _marks(report: TrafficReport, frame: _Frame) -> Iterator[Markup]:
     for zone in report.site.zones if report.metres else ():
         yield tag("path", d=frame.path(zone.polygon, closed=True), class_="zone", data_tip=f"zone {zone.name}")
     for lane in report.site.lanes if report.metres else ():
         yield tag("path", d=frame.path(lane.line), class_="lane", data_tip=f"lane {lane.name}")
 
 
-def _tracks(tracks: Sequence[Track], frame: _Frame) -> Iterator[str]:
+def _tracks(tracks: Sequence[Track], frame: _Frame) -> Iterator[Markup]:
     faint = max(0.15, min(0.8, 40 / max(1, len(tracks))))
     for one in tracks:
         kind = 0 if one.category == VEHICLE else 2 if one.category == PEDESTRIAN else 1
@@ -128,7 +129,7 @@ def _tracks(tracks: Sequence[Track], frame: _Frame) -> Iterator[str]:
         yield tag("path", d=path, class_=f"track road-{kind}", stroke_opacity=f"{faint:.2f}", data_tip=tip)
 
 
-def _conflicts(report: TrafficReport, frame: _Frame) -> Iterator[str]:
+def _conflicts(report: TrafficReport, frame: _Frame) -> Iterator[Markup]:
     for one in report.conflicts.conflicts[:_MOST_CONFLICTS]:
         ((x, y),) = frame.points(one.place[None])
         measures = [
@@ -141,7 +142,7 @@ def _conflicts(report: TrafficReport, frame: _Frame) -> Iterator[str]:
         yield tag("circle", cx=f"{x:.1f}", cy=f"{y:.1f}", r=4, class_="road-3", data_tip=tip)
 
 
-def _gate(report: TrafficReport, frame: _Frame, name: str, line: Outline) -> Iterator[str]:
+def _gate(report: TrafficReport, frame: _Frame, name: str, line: Outline) -> Iterator[Markup]:
     """A gate, its name and its counts."""
     (ax, ay), (bx, by) = frame.points(line)
     told = [
@@ -153,10 +154,10 @@ def _gate(report: TrafficReport, frame: _Frame, name: str, line: Outline) -> Ite
     yield tag("path", d=f"M{ax:.1f} {ay:.1f}L{bx:.1f} {by:.1f}", class_="gate", data_tip=tip)
     x, y = (ax + bx) / 2, (ay + by) / 2
     label = f"{name}: {' / '.join(str(count) for _, count, _ in told)}"
-    yield tag("text", escape(label), x=f"{x:.1f}", y=f"{y - 8:.1f}", text_anchor="middle", class_="gate")
+    yield tag("text", label, x=f"{x:.1f}", y=f"{y - 8:.1f}", text_anchor="middle", class_="gate")
 
 
-def _bar(frame: _Frame) -> str:
+def _bar(frame: _Frame) -> Markup:
     """A bar of so many metres."""
     length = max(one for one in _BARS_M if one * frame.scale < _WIDTH / 4 or one == _BARS_M[0])
     x, y = _MARGIN / 2, frame.height - 10

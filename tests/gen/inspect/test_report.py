@@ -21,8 +21,9 @@ from skope.dataset import coco
 from skope.dataset.depth_files import depth_png
 from skope.dataset.folder import open_dataset
 from skope.gen.inspect.report import spread_of, spread_out, spread_plots
-from skope.gen.inspect.report_layers import figure
+from skope.gen.inspect.report_layers import shown_photo
 from skope.keypoints import PUBLISHED, SKOPE33
+from skope.page.templates import piece
 from skope.pictures import draw
 from skope.schema import Annotation, AnnotationFile, Box3D, Image
 from tests.html_page import Page
@@ -187,7 +188,7 @@ def lines_of(markup: str, class_: str) -> NDArray[np.float64]:
 def shown(dataset: Path, **changes: Any) -> str:
     folder = open_dataset(dataset)
     image = replace(folder.read("easy").images[0], camera=CAMERA)
-    return figure(folder, replace(image, **changes), [whole_vehicle(1, 1)])
+    return shown_photo(folder, replace(image, **changes), [whole_vehicle(1, 1)]).drawing
 
 
 @pytest.mark.parametrize("lens", ["none", "brown"])
@@ -230,11 +231,16 @@ def test_vehicles_have_the_colours_of_the_overlays(dataset: Path) -> None:
     assert "--c:#{:02x}{:02x}{:02x}".format(*draw.DRAWING_STYLE.palette[1]) in shown(dataset)
 
 
+def plots_of(file: AnnotationFile) -> str:
+    """Markup of the plots of a file."""
+    return "".join(piece("block", plot) for plot in spread_plots({"easy": spread_of(file)}, SKOPE33))
+
+
 def test_plots_count_every_vehicle_once() -> None:
     rows = [replace(make_annotation(i, 1, (0, 0, 40, 30 + i), hidden=3), distance=float(i)) for i in range(1, 11)]
     ignored = make_annotation(11, 1, (0, 0, 9, 9), iscrowd=1)
     file = AnnotationFile(images=(make_image(1),), annotations=(*rows, ignored), name="easy")
-    page = Page("".join(spread_plots({"easy": spread_of(file)}, SKOPE33)))
+    page = Page(plots_of(file))
     tips = [a["data-tip"] or "" for a in page.all("path") if "data-tip" in a]
     far = [tip for tip in tips if "distance" in tip]
     # Bands of 1 m up to 20 m; only bars that are higher than nothing say what they are.
@@ -246,9 +252,9 @@ def test_plots_count_every_vehicle_once() -> None:
 
 def test_splits_with_no_vehicle_and_with_one_at_no_distance_have_plots_too() -> None:
     file = AnnotationFile(images=(make_image(1),), annotations=(), name="easy")
-    assert Page("".join(spread_plots({"easy": spread_of(file)}, SKOPE33))).all("svg")
+    assert Page(plots_of(file)).all("svg")
     here = replace(make_annotation(1, 1, (0, 0, 40, 30)), distance=0.0)
-    page = Page("".join(spread_plots({"easy": spread_of(replace(file, annotations=(here,)))}, SKOPE33)))
+    page = Page(plots_of(replace(file, annotations=(here,))))
     assert "easy (1): distance, m 0 to 1, share of vehicles 1.000" in [a.get("data-tip") for a in page.all("path")]
 
 

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from skope.camera.model import Camera
-from skope.site.page.frames import SiteFrames
+from skope.site.page.inputs import SiteFrames
 from skope.site.page.site_server import SiteServer, bound_site
 from tests.chromium import Browser
 

@@ -14,7 +14,7 @@ import pytest
 
 from skope.camera.calibrate import SiteCalibration, calibrate
 from skope.camera.evidence import Evidence
-from skope.site.page.frames import SiteFrames
+from skope.site.page.inputs import SiteFrames
 from skope.site.page.overlays import overlays
 from skope.site.site_file import SiteFile, read_site
 from tests.site.page.conftest import CAMERA, PLACES, SIZE, Served, SitePage, marked_points, pixels_of, road_picture

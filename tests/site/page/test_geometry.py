@@ -11,12 +11,11 @@ from skope.camera.evidence import Evidence, marked_points
 from skope.camera.ground_plane import ground_places
 from skope.camera.model import Camera
 from skope.errors import UserError
-from skope.site.page.document_values import unique_names
 from skope.site.page.drawings import gate_warnings, read_drawings, shapes
-from skope.site.page.inputs import merged_document
-from skope.site.page.marks import marks_of_document
+from skope.site.page.marks import marks_of_document, unique_names
 from skope.site.page.overlays import car_edges, horizon_line, overlays
 from skope.site.page.plan import plan_scale, seen_from_above
+from skope.site.page.site_store import merged_document
 from skope.site.page.solved_page import error_map
 from tests.site.page.conftest import PLACES, SIZE, empty_document, pixels_of
 

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from skope.errors import UserError
-from skope.site.page.frames import SiteFrames
+from skope.site.page.inputs import SiteFrames
 from skope.site.page.plan import map_places
 from skope.site.page.solved_page import SolvedPage
 from skope.site.site_file import SiteFile, read_site

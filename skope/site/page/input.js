@@ -1,7 +1,99 @@
-// What the keyboard does: a cross-hair over the picture, marks that arrow keys move, a letter for each tool.
+// What mouse, pen, fingers and keys do on the picture: mark, drag handles, move and zoom, a cross-hair for the keyboard.
 
-import { handlesOf } from "./draw_marks.js";
-import { KINDS } from "./kinds.js";
+import { keyOf } from "./dom.js";
+import { handlesOf } from "./draw.js";
+import { DRAWN, KINDS, MARKED } from "./marks.js";
+import { Gestures } from "./viewport.js";
+
+const NEAR_PX = { mouse: 9, pen: 14, touch: 24 }; // so near to a handle it is meant
+
+// `now` is what the page is at, `page` gives what is drawn; `does` has `mark`, `put`, `choose`, `ended` (a second press of
+// two), `tell` and `draw`, and `grabs`, whether handles can be taken at this moment.
+export class Pointer extends Gestures {
+  constructor(stage, viewport, now, page, does) {
+    super(stage, viewport);
+    Object.assign(this, { now, page, does });
+    stage.addEventListener("dblclick", () => does.ended());
+  }
+
+  begin(event) {
+    const touch = event.pointerType === "touch";
+    this.now.cursor = null;
+    this.now.byTouch = touch;
+    const free = this.does.grabs();
+    // A finger is as wide as marks are apart on a phone: while it marks, it takes no handle along.
+    const marks = touch && this.now.tool !== "select";
+    const grabbed = free && !marks ? this.nearest(event) : null;
+    const does = grabbed ? "drag" : marks || (touch && !free) ? "aim" : "move";
+    if (touch && does !== "move") this.viewport.magnify(event);
+    if (grabbed) this.does.choose(grabbed);
+    return { does, grabbed };
+  }
+
+  // Two fingers, or a pointer that the browser takes away.
+  interrupted() {
+    this.viewport.unmagnify();
+    this.now.dragged = null;
+    this.now.cursor = null;
+    this.does.draw();
+  }
+
+  // The handle that is meant by a press, with how far beside it that was.
+  nearest(event) {
+    const [x, y] = this.viewport.at(event);
+    let best = (NEAR_PX[event.pointerType] || NEAR_PX.mouse) / this.viewport.scale;
+    let found = null;
+    const page = this.page();
+    // While something is drawn, only handles of its kind are in the way: a lane may begin at a marked point.
+    for (const kind of page.tool === "select" ? [...MARKED, ...DRAWN] : [page.tool]) {
+      page.document[kind].forEach((entry, index) => {
+        handlesOf(kind, index, entry, page).forEach((place, part) => {
+          const away = place ? Math.hypot(place[0] - x, place[1] - y) : Infinity;
+          if (away < best) [best, found] = [away, { kind, index, part, offset: [place[0] - x, place[1] - y] }];
+        });
+      });
+    }
+    return found;
+  }
+
+  move(event) {
+    this.does.tell(this.viewport.at(event));
+    super.move(event);
+  }
+
+  hover(event) {
+    this.now.hover = this.now.pending.length && event.pointerType === "mouse" ? this.viewport.at(event) : null;
+    if (this.now.pending.length) this.does.draw();
+  }
+
+  go(event, { does, grabbed, moved }) {
+    const touch = event.pointerType === "touch";
+    if (touch) this.viewport.magnify(event);
+    if (!moved || does !== "drag") return;
+    const at = this.viewport.at(event);
+    const [dx, dy] = touch ? [0, 0] : grabbed.offset;
+    this.now.dragged = { ...grabbed, position: [at[0] + dx, at[1] + dy] };
+    this.does.draw();
+  }
+
+  left(event) {
+    this.viewport.unmagnify();
+    return super.left(event);
+  }
+
+  end(event, { does, grabbed, moved }) {
+    const { dragged } = this.now;
+    this.now.dragged = null;
+    if (does === "drag") {
+      if (dragged) this.does.put(dragged, dragged.position);
+      else this.does.choose(grabbed);
+    } else if (does === "aim" || !moved) this.does.mark(this.viewport.at(event));
+  }
+}
+
+// ---------------------------------------------------------------------------------------------------------------- keys
+
+// What the keyboard does: a cross-hair over the picture, marks that arrow keys move, a letter for each tool.
 
 const ARROWS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
 const FIELDS = "input:not([type=range]):not([type=checkbox]):not([type=file]), select, textarea";
@@ -29,7 +121,7 @@ export class Keys {
 
   down(event) {
     if (document.querySelector("dialog[open]")) return;
-    const key = event.key.length === 1 ? event.key.toLowerCase() : event.key;
+    const key = keyOf(event);
     const typing = event.target.closest(FIELDS);
     if (event.ctrlKey || event.metaKey) return this.chord(event, key, typing);
     if (event.altKey) return;

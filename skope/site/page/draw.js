@@ -1,15 +1,7 @@
 // What lies over the picture, as SVG: marks with their handles, what the camera says of the road, gates, zones and lanes.
 
-import { DRAWN, KINDS, MARKED, inImage, ofSize, positionsOf } from "./kinds.js";
-
-const SVG = "http://www.w3.org/2000/svg";
-
-export function element(name, attributes, ...children) {
-  const made = document.createElementNS(SVG, name);
-  for (const [key, value] of Object.entries(attributes)) made.setAttribute(key, value);
-  made.append(...children);
-  return made;
-}
+import { element } from "./dom.js";
+import { DRAWN, KINDS, MARKED, inImage, ofSize, positionsOf } from "./marks.js";
 
 const line = (positions, closed) => positions.length > 1 ? "M" + positions.map((p) => p.join(" ")).join("L") + (closed ? "Z" : "") : "";
 const lines = (polylines) => polylines.map((positions) => line(positions)).join("");

@@ -1,0 +1,132 @@
+"""Pages from templates: HTML stands in files below skope/, every value is escaped, and Python hands values over.
+
+base.html is the frame of all pages, pieces.html has the macros that they share.
+"""
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from importlib import resources
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from markupsafe import Markup, escape
+
+if TYPE_CHECKING:
+    from jinja2 import Environment
+
+_IMPORT: Final = re.compile(r'^import \{[^}]*\} from "\./([\w.]+)";\n', re.MULTILINE)
+_EXPORT: Final = re.compile(r"^export ", re.MULTILINE)
+_CODE: Final = re.compile(r"`([^`]+)`")
+
+
+@dataclass(frozen=True)
+class Cell:
+    """A cell of a table with a note below its text."""
+
+    text: object
+    note: str | None
+
+
+@dataclass(frozen=True)
+class ShareCell:
+    """A cell of a table with a share from 0 to 1, shown as percent with a bar behind it; None: not available."""
+
+    share: float | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Table:
+    """A table of a page."""
+
+    caption: str
+    """Caption. Of a sticky table it is the label only, as it would scroll away: its title stands above it."""
+    head: Sequence[str]
+    rows: Sequence[Sequence[object]]
+    """Cells of each row: texts, `Cell` or `ShareCell`; the first one is the row's header."""
+    foot: Sequence[object] = ()
+    """Cells of a row of totals; empty for none."""
+    sortable: bool = False
+    """Headings are buttons, by which the page's script sorts."""
+    sticky: bool = False
+    """Headings and the first column stay visible while the table scrolls in its box; useful for long tables."""
+    folded: bool | None = None
+    """Whether a table in a section that opens is closed at first; None: it is in none."""
+
+
+def render(template: str | Path, **values: Any) -> str:
+    """Write a page.
+
+    Args:
+        template: Path of its template below skope/; a `Path` is that of any file.
+        values: What that is filled with; all but `Markup` is escaped.
+    """
+    known = _environment()
+    if isinstance(template, Path):
+        return known.from_string(template.read_text(encoding="utf-8")).render(values)
+    return known.get_template(template).render(values)
+
+
+def piece(macro: str, *values: Any, **named: Any) -> Markup:
+    """What a macro of pieces.html makes of its arguments."""
+    return Markup(getattr(_environment().get_template("page/pieces.html").module, macro)(*values, **named))
+
+
+@lru_cache
+def _environment() -> "Environment":
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
+    made = Environment(
+        loader=PackageLoader("skope", ""),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    made.filters |= {"code": _code, "number": number_text, "percent": percent_text}
+    made.globals |= {"bundled": bundled_script, "text_of": text_of}
+    return made
+
+
+def text_of(path: str) -> Markup:
+    """The text of a file below skope/, as it is."""
+    return Markup(resources.files("skope").joinpath(path).read_text(encoding="utf-8"))
+
+
+def bundled_script(*entries: str) -> Markup:
+    """One script for a page that is a single file: modules with all that they import, each in a scope of its own.
+
+    Args:
+        entries: Paths below skope/. What they import lies beside them, or in skope/page.
+    """
+    parts: dict[str, str] = {}
+
+    def add(path: str) -> None:
+        text = text_of(path)
+        for name in _IMPORT.findall(text):
+            beside = f"{path.rpartition('/')[0]}/{name}"
+            other = beside if resources.files("skope").joinpath(beside).is_file() else f"page/{name}"
+            if other not in parts:
+                add(other)
+        body = _EXPORT.sub("", _IMPORT.sub("", text))
+        parts[path] = f"{{\n{body}}}\n" if path in entries else body
+
+    for entry in entries:
+        add(entry)
+    return Markup('"use strict";\n{\n' + "".join(parts.values()) + "}\n")
+
+
+def _code(text: str) -> Markup:
+    """A text whose parts in backticks are code."""
+    return Markup(_CODE.sub(r"<code>\1</code>", str(escape(text))))
+
+
+def percent_text(value: float | None) -> str:
+    """A share in percent, "–" where there was nothing to divide by."""
+    return "–" if value is None else f"{100 * value:.1f} %"
+
+
+def number_text(value: float | None, digits: int = 3) -> str:
+    """A number with `digits` decimals, "–" for None."""
+    return "–" if value is None else f"{value:.{digits}f}"

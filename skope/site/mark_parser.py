@@ -1,0 +1,219 @@
+"""Marks in a camera's image, read from a site file and from the page alike: one parser with one set of limits."""
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+
+from skope.camera.evidence import MARKING_ERRORS, MarkedLength, MarkedPoint, ParallelLines, Vertical
+from skope.errors import UserError
+from skope.records import is_number, shown
+
+FARTHEST: Final = 1e8
+"""Largest coordinate of a place, metres."""
+WIDEST_PX: Final = 1e5
+"""Largest column or row of a mark, pixels."""
+LENGTH_M: Final = (0.01, 1e4)
+VERTICAL_M: Final = (0.01, 1000.0)
+SIGMA: Final = (1e-4, 1e3)
+"""Of a mark's standard deviations, metres or pixels."""
+KNOWN_RANGES: Final = {"fov_deg": (2.0, 170.0), "height_m": (0.5, 1000.0)}
+"""Horizontal field of view, degrees, and the camera's height over the road, metres."""
+LEAST_KNOWN_SIGMA: Final = 1e-4
+"""Of values of `KNOWN_RANGES` and of a lens, in their units; they are as uncertain as their upper limit at most."""
+LENS: Final = {"focal_px": (10.0, 1e5), "k1": (-2.0, 2.0)}
+LONGEST_NAME: Final = 200
+"""Letters of a name."""
+NO_NAME: Final = f"expected a name of one line and up to {LONGEST_NAME} letters"
+LANE_WIDTH_M: Final = (0.5, 50.0)
+MARKED_LENGTH_SIGMA_M: Final = 0.05
+"""Standard deviation of a length where nothing is said of it, metres."""
+HEIGHT_SIGMA_M: Final = 0.1
+"""Standard deviation of the height of a vertical where nothing is said of it, metres."""
+KINDS: Final = ("points", "lengths", "parallels", "verticals")
+"""Lists of marks, in the order in which the solver has their residuals."""
+_MAX_ROWS: Final = 500
+"""Maximum number of positions of an entry: a person marks some dozens."""
+_SHORTEST_PX: Final = 1.0
+"""Two ends of a mark that are nearer to each other are one, pixels."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Problem:
+    """Fault of one field of one entry."""
+
+    kind: str
+    """Name of the list."""
+    index: int
+    field: str
+    text: str
+    missing: bool = False
+    """Whether the field is only not filled in yet."""
+
+
+def is_name(value: Any) -> bool:
+    """Whether something is a name of one line, in any script, and not too long to be shown."""
+    return isinstance(value, str) and bool(value.strip()) and len(value) <= LONGEST_NAME and value.isprintable()
+
+
+def number_or_none(value: Any) -> float | None:
+    """A finite number, or None for anything else."""
+    return float(value) if is_number(value) else None
+
+
+def positions(value: Any, width: int) -> list[list[float]] | None:
+    """Rows of `width` numbers each, or None for anything else."""
+    if not isinstance(value, list) or len(value) > _MAX_ROWS:
+        return None
+    if any(not isinstance(row, list) or len(row) != width or not all(map(is_number, row)) for row in value):
+        return None
+    return [[float(one) for one in row] for row in value]
+
+
+def known_value(value: Any, limits: tuple[float, float]) -> tuple[float, float] | None:
+    """A value that a camera can have, with its standard deviation; None for anything else.
+
+    Args:
+        value: [value, standard deviation], in the same unit: the latter from `LEAST_KNOWN_SIGMA` to the upper limit.
+        limits: Least and largest value.
+    """
+    rows = positions([value], 2)
+    if rows is None:
+        return None
+    (found, sigma), (low, high) = rows[0], limits
+    return (found, sigma) if low <= found <= high and LEAST_KNOWN_SIGMA <= sigma <= high else None
+
+
+def read_mark(kind: str, index: int, name: str, value: Callable[[str], Any]) -> tuple[Any, list[Problem]]:
+    """Read one mark.
+
+    Args:
+        kind: One of `KINDS`.
+        index: Index in its list, for the problems.
+        name: Its name.
+        value: Gives the value of a field; None where there is none.
+
+    Returns:
+        The mark, None if there are problems, and these.
+    """
+    fields = _Fields(kind, index, value)
+    made = None
+    try:
+        made = _READERS[kind](fields, name)
+    except UserError as error:
+        if not fields.problems:
+            fields.wrong("", str(error))
+    return (None if fields.problems else made), fields.problems
+
+
+class _Fields:
+    """The fields of one entry, and what is wrong with them."""
+
+    def __init__(self, kind: str, index: int, value: Callable[[str], Any]) -> None:
+        self.kind, self.index, self.value = kind, index, value
+        self.problems: list[Problem] = []
+
+    def wrong(self, field: str, text: str, *, missing: bool = False) -> None:
+        self.problems.append(Problem(kind=self.kind, index=self.index, field=field, text=text, missing=missing))
+
+    def number(self, field: str, low: float, high: float, unit: str, default: float | None = None) -> float:
+        """A number between two limits; NaN, with a problem noted, where there is none such.
+
+        A field that is empty has the default; where that is None, it is missing.
+        """
+        value = self.value(field)
+        if value in (None, ""):
+            if default is None:
+                self.wrong(field, f"type how many {unit}", missing=True)
+            return math.nan if default is None else default
+        found = number_or_none(value)
+        if found is None or not low <= found <= high:
+            self.wrong(field, f"expected a number from {low:g} to {high:g} {unit}".rstrip() + f", got {shown(value)}")
+        return math.nan if found is None else found
+
+    def sigma(self, field: str, default: float) -> float:
+        """A standard deviation."""
+        return self.number(field, *SIGMA, "", default)
+
+    def ends(self, field: str, same: str) -> Any:
+        """(2, 2) the two ends of a mark, pixels; `same` is said of two that are one."""
+        rows = in_image(self.value(field))
+        if rows is None or len(rows) != 2:
+            self.wrong(field, "expected column and row in pixels, two numbers, of both ends")
+        elif math.dist(*rows) < _SHORTEST_PX:
+            self.wrong(field, same)
+        return np.array(rows)
+
+
+def in_image(value: Any) -> list[list[float]] | None:
+    """Rows of column and row, no farther off than marks may be, or None for anything else."""
+    rows = positions(value, 2)
+    return None if rows is None or any(abs(one) > WIDEST_PX for row in rows for one in row) else rows
+
+
+def _point(fields: _Fields, name: str) -> MarkedPoint | None:
+    pixel = in_image([fields.value("pixel")])
+    if pixel is None:
+        fields.wrong("pixel", "expected column and row in pixels, two numbers")
+    place = fields.value("place")
+    if place is None:
+        place = [None, None, 0.0]
+    if not isinstance(place, list) or len(place) not in (2, 3):
+        fields.wrong("place", f"expected 2 or 3 numbers, metres, got {shown(place)}")
+        return None
+    place = [*place, 0.0][:3]
+    for axis, value in zip("xyz", place, strict=True):
+        found = number_or_none(value)
+        if value in (None, ""):
+            fields.wrong(f"place.{axis}", "type it in metres", missing=True)
+        elif found is None or abs(found) > FARTHEST:
+            fields.wrong(f"place.{axis}", f"expected metres, got {shown(value)}")
+    usual = {"sigma_px": MARKING_ERRORS.pixel, "sigma_m": MARKING_ERRORS.place_m, "sigma_z_m": MARKING_ERRORS.height_m}
+    sigmas = {field: fields.sigma(field, default) for field, default in usual.items()}
+    if fields.problems or pixel is None:
+        return None
+    return MarkedPoint(np.array(pixel[0]), np.array(place, dtype=np.float64), name=name, **sigmas)
+
+
+def _length(fields: _Fields, name: str) -> MarkedLength | None:
+    pixels = fields.ends("pixels", "its two ends are the same")
+    metres = fields.number("metres", *LENGTH_M, "metres")
+    sigmas = {
+        "sigma_m": fields.sigma("sigma_m", MARKED_LENGTH_SIGMA_M),
+        "sigma_px": fields.sigma("sigma_px", MARKING_ERRORS.pixel),
+    }
+    return None if fields.problems else MarkedLength(pixels, metres, name=name, **sigmas)
+
+
+def _parallels(fields: _Fields, name: str) -> ParallelLines | None:
+    lines = fields.value("lines")
+    rows = [in_image(line) for line in lines] if isinstance(lines, list) else []
+    sigma = fields.sigma("sigma_px", MARKING_ERRORS.pixel)
+    if not rows or any(row is None or len(row) != 2 for row in rows):
+        fields.wrong("lines", "expected column and row in pixels for both ends of each line")
+    elif len(rows) < 2:
+        fields.wrong("lines", "draw a second line that is parallel to this one on the road", missing=True)
+    elif any(row is not None and math.dist(*row) < _SHORTEST_PX for row in rows):
+        fields.wrong("lines", "both ends of a line are the same")
+    return None if fields.problems else ParallelLines(np.array(rows), name=name, sigma_px=sigma)
+
+
+def _vertical(fields: _Fields, name: str) -> Vertical | None:
+    pixels = fields.ends("pixels", "its foot and its top are the same")
+    known = fields.value("metres") not in (None, "")
+    metres = fields.number("metres", *VERTICAL_M, "metres") if known else None
+    sigmas = {
+        "sigma_m": fields.sigma("sigma_m", HEIGHT_SIGMA_M),
+        "sigma_px": fields.sigma("sigma_px", MARKING_ERRORS.pixel),
+    }
+    return None if fields.problems else Vertical(pixels, metres, name=name, **sigmas)
+
+
+_READERS: Final[Mapping[str, Callable[[_Fields, str], Any]]] = {
+    "points": _point,
+    "lengths": _length,
+    "parallels": _parallels,
+    "verticals": _vertical,
+}
