@@ -22,19 +22,19 @@ from skope.records import check_array, check_choice, check_number, check_share, 
 from skope.types import Array
 
 SCHEMA_VERSION: Final = 1
-VEHICLE: Final = "vehicle"
+VEHICLE_CATEGORY: Final = "vehicle"
 """The category of all on more than two wheels."""
-PEDESTRIAN: Final = "pedestrian"
+PEDESTRIAN_CATEGORY: Final = "pedestrian"
 """The category of people on foot, the only road users who ride nothing."""
-CATEGORIES: Final = (VEHICLE, "bicycle", "motorcycle", PEDESTRIAN)
+CATEGORY_NAMES: Final = (VEHICLE_CATEGORY, "bicycle", "motorcycle", PEDESTRIAN_CATEGORY)
 """Names of the categories, whose ids count from 1. Only a vehicle has keypoints; a rider belongs to what is ridden."""
-VEHICLE_ALONE: Final = CATEGORIES[:1]
+VEHICLE_ALONE: Final = CATEGORY_NAMES[:1]
 """The categories of a file whose makers labelled vehicles alone."""
 CATEGORY_ID: Final = 1
-"""Id of the category `VEHICLE`."""
+"""Id of the category `VEHICLE_CATEGORY`."""
 ROAD_USER_IDS: Final = (2, 3, 4)
 """Ids of the categories without keypoints."""
-_SUPERCATEGORIES: Final = ("vehicle", "vehicle", "vehicle", "person")
+SUPERCATEGORY_NAMES: Final = ("vehicle", "vehicle", "vehicle", "person")
 
 VEHICLE_TYPES: Final = (
     "city_car", "hatchback", "sedan", "coupe", "wagon", "suv", "minivan", "pickup", "van", "box_truck", "bus", "truck",
@@ -43,7 +43,7 @@ VEHICLE_TYPES: Final = (
 VEHICLE_COLORS: Final = (
     "white", "black", "grey", "silver", "blue", "red", "brown", "green", "orange", "yellow", "gold", "purple", "other",
 )  # fmt: skip
-WEATHERS: Final = ("clear", "cloudy", "overcast", "rain", "after_rain", "fog", "snow")
+WEATHER_NAMES: Final = ("clear", "cloudy", "overcast", "rain", "after_rain", "fog", "snow")
 _OUTSIDE_SHARE: Final = 0.1
 _OUTSIDE_PX: Final = 2.0
 IGNORE_REASONS: Final = ("occluded", "sliver", "small", "unseen")
@@ -66,8 +66,8 @@ def category_rows(categories: Iterable[str], scheme: Scheme = SKOPE33) -> list[d
     rows = [category(scheme)]
     for name in categories:
         if name != "vehicle":
-            which = CATEGORIES.index(name)
-            kind = _SUPERCATEGORIES[which]
+            which = CATEGORY_NAMES.index(name)
+            kind = SUPERCATEGORY_NAMES[which]
             rows.append({"id": which + 1, "name": name, "supercategory": kind, "keypoints": [], "skeleton": []})
     return rows
 
@@ -76,10 +76,10 @@ def checked_categories(categories: Iterable[str]) -> tuple[str, ...]:
     """Names of categories in the order of their ids; a UserError where one is unknown or `vehicle` is missing."""
     names = tuple(categories)
     for name in names:
-        check_choice("categories", name, CATEGORIES)
+        check_choice("categories", name, CATEGORY_NAMES)
     if "vehicle" not in names:
         raise UserError(f"categories: expected vehicle among {', '.join(names) or 'no names'}")
-    return tuple(name for name in CATEGORIES if name in names)
+    return tuple(name for name in CATEGORY_NAMES if name in names)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -114,7 +114,7 @@ class Image:
                 safe_names.name(field_name, value)
         if self.frame_index is not None:
             check_whole("frame_index", self.frame_index, 0)
-        check_choice("weather", self.weather, WEATHERS)
+        check_choice("weather", self.weather, WEATHER_NAMES)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -249,7 +249,7 @@ class _Categorised:
     @property
     def category(self) -> str:
         """Name of its category."""
-        return CATEGORIES[self.category_id - 1]
+        return CATEGORY_NAMES[self.category_id - 1]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -257,7 +257,7 @@ class RoadUser(Labelled, _Categorised):
     """One bicycle or motorcycle, each with whoever rides it, or one person on foot, in one image."""
 
     category_id: int
-    """2 to 4, see `CATEGORIES`."""
+    """2 to 4, see `CATEGORY_NAMES`."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -377,7 +377,7 @@ class RoadUserResult(Found, _Categorised):
     """One predicted bicycle, motorcycle or person on foot of a COCO results file."""
 
     category_id: int
-    """2 to 4, see `CATEGORIES`."""
+    """2 to 4, see `CATEGORY_NAMES`."""
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -168,10 +168,10 @@ def random_categories(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
     from skope.detector.build import DetectorConfig, build
     from skope.detector.checkpoint import checkpoint_name, save_weights
-    from skope.schema import CATEGORIES
+    from skope.schema import CATEGORY_NAMES
     from tests.train.conftest import shrink
 
-    config = DetectorConfig(norm="batch", norm_eps=1e-5, min_size=64, max_size=96, categories=CATEGORIES)
+    config = DetectorConfig(norm="batch", norm_eps=1e-5, min_size=64, max_size=96, categories=CATEGORY_NAMES)
     with pytest.MonkeyPatch.context() as patch, torch.random.fork_rng(), torch.no_grad():
         shrink(patch)
         torch.manual_seed(0)

@@ -32,7 +32,7 @@ def make_dataset(
     root: Path,
     images: int = 2,
     splits: tuple[str, ...] = ("train", "easy"),
-    categories: tuple[str, ...] = schema.CATEGORIES,
+    categories: tuple[str, ...] = schema.CATEGORY_NAMES,
     users: tuple[str, ...] = ("pedestrian", "bicycle"),
     ignored: bool = False,
 ) -> Path:

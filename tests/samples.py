@@ -14,7 +14,7 @@ from skope.camera.model import Camera
 from skope.camera.uncertain_camera import UncertainCamera
 from skope.dataset import coco
 from skope.files.json_files import write_json
-from skope.schema import CATEGORIES, Annotation, AnnotationFile, Image, RoadUser
+from skope.schema import CATEGORY_NAMES, Annotation, AnnotationFile, Image, RoadUser
 
 # A vehicle seen from its front left, in units of its box: x, y and v of each keypoint, all distinct.
 _RNG = np.random.default_rng(33)
@@ -82,7 +82,7 @@ def make_road_user(
     return RoadUser(
         id=user_id,
         image_id=image_id,
-        category_id=CATEGORIES.index(category) + 1,
+        category_id=CATEGORY_NAMES.index(category) + 1,
         bbox=np.array(bbox),
         bbox_visible=np.array(bbox),
         area=area,
@@ -121,7 +121,7 @@ def make_dataset(
 
     With `road_users` each has a pedestrian too, a bicycle and an ignored motorcycle, all labelled.
     """
-    categories = CATEGORIES if road_users else CATEGORIES[:1]
+    categories = CATEGORY_NAMES if road_users else CATEGORY_NAMES[:1]
     rng = np.random.default_rng(seed)
     image_id = annotation_id = 0
     for split in splits:

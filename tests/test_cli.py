@@ -160,7 +160,7 @@ CHOSEN = {
     "skope gen convert --to": WRITER_NAMES,
     "skope gen convert --from": READER_NAMES,
     "skope train export --to": tuple(EXPORT_SUFFIXES),
-    "--weather": schema.WEATHERS,
+    "--weather": schema.WEATHER_NAMES,
     "--time-of-day": TIMES_OF_DAY,
     "--engine": ("local", "ray"),
     "--supervise": SUPERVISE_CHOICES,
@@ -251,7 +251,7 @@ def test_a_flag_is_written_alike_everywhere() -> None:
         "--split": {"A,B,..", "NAME"},
         "--site": {"NAME|FILE", "FILE"},  # `gen sites` checks files only
         # Recordings have several, a video has one.
-        "--weather": {choices := f"[{'|'.join(schema.WEATHERS)}]", f"{choices},.."},
+        "--weather": {choices := f"[{'|'.join(schema.WEATHER_NAMES)}]", f"{choices},.."},
         "--time-of-day": {choices := f"[{'|'.join(TIMES_OF_DAY)}]", f"{choices},.."},
     }
 

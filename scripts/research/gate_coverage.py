@@ -33,7 +33,7 @@ from skope.dataset import coco
 from skope.errors import UserError
 from skope.files.atomic import write_text
 from skope.files.json_files import read_json, write_json
-from skope.schema import VEHICLE
+from skope.schema import VEHICLE_CATEGORY
 from skope.site.gates_zones_lanes import Gate
 from skope.site.site_file import SiteFile, read_site
 from skope.site.traffic_settings import OF_VEHICLES
@@ -163,10 +163,12 @@ def paired(told: Sequence[GateCrossing], real: Sequence[GateCrossing]) -> set[in
 
 def rows_of(folder: Path, *, true_keypoints: bool) -> Iterator[Row]:
     """A row per clip, way, gate and direction: vehicles counted and true, the interval, and each crossing."""
-    real = [one for one in true_crossings(folder) if one.trajectory.category == VEHICLE]
+    real = [one for one in true_crossings(folder) if one.trajectory.category == VEHICLE_CATEGORY]
     for way, report in reports(folder, true_keypoints=true_keypoints):
         step_s = usual_step(report.trajectories)
-        every = [one for one in (*report.crossings, *report.unseen.doubtful) if one.trajectory.category == VEHICLE]
+        every = [
+            one for one in (*report.crossings, *report.unseen.doubtful) if one.trajectory.category == VEHICLE_CATEGORY
+        ]
         happened = paired(every, real)
         totals = {(one.gate, one.direction): one for one in report.counts_total if one.class_name in ("vehicle", "all")}
         for gate in report.gates:

@@ -45,7 +45,7 @@ from skope.gen.scene.recording import Recording, RecordingPlan, vehicle_body
 from skope.gen.simulation.simulate import simulate
 from skope.gen.towns.road_graph import RoadGraph, beside, legs
 from skope.gen.towns.sites import site
-from skope.schema import VEHICLE
+from skope.schema import VEHICLE_CATEGORY
 from skope.site.gates_zones_lanes import Gate
 from skope.tracking.tracks import OF_BODY_TYPE
 from skope.tracks.track import Track
@@ -129,7 +129,7 @@ def write_truth(path: Path, recording: Recording) -> None:
             T = moment.T_world_chassis[i]
             if recorded.labelled:
                 vehicle = vehicle_body(recorded)
-                category, kind = VEHICLE, OF_BODY_TYPE.get(vehicle.vehicle_type, "car")
+                category, kind = VEHICLE_CATEGORY, OF_BODY_TYPE.get(vehicle.vehicle_type, "car")
                 center, size = T[:3, 3] + T[:3, 2] * vehicle.size_lwh[2] / 2, vehicle.size_lwh
                 if vehicle.trailer is not None:
                     center, size = box_around(vehicle, vehicle.trailer, T, moment.T_world_trailer[i, 0])

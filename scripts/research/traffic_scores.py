@@ -35,7 +35,7 @@ from skope.dataset import coco
 from skope.dataset.folder import PREDICTIONS_FILE
 from skope.errors import UserError
 from skope.files.json_files import read_json, write_json
-from skope.schema import CATEGORIES, VEHICLE, AnnotationFile, Labelled
+from skope.schema import CATEGORY_NAMES, VEHICLE_CATEGORY, AnnotationFile, Labelled
 from skope.site.site_file import read_site
 from skope.tracks.csv_file import TRACKS_CSV, read_tracks
 from skope.tracks.track import KMH_PER_MPS, Track, is_in_traffic
@@ -122,7 +122,7 @@ def labels_of(file: AnnotationFile) -> list[list[Labelled]]:
 def owners_of(tracks: Path, file: AnnotationFile) -> Owners:
     """Compare the boxes of the MOTChallenge files with the labels."""
     boxes: dict[int, list[tuple[str, Any]]] = defaultdict(list)
-    for name in ("mot.txt", *(f"mot_{category}.txt" for category in CATEGORIES[1:])):
+    for name in ("mot.txt", *(f"mot_{category}.txt" for category in CATEGORY_NAMES[1:])):
         lines = (tracks / name).read_text().splitlines() if (tracks / name).is_file() else []
         for line in lines:
             frame, number, *box = line.split(",")[:6]
@@ -471,7 +471,7 @@ def count_rows(clip: ScoredClip, told: Sequence[Mapping[str, Any]], times_s: Any
                     c
                     for c in report.crossings
                     if (c.gate, c.direction_name) == (side["gate"], side["direction"])
-                    and (c.trajectory.category == VEHICLE) in kinds
+                    and (c.trajectory.category == VEHICLE_CATEGORY) in kinds
                 ]
                 for report in (clip.real, clip.told)
             )
@@ -491,7 +491,7 @@ def count_rows(clip: ScoredClip, told: Sequence[Mapping[str, Any]], times_s: Any
                     "hidden_at_gate": states["hidden"],
                     "hidden_always": states["never"],
                     "truth_all": len(real),
-                    "plain_all": sum((clip.category[number] == VEHICLE) in kinds for number in plain),
+                    "plain_all": sum((clip.category[number] == VEHICLE_CATEGORY) in kinds for number in plain),
                     "count": count,
                     "low": interval.low if interval else None,
                     "high": interval.high if interval else None,
@@ -513,7 +513,7 @@ def expected_of(clip: ScoredClip, side: Mapping[str, Any], chosen: Sequence[bool
         for one in told.counts_total
         if (one.gate, one.direction) == (side["gate"], side["direction"])
     }
-    total = totals[ALL_CLASSES if len(chosen) > 1 or not chosen[0] else VEHICLE]
+    total = totals[ALL_CLASSES if len(chosen) > 1 or not chosen[0] else VEHICLE_CATEGORY]
     if len(chosen) > 1 or chosen[0]:
         return total.expected
     there = [
@@ -694,13 +694,13 @@ class Pair:
 def pairs_of(folder: Path, true_keypoints: bool) -> Iterator[Pair]:
     """The tracks of a clip whose vehicles are known."""
     tracks = reported(folder, true_keypoints) / "tracks"
-    truth = [one for one in read_truth(folder).trajectories if one.category == VEHICLE]
+    truth = [one for one in read_truth(folder).trajectories if one.category == VEHICLE_CATEGORY]
     at: defaultdict[float, list[tuple[int, Array]]] = defaultdict(list)
     for k, one in enumerate(truth):
         for time_s, place in zip(one.times_s, one.xy, strict=True):
             at[round(float(time_s), 3)].append((k, place))
     for track in read_tracks(tracks / TRACKS_CSV):
-        if track.category != VEHICLE or not is_in_traffic(track) or len(track.times_s) < FEWEST:
+        if track.category != VEHICLE_CATEGORY or not is_in_traffic(track) or len(track.times_s) < FEWEST:
             continue
         votes, moments = Counter[int](), 0
         for time_s, place in zip(track.times_s[::3], track.xy[::3], strict=True):

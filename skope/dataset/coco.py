@@ -111,7 +111,7 @@ def _label_parser(categories: tuple[str, ...]) -> Callable[[Mapping[str, Any]], 
         number = row.get("category_id", schema.CATEGORY_ID)
         if len(categories) == 1 or number == schema.CATEGORY_ID:
             return annotation_from_dict(row)
-        if number not in (schema.CATEGORIES.index(name) + 1 for name in categories):
+        if number not in (schema.CATEGORY_NAMES.index(name) + 1 for name in categories):
             raise UserError(f"category_id: {number!r} is none of the file's categories")
         return road_user_from_dict(row)
 
@@ -156,7 +156,7 @@ def _categories(path: Path, document: Mapping[str, Any]) -> tuple[str, ...]:
         raise UserError(f"{path}: field categories: expected exactly one category")
     if len(rows) == 1:
         return schema.VEHICLE_ALONE
-    ours = dict(enumerate(schema.CATEGORIES, start=1))
+    ours = dict(enumerate(schema.CATEGORY_NAMES, start=1))
     found = [(row.get("id"), row.get("name")) for row in rows]
     if found[0][0] != schema.CATEGORY_ID or any(ours.get(number) != name for number, name in found[1:]):
         listed = ", ".join(f"{number} {name}" for number, name in ours.items())

@@ -219,7 +219,7 @@ def _road_users(
 
     Boxes, scores and labels are (N, 4), (N,) and (N,) of each image, the boxes in pixels inside the network.
     """
-    ids = np.array([0, *(1 + schema.CATEGORIES.index(name) for name in categories)], dtype=np.int64)
+    ids = np.array([0, *(1 + schema.CATEGORY_NAMES.index(name) for name in categories)], dtype=np.int64)
     for image, inner_size, own, sure, label in zip(images, inner_sizes, rectangles, scores, labels, strict=True):
         chosen = label != schema.CATEGORY_ID
         in_pixels = _in_pixels(own[chosen].cpu().double(), _scale(inner_size, (image.shape[1], image.shape[0])))

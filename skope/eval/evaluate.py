@@ -24,7 +24,7 @@ from skope.metrics.keypoint_outcomes import Options
 from skope.metrics.read_inputs import GroundTruth
 from skope.metrics.split_scores import split_metrics, to_tallies
 from skope.pictures import draw
-from skope.schema import CATEGORIES, VEHICLE_ALONE, AnnotationFile, AnyResult, Result, RoadUserResult, far_outside
+from skope.schema import CATEGORY_NAMES, VEHICLE_ALONE, AnnotationFile, AnyResult, Result, RoadUserResult, far_outside
 from skope.terminal.console import Console, counted
 
 if TYPE_CHECKING:
@@ -125,7 +125,7 @@ def _known(job: EvalJob, predictor: "Predictor | None", found: Mapping[str, Sequ
     if predictor is not None:
         return VEHICLE_ALONE if job.settings.given else predictor.categories
     others = any(isinstance(one, RoadUserResult) for results in found.values() for one in results)
-    return CATEGORIES if others else VEHICLE_ALONE
+    return CATEGORY_NAMES if others else VEHICLE_ALONE
 
 
 def _check_images(splits: Sequence[AnnotationFile], root: Path) -> None:

@@ -44,7 +44,7 @@ from skope.footage.key_frames import with_frames_between
 from skope.footage.live_choice import FrameDetector, LiveChoice
 from skope.footage.overlays import KeepRule, write_overlay
 from skope.footage.predict_job import PROGRESS_FILE, Linked, NumbersByCategory, PredictJob, claim, found_at
-from skope.schema import CATEGORIES, AnnotationFile, AnyResult, Image
+from skope.schema import CATEGORY_NAMES, AnnotationFile, AnyResult, Image
 from skope.terminal.console import Console, counted
 from skope.tracking.box_links import LINK_LIMITS
 from skope.types import Pixels
@@ -296,14 +296,14 @@ class _Seen:
     """Numbers of the road users of each category, where they were followed from image to image."""
 
     def noted(self, result: dict[str, Any]) -> dict[str, Any]:
-        category = CATEGORIES[result["category_id"] - 1]
+        category = CATEGORY_NAMES[result["category_id"] - 1]
         self.results[category] += 1
         if "track_id" in result:
             self.numbers[category].add(result["track_id"])
         return result
 
     def __str__(self) -> str:
-        found = [name for name in CATEGORIES if name == CATEGORIES[0] or self.results[name]]
+        found = [name for name in CATEGORY_NAMES if name == CATEGORY_NAMES[0] or self.results[name]]
         return ", ".join(map(self._of, found))
 
     def _of(self, category: str) -> str:

@@ -19,7 +19,7 @@ from skope.files.json_files import read_json
 from skope.files.output_folders import WORK_FILE, claim_output
 from skope.footage.confirmation import CONFIRMATION
 from skope.footage.key_frames import KEY_FRAME_LIMITS
-from skope.schema import CATEGORIES, AnyResult, Found
+from skope.schema import CATEGORY_NAMES, AnyResult, Found
 from skope.tracking.box_links import LINK_LIMITS, BoxLinks
 from skope.types import Integers32
 from skope.video.footage import FOUND_AT, Footage
@@ -55,7 +55,7 @@ class NumbersByCategory:
     """A numbering for each category, whose numbers follow one another: vehicles have the first ones."""
 
     def __init__(self, make: Callable[[], Numbering]) -> None:
-        self._of_category = {number: make() for number in range(1, 1 + len(CATEGORIES))}
+        self._of_category = {number: make() for number in range(1, 1 + len(CATEGORY_NAMES))}
         self._categories: list[Integers32] = []
         """(N,) of each frame, ids of its detections' categories."""
 

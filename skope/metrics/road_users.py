@@ -10,7 +10,7 @@ import numpy as np
 
 from skope.metrics.coco_ap import CocoRow, evaluated, found_box, mean_precision, truth_box
 from skope.metrics.outcome_counts import ratio
-from skope.schema import CATEGORIES, AnnotationFile, RoadUserResult
+from skope.schema import CATEGORY_NAMES, AnnotationFile, RoadUserResult
 from skope.types import Array, Mask
 
 AP50_IOU: Final = 0.5
@@ -24,7 +24,7 @@ def category_figures(
     score: float,
     boxes: str = "full",
     all_scores: bool = True,
-    known: Sequence[str] = CATEGORIES,
+    known: Sequence[str] = CATEGORY_NAMES,
 ) -> dict[str, dict[str, dict[str, Any]]]:
     """Average precision, precision and recall of each category but vehicles that `file` labels, by COCO's sizes.
 

@@ -14,8 +14,8 @@ from skope.page.templates import Table, number_text, piece
 
 PLOT_WIDTH, PLOT_HEIGHT = 460, 320
 PLOT_LEFT, PLOT_RIGHT, PLOT_TOP, PLOT_BOTTOM = 48, 14, 14, 44
-_MARKERS: Final = ("circle", "square", "diamond", "triangle")
-_SHAPES: Final = {
+MARKER_NAMES: Final = ("circle", "square", "diamond", "triangle")
+MARKER_PATHS: Final = {
     "circle": "M{0} {1}m-4 0a4 4 0 1 0 8 0a4 4 0 1 0-8 0",
     "square": "M{0} {1}m-3.6-3.6h7.2v7.2h-7.2z",
     "diamond": "M{0} {1}m0-5l5 5l-5 5l-5-5z",
@@ -130,7 +130,7 @@ def _line(number: int, line: Line, axes: Axes, every: int) -> str:
         if i % every == 0:
             note = f"; {line.notes[i]}" if line.notes else ""
             tip = f"{line.name}: {axes.x_label} {x:.3g}, {axes.y_label} {y:.3f}{note}"
-            shape = _SHAPES[_MARKERS[number % 4]].format(px, py)
+            shape = MARKER_PATHS[MARKER_NAMES[number % 4]].format(px, py)
             out.append(f'<path class="mark s{number % 4}" d="{shape}" data-tip="{escape(tip)}"/>')
     return "".join(out)
 
@@ -146,14 +146,14 @@ def _bars(number: int, group: Line, axes: Axes) -> str:
     for _, x, y in known:
         px, py = axes.place(x, y)
         tip = f"{group.name}: {axes.x_label} {x - half:.3g} to {x + half:.3g}, {axes.y_label} {y:.3f}"
-        shape = _SHAPES[_MARKERS[number % 4]].format(px, py)
+        shape = MARKER_PATHS[MARKER_NAMES[number % 4]].format(px, py)
         if y > 0:
             out.append(f'<path class="mark s{number % 4}" d="{shape}" data-tip="{escape(tip)}"/>')
     return "".join(out)
 
 
 def _legend(number: int, name: str) -> Markup:
-    shape = _SHAPES[_MARKERS[number % 4]].format(17, 6)
+    shape = MARKER_PATHS[MARKER_NAMES[number % 4]].format(17, 6)
     sample = (
         tag("path", class_=f"line s{number % 4}", d="M1 6H33"),
         tag("path", class_=f"mark s{number % 4}", d=shape),

@@ -2,6 +2,7 @@
 
 import base64
 from collections.abc import Collection, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
@@ -16,15 +17,23 @@ from skope.dataset.folder import read_image
 from skope.page.svg import path_svg, tag
 from skope.types import Array, Mask
 
-LONGEST: Final = 960
-"""Pixels of the longer edge of an embedded photograph."""
-QUALITY: Final = 78
-_LETTERS: Final = 11.0
-"""Size of letters, in `unit`s."""
-_WIDTH_OF_LETTER: Final = 0.6
-"""Of a semi-bold letter of a sans-serif font, on average, in sizes."""
-_LINES_AWAY: Final = 12
-"""A text is at most so many lines away from its box."""
+
+@dataclass(frozen=True)
+class EmbeddedImage:
+    """Size of embedded images and of the letters on them."""
+
+    longest_px: int = 960
+    """Longer side, pixels."""
+    jpeg_quality: int = 78
+    letters: float = 11.0
+    """Size of letters, in `unit`s."""
+    letter_width: float = 0.6
+    """Mean width of a semi-bold letter of a sans-serif font, in sizes."""
+    lines_away: int = 12
+    """Largest distance of a text from its box, lines."""
+
+
+EMBEDDED_IMAGE: Final = EmbeddedImage()
 
 
 def embedded(path: Path, size: tuple[int, int]) -> str:
@@ -32,7 +41,9 @@ def embedded(path: Path, size: tuple[int, int]) -> str:
     return jpeg(read_image(path, size))
 
 
-def jpeg(pixels: NDArray[np.uint8], *, longest: int = LONGEST, quality: int = QUALITY) -> str:
+def jpeg(
+    pixels: NDArray[np.uint8], *, longest: int = EMBEDDED_IMAGE.longest_px, quality: int = EMBEDDED_IMAGE.jpeg_quality
+) -> str:
     """Encode an image as a data address.
 
     Args:
@@ -121,16 +132,20 @@ def labels_svg(of: Sequence[tuple[ArrayLike, str]], size: tuple[int, int]) -> Ma
     leads to the box. The texts of tall boxes, which are near, are placed first.
     """
     width, height = size
-    letters = _LETTERS * unit(width)
+    letters = EMBEDDED_IMAGE.letters * unit(width)
     high = 1.25 * letters
     taken: list[Array] = []
     out = []
     for box_xywh, text in sorted(of, key=lambda pair: -float(np.asarray(pair[0])[3])):
         x0, y0, _, y1 = xywh_to_xyxy(box_xywh)
-        long = _WIDTH_OF_LETTER * letters * len(text)
+        long = EMBEDDED_IMAGE.letter_width * letters * len(text)
         left = float(np.clip(x0, 0.0, max(0.0, width - long)))
         above, below = y0 - high, y1 + 0.1 * high
-        tops = [above, below, *(y for k in range(1, _LINES_AWAY) for y in (above - k * high, below + k * high))]
+        tops = [
+            above,
+            below,
+            *(y for k in range(1, EMBEDDED_IMAGE.lines_away) for y in (above - k * high, below + k * high)),
+        ]
         inside = [top for top in tops if 0 <= top <= height - high] or [float(np.clip(above, 0, height - high))]
         places = [np.array([left, top, left + long, top + high]) for top in inside]
         place_of = next((one for one in places if not any(_overlap(one, other) for other in taken)), places[0])

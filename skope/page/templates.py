@@ -16,9 +16,9 @@ from markupsafe import Markup, escape
 if TYPE_CHECKING:
     from jinja2 import Environment
 
-_IMPORT: Final = re.compile(r'^import \{[^}]*\} from "\./([\w.]+)";\n', re.MULTILINE)
-_EXPORT: Final = re.compile(r"^export ", re.MULTILINE)
-_CODE: Final = re.compile(r"`([^`]+)`")
+IMPORT_LINE: Final = re.compile(r'^import \{[^}]*\} from "\./([\w.]+)";\n', re.MULTILINE)
+EXPORT_WORD: Final = re.compile(r"^export ", re.MULTILINE)
+CODE_WORD: Final = re.compile(r"`([^`]+)`")
 
 
 @dataclass(frozen=True)
@@ -104,12 +104,12 @@ def bundled_script(*entries: str) -> Markup:
 
     def add(path: str) -> None:
         text = text_of(path)
-        for name in _IMPORT.findall(text):
+        for name in IMPORT_LINE.findall(text):
             beside = f"{path.rpartition('/')[0]}/{name}"
             other = beside if resources.files("skope").joinpath(beside).is_file() else f"page/{name}"
             if other not in parts:
                 add(other)
-        body = _EXPORT.sub("", _IMPORT.sub("", text))
+        body = EXPORT_WORD.sub("", IMPORT_LINE.sub("", text))
         parts[path] = f"{{\n{body}}}\n" if path in entries else body
 
     for entry in entries:
@@ -119,7 +119,7 @@ def bundled_script(*entries: str) -> Markup:
 
 def _code(text: str) -> Markup:
     """A text whose parts in backticks are code."""
-    return Markup(_CODE.sub(r"<code>\1</code>", str(escape(text))))
+    return Markup(CODE_WORD.sub(r"<code>\1</code>", str(escape(text))))
 
 
 def percent_text(value: float | None) -> str:

@@ -12,7 +12,7 @@ from skope.page.svg import path_svg, tag
 from skope.page.templates import Table, piece
 
 # A vehicle seen from above with its sides folded out, the lower a point the farther: forward, and from the middle.
-_PLAN: Final = {
+POINT_PLACES: Final = {
     "roof_front": (1.0, 0.9),
     "roof_rear": (-1.6, 0.9),
     "windscreen_base": (2.2, 1.15),
@@ -30,16 +30,16 @@ _PLAN: Final = {
     "mirror": (1.55, 1.95),
     "beltline": (-0.3, 1.6),
 }
-_LOGO: Final = (5.0, 0.0)
-assert {"front_logo", *(f"{part}_{side}" for part in _PLAN for side in ("right", "left"))} == {*keypoints.NAMES}
+LOGO_PLACE: Final = (5.0, 0.0)
+assert {"front_logo", *(f"{part}_{side}" for part in POINT_PLACES for side in ("right", "left"))} == {*keypoints.NAMES}
 
 
 def plan(name: str) -> tuple[float, float]:
     """Place of a keypoint in the outline: x to the right is forward, y down is the vehicle's right."""
     if name == "front_logo":
-        return _LOGO
+        return LOGO_PLACE
     stem, side = name.rsplit("_", 1)
-    forward, out = _PLAN[stem]
+    forward, out = POINT_PLACES[stem]
     return forward, out if side == "right" else -out
 
 

@@ -10,7 +10,7 @@ from skope.camera.evidence import Belief, Evidence, MarkedLength, MarkedPoint, P
 from skope.errors import UserError
 from skope.records import Table
 from skope.site.gates_zones_lanes import checked_name
-from skope.site.mark_parser import KNOWN_RANGES, LENS, known_value, read_mark
+from skope.site.mark_parser import KNOWN_RANGES, LENS_RANGES, known_value, read_mark
 
 _LARGEST_PX: Final = 8192
 
@@ -127,10 +127,10 @@ def _measured(table: Table, key: str, limits: tuple[float, float]) -> tuple[floa
 
 def _lens(table: Table, unknown: list[str]) -> Mapping[str, tuple[float, float]]:
     """Raises UserError where it does not say a focal length."""
-    focal = _measured(table, "focal_px", LENS["focal_px"])
+    focal = _measured(table, "focal_px", LENS_RANGES["focal_px"])
     if focal is None:
         raise table.wrong("focal_px", "missing: expected [value, standard deviation] in pixels")
-    k1 = _measured(table, "k1", LENS["k1"])
+    k1 = _measured(table, "k1", LENS_RANGES["k1"])
     unknown += table.unread
     return {"focal_px": focal, **({"k1": k1} if k1 else {})}
 

@@ -9,7 +9,7 @@ from skope.camera.ground_plane import Ground, ground_places
 from skope.camera.model import Camera, same_aspect
 from skope.errors import UserError
 from skope.records import Table
-from skope.site.mark_parser import FARTHEST, LANE_WIDTH_M, NO_NAME, is_name
+from skope.site.mark_parser import MARK_LIMITS, NO_NAME, is_name
 from skope.types import Array
 
 Outline = tuple[tuple[float, float], ...]
@@ -145,7 +145,7 @@ def _image_size(row: Table) -> tuple[int, int] | None:
     if "size" not in row:
         return None
     width, height = row.numbers("size", 2)
-    if width % 1 or height % 1 or not (1 <= width <= FARTHEST and 1 <= height <= FARTHEST):
+    if width % 1 or height % 1 or not (1 <= width <= MARK_LIMITS.farthest_m and 1 <= height <= MARK_LIMITS.farthest_m):
         raise row.wrong("size", "expected the width and height of the image, whole numbers of pixels")
     return int(width), int(height)
 
@@ -181,7 +181,11 @@ def read_zone(row: Table) -> Zone:
 
 def read_lane(row: Table) -> Lane:
     line = read_line(row, "line")
-    width = row.number("width", low=LANE_WIDTH_M[0], high=LANE_WIDTH_M[1]) if "width" in row else None
+    width = (
+        row.number("width", low=MARK_LIMITS.lane_width_m[0], high=MARK_LIMITS.lane_width_m[1])
+        if "width" in row
+        else None
+    )
     return Lane(name=read_name(row), line=line, width=width)
 
 
@@ -210,8 +214,8 @@ def read_line(row: Table, key: str) -> Outline:
     if not isinstance(points, list) or len(points) < 2:
         raise row.wrong(key, "expected two or more places [x, y]" if key in row else "missing")
     line = tuple((x, y) for x, y in row.matrix(key, len(points), 2))
-    if any(abs(value) > FARTHEST for place in line for value in place):
-        raise row.wrong(key, f"expected numbers within {FARTHEST:g}")
+    if any(abs(value) > MARK_LIMITS.farthest_m for place in line for value in place):
+        raise row.wrong(key, f"expected numbers within {MARK_LIMITS.farthest_m:g}")
     return line
 
 

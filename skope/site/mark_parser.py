@@ -11,33 +11,46 @@ from skope.camera.evidence import MARKING_ERRORS, MarkedLength, MarkedPoint, Par
 from skope.errors import UserError
 from skope.records import is_number, shown
 
-FARTHEST: Final = 1e8
-"""Largest coordinate of a place, metres."""
-WIDEST_PX: Final = 1e5
-"""Largest column or row of a mark, pixels."""
-LENGTH_M: Final = (0.01, 1e4)
-VERTICAL_M: Final = (0.01, 1000.0)
-SIGMA: Final = (1e-4, 1e3)
-"""Of a mark's standard deviations, metres or pixels."""
+
+@dataclass(frozen=True)
+class MarkLimits:
+    """Limits of numbers in marks, and standard deviations of marks that state none."""
+
+    farthest_m: float = 1e8
+    """Largest coordinate of a position, metres."""
+    widest_px: float = 1e5
+    """Largest column or row of a mark, pixels."""
+    length_m: tuple[float, float] = (0.01, 1e4)
+    """Range of a marked length, metres."""
+    vertical_m: tuple[float, float] = (0.01, 1000.0)
+    """Range of the height of a vertical, metres."""
+    sigma: tuple[float, float] = (1e-4, 1e3)
+    """Range of standard deviations of marks, metres or pixels."""
+    least_known_sigma: float = 1e-4
+    """Least standard deviation of values of `KNOWN_RANGES` and of a lens, in their units. The largest is their
+    upper limit."""
+    name_letters: int = 200
+    """Maximum number of letters of a name."""
+    lane_width_m: tuple[float, float] = (0.5, 50.0)
+    """Range of the width of a lane, metres."""
+    length_sigma_m: float = 0.05
+    """Default standard deviation of a length, metres."""
+    height_sigma_m: float = 0.1
+    """Default standard deviation of the height of a vertical, metres."""
+    most_rows: int = 500
+    """Maximum number of positions of an entry."""
+    shortest_px: float = 1.0
+    """Ends of a mark that are closer are one, pixels."""
+
+
+MARK_LIMITS: Final = MarkLimits()
+
 KNOWN_RANGES: Final = {"fov_deg": (2.0, 170.0), "height_m": (0.5, 1000.0)}
 """Horizontal field of view, degrees, and the camera's height over the road, metres."""
-LEAST_KNOWN_SIGMA: Final = 1e-4
-"""Of values of `KNOWN_RANGES` and of a lens, in their units; they are as uncertain as their upper limit at most."""
-LENS: Final = {"focal_px": (10.0, 1e5), "k1": (-2.0, 2.0)}
-LONGEST_NAME: Final = 200
-"""Letters of a name."""
-NO_NAME: Final = f"expected a name of one line and up to {LONGEST_NAME} letters"
-LANE_WIDTH_M: Final = (0.5, 50.0)
-MARKED_LENGTH_SIGMA_M: Final = 0.05
-"""Standard deviation of a length where nothing is said of it, metres."""
-HEIGHT_SIGMA_M: Final = 0.1
-"""Standard deviation of the height of a vertical where nothing is said of it, metres."""
-KINDS: Final = ("points", "lengths", "parallels", "verticals")
-"""Lists of marks, in the order in which the solver has their residuals."""
-_MAX_ROWS: Final = 500
-"""Maximum number of positions of an entry: a person marks some dozens."""
-_SHORTEST_PX: Final = 1.0
-"""Two ends of a mark that are nearer to each other are one, pixels."""
+LENS_RANGES: Final = {"focal_px": (10.0, 1e5), "k1": (-2.0, 2.0)}
+NO_NAME: Final = f"expected a name of one line and up to {MARK_LIMITS.name_letters} letters"
+MARK_KINDS: Final = ("points", "lengths", "parallels", "verticals")
+"""Lists of marks, in the order of their residuals."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,7 +68,12 @@ class Problem:
 
 def is_name(value: Any) -> bool:
     """Whether something is a name of one line, in any script, and not too long to be shown."""
-    return isinstance(value, str) and bool(value.strip()) and len(value) <= LONGEST_NAME and value.isprintable()
+    return (
+        isinstance(value, str)
+        and bool(value.strip())
+        and len(value) <= MARK_LIMITS.name_letters
+        and value.isprintable()
+    )
 
 
 def number_or_none(value: Any) -> float | None:
@@ -65,7 +83,7 @@ def number_or_none(value: Any) -> float | None:
 
 def positions(value: Any, width: int) -> list[list[float]] | None:
     """Rows of `width` numbers each, or None for anything else."""
-    if not isinstance(value, list) or len(value) > _MAX_ROWS:
+    if not isinstance(value, list) or len(value) > MARK_LIMITS.most_rows:
         return None
     if any(not isinstance(row, list) or len(row) != width or not all(map(is_number, row)) for row in value):
         return None
@@ -76,21 +94,21 @@ def known_value(value: Any, limits: tuple[float, float]) -> tuple[float, float] 
     """A value that a camera can have, with its standard deviation; None for anything else.
 
     Args:
-        value: [value, standard deviation], in the same unit: the latter from `LEAST_KNOWN_SIGMA` to the upper limit.
-        limits: Least and largest value.
+        value: [value, standard deviation], in the same unit: the latter from `MARK_LIMITS.least_known_sigma` to the
+        upper limit. limits: Least and largest value.
     """
     rows = positions([value], 2)
     if rows is None:
         return None
     (found, sigma), (low, high) = rows[0], limits
-    return (found, sigma) if low <= found <= high and LEAST_KNOWN_SIGMA <= sigma <= high else None
+    return (found, sigma) if low <= found <= high and MARK_LIMITS.least_known_sigma <= sigma <= high else None
 
 
 def read_mark(kind: str, index: int, name: str, value: Callable[[str], Any]) -> tuple[Any, list[Problem]]:
     """Read one mark.
 
     Args:
-        kind: One of `KINDS`.
+        kind: One of `MARK_KINDS`.
         index: Index in its list, for the problems.
         name: Its name.
         value: Gives the value of a field; None where there is none.
@@ -101,7 +119,7 @@ def read_mark(kind: str, index: int, name: str, value: Callable[[str], Any]) -> 
     fields = _Fields(kind, index, value)
     made = None
     try:
-        made = _READERS[kind](fields, name)
+        made = MARK_READERS[kind](fields, name)
     except UserError as error:
         if not fields.problems:
             fields.wrong("", str(error))
@@ -135,14 +153,14 @@ class _Fields:
 
     def sigma(self, field: str, default: float) -> float:
         """A standard deviation."""
-        return self.number(field, *SIGMA, "", default)
+        return self.number(field, *MARK_LIMITS.sigma, "", default)
 
     def ends(self, field: str, same: str) -> Any:
         """(2, 2) the two ends of a mark, pixels; `same` is said of two that are one."""
         rows = in_image(self.value(field))
         if rows is None or len(rows) != 2:
             self.wrong(field, "expected column and row in pixels, two numbers, of both ends")
-        elif math.dist(*rows) < _SHORTEST_PX:
+        elif math.dist(*rows) < MARK_LIMITS.shortest_px:
             self.wrong(field, same)
         return np.array(rows)
 
@@ -150,7 +168,7 @@ class _Fields:
 def in_image(value: Any) -> list[list[float]] | None:
     """Rows of column and row, no farther off than marks may be, or None for anything else."""
     rows = positions(value, 2)
-    return None if rows is None or any(abs(one) > WIDEST_PX for row in rows for one in row) else rows
+    return None if rows is None or any(abs(one) > MARK_LIMITS.widest_px for row in rows for one in row) else rows
 
 
 def _point(fields: _Fields, name: str) -> MarkedPoint | None:
@@ -168,7 +186,7 @@ def _point(fields: _Fields, name: str) -> MarkedPoint | None:
         found = number_or_none(value)
         if value in (None, ""):
             fields.wrong(f"place.{axis}", "type it in metres", missing=True)
-        elif found is None or abs(found) > FARTHEST:
+        elif found is None or abs(found) > MARK_LIMITS.farthest_m:
             fields.wrong(f"place.{axis}", f"expected metres, got {shown(value)}")
     usual = {"sigma_px": MARKING_ERRORS.pixel, "sigma_m": MARKING_ERRORS.place_m, "sigma_z_m": MARKING_ERRORS.height_m}
     sigmas = {field: fields.sigma(field, default) for field, default in usual.items()}
@@ -179,9 +197,9 @@ def _point(fields: _Fields, name: str) -> MarkedPoint | None:
 
 def _length(fields: _Fields, name: str) -> MarkedLength | None:
     pixels = fields.ends("pixels", "its two ends are the same")
-    metres = fields.number("metres", *LENGTH_M, "metres")
+    metres = fields.number("metres", *MARK_LIMITS.length_m, "metres")
     sigmas = {
-        "sigma_m": fields.sigma("sigma_m", MARKED_LENGTH_SIGMA_M),
+        "sigma_m": fields.sigma("sigma_m", MARK_LIMITS.length_sigma_m),
         "sigma_px": fields.sigma("sigma_px", MARKING_ERRORS.pixel),
     }
     return None if fields.problems else MarkedLength(pixels, metres, name=name, **sigmas)
@@ -195,7 +213,7 @@ def _parallels(fields: _Fields, name: str) -> ParallelLines | None:
         fields.wrong("lines", "expected column and row in pixels for both ends of each line")
     elif len(rows) < 2:
         fields.wrong("lines", "draw a second line that is parallel to this one on the road", missing=True)
-    elif any(row is not None and math.dist(*row) < _SHORTEST_PX for row in rows):
+    elif any(row is not None and math.dist(*row) < MARK_LIMITS.shortest_px for row in rows):
         fields.wrong("lines", "both ends of a line are the same")
     return None if fields.problems else ParallelLines(np.array(rows), name=name, sigma_px=sigma)
 
@@ -203,15 +221,15 @@ def _parallels(fields: _Fields, name: str) -> ParallelLines | None:
 def _vertical(fields: _Fields, name: str) -> Vertical | None:
     pixels = fields.ends("pixels", "its foot and its top are the same")
     known = fields.value("metres") not in (None, "")
-    metres = fields.number("metres", *VERTICAL_M, "metres") if known else None
+    metres = fields.number("metres", *MARK_LIMITS.vertical_m, "metres") if known else None
     sigmas = {
-        "sigma_m": fields.sigma("sigma_m", HEIGHT_SIGMA_M),
+        "sigma_m": fields.sigma("sigma_m", MARK_LIMITS.height_sigma_m),
         "sigma_px": fields.sigma("sigma_px", MARKING_ERRORS.pixel),
     }
     return None if fields.problems else Vertical(pixels, metres, name=name, **sigmas)
 
 
-_READERS: Final[Mapping[str, Callable[[_Fields, str], Any]]] = {
+MARK_READERS: Final[Mapping[str, Callable[[_Fields, str], Any]]] = {
     "points": _point,
     "lengths": _length,
     "parallels": _parallels,

@@ -9,11 +9,11 @@ from skope.site.gates_zones_lanes import checked_name
 
 VEHICLE_CLASSES: Final = ("car", "van", "lorry", "bus")
 """Classes that a vehicle can be of; one whose class is not sure enough to be named is of class unknown."""
-UNKNOWN: Final = "unknown"
-OF_VEHICLES: Final = frozenset({*VEHICLE_CLASSES, UNKNOWN})
+UNKNOWN_CLASS: Final = "unknown"
+OF_VEHICLES: Final = frozenset({*VEHICLE_CLASSES, UNKNOWN_CLASS})
 """Classes of vehicles, with that of those whose class is not sure enough."""
-CLASSES: Final = (*VEHICLE_CLASSES, UNKNOWN, "motorcycle", "bicycle", "pedestrian")
-"""All classes that traffic is counted by."""
+TRAFFIC_CLASSES: Final = (*VEHICLE_CLASSES, UNKNOWN_CLASS, "motorcycle", "bicycle", "pedestrian")
+"""All classes by which traffic is counted."""
 PCE_FACTORS: Final[Mapping[str, float]] = {
     "van": 1.0,
     "lorry": 2.3,
@@ -24,8 +24,22 @@ PCE_FACTORS: Final[Mapping[str, float]] = {
 """Default passenger-car equivalents by class: Transport for London, "Traffic Modelling Guidelines", version 3.0, 2010
 (light goods vehicle 1.0, heavy goods vehicle 2.3, bus and coach 2.0, motorcycle 0.4, pedal cycle 0.2). The same table
 has 1.5 for goods vehicles over 3.5 t with two axles."""
-_LARGEST_PCE: Final = 10.0
-_DAY_MINUTES: Final = 1440
+
+
+@dataclass(frozen=True)
+class SettingLimits:
+    """Limits of the traffic settings."""
+
+    largest_pce: float = 10.0
+    """Largest passenger-car equivalent."""
+    day_minutes: int = 1440
+    """Minutes of a day."""
+    length_bins_m: tuple[float, float] = (5.0, 30.0)
+    """Range of the limits of length bins, metres. Cars are not classified by length better than their errors, which
+    are alike for all of a model."""
+
+
+SETTING_LIMITS: Final = SettingLimits()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,8 +48,8 @@ class TrafficSettings:
 
     interval_minutes: int = 15
     """Length of the intervals on the clock; a day is a whole number of them."""
-    classes: tuple[str, ...] = CLASSES
-    """Of `CLASSES`: who is counted."""
+    classes: tuple[str, ...] = TRAFFIC_CLASSES
+    """Of `TRAFFIC_CLASSES`: who is counted."""
     hysteresis_m: float = 0.5
     """A gate is crossed, a zone entered, when the road user is seen so far on the other side."""
     least_travel_m: float = 1.0
@@ -73,7 +87,7 @@ class TrafficSettings:
         return plain_values(self)
 
 
-_RANGES: Final = {
+SETTING_RANGES: Final = {
     "hysteresis_m": (0.0, 20.0),
     "least_travel_m": (0.0, 50.0),
     "ttc_s": (0.1, 10.0),
@@ -86,9 +100,6 @@ _RANGES: Final = {
     "trajectory_interval_s": (0.0, 60.0),
 }
 """Settings that are numbers, and what they can be."""
-_LENGTHS_M: Final = (5.0, 30.0)
-"""Between which limits of lengths may lie: cars are told apart by length no better than their errors, which are alike
-for all of a model."""
 
 
 def read_traffic(table: Table, gates: tuple[str, ...], unknown: list[str]) -> TrafficSettings:
@@ -103,11 +114,13 @@ def read_traffic(table: Table, gates: tuple[str, ...], unknown: list[str]) -> Tr
         UserError: A value is wrong; the message names file and key.
     """
     plain = TrafficSettings()
-    numbers = {key: table.number(key, getattr(plain, key), low=low, high=high) for key, (low, high) in _RANGES.items()}
+    numbers = {
+        key: table.number(key, getattr(plain, key), low=low, high=high) for key, (low, high) in SETTING_RANGES.items()
+    }
     free_flow = table.number("free_flow_kmh", low=5, high=250) if "free_flow_kmh" in table else None
     settings = TrafficSettings(
         interval_minutes=_interval(table, plain.interval_minutes),
-        classes=_names(table, "classes", CLASSES, "classes") or plain.classes,
+        classes=_names(table, "classes", TRAFFIC_CLASSES, "classes") or plain.classes,
         turning=_names(table, "turning", gates, "gates of this file"),
         free_flow_kmh=free_flow,
         length_bins_m=_length_bins(table) or plain.length_bins_m,
@@ -121,8 +134,8 @@ def read_traffic(table: Table, gates: tuple[str, ...], unknown: list[str]) -> Tr
 
 
 def _interval(table: Table, default: int) -> int:
-    minutes = table.number("interval_minutes", default, low=1, high=_DAY_MINUTES)
-    if minutes % 1 or _DAY_MINUTES % minutes:
+    minutes = table.number("interval_minutes", default, low=1, high=SETTING_LIMITS.day_minutes)
+    if minutes % 1 or SETTING_LIMITS.day_minutes % minutes:
         raise table.wrong("interval_minutes", f"expected whole minutes that a day is a multiple of, got {minutes:g}")
     return int(minutes)
 
@@ -132,7 +145,7 @@ def _length_bins(table: Table) -> tuple[float, float] | None:
     if "length_bins_m" not in table:
         return None
     first, second = table.numbers("length_bins_m", 2)
-    low, high = _LENGTHS_M
+    low, high = SETTING_LIMITS.length_bins_m
     if not low <= first < second <= high:
         raise table.wrong(
             "length_bins_m", f"expected two lengths that rise, from {low:g} to {high:g} m, got {first:g} and {second:g}"
@@ -147,7 +160,10 @@ def _pce_factors(table: Table) -> dict[str, float]:
         UserError: A class is unknown, or a factor is no number from 0 to 10.
     """
     factors = table.table("pce")
-    read = {name: factors.number(name, factor, low=0, high=_LARGEST_PCE) for name, factor in PCE_FACTORS.items()}
+    read = {
+        name: factors.number(name, factor, low=0, high=SETTING_LIMITS.largest_pce)
+        for name, factor in PCE_FACTORS.items()
+    }
     factors.done()
     return read
 

@@ -14,9 +14,9 @@ from skope.dataset import coco
 from skope.dataset.folder import BEGINS_KEY, FRAMES_FILE, PREDICTIONS_FILE, SIGHT_FIELD
 from skope.errors import UserError
 from skope.metrics.read_inputs import read_all_results
-from skope.schema import CATEGORIES, VEHICLE, AnnotationFile
+from skope.schema import CATEGORY_NAMES, VEHICLE_CATEGORY, AnnotationFile
 from skope.site.gates_zones_lanes import Gate
-from skope.site.traffic_settings import UNKNOWN
+from skope.site.traffic_settings import UNKNOWN_CLASS
 from skope.tracking.duplicates import DUPLICATE_LIMITS, feet, inside_and_apart
 from skope.tracking.track_flags import box_never_moved
 from skope.tracks.track import Track
@@ -192,12 +192,12 @@ def _trajectory(number: int, category_id: int, rows: Array) -> Track:
     times, place = rows[:, 0], rows[:, 1:3]
     velocity = np.gradient(place, times, axis=0) if len(times) > 1 else np.zeros_like(place)
     sigma = np.maximum(1.0, IMAGE_TRACKS.foot_sigma_share * rows[:, 3:].max(axis=1))
-    category = CATEGORIES[category_id - 1]
+    category = CATEGORY_NAMES[category_id - 1]
     return Track(
         number=number,
         category=category,
-        class_name=UNKNOWN if category == VEHICLE else category,
-        class_confidence=0.0 if category == VEHICLE else 1.0,
+        class_name=UNKNOWN_CLASS if category == VEHICLE_CATEGORY else category,
+        class_confidence=0.0 if category == VEHICLE_CATEGORY else 1.0,
         times_s=times,
         position=np.column_stack([place, np.zeros(len(times))]),
         velocity=velocity,

@@ -13,7 +13,7 @@ from typing import Final
 
 import numpy as np
 
-from skope.schema import CATEGORIES, PEDESTRIAN
+from skope.schema import CATEGORY_NAMES, PEDESTRIAN_CATEGORY
 from skope.tracking import kalman
 from skope.tracking.box_links import cheapest_pairs
 from skope.tracking.ground_points import GroundPoint, Sight
@@ -60,7 +60,7 @@ class FootTrackLimits:
 
 FOOT_TRACKS: Final = FootTrackLimits()
 
-_ON_WHEELS: Final = (CATEGORIES.index("bicycle") + 1, CATEGORIES.index("motorcycle") + 1)
+_ON_WHEELS: Final = (CATEGORY_NAMES.index("bicycle") + 1, CATEGORY_NAMES.index("motorcycle") + 1)
 _HEIGHTS_M: Final = {"bicycle": 0.06, "motorcycle": 0.06, "pedestrian": 0.1}
 """Standard deviation of the height over the road at which boxes end all the way: a kerb is 10 to 15 cm high, and a box
 that ends too low by 3% of its height does so in frame after frame."""
@@ -75,7 +75,7 @@ def of_body(track: Track, camera_position: Array) -> Track:
     """
     line = track.xy - camera_position[:2]
     position = track.position.copy()
-    if track.category != PEDESTRIAN:
+    if track.category != PEDESTRIAN_CATEGORY:
         along = np.abs(np.cos(track.heading - np.arctan2(line[:, 1], line[:, 0])))
         # Whether a standing two-wheeler faces the camera is not known.
         shift = FOOT_TRACKS.half_wheelbase_m * np.where(np.isnan(along), 0.5, along)
@@ -135,10 +135,10 @@ class _Open:
 
     def category(self, speed: float) -> str:
         """Its category, by how sure the sights are and by its speed in the median, m/s."""
-        on_foot = CATEGORIES[self.category_id - 1] == PEDESTRIAN
+        on_foot = CATEGORY_NAMES[self.category_id - 1] == PEDESTRIAN_CATEGORY
         if on_foot and speed > FOOT_TRACKS.foot_mps:
-            return CATEGORIES[max(_ON_WHEELS, key=lambda category_id: self.scores[category_id]) - 1]
-        return CATEGORIES[self.category_id - 1]
+            return CATEGORY_NAMES[max(_ON_WHEELS, key=lambda category_id: self.scores[category_id]) - 1]
+        return CATEGORY_NAMES[self.category_id - 1]
 
     def settle(self, until_s: float) -> None:
         """Smooth, and keep what came before `until_s` as it then is."""
@@ -232,7 +232,7 @@ def _own(owners: dict[Link, _Open], track: _Open, links: Sequence[Link], live: S
 
 
 def _begun(frame: int, time_s: float, sight: Sight, point: GroundPoint) -> _Open:
-    speed = FIRST_SPEED_SIGMAS[CATEGORIES[sight.category_id - 1]]
+    speed = FIRST_SPEED_SIGMAS[CATEGORY_NAMES[sight.category_id - 1]]
     state = kalman.first_state_at(point.place, point.covariance, speed)
     begun = _Open([_Step(frame, time_s, np.eye(6), state, state, sight)], time_s)
     begun.scores.update(sight.scores)

@@ -19,7 +19,7 @@ from skope.files.json_files import json_bytes
 from skope.files.progress import Progress
 from skope.pose.keypoint_views import Scene
 from skope.pose.pose_records import locate_view
-from skope.schema import CATEGORIES, VEHICLE, Labelled
+from skope.schema import CATEGORY_NAMES, VEHICLE_CATEGORY, Labelled
 from skope.terminal.console import Console, counted
 from skope.tracking import birdseye, birdseye_video, camera_picture
 from skope.tracking.ground_points import sights_of
@@ -76,14 +76,14 @@ def follow_footage(job: TrackJob, console: Console) -> Iterator[str]:
     camera = scene.camera_of(scene.file.images[0])
     index = [image.frame_index if image.frame_index is not None else i for i, image in enumerate(scene.file.images)]
     write_tracks(job.out / TRACKS_CSV, every, index)
-    write_mot(job.out / "mot.txt", [track for track in every if track.category == VEHICLE])
+    write_mot(job.out / "mot.txt", [track for track in every if track.category == VEHICLE_CATEGORY])
     write_fcd(job.out / "fcd.xml", every, times)
     observation = observation_of(scene, times, begins)
     write_bytes(job.out / FOOTAGE_FILE, json_bytes(observation.to_dict()))
     written = [TRACKS_CSV, "mot.txt", "fcd.xml", FOOTAGE_FILE, "birdseye.png"]
     shown = [observation.with_camera_error(track) for track in every]  # each by itself
-    tracks = [track for track in shown if track.category == VEHICLE]
-    road_users = [track for track in shown if track.category != VEHICLE]
+    tracks = [track for track in shown if track.category == VEHICLE_CATEGORY]
+    road_users = [track for track in shown if track.category != VEHICLE_CATEGORY]
     road = _road(job, camera, console)
     birdseye.draw(job.out / "birdseye.png", tracks, camera, scene.ground, road, road_users)
     if road is not None and scene.ground is not None:
@@ -205,7 +205,7 @@ def _road_users(job: TrackJob, times: Sequence[float], first_number: int) -> lis
 def _write_road_users(job: TrackJob, tracks: list[Track]) -> list[str]:
     """Write MOTChallenge files of people and two-wheelers, by category; returns the files' names."""
     written = []
-    for number, category in enumerate(CATEGORIES[1:], start=2):
+    for number, category in enumerate(CATEGORY_NAMES[1:], start=2):
         own = [track for track in tracks if track.category == category]
         if own:
             write_mot(job.out / f"mot_{category}.txt", own)
@@ -221,7 +221,7 @@ def _road_user_words(job: TrackJob, tracks: list[Track]) -> Iterator[str]:
     """Numbers of road users of each category in words, or why there is none."""
     if tracks:
         counts = Counter(track.category for track in tracks)
-        yield f"besides: {', '.join(counted(counts[name], name) for name in CATEGORIES if counts[name])}"
+        yield f"besides: {', '.join(counted(counts[name], name) for name in CATEGORY_NAMES if counts[name])}"
     elif job.scene.ground is None and len(job.scene.file.categories) > 1:
         others = ", ".join(job.scene.file.categories[1:])
         yield f"{others}: no tracks, which need to know where the road is (--ground)"

@@ -15,8 +15,8 @@ import numpy as np
 
 from skope.errors import UserError
 from skope.files.atomic import replacing
-from skope.schema import CATEGORIES, VEHICLE
-from skope.site.traffic_settings import CLASSES
+from skope.schema import CATEGORY_NAMES, VEHICLE_CATEGORY
+from skope.site.traffic_settings import TRAFFIC_CLASSES
 from skope.tracks.track import Track
 from skope.types import Array
 
@@ -214,12 +214,14 @@ def _numbers(path: Path, rows: Sequence[CsvRow], name: str, *, empty: bool = Fal
 
 
 def _track(rows: _TrackRows) -> Track:
-    category = rows.text("category", CATEGORIES)
+    category = rows.text("category", CATEGORY_NAMES)
     times = rows.columns("time_s")
     if (np.diff(times) <= 0).any():
         late = rows.rows[1 + int(np.flatnonzero(np.diff(times) <= 0)[0])]
         raise rows.wrong(late, "time_s", "times that rise along the track")
-    classes = [name for name in CLASSES if name not in CATEGORIES] if category == VEHICLE else [category]
+    classes = (
+        [name for name in TRAFFIC_CLASSES if name not in CATEGORY_NAMES] if category == VEHICLE_CATEGORY else [category]
+    )
     spread = rows.columns("sigma_xx", "sigma_xy", "sigma_yy")
     speed_sigma = rows.columns("sigma_speed")
     if (spread[:, [0, 2]] < 0).any() or (speed_sigma < 0).any():

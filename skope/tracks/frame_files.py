@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from skope.files.atomic import replacing
-from skope.schema import PEDESTRIAN, VEHICLE
+from skope.schema import PEDESTRIAN_CATEGORY, VEHICLE_CATEGORY
 from skope.tracks.track import Track
 
 _SUMO_CLASS: Final = {"bus": "bus", "lorry": "truck", "van": "delivery"}
@@ -58,7 +58,7 @@ def write_fcd(path: Path, tracks: Sequence[Track], times_s: Sequence[float]) -> 
         for (_, present), time_s in zip(_by_frame(tracks, len(times_s)), times_s, strict=True):
             file.write(f'    <timestep time="{time_s:.3f}">\n')
             for track, i in present:
-                file.write(_fcd_vehicle(track, i) if track.category == VEHICLE else _fcd_road_user(track, i))
+                file.write(_fcd_vehicle(track, i) if track.category == VEHICLE_CATEGORY else _fcd_road_user(track, i))
             file.write("    </timestep>\n")
         file.write("</fcd-export>\n")
 
@@ -88,7 +88,7 @@ def _fcd_road_user(track: Track, i: int) -> str:
         "type": track.category,
         "speed": f"{track.speed[i]:.3f}",
     }
-    return _fcd_element("person" if track.category == PEDESTRIAN else "vehicle", values)
+    return _fcd_element("person" if track.category == PEDESTRIAN_CATEGORY else "vehicle", values)
 
 
 def _fcd_element(name: str, values: Mapping[str, str]) -> str:

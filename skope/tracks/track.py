@@ -16,12 +16,12 @@ from typing import Any, Final, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from skope.schema import VEHICLE
-from skope.site.traffic_settings import UNKNOWN, VEHICLE_CLASSES
+from skope.schema import VEHICLE_CATEGORY
+from skope.site.traffic_settings import UNKNOWN_CLASS, VEHICLE_CLASSES
 from skope.types import Array
 
 USUAL_SIZE_M: Final[Mapping[str, tuple[float, float]]] = {
-    VEHICLE: (4.5, 1.8),
+    VEHICLE_CATEGORY: (4.5, 1.8),
     "pedestrian": (0.5, 0.6),
     "bicycle": (1.8, 0.7),
     "motorcycle": (2.1, 0.8),
@@ -55,7 +55,7 @@ class Track:
 
     number: int
     """Number of the track in its footage."""
-    category: str = VEHICLE
+    category: str = VEHICLE_CATEGORY
     """Vehicle, bicycle, motorcycle or pedestrian."""
     class_name: str
     """One of `skope.site.traffic_settings.CLASSES`."""
@@ -232,11 +232,11 @@ class Track:
 
         The probability that a vehicle's class is wrong is shared evenly by the other classes of vehicles.
         """
-        if self.category != VEHICLE:
+        if self.category != VEHICLE_CATEGORY:
             return float(self.class_name == name)
         if name not in VEHICLE_CLASSES:
             return 0.0
-        if self.class_name == UNKNOWN:
+        if self.class_name == UNKNOWN_CLASS:
             return 1 / len(VEHICLE_CLASSES)
         rest = (1 - self.class_confidence) / (len(VEHICLE_CLASSES) - 1)
         return self.class_confidence if name == self.class_name else rest

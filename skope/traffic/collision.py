@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from skope.schema import PEDESTRIAN
+from skope.schema import PEDESTRIAN_CATEGORY
 from skope.site.traffic_settings import TrafficSettings
 from skope.tracks.track import Track, has_plausible_speed, is_in_traffic
 from skope.traffic.footprints import FootprintPath, footprint_corners, meeting
@@ -61,7 +61,7 @@ def hard_brakings(trajectories: Sequence[Track], settings: TrafficSettings) -> l
     """
     found = []
     for trajectory in trajectories:
-        if is_in_traffic(trajectory) and has_plausible_speed(trajectory) and trajectory.category != PEDESTRIAN:
+        if is_in_traffic(trajectory) and has_plausible_speed(trajectory) and trajectory.category != PEDESTRIAN_CATEGORY:
             hardest = _hardest(trajectory, settings.hard_braking_ms2)
             if hardest is not None and hardest.probability > COLLISION_LIMITS.least_probability:
                 found.append(hardest)

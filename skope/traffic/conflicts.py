@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from skope.schema import PEDESTRIAN
+from skope.schema import PEDESTRIAN_CATEGORY
 from skope.site.gates_zones_lanes import Zone
 from skope.site.traffic_settings import TrafficSettings
 from skope.tracks.track import Track, has_plausible_speed, is_in_traffic
@@ -263,7 +263,7 @@ def _pairs(made: Sequence[FootprintPath], late_s: float) -> Iterator[tuple[Footp
     for path in ordered:
         present = [other for other in present if other.times_s[-1] + late_s >= path.times_s[0]]
         for other in present:
-            if not path.trajectory.category == other.trajectory.category == PEDESTRIAN:
+            if not path.trajectory.category == other.trajectory.category == PEDESTRIAN_CATEGORY:
                 yield other, path
         present.append(path)
 

@@ -14,8 +14,8 @@ from typing import Any, Final
 import numpy as np
 from scipy.special import expit
 
-from skope.schema import PEDESTRIAN, VEHICLE
-from skope.site.traffic_settings import CLASSES, OF_VEHICLES
+from skope.schema import PEDESTRIAN_CATEGORY, VEHICLE_CATEGORY
+from skope.site.traffic_settings import OF_VEHICLES, TRAFFIC_CLASSES
 from skope.tracks.track import Track, worst_sigma
 from skope.traffic.count_uncertainty import Beta
 
@@ -120,7 +120,7 @@ def miss_rate_groups(pixels_per_metre: float | None) -> tuple[MissRateGroup, ...
         rejects_losing_gates=True,
         too_small=pixels_per_metre is not None and pixels_per_metre < vehicle["small_px_per_m"],
     )
-    others = (_TWO_WHEELED, frozenset({PEDESTRIAN}))
+    others = (_TWO_WHEELED, frozenset({PEDESTRIAN_CATEGORY}))
     return vehicles, *(MissRateGroup(one, missed, came, too_small=size == "tiny") for one in others)
 
 
@@ -132,7 +132,7 @@ def image_miss_rate_groups(vehicle_px: float | None) -> tuple[MissRateGroup, ...
     """
     image = rates()["image"]
     small = vehicle_px is not None and vehicle_px < image["small_px"]
-    return (MissRateGroup(frozenset(CLASSES), _beta(image["missed"]), _beta(image["came"]), too_small=small),)
+    return (MissRateGroup(frozenset(TRAFFIC_CLASSES), _beta(image["missed"]), _beta(image["came"]), too_small=small),)
 
 
 def queue_miss_rate() -> Beta:
@@ -163,7 +163,7 @@ def crossing_probability(track: Track, time_s: float, step_s: float, *, metres: 
         step_s: Usual time between positions in the footage (`usual_step`).
         metres: Whether positions are in metres; else in pixels.
     """
-    kind = "vehicle" if track.category == VEHICLE else "others"
+    kind = "vehicle" if track.category == VEHICLE_CATEGORY else "others"
     real, number = rates()["metres" if metres else "image"]["real"][kind][crossing_doubts(track, time_s, step_s)]
     jumps = metres and float(track.at(track.speed, time_s)) > FASTEST_MPS.get(track.category, math.inf)
     return float((real + 1) / (number + 2) * undoubted(track) * (EVENT_FACTORS.jumping if jumps else 1.0))
@@ -197,7 +197,7 @@ def same_probability(track: Track, begin_s: float, end_s: float, step_s: float) 
     """
     if track.category in _TWO_WHEELED:
         return EVENT_FACTORS.same_rider
-    if track.category == VEHICLE:
+    if track.category == VEHICLE_CATEGORY:
         gap_s = max(0.0, track.longest_gap((begin_s + end_s) / 2, (end_s - begin_s) / 2) - step_s)
         constant, of_gap, of_time = EVENT_FACTORS.same_vehicle
         logit = constant + of_gap * math.log(0.1 + gap_s) + of_time * math.log(1 + end_s - begin_s)

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Final
 
-from skope.schema import PEDESTRIAN, VEHICLE
+from skope.schema import PEDESTRIAN_CATEGORY, VEHICLE_CATEGORY
 from skope.site.gates_zones_lanes import Gate
-from skope.site.traffic_settings import OF_VEHICLES, UNKNOWN, VEHICLE_CLASSES, TrafficSettings
+from skope.site.traffic_settings import OF_VEHICLES, UNKNOWN_CLASS, VEHICLE_CLASSES, TrafficSettings
 from skope.traffic.count_uncertainty import CountDistribution, CountErrors, CountInterval, hull
 from skope.traffic.counting_intervals import ClockInterval
 from skope.traffic.event_probability import MissRateGroup
@@ -31,15 +31,15 @@ def pce_factors(crossings: Sequence[GateCrossing], settings: TrafficSettings) ->
     Returns:
         Class -> factor. None if fewer than half of the vehicles have a known class.
     """
-    factors = {"car": 1.0, PEDESTRIAN: 0.0, **settings.pce}
+    factors = {"car": 1.0, PEDESTRIAN_CATEGORY: 0.0, **settings.pce}
     classes = [crossing.trajectory.class_name for crossing in crossings]
     known = [factors[name] for name in classes if name in VEHICLE_CLASSES]
-    unknown = classes.count(UNKNOWN)
+    unknown = classes.count(UNKNOWN_CLASS)
     if not unknown:
         return factors
     if len(known) < _MIN_KNOWN_SHARE * (len(known) + unknown):
         return None
-    return {**factors, UNKNOWN: sum(known) / len(known)}
+    return {**factors, UNKNOWN_CLASS: sum(known) / len(known)}
 
 
 def passenger_cars(crossings: Sequence[GateCrossing], factors: Mapping[str, float] | None) -> float | None:
@@ -176,12 +176,12 @@ def _kinds(lanes: Sequence[str], settings: TrafficSettings, *, by_class: bool) -
 def row_classes(settings: TrafficSettings) -> tuple[str, ...]:
     """`ALL_CLASSES`, and `VEHICLE` where vehicles and others are counted."""
     mixed = not OF_VEHICLES.isdisjoint(settings.classes) and not OF_VEHICLES.issuperset(settings.classes)
-    return (ALL_CLASSES, VEHICLE) if mixed else (ALL_CLASSES,)
+    return (ALL_CLASSES, VEHICLE_CATEGORY) if mixed else (ALL_CLASSES,)
 
 
 def classes_of(class_name: str, settings: TrafficSettings) -> frozenset[str]:
     """The classes that a row is of."""
-    if class_name == VEHICLE:
+    if class_name == VEHICLE_CATEGORY:
         return OF_VEHICLES & set(settings.classes)
     return frozenset(settings.classes) if class_name == ALL_CLASSES else frozenset({class_name})
 
@@ -269,7 +269,7 @@ def distribution_of(
     """The count of a row with its errors; arguments and None as in `expected`."""
     errors, count = [], 0
     for kind in kinds:
-        named = kind.classes - {UNKNOWN}
+        named = kind.classes - {UNKNOWN_CLASS}
         if not named & set(classes):
             continue
         own = [one for one in crossings if one.trajectory.class_name in kind.classes]
@@ -283,7 +283,7 @@ def distribution_of(
                 false.append(1 - chance)
             elif chance > 0:
                 uncounted.append(chance)
-        possible = most(kind.classes if whole else kind.classes & {*classes, UNKNOWN})
+        possible = most(kind.classes if whole else kind.classes & {*classes, UNKNOWN_CLASS})
         errors.append(CountErrors(false, uncounted, possible, kind.came, kind.missed))
         count += len(false)
     return CountDistribution(count, errors, shifts) if errors else None

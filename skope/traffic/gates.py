@@ -11,7 +11,7 @@ import numpy as np
 from skope.camera.ground_plane import Ground, ground_places
 from skope.camera.model import Camera, same_aspect
 from skope.camera.uncertain_camera import moved_camera
-from skope.schema import VEHICLE
+from skope.schema import VEHICLE_CATEGORY
 from skope.site.gates_zones_lanes import Gate, Outline, gate_at_size, line_on_road
 from skope.site.traffic_settings import TrafficSettings
 from skope.tracks.track import VEHICLE_LENGTH_SIGMA_M, Track, is_in_traffic
@@ -270,7 +270,7 @@ def leaving_distance(trajectory: Track, least_travel: float) -> float:
         least_travel: Distance of `TrafficSettings.least_travel_m`, or more where positions are noisier. The result has
             its unit.
     """
-    return least_travel * (GATE_LIMITS.vehicle_leave if trajectory.category == VEHICLE else 1.0)
+    return least_travel * (GATE_LIMITS.vehicle_leave if trajectory.category == VEHICLE_CATEGORY else 1.0)
 
 
 def _sigma(direction: Array, covariance: Array) -> float:

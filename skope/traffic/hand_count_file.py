@@ -9,7 +9,7 @@ from typing import Final
 from skope.errors import UserError
 from skope.files.csv_files import read_csv
 from skope.site.gates_zones_lanes import Gate
-from skope.site.traffic_settings import CLASSES, UNKNOWN, TrafficSettings
+from skope.site.traffic_settings import TRAFFIC_CLASSES, UNKNOWN_CLASS, TrafficSettings
 from skope.traffic.counting_intervals import ClockInterval
 from skope.traffic.gate_counts import ALL_CLASSES
 from skope.traffic.gates import direction_names
@@ -51,7 +51,7 @@ class HandCount:
     @property
     def classes(self) -> frozenset[str]:
         """Classes that were counted."""
-        return {ALL_CLASSES: frozenset(CLASSES), MOTOR_TRAFFIC: MOTOR_CLASSES}.get(
+        return {ALL_CLASSES: frozenset(TRAFFIC_CLASSES), MOTOR_TRAFFIC: MOTOR_CLASSES}.get(
             self.class_name, frozenset({self.class_name})
         )
 
@@ -122,7 +122,7 @@ def _hand_count(
     name = line.one_of("gate", [gate.name for gate in gates])
     directions = direction_names(next(gate for gate in gates if gate.name == name))
     direction = line.one_of("direction", directions)
-    counted = [one for one in settings.classes if one != UNKNOWN]
+    counted = [one for one in settings.classes if one != UNKNOWN_CLASS]
     class_name = line.one_of("class", ["", ALL_CLASSES, MOTOR_TRAFFIC, *counted]) or ALL_CLASSES
     begin_s, end_s = (_seconds(line, column, start, observation) for column in ("begin", "end"))
     if end_s <= begin_s:

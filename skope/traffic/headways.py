@@ -9,7 +9,7 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from skope.schema import PEDESTRIAN, VEHICLE
+from skope.schema import PEDESTRIAN_CATEGORY, VEHICLE_CATEGORY
 from skope.traffic.counting_intervals import ClockInterval
 from skope.traffic.gates import GateCrossing
 from skope.traffic.observation import Observation
@@ -52,7 +52,7 @@ def lane_streams(crossings: Sequence[GateCrossing]) -> Iterator[list[GateCrossin
     def key(one: GateCrossing) -> tuple[str, int, str]:
         return one.gate, one.direction, one.lane
 
-    driving = [one for one in crossings if one.trajectory.category != PEDESTRIAN]
+    driving = [one for one in crossings if one.trajectory.category != PEDESTRIAN_CATEGORY]
     for _, own in itertools.groupby(sorted(driving, key=key), key):
         yield sorted(own, key=lambda one: one.time_s if math.isnan(one.front_s) else one.front_s)
 
@@ -87,7 +87,7 @@ def occupancies(
         observation: When was observed.
     """
     out = []
-    for own in lane_streams([one for one in crossings if one.trajectory.category == VEHICLE]):
+    for own in lane_streams([one for one in crossings if one.trajectory.category == VEHICLE_CATEGORY]):
         for interval in intervals:
             observed_s = observation.seconds_in(interval.begin_s, interval.end_s)
             if observed_s <= 0:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from skope.schema import VEHICLE
+from skope.schema import VEHICLE_CATEGORY
 from skope.site.gates_zones_lanes import Gate
 from skope.site.traffic_settings import VEHICLE_CLASSES, TrafficSettings
 from skope.tracks.track import Track
@@ -139,7 +139,7 @@ def _vehicle_px(tracks: Sequence[Track], gate: Gate) -> float | None:
     On a road the height of boxes grows evenly with the row of their foot: a line through medians, which also holds in
     rows where vehicles are too small to be detected.
     """
-    vehicles = [one for one in tracks if one.category == VEHICLE]
+    vehicles = [one for one in tracks if one.category == VEHICLE_CATEGORY]
     rows = np.concatenate([np.zeros(0), *(-one.xy[:, 1] for one in vehicles)])
     heights = np.concatenate([np.zeros(0), *(one.boxes[:, 3] for one in vehicles)])
     rows, heights = rows[np.isfinite(heights)], heights[np.isfinite(heights)]

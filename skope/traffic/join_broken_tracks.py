@@ -13,7 +13,7 @@ from typing import Final
 
 import numpy as np
 
-from skope.schema import VEHICLE
+from skope.schema import VEHICLE_CATEGORY
 from skope.tracks.track import Track, concatenated, worst_sigma
 
 
@@ -86,7 +86,7 @@ def _likelihood(before: Track, after: Track) -> float:
     """Density, per square metre, with which the one who ends as `before` begins as `after`; 0: it cannot be."""
     if before.category != after.category or "impossible_motion" in {*before.flags, *after.flags}:
         return 0.0
-    if before.category != VEHICLE and "never_moved" in {*before.flags, *after.flags}:
+    if before.category != VEHICLE_CATEGORY and "never_moved" in {*before.flags, *after.flags}:
         return 0.0  # an object that a detector takes for somebody: who passes it is another
     kept = _until(before, float(after.times_s[0]))
     if kept is None or kept.times_s[-1] < before.times_s[-1] - JOIN_LIMITS.overlap_s:

@@ -14,7 +14,7 @@ from typing import Final
 
 import numpy as np
 
-from skope.schema import VEHICLE
+from skope.schema import VEHICLE_CATEGORY
 from skope.site.gates_zones_lanes import Gate
 from skope.site.traffic_settings import OF_VEHICLES, TrafficSettings
 from skope.tracks.track import Track
@@ -135,7 +135,7 @@ def _bin_of(chances: Array) -> str:
 
 def has_length(trajectory: Track) -> bool:
     """Whether it is a vehicle whose length was measured: two-wheelers and people have none."""
-    return trajectory.category == VEHICLE and trajectory.length is not None
+    return trajectory.category == VEHICLE_CATEGORY and trajectory.length is not None
 
 
 def length_counts(

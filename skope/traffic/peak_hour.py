@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from datetime import datetime
 from typing import Any, Final
 
-from skope.schema import VEHICLE
+from skope.schema import VEHICLE_CATEGORY
 from skope.traffic.counting_intervals import ClockInterval
 from skope.traffic.gate_counts import ALL_CLASSES, classes_of, observed_word, row_classes
 from skope.traffic.traffic_report import TrafficReport
@@ -89,7 +89,7 @@ def peak_hours(report: TrafficReport) -> list[PeakHour]:
 
 def peak_hour_class(report: TrafficReport) -> str:
     """`VEHICLE`, or `ALL` if the site counts vehicles alone, or none."""
-    return VEHICLE if VEHICLE in row_classes(report.site.traffic) else ALL_CLASSES
+    return VEHICLE_CATEGORY if VEHICLE_CATEGORY in row_classes(report.site.traffic) else ALL_CLASSES
 
 
 def why_no_peak_hour(report: TrafficReport) -> str:

@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from skope.schema import PEDESTRIAN
+from skope.schema import PEDESTRIAN_CATEGORY
 from skope.site.traffic_settings import TrafficSettings
 from skope.tracks.track import KMH_PER_MPS, Track, worst_sigma
 from skope.traffic.count_uncertainty import CountInterval, count_interval
@@ -176,7 +176,7 @@ def _in_lane(
     """The lane's longest queue, where there is one, by moment."""
     waiting: dict[float, list[tuple[float, float, float, float]]] = {}
     for trajectory in trajectories:
-        if not trajectory.confirmed or trajectory.category == PEDESTRIAN:
+        if not trajectory.confirmed or trajectory.category == PEDESTRIAN_CATEGORY:
             continue
         there = moments[(moments >= trajectory.times_s[0]) & (moments <= trajectory.times_s[-1])]
         begin, end = settings.queue_speed_kmh / KMH_PER_MPS, settings.queue_end_kmh / KMH_PER_MPS

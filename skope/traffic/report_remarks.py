@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from skope.camera.model import Camera
-from skope.schema import VEHICLE
+from skope.schema import VEHICLE_CATEGORY
 from skope.site.gates_zones_lanes import Gate
 from skope.tracks.track import is_in_traffic
 from skope.traffic.gates import signed_distances
@@ -154,12 +154,12 @@ def remarks_on_counts(report: "TrafficReport") -> Iterator[str]:
         if one.expected is not None or not one.observed_s or one.gate in missed.gates:
             continue
         kinds = missed.kinds.get(one.gate, ())
-        if one.class_name == VEHICLE and kinds and kinds[0].too_small:
+        if one.class_name == VEHICLE_CATEGORY and kinds and kinds[0].too_small:
             yield (
                 f"gate {one.gate!r} ({one.direction}): vehicles are so small in the image there that few are "
                 "detected: how many crossed it is not known; draw it nearer to the camera"
             )
-        elif one.class_name == VEHICLE:
+        elif one.class_name == VEHICLE_CATEGORY:
             yield (
                 f"gate {one.gate!r} ({one.direction}): more vehicles are lost before it, or found behind it, than "
                 "cross it: how many did is not known; move it to where they are seen on both sides"

@@ -15,8 +15,8 @@ from typing import Final, TypeVar
 import numpy as np
 from scipy.special import bdtr
 
-from skope.schema import PEDESTRIAN
-from skope.site.traffic_settings import CLASSES
+from skope.schema import PEDESTRIAN_CATEGORY
+from skope.site.traffic_settings import TRAFFIC_CLASSES
 from skope.tracks.track import Track, has_plausible_speed
 from skope.traffic.counting_intervals import ClockInterval
 from skope.traffic.gates import GateCrossing
@@ -126,7 +126,7 @@ def order_ranks(n: int, share: float) -> tuple[int, int] | None:
 
 MOTOR_TRAFFIC: Final = "motor"
 """All classes of vehicles and motorcycles together."""
-MOTOR_CLASSES: Final = frozenset(CLASSES) - {"bicycle", PEDESTRIAN}
+MOTOR_CLASSES: Final = frozenset(TRAFFIC_CLASSES) - {"bicycle", PEDESTRIAN_CATEGORY}
 _Measured = TypeVar("_Measured")
 
 
@@ -246,7 +246,7 @@ def speed_groups(
             own = [of(row) for row in rows if where(row) == place]
             for interval in (None, *intervals):
                 there = [row for row in own if interval is None or interval.begin_s <= row[0] < interval.end_s]
-                classes = (MOTOR_TRAFFIC, *CLASSES) if interval is None else (MOTOR_TRAFFIC,)
+                classes = (MOTOR_TRAFFIC, *TRAFFIC_CLASSES) if interval is None else (MOTOR_TRAFFIC,)
                 for name in classes:
                     chosen = [row for row in there if _is(row[1], name)]
                     if chosen:

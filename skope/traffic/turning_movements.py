@@ -10,7 +10,7 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import Final
 
-from skope.schema import PEDESTRIAN
+from skope.schema import PEDESTRIAN_CATEGORY
 from skope.site.gates_zones_lanes import Gate
 from skope.site.traffic_settings import TrafficSettings
 from skope.tracks.track import Track
@@ -87,7 +87,7 @@ class TurningCount:
 
 def on_foot(movement: Movement) -> bool:
     """Whether somebody walks."""
-    return movement.trajectory.category == PEDESTRIAN
+    return movement.trajectory.category == PEDESTRIAN_CATEGORY
 
 
 def _side(crossing: GateCrossing | None) -> GateDirection:

@@ -217,7 +217,7 @@ class DeployedCategories(nn.Module):
     def __init__(self, model: KeypointRCNN, categories: Sequence[str]) -> None:
         super().__init__()
         self.model = model
-        ids = [0, *(1 + schema.CATEGORIES.index(name) for name in categories)]
+        ids = [0, *(1 + schema.CATEGORY_NAMES.index(name) for name in categories)]
         self.register_buffer("ids", torch.tensor(ids), persistent=False)
 
     def forward(self, image: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:

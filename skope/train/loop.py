@@ -13,7 +13,7 @@ import torch
 from skope.detector.checkpoint import checkpoint_name
 from skope.errors import UserError
 from skope.files.atomic import write_text
-from skope.schema import CATEGORIES, AnnotationFile
+from skope.schema import CATEGORY_NAMES, AnnotationFile
 from skope.terminal.console import Console, counted
 from skope.train import (
     distributed,
@@ -106,7 +106,7 @@ def train(
         console = console if processes.first else Console(quiet=True)
         parts = [_read(Path(root), config) for root in config.data]
         categories = splits.common_categories(parts, config.categories)
-        unlearnt = [name for name in CATEGORIES if any(name in part.categories for part in parts)]
+        unlearnt = [name for name in CATEGORY_NAMES if any(name in part.categories for part in parts)]
         unlearnt = [name for name in unlearnt if name not in categories]
         parts = [part.of_categories(categories) for part in parts]
         config = config.of([part.dataset for part in parts], splits.common_scheme(parts), categories)

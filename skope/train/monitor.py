@@ -13,7 +13,7 @@ from torchvision.models.detection import KeypointRCNN
 from skope.dataset.folder import read_image
 from skope.files.atomic import replacing
 from skope.pictures import draw
-from skope.schema import CATEGORIES, Annotation, AnnotationFile
+from skope.schema import CATEGORY_NAMES, Annotation, AnnotationFile
 from skope.terminal.console import Console, counted, minutes
 from skope.train import validate
 from skope.train.run_config import RunConfig
@@ -83,7 +83,9 @@ def figures_text(figures: Mapping[str, Any]) -> str:
     return (
         f"PCK {percent('pck')} of found vehicles ({percent('box_recall')} of {figures['vehicles']}), "
         f"{percent('pck_given')} in given boxes; keypoint recall {percent('keypoint_recall')}"
-        + "".join(f"; {name} recall {percent(f'{name}_recall')}" for name in CATEGORIES if f"{name}_recall" in figures)
+        + "".join(
+            f"; {name} recall {percent(f'{name}_recall')}" for name in CATEGORY_NAMES if f"{name}_recall" in figures
+        )
     )
 
 
@@ -163,7 +165,7 @@ def curves(path: Path, history: Sequence[Mapping[str, Any]]) -> None:
     others = {
         name: name.replace("_", " ")
         for name in (validated[0]["validation"] if validated else ())
-        if name.removesuffix("_recall") in CATEGORIES
+        if name.removesuffix("_recall") in CATEGORY_NAMES
     }
     for name, label in {**CURVE_TITLES, **others}.items() if validated else ():
         rows = [(row["epoch"], row["validation"][name]) for row in validated]

@@ -31,25 +31,27 @@ class Quality:
     values: Sequence[str]
 
 
-TYPE: Final = Quality(name="vehicle type", values=(*VEHICLE_TYPES, UNKNOWN_VALUE))
-OCCLUSION: Final = Quality(name="hidden share", values=(*band_names(BREAKDOWN_BANDS.occlusions, "1"), UNKNOWN_VALUE))
+TYPE_QUALITY: Final = Quality(name="vehicle type", values=(*VEHICLE_TYPES, UNKNOWN_VALUE))
+OCCLUSION_QUALITY: Final = Quality(
+    name="hidden share", values=(*band_names(BREAKDOWN_BANDS.occlusions, "1"), UNKNOWN_VALUE)
+)
 HEIGHT_QUALITY: Final = Quality(name="height, px", values=tuple(band_names(BREAKDOWN_BANDS.heights_px)))
-QUALITIES: Final = (TYPE, OCCLUSION, HEIGHT_QUALITY)
+ALL_QUALITIES: Final = (TYPE_QUALITY, OCCLUSION_QUALITY, HEIGHT_QUALITY)
 
 
 def kind_number(vehicle: Annotation, boxes: str) -> int:
-    """The number that stands for a vehicle's values of all `QUALITIES`, the last one counting in ones.
+    """The number that stands for a vehicle's values of all `ALL_QUALITIES`, the last one counting in ones.
 
     `boxes` is which box counts, "full" or "visible".
     """
     height = float(box_of(vehicle, boxes)[3])
     places = (
-        TYPE.values.index(vehicle.vehicle_type or UNKNOWN_VALUE),
-        _band(vehicle.occlusion, BREAKDOWN_BANDS.occlusions, OCCLUSION),
+        TYPE_QUALITY.values.index(vehicle.vehicle_type or UNKNOWN_VALUE),
+        _band(vehicle.occlusion, BREAKDOWN_BANDS.occlusions, OCCLUSION_QUALITY),
         _band(height, BREAKDOWN_BANDS.heights_px, HEIGHT_QUALITY),
     )
     number = 0
-    for place, quality in zip(places, QUALITIES, strict=True):
+    for place, quality in zip(places, ALL_QUALITIES, strict=True):
         number = number * len(quality.values) + place
     return number
 
@@ -59,16 +61,16 @@ def _band(value: float | None, edges: Sequence[float], quality: Quality) -> int:
 
 
 def described() -> list[dict[str, Any]]:
-    """`QUALITIES` as the page gets them."""
-    return [{"name": quality.name, "values": list(quality.values)} for quality in QUALITIES]
+    """`ALL_QUALITIES` as the page gets them."""
+    return [{"name": quality.name, "values": list(quality.values)} for quality in ALL_QUALITIES]
 
 
 SCORE_STEPS: Final = 1000
 """Score thresholds are whole numbers from 0 to this, so that browser and server mean the same."""
-_THRESHOLDS: Final = np.arange(SCORE_STEPS + 1) / SCORE_STEPS
+SCORE_THRESHOLDS: Final = np.arange(SCORE_STEPS + 1) / SCORE_STEPS
 _KEPT_THRESHOLDS: Final = 8
 """Score thresholds whose counts are kept."""
-_FACETS: Final[dict[str, Callable[[Image], str | None]]] = {
+IMAGE_FACETS: Final[dict[str, Callable[[Image], str | None]]] = {
     "split": lambda image: image.split,
     "site": lambda image: image.site,
     "recording": lambda image: None if image.recording is None else f"{image.site or '-'}/{image.recording}",
@@ -109,7 +111,7 @@ class Documents:
             "keypoints": list(scheme.names),
             "skeleton": [list(edge) for edge in scheme.skeleton],
             "names": [image.file_name for split in self._collection.splits for image in split.file.images],
-            "facets": [self._facet(name, value) for name, value in _FACETS.items()],
+            "facets": [self._facet(name, value) for name, value in IMAGE_FACETS.items()],
             "qualities": described(),
             "kinds": [kinds for split in self._splits for kinds in split.kinds()],
             "others": any(len(split.file.categories) > 1 for split in self._collection.splits),
@@ -261,7 +263,7 @@ def _of_image(numbers: Integers, index: int) -> range:
 
 def _step_of(score: float) -> int:
     """The lowest threshold step that a score does not lie above: it counts at every step below this one."""
-    return int(np.searchsorted(_THRESHOLDS, score, side="left"))
+    return int(np.searchsorted(SCORE_THRESHOLDS, score, side="left"))
 
 
 def _rounded(values: Array) -> list[float]:

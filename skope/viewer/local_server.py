@@ -18,24 +18,24 @@ from skope.errors import UserError
 from skope.page.templates import render
 from skope.terminal.console import Console
 
-ADDRESS: Final = "127.0.0.1"
-PORT: Final = 8033
-"""The port that is taken where it is free."""
-JSON: Final = "application/json"
-TEXT: Final = "text/plain; charset=utf-8"
-HTML: Final = "text/html; charset=utf-8"
-CSS: Final = "text/css; charset=utf-8"
-SCRIPT: Final = "text/javascript; charset=utf-8"
+LOCAL_ADDRESS: Final = "127.0.0.1"
+FIRST_PORT: Final = 8033
+"""Port that is taken if it is free."""
+JSON_TYPE: Final = "application/json"
+TEXT_TYPE: Final = "text/plain; charset=utf-8"
+HTML_TYPE: Final = "text/html; charset=utf-8"
+CSS_TYPE: Final = "text/css; charset=utf-8"
+SCRIPT_TYPE: Final = "text/javascript; charset=utf-8"
 SHARED_FILES: Final = {
-    "/page.css": ("skope.page", "page.css", CSS),
-    "/dom.js": ("skope.page", "dom.js", SCRIPT),
-    "/viewport.js": ("skope.page", "viewport.js", SCRIPT),
+    "/page.css": ("skope.page", "page.css", CSS_TYPE),
+    "/dom.js": ("skope.page", "dom.js", SCRIPT_TYPE),
+    "/viewport.js": ("skope.page", "viewport.js", SCRIPT_TYPE),
 }
 """Files that every page has: path -> package, name and media type."""
-_HOST: Final = re.compile(r"(localhost|127\.0\.0\.1|\[::1\])(:[0-9]{1,5})?", re.IGNORECASE)
+LOCAL_HOST: Final = re.compile(r"(localhost|127\.0\.0\.1|\[::1\])(:[0-9]{1,5})?", re.IGNORECASE)
 _LARGEST_REQUEST_BYTES: Final = 1 << 25
 """Bytes that a request may bring along."""
-_HEADERS: Final = {
+SAFE_HEADERS: Final = {
     # The page asks this server alone, runs its own script alone, and stands in no other page.
     "Content-Security-Policy": "default-src 'none'; img-src data:; style-src 'self'; script-src 'self'; "
     "connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
@@ -58,7 +58,7 @@ class LocalServer(ThreadingHTTPServer):
     daemon_threads = True
 
     def __init__(self, port: int, handler: "type[LocalHandler]") -> None:
-        super().__init__((ADDRESS, port), handler)
+        super().__init__((LOCAL_ADDRESS, port), handler)
 
     def handle_error(self, request: Any, client_address: Any) -> None:
         """A browser that goes on before its answer is whole is no error."""
@@ -103,7 +103,7 @@ class LocalHandler(BaseHTTPRequestHandler):
         if not self._is_own():
             return
         # Forms of other pages can send neither this type nor, without saying so, their own origin.
-        if self.headers.get("Origin") is None or self.headers.get("Content-Type") != JSON:
+        if self.headers.get("Origin") is None or self.headers.get("Content-Type") != JSON_TYPE:
             self.send_error(HTTPStatus.FORBIDDEN, "is for this server's own page")
             return
         if (
@@ -126,7 +126,7 @@ class LocalHandler(BaseHTTPRequestHandler):
         """Whether a request comes by this server's own name and from no other page; says so where it does not."""
         # A page of another origin whose name leads here ("DNS rebinding") says its own name.
         hosts = self.headers.get_all("Host", [])
-        if len(hosts) != 1 or not _HOST.fullmatch(hosts[0].strip()):
+        if len(hosts) != 1 or not LOCAL_HOST.fullmatch(hosts[0].strip()):
             self.send_error(HTTPStatus.FORBIDDEN, "open this server as localhost or 127.0.0.1")
             return False
         origins = self.headers.get_all("Origin", [])
@@ -150,11 +150,11 @@ class LocalHandler(BaseHTTPRequestHandler):
             message: The line; None: what the status is called.
             explain: Not used: of the base class.
         """
-        self._send(code, TEXT, (message or HTTPStatus(code).phrase).encode(errors="replace"))
+        self._send(code, TEXT_TYPE, (message or HTTPStatus(code).phrase).encode(errors="replace"))
 
     def _send(self, code: int, media_type: str, data: bytes) -> None:
         self.send_response(code)
-        headers = {**_HEADERS, "Content-Type": media_type, "Content-Length": str(len(data))}
+        headers = {**SAFE_HEADERS, "Content-Type": media_type, "Content-Length": str(len(data))}
         if code == HTTPStatus.METHOD_NOT_ALLOWED:
             headers["Allow"] = "GET, POST" if self.posts else "GET"
         if self.close_connection:
@@ -174,13 +174,13 @@ def bound_to(make: Callable[[int], S], port: int | None) -> S:
 
     Args:
         make: What makes it.
-        port: Where it listens; None: `PORT`, or any free one where that is taken.
+        port: Where it listens; None: `FIRST_PORT`, or any free one where that is taken.
 
     Raises:
         UserError: `port` cannot be used.
     """
     try:
-        return make(PORT if port is None else port)
+        return make(FIRST_PORT if port is None else port)
     except OverflowError:
         raise UserError(f"--port: expected a number from 0 to 65535, got {port}") from None
     except OSError as error:
@@ -200,7 +200,7 @@ def serve_until_stopped(server: LocalServer, title: str, console: Console) -> No
     """
     with server:
         try:
-            console.result(f"{title}: http://{ADDRESS}:{server.server_port}/ (Ctrl-C ends it)")
+            console.result(f"{title}: http://{LOCAL_ADDRESS}:{server.server_port}/ (Ctrl-C ends it)")
             server.serve_forever()
         except KeyboardInterrupt:
             console.say("")

@@ -9,10 +9,10 @@ from skope.terminal.console import Console
 from skope.viewer.collection import Collection
 from skope.viewer.documents import SCORE_STEPS, Documents
 from skope.viewer.local_server import (
-    CSS,
-    HTML,
-    JSON,
-    SCRIPT,
+    CSS_TYPE,
+    HTML_TYPE,
+    JSON_TYPE,
+    SCRIPT_TYPE,
     SHARED_FILES,
     Answer,
     LocalHandler,
@@ -23,11 +23,11 @@ from skope.viewer.local_server import (
     served_page,
 )
 
-_IMAGE: Final = re.compile(r"/images/([0-9]{1,9})(\.json)?")
-_SCORES: Final = re.compile(r"/scores/([0-9]{1,4})\.json")
+IMAGE_ADDRESS: Final = re.compile(r"/images/([0-9]{1,9})(\.json)?")
+SCORES_ADDRESS: Final = re.compile(r"/scores/([0-9]{1,4})\.json")
 _SERVED_FILES: Final = SHARED_FILES | {
-    "/viewer.css": ("skope.viewer", "viewer.css", CSS),
-    "/viewer.js": ("skope.viewer", "viewer.js", SCRIPT),
+    "/viewer.css": ("skope.viewer", "viewer.css", CSS_TYPE),
+    "/viewer.js": ("skope.viewer", "viewer.js", SCRIPT_TYPE),
 }
 
 
@@ -68,16 +68,16 @@ class _Handler(LocalHandler):
     def answer_to(self, path: str) -> Answer | None:
         documents = self.server.documents
         if path == "/":
-            return HTML, served_page("viewer/viewer.html", "viewer")
+            return HTML_TYPE, served_page("viewer/viewer.html", "viewer")
         if file := _SERVED_FILES.get(path):
             return file[2], read_resource(*file[:2])
         if path == "/index.json":
-            return JSON, self.server.index
-        if (scores := _SCORES.fullmatch(path)) and int(scores[1]) <= SCORE_STEPS and documents.has_predictions:
-            return JSON, json_bytes(documents.scores(int(scores[1])))
-        if (image := _IMAGE.fullmatch(path)) and (number := int(image[1])) < len(documents):
+            return JSON_TYPE, self.server.index
+        if (scores := SCORES_ADDRESS.fullmatch(path)) and int(scores[1]) <= SCORE_STEPS and documents.has_predictions:
+            return JSON_TYPE, json_bytes(documents.scores(int(scores[1])))
+        if (image := IMAGE_ADDRESS.fullmatch(path)) and (number := int(image[1])) < len(documents):
             if image[2]:
-                return JSON, json_bytes(documents.details(number))
+                return JSON_TYPE, json_bytes(documents.details(number))
             picture = documents.picture(number)
             return picture.media_type, picture.data
         return None

@@ -306,7 +306,7 @@ def test_what_was_followed_is_rounded_to_pixels_and_keeps_its_name(tmp_path: Pat
 
 # ------------------------------------------------------------------------------------------------- road users
 
-ALL = schema.CATEGORIES
+ALL = schema.CATEGORY_NAMES
 
 
 def full_road_user() -> RoadUser:

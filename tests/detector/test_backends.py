@@ -25,7 +25,7 @@ from skope.detector.backends.region_suppression import suppress_together
 from skope.detector.checkpoint import find_checkpoint, load_weights
 from skope.detector.detect import detect, detect_on_boxes
 from skope.errors import UserError
-from skope.schema import CATEGORIES
+from skope.schema import CATEGORY_NAMES
 from skope.terminal.console import Console
 from skope.types import Floats32
 
@@ -46,7 +46,7 @@ def shipped() -> KeypointRCNN:
 
 
 def found(model: KeypointRCNN, pixels: NDArray[np.uint8]) -> Detections:
-    return detect(model, [pixels], CPU, min_score=0.3, categories=CATEGORIES)[0]
+    return detect(model, [pixels], CPU, min_score=0.3, categories=CATEGORY_NAMES)[0]
 
 
 @pytest.fixture(scope="module")
@@ -336,7 +336,7 @@ def test_backends_find_other_road_users_too(backend: str, categories_run: Path) 
         suppress_together(after)
     else:
         prepare(after, {}, CPU, backend=backend, precision="float32", console=Console(quiet=True))
-    one, two = (detect(m, [pixels], CPU, min_score=0.2, categories=CATEGORIES)[0] for m in (before, after))
+    one, two = (detect(m, [pixels], CPU, min_score=0.2, categories=CATEGORY_NAMES)[0] for m in (before, after))
     assert len(one) > 2
     assert set(one.road_users.categories.tolist()) == {2, 3, 4}
     sure = one.road_users.of(one.road_users.scores > 0.21)

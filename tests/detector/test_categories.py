@@ -18,7 +18,7 @@ from skope.errors import UserError
 from tests.train.conftest import shrink
 
 ONE = DetectorConfig(norm="batch", norm_eps=1e-5, min_size=96, max_size=160)
-FOUR = replace(ONE, categories=schema.CATEGORIES)
+FOUR = replace(ONE, categories=schema.CATEGORY_NAMES)
 PEOPLE = replace(ONE, categories=("vehicle", "pedestrian"))
 IMAGES = [np.random.default_rng(i).integers(0, 256, (96, 128, 3), dtype=np.uint8) for i in range(2)]
 
@@ -53,7 +53,7 @@ def drawn(config: DetectorConfig) -> KeypointRCNN:
 def test_a_config_names_categories_where_there_are_others_than_vehicles() -> None:
     assert "categories" not in ONE.to_dict()
     assert DetectorConfig.from_dict(ONE.to_dict()) == ONE
-    assert DetectorConfig.from_dict({**FOUR.to_dict(), "categories": list(schema.CATEGORIES)}) == FOUR
+    assert DetectorConfig.from_dict({**FOUR.to_dict(), "categories": list(schema.CATEGORY_NAMES)}) == FOUR
     assert replace(ONE, categories=("pedestrian", "vehicle")).categories == ("vehicle", "pedestrian")
     for wrong in (("vehicle", "car"), ("pedestrian",), "vehicle", None):
         with pytest.raises(UserError, match="categories"):
@@ -94,7 +94,7 @@ def test_detections_are_torchvisions_with_vehicles_apart(config: DetectorConfig)
         users = ours.road_users
         torch.testing.assert_close(torch.from_numpy(users.boxes_xyxy).float(), theirs["boxes"][~vehicles])
         torch.testing.assert_close(torch.from_numpy(users.scores).float(), theirs["scores"][~vehicles])
-        names = [schema.CATEGORIES[i - 1] for i in users.categories.tolist()]
+        names = [schema.CATEGORY_NAMES[i - 1] for i in users.categories.tolist()]
         assert names == [config.categories[int(label) - 1] for label in theirs["labels"][~vehicles]]
 
 

@@ -19,7 +19,7 @@ from skope.detector import int8_ranges, weights
 from skope.detector.build import build
 from skope.detector.checkpoint import load_weights, read_checkpoint
 from skope.detector.detect import detect
-from skope.schema import CATEGORIES, CATEGORY_ID
+from skope.schema import CATEGORY_ID, CATEGORY_NAMES
 from tests.samples import make_dataset
 
 PICTURE = Path(__file__).parents[2] / "docs" / "noon.jpg"
@@ -35,7 +35,7 @@ def picture() -> NDArray[np.uint8]:
 @pytest.fixture(scope="module")
 def found(picture: NDArray[np.uint8]) -> Detections:
     model, _, _ = load_weights(ROAD33, "cpu")
-    return detect(model, [picture], "cpu", categories=CATEGORIES)[0]
+    return detect(model, [picture], "cpu", categories=CATEGORY_NAMES)[0]
 
 
 def test_loading_draws_no_weights_that_the_file_gives() -> None:
@@ -50,7 +50,7 @@ def found_at_once(picture: NDArray[np.uint8]) -> Detections:
     model, config, _ = load_weights(ROAD33, "cpu")
     once = build(replace(config, box_passes=1))
     once.load_state_dict(model.state_dict())
-    return detect(once.eval(), [picture], "cpu", categories=CATEGORIES)[0]
+    return detect(once.eval(), [picture], "cpu", categories=CATEGORY_NAMES)[0]
 
 
 @pytest.mark.parametrize(
@@ -69,9 +69,9 @@ def test_it_is_small_enough_to_travel_and_says_where_it_is_from(
     assert header["scheme"] == keypoints.SCHEME
     assert header["metadata"]["origin"] == origin
     assert header["config"]["norm"] == "frozen"  # small batches of who goes on from it have no statistics
-    assert header["config"]["categories"] == list(CATEGORIES)
+    assert header["config"]["categories"] == list(CATEGORY_NAMES)
     assert header["config"]["keypoint_edition"] == keypoints.EDITION
-    assert header["metadata"]["calibrated"]["categories"] == list(CATEGORIES)
+    assert header["metadata"]["calibrated"]["categories"] == list(CATEGORY_NAMES)
     assert hashlib.sha256(file.read_bytes()).hexdigest() in file.with_suffix(".md").read_text()
     assert int8_ranges.RANGES_KEY in header["metadata"]
     assert sum(tensor.numel() for tensor in state.values()) > fewest
@@ -84,7 +84,7 @@ def test_every_shipped_detector_is_one_that_a_live_stream_may_get() -> None:
 
 def test_the_light_one_finds_the_same_vehicles(picture: NDArray[np.uint8], found: Detections) -> None:
     model, _, _ = load_weights(weights.path(weights.LIGHT_WEIGHTS), "cpu")
-    light = detect(model, [picture], "cpu", categories=CATEGORIES)[0]
+    light = detect(model, [picture], "cpu", categories=CATEGORY_NAMES)[0]
     sure, other = found[found.scores > 0.9], light[light.scores > 0.5]
     best = boxes.iou(sure.boxes_xyxy, other.boxes_xyxy)
     assert (best.max(axis=1) > 0.6).mean() > 0.8

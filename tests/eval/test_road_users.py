@@ -20,7 +20,7 @@ from skope.detector import fit_score_calibration
 from skope.detector.checkpoint import read_checkpoint
 from skope.footage.overlays import blurred
 from skope.metrics.road_users import box_outcomes
-from skope.schema import CATEGORIES, Annotation, AnnotationFile, Image, Result, RoadUser, RoadUserResult
+from skope.schema import CATEGORY_NAMES, Annotation, AnnotationFile, Image, Result, RoadUser, RoadUserResult
 from tests import road_users, samples
 
 QUIET = ("--device", "cpu", "-q")
@@ -49,7 +49,7 @@ def test_figures_of_other_road_users_stand_beside_those_of_vehicles(
     code, said, error = skope("eval", *common, "--checkpoint", categories_run, "--out", "eval")
     assert code == 0, error
     entry = read(Path("eval/metrics.json"))["splits"]["easy"]
-    assert list(entry["categories"]) == list(CATEGORIES[1:])
+    assert list(entry["categories"]) == list(CATEGORY_NAMES[1:])
     assert entry["categories"]["pedestrian"]["all"]["ground_truth"] == 3
     assert entry["categories"]["motorcycle"]["all"]["recall"] is None
     assert entry["ground_truth"] == 6, "vehicles alone"
@@ -64,7 +64,7 @@ def test_figures_of_other_road_users_stand_beside_those_of_vehicles(
     assert re.search(r'data-tip="(bicycle|motorcycle|pedestrian), score 0\.\d\d"', page), "and those that are found"
     vehicles, others = apart(coco.iter_all_results(Path("eval/predictions_easy.json")))
     assert len(vehicles) > 3
-    assert {other.category for other in others} == set(CATEGORIES[1:])
+    assert {other.category for other in others} == set(CATEGORY_NAMES[1:])
     assert entry["detections"] == sum(vehicle.score > 0.2 for vehicle in vehicles)
     rows = [row for row in read(Path("eval/predictions_easy.json")) if row["category_id"] > 1]
     assert not any("keypoints" in row for row in rows)
@@ -106,9 +106,9 @@ def test_a_calibration_says_whom_it_leaves_out(skope: Any, categories_run: Path,
     coco.write(path, replace(coco.read(path), annotations=tuple(vehicles), road_users=()))
     code, said, error = skope("eval", "calibrate-scores", *common, "--score", "0.05", "--out", "a.safetensors")
     assert code == 0, error
-    for name in CATEGORIES[1:]:
+    for name in CATEGORY_NAMES[1:]:
         assert f"{name}: not calibrated, a threshold means another thing for it: of " in said
-    assert read_checkpoint(Path("a.safetensors"))[0]["metadata"]["calibrated"]["categories"] == [CATEGORIES[0]]
+    assert read_checkpoint(Path("a.safetensors"))[0]["metadata"]["calibrated"]["categories"] == [CATEGORY_NAMES[0]]
 
 
 def test_a_calibration_of_each_category(
@@ -155,7 +155,7 @@ def test_outcomes_of_a_category_are_those_of_brute_force(tmp_path: Path) -> None
         RoadUserResult(image_id=1, category_id=2, score=float(score), bbox=box)
         for score, box in zip(rng.permutation(36) / 40, shaken, strict=True)
     ]
-    truth = AnnotationFile(images=(size,), annotations=(), road_users=users, categories=CATEGORIES)
+    truth = AnnotationFile(images=(size,), annotations=(), road_users=users, categories=CATEGORY_NAMES)
     free, expected = set(range(1, 12)), []
     for one in sorted(found, key=lambda result: -result.score):
         overlaps = box_math.iou(xywh_to_xyxy(one.bbox[None]), xywh_to_xyxy(boxes))[0]
@@ -180,7 +180,7 @@ def test_predicting_images(skope: Any, categories_run: Path, tmp_path: Path) -> 
     vehicles, others = apart(coco.iter_all_results(Path("seen/predictions.json")))
     assert vehicles
     assert others
-    assert coco.read(Path("seen/frames.json")).categories == CATEGORIES
+    assert coco.read(Path("seen/frames.json")).categories == CATEGORY_NAMES
     counts = Counter(other.category for other in others)
     line = next(line for line in said.splitlines() if line.endswith(" in 2 images"))
     assert line.startswith(f"{len(vehicles)} vehicles, ")
@@ -202,7 +202,7 @@ def test_predicting_a_video(skope: Any, categories_run: Path, stops_after: Any, 
     assert others
     kinds: dict[int, set[str]] = {}
     for row in read(Path("whole/predictions.json")):
-        kinds.setdefault(row["track_id"], set()).add(CATEGORIES[row["category_id"] - 1])
+        kinds.setdefault(row["track_id"], set()).add(CATEGORY_NAMES[row["category_id"] - 1])
     assert all(len(names) == 1 for names in kinds.values())
     numbers = [max(n for n, names in kinds.items() if "vehicle" in names)]
     assert min(n for n, names in kinds.items() if "vehicle" not in names) == numbers[0] + 1

@@ -17,7 +17,7 @@ from skope.metrics.breakdown import FleetInfo
 from skope.metrics.keypoint_outcomes import Options
 from skope.metrics.road_users import category_figures
 from skope.metrics.split_scores import split_metrics
-from skope.schema import CATEGORIES, AnnotationFile, Result, RoadUser, RoadUserResult
+from skope.schema import CATEGORY_NAMES, AnnotationFile, Result, RoadUser, RoadUserResult
 from tests.metrics import brute
 from tests.samples import make_annotation, make_image, make_road_user
 
@@ -38,7 +38,7 @@ def random_split(seed: int) -> tuple[AnnotationFile, list[RoadUserResult]]:
     results: list[RoadUserResult] = []
     for image in images[:-1]:  # the last one is empty
         for _ in range(12):
-            category = CATEGORIES[int(rng.integers(1, 4))]
+            category = CATEGORY_NAMES[int(rng.integers(1, 4))]
             side = float(rng.choice([12.0, 28.0, 60.0, 130.0]))
             x, y = rng.integers(0, 480, 2).tolist()
             box = (float(x), float(y), side, float(rng.choice([1.0, 1.5])) * side)
@@ -49,7 +49,7 @@ def random_split(seed: int) -> tuple[AnnotationFile, list[RoadUserResult]]:
                 # Scores that lie apart: of equal ones pycocotools prefers those that stand first in an image's list.
                 results.append(found(users[-1], float(rng.random()), shift=shift, category=other))
     vehicle = make_annotation(900, 1, (0.0, 0.0, 300.0, 300.0))
-    file = AnnotationFile(images=images, annotations=(vehicle,), road_users=tuple(users), categories=CATEGORIES)
+    file = AnnotationFile(images=images, annotations=(vehicle,), road_users=tuple(users), categories=CATEGORY_NAMES)
     return file, results
 
 
@@ -65,7 +65,7 @@ def test_ap_is_that_of_pycocotools_on_the_files(seed: int, tmp_path: Path) -> No
         with contextlib.redirect_stdout(io.StringIO()):
             truth = COCO(str(tmp_path / "truth.json"))
             evaluation = COCOeval(truth, truth.loadRes(str(tmp_path / "found.json")), "bbox")
-            evaluation.params.catIds = [CATEGORIES.index(name) + 1]
+            evaluation.params.catIds = [CATEGORY_NAMES.index(name) + 1]
             evaluation.evaluate()
             evaluation.accumulate()
             evaluation.summarize()
@@ -132,7 +132,7 @@ def test_by_hand() -> None:
         make_road_user(2, 1, (60, 10, 20, 40), "pedestrian"),
         make_road_user(3, 1, (110, 10, 40, 40), "pedestrian", iscrowd=1),
     )
-    file = AnnotationFile(images=(make_image(1),), annotations=(), road_users=users, categories=CATEGORIES)
+    file = AnnotationFile(images=(make_image(1),), annotations=(), road_users=users, categories=CATEGORY_NAMES)
     results = [
         found(users[0], 0.9),
         found(users[2], 0.8, shift=(0, 0, -20, 0)),
@@ -168,6 +168,6 @@ def test_vehicles_are_measured_as_if_there_were_nobody_else() -> None:
     def entry(of: AnnotationFile, **more: Any) -> dict[str, Any]:
         return split_metrics(of, cars, Options(), FleetInfo(), **more).entry
 
-    with_others = entry(file, road_users=results, known=CATEGORIES)
-    assert set(with_others.pop("categories")) == set(CATEGORIES[1:])
+    with_others = entry(file, road_users=results, known=CATEGORY_NAMES)
+    assert set(with_others.pop("categories")) == set(CATEGORY_NAMES[1:])
     assert with_others == entry(alone) == entry(file)

@@ -112,7 +112,7 @@ def test_each_is_followed_under_one_number(fps: float) -> None:
     assert [track.number for track in tracks] == [7, 8, 9]
     assert sorted(track.category for track in tracks) == ["bicycle", "pedestrian", "pedestrian"]
     for category, walk in people:
-        own = [t for t in tracks if t.category == schema.CATEGORIES[category - 1]]
+        own = [t for t in tracks if t.category == schema.CATEGORY_NAMES[category - 1]]
         errors = [np.abs(t.position[:, :2] - [walk(time) for time in t.times_s]).max() for t in own]
         (best,) = [t for t, error in zip(own, errors, strict=True) if error == min(errors)]
         assert len(best.frames) == len(times)
@@ -291,7 +291,7 @@ def street(seconds: float = 3.0, fps: float = 10.0) -> AnnotationFile:
         number = 1000 + len(users)
         box = tuple(box_at(CAMERA, place, size).tolist())
         users.append(replace(make_road_user(number, image.id, box, name), track_id=50 + len(users) % 2))
-    return replace(file, road_users=tuple(users), categories=schema.CATEGORIES)
+    return replace(file, road_users=tuple(users), categories=schema.CATEGORY_NAMES)
 
 
 def rows_of(path: Path) -> list[dict[str, str]]:

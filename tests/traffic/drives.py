@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from skope.schema import VEHICLE
+from skope.schema import VEHICLE_CATEGORY
 from skope.site.gates_zones_lanes import Gate
 from skope.tracks.track import Track, concatenated
 from skope.traffic.observation import Observation
@@ -19,7 +19,7 @@ def drive(number: int, places: Any, times_s: Any = None, *, sigma: float = 0.05,
     fast = np.linalg.norm(velocity, axis=1) > 0.05
     heading = np.where(fast, np.arctan2(velocity[:, 1], velocity[:, 0]), np.nan)
     values: dict[str, Any] = {
-        "category": VEHICLE,
+        "category": VEHICLE_CATEGORY,
         "class_name": "car",
         "class_confidence": 0.95,
         "length": 4.0,

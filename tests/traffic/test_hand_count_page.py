@@ -21,12 +21,18 @@ from skope.files.csv_files import read_csv
 from skope.files.json_files import write_json
 from skope.site.gates_zones_lanes import Gate
 from skope.site.site_file import parse_site
-from skope.site.traffic_settings import CLASSES
+from skope.site.traffic_settings import TRAFFIC_CLASSES
 from skope.tracks.csv_file import TRACKS_CSV, write_tracks
 from skope.traffic.image_counts import count_in_image
 from skope.traffic.measure import measure
 from skope.traffic.observation import FOOTAGE_FILE, Observation
-from skope.traffic.page.hand_count import LETTERS, hand_count_data, hand_count_json, packed_times
+from skope.traffic.page.hand_count import (
+    CLASS_LETTERS,
+    MANUAL_COUNT_PAGE,
+    hand_count_data,
+    hand_count_json,
+    packed_times,
+)
 from skope.traffic.page.page import traffic_page
 from skope.traffic.recordings import SiteRecording
 from skope.traffic.traffic_report import TrafficReport
@@ -320,7 +326,7 @@ def unpacked(text: str) -> Iterator[tuple[int, str]]:
 def test_crossings_are_held_to_the_millisecond_and_no_later() -> None:
     events = [(59.9999, "car"), (1.2345, "pedestrian"), (3600.0, "bus")]
     assert list(unpacked(packed_times(events))) == [(1234, "h"), (59_999, "a"), (3_600_000, "d")]
-    assert len(set(LETTERS.values())) == len(CLASSES)
+    assert len(set(CLASS_LETTERS.values())) == len(TRAFFIC_CLASSES)
 
 
 def test_the_page_holds_who_crossed_when_and_went_where() -> None:
@@ -341,7 +347,7 @@ def test_the_page_holds_who_crossed_when_and_went_where() -> None:
 
 
 def test_too_many_crossings_are_left_out_and_said(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("skope.traffic.page.hand_count.MOST_CROSSINGS", 1)
+    monkeypatch.setattr("skope.traffic.page.hand_count.MANUAL_COUNT_PAGE", replace(MANUAL_COUNT_PAGE, most_crossings=1))
     report = report_of()
     data = hand_count_data(report, None)
     assert (data["crossings"], data["movements"]) == (None, None)

@@ -11,7 +11,7 @@ from scipy.stats import norm
 
 from skope.errors import UserError
 from skope.site.site_file import parse_site
-from skope.site.traffic_settings import CLASSES, TrafficSettings
+from skope.site.traffic_settings import TRAFFIC_CLASSES, TrafficSettings
 from skope.tracks.track import Track
 from skope.traffic.length_bins import WHY_NOT, LengthCount, bin_probabilities, length_bin, length_sigma_m
 from skope.traffic.measure import measure
@@ -129,7 +129,7 @@ def test_the_files_say_it(tmp_path: Path) -> None:
     with (tmp_path / "counts.csv").open(encoding="utf-8-sig", newline="") as file:
         names = {row["class"]: row["otc_class"] for row in csv.DictReader(file)}
     assert names == {**OTC_CLASSES, "all": "", "vehicle": ""}
-    assert set(OTC_CLASSES) == set(CLASSES)
+    assert set(OTC_CLASSES) == set(TRAFFIC_CLASSES)
 
 
 def test_nothing_observed_is_no_count_and_no_vehicles_no_rows() -> None:

@@ -152,7 +152,7 @@ def test_points_without_a_label_are_never_negative() -> None:
 
 def test_the_keypoint_head_gets_so_many_vehicles_with_a_labelled_point() -> None:
     """Not more than asked for, none without a point, and no other road user, even where it has points."""
-    learning, seen = model(schema.CATEGORIES), []
+    learning, seen = model(schema.CATEGORY_NAMES), []
     learning.roi_heads.keypoint_head.register_forward_pre_hook(lambda _, given: seen.append(len(given[0])))
     image = torch.randint(0, 256, (3, 96, 128), dtype=torch.uint8, generator=torch.Generator().manual_seed(0))
     boxes = torch.tensor([[10.0, 10, 50, 40], [60, 20, 100, 80]])

@@ -36,7 +36,7 @@ from tests.train.test_init_weights import COCO_FILE
 from tests.train.test_loop import CPU, TINY
 from tests.train.test_overfits import BY_HEART, pck
 
-FOUR = DetectorConfig(norm="batch", norm_eps=1e-5, min_size=96, max_size=160, categories=schema.CATEGORIES)
+FOUR = DetectorConfig(norm="batch", norm_eps=1e-5, min_size=96, max_size=160, categories=schema.CATEGORY_NAMES)
 NOBODY = Vehicles(np.zeros((0, 4)), np.zeros((0, 33, 3)), np.zeros((0, 4)))
 
 
@@ -58,7 +58,7 @@ def source(root: Path) -> splits.TrainingSource:
 
 def test_labels_are_places_among_the_categories(tmp_path: Path) -> None:
     part = source(road_users.make_dataset(tmp_path / "data", images=1, users=("pedestrian", "bicycle")))
-    for categories, labels in ((schema.CATEGORIES, [1, 1, 4, 2]), (("vehicle", "pedestrian"), [1, 1, 2])):
+    for categories, labels in ((schema.CATEGORY_NAMES, [1, 1, 4, 2]), (("vehicle", "pedestrian"), [1, 1, 2])):
         training_set = TrainingSet(
             [part.of_categories(categories)], seed=0, augment=Augment(flip=0.0), supervise="visible"
         )
@@ -119,7 +119,7 @@ def test_what_a_crop_or_an_occluder_leaves_too_little_of_is_ignored() -> None:
 def test_datasets_of_different_categories_are_refused_unless_it_is_said_what_to_learn(tmp_path: Path) -> None:
     many = source(road_users.make_dataset(tmp_path / "many", images=1))
     one = source(samples.make_dataset(tmp_path / "one", images=1))
-    assert splits.common_categories([many, many], None) == schema.CATEGORIES
+    assert splits.common_categories([many, many], None) == schema.CATEGORY_NAMES
     assert splits.common_categories([one], None) == ("vehicle",)
     with pytest.raises(UserError, match=r"one: labels vehicle, .*many vehicle, bicycle.*--categories vehicle learns"):
         splits.common_categories([many, one], None)
@@ -140,7 +140,7 @@ def test_validation_keeps_road_users_and_ignores_whom_it_has_learnt(tmp_path: Pa
     part = splits.read(root, exclude_types=(), val_fraction=0.25, max_images=None)
     assert {u.category: u.ignored for u in part.validated.road_users} == {"pedestrian": True, "bicycle": False}
     validation, _ = splits.validation_images([part], 10)
-    assert validation.categories == schema.CATEGORIES
+    assert validation.categories == schema.CATEGORY_NAMES
     ids = [label.id for label in (*validation.annotations, *validation.road_users)]
     assert sorted(ids) == list(range(1, 1 + len(ids)))
     assert len(validation.road_users) == 2 * len(validation.images) > 0
@@ -207,9 +207,9 @@ def test_weights_trained_on_coco_begin_a_training_of_several(tmp_path: Path, mon
     path.parent.mkdir(parents=True)
     torch.save(coco_like.state_dict(), path)
     monkeypatch.setenv("TORCH_HOME", str(tmp_path))
-    model, chosen, words = initialise(Path("auto"), schema.CATEGORIES)
+    model, chosen, words = initialise(Path("auto"), schema.CATEGORY_NAMES)
     assert words == "weights trained on COCO; bicycle, motorcycle, pedestrian anew"
-    assert (chosen.norm, chosen.norm_eps, chosen.categories) == ("frozen", 0.0, schema.CATEGORIES)
+    assert (chosen.norm, chosen.norm_eps, chosen.categories) == ("frozen", 0.0, schema.CATEGORY_NAMES)
     assert model.roi_heads.keypoint_predictor.kps_score_lowres.out_channels == 33
     assert all(alike(rows(model, label), rows(coco_like, label)) for label in (0, 1))
 
@@ -222,7 +222,7 @@ def test_weights_of_several_classes_begin_one_of_fewer_or_of_others(tmp_path: Pa
     assert words.endswith("four.safetensors")
     assert all(alike(rows(model, label), rows(own, theirs)) for label, theirs in ((0, 0), (1, 1), (2, 4)))
     torch.save(own.state_dict(), tmp_path / "four.pth")
-    model, _, words = initialise(tmp_path / "four.pth", schema.CATEGORIES)
+    model, _, words = initialise(tmp_path / "four.pth", schema.CATEGORY_NAMES)
     assert words.endswith("four.pth")
     assert all(alike(rows(model, label), rows(own, label)) for label in range(5))
     with pytest.raises(UserError, match=r"four\.pth: tensor .*box_predictor"):
@@ -358,7 +358,7 @@ def test_other_forms_have_as_many_classes(
     monkeypatch.setattr("skope.train.export.gather", gather)
     packed = export(checkpoint, "compact", tmp_path / "a.safetensors", data=data, console=quiet)
     model, config, metadata = load_weights(packed, "cpu")
-    assert config.categories == schema.CATEGORIES
+    assert config.categories == schema.CATEGORY_NAMES
     assert int8_ranges.read(model, metadata) is not None
     dataset = open_dataset(data)
     (image,) = dataset.read("train").images

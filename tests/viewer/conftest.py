@@ -9,7 +9,7 @@ import pytest
 from skope.dataset import coco
 from skope.dataset.folder import open_dataset
 from skope.metrics.keypoint_outcomes import Options
-from skope.schema import CATEGORIES, Result
+from skope.schema import CATEGORY_NAMES, Result
 from skope.viewer.collection import Collection, ShownSplit, read_picture
 from skope.viewer.documents import Documents
 from skope.viewer.server import bound
@@ -53,7 +53,9 @@ def peopled(labelled: Collection) -> Collection:
         make_road_user(61, first, (120.0, 5, 20, 30), "bicycle"),
         make_road_user(62, second, (140.0, 5, 9, 9), "motorcycle", iscrowd=1),
     )
-    return replace(labelled, splits=(ShownSplit(file=replace(split.file, road_users=others, categories=CATEGORIES)),))
+    return replace(
+        labelled, splits=(ShownSplit(file=replace(split.file, road_users=others, categories=CATEGORY_NAMES)),)
+    )
 
 
 @pytest.fixture

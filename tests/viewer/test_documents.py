@@ -17,7 +17,15 @@ from skope.metrics.split_scores import SplitScores, split_metrics
 from skope.schema import Result
 from skope.viewer import documents
 from skope.viewer.collection import Collection, ShownSplit
-from skope.viewer.documents import HEIGHT_QUALITY, OCCLUSION, QUALITIES, SCORE_STEPS, TYPE, Documents, kind_number
+from skope.viewer.documents import (
+    ALL_QUALITIES,
+    HEIGHT_QUALITY,
+    OCCLUSION_QUALITY,
+    SCORE_STEPS,
+    TYPE_QUALITY,
+    Documents,
+    kind_number,
+)
 from tests.samples import make_annotation, make_dataset
 from tests.viewer.conftest import HOSTILE
 
@@ -25,7 +33,7 @@ from tests.viewer.conftest import HOSTILE
 def values_of(kind: int) -> tuple[str, ...]:
     """The words that a number of `vehicle_filters` stands for, worked out as the page does."""
     out = []
-    for quality in reversed(QUALITIES):
+    for quality in reversed(ALL_QUALITIES):
         kind, place = divmod(kind, len(quality.values))
         out.append(quality.values[place])
     return tuple(reversed(out))
@@ -79,8 +87,8 @@ def test_bands_are_those_of_the_breakdown(height: float, occlusion: float, bands
     for boxes in ("full", "visible"):
         assert values_of(kind_number(vehicle, boxes))[1:] == bands[::-1]
     assert [quality["name"] for quality in documents.described()] == [
-        TYPE.name,
-        OCCLUSION.name,
+        TYPE_QUALITY.name,
+        OCCLUSION_QUALITY.name,
         HEIGHT_QUALITY.name,
     ]
 

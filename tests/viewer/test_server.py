@@ -215,7 +215,7 @@ def test_another_port_is_found_where_the_usual_one_is_taken(
 ) -> None:
     documents = Documents(labelled)
     with bound(documents, 0) as first:
-        monkeypatch.setattr(local_server, "PORT", first.server_port)
+        monkeypatch.setattr(local_server, "FIRST_PORT", first.server_port)
         with bound(documents, None) as second:
             assert second.server_port not in (0, first.server_port)
 

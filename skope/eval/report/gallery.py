@@ -17,10 +17,10 @@ from skope.page import image_viewer
 from skope.page.svg import path_svg, tag
 from skope.types import Array, Integers, Mask
 
-EACH: Final = 2
+IMAGES_OF_A_KIND: Final = 2
 """So many images of each kind (best, median, worst) are shown."""
-WORDS: Final = {"left_right": "left/right swapped", "front_rear": "front/rear swapped", "jitter": "jitter"}
-SHORT: Final = {"left_right": "L/R", "front_rear": "F/R", "jitter": "jitter"}
+FAILURE_WORDS: Final = {"left_right": "left/right swapped", "front_rear": "front/rear swapped", "jitter": "jitter"}
+FAILURE_LABELS: Final = {"left_right": "L/R", "front_rear": "F/R", "jitter": "jitter"}
 """Kinds of failures as labels in the picture, where there is little room."""
 
 
@@ -43,7 +43,7 @@ def chosen_images(values: Array, blocks: Integers) -> list[Choice]:
     inwards = sorted(order, key=lambda i: abs(rank[i] - (len(order) - 1) / 2))
     kinds: dict[int, str] = {}
     for kind, candidates in (("best", order[::-1]), ("worst", order), ("median", inwards)):
-        for i in _spread([i for i in candidates if i not in kinds], blocks)[:EACH]:
+        for i in _spread([i for i in candidates if i not in kinds], blocks)[:IMAGES_OF_A_KIND]:
             kinds[i] = kind
     chosen = [Choice(i, kind, float(values[i])) for i, kind in kinds.items()]
     return sorted(chosen, key=lambda c: ("best", "median", "worst").index(c.kind))
@@ -137,8 +137,8 @@ def _layers(
         counts = {kind: count for kind, count in counts.items() if count}
         if counts:
             wrong.append(_strays(points, matches.det_keypoints[outcomes.detection[g]], kinds[g] >= 0))
-            labels.append((box, ", ".join(f"{count} {SHORT[kind]}" for kind, count in counts.items())))
-            words.append(f"{name}: {', '.join(f'{count} {WORDS[kind]}' for kind, count in counts.items())}")
+            labels.append((box, ", ".join(f"{count} {FAILURE_LABELS[kind]}" for kind, count in counts.items())))
+            words.append(f"{name}: {', '.join(f'{count} {FAILURE_WORDS[kind]}' for kind, count in counts.items())}")
     false = false_detections(matches, outcomes)
     for d in np.flatnonzero(matches.det_image == index):
         box = measured.results[matches.det_result[d]].bbox

@@ -20,7 +20,7 @@ from skope.page.templates import Cell, ShareCell, Table, number_text, percent_te
 from skope.page.vehicle_outline import Point, outline
 from skope.version import __version__
 
-ALPHAS = np.linspace(0, 0.2, 41)
+CURVE_ALPHAS = np.linspace(0, 0.2, 41)
 
 
 def precision_recall(measured: SplitScores, options: Options) -> list[Line]:
@@ -47,8 +47,8 @@ def pck_over_alpha(measured: SplitScores, options: Options) -> list[Line]:
     for t in options.iou:
         outcomes = measured.outcomes[t]
         labelled = int((outcomes.labelled & outcomes.found[:, None]).sum())
-        shares = [outcomes.correct(alpha).sum() / labelled if labelled else None for alpha in ALPHAS.tolist()]
-        lines.append(Line(name=f"IoU {t:g}", x=ALPHAS.tolist(), y=shares))
+        shares = [outcomes.correct(alpha).sum() / labelled if labelled else None for alpha in CURVE_ALPHAS.tolist()]
+        lines.append(Line(name=f"IoU {t:g}", x=CURVE_ALPHAS.tolist(), y=shares))
     return lines
 
 
@@ -66,14 +66,14 @@ def keypoint_precision_recall(measured: SplitScores) -> list[Line]:
     return [Line(name="keypoints", x=[i / 100 for i in range(end)], y=precision[:end])]
 
 
-_TITLES: Final = ("PCK %", "box precision", "box recall", "keypoint precision", "keypoint recall")
-_COUNTS: Final = {
+FIGURE_TITLES: Final = ("PCK %", "box precision", "box recall", "keypoint precision", "keypoint recall")
+COUNT_TITLES: Final = {
     "images": "images",
     "ground_truth": "vehicles",
     "ignored": "ignored vehicles",
     "detections": "detections",
 }
-_PRECISIONS: Final = {
+PRECISION_TITLES: Final = {
     "box_ap": "box AP",
     "box_ap50": "box AP50",
     "keypoint_ap": "keypoint AP",
@@ -91,7 +91,7 @@ _BREAKDOWN_TITLES: Final = {
     "model": "Model seen in training",
     "keypoint_kind": "Keypoints of the body's own, or substituted",
 }
-_LAYERS: Final = {
+LAYER_TITLES: Final = {
     "truth": "ground truth (solid; rings: hidden)",
     "found": "predictions (dashed; rings: score under 0.5)",
     "wrong": "failures (L/R sides swapped, F/R ends swapped)",
@@ -127,7 +127,7 @@ def render_page(
         "eval/report/report.html",
         title=f"{subject} ({', '.join(split.file.name for split in measured)})",
         subject=subject,
-        layers=_LAYERS,
+        layers=LAYER_TITLES,
         protocol=protocol,
         about=[_about(document), _source(document["of"])],
         tables={name: _table(document, name, beside) for name in PROTOCOL_NAMES},
@@ -166,8 +166,8 @@ def _source(of: Mapping[str, Any] | None) -> str:
 def _counts(splits: Mapping[str, Any]) -> Table:
     """Counts and average precision, a column per split."""
     every = splits.values()
-    rows: list[list[object]] = [[words, *(split[key] for split in every)] for key, words in _COUNTS.items()]
-    rows += [[words, *(number_text(split["coco"][key]) for split in every)] for key, words in _PRECISIONS.items()]
+    rows: list[list[object]] = [[words, *(split[key] for split in every)] for key, words in COUNT_TITLES.items()]
+    rows += [[words, *(number_text(split["coco"][key]) for split in every)] for key, words in PRECISION_TITLES.items()]
     for precision in (f"{p:g}" for p in METRIC_RULES.at_precision):
         recalls = [number_text(split["recall_at_precision"][precision]) for split in every]
         rows.append([f"box recall at precision {precision}", *recalls])
@@ -207,9 +207,9 @@ def _table(document: Mapping[str, Any], protocol: str, beside: Mapping[str, Any]
             if beside and protocol == "paper":
                 theirs = [_cell(v, None, i == 0) for i, v in enumerate(published_row(beside, name, t))]
                 rows.append([f"{name}, IoU {t}: published", *theirs])
-    assert len(_TITLES) == len(FIGURE_COLUMNS) + 1
+    assert len(FIGURE_TITLES) == len(FIGURE_COLUMNS) + 1
     caption = f"Protocol {protocol}, with 95% intervals"
-    return Table(caption=caption, head=("split, threshold", *_TITLES), rows=rows, sortable=True)
+    return Table(caption=caption, head=("split, threshold", *FIGURE_TITLES), rows=rows, sortable=True)
 
 
 def _cell(value: float | None, interval: Sequence[float] | None, percent: bool) -> Cell:

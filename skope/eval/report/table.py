@@ -13,12 +13,12 @@ from skope.metrics.pck_precision_recall import METRIC_RULES
 from skope.metrics.road_users import AP50_IOU
 from skope.terminal.console import text_table
 
-_MEANING: Final = {
+PROTOCOL_MEANINGS: Final = {
     "pooled": "pooled (over the whole split; the one to decide by)",
     "paper": "paper (mean of each image's own figures, as published; `pooled` is the one to decide by)",
 }
 FIGURE_COLUMNS: Final = ("box_precision", "box_recall", "keypoint_precision", "keypoint_recall")
-_SHORT: Final = ("box Pr", "box Re", "keypoint Pr", "keypoint Re")
+SHORT_TITLES: Final = ("box Pr", "box Re", "keypoint Pr", "keypoint Re")
 _MARGIN_CHARS: Final = 5
 _BLOCK_CHARS: Final = len(" 100.00  0.000 0.000  0.000 0.000")
 _BLOCK_GAP: Final = " | "
@@ -63,7 +63,7 @@ def render_table(
     one_of("--protocol", protocol, PROTOCOL_NAMES)
     splits = list(metrics["splits"].items())
     side_by_side = max(1, (width - _MARGIN_CHARS + len(_BLOCK_GAP)) // (_BLOCK_CHARS + len(_BLOCK_GAP)))
-    lines = [f"Protocol: {_MEANING[protocol]}"]
+    lines = [f"Protocol: {PROTOCOL_MEANINGS[protocol]}"]
     for first in range(0, len(splits), side_by_side):
         lines += ["", *_group(dict(splits[first : first + side_by_side]), metrics, protocol, beside)]
     if beside:
@@ -201,7 +201,7 @@ def _intervals(splits: Mapping[str, Any], protocol: str) -> list[str]:
         if figures["pck"] is not None or figures["box_recall"][protocol] is not None:
             pck, *others = row_of(figures, protocol)
             shown = [f"PCK {span(pck, percent=True)}"]
-            shown += [f"{title} {span(value)}" for title, value in zip(_SHORT, others, strict=True)]
+            shown += [f"{title} {span(value)}" for title, value in zip(SHORT_TITLES, others, strict=True)]
             lines.append(f"    IoU {t}: {', '.join(shown)}")
     return ["", "95% intervals (all thresholds are in metrics.json)", *lines] if lines else []
 

@@ -106,7 +106,7 @@ def road_user_categories(file: AnnotationSource, console: Console) -> dict[int, 
     out = {
         row["id"]: name
         for row in file.document["categories"]
-        if (name := bare(row.get("name"))) in schema.CATEGORIES[1:] and not row.get("keypoints")
+        if (name := bare(row.get("name"))) in schema.CATEGORY_NAMES[1:] and not row.get("keypoints")
     }
     if out and not file.ours:
         console.say(f"{file.path}: taken for ours, without keypoints: {', '.join(out.values())}")
@@ -263,7 +263,7 @@ def road_user_of(
         if told.get("ignore_reason"):
             told["iscrowd"] = 1
         fields = {**(row if ours else fields), **told, "bbox": box_of_row(row.get("bbox"), np.zeros((K, 3)), image)}
-        fields |= {"category_id": schema.CATEGORIES.index(category) + 1, "id": 0}  # ids are given anew
+        fields |= {"category_id": schema.CATEGORY_NAMES.index(category) + 1, "id": 0}  # ids are given anew
         user = cut_to(image, coco.road_user_from_dict(fields))
     if user is None:
         remarks.add(category, "left out, without area inside the image", where)

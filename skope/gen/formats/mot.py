@@ -15,7 +15,7 @@ from skope.errors import UserError
 from skope.files.atomic import write_text
 from skope.gen.formats.dataset_builder import frame_rate
 from skope.gen.output.writers import place_file
-from skope.schema import CATEGORIES, CATEGORY_ID, Annotation, Image, RoadUser
+from skope.schema import CATEGORY_ID, CATEGORY_NAMES, Annotation, Image, RoadUser
 from skope.terminal.console import Console
 
 
@@ -37,7 +37,7 @@ def write(dataset: Dataset, out: Path, console: Console) -> None:
                 rows += [_row(f"{dataset.root}: {split}", frame, label) for label in own[image.id]]
             write_text(out / split / name / "gt" / "gt.txt", "".join(rows))
             if len(file.categories) > 1:
-                write_text(out / split / name / "gt" / "labels.txt", "".join(f"{one}\n" for one in CATEGORIES))
+                write_text(out / split / name / "gt" / "labels.txt", "".join(f"{one}\n" for one in CATEGORY_NAMES))
             write_text(out / split / name / "seqinfo.ini", _information(name, images))
 
 

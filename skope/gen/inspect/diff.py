@@ -8,7 +8,7 @@ import numpy as np
 
 from skope.dataset.folder import Dataset, read_manifest
 from skope.errors import UserError
-from skope.schema import CATEGORIES, Annotation, Labelled, RoadUser
+from skope.schema import CATEGORY_NAMES, Annotation, Labelled, RoadUser
 
 Key = tuple[str | None, str | None, int | None]
 
@@ -37,7 +37,7 @@ def _labels(one: Dataset, other: Dataset, split: str) -> Iterator[str]:
     odd = Counter[str]()
     for key in common:
         mine, theirs = first[key], second[key]
-        for name in CATEGORIES:
+        for name in CATEGORY_NAMES:
             odd[name] += {one for one in mine if one[0] == name} != {one for one in theirs if one[0] == name}
         both_labels += [(mine[one], theirs[one]) for one in mine.keys() & theirs.keys()]
     for name, count in odd.items():

@@ -14,7 +14,7 @@ from skope import keypoints
 from skope.dataset.folder import Dataset
 from skope.errors import UserError
 from skope.files.atomic import write_text
-from skope.gen.inspect.report_layers import LAYER_TITLES, SHOWN, ShownPhoto, filter_kind, shown_photo
+from skope.gen.inspect.report_layers import LAYER_TITLES, SHOWN_LAYERS, ShownPhoto, filter_kind, shown_photo
 from skope.gen.inspect.stats import SplitStats, rows, split_stats
 from skope.gen.output import card_text
 from skope.keypoints import Scheme
@@ -162,7 +162,7 @@ def _even_places(size: int, count: int) -> list[int]:
 
 ShownImage = tuple[Image, Sequence[Annotation | RoadUser]]
 
-_FILTERS: Final = {"split": "split", "site": "site", "weather": "weather", "type": "vehicle type"}
+FILTER_TITLES: Final = {"split": "split", "site": "site", "weather": "weather", "type": "vehicle type"}
 
 
 def write_dataset_report(dataset: Dataset, count: int, path: Path, console: Console) -> Path:
@@ -212,8 +212,10 @@ def _page(
         summary=card_text.card_summary(dataset.card),
         shown=shown,
         layers={layer: words for layer, words in LAYER_TITLES.items() if _has(layer, chosen)},
-        layers_on=SHOWN,
-        filters={key: (words, counts) for key, words in _FILTERS.items() if len(counts := _kinds(key, chosen)) > 1},
+        layers_on=SHOWN_LAYERS,
+        filters={
+            key: (words, counts) for key, words in FILTER_TITLES.items() if len(counts := _kinds(key, chosen)) > 1
+        },
         photos=photos,
         numbers=Table(caption=caption, head=("", *stats), rows=numbers),
         plots=spread_plots(spreads, dataset.scheme),

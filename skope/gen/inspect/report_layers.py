@@ -26,9 +26,9 @@ LAYER_TITLES: Final = {
     "depth": "depth (red near, blue far)",
     "ignored": "ignored vehicles (dotted)",
 }
-SHOWN: Final = ("boxes", "points")
+SHOWN_LAYERS: Final = ("boxes", "points")
 """Layers that are on at first."""
-_DEPTH: Final = 480
+DEPTH_IMAGE_PX: Final = 480
 """Pixels of the longer edge of a depth picture."""
 
 
@@ -68,7 +68,7 @@ def shown_photo(dataset: Dataset, image: Image, labels: Sequence[Annotation | Ro
         caption=caption,
         picture=image_viewer.jpeg(photograph),
         size=size,
-        depth=None if metres is None else image_viewer.jpeg(draw.depth(metres), longest=_DEPTH),
+        depth=None if metres is None else image_viewer.jpeg(draw.depth(metres), longest=DEPTH_IMAGE_PX),
         drawing=image_viewer.drawing(_layers(image, labels, dataset.scheme), size),
         filters={
             "split": image.split,

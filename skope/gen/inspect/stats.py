@@ -15,7 +15,7 @@ from skope.dataset import shards
 from skope.dataset.folder import Dataset
 from skope.files.atomic import replacing
 from skope.keypoints import K
-from skope.schema import CATEGORIES, Annotation, AnnotationFile, Image
+from skope.schema import CATEGORY_NAMES, Annotation, AnnotationFile, Image
 from skope.terminal.console import text_table
 
 OPTIONAL_NUMBERS: Final = ("bend_deg", "road_users")
@@ -193,7 +193,7 @@ def rows(stats: Mapping[str, SplitStats]) -> list[tuple[str, list[str]]]:
         *((f"  {kind}", [str(s.types.get(kind, 0)) for s in columns]) for kind, _ in types.most_common()),
         *(
             row
-            for name in CATEGORIES[1:]
+            for name in CATEGORY_NAMES[1:]
             if any(name in (s.road_users or {}) for s in columns)
             for row in _rows_of(name, columns)
         ),

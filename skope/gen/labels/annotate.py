@@ -22,7 +22,7 @@ from skope.gen.render.frame import RenderedFrame
 from skope.gen.scene.recording import Moment
 from skope.gen.vehicles.model import Vehicle
 from skope.gen.vehicles.paints import color_name
-from skope.schema import CATEGORIES, Annotation, Box3D, RoadUser
+from skope.schema import CATEGORY_NAMES, Annotation, Box3D, RoadUser
 from skope.types import Array, Mask
 
 OCCLUSION_RULES: Final = ("others", "paper")
@@ -235,7 +235,7 @@ def _body_fields(moment: Moment, i: int, camera: Camera) -> dict[str, Any]:
     low, high = bystander.build_bystander(recorded.model, recorded.shape).box
     center = T[:3, :3] @ ((low + high) / 2) + T[:3, 3]
     return {
-        "category_id": CATEGORIES.index(CATEGORY_OF[recorded.model]) + 1,
+        "category_id": CATEGORY_NAMES.index(CATEGORY_OF[recorded.model]) + 1,
         "track_id": recorded.track_id,
         "box_3d": Box3D(center=center, size_lwh=high - low, yaw=math.atan2(T[1, 0], T[0, 0]), R=T[:3, :3]),
         "velocity": moment.velocity[i],

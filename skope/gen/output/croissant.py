@@ -81,7 +81,7 @@ _IMAGE_FIELDS: Final = {
     "recording": ("sc:Text", "One stretch of time at a site."),
     "frame_index": ("sc:Integer", "Place in the recording."),
     "split": ("sc:Text", "train, or a test split."),
-    "weather": ("sc:Text", f"One of {', '.join(schema.WEATHERS)}."),
+    "weather": ("sc:Text", f"One of {', '.join(schema.WEATHER_NAMES)}."),
 }
 _VEHICLE_FIELDS: Final = {
     "id": ("sc:Integer", "Number of the annotation, unique in the dataset."),
@@ -146,7 +146,7 @@ def _folder(sums: Mapping[str, str], types: str, categories: Sequence[str]) -> J
     for name, (rows, description, fields) in RECORD_SETS.items():
         if rows == "annotations" and categories:
             description = "Annotated road users of all splits; COCO keypoints, a file a split."
-            ids = ", ".join(f"{schema.CATEGORIES.index(one) + 1} {one}" for one in categories)
+            ids = ", ".join(f"{schema.CATEGORY_NAMES.index(one) + 1} {one}" for one in categories)
             # Readers put columns side by side, so that none may be missing in some rows.
             fields = {key: value for key, value in fields.items() if key != "vehicle_type"}
             fields["category_id"] = ("sc:Integer", f"One of {ids}.")

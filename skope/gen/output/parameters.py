@@ -16,7 +16,7 @@ from skope.gen.scene.package_versions import versions
 from skope.gen.scene.random_streams import Variation
 from skope.gen.scene.recording import RecordingInfo
 from skope.records import dataclass_of, plain_values, shown
-from skope.schema import CATEGORIES, VEHICLE_ALONE
+from skope.schema import CATEGORY_NAMES, VEHICLE_ALONE
 from skope.types import Range
 
 
@@ -83,7 +83,7 @@ class Parameters:
     @property
     def categories(self) -> tuple[str, ...]:
         """Names of the categories that the labels have."""
-        return CATEGORIES if self.variation.road_users else VEHICLE_ALONE
+        return CATEGORY_NAMES if self.variation.road_users else VEHICLE_ALONE
 
     def pixels(self) -> tuple[int, int]:
         """Width and height of the images; a UserError where `size` says none of 16 to 8192 pixels."""

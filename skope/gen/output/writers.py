@@ -21,7 +21,7 @@ from skope.files import safe_names
 from skope.files.atomic import link, sha256_of, write_bytes
 from skope.files.json_files import json_bytes, read_json
 from skope.keypoints import SKOPE33, Scheme
-from skope.schema import CATEGORIES, CATEGORY_ID, ROAD_USER_IDS, VEHICLE_ALONE, Annotation, RoadUser
+from skope.schema import CATEGORY_ID, CATEGORY_NAMES, ROAD_USER_IDS, VEHICLE_ALONE, Annotation, RoadUser
 
 CountKind = tuple[str, str | None, str]
 """Kind under which a label is counted: "ground_truth" or "ignored", a vehicle's type, and the category."""
@@ -343,7 +343,9 @@ def frames_of_split(dataset: Dataset, split: str) -> Iterator[FrameFiles]:
 def _kind_of_row(row: Mapping[str, Any], categories: tuple[str, ...]) -> CountKind:
     number = row.get("category_id", CATEGORY_ID)
     other = len(categories) > 1 and number in ROAD_USER_IDS
-    return count_kind(row["iscrowd"], row.get("vehicle_type"), CATEGORIES[number - 1] if other else CATEGORIES[0])
+    return count_kind(
+        row["iscrowd"], row.get("vehicle_type"), CATEGORY_NAMES[number - 1] if other else CATEGORY_NAMES[0]
+    )
 
 
 def rows_of(dataset: Dataset, split: str) -> Iterator[tuple[dict[str, Any], list[Any]]]:

@@ -24,7 +24,7 @@ from skope.gen.towns.sites import Site, site, sites
 from skope.gen.traffic.sumo import step_for
 from skope.gen.vehicles.fleet import fleet
 from skope.records import check_whole
-from skope.schema import WEATHERS
+from skope.schema import WEATHER_NAMES
 from skope.types import Range
 
 
@@ -170,7 +170,7 @@ class DatasetRequest:
         camera_sampling.check_ranges(p.variation.cameras)
         self._check_lens()
         for flag, asked, known in (
-            ("--weather", p.weather, WEATHERS),
+            ("--weather", p.weather, WEATHER_NAMES),
             ("--time-of-day", p.time_of_day, TIMES_OF_DAY),
         ):
             for name in asked:

@@ -24,7 +24,7 @@ from skope.gen.render.frame import Renderer
 from skope.gen.scene.recording import Recording, RecordingPlan
 from skope.gen.simulation.simulate import simulate
 from skope.pictures import draw
-from skope.schema import CATEGORIES, VEHICLE_ALONE, Annotation, AnnotationFile, Image, RoadUser
+from skope.schema import CATEGORY_NAMES, VEHICLE_ALONE, Annotation, AnnotationFile, Image, RoadUser
 from skope.terminal.console import Console
 from skope.video.write import VideoFile, create_video
 
@@ -145,7 +145,7 @@ def write_footage(
             info=info,
             name=name,
             road_users=tuple(road_users),
-            categories=CATEGORIES if recording.road_users else VEHICLE_ALONE,
+            categories=CATEGORY_NAMES if recording.road_users else VEHICLE_ALONE,
         )
         # The labels come first, before the videos are renamed into place: they say which footage the files are of.
         write(footage.labels, file)

@@ -15,22 +15,39 @@ from shapely import Polygon
 from skope.camera.ground_plane import ground_places
 from skope.camera.model import Camera
 from skope.site.gates_zones_lanes import line_on_road
-from skope.site.mark_parser import LANE_WIDTH_M, NO_NAME, Problem, is_name, number_or_none, positions
+from skope.site.mark_parser import MARK_LIMITS, NO_NAME, Problem, is_name, number_or_none, positions
 from skope.site.page.marks import entries_of
 from skope.site.page.overlays import Polyline, polylines_of
 from skope.types import Array
 
-_ROOM_M: Final = 3.0
-"""A track has to be seen so far from a gate on both of its sides."""
-_SAMPLES: Final = 21
-"""Points along a gate that are looked at."""
-_BLIND: Final = 0.25
-"""A gate is warned of where so much of it, as a share of its length, has no room on one side."""
-_ALONG_DEG: Final = 30.0
-"""Angle between a gate and a lane under which the gate runs along it."""
-_KNOWN_M: Final = 1.0
-"""Places of a gate are to be known to this, metres with 90%."""
-_SHORTEST_M: Final = 0.5
+
+@dataclass(frozen=True)
+class DrawingRules:
+    """Limits from which a gate is warned of, and how drawings are projected."""
+
+    room_m: float = 3.0
+    """Distance from a gate over which a track must be visible on both sides, metres."""
+    samples: int = 21
+    """Number of points along a gate that are examined."""
+    blind_share: float = 0.25
+    """Share of a gate without room on one side from which it is warned of."""
+    along_deg: float = 30.0
+    """Angle between a gate and a lane below which the gate runs along the lane, degrees."""
+    known_m: float = 1.0
+    """Largest error of positions of a gate at 90%, metres."""
+    shortest_m: float = 0.5
+    """Shortest gate, metres."""
+    lane_m: float = 3.5
+    """Default width of a lane, metres."""
+    step_m: float = 0.5
+    """Length of the parts in which lines on the road are projected, metres. A lens bends them."""
+    arrow_m: float = 3.0
+    """Length of the arrows across a gate on the road, metres."""
+    arrow_px: float = 40.0
+    """Length of the arrows across a gate in the image, pixels."""
+
+
+DRAWING_RULES: Final = DrawingRules()
 
 
 def gate_warnings(
@@ -46,28 +63,28 @@ def gate_warnings(
     """
     along = line[1] - line[0]
     length = float(np.linalg.norm(along))
-    if length < _SHORTEST_M:
+    if length < DRAWING_RULES.shortest_m:
         return [f"is {length:.1f} m long: nothing can cross it"]
-    spots = line[0] + np.linspace(0, 1, _SAMPLES)[:, None] * along
+    spots = line[0] + np.linspace(0, 1, DRAWING_RULES.samples)[:, None] * along
     out = []
     seen = _seen(camera, spots)
     if not seen.any():
         return ["lies outside the image: nothing can be seen to cross it"]
     left = np.array([-along[1], along[0]]) / length
     for side, sign in (("left", 1.0), ("right", -1.0)):
-        blind = float(np.mean(~(seen & _seen(camera, spots + sign * _ROOM_M * left))))
-        if blind >= _BLIND:
+        blind = float(np.mean(~(seen & _seen(camera, spots + sign * DRAWING_RULES.room_m * left))))
+        if blind >= DRAWING_RULES.blind_share:
             much = "all" if blind == 1 else f"{blind:.0%}"
             out.append(
-                f"{much} of it has no {_ROOM_M:g} m of road in the image on its {side}: "
+                f"{much} of it has no {DRAWING_RULES.room_m:g} m of road in the image on its {side}: "
                 "tracks there are never on both sides"
             )
     out += _lanes_along(line, lanes)
     if place_error is not None:
         errors = place_error(camera.project(_on_road(spots[seen]))[0])
         worst = float(np.nanmax(errors)) if np.isfinite(errors).any() else math.nan
-        if worst > _KNOWN_M:
-            out.append(f"places on it are known to {worst:.1f} m only (90%), more than {_KNOWN_M:g} m")
+        if worst > DRAWING_RULES.known_m:
+            out.append(f"places on it are known to {worst:.1f} m only (90%), more than {DRAWING_RULES.known_m:g} m")
     return out
 
 
@@ -80,7 +97,7 @@ def _lanes_along(line: Array, lanes: Sequence[tuple[Array, float]]) -> list[str]
                 continue
             cosine = abs(float(along @ (b - a))) / (float(np.linalg.norm(along)) * float(np.linalg.norm(b - a)))
             angle = math.degrees(math.acos(min(1.0, cosine)))
-            if angle < _ALONG_DEG:
+            if angle < DRAWING_RULES.along_deg:
                 return [f"runs along a lane ({angle:.0f} degrees to it): draw it across"]
     return []
 
@@ -101,17 +118,10 @@ def _seen(camera: Camera, xy: Array) -> np.ndarray[tuple[int, ...], np.dtype[np.
     return camera.inside(camera.project(_on_road(xy))[0])
 
 
-DRAWN: Final = ("gates", "zones", "lanes", "occluders")
-LANE_M: Final = 3.5
-"""Width of a lane that says none."""
-_FIELDS: Final = {"gates": "line", "zones": "polygon", "lanes": "line", "occluders": "polygon"}
+DRAWN_KINDS: Final = ("gates", "zones", "lanes", "occluders")
+POSITION_FIELDS: Final = {"gates": "line", "zones": "polygon", "lanes": "line", "occluders": "polygon"}
 """Field of each kind that holds its positions."""
-FEWEST: Final = {"gates": 2, "zones": 3, "lanes": 2, "occluders": 3}
-_STEP_M: Final = 0.5
-"""Lines on the road are projected in so many metres each, since a lens bends them."""
-_ARROW_M: Final = 3.0
-_ARROW_PX: Final = 40.0
-"""Length of the arrows across a gate that is drawn in the image, pixels."""
+FEWEST_POSITIONS: Final = {"gates": 2, "zones": 3, "lanes": 2, "occluders": 3}
 _ABOVE_HORIZON: Final = "an end lies on or above the horizon: it counts in the image, but not in metres"
 
 
@@ -125,7 +135,7 @@ class Drawing:
     """(N, 2) metres on the road; of occluders, pixels. (0, 2) for a gate that has `pixels`."""
     pixels: Array | None = None
     """(2, 2) ends of a gate that is drawn in the image; None for everything else."""
-    width: float = LANE_M
+    width: float = DRAWING_RULES.lane_m
     foot: Array | None = None
     """(2,) pixel at which an occluder stands on the ground."""
 
@@ -139,7 +149,7 @@ def read_drawings(document: Mapping[str, Any], size: tuple[int, int]) -> tuple[l
     """
     good: list[Drawing] = []
     problems: list[Problem] = []
-    for kind in DRAWN:
+    for kind in DRAWN_KINDS:
         names: set[str] = set()
         for index, entry in enumerate(entries_of(document, kind)):
             found = _problems(kind, index, entry, names, size)
@@ -150,10 +160,10 @@ def read_drawings(document: Mapping[str, Any], size: tuple[int, int]) -> tuple[l
                 pixels = np.asarray(positions(entry["pixels"], 2))
                 good.append(Drawing(kind=kind, index=index, positions=np.zeros((0, 2)), pixels=pixels))
                 continue
-            rows = positions(entry.get(_FIELDS[kind]), 2)
+            rows = positions(entry.get(POSITION_FIELDS[kind]), 2)
             assert rows is not None
             foot = positions([entry.get("foot")], 2) if kind == "occluders" else None
-            width = number_or_none(entry.get("width")) or LANE_M
+            width = number_or_none(entry.get("width")) or DRAWING_RULES.lane_m
             at = np.asarray(rows)
             good.append(
                 Drawing(kind=kind, index=index, positions=at, width=width, foot=np.array(foot[0]) if foot else None)
@@ -183,22 +193,24 @@ def _problems(kind: str, index: int, entry: Mapping[str, Any], names: set[str], 
             wrong("name", f"another one is called {name!r} already")
         else:
             names.add(name)
-    field = "pixels" if drawn_in_image(kind, entry) else _FIELDS[kind]
+    field = "pixels" if drawn_in_image(kind, entry) else POSITION_FIELDS[kind]
     rows = positions(entry.get(field), 2)
     drawn = positions([entry.get("size") or list(size)], 2)
     if rows is None:
         wrong(field, "expected two numbers for each corner")
     elif field == "pixels" and (drawn is None or drawn[0] != list(size)):
         wrong(field, _other_size(drawn[0] if drawn else None, size))
-    elif len(rows) < FEWEST[kind] or (kind == "gates" and len(rows) != 2):
-        wrong(field, f"needs {FEWEST[kind]} positions" + (" or more" if kind != "gates" else ""), missing=True)
+    elif len(rows) < FEWEST_POSITIONS[kind] or (kind == "gates" and len(rows) != 2):
+        wrong(
+            field, f"needs {FEWEST_POSITIONS[kind]} positions" + (" or more" if kind != "gates" else ""), missing=True
+        )
     elif field == "polygon" and not Polygon(rows).is_valid:
         wrong(field, "its sides cross each other")
     elif field in ("line", "pixels") and not any(a != b for a, b in itertools.pairwise(rows)):
         wrong(field, "its ends are the same")
     if kind == "lanes" and entry.get("width") not in (None, ""):
         width = number_or_none(entry.get("width"))
-        low, high = LANE_WIDTH_M
+        low, high = MARK_LIMITS.lane_width_m
         if width is None or not low <= width <= high:
             wrong("width", f"expected a width from {low:g} to {high:g} metres")
     far = number_or_none(entry.get("distance")) is not None
@@ -291,7 +303,7 @@ def _image_gate(
     """What the page draws of a gate that has its ends in the image: an entry of `shapes`."""
     # With rows counted upwards, left and right of the line are what they are on the screen.
     upwards = np.array([1.0, -1.0])
-    arrows = [way * upwards for way in _ways_across(pixels * upwards, _ARROW_PX)]
+    arrows = [way * upwards for way in _ways_across(pixels * upwards, DRAWING_RULES.arrow_px)]
     shown: dict[str, Any] = {
         "kind": gate.kind,
         "index": gate.index,
@@ -315,7 +327,7 @@ def road_line(camera: Camera, corners: Array) -> list[Polyline]:
     """A line on the road through corners (N, 2), as polylines in pixels."""
     parts = []
     for a, b in itertools.pairwise(corners):
-        steps = int(np.clip(np.linalg.norm(b - a) / _STEP_M, 1, 400))
+        steps = int(np.clip(np.linalg.norm(b - a) / DRAWING_RULES.step_m, 1, 400))
         parts.append(a + np.linspace(0, 1, steps + 1)[:, None] * (b - a))
     points = np.concatenate(parts)
     return polylines_of(camera, np.concatenate([points, np.zeros((len(points), 1))], axis=-1))
@@ -326,7 +338,7 @@ def _pixels(camera: Camera, corners: Array) -> list[list[float] | None]:
     return [[round(float(v), 2) for v in pixel] if good else None for pixel, good in zip(pixels, valid, strict=True)]
 
 
-def _ways_across(line: Array, longest: float = _ARROW_M) -> list[Array]:
+def _ways_across(line: Array, longest: float = DRAWING_RULES.arrow_m) -> list[Array]:
     """(2, 2) each: the way across a gate from its left to its right, and the way back; at most `longest` long."""
     along = line[1] - line[0]
     right = np.array([along[1], -along[0]]) / max(float(np.linalg.norm(along)), 1e-9)

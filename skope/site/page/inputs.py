@@ -1,6 +1,7 @@
 """Input of the page: frames of the footage, and files of points and cameras that a user loads."""
 
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -21,8 +22,20 @@ from skope.video.footage import open_footage
 from skope.video.frame_cache import FrameCache
 from skope.viewer.collection import Picture, encoded, read_picture
 
-_LOOKED_AT: Final = 7
-"""So many frames are compared for the clearest one."""
+
+@dataclass(frozen=True)
+class InputRules:
+    """Choice of the frame, and errors of a given lens."""
+
+    compared_frames: int = 7
+    """Number of frames that are compared for the clearest one."""
+    focal_share: float = 0.01
+    """Relative standard deviation of the focal length of a camera file. Zoom and focus may have changed since."""
+    k1_sigma: float = 0.02
+    """Standard deviation of its k1."""
+
+
+INPUT_RULES: Final = InputRules()
 
 
 class SiteFrames:
@@ -72,7 +85,11 @@ class SiteFrames:
 
     def clearest(self) -> int:
         """Number of the sharpest of some frames from all of the footage: not the one in fog or headlights."""
-        numbers = sorted({round(i) for i in np.linspace(0, self.count - 1, _LOOKED_AT).tolist()}) if self.count else []
+        numbers = (
+            sorted({round(i) for i in np.linspace(0, self.count - 1, INPUT_RULES.compared_frames).tolist()})
+            if self.count
+            else []
+        )
         best, most = 0, -1.0
         for number in numbers:
             try:
@@ -99,9 +116,6 @@ def _size(pixels: Pixels) -> tuple[int, int]:
 
 
 POINT_FILES: Final = (".otrfpts", ".csv")
-_FOCAL_SHARE: Final = 0.01
-"""Standard deviation of the focal length of a camera file, as a share: zoom and focus may have changed since."""
-_K1_SIGMA: Final = 0.02
 CAMERA_FILES: Final = (".json", ".yml", ".yaml", ".xml", ".txt")
 
 
@@ -156,7 +170,7 @@ def loaded(path: Path, size: tuple[int, int]) -> dict[str, Any]:
 def lens_of(camera: Camera) -> dict[str, list[float]]:
     """The lens of a camera file as evidence: `focal_px`, and `k1` of OpenCV's usual model."""
     focal = round(float(camera.K[0, 0]), 3)
-    out = {"focal_px": [focal, round(_FOCAL_SHARE * focal, 3)]}
+    out = {"focal_px": [focal, round(INPUT_RULES.focal_share * focal, 3)]}
     if camera.distortion.model == "brown":
-        out["k1"] = [float(camera.distortion.coefficients[0]), _K1_SIGMA]
+        out["k1"] = [float(camera.distortion.coefficients[0]), INPUT_RULES.k1_sigma]
     return out

@@ -15,7 +15,16 @@ from zoneinfo import ZoneInfo
 from skope.camera.evidence import Belief, Evidence
 from skope.errors import UserError
 from skope.site.calibration_marks import beliefs_of
-from skope.site.mark_parser import KINDS, KNOWN_RANGES, LENS, NO_NAME, Problem, is_name, known_value, read_mark
+from skope.site.mark_parser import (
+    KNOWN_RANGES,
+    LENS_RANGES,
+    MARK_KINDS,
+    NO_NAME,
+    Problem,
+    is_name,
+    known_value,
+    read_mark,
+)
 from skope.site.site_file import clock_doubt
 
 _MAX_ENTRIES: Final = 500
@@ -60,7 +69,7 @@ def marks_of_document(document: Mapping[str, Any], size: tuple[int, int]) -> Mar
     found: dict[str, list[Any]] = {}
     entries: dict[str, dict[str, int]] = {}
     problems: list[Problem] = []
-    for kind in KINDS:
+    for kind in MARK_KINDS:
         names = unique_names(entries_of(document, kind))
         found[kind], entries[kind] = [], {}
         for index, (name, value) in enumerate(zip(names, entries_of(document, kind), strict=True)):
@@ -72,7 +81,7 @@ def marks_of_document(document: Mapping[str, Any], size: tuple[int, int]) -> Mar
                 entries[kind][name] = index
     beliefs, wrong = _known(document.get("known"), size[0])
     problems += wrong
-    evidence = Evidence(size, **{kind: tuple(found[kind]) for kind in KINDS}, beliefs=beliefs)
+    evidence = Evidence(size, **{kind: tuple(found[kind]) for kind in MARK_KINDS}, beliefs=beliefs)
     return Marks(evidence=evidence, entries=entries, problems=problems)
 
 
@@ -105,8 +114,8 @@ def _known(value: Any, width: int) -> tuple[tuple[Belief, ...], list[Problem]]:
 
 def _lens(value: Any) -> dict[str, tuple[float, float]]:
     """The lens of a camera file, which the page shows and does not change."""
-    given = {key: value[key] for key in LENS if value.get(key) is not None} if isinstance(value, dict) else {}
-    lens = {key: pair for key in given if (pair := known_value(given[key], LENS[key]))}
+    given = {key: value[key] for key in LENS_RANGES if value.get(key) is not None} if isinstance(value, dict) else {}
+    lens = {key: pair for key in given if (pair := known_value(given[key], LENS_RANGES[key]))}
     if "focal_px" not in lens or len(lens) < len(given):
         raise UserError("known.lens: expected focal_px and k1, each [value, standard deviation]")
     return lens

@@ -5,6 +5,7 @@ All are polylines in pixels, cut where the camera does not see them.
 
 import itertools
 import math
+from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
@@ -13,22 +14,32 @@ from skope.camera.ground_plane import ground_places
 from skope.camera.model import Camera
 from skope.types import Array
 
-_STEPS_M: Final = (1, 2, 5, 10, 20)
-"""Distances of the grid's lines that are chosen from."""
-_LINES: Final = 10
-"""The grid has about so many lines away from the camera."""
-_REACH: Final = 12.0
-"""The grid ends at so many times the camera's height."""
-_REACH_M: Final = (20.0, 120.0)
-_POST_M: Final = 3.0
-"""Height of the posts."""
-CAR_LWH: Final = (4.5, 1.8, 1.5)
-"""Length, width and height of a car, metres."""
-_MARGIN: Final = 0.5
-"""Lines are drawn so far outside the image, as a share of its size."""
-_CORNERS: Final = np.array(list(itertools.product((-0.5, 0.5), (-0.5, 0.5), (0.0, 1.0))))
-_EDGES: Final = tuple(
-    (a, b) for a, b in itertools.combinations(range(8), 2) if int(np.sum(_CORNERS[a] != _CORNERS[b])) == 1
+
+@dataclass(frozen=True)
+class OverlayGrid:
+    """Grid, posts and cars that are drawn on the road."""
+
+    steps_m: tuple[int, ...] = (1, 2, 5, 10, 20)
+    """Spacings of the grid's lines, metres."""
+    lines: int = 10
+    """Approximate number of lines of the grid away from the camera."""
+    reach_heights: float = 12.0
+    """End of the grid, in heights of the camera."""
+    reach_m: tuple[float, float] = (20.0, 120.0)
+    """Least and largest end of the grid, metres."""
+    post_m: float = 3.0
+    """Height of the posts, metres."""
+    car_lwh: tuple[float, float, float] = (4.5, 1.8, 1.5)
+    """Length, width and height of a car, metres."""
+    margin: float = 0.5
+    """Lines are drawn this far outside the image, as a share of its size."""
+
+
+OVERLAY_GRID: Final = OverlayGrid()
+
+UNIT_BOX: Final = np.array(list(itertools.product((-0.5, 0.5), (-0.5, 0.5), (0.0, 1.0))))
+UNIT_BOX_EDGES: Final = tuple(
+    (a, b) for a, b in itertools.combinations(range(8), 2) if int(np.sum(UNIT_BOX[a] != UNIT_BOX[b])) == 1
 )
 
 Polyline = list[list[float]]
@@ -42,8 +53,8 @@ def overlays(camera: Camera, toward: Array | None = None) -> dict[str, Any]:
         toward: (2,) direction along the road, in the world; None: that in which the camera looks.
     """
     ahead, left, foot = axes(camera)
-    reach = float(np.clip(_REACH * camera.position[2], *_REACH_M))
-    step = next((m for m in _STEPS_M if reach / m <= _LINES), _STEPS_M[-1])
+    reach = float(np.clip(OVERLAY_GRID.reach_heights * camera.position[2], *OVERLAY_GRID.reach_m))
+    step = next((m for m in OVERLAY_GRID.steps_m if reach / m <= OVERLAY_GRID.lines), OVERLAY_GRID.steps_m[-1])
     along, side = np.arange(0, reach + 0.1, 0.5), np.arange(-reach / 2, reach / 2 + 0.1, 0.5)
     grid = []
     for k in np.arange(-(reach // 2 // step) * step, reach / 2 + 0.1, step).tolist():
@@ -61,10 +72,12 @@ def overlays(camera: Camera, toward: Array | None = None) -> dict[str, Any]:
         "step_m": step,
         "labels": labels,
         "horizon": horizon_line(camera),
-        "posts": [line for place in beside for line in polylines_of(camera, place + [[0, 0, 0], [0, 0, _POST_M]])],
-        "post_m": _POST_M,
+        "posts": [
+            line for place in beside for line in polylines_of(camera, place + [[0, 0, 0], [0, 0, OVERLAY_GRID.post_m]])
+        ],
+        "post_m": OVERLAY_GRID.post_m,
         "boxes": [line for place in places for line in car_edges(camera, place, way)],
-        "box_lwh": list(CAR_LWH),
+        "box_lwh": list(OVERLAY_GRID.car_lwh),
     }
 
 
@@ -84,7 +97,7 @@ def horizon_line(camera: Camera) -> list[Polyline]:
 
 
 def car_edges(camera: Camera, place: Array, way: Array) -> list[Polyline]:
-    """Draw the edges of a car of `CAR_LWH` that stands on the road.
+    """Draw the edges of a car of `OVERLAY_GRID.car_lwh` that stands on the road.
 
     Args:
         camera: The camera.
@@ -95,15 +108,17 @@ def car_edges(camera: Camera, place: Array, way: Array) -> list[Polyline]:
         The parts of its edges that the camera sees, pixels.
     """
     turn = np.array([[way[0], -way[1], 0], [way[1], way[0], 0], [0, 0, 1]])
-    corners = place + (_CORNERS * CAR_LWH) @ turn.T
-    return [line for a, b in _EDGES for line in polylines_of(camera, corners[[a, b]])]
+    corners = place + (UNIT_BOX * OVERLAY_GRID.car_lwh) @ turn.T
+    return [line for a, b in UNIT_BOX_EDGES for line in polylines_of(camera, corners[[a, b]])]
 
 
 def polylines_of(camera: Camera, points: Array) -> list[Polyline]:
     """Points (N, 3) in a row as polylines in pixels: cut where they lie behind the camera or far outside the image."""
     pixels, _, valid = camera.project(points)
     size = np.array([camera.width, camera.height])
-    near = valid & (np.abs(np.nan_to_num(pixels, nan=1e9) - size / 2) <= (0.5 + _MARGIN) * size).all(axis=-1)
+    near = valid & (np.abs(np.nan_to_num(pixels, nan=1e9) - size / 2) <= (0.5 + OVERLAY_GRID.margin) * size).all(
+        axis=-1
+    )
     out: list[Polyline] = []
     for inside, run in itertools.groupby(range(len(points)), key=lambda i: bool(near[i])):
         row = list(run)
@@ -121,7 +136,7 @@ def _standing(camera: Camera, columns: tuple[float, ...]) -> list[Array]:
         away = np.linalg.norm(places - camera.position, axis=-1)
         last = 0.0
         for place, distance in zip(places, away.tolist(), strict=True):
-            if np.isfinite(distance) and distance < _REACH_M[1] and distance > max(last * 1.6, last + 6):
+            if np.isfinite(distance) and distance < OVERLAY_GRID.reach_m[1] and distance > max(last * 1.6, last + 6):
                 out.append(place)
                 last = distance
     return out

@@ -9,6 +9,7 @@ import hashlib
 import math
 import re
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -25,10 +26,32 @@ from skope.site.mark_parser import positions
 from skope.site.world import UTM_ZONE
 from skope.viewer.collection import Picture, encoded
 
-_PAIR: Final = re.compile(
+DEGREE_PAIR: Final = re.compile(
     r"\s*([-+]?\d{1,3}(?:[.,]\d+)?)\s*°?\s*([NSns]?)\s*[,;\s]\s*([-+]?\d{1,3}(?:[.,]\d+)?)\s*°?\s*([EWew]?)\s*"
 )
-_APART_M: Final = 20_000.0
+
+
+@dataclass(frozen=True)
+class PlanRules:
+    """View from above, and limits of a plan."""
+
+    spread_m: float = 20_000.0
+    """Largest distance between places, metres."""
+    reach_heights: float = 9.0
+    """End of the view, in heights of the camera."""
+    reach_m: tuple[float, float] = (25.0, 80.0)
+    """Least and largest end of the view, metres."""
+    longer_side: int = 1000
+    """Cells along the longer side."""
+    empty: tuple[int, int, int] = (226, 226, 226)
+    """Colour of cells outside the image, RGB."""
+    most_bytes: int = 24 << 20
+    """Largest plan, bytes."""
+    agreement: float = 0.02
+    """Largest relative difference between a typed distance and that of typed positions."""
+
+
+PLAN_RULES: Final = PlanRules()
 
 
 def map_places(sent: Mapping[str, Any]) -> dict[str, Any]:
@@ -54,8 +77,10 @@ def map_places(sent: Mapping[str, Any]) -> dict[str, Any]:
         longitude, latitude = (round(float(v), 6) for v in np.median(degrees, axis=0))
         world = {"origin": {"longitude": longitude, "latitude": latitude}, "axes": "east, north"}
     metres = _metres_in(world, degrees)
-    if np.abs(metres).max() > _APART_M:
-        raise UserError(f"lies more than {_APART_M / 1000:g} km from the other places; is the latitude first?")
+    if np.abs(metres).max() > PLAN_RULES.spread_m:
+        raise UserError(
+            f"lies more than {PLAN_RULES.spread_m / 1000:g} km from the other places; is the latitude first?"
+        )
     return {"places": np.round(metres, 3).tolist(), "world": world}
 
 
@@ -73,7 +98,7 @@ def _metres_in(world: Mapping[str, Any], degrees: Any) -> Any:
 
 def _typed(text: Any) -> Any:
     """(1, 2) longitude and latitude of a text."""
-    found = _PAIR.fullmatch(text) if isinstance(text, str) and len(text) < 100 else None
+    found = DEGREE_PAIR.fullmatch(text) if isinstance(text, str) and len(text) < 100 else None
     if not found:
         raise UserError("expected latitude and longitude in degrees, like 49.00012, 8.40034")
     latitude, north, longitude, east = found.groups()
@@ -89,14 +114,6 @@ def _pairs(sent: Mapping[str, Any]) -> Any:
     return np.array(rows)[:, ::-1] if sent.get("order") == "latitude" else np.array(rows)
 
 
-_REACH: Final = 9.0
-"""The view ends at so many times the camera's height."""
-_REACH_M: Final = (25.0, 80.0)
-_LONGER_SIDE: Final = 1000
-"""Cells along the longer side."""
-_EMPTY: Final = (226, 226, 226)
-
-
 def seen_from_above(camera: Camera, pixels: NDArray[np.uint8] | None) -> dict[str, Any]:
     """Show the road of a camera's picture (H, W, 3), or of an empty one (None), from above.
 
@@ -104,14 +121,14 @@ def seen_from_above(camera: Camera, pixels: NDArray[np.uint8] | None) -> dict[st
     and `image`, a data address.
     """
     low, high = _extent(camera)
-    cell = float(np.max(high - low)) / _LONGER_SIDE
+    cell = float(np.max(high - low)) / PLAN_RULES.longer_side
     width, height = (int(v) for v in np.maximum(1, np.ceil((high - low) / cell)))
     x = low[0] + (np.arange(width) + 0.5) * cell
     y = high[1] - (np.arange(height) + 0.5) * cell
     places = np.stack([*np.meshgrid(x, y), np.zeros((height, width))], axis=-1)
     at = camera.project(places)[0]
     seen = camera.inside(at)
-    above = np.full((height, width, 3), _EMPTY, dtype=np.uint8)
+    above = np.full((height, width, 3), PLAN_RULES.empty, dtype=np.uint8)
     if pixels is not None:
         index = np.where(seen[..., None], at - 0.5, -1e4).astype(np.float32)
         warped = cv2.remap(pixels, index[..., 0], index[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
@@ -130,7 +147,7 @@ def seen_from_above(camera: Camera, pixels: NDArray[np.uint8] | None) -> dict[st
 
 def _extent(camera: Camera) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """(2,) and (2,) corners of the rectangle that holds the road near the camera."""
-    reach = float(np.clip(_REACH * camera.position[2], *_REACH_M))
+    reach = float(np.clip(PLAN_RULES.reach_heights * camera.position[2], *PLAN_RULES.reach_m))
     u, v = np.meshgrid(np.linspace(0, camera.width, 41), np.linspace(0, camera.height, 41))
     places = ground_places(camera, np.stack([u, v], axis=-1)).reshape(-1, 3)
     away = np.linalg.norm(places[:, :2] - camera.position[:2], axis=-1)
@@ -141,13 +158,12 @@ def _extent(camera: Camera) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     return low, np.maximum(high, low + 1.0)
 
 
-_KINDS: Final = (
+IMAGE_KINDS: Final = (
     (b"\x89PNG\r\n\x1a\n", ".png", "image/png"),
     (b"\xff\xd8\xff", ".jpg", "image/jpeg"),
     (b"RIFF", ".webp", "image/webp"),
 )
 """First bytes, ending and type of the files that every browser shows."""
-_LARGEST: Final = 24 << 20
 
 
 class PlanPictures:
@@ -159,12 +175,12 @@ class PlanPictures:
 
     def hold(self, data: bytes) -> str:
         """Keep a picture's bytes; returns its name. Raises UserError where they are no picture for browsers."""
-        kind = next((media for begin, _, media in _KINDS if data.startswith(begin)), None)
+        kind = next((media for begin, _, media in IMAGE_KINDS if data.startswith(begin)), None)
         if kind is None or (kind == "image/webp" and data[8:12] != b"WEBP"):
             what = "a PDF: save its page as PNG" if data.startswith(b"%PDF") else "expected a PNG, JPEG or WebP picture"
             raise UserError(what)
-        if len(data) > _LARGEST:
-            raise UserError(f"expected a picture of up to {_LARGEST >> 20} MB")
+        if len(data) > PLAN_RULES.most_bytes:
+            raise UserError(f"expected a picture of up to {PLAN_RULES.most_bytes >> 20} MB")
         name = hashlib.sha256(data).hexdigest()
         self._pictures.setdefault(name, Picture(media_type=kind, data=data))
         return name
@@ -192,7 +208,7 @@ class PlanPictures:
             return None
         if name in self._files:
             return self._files[name]
-        suffix = next(suffix for _, suffix, media in _KINDS if media == picture.media_type)
+        suffix = next(suffix for _, suffix, media in IMAGE_KINDS if media == picture.media_type)
         number = 1
         while True:
             path = site.with_name(f"{site.stem}_plan{'' if number == 1 else f'_{number}'}{suffix}")
@@ -205,10 +221,6 @@ class PlanPictures:
             number += 1
         self._files[name] = path.name
         return path.name
-
-
-_AGREE: Final = 0.02
-"""A typed distance and that of typed places may differ by this share."""
 
 
 def plan_scale(sent: Mapping[str, Any]) -> dict[str, Any]:
@@ -243,7 +255,7 @@ def plan_scale(sent: Mapping[str, Any]) -> dict[str, Any]:
         between = math.dist(first, second)
         if not 0.1 <= between <= 1e5:
             raise UserError("the two places are the same, or farther apart than any road's")
-        if metres is not None and abs(metres - between) > _AGREE * between:
+        if metres is not None and abs(metres - between) > PLAN_RULES.agreement * between:
             raise UserError(f"the two places are {between:.2f} m apart, not {metres:g}: which is right?")
         metres = between
         on_plan = math.atan2(ends[0][1] - ends[1][1], ends[1][0] - ends[0][0])

@@ -16,8 +16,8 @@ from zoneinfo import available_timezones
 from skope.camera.evidence import MARKING_ERRORS
 from skope.errors import UserError
 from skope.files.json_files import json_bytes, parse_json
-from skope.site.mark_parser import LONGEST_NAME, MARKED_LENGTH_SIGMA_M
-from skope.site.page.drawings import FEWEST, LANE_M, drawn_in_image, read_drawings
+from skope.site.mark_parser import MARK_LIMITS
+from skope.site.page.drawings import DRAWING_RULES, FEWEST_POSITIONS, drawn_in_image, read_drawings
 from skope.site.page.inputs import SiteFrames, decoded_frame, read_file
 from skope.site.page.marks import marks_of_document, read_time
 from skope.site.page.plan import PlanPictures, map_places, plan_scale, seen_from_above
@@ -25,10 +25,10 @@ from skope.site.page.site_store import Opened, SavedElsewhereError, SiteStore, m
 from skope.site.page.solved_page import SolvedPage, unfinished
 from skope.terminal.console import Console
 from skope.viewer.local_server import (
-    CSS,
-    HTML,
-    JSON,
-    SCRIPT,
+    CSS_TYPE,
+    HTML_TYPE,
+    JSON_TYPE,
+    SCRIPT_TYPE,
     SHARED_FILES,
     Answer,
     LocalHandler,
@@ -39,21 +39,21 @@ from skope.viewer.local_server import (
     served_page,
 )
 
-_HERE: Final = "skope.site.page"
-_PLAN: Final = re.compile(r"/plans/([0-9a-f]{64})")
-_FRAME: Final = re.compile(r"/frames/([0-9]{1,9})")
-_SCRIPTS: Final = ("site", "draw", "input", "marks", "panel", "picture", "server", "views")
-_FILES: Final = SHARED_FILES | {
-    "/site.css": (_HERE, "site.css", CSS),
-    **{f"/{name}.js": (_HERE, f"{name}.js", SCRIPT) for name in _SCRIPTS},
+PAGE_PACKAGE: Final = "skope.site.page"
+PLAN_ADDRESS: Final = re.compile(r"/plans/([0-9a-f]{64})")
+FRAME_ADDRESS: Final = re.compile(r"/frames/([0-9]{1,9})")
+PAGE_SCRIPTS: Final = ("site", "draw", "input", "marks", "panel", "picture", "server", "views")
+PAGE_FILES: Final = SHARED_FILES | {
+    "/site.css": (PAGE_PACKAGE, "site.css", CSS_TYPE),
+    **{f"/{name}.js": (PAGE_PACKAGE, f"{name}.js", SCRIPT_TYPE) for name in PAGE_SCRIPTS},
 }
-LIMITS: Final = {
-    "fewest": FEWEST,
-    "usual": {"points": MARKING_ERRORS.place_m, "lengths": MARKED_LENGTH_SIGMA_M, "lanes": LANE_M},
-    "longest_name": LONGEST_NAME,
+PAGE_LIMITS: Final = {
+    "fewest": FEWEST_POSITIONS,
+    "usual": {"points": MARKING_ERRORS.place_m, "lengths": MARK_LIMITS.length_sigma_m, "lanes": DRAWING_RULES.lane_m},
+    "longest_name": MARK_LIMITS.name_letters,
 }
 """Limits of the parser as the page has them: positions of each kind, values of fields that are empty, letters."""
-_ELSEWHERE: Final = "{name} was saved by another window since this one read it. Nothing of yours is lost: join both, or take the saved one (undo brings yours back)."  # noqa: E501
+SAVED_ELSEWHERE: Final = "{name} was saved by another window since this one read it. Nothing of yours is lost: join both, or take the saved one (undo brings yours back)."  # noqa: E501
 
 
 def serve_site(frames: SiteFrames, path: Path, added: Mapping[str, Any], port: int | None, console: Console) -> None:
@@ -130,7 +130,7 @@ class SiteServer(LocalServer):
             "saved": opened.document,
             "revision": opened.revision,
             "zones": sorted(available_timezones()),
-            "limits": LIMITS,
+            "limits": PAGE_LIMITS,
         }
 
     def _opened(self) -> Opened:
@@ -171,7 +171,7 @@ class SiteServer(LocalServer):
             file = self.plans.saved_beside(self.store.path, plan.get("picture")) if isinstance(plan, dict) else None
             revision = self.store.save(document, solved, revision, now, file)
         except SavedElsewhereError:
-            return HTTPStatus.CONFLICT, {"text": _ELSEWHERE.format(name=self.store.path.name)}
+            return HTTPStatus.CONFLICT, {"text": SAVED_ELSEWHERE.format(name=self.store.path.name)}
         counts = solved.camera or any(drawn_in_image("gates", gate) for gate in document.get("gates", []))
         said = "" if counts else "saved; the camera is not calibrated yet"
         return HTTPStatus.OK, {"revision": revision, "said": said}
@@ -209,16 +209,16 @@ class _Handler(LocalHandler):
 
     def answer_to(self, path: str) -> Answer | None:
         if path == "/":
-            return HTML, served_page("site/page/site.html", "site")
-        if file := _FILES.get(path):
+            return HTML_TYPE, served_page("site/page/site.html", "site")
+        if file := PAGE_FILES.get(path):
             return file[2], read_resource(*file[:2])
         if path == "/begin.json":
-            return JSON, json_bytes(self.server.begin())
+            return JSON_TYPE, json_bytes(self.server.begin())
         frames = self.server.frames
-        if (frame := _FRAME.fullmatch(path)) and (number := int(frame[1])) < frames.count:
+        if (frame := FRAME_ADDRESS.fullmatch(path)) and (number := int(frame[1])) < frames.count:
             picture = frames.picture(number)
             return picture.media_type, picture.data
-        if (plan := _PLAN.fullmatch(path)) and (held := self.server.plans.picture(plan[1])):
+        if (plan := PLAN_ADDRESS.fullmatch(path)) and (held := self.server.plans.picture(plan[1])):
             return held.media_type, held.data
         return None
 
@@ -243,7 +243,7 @@ class _Handler(LocalHandler):
         if not isinstance(sent, dict):
             raise UserError("expected a JSON object")
         status, answer = server.save(sent) if path == "/save" else (HTTPStatus.OK, answers[path](sent))
-        return status, JSON, json_bytes(answer)
+        return status, JSON_TYPE, json_bytes(answer)
 
 
 def _document(sent: Mapping[str, Any], key: str = "document") -> Mapping[str, Any]:

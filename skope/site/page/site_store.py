@@ -18,8 +18,8 @@ from skope.errors import UserError
 from skope.files.atomic import sha256_of
 from skope.site.calibration_marks import CalibrationMarks
 from skope.site.gates_zones_lanes import Gate, gate_at_size, line_on_road
-from skope.site.mark_parser import KINDS, MARKED_LENGTH_SIGMA_M
-from skope.site.page.drawings import DRAWN, drawn_in_image
+from skope.site.mark_parser import MARK_KINDS, MARK_LIMITS
+from skope.site.page.drawings import DRAWN_KINDS, drawn_in_image
 from skope.site.page.marks import SIGMA_FIELDS, entries_of, read_time, time_texts, unique_names
 from skope.site.page.solved_page import SolvedCamera
 from skope.site.site_file import SiteFile, read_site
@@ -27,9 +27,9 @@ from skope.site.write_site import save_site
 
 KNOWN_FIELDS: Final = ("fov_deg", "height_m", "lens")
 """Keys of prior knowledge of a camera, with standard deviations."""
-PLAN: Final = ("metres_per_pixel", "origin", "rotation_deg")
+PLAN_KEYS: Final = ("metres_per_pixel", "origin", "rotation_deg")
 """Keys of a plan that say where its pixels lie in the world."""
-_POSES: Final = (
+POSE_KEYS: Final = (
     *("file", "raw", "fov_deg", "R", "t", "position", "look_at", "yaw_deg", "pitch_deg", "roll_deg", "points"),
     "ground",
 )
@@ -120,7 +120,7 @@ def merged_document(base: Mapping[str, Any], mine: Mapping[str, Any], theirs: Ma
         theirs: What is saved now.
     """
     out = dict(mine)
-    for kind in (*KINDS, *DRAWN):
+    for kind in (*MARK_KINDS, *DRAWN_KINDS):
         own, other, before = (_by_name(document, kind) for document in (mine, theirs, base))
         rows = []
         for name, entry in own.items():
@@ -145,7 +145,7 @@ def document_of(site: SiteFile | None, size: tuple[int, int]) -> dict[str, Any]:
 
     Raises UserError where the file's marks are of images of another size than `size`.
     """
-    out: dict[str, Any] = {kind: [] for kind in (*KINDS, *DRAWN)} | {"camera": None, "known": {}}
+    out: dict[str, Any] = {kind: [] for kind in (*MARK_KINDS, *DRAWN_KINDS)} | {"camera": None, "known": {}}
     out |= {"world": None, "plan": None, "time_zone": None, "start": None}
     if site is None:
         return out
@@ -156,7 +156,7 @@ def document_of(site: SiteFile | None, size: tuple[int, int]) -> dict[str, Any]:
     if site.world is not None:
         out["world"] = dict(site.world)
     if site.plan is not None:
-        out["plan"] = {key: getattr(site.plan, key) for key in PLAN} | {"origin": list(site.plan.origin)}
+        out["plan"] = {key: getattr(site.plan, key) for key in PLAN_KEYS} | {"origin": list(site.plan.origin)}
     out |= time_texts(site.time_zone, site.start)
     out["gates"] = [_gate(gate, size) for gate in site.gates]
     out["zones"] = [{"name": one.name, "polygon": _rows(one.polygon)} for one in site.zones]
@@ -188,7 +188,7 @@ def _marks(marks: CalibrationMarks, size: tuple[int, int]) -> dict[str, Any]:
         "points": [point_entry(one) for one in evidence.points],
         "lengths": [
             {"name": one.name, "pixels": one.pixels.tolist(), "metres": one.metres}
-            | _unless("sigma_m", one.sigma_m, MARKED_LENGTH_SIGMA_M)
+            | _unless("sigma_m", one.sigma_m, MARK_LIMITS.length_sigma_m)
             for one in evidence.lengths
         ],
         "parallels": [{"name": one.name, "lines": one.lines.tolist()} for one in evidence.parallels],
@@ -253,14 +253,14 @@ def changes_of(
         Keys at the top of the file -> values; None removes a key.
     """
     out: dict[str, Any] = {}
-    marked = {kind: _saved_marks(document, kind) for kind in KINDS}
+    marked = {kind: _saved_marks(document, kind) for kind in MARK_KINDS}
     known = {name: document.get("known", {}).get(name) for name in KNOWN_FIELDS}
     if any(marked.values()) or any(known.values()):
         rows = {kind: values or None for kind, values in marked.items()}
         out["calibration"] = {"size": list(size), "when": when, **rows, **known}
     else:
-        out["calibration"] = dict.fromkeys((*KINDS, *KNOWN_FIELDS))
-    for kind in DRAWN:
+        out["calibration"] = dict.fromkeys((*MARK_KINDS, *KNOWN_FIELDS))
+    for kind in DRAWN_KINDS:
         rows_of_kind = [_saved_drawing(kind, entry, solved.camera) for entry in entries_of(document, kind)]
         out[kind] = rows_of_kind or None
     out["world"] = document.get("world") or None
@@ -308,7 +308,7 @@ def _saved_plan(document: Mapping[str, Any], file: str | None) -> dict[str, Any]
     plan = document.get("plan")
     if not isinstance(plan, dict):
         return None
-    return ({"file": file} if file else {}) | {key: plan.get(key) for key in PLAN}
+    return ({"file": file} if file else {}) | {key: plan.get(key) for key in PLAN_KEYS}
 
 
 def _saved_camera(
@@ -318,10 +318,10 @@ def _saved_camera(
     loaded = (document.get("camera") or {}).get("trusted") is True
     if solved.camera is None or (solved.calibration is None and not loaded):
         return None
-    counted = [f"{len(entries_of(document, kind))} {kind}" for kind in KINDS if entries_of(document, kind)]
+    counted = [f"{len(entries_of(document, kind))} {kind}" for kind in MARK_KINDS if entries_of(document, kind)]
     source = ", ".join(counted) if solved.calibration else "a camera file"
     return {
-        **dict.fromkeys(_POSES),
+        **dict.fromkeys(POSE_KEYS),
         "size": list(size),
         **solved.camera.to_dict(),
         "covariance": solved.known.covariance_dict() if solved.known else None,

@@ -17,28 +17,43 @@ from skope.camera.pose_from_points import FEWEST_POINTS
 from skope.camera.uncertain_camera import UncertainCamera
 from skope.dataset.camera_of_file import sized
 from skope.errors import UserError
-from skope.site.mark_parser import KINDS, KNOWN_RANGES, Problem, positions
+from skope.site.mark_parser import KNOWN_RANGES, MARK_KINDS, Problem, positions
 from skope.site.page.drawings import Drawing, read_drawings, shapes
 from skope.site.page.marks import Marks, entries_of, marks_of_document, read_time
 from skope.site.page.overlays import overlays
 from skope.types import Array
 
-BEGIN: Final = (
+FIRST_ADVICE: Final = (
     "Mark at least four points whose positions you know, or a known length and lines that are parallel on the road. "
     "Gates in the image need no calibration; everything in metres does."
 )
-MIRRORED: Final = (
+MIRRORED_ADVICE: Final = (
     "These places are mirrored: the camera would hang below the road. Looking along x, y has to grow to the left, as "
     "with x east and y north. Are x and y swapped (surveyors often count x to the north), or does y of your plan grow "
     "downwards?"
 )
-DEGREES: Final = (
+DEGREES_ADVICE: Final = (
     "These places look like latitude and longitude: degrees, not metres. Say which comes first, and they are taken as "
     "metres around a point between them."
 )
-_NUMBERS: Final = ("no", "one", "two", "three", "four")
-_NO_METRES: Final = 0.2
-"""Places that differ by less than this are no metres of a road."""
+NUMBER_WORDS: Final = ("no", "one", "two", "three", "four")
+
+
+@dataclass(frozen=True)
+class SolvedPageRules:
+    """What the page reports of a solved camera."""
+
+    no_metres: float = 0.2
+    """Positions that differ by less are not metres of a road."""
+    cells: int = 80
+    """Cells across the image."""
+    farthest_m: float = 250.0
+    """Distance up to which positions are reported, metres."""
+    doubtful_sigmas: float = 3.0
+    """Residual from which a mark is highlighted, in standard deviations."""
+
+
+SOLVED_PAGE: Final = SolvedPageRules()
 
 
 def missing(document: Mapping[str, Any], marks: Marks) -> str:
@@ -50,7 +65,7 @@ def missing(document: Mapping[str, Any], marks: Marks) -> str:
         return ""
     marked = entries_of(document, "points")
     if not marked:
-        return BEGIN
+        return FIRST_ADVICE
     good = len(evidence.points)
     unplaced = [i for i in range(len(marked)) if i not in marks.entries["points"].values()]
     words = f"{good} of {needed} points have their places. "
@@ -59,7 +74,7 @@ def missing(document: Mapping[str, Any], marks: Marks) -> str:
         words += f"Type x and y of point {name} in metres"
     left = needed - good - len(unplaced)
     if left > 0:
-        words += (", then mark " if unplaced else "Mark ") + f"{_NUMBERS[left]} more"
+        words += (", then mark " if unplaced else "Mark ") + f"{NUMBER_WORDS[left]} more"
         words += ", spread over the road: near and far, left and right"
     return words + "."
 
@@ -69,7 +84,9 @@ def in_degrees(evidence: Evidence) -> bool:
     if len(evidence.points) < 2:
         return False
     places: Array = np.array([point.place[:2] for point in evidence.points])
-    return bool(np.ptp(places, axis=0).max() < _NO_METRES and 0 < np.abs(places).max() <= 180 and np.any(places % 1))
+    return bool(
+        np.ptp(places, axis=0).max() < SOLVED_PAGE.no_metres and 0 < np.abs(places).max() <= 180 and np.any(places % 1)
+    )
 
 
 def implausible(camera: Camera) -> str:
@@ -90,21 +107,15 @@ def below_road(evidence: Evidence, camera: Camera) -> bool:
     return bool(heights) and float(camera.position[2]) < min(heights)
 
 
-_CELLS: Final = 80
-"""Cells across the image."""
-_FARTHEST_M: Final = 250.0
-"""Beyond this distance nothing is said of places."""
-
-
 def error_map(known: UncertainCamera) -> dict[str, Any]:
     """Square cells of `cell` pixels, row by row from the top: errors in their middles, metres; None: no road there."""
     camera = known.camera
-    cell = max(4, -(-camera.width // _CELLS))
+    cell = max(4, -(-camera.width // SOLVED_PAGE.cells))
     columns, rows = -(-camera.width // cell), -(-camera.height // cell)
     x, y = np.meshgrid((np.arange(columns) + 0.5) * cell, (np.arange(rows) + 0.5) * cell)
     pixels = np.stack([x, y], axis=-1)
     away = np.linalg.norm(known.places(pixels) - camera.position, axis=-1)
-    errors = np.where(away < _FARTHEST_M, known.place_error(pixels), np.nan)
+    errors = np.where(away < SOLVED_PAGE.farthest_m, known.place_error(pixels), np.nan)
     return {"cell": cell, "columns": columns, "rows": rows, "values": values(errors.ravel())}
 
 
@@ -113,10 +124,8 @@ def values(errors: Array) -> list[float | None]:
     return [float(f"{value:.3g}") if np.isfinite(value) else None for value in errors.tolist()]
 
 
-_WRONG_SIGMAS: Final = 3.0
-"""Residuals from so many standard deviations on are marked."""
-_SINGULAR: Final = {"points": "point", "lengths": "length", "parallels": "parallel lines", "verticals": "vertical"}
-_UNITS: Final = {"points": "px", "lengths": "m", "parallels": "deg", "verticals": "px"}
+MARK_WORDS: Final = {"points": "point", "lengths": "length", "parallels": "parallel lines", "verticals": "vertical"}
+RESIDUAL_UNITS: Final = {"points": "px", "lengths": "m", "parallels": "deg", "verticals": "px"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,7 +160,7 @@ class SolvedPage:
     def solve(self, document: Mapping[str, Any]) -> tuple[SolvedCamera, Marks]:
         """The camera of a document, and its marks."""
         marks = marks_of_document(document, self.size)
-        key = json.dumps([document.get(kind) for kind in (*KINDS, "camera", "known")], sort_keys=True)
+        key = json.dumps([document.get(kind) for kind in (*MARK_KINDS, "camera", "known")], sort_keys=True)
         with self._lock:
             if self._last is None or self._last[0] != key:
                 self._last = (
@@ -165,10 +174,10 @@ class SolvedPage:
     def _solved(self, marks: Marks, given: "GivenCamera | None", lacking: str) -> SolvedCamera:
         evidence = marks.evidence
         fallback = SolvedCamera(given.camera, given.known, "") if given else SolvedCamera(None, None, "")
-        if not any(getattr(evidence, kind) for kind in KINDS):
-            return replace(fallback, message="" if fallback.camera else lacking or BEGIN)
+        if not any(getattr(evidence, kind) for kind in MARK_KINDS):
+            return replace(fallback, message="" if fallback.camera else lacking or FIRST_ADVICE)
         if in_degrees(evidence):
-            return replace(fallback, message=DEGREES, mend="degrees")
+            return replace(fallback, message=DEGREES_ADVICE, mend="degrees")
         if lacking:
             return replace(fallback, message=lacking)
         vehicles = (self._vehicles,) if self._vehicles else ()
@@ -180,7 +189,7 @@ class SolvedPage:
         except (np.linalg.LinAlgError, FloatingPointError):
             return replace(fallback, message="no camera agrees with what is marked")
         if below_road(evidence, found.camera):
-            return replace(fallback, message=MIRRORED, mend="mirrored")
+            return replace(fallback, message=MIRRORED_ADVICE, mend="mirrored")
         if words := implausible(found.camera):
             return replace(fallback, message=words)
         return SolvedCamera(found.camera, found, "", left_out=left_out_errors(evidence, found))
@@ -300,10 +309,10 @@ def _residuals(calibration: SiteCalibration, marks: Marks, without: Mapping[str,
     """
     out = []
     told = {(one.kind, one.name): one for one in calibration.residuals}
-    for kind in KINDS:
+    for kind in MARK_KINDS:
         for record in getattr(marks.evidence, kind):
             left_out = kind == "points" and record.name in calibration.outliers
-            one = told.get((_SINGULAR[kind], record.name))
+            one = told.get((MARK_WORDS[kind], record.name))
             value = one.value if one else None
             if one is None and kind == "points":
                 off = np.linalg.norm(calibration.camera.project(record.place)[0] - record.pixel)
@@ -313,9 +322,9 @@ def _residuals(calibration: SiteCalibration, marks: Marks, without: Mapping[str,
                     "kind": kind,
                     "index": marks.entries[kind][record.name],
                     "value": None if value is None else round(value, 3),
-                    "unit": _UNITS[kind],
+                    "unit": RESIDUAL_UNITS[kind],
                     "left_out": left_out,
-                    "wrong": left_out or (one is not None and one.sigmas > _WRONG_SIGMAS),
+                    "wrong": left_out or (one is not None and one.sigmas > SOLVED_PAGE.doubtful_sigmas),
                     "at": _expected(calibration.camera, record.place) if kind == "points" else None,
                     "by_others": _by_others(without.get(record.name)) if kind == "points" else None,
                 }

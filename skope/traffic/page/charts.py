@@ -6,6 +6,7 @@ Each chart has its numbers as a table below.
 import math
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -14,7 +15,7 @@ from markupsafe import Markup
 from skope.page.charts import Axes, Line, chart, histogram
 from skope.page.svg import tag
 from skope.page.templates import Cell, Table, piece
-from skope.schema import VEHICLE
+from skope.schema import VEHICLE_CATEGORY
 from skope.tracks.track import KMH_PER_MPS
 from skope.traffic.count_uncertainty import in_words
 from skope.traffic.gate_counts import ALL_CLASSES, Count
@@ -25,8 +26,45 @@ from skope.traffic.traffic_report import TrafficReport
 from skope.traffic.turning_movements import NO_GATE, GateDirection, TurningCount
 from skope.types import Array
 
-_MAX_INTERVALS: Final = 100
-"""Maximum number of intervals with a matrix each; the others are in turning.csv."""
+
+@dataclass(frozen=True)
+class ChartStyle:
+    """Sizes of the charts."""
+
+    most_intervals: int = 100
+    """Maximum number of intervals with a matrix each. The others are in turning.csv."""
+    diagram: float = 560.0
+    """Side of the diagram of movements."""
+    diagram_radius: float = 200.0
+    """Radius of its circle."""
+    widest_band: float = 26.0
+    """Width of its widest band."""
+    thinnest_band: float = 1.5
+    """Width of its thinnest band."""
+    gate_gap_deg: float = 14.0
+    """Angle between where bands leave a gate and where they enter it, degrees."""
+    turn_inward: float = 0.25
+    """Distance of a turn's band from the middle, as a share of the radius, at the band's middle."""
+    u_turn_inward: float = 0.6
+    """The same of a U-turn."""
+    speed_bin_kmh: float = 5.0
+    """Width of a bin of speeds, km/h."""
+    headway_bin_s: float = 1.0
+    """Width of a bin of headways, seconds."""
+    longest_headway_s: float = 20.0
+    """Headway up to which vehicles follow each other, seconds."""
+    fewest: int = 5
+    """Smallest number of values of a distribution."""
+    axis_parts: int = 5
+    """Number of parts of an axis."""
+    most_marks: int = 48
+    """Maximum number of markers on a line."""
+    most_lines: int = 4
+    """Maximum number of lines in a chart."""
+
+
+CHART_STYLE: Final = ChartStyle()
+
 Pair = tuple[GateDirection, GateDirection]
 
 
@@ -58,13 +96,15 @@ def movement_matrices(report: TrafficReport, classes: Sequence[str]) -> list[Blo
             if any(row.count for row in cells.values()):
                 caption = f"{interval_label(report, interval)}: {_words(classes[0])}"
                 by_interval.append(_matrix(cells, origins, destinations, caption, {}))
-        more = f", the first {_MAX_INTERVALS}" if len(by_interval) > _MAX_INTERVALS else ""
-        out.append(piece("tables_in_details", f"Movements by interval{more}", by_interval[:_MAX_INTERVALS]))
+        more = f", the first {CHART_STYLE.most_intervals}" if len(by_interval) > CHART_STYLE.most_intervals else ""
+        out.append(
+            piece("tables_in_details", f"Movements by interval{more}", by_interval[: CHART_STYLE.most_intervals])
+        )
     return out
 
 
 def _words(class_name: str) -> str:
-    return "vehicles (more than two wheels)" if class_name == VEHICLE else "all road users"
+    return "vehicles (more than two wheels)" if class_name == VEHICLE_CATEGORY else "all road users"
 
 
 def _sides(report: TrafficReport) -> tuple[list[GateDirection], list[GateDirection]]:
@@ -145,25 +185,13 @@ def _about(report: TrafficReport, origins: Sequence[GateDirection], destinations
     return text
 
 
-_SIZE: Final = 560.0
-_RADIUS: Final = 200.0
-_WIDEST: Final = 26.0
-_THINNEST: Final = 1.5
-_APART_DEG: Final = 14.0
-"""Between where bands come out of a gate and where they go into it."""
-_INWARD: Final = 0.25
-"""Nearness of a turn's band, at its middle, to the diagram's middle, as a share."""
-_TURNED: Final = 0.6
-"""And that of somebody who turns around."""
-
-
 def flow_diagram(report: TrafficReport) -> Markup:
     """A figure; nothing where nobody was seen at two gates."""
-    vehicles = any(one.class_name == VEHICLE for one in report.turning_total)
+    vehicles = any(one.class_name == VEHICLE_CATEGORY for one in report.turning_total)
     whole = [
         one
         for one in report.turning_total
-        if one.class_name == (VEHICLE if vehicles else ALL_CLASSES)
+        if one.class_name == (VEHICLE_CATEGORY if vehicles else ALL_CLASSES)
         and one.count
         and NO_GATE not in (one.origin, one.destination)
     ]
@@ -174,7 +202,15 @@ def flow_diagram(report: TrafficReport) -> Markup:
     angles = _angles({name: place for name, place in middles.items() if name in used})
     most = max(one.count or 0 for one in whole)
     order = sorted({one.origin for one in whole})
-    parts = [tag("circle", cx=_SIZE / 2, cy=_SIZE / 2, r=_RADIUS, class_="ring")]
+    parts = [
+        tag(
+            "circle",
+            cx=CHART_STYLE.diagram / 2,
+            cy=CHART_STYLE.diagram / 2,
+            r=CHART_STYLE.diagram_radius,
+            class_="ring",
+        )
+    ]
     largest_first = sorted(whole, key=lambda one: -(one.count or 0))
     ranks: Counter[GateDirection] = Counter()
     numbers = []
@@ -188,7 +224,7 @@ def flow_diagram(report: TrafficReport) -> Markup:
     drawing = tag(
         "svg",
         *parts,
-        viewBox=f"0 0 {_SIZE:.0f} {_SIZE:.0f}",
+        viewBox=f"0 0 {CHART_STYLE.diagram:.0f} {CHART_STYLE.diagram:.0f}",
         role="img",
         tabindex=0,
         aria_label="Movements between gates. The numbers are in the table of movements.",
@@ -203,7 +239,7 @@ def _angles(middles: dict[str, Array]) -> dict[str, float]:
     centre = np.mean(list(middles.values()), axis=0)
     found = {name: math.atan2(*(place - centre)[::-1]) for name, place in middles.items()}
     names = sorted(found, key=lambda name: found[name])
-    least = min(math.radians(3 * _APART_DEG), 2 * math.pi / len(names))
+    least = min(math.radians(3 * CHART_STYLE.gate_gap_deg), 2 * math.pi / len(names))
     for _ in range(50):
         for before, after in zip(names, names[1:] + names[:1], strict=True):
             gap = (found[after] - found[before]) % (2 * math.pi)
@@ -214,7 +250,7 @@ def _angles(middles: dict[str, Array]) -> dict[str, float]:
 
 
 def _at(angle: float, radius: float) -> tuple[float, float]:
-    return _SIZE / 2 + radius * math.cos(angle), _SIZE / 2 - radius * math.sin(angle)
+    return CHART_STYLE.diagram / 2 + radius * math.cos(angle), CHART_STYLE.diagram / 2 - radius * math.sin(angle)
 
 
 def _band(one: TurningCount, angles: dict[str, float], most: int, style: int, rank: int) -> tuple[Markup, Markup]:
@@ -222,13 +258,15 @@ def _band(one: TurningCount, angles: dict[str, float], most: int, style: int, ra
 
     Who comes in keeps to the right of who goes out.
     """
-    half = math.radians(_APART_DEG) / 2
+    half = math.radians(CHART_STYLE.gate_gap_deg) / 2
     begin, end = angles[one.origin[0]] + half, angles[one.destination[0]] - half
-    (ax, ay), (bx, by) = _at(begin, _RADIUS), _at(end, _RADIUS)
-    inward = (_TURNED if one.origin[0] == one.destination[0] else _INWARD) * _RADIUS
+    (ax, ay), (bx, by) = _at(begin, CHART_STYLE.diagram_radius), _at(end, CHART_STYLE.diagram_radius)
+    inward = (
+        CHART_STYLE.u_turn_inward if one.origin[0] == one.destination[0] else CHART_STYLE.turn_inward
+    ) * CHART_STYLE.diagram_radius
     (cx, cy), (dx, dy) = _at(begin, inward), _at(end, inward)
     number = one.count or 0
-    width = max(_THINNEST, _WIDEST * number / most)
+    width = max(CHART_STYLE.thinnest_band, CHART_STYLE.widest_band * number / most)
     tip = f"{_side(one.origin)} to {_side(one.destination)}: {number} ({in_words(one.expected)})"
     path = f"M{ax:.1f} {ay:.1f}C{cx:.1f} {cy:.1f} {dx:.1f} {dy:.1f} {bx:.1f} {by:.1f}"
     t = min(0.16 + 0.14 * rank, 0.8)
@@ -245,24 +283,10 @@ def _side(side: tuple[str, str]) -> str:
 
 def _names(angles: dict[str, float]) -> Iterator[Markup]:
     for name, angle in angles.items():
-        x, y = _at(angle, _RADIUS + 26)
+        x, y = _at(angle, CHART_STYLE.diagram_radius + 26)
         side = "middle" if abs(math.cos(angle)) < 0.4 else "start" if math.cos(angle) > 0 else "end"
         x += {"start": -14, "end": 14, "middle": 0}[side]
         yield tag("text", name, x=f"{x:.1f}", y=f"{y:.1f}", text_anchor=side, class_="gate")
-
-
-_SPEED_KMH: Final = 5.0
-_HEADWAY_S: Final = 1.0
-_LONGEST_S: Final = 20.0
-"""Headways beyond this are no longer of vehicles that follow each other."""
-_FEWEST: Final = 5
-"""Fewer than these are no distribution."""
-_PARTS: Final = 5
-"""An axis has so many parts."""
-_MARKS: Final = 48
-"""A line has so many marks at most."""
-_LINES: Final = 4
-"""A chart tells so many lines apart."""
 
 
 def counts_over_time(report: TrafficReport) -> Iterator[Markup]:
@@ -287,7 +311,9 @@ def counts_over_time(report: TrafficReport) -> Iterator[Markup]:
             end = max(x for line in lines for x in line.x) or 1.0
             top = max(y for line in lines for y in line.y if y is not None)
             axes = Axes(x_label=_hours(report), y_label="road users an hour", x_end=_round(end), y_end=_whole(top))
-            yield chart(f"{gate.name}: over time", axes, lines, every=math.ceil(len(report.intervals) / _MARKS))
+            yield chart(
+                f"{gate.name}: over time", axes, lines, every=math.ceil(len(report.intervals) / CHART_STYLE.most_marks)
+            )
 
 
 def _hours(report: TrafficReport) -> str:
@@ -310,7 +336,7 @@ def speed_histograms(report: TrafficReport) -> Iterator[Markup]:
             ]
             for name in direction_names(gate)
         }
-        yield from _histogram(f"{gate.name}: speeds of motor vehicles", "km/h", groups, _SPEED_KMH)
+        yield from _histogram(f"{gate.name}: speeds of motor vehicles", "km/h", groups, CHART_STYLE.speed_bin_kmh)
 
 
 def headway_histograms(report: TrafficReport) -> Iterator[Markup]:
@@ -320,26 +346,32 @@ def headway_histograms(report: TrafficReport) -> Iterator[Markup]:
             name: [
                 one.headway_s
                 for one in report.headways
-                if (one.follower.gate, one.follower.direction_name) == (gate.name, name) and one.headway_s <= _LONGEST_S
+                if (one.follower.gate, one.follower.direction_name) == (gate.name, name)
+                and one.headway_s <= CHART_STYLE.longest_headway_s
             ]
             for name in direction_names(gate)
         }
-        yield from _histogram(f"{gate.name}: headways up to {_LONGEST_S:g} s", "seconds", groups, _HEADWAY_S)
+        yield from _histogram(
+            f"{gate.name}: headways up to {CHART_STYLE.longest_headway_s:g} s",
+            "seconds",
+            groups,
+            CHART_STYLE.headway_bin_s,
+        )
 
 
 def _histogram(title: str, unit: str, groups: dict[str, list[float]], step: float) -> Iterator[Markup]:
     known = {name: np.array(values)[np.isfinite(values)] for name, values in groups.items() if values}
-    enough = {name: values for name, values in known.items() if len(values) >= _FEWEST}
+    enough = {name: values for name, values in known.items() if len(values) >= CHART_STYLE.fewest}
     if not enough:
         return
     # So long that the axis, which has five parts, has whole numbers.
-    part = _PARTS * step
+    part = CHART_STYLE.axis_parts * step
     end = part * max(1, math.ceil(max(float(values.max()) for values in enough.values()) / part + 1e-9))
     bands = np.arange(0, end + step / 2, step)
     middles = ((bands[:-1] + bands[1:]) / 2).tolist()
     lines = [
         Line(name=f"{name} ({len(values)})", x=middles, y=np.histogram(values, bands)[0].astype(float).tolist())
-        for name, values in list(enough.items())[:_LINES]
+        for name, values in list(enough.items())[: CHART_STYLE.most_lines]
     ]
     top = max(y for line in lines for y in line.y if y is not None)
     yield histogram(title, Axes(x_label=unit, y_label="how many", x_end=end, y_end=_whole(top)), lines)
@@ -347,7 +379,7 @@ def _histogram(title: str, unit: str, groups: dict[str, list[float]], step: floa
 
 def _whole(value: float) -> float:
     """A round number that is no smaller and has whole numbers at all parts of an axis."""
-    return _PARTS * max(1.0, math.ceil(_round(value / _PARTS) - 1e-9))
+    return CHART_STYLE.axis_parts * max(1.0, math.ceil(_round(value / CHART_STYLE.axis_parts) - 1e-9))
 
 
 def _round(value: float) -> float:

@@ -9,8 +9,8 @@ from typing import Final
 
 from skope.page.svg import tag
 from skope.page.templates import Cell, Table
-from skope.schema import VEHICLE
-from skope.site.traffic_settings import OF_VEHICLES, UNKNOWN
+from skope.schema import VEHICLE_CATEGORY
+from skope.site.traffic_settings import OF_VEHICLES, UNKNOWN_CLASS
 from skope.traffic.count_uncertainty import in_words
 from skope.traffic.counting_intervals import ClockInterval
 from skope.traffic.gate_counts import ALL_CLASSES, Count, interval_counts
@@ -61,7 +61,7 @@ def class_tables(report: TrafficReport) -> list[Block]:
     if not whole:
         return []
     found = [name for name in report.site.traffic.classes if any(rows[name].count for rows in whole.values())]
-    groups = [name for name in (ALL_CLASSES, VEHICLE) if all(name in rows for rows in whole.values())]
+    groups = [name for name in (ALL_CLASSES, VEHICLE_CATEGORY) if all(name in rows for rows in whole.values())]
     groups = [ALL_CLASSES] if OF_VEHICLES.issuperset(found) else groups
     columns = [*groups, *found]
     has_pce = any(own[ALL_CLASSES].count and own[ALL_CLASSES].pce is not None for own in whole.values())
@@ -94,7 +94,7 @@ def _class_rows(report: TrafficReport) -> dict[GateDirection, dict[str, Count]]:
 
 
 def _heading(class_name: str) -> str:
-    return {UNKNOWN: "unknown class", VEHICLE: "vehicles"}.get(class_name, class_name)
+    return {UNKNOWN_CLASS: "unknown class", VEHICLE_CATEGORY: "vehicles"}.get(class_name, class_name)
 
 
 def _pce_text(row: Count) -> str:
@@ -113,7 +113,7 @@ def _about_pce(report: TrafficReport, whole: dict[GateDirection, dict[str, Count
         return f"PCE (passenger-car equivalents) are not available: {why}."
     factors = ", ".join(f"{name} {factor:g}" for name, factor in report.site.traffic.pce.items())
     text = f"PCE: passenger-car equivalents (car 1, {factors}, pedestrian 0) of those counted, without an interval."
-    if any(rows[UNKNOWN].count for rows in crossed.values() if UNKNOWN in rows):
+    if any(rows[UNKNOWN_CLASS].count for rows in crossed.values() if UNKNOWN_CLASS in rows):
         text += " A vehicle of unknown class has the mean factor of the other vehicles at the gate and direction."
     return text + (f" Not available at {', '.join(without)}: {why}." if without else "")
 
@@ -205,7 +205,9 @@ def peak_hour_table(report: TrafficReport) -> list[Block]:
         ]
         for hour in peak_hours(report)
     ]
-    vehicles = "vehicles (more than two wheels)" if peak_hours(report)[0].class_name == VEHICLE else "all road users"
+    vehicles = (
+        "vehicles (more than two wheels)" if peak_hours(report)[0].class_name == VEHICLE_CATEGORY else "all road users"
+    )
     notes = (
         "The peak-hour factor is the volume over four times the highest volume of 15 minutes in the hour. Only fully "
         "observed intervals are used. At the whole site each road user counts once, at its first gate."

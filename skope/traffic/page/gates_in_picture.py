@@ -2,6 +2,7 @@
 
 import base64
 from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
@@ -18,16 +19,24 @@ from skope.traffic.road_picture import EmptyRoadPicture
 from skope.traffic.traffic_report import TrafficReport
 from skope.types import Array
 
-_WIDTH: Final = 1100.0
-"""Width of the drawing; pixels of the footage are scaled to it."""
-_ARROW: Final = 42.0
-"""Length of an arrow from the gate on, in units of the drawing."""
-_HEAD: Final = 9.0
-"""Half the width of an arrow's head."""
-_EDGE: Final = 30.0
-"""Texts keep this distance from the edges."""
-_AT: Final = (0.35, 0.65)
-"""Where on the gate the arrows of its two directions begin, from its first end to the second."""
+
+@dataclass(frozen=True)
+class GateDrawing:
+    """Sizes of gates drawn on the image."""
+
+    width: float = 1100.0
+    """Width of the drawing. Pixels of the footage are scaled to it."""
+    arrow: float = 42.0
+    """Length of an arrow, in units of the drawing."""
+    head: float = 9.0
+    """Half the width of an arrow's head."""
+    edge: float = 30.0
+    """Distance of texts from the edges."""
+    arrow_starts: tuple[float, float] = (0.35, 0.65)
+    """Positions along the gate of the arrows of its two directions, as shares."""
+
+
+GATE_DRAWING: Final = GateDrawing()
 
 
 def gates_in_picture(report: TrafficReport, picture: EmptyRoadPicture | None, camera: Camera | None) -> Markup:
@@ -44,7 +53,7 @@ def gates_in_picture(report: TrafficReport, picture: EmptyRoadPicture | None, ca
     view = None if picture is None else view_of_gates(report, camera)
     if picture is None or not view or not view["gates"] or view["size"] not in (None, picture.size):
         return Markup()
-    scale = _WIDTH / picture.size[0]
+    scale = GATE_DRAWING.width / picture.size[0]
     height = picture.size[1] * scale
     totals = [row for row in report.counts_total if row.class_name == ALL_CLASSES]
     letters = {(row.gate, row.direction): _letter(k) for k, row in enumerate(totals)}
@@ -52,12 +61,12 @@ def gates_in_picture(report: TrafficReport, picture: EmptyRoadPicture | None, ca
         tag(
             "image",
             href=f"data:image/jpeg;base64,{base64.b64encode(picture.jpeg).decode()}",
-            width=f"{_WIDTH:.0f}",
+            width=f"{GATE_DRAWING.width:.0f}",
             height=f"{height:.1f}",
             preserveAspectRatio="none",
         )
     ]
-    size = np.array([_WIDTH, height])
+    size = np.array([GATE_DRAWING.width, height])
     for gate in view["gates"]:
         rows = [row for row in totals if row.gate == gate["gate"]]
         parts += _gate(gate, rows, letters, scale, size)
@@ -65,7 +74,7 @@ def gates_in_picture(report: TrafficReport, picture: EmptyRoadPicture | None, ca
     drawing = tag(
         "svg",
         *parts,
-        viewBox=f"0 0 {_WIDTH:.0f} {height:.0f}",
+        viewBox=f"0 0 {GATE_DRAWING.width:.0f} {height:.0f}",
         role="img",
         tabindex=0,
         aria_label="The gates in the camera's image. The counts are in the list below.",
@@ -101,7 +110,7 @@ def _gate(
     yield tag("path", d=path, class_="gate", data_tip=tip)
     if gate["arrow"] is not None:
         forward = _forward(line, np.array(gate["arrow"]))
-        for row, share, sign in zip(rows, _AT, (1.0, -1.0), strict=False):
+        for row, share, sign in zip(rows, GATE_DRAWING.arrow_starts, (1.0, -1.0), strict=False):
             yield from _arrow(line[0] + share * (line[-1] - line[0]), sign * forward, row, letters, size)
 
 
@@ -118,20 +127,20 @@ def _forward(line: Array, arrow: Array) -> Array:
 def _name(gate: dict[str, Any], scale: float, size: Array) -> Markup:
     """Name of a gate above its left end."""
     line = np.array(gate["line"]) * scale
-    x, y = np.clip(line[np.argmin(line[:, 0])] + [0.0, -12.0], _EDGE, size - _EDGE)
+    x, y = np.clip(line[np.argmin(line[:, 0])] + [0.0, -12.0], GATE_DRAWING.edge, size - GATE_DRAWING.edge)
     return tag("text", gate["gate"], x=f"{x:.1f}", y=f"{y:.1f}", class_="gate name")
 
 
 def _arrow(
     start: Array, along: Array, row: Count, letters: dict[tuple[str, str], str], size: Array
 ) -> Iterator[Markup]:
-    tip = start + _ARROW * along
+    tip = start + GATE_DRAWING.arrow * along
     across = np.array([-along[1], along[0]])
-    corners = [tip + _HEAD * (across - along), tip, tip - _HEAD * (across + along)]
+    corners = [tip + GATE_DRAWING.head * (across - along), tip, tip - GATE_DRAWING.head * (across + along)]
     head = "M" + "L".join(f"{x:.1f} {y:.1f}" for x, y in corners)
     path = f"M{start[0]:.1f} {start[1]:.1f}L{tip[0]:.1f} {tip[1]:.1f}{head}"
     yield tag("path", d=path, class_="way under")
     yield tag("path", d=path, class_="way")
-    x, y = np.clip(tip + 18 * along + [0.0, 5.0], _EDGE, size - _EDGE)
+    x, y = np.clip(tip + 18 * along + [0.0, 5.0], GATE_DRAWING.edge, size - GATE_DRAWING.edge)
     text = f"{letters[row.gate, row.direction]} {count_text(row)}"
     yield tag("text", text, x=f"{x:.1f}", y=f"{y:.1f}", text_anchor="middle", class_="gate")

@@ -8,6 +8,7 @@ import hashlib
 import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from datetime import datetime
 from typing import Any, Final
 
@@ -16,7 +17,7 @@ from markupsafe import Markup
 
 from skope.camera.model import Camera
 from skope.site.gates_zones_lanes import Gate
-from skope.site.traffic_settings import CLASSES, UNKNOWN
+from skope.site.traffic_settings import TRAFFIC_CLASSES, UNKNOWN_CLASS
 from skope.traffic.counting_intervals import ClockInterval
 from skope.traffic.exports.otanalytics_view import OtView, image_view, pixel_view
 from skope.traffic.gate_counts import ALL_CLASSES
@@ -25,14 +26,25 @@ from skope.traffic.speeds import MOTOR_CLASSES, MOTOR_TRAFFIC
 from skope.traffic.traffic_report import TrafficReport
 from skope.types import Array
 
-LETTERS: Final[Mapping[str, str]] = {name: chr(ord("a") + k) for k, name in enumerate(CLASSES)}
+CLASS_LETTERS: Final[Mapping[str, str]] = {name: chr(ord("a") + k) for k, name in enumerate(TRAFFIC_CLASSES)}
 """Letter of each class."""
-MOST_CROSSINGS: Final = 100_000
-"""So many crossings are held by the page: about 0.6 MB. Of more it has none."""
-_ARROW_M: Final = 3.0
-_ARROW_PX: Final = 20.0
-"""From a gate's middle to the end of the arrow that shows a direction."""
-_PIXEL_DIGITS: Final = 1
+
+
+@dataclass(frozen=True)
+class ManualCountPage:
+    """Limits and sizes of the page of manual counts."""
+
+    most_crossings: int = 100_000
+    """Maximum number of crossings on the page: about 0.6 MB."""
+    arrow_m: float = 3.0
+    """Length of the arrow of a direction on the road, metres."""
+    arrow_px: float = 20.0
+    """Length of the arrow of a direction in the image, pixels."""
+    pixel_digits: int = 1
+    """Digits of pixels."""
+
+
+MANUAL_COUNT_PAGE: Final = ManualCountPage()
 
 
 def hand_count_data(report: TrafficReport, camera: Camera | None) -> dict[str, Any]:
@@ -66,14 +78,14 @@ def _kinds(report: TrafficReport) -> list[list[str]]:
     """Names of what can be counted, and the letters of the classes in each."""
     classes = report.site.traffic.classes
     whole = {
-        ALL_CLASSES: frozenset(CLASSES),
+        ALL_CLASSES: frozenset(TRAFFIC_CLASSES),
         MOTOR_TRAFFIC: MOTOR_CLASSES,
         **{name: frozenset({name}) for name in classes},
     }
     return [
-        [name, "".join(LETTERS[one] for one in CLASSES if one in members)]
+        [name, "".join(CLASS_LETTERS[one] for one in TRAFFIC_CLASSES if one in members)]
         for name, members in whole.items()
-        if name != UNKNOWN and members & set(classes)
+        if name != UNKNOWN_CLASS and members & set(classes)
     ]
 
 
@@ -124,8 +136,8 @@ def view_of_gates(report: TrafficReport, camera: Camera | None) -> dict[str, Any
     gates = [
         {
             "gate": gate.name,
-            "line": np.round(np.array(lines[gate.name]), _PIXEL_DIGITS).tolist(),
-            "arrow": _arrow(gate, view, _ARROW_M if report.metres else _ARROW_PX),
+            "line": np.round(np.array(lines[gate.name]), MANUAL_COUNT_PAGE.pixel_digits).tolist(),
+            "arrow": _arrow(gate, view, MANUAL_COUNT_PAGE.arrow_m if report.metres else MANUAL_COUNT_PAGE.arrow_px),
         }
         for gate in report.gates
         if gate.name in lines
@@ -137,12 +149,12 @@ def _arrow(gate: Gate, view: OtView, length: float) -> list[list[float]] | None:
     """From the left of a gate to its right, pixels; None where that cannot be seen."""
     middle = np.mean(np.array(gate.line), axis=0)
     ends = view.pixels(np.stack([middle + length * normal_of(gate), middle - length * normal_of(gate)]))
-    return np.round(ends, _PIXEL_DIGITS).tolist() if np.isfinite(ends).all() else None
+    return np.round(ends, MANUAL_COUNT_PAGE.pixel_digits).tolist() if np.isfinite(ends).all() else None
 
 
 def _machine(report: TrafficReport, sides: Sequence[tuple[str, str]]) -> dict[str, Any]:
     """Crossings of each gate and direction, and movements from one to another; None where crossings are too many."""
-    if len(report.crossings) > MOST_CROSSINGS:
+    if len(report.crossings) > MANUAL_COUNT_PAGE.most_crossings:
         return {"crossings": None, "movements": None}
     numbers = {side: k for k, side in enumerate(sides)}
     crossed: list[list[tuple[float, str]]] = [[] for _ in sides]
@@ -168,7 +180,7 @@ def packed_times(events: Iterable[tuple[float, str]]) -> str:
     out, last = [], 0
     for time_s, class_name in sorted(events):
         now = math.floor(time_s * 1000 + 1e-6)
-        out.append(f"{now - last}{LETTERS[class_name]}")
+        out.append(f"{now - last}{CLASS_LETTERS[class_name]}")
         last = now
     return "".join(out)
 

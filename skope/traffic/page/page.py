@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
@@ -12,7 +13,7 @@ from skope.camera.model import Camera
 from skope.files.atomic import write_text
 from skope.page.svg import tag
 from skope.page.templates import Cell, Table, render
-from skope.schema import VEHICLE
+from skope.schema import VEHICLE_CATEGORY
 from skope.terminal.console import counted
 from skope.tracks.track import KMH_PER_MPS
 from skope.traffic.count_uncertainty import in_words
@@ -44,13 +45,23 @@ from skope.traffic.turning_movements import TurningCount
 from skope.version import __version__
 
 REPORT_FILE: Final = "report.html"
-_CONFLICTS: Final = 20
-_SECONDS_TO_MINUTES: Final = 2.0
-"""Observations shorter than this are stated in seconds, minutes."""
-_HOURS_FROM_MINUTES: Final = 120
-"""Longer observations are given in hours."""
-_MAX_LEFT_OUT: Final = 30
-"""Maximum number of rows in a table of crossings that are not counted."""
+
+
+@dataclass(frozen=True)
+class ReportPage:
+    """Limits of the report page."""
+
+    conflicts: int = 20
+    """Maximum number of conflicts."""
+    seconds_to_minutes: float = 2.0
+    """Observations shorter than this are given in seconds, minutes."""
+    hours_from_minutes: int = 120
+    """Longer observations are given in hours, minutes."""
+    most_left_out: int = 30
+    """Maximum number of rows in a table of crossings that are not counted."""
+
+
+REPORT_PAGE: Final = ReportPage()
 
 
 def write_page(
@@ -128,8 +139,8 @@ def _what(report: TrafficReport) -> str:
     """Sentences on what was counted, and on the time that was observed."""
     spans = report.observation.spans
     minutes = report.observation.observed_s / 60
-    duration = f"{minutes:.1f} minutes" if minutes < _HOURS_FROM_MINUTES else f"{minutes / 60:.1f} hours"
-    if minutes < _SECONDS_TO_MINUTES:
+    duration = f"{minutes:.1f} minutes" if minutes < REPORT_PAGE.hours_from_minutes else f"{minutes / 60:.1f} hours"
+    if minutes < REPORT_PAGE.seconds_to_minutes:
         duration = f"{60 * minutes:.0f} s"
     gates = (
         f"{counted(len(report.crossings), 'crossing')} of {counted(len(report.gates), 'gate')}, "
@@ -152,8 +163,8 @@ def _figures(found: Iterator[Markup]) -> list[Block]:
 
 def _without_repeats(report: TrafficReport, rows: Sequence[TurningCount]) -> list[TurningCount]:
     """The rows, but those of vehicles where nobody else was counted: they say what those of all say."""
-    mixed = any(one.trajectory.category != VEHICLE for one in (*report.crossings, *report.unseen.doubtful))
-    return [one for one in rows if mixed or one.class_name != VEHICLE]
+    mixed = any(one.trajectory.category != VEHICLE_CATEGORY for one in (*report.crossings, *report.unseen.doubtful))
+    return [one for one in rows if mixed or one.class_name != VEHICLE_CATEGORY]
 
 
 def _lengths(report: TrafficReport) -> list[Block]:
@@ -178,7 +189,7 @@ def _lengths(report: TrafficReport) -> list[Block]:
 def _movements(report: TrafficReport) -> list[Block]:
     """Matrices and diagram of movements; vehicles first where others are counted too."""
     rows = _without_repeats(report, report.turning_total)
-    classes = sorted({row.class_name for row in rows}, key=lambda name: name != VEHICLE)
+    classes = sorted({row.class_name for row in rows}, key=lambda name: name != VEHICLE_CATEGORY)
     matrices = movement_matrices(report, classes)
     return [*matrices, flow_diagram(report)] if matrices else []
 
@@ -223,7 +234,7 @@ def _left_out(report: TrafficReport) -> list[Block]:
     ]
     for side, left_out in found.items():
         rows = []
-        for one in left_out[:_MAX_LEFT_OUT]:
+        for one in left_out[: REPORT_PAGE.most_left_out]:
             moment = clock(report, one.time_s)
             when = f"{one.time_s:.1f}\u00a0s" if moment is None else f"{moment:%H:%M:%S}"
             rows.append([when, one.track, one.class_name, one.reason])
@@ -240,7 +251,7 @@ def _conflicts(report: TrafficReport) -> list[Block]:
     def severe(value: float) -> float:
         return math.inf if math.isnan(value) else value
 
-    worst = sorted(found, key=lambda one: min(severe(one.ttc_s), severe(one.pet_places_s)))[:_CONFLICTS]
+    worst = sorted(found, key=lambda one: min(severe(one.ttc_s), severe(one.pet_places_s)))[: REPORT_PAGE.conflicts]
     rows = []
     for one in worst:
         moment = clock(report, one.time_s)

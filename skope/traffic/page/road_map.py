@@ -3,6 +3,7 @@
 import base64
 import math
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -10,7 +11,7 @@ from markupsafe import Markup
 
 from skope.page.svg import tag
 from skope.page.templates import piece
-from skope.schema import PEDESTRIAN, VEHICLE
+from skope.schema import PEDESTRIAN_CATEGORY, VEHICLE_CATEGORY
 from skope.site.gates_zones_lanes import Outline
 from skope.tracks.track import Track
 from skope.traffic.count_uncertainty import in_words
@@ -21,19 +22,32 @@ from skope.traffic.road_picture import RoadPicture
 from skope.traffic.traffic_report import TrafficReport
 from skope.types import Array
 
-_WIDTH: Final = 1100.0
-_TALLEST: Final = 0.75
-"""Height over width, at most."""
-_MARGIN: Final = 40.0
-_MOST_TRACKS: Final = 600
-"""So many are drawn: evenly chosen where there are more."""
-_STEP_S: Final = 0.5
-_OUTERMOST: Final = 0.5
-"""Percent of the places on each side that the map may leave out: the farthest ones are the least certain."""
-_AROUND: Final = 0.6
-"""The map goes so far beyond the gates, in their extents."""
-_MOST_CONFLICTS: Final = 200
-_BARS_M: Final = (1, 2, 5, 10, 20, 50, 100, 200, 500)
+
+@dataclass(frozen=True)
+class RoadMapStyle:
+    """Sizes of the map of the road."""
+
+    width: float = 1100.0
+    """Width of the map."""
+    tallest: float = 0.75
+    """Largest height over width."""
+    margin: float = 40.0
+    """Margin of the map."""
+    most_tracks: int = 600
+    """Maximum number of tracks, evenly chosen."""
+    step_s: float = 0.5
+    """Time between points of a track, seconds."""
+    outermost_percent: float = 0.5
+    """Percentage of positions on each side that the map may leave out. The farthest ones are the least certain."""
+    around: float = 0.6
+    """Margin around the gates, in their extents."""
+    most_conflicts: int = 200
+    """Maximum number of conflicts."""
+    bars_m: tuple[int, ...] = (1, 2, 5, 10, 20, 50, 100, 200, 500)
+    """Lengths of the scale bar, metres."""
+
+
+ROAD_MAP_STYLE: Final = RoadMapStyle()
 
 
 class _Frame:
@@ -42,14 +56,16 @@ class _Frame:
     def __init__(self, places: Array) -> None:
         low, high = places.min(axis=0), places.max(axis=0)
         across, up = np.maximum(high - low, 1e-6)
-        inner = _WIDTH - 2 * _MARGIN
-        self.scale = float(min(inner / across, (_WIDTH * _TALLEST - 2 * _MARGIN) / up))
-        self.height = float(up) * self.scale + 2 * _MARGIN
+        inner = ROAD_MAP_STYLE.width - 2 * ROAD_MAP_STYLE.margin
+        self.scale = float(
+            min(inner / across, (ROAD_MAP_STYLE.width * ROAD_MAP_STYLE.tallest - 2 * ROAD_MAP_STYLE.margin) / up)
+        )
+        self.height = float(up) * self.scale + 2 * ROAD_MAP_STYLE.margin
         self._corner = np.array([(low[0] + high[0] - inner / self.scale) / 2, high[1]])
 
     def points(self, places: Sequence[Sequence[float]] | Array) -> Array:
         """(M, 2) of places (M, 2)."""
-        return np.asarray((np.asarray(places) - self._corner) * [self.scale, -self.scale] + _MARGIN)
+        return np.asarray((np.asarray(places) - self._corner) * [self.scale, -self.scale] + ROAD_MAP_STYLE.margin)
 
     def path(self, places: Sequence[Sequence[float]] | Array, *, closed: bool = False) -> str:
         """The d of a path."""
@@ -59,7 +75,7 @@ class _Frame:
 def road_map(report: TrafficReport, road: RoadPicture | None) -> Markup:
     """A figure, on a picture of the empty road where there is one; nothing where there is nothing to draw."""
     tracks = [one for one in report.trajectories if may_count(one, report.site.traffic)]
-    chosen = tracks[:: max(1, math.ceil(len(tracks) / _MOST_TRACKS))]
+    chosen = tracks[:: max(1, math.ceil(len(tracks) / ROAD_MAP_STYLE.most_tracks))]
     places = _outline(chosen, [gate.line for gate in report.gates])
     if not len(places):
         return Markup()
@@ -73,7 +89,7 @@ def road_map(report: TrafficReport, road: RoadPicture | None) -> Markup:
     drawing = tag(
         "svg",
         *parts,
-        viewBox=f"0 0 {_WIDTH:.0f} {frame.height:.0f}",
+        viewBox=f"0 0 {ROAD_MAP_STYLE.width:.0f} {frame.height:.0f}",
         role="img",
         tabindex=0,
         aria_label="The road from above with tracks and gates. The counts are in the tables below.",
@@ -92,11 +108,11 @@ def _outline(tracks: Sequence[Track], lines: Sequence[Outline]) -> Array:
     if not tracks:
         return ends
     every = np.concatenate([one.xy for one in tracks])
-    corners = np.percentile(every, [_OUTERMOST, 100 - _OUTERMOST], axis=0)
+    corners = np.percentile(every, [ROAD_MAP_STYLE.outermost_percent, 100 - ROAD_MAP_STYLE.outermost_percent], axis=0)
     if not len(ends):
         return np.asarray(corners)
     low, high = ends.min(axis=0), ends.max(axis=0)
-    around = _AROUND * float((high - low).max())
+    around = ROAD_MAP_STYLE.around * float((high - low).max())
     return np.concatenate([ends, corners.clip(low - around, high + around)])
 
 
@@ -123,14 +139,14 @@ def _marks(report: TrafficReport, frame: _Frame) -> Iterator[Markup]:
 def _tracks(tracks: Sequence[Track], frame: _Frame) -> Iterator[Markup]:
     faint = max(0.15, min(0.8, 40 / max(1, len(tracks))))
     for one in tracks:
-        kind = 0 if one.category == VEHICLE else 2 if one.category == PEDESTRIAN else 1
-        path = frame.path(one.xy[thinned(one, _STEP_S)])
+        kind = 0 if one.category == VEHICLE_CATEGORY else 2 if one.category == PEDESTRIAN_CATEGORY else 1
+        path = frame.path(one.xy[thinned(one, ROAD_MAP_STYLE.step_s)])
         tip = f"{one.class_name} {one.number}"
         yield tag("path", d=path, class_=f"track road-{kind}", stroke_opacity=f"{faint:.2f}", data_tip=tip)
 
 
 def _conflicts(report: TrafficReport, frame: _Frame) -> Iterator[Markup]:
-    for one in report.conflicts.conflicts[:_MOST_CONFLICTS]:
+    for one in report.conflicts.conflicts[: ROAD_MAP_STYLE.most_conflicts]:
         ((x, y),) = frame.points(one.place[None])
         measures = [
             f"{name} {value:.1f} s"
@@ -159,8 +175,12 @@ def _gate(report: TrafficReport, frame: _Frame, name: str, line: Outline) -> Ite
 
 def _bar(frame: _Frame) -> Markup:
     """A bar of so many metres."""
-    length = max(one for one in _BARS_M if one * frame.scale < _WIDTH / 4 or one == _BARS_M[0])
-    x, y = _MARGIN / 2, frame.height - 10
+    length = max(
+        one
+        for one in ROAD_MAP_STYLE.bars_m
+        if one * frame.scale < ROAD_MAP_STYLE.width / 4 or one == ROAD_MAP_STYLE.bars_m[0]
+    )
+    x, y = ROAD_MAP_STYLE.margin / 2, frame.height - 10
     return tag("path", d=f"M{x} {y - 5}v5h{length * frame.scale:.1f}v-5", class_="scale") + tag(
         "text", f"{length} m", x=x + 4, y=y - 6
     )

@@ -57,7 +57,7 @@ def same_users(a: AnnotationFile, b: AnnotationFile, *, tracks: bool = True) -> 
 def test_coco_goes_out_and_comes_back(skope: Any, ours: Path, capsys: pytest.CaptureFixture[str]) -> None:
     convert(skope, "ours", "there", "--to", "coco", "-q")
     truth = COCO("there/annotations/train.json")
-    assert [row["name"] for row in truth.loadCats(truth.getCatIds())] == list(schema.CATEGORIES)
+    assert [row["name"] for row in truth.loadCats(truth.getCatIds())] == list(schema.CATEGORY_NAMES)
     assert len(truth.getAnnIds(catIds=[2])) == len(truth.getAnnIds(catIds=[4])) == 12
     assert all(row["num_keypoints"] == 0 for row in truth.loadAnns(truth.getAnnIds(catIds=[2, 3, 4])))
     read = CocoDetection("there", "there/annotations/train.json")
@@ -68,7 +68,7 @@ def test_coco_goes_out_and_comes_back(skope: Any, ours: Path, capsys: pytest.Cap
     assert "taken for ours" not in out  # it is
     for split in ("train", "easy"):
         same_users(open_dataset(ours).read(split), open_dataset(Path("back")).read(split))
-    assert open_dataset(Path("back")).categories == schema.CATEGORIES
+    assert open_dataset(Path("back")).categories == schema.CATEGORY_NAMES
     found = [str(finding) for finding in check(open_dataset(Path("back")))]
     assert [text for text in found if "site: site stands in split" not in text] == []
     capsys.readouterr()
@@ -196,7 +196,7 @@ def test_kitti_calls_them_by_its_names(skope: Any, ours: Path) -> None:
 def test_mot_has_classes_and_their_names(skope: Any, ours: Path) -> None:
     convert(skope, "ours", "there", "--to", "mot", "-q")
     folder = Path("there/train/site_00/gt")
-    assert folder.joinpath("labels.txt").read_text().splitlines() == list(schema.CATEGORIES)
+    assert folder.joinpath("labels.txt").read_text().splitlines() == list(schema.CATEGORY_NAMES)
     rows = [line.split(",") for line in folder.joinpath("gt.txt").read_text().splitlines()]
     assert Counter(row[7] for row in rows) == {"1": 24, "2": 12, "3": 12, "4": 12}
     assert {row[6] for row in rows if row[7] == "3"} == {"0"}  # ignored
@@ -248,7 +248,7 @@ def test_joined_sets_keep_their_people(skope: Any) -> None:
     code, _, err = skope("gen", "merge", "ours", "more", "joined", "-q")
     assert (code, err) == (0, "")
     joined = open_dataset(Path("joined"))
-    assert joined.categories == schema.CATEGORIES
+    assert joined.categories == schema.CATEGORY_NAMES
     file = joined.read("train")
     assert Counter(user.category for user in file.road_users) == dict.fromkeys(KINDS, 14)
     assert len({label.id for label in (*file.annotations, *file.road_users)}) == 28 + 42

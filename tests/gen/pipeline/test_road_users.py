@@ -55,7 +55,7 @@ def train(root: Path) -> AnnotationFile:
 def test_a_dataset_with_people_is_whole(made: Path) -> None:
     dataset = open_dataset(made)
     file = dataset.read("train")
-    assert dataset.categories == file.categories == schema.CATEGORIES
+    assert dataset.categories == file.categories == schema.CATEGORY_NAMES
     assert list(check(dataset)) == []
     assert len(file.road_users) > 5
     counted = Counter((user.category, "ignored" if user.ignored else "ground_truth") for user in file.road_users)
@@ -196,7 +196,7 @@ def test_only_three_presets_label_people() -> None:
         request = from_preset(name, seed=0, renderer="gl", driver="", rules=Rules(), frames=2)
         on = name in ("world", "nights", "conditions")
         assert request.parameters.variation.road_users == on
-        assert request.parameters.categories == (schema.CATEGORIES if on else ("vehicle",))
+        assert request.parameters.categories == (schema.CATEGORY_NAMES if on else ("vehicle",))
         assert all(plan.variation.road_users == on for plan in request.plans())
         assert ("road_users" in request.parameters.to_dict()) == on
     off = from_preset("world", seed=0, renderer="gl", driver="", rules=Rules(), frames=2, road_users=False)

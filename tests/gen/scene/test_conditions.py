@@ -18,7 +18,7 @@ from skope.gen.scene.conditions import (
     sun_position,
 )
 from skope.gen.simulation.simulate import lamps_on
-from skope.schema import WEATHERS
+from skope.schema import WEATHER_NAMES
 from tests.gen.scenes import conditions
 
 
@@ -60,7 +60,7 @@ def test_drawn_from_the_seed_within_the_ranges_or_set() -> None:
     assert {draw["noise"] for draw in draws} == {4.0}
 
 
-@pytest.mark.parametrize("weather", WEATHERS)
+@pytest.mark.parametrize("weather", WEATHER_NAMES)
 @pytest.mark.parametrize("hour", TIMES_OF_DAY)
 def test_every_default_range_can_be_set(weather: str, hour: str) -> None:
     spans = ranges(weather, hour)
@@ -92,7 +92,7 @@ def test_switches_are_on_or_off() -> None:
 
 
 def test_vehicles_light_their_lamps_in_the_dark_in_rain_and_in_fog() -> None:
-    drawn = {(w, h): Conditions.drawn(ranges(w, h), rng()) for w in WEATHERS for h in TIMES_OF_DAY}
+    drawn = {(w, h): Conditions.drawn(ranges(w, h), rng()) for w in WEATHER_NAMES for h in TIMES_OF_DAY}
     without = {key for key, value in drawn.items() if not lamps_on(value)}
     assert without >= {("clear", "noon"), ("overcast", "noon"), ("after_rain", "noon")}
     assert all(weather not in ("rain", "fog") and hour in ("noon", "low_sun") for weather, hour in without)
