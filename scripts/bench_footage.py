@@ -64,7 +64,7 @@ from skope.detector.detect import as_tensor
 from skope.detector.network_settings import Settings
 from skope.detector.predictor import Predictor
 from skope.files.json_files import read_json, write_json
-from skope.footage.confirmation import CONFIRMATION, Confirmation
+from skope.footage.confirmation import CONFIRMATION_LIMITS, Confirmation
 from skope.footage.predict_footage import Prediction, found_in
 from skope.footage.predict_job import PredictJob, claim
 from skope.schema import AnnotationFile, Image, Result
@@ -101,7 +101,11 @@ STAGES: Final = {
 def predictor_of(options: argparse.Namespace, way: str, size: int) -> Predictor:
     backend, precision = WAYS[way]
     settings = Settings(
-        device=options.device, backend=backend, precision=precision, min_size=size, min_score=CONFIRMATION.weak_score
+        device=options.device,
+        backend=backend,
+        precision=precision,
+        min_size=size,
+        min_score=CONFIRMATION_LIMITS.weak_score,
     )
     return Predictor.load(options.checkpoint, settings, Console(quiet=True))
 

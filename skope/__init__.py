@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from skope.errors import UserError as UserError
     from skope.pictures import draw as draw
 
-_PLACES = {
+PUBLIC_PLACES = {
     "Camera": "skope.camera.model",
     "Detections": "skope.detections",
     "Detector": "skope.api.detector",
@@ -56,17 +56,17 @@ _PLACES = {
     "track": "skope.api.metres",
     "train_detector": "skope.api.training",
 }
-_MODULES = {"coco": "skope.dataset.coco", "draw": "skope.pictures.draw"}
+PUBLIC_MODULES = {"coco": "skope.dataset.coco", "draw": "skope.pictures.draw"}
 
-__all__ = sorted((*_PLACES, *_MODULES, "__version__"))
+__all__ = sorted((*PUBLIC_PLACES, *PUBLIC_MODULES, "__version__"))
 
 
 def __getattr__(name: str) -> Any:
-    if name in _MODULES:
-        return import_module(_MODULES[name])
-    if name not in _PLACES:
+    if name in PUBLIC_MODULES:
+        return import_module(PUBLIC_MODULES[name])
+    if name not in PUBLIC_PLACES:
         raise AttributeError(f"module 'skope' has no attribute {name!r}")
-    return getattr(import_module(_PLACES[name]), name)
+    return getattr(import_module(PUBLIC_PLACES[name]), name)
 
 
 def __dir__() -> list[str]:

@@ -25,7 +25,7 @@ class _Root(CommandGroup):
             raise typer.Exit(130) from None
 
 
-_HELP: Final = "\n\n".join(
+HELP_TEXT: Final = "\n\n".join(
     (
         "Vehicles before fixed roadside cameras: synthetic images with 33 keypoints per vehicle, a detector that "
         "learns from them and comes with the package, and from footage tracks in metres, counts, speeds and conflicts.",
@@ -38,7 +38,7 @@ _HELP: Final = "\n\n".join(
 
 app = Commands(
     cls=_Root,
-    help=_HELP,
+    help=HELP_TEXT,
     no_args_is_help=True,
     pretty_exceptions_enable=False,
 )

@@ -9,7 +9,7 @@ import math
 import tomllib
 import types
 from collections.abc import Mapping
-from dataclasses import asdict, fields, is_dataclass
+from dataclasses import asdict, dataclass, fields, is_dataclass
 from pathlib import Path
 from typing import Any, Final, Self, TypeGuard, TypeVar, Union, get_args, get_origin, get_type_hints
 
@@ -21,10 +21,19 @@ from skope.types import Array, Pixels
 
 T = TypeVar("T")
 
-LARGEST_NUMBER: Final = 1e300
-"""Largest absolute value of a number in a TOML file."""
-SHOWN_LETTERS: Final = 60
-"""Maximum number of letters of a wrong value in a message."""
+
+@dataclass(frozen=True)
+class RecordLimits:
+    """Limits of values and messages."""
+
+    largest_number: float = 1e300
+    """Largest absolute value of a number in a TOML file."""
+    shown_letters: int = 60
+    """Maximum number of letters of a wrong value in a message."""
+
+
+RECORD_LIMITS: Final = RecordLimits()
+
 NONE_WORD: Final = "none"
 """Text that stands for None. TOML has no word for it."""
 
@@ -111,7 +120,7 @@ def check_array(name: str, value: Any, *shape: int) -> Array:
     try:
         result = np.asarray(value, dtype=np.float64)
     except (TypeError, ValueError):
-        raise UserError(f"{name}: expected numbers, got {str(value)[:SHOWN_LETTERS]!r}") from None
+        raise UserError(f"{name}: expected numbers, got {str(value)[: RECORD_LIMITS.shown_letters]!r}") from None
     if result.size != math.prod(shape):
         expected = " x ".join(map(str, shape))
         raise UserError(f"{name}: expected {expected} numbers, got {result.size}")
@@ -155,7 +164,7 @@ def shown(value: Any) -> str:
         text = repr(value)
     except ValueError:  # a whole number with more digits than Python writes
         return "a very long number"
-    return text if len(text) <= SHOWN_LETTERS else f"{text[:SHOWN_LETTERS]}..."
+    return text if len(text) <= RECORD_LIMITS.shown_letters else f"{text[: RECORD_LIMITS.shown_letters]}..."
 
 
 def _limits(low: float, high: float) -> str:
@@ -356,7 +365,7 @@ class Table:
         return self._checked(key, self.value(key), low, high)
 
     def _checked(self, key: str, value: Any, low: float = -math.inf, high: float = math.inf) -> float:
-        if not is_number(value) or abs(value) >= LARGEST_NUMBER or not low <= value <= high:
+        if not is_number(value) or abs(value) >= RECORD_LIMITS.largest_number or not low <= value <= high:
             expected = f"expected a number{_limits(low, high)}, got {shown(value)}"
             raise self.wrong(key, expected if key in self else "missing")
         return float(value)

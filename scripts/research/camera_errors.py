@@ -45,7 +45,7 @@ from skope.camera.model import Camera
 from skope.camera.motion.camera_motion import MOTION_KEY, turned_camera
 from skope.camera.motion.camera_shake import SwayWatch, record_of
 from skope.camera.motion.view_changes import Looks
-from skope.camera.uncertain_camera import UNCERTAINTY, radius_of
+from skope.camera.uncertain_camera import UNCERTAINTY_LIMITS, radius_of
 from skope.dataset import coco
 from skope.dataset.folder import CHANGES_KEY, read_image
 from skope.dataset.image_selection import part
@@ -337,7 +337,7 @@ def errors_of(scene: Scene) -> Errors:
                 continue
             off = float(np.linalg.norm((poses.position[i] - truth.box_3d.center)[:2]))
             places.append(off)
-            within.append(off <= float(radius_of(poses.covariance[i, :2, :2], UNCERTAINTY.place_coverage)))
+            within.append(off <= float(radius_of(poses.covariance[i, :2, :2], UNCERTAINTY_LIMITS.place_coverage)))
     labels = {(a.image_id, a.track_id): a for a in scene.file.annotations}
     ids = [image.id for image in scene.file.images]
     speeds = []

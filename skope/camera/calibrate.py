@@ -23,10 +23,10 @@ from skope.camera.evidence import Evidence, MarkedPoint
 from skope.camera.evidence_terms import EvidenceTerm, point_term, terms_of
 from skope.camera.model import Camera
 from skope.camera.other_cameras import likely_cameras, spread_around
-from skope.camera.pose_from_points import FEWEST_POINTS, fit_camera_to_points
+from skope.camera.pose_from_points import POINT_FIT, fit_camera_to_points
 from skope.camera.uncertain_camera import (
     CAMERA_PARAMETERS,
-    UNCERTAINTY,
+    UNCERTAINTY_LIMITS,
     UncertainCamera,
     camera_of_parameters,
     radius_of,
@@ -184,7 +184,7 @@ def _doubted(fit: WeightedFit, count: int) -> list[int]:
 def _pose_without(evidence: Evidence, wrong: frozenset[int]) -> list[Array]:
     """Values of `PARAMETERS` that the other points alone show."""
     kept = [point for i, point in enumerate(evidence.points) if i not in wrong]
-    if len(kept) < FEWEST_POINTS:
+    if len(kept) < POINT_FIT.fewest_points:
         return []
     try:
         pose = fit_camera_to_points([point.pixel for point in kept], [point.place for point in kept], evidence.size)
@@ -239,8 +239,10 @@ def calibrate(evidence: Evidence, *, start: Camera | None = None, check: bool = 
     scaled = evidence.points or evidence.lengths or any(v.metres for v in evidence.verticals)
     if not scaled and not any("z" in belief.of for belief in evidence.beliefs):
         raise UserError("calibration: nothing tells metres: mark points with places or a known length")
-    if 0 < len(evidence.points) < FEWEST_POINTS and not (evidence.lengths or evidence.parallels or evidence.beliefs):
-        raise UserError(f"calibration: expected {FEWEST_POINTS} points or more, got {len(evidence.points)}")
+    if 0 < len(evidence.points) < POINT_FIT.fewest_points and not (
+        evidence.lengths or evidence.parallels or evidence.beliefs
+    ):
+        raise UserError(f"calibration: expected {POINT_FIT.fewest_points} points or more, got {len(evidence.points)}")
     unknown = tuple(name for name in CAMERA_PARAMETERS if len(evidence.points) >= 2 or name not in FREE_PARAMETERS)
     terms = terms_of(evidence)
     fit = best_fit(terms, camera_starts(evidence, start, terms), unknown, evidence.size)
@@ -251,7 +253,7 @@ def calibrate(evidence: Evidence, *, start: Camera | None = None, check: bool = 
         judged = with_wrong_points(evidence, terms, fit, unknown)
         fit, outliers, doubts, spread = judged.fit, judged.wrong, judged.doubts, judged.spread
         terms = [term for term in terms if term.kind != "point" or term.name not in outliers]
-    elif start is None and len(evidence.points) >= FEWEST_POINTS:
+    elif start is None and len(evidence.points) >= POINT_FIT.fewest_points:
         likely, chances = likely_cameras(evidence, terms, fit, unknown)
         fit, spread = likely[0], spread_around(likely[0], likely[1:], chances[1:].tolist(), unknown)
         if chances[0] < 1 - WRONG_POINTS.other_camera:
@@ -292,12 +294,14 @@ def _residuals(terms: Sequence[EvidenceTerm], camera: Camera) -> tuple[Residual,
 
 def _warnings(evidence: Evidence, calibration: SiteCalibration) -> tuple[str, ...]:
     out, places = [], np.array([point.place for point in evidence.points]).reshape(-1, 3)
-    if FEWEST_POINTS <= len(places) < FIT_STARTS.checked_points and not (evidence.lengths or evidence.beliefs):
+    if POINT_FIT.fewest_points <= len(places) < FIT_STARTS.checked_points and not (
+        evidence.lengths or evidence.beliefs
+    ):
         out.append(
             f"{len(places)} points: a wrong one among them cannot be found; {FIT_STARTS.checked_points} or more "
             f"check each other"
         )
-    if len(places) >= FEWEST_POINTS:
+    if len(places) >= POINT_FIT.fewest_points:
         spread = np.linalg.svd(places[:, :2] - places[:, :2].mean(axis=0), compute_uv=False)
         if spread[1] < 0.1 * spread[0]:
             out.append("the points lie nearly on one line: places beside it are not known")
@@ -325,7 +329,7 @@ def left_out_errors(evidence: Evidence, calibration: SiteCalibration) -> dict[st
     out = {}
     for point in evidence.points:
         others = tuple(one for one in good if one is not point)
-        if len(others) < FEWEST_POINTS:
+        if len(others) < POINT_FIT.fewest_points:
             continue
         if len(others) == len(good):
             out[point.name] = left_out_error(point, calibration)
@@ -347,5 +351,6 @@ def left_out_error(point: MarkedPoint, camera: UncertainCamera) -> LeftOutError:
     covariance = camera.place_covariance(point.pixel, height, point.sigma_px)
     covariance = covariance + point.sigma_m**2 * np.eye(2) + np.outer(rise, rise)
     return LeftOutError(
-        float(np.linalg.norm((place - point.place)[:2])), float(radius_of(covariance, UNCERTAINTY.place_coverage))
+        float(np.linalg.norm((place - point.place)[:2])),
+        float(radius_of(covariance, UNCERTAINTY_LIMITS.place_coverage)),
     )

@@ -35,7 +35,7 @@ class Ellipsoid:
     """Step of its derivatives, degrees."""
 
 
-ELLIPSOID: Final = Ellipsoid()
+WGS84_ELLIPSOID: Final = Ellipsoid()
 
 
 def local_metres(longitude_deg: ArrayLike, latitude_deg: ArrayLike, origin_deg: tuple[float, float]) -> Array:
@@ -59,12 +59,12 @@ def local_metres(longitude_deg: ArrayLike, latitude_deg: ArrayLike, origin_deg: 
 def _cartesian(longitude_deg: ArrayLike, latitude_deg: ArrayLike) -> Array:
     """(..., 3) metres from the Earth's middle, of places on the ellipsoid."""
     turn, tilt = np.radians(longitude_deg), np.radians(latitude_deg)
-    across = ELLIPSOID.radius_m / np.sqrt(1 - ELLIPSOID.eccentricity_2 * np.sin(tilt) ** 2)
+    across = WGS84_ELLIPSOID.radius_m / np.sqrt(1 - WGS84_ELLIPSOID.eccentricity_2 * np.sin(tilt) ** 2)
     return np.stack(
         [
             across * np.cos(tilt) * np.cos(turn),
             across * np.cos(tilt) * np.sin(turn),
-            across * (1 - ELLIPSOID.eccentricity_2) * np.sin(tilt),
+            across * (1 - WGS84_ELLIPSOID.eccentricity_2) * np.sin(tilt),
         ],
         axis=-1,
     )
@@ -81,11 +81,11 @@ def utm_scale(easting: float, northing: float, *, south: bool = False) -> float:
         south: The zone is of the southern hemisphere, whose northings count from 10 000 km south of the equator.
     """
     # The latitude to a tenth of a degree is enough: the radius follows it slowly.
-    tilt = ((northing - ELLIPSOID.utm_south_m) if south else northing) / (ELLIPSOID.utm_scale * 6367449.0)
-    across = ELLIPSOID.radius_m / math.sqrt(1 - ELLIPSOID.eccentricity_2 * math.sin(tilt) ** 2)
-    along = across * (1 - ELLIPSOID.eccentricity_2) / (1 - ELLIPSOID.eccentricity_2 * math.sin(tilt) ** 2)
-    q = (easting - ELLIPSOID.utm_east_m) ** 2 / (2 * across * along * ELLIPSOID.utm_scale**2)
-    return ELLIPSOID.utm_scale * (1 + q + q**2 / 6)
+    tilt = ((northing - WGS84_ELLIPSOID.utm_south_m) if south else northing) / (WGS84_ELLIPSOID.utm_scale * 6367449.0)
+    across = WGS84_ELLIPSOID.radius_m / math.sqrt(1 - WGS84_ELLIPSOID.eccentricity_2 * math.sin(tilt) ** 2)
+    along = across * (1 - WGS84_ELLIPSOID.eccentricity_2) / (1 - WGS84_ELLIPSOID.eccentricity_2 * math.sin(tilt) ** 2)
+    q = (easting - WGS84_ELLIPSOID.utm_east_m) ** 2 / (2 * across * along * WGS84_ELLIPSOID.utm_scale**2)
+    return WGS84_ELLIPSOID.utm_scale * (1 + q + q**2 / 6)
 
 
 def utm_metres(longitude_deg: ArrayLike, latitude_deg: ArrayLike, zone: int, *, south: bool = False) -> Array:
@@ -103,8 +103,8 @@ def utm_metres(longitude_deg: ArrayLike, latitude_deg: ArrayLike, zone: int, *, 
     turn = np.radians(np.asarray(longitude_deg, dtype=np.float64) - (6 * zone - 183))
     sine, e, n = (
         np.sin(np.radians(latitude_deg)),
-        math.sqrt(ELLIPSOID.eccentricity_2),
-        ELLIPSOID.flattening / (2 - ELLIPSOID.flattening),
+        math.sqrt(WGS84_ELLIPSOID.eccentricity_2),
+        WGS84_ELLIPSOID.flattening / (2 - WGS84_ELLIPSOID.flattening),
     )
     conformal = np.sinh(np.arctanh(sine) - e * np.arctanh(e * sine))
     xi = np.arctan2(conformal, np.cos(turn))
@@ -119,9 +119,10 @@ def utm_metres(longitude_deg: ArrayLike, latitude_deg: ArrayLike, zone: int, *, 
     for j, share in enumerate(series, start=1):
         north = north + share * np.sin(2 * j * xi) * np.cosh(2 * j * eta)
         east = east + share * np.cos(2 * j * xi) * np.sinh(2 * j * eta)
-    radius = ELLIPSOID.utm_scale * ELLIPSOID.radius_m / (1 + n) * (1 + n**2 / 4 + n**4 / 64)
+    radius = WGS84_ELLIPSOID.utm_scale * WGS84_ELLIPSOID.radius_m / (1 + n) * (1 + n**2 / 4 + n**4 / 64)
     return np.stack(
-        [radius * east + ELLIPSOID.utm_east_m, radius * north + (ELLIPSOID.utm_south_m if south else 0.0)], axis=-1
+        [radius * east + WGS84_ELLIPSOID.utm_east_m, radius * north + (WGS84_ELLIPSOID.utm_south_m if south else 0.0)],
+        axis=-1,
     )
 
 
@@ -138,16 +139,16 @@ def geographic(metres: ArrayLike, forward: Callable[[Array, Array], Array], near
     """
     wanted = np.asarray(metres, dtype=np.float64)
     found = np.broadcast_to(np.asarray(near_deg, dtype=np.float64), wanted.shape).copy()
-    for _ in range(ELLIPSOID.newton_steps):
+    for _ in range(WGS84_ELLIPSOID.newton_steps):
         off = forward(found[..., 0], found[..., 1]) - wanted
         if not np.isfinite(off).all():
             break
-        if not off.size or np.abs(off).max() < ELLIPSOID.newton_m:
+        if not off.size or np.abs(off).max() < WGS84_ELLIPSOID.newton_m:
             return found
         columns = []
         for axis in range(2):
             moved = found.copy()
-            moved[..., axis] += ELLIPSOID.newton_deg
-            columns.append((forward(moved[..., 0], moved[..., 1]) - off - wanted) / ELLIPSOID.newton_deg)
+            moved[..., axis] += WGS84_ELLIPSOID.newton_deg
+            columns.append((forward(moved[..., 0], moved[..., 1]) - off - wanted) / WGS84_ELLIPSOID.newton_deg)
         found -= np.linalg.solve(np.stack(columns, axis=-1), off[..., None])[..., 0]
     raise ValueError("these places are not where the projection is good")

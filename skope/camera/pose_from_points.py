@@ -11,14 +11,21 @@ from skope.camera.model import Camera, Distortion
 from skope.errors import UserError
 from skope.types import Array
 
-FEWEST_POINTS: Final = 4
-"""Smallest number of points for a camera."""
+
+@dataclass(frozen=True)
+class PointFitLimits:
+    """Limits of a camera from points."""
+
+    fewest_points: int = 4
+    """Smallest number of points for a camera."""
+    marked_px: float = 1.0
+    """Least standard deviation of a marked point, pixels per axis."""
+
+
+POINT_FIT: Final = PointFitLimits()
+
 FOCAL_GRID: Final = np.geomspace(0.3, 8.0, 48)
 """Focal lengths that are tried first, in widths of the image: fields of view from 118 to 7 degrees."""
-
-
-_MARKED_PX: Final = 1.0
-"""Standard deviation with which people mark a point, pixels an axis, at least."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +65,7 @@ class CameraFit:
         pixels, _, _ = self.camera.project(self.points_world)
         _, jacobian = _linearised(self.camera, pixels, self.points_world, middle, self.fitted_focal)
         spare = max(1, 2 * len(pixels) - jacobian.shape[1])
-        variance = max(_MARKED_PX**2, float((self.errors_px**2).sum()) / spare)
+        variance = max(POINT_FIT.marked_px**2, float((self.errors_px**2).sum()) / spare)
         covariance = variance * np.linalg.pinv(jacobian.T @ jacobian)
         scale = np.array([1.0, 1, 1, *[float(np.linalg.norm(self.camera.to_camera(middle)))] * 3, 1.0])
         steps = 1e-5 * np.diag(scale)[: len(covariance), : len(covariance)]
@@ -97,8 +104,8 @@ def fit_camera_to_points(
     """
     uv, xyz = np.asarray(pixels, dtype=np.float64), np.asarray(points_world, dtype=np.float64)
     lens = distortion or Distortion()
-    if len(uv) < FEWEST_POINTS:
-        raise UserError(f"control points: expected {FEWEST_POINTS} or more, got {len(uv)}")
+    if len(uv) < POINT_FIT.fewest_points:
+        raise UserError(f"control points: expected {POINT_FIT.fewest_points} or more, got {len(uv)}")
     if np.linalg.svd(xyz - xyz.mean(axis=0), compute_uv=False)[1] < 1e-3:
         raise UserError("control points: they lie on one line")
     tried = [K] if K is not None else [centred(size, share * size[0]) for share in FOCAL_GRID]

@@ -37,7 +37,7 @@ class UncertaintyLimits:
     """Positions farther from the camera do not count in the accuracy of distances, metres."""
 
 
-UNCERTAINTY: Final = UncertaintyLimits()
+UNCERTAINTY_LIMITS: Final = UncertaintyLimits()
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,7 +138,7 @@ class UncertainCamera:
             height: z of the plane that they lie on, metres.
             sigma_px: Standard deviation of the pixels themselves, an axis.
         """
-        return radius_of(self.place_covariance(pixels, height, sigma_px), UNCERTAINTY.place_coverage)
+        return radius_of(self.place_covariance(pixels, height, sigma_px), UNCERTAINTY_LIMITS.place_coverage)
 
     def covariance_at(self, places: ArrayLike, slope: ArrayLike = (0.0, 0.0)) -> Array:
         """(..., 2, 2) covariance that the camera's error gives x and y of places (..., 3) on the road, square metres.
@@ -164,10 +164,10 @@ class UncertainCamera:
             (..., 2, 2) in m²/s²; NaN where the camera does not see the place.
         """
         at, v = np.asarray(places, dtype=np.float64), np.asarray(velocities, dtype=np.float64)
-        steps = UNCERTAINTY.beside_m * np.column_stack([np.eye(2), np.asarray(slope, dtype=np.float64)])
+        steps = UNCERTAINTY_LIMITS.beside_m * np.column_stack([np.eye(2), np.asarray(slope, dtype=np.float64)])
         beside = np.stack([at + steps[0], at - steps[0], at + steps[1], at - steps[1]])
         ahead_x, behind_x, ahead_y, behind_y = self._by_parameters_at(beside, slope)
-        stretched = np.stack([ahead_x - behind_x, ahead_y - behind_y], axis=-1) / (2 * UNCERTAINTY.beside_m)
+        stretched = np.stack([ahead_x - behind_x, ahead_y - behind_y], axis=-1) / (2 * UNCERTAINTY_LIMITS.beside_m)
         V = (stretched @ v[..., None, :, None])[..., 0]
         return np.asarray(V @ self.covariance @ np.swapaxes(V, -1, -2))
 
@@ -175,7 +175,7 @@ class UncertainCamera:
         """Relative standard deviation of short ways on the road z = 0, at the ninth in ten of its places near by."""
         u, v = np.meshgrid(*(np.linspace(0.05, 0.95, 9) * side for side in (self.camera.width, self.camera.height)))
         places = self.places(np.stack([u.ravel(), v.ravel()], axis=-1))
-        near = np.linalg.norm(places[:, :2] - self.camera.position[:2], axis=1) < UNCERTAINTY.near_m
+        near = np.linalg.norm(places[:, :2] - self.camera.position[:2], axis=1) < UNCERTAINTY_LIMITS.near_m
         shares = []
         for way in np.eye(2):
             C = self.covariance_of_velocities(places[near], np.tile(way, (int(near.sum()), 1)))

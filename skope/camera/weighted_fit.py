@@ -11,7 +11,7 @@ from scipy.optimize import least_squares
 from skope.camera.evidence import Evidence
 from skope.camera.evidence_terms import EvidenceTerm, covariances_of, residuals_of
 from skope.camera.model import Camera
-from skope.camera.pose_from_points import FEWEST_POINTS, fit_camera_to_points
+from skope.camera.pose_from_points import POINT_FIT, fit_camera_to_points
 from skope.camera.uncertain_camera import CAMERA_PARAMETERS, camera_of_parameters, values_of
 from skope.errors import UserError
 from skope.types import Array
@@ -167,7 +167,7 @@ def camera_starts(evidence: Evidence, start: Camera | None, terms: Sequence[Evid
     """
     if start is not None:
         return [values_of(start)]
-    if len(evidence.points) >= FEWEST_POINTS:
+    if len(evidence.points) >= POINT_FIT.fewest_points:
         uv = np.array([point.pixel for point in evidence.points])
         places = np.array([point.place for point in evidence.points])
         # With one wrong point all may be led astray: each is left out once.

@@ -47,7 +47,7 @@ class PackingLimits:
     """Largest number of weights of a file. A file that claims more is rejected before memory is allocated."""
 
 
-PACKING: Final = PackingLimits()
+PACKING_LIMITS: Final = PackingLimits()
 
 
 class CompensatedRounding:
@@ -58,7 +58,7 @@ class CompensatedRounding:
         self.device = moments.device
         damped = moments.double()
         diagonal = damped.diagonal()
-        diagonal += PACKING.moment_damping * diagonal.mean() + torch.finfo(torch.float32).tiny
+        diagonal += PACKING_LIMITS.moment_damping * diagonal.mean() + torch.finfo(torch.float32).tiny
         self._order = torch.argsort(diagonal, descending=True, stable=True)
         damped = damped[self._order][:, self._order]
         inverse = torch.cholesky_inverse(torch.linalg.cholesky(damped))
@@ -70,8 +70,8 @@ class CompensatedRounding:
         influence = self._influence
         left = weights.to(self.device)[:, self._order]
         rounded = torch.empty_like(left)
-        for begin in range(0, len(influence), PACKING.columns_at_once):
-            block = left[:, begin : begin + PACKING.columns_at_once]
+        for begin in range(0, len(influence), PACKING_LIMITS.columns_at_once):
+            block = left[:, begin : begin + PACKING_LIMITS.columns_at_once]
             end = begin + block.shape[1]
             errors, near = torch.empty_like(block), influence[begin:end, begin:end]
             for i in range(end - begin):
@@ -110,7 +110,7 @@ class DamagedError(ValueError):
 
 
 def pack(
-    state: StateDict, most_bytes: int = PACKING.most_bytes, *, moments: StateDict | None = None
+    state: StateDict, most_bytes: int = PACKING_LIMITS.most_bytes, *, moments: StateDict | None = None
 ) -> tuple[dict[str, Tensor], dict[str, Any]]:
     """The tensors to store for a state dict, and how each weight is kept.
 
@@ -146,12 +146,12 @@ class _Weight:
     def __init__(self, tensor: Tensor, relative: float, moments: Tensor | None) -> None:
         self._tensor = tensor
         self._rounding = None if moments is None else CompensatedRounding(moments)
-        self._sample = tensor.flatten(1)[:, :: PACKING.sampled].contiguous()
+        self._sample = tensor.flatten(1)[:, :: PACKING_LIMITS.sampled].contiguous()
         self._mean_square = relative * tensor.flatten(1).square().mean(1).sqrt()
-        self._finest = tensor.flatten(1).abs().amax(1) / PACKING.largest_step
+        self._finest = tensor.flatten(1).abs().amax(1) / PACKING_LIMITS.largest_step
 
     def steps(self, factor: float) -> Tensor:
-        """(C,) a step for each channel; never so fine that an integer exceeds `PACKING.largest_step`."""
+        """(C,) a step for each channel; never so fine that an integer exceeds `PACKING_LIMITS.largest_step`."""
         return torch.maximum(factor * self._mean_square, self._finest)
 
     def integers(self, factor: float) -> Tensor:
@@ -167,7 +167,7 @@ class _Weight:
     def bits(self, factor: float) -> float:
         """Entropy of all integers, estimated from a sample."""
         counts = torch.bincount(
-            _integers(self._sample, self.steps(factor)).flatten().int() + PACKING.largest_step
+            _integers(self._sample, self.steps(factor)).flatten().int() + PACKING_LIMITS.largest_step
         ).double()
         shares = counts[counts > 0] / counts.sum()
         return float(-(shares * shares.log2()).sum()) * self._tensor.numel()
@@ -176,7 +176,7 @@ class _Weight:
 def _integers(tensor: Tensor, steps: Tensor) -> Tensor:
     """int8 of the tensor's shape; zeros where a channel is zero."""
     inverse = torch.where(steps > 0, 1 / steps, 0).view(-1, *[1] * (tensor.ndim - 1))
-    return (tensor * inverse).round().clamp(-PACKING.largest_step, PACKING.largest_step).to(torch.int8)
+    return (tensor * inverse).round().clamp(-PACKING_LIMITS.largest_step, PACKING_LIMITS.largest_step).to(torch.int8)
 
 
 def _deflated(weights: StateDict, most_bytes: int, moments: StateDict) -> dict[str, tuple[bytes, Tensor]]:
@@ -191,7 +191,7 @@ def _deflated(weights: StateDict, most_bytes: int, moments: StateDict) -> dict[s
     while True:
         out = {name: (_deflate(weight.integers(factor)), weight.steps(factor)) for name, weight in prepared.items()}
         excess = sum(len(data) for data, _ in out.values()) - most_bytes
-        if excess <= 0 or factor >= PACKING.coarsest:
+        if excess <= 0 or factor >= PACKING_LIMITS.coarsest:
             return out
         # Deflate is a little longer than the entropy; a factor twice as large saves a bit a weight.
         factor *= 2.0 ** (8 * excess / count + 0.002)
@@ -199,8 +199,8 @@ def _deflated(weights: StateDict, most_bytes: int, moments: StateDict) -> dict[s
 
 def _finest_factor(weights: Iterable[_Weight], most_bytes: int) -> float:
     """The least factor of the largest tensor with which all integers' entropy is no more than `most_bytes`."""
-    low, high = math.log2(PACKING.finest), math.log2(PACKING.coarsest)
-    for _ in range(PACKING.halvings):
+    low, high = math.log2(PACKING_LIMITS.finest), math.log2(PACKING_LIMITS.coarsest)
+    for _ in range(PACKING_LIMITS.halvings):
         middle = (low + high) / 2
         bits = sum(weight.bits(2.0**middle) for weight in weights)
         low, high = (middle, high) if bits > 8 * most_bytes else (low, middle)
@@ -240,7 +240,7 @@ def _is_way(way: Any) -> bool:
 
 def _inflated(name: str, data: Tensor, steps: Tensor, shape: list[int]) -> Tensor:
     size = math.prod(shape)
-    if not shape or size > PACKING.most_weights or steps.shape != (shape[0],):
+    if not shape or size > PACKING_LIMITS.most_weights or steps.shape != (shape[0],):
         raise DamagedError(f"tensor {name}: shape {shape} is impossible")
     stream = zlib.decompressobj()
     try:

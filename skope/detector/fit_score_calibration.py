@@ -24,7 +24,7 @@ from skope.detector import score_calibration
 from skope.detector.checkpoint import checkpoint_bytes, find_checkpoint, load_weights
 from skope.detector.network_settings import Settings
 from skope.detector.predictor import CALIBRATED_KEY, Predictor
-from skope.detector.score_calibration import CALIBRATION, ScoreCalibration, fit_one, raw_maxima, sigmoid
+from skope.detector.score_calibration import CALIBRATION_RULES, ScoreCalibration, fit_one, raw_maxima, sigmoid
 from skope.detector.weights import shipped
 from skope.errors import UserError
 from skope.files.output_folders import check_file, work_of, write_new
@@ -161,10 +161,12 @@ def fit_calibration(job: CalibrationJob, console: Console) -> Path:
         raise UserError(f"{job.data}: split {job.split}: the last {share:g} of its recordings is less than one image")
     results, others = apart([one for _, found in predictor.by_image(file, truth.root) for one in found])
 
-    matches = match(file, results, score=job.score, thresholds=(CALIBRATION.iou,))
-    outcomes = outcomes_at(matches, CALIBRATION.iou, Options(alpha=CALIBRATION.alpha, iou=(CALIBRATION.iou,)))
+    matches = match(file, results, score=job.score, thresholds=(CALIBRATION_RULES.iou,))
+    outcomes = outcomes_at(
+        matches, CALIBRATION_RULES.iou, Options(alpha=CALIBRATION_RULES.alpha, iou=(CALIBRATION_RULES.iou,))
+    )
     points = matches.det_keypoints[outcomes.detection[outcomes.found]]
-    right = outcomes.correct(CALIBRATION.alpha)[outcomes.found]
+    right = outcomes.correct(CALIBRATION_RULES.alpha)[outcomes.found]
     if not len(matches.gt_image):
         raise UserError(f"{job.data}: split {job.split}: shows no vehicle to fit to; name another --split")
     if not len(points):
@@ -178,8 +180,8 @@ def fit_calibration(job: CalibrationJob, console: Console) -> Path:
         "last": share,
         "images": len(file.images),
         "vehicles": len(points),
-        "alpha": CALIBRATION.alpha,
-        "iou": CALIBRATION.iou,
+        "alpha": CALIBRATION_RULES.alpha,
+        "iou": CALIBRATION_RULES.iou,
         "score": job.score,
     }
     fitted = score_calibration.fit(score_calibration.raw_maxima(points[..., 2]), right, fitted_on)

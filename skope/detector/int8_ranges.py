@@ -6,6 +6,7 @@ The ranges are part of a checkpoint's metadata. Layers whose weights stay in 16 
 
 import contextlib
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from functools import partial
 from typing import Any, Final
 
@@ -20,10 +21,18 @@ RANGES_KEY: Final = "activation_ranges"
 Ranges = Mapping[str, tuple[float, float]]
 """Least and largest input by a layer's name."""
 
-CLIPPED_SHARE: Final = 1e-4
-"""Share of a call's inputs outside its range at each end. Rare, huge values would make all others coarser."""
-SAMPLED_INPUTS: Final = 1 << 18
-"""Number of inputs of a call that are examined."""
+
+@dataclass(frozen=True)
+class RangeSampling:
+    """How ranges of inputs are measured."""
+
+    clipped_share: float = 1e-4
+    """Share of a call's inputs outside its range at each end. Rare, huge values would make all others coarser."""
+    inputs: int = 1 << 18
+    """Number of inputs of a call that are examined."""
+
+
+RANGE_SAMPLING: Final = RangeSampling()
 
 
 def rounded_layers(model: nn.Module) -> dict[str, nn.Conv2d | nn.Linear]:
@@ -45,8 +54,8 @@ def noted(model: nn.Module) -> Iterator[dict[str, tuple[float, float]]]:
         x = inputs[0].detach().flatten()
         if not len(x):
             return
-        x = x[:: max(1, len(x) // SAMPLED_INPUTS)].float().sort().values
-        beyond = int(CLIPPED_SHARE * len(x))
+        x = x[:: max(1, len(x) // RANGE_SAMPLING.inputs)].float().sort().values
+        beyond = int(RANGE_SAMPLING.clipped_share * len(x))
         low, high = float(x[beyond]), float(x[-1 - beyond])
         before = found.get(name, (low, high))
         found[name] = (min(low, before[0]), max(high, before[1]))

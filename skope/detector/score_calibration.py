@@ -39,7 +39,7 @@ class CalibrationRules:
     """Steps of the fit."""
 
 
-CALIBRATION: Final = CalibrationRules()
+CALIBRATION_RULES: Final = CalibrationRules()
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -85,7 +85,7 @@ def fit(raw: Array, right: NDArray[np.bool_], fitted_on: dict[str, Any]) -> Scor
         raise UserError("nothing to calibrate on: no detection matched a vehicle")
     x, y = np.asarray(raw, dtype=np.float64), _targets(right)
     together = _logistic(x.reshape(-1, 1), _targets(right.reshape(-1, 1)), np.zeros((2, 1)), 1e-6)
-    scale, offset = _logistic(x, y, np.repeat(together, x.shape[1], axis=1), CALIBRATION.prior_weight)
+    scale, offset = _logistic(x, y, np.repeat(together, x.shape[1], axis=1), CALIBRATION_RULES.prior_weight)
     # A negative scale would mean that higher maxima are less often right: then the base rate alone is used.
     useless = scale <= 0
     rate = y.mean(axis=0)
@@ -119,7 +119,7 @@ def _logistic(x: Array, y: Array, start: Array, hold: float) -> Array:
 
     ab: Array = start.copy()
     value = loss(ab)
-    for _ in range(CALIBRATION.fit_steps):
+    for _ in range(CALIBRATION_RULES.fit_steps):
         p = sigmoid(ab[0] * x + ab[1])
         w, r = p * (1 - p), p - y
         gradient = np.stack([(r * x).sum(axis=0), r.sum(axis=0)]) + hold * (ab - start)
@@ -128,7 +128,7 @@ def _logistic(x: Array, y: Array, start: Array, hold: float) -> Array:
             aa * bb - ab_**2
         )
         size = np.ones(x.shape[1])
-        for _ in range(CALIBRATION.fit_steps):
+        for _ in range(CALIBRATION_RULES.fit_steps):
             trial = loss(ab - size * step)
             worse = trial > value
             if not worse.any():
@@ -190,7 +190,7 @@ def write(
     path = path_beside(weights)
     fields = asdict(calibration)
     numbers = {name: fields[name].tolist() for name in ("scale", "offset")}
-    head = {"version": CALIBRATION.version, "scheme": scheme, "weights_sha256": sha256_of(weights)}
+    head = {"version": CALIBRATION_RULES.version, "scheme": scheme, "weights_sha256": sha256_of(weights)}
     write_json(path, {**head, "work": dict(work), "fitted_on": calibration.fitted_on, **numbers})
     return path
 
@@ -204,7 +204,7 @@ def read(weights: Path, scheme: str = keypoints.SCHEME) -> ScoreCalibration | No
     if not isinstance(document, dict):
         raise UserError(f"{path}: expected an object, got a {type(document).__name__}")
     for name, expected in (
-        ("version", CALIBRATION.version),
+        ("version", CALIBRATION_RULES.version),
         ("scheme", scheme),
         ("weights_sha256", sha256_of(weights)),
     ):

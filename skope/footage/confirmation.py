@@ -48,7 +48,7 @@ class ConfirmationLimits:
     """A vehicle that moves by more of its size drives."""
 
 
-CONFIRMATION: Final = ConfirmationLimits()
+CONFIRMATION_LIMITS: Final = ConfirmationLimits()
 
 
 class ExpectedSizes:
@@ -59,7 +59,7 @@ class ExpectedSizes:
 
     def __init__(self, vehicles: Sequence[Sequence[SizeSample]]) -> None:
         """`vehicles` are the samples of each vehicle that drove."""
-        self._enough = len(vehicles) >= CONFIRMATION.fewest_moving
+        self._enough = len(vehicles) >= CONFIRMATION_LIMITS.fewest_moving
         if self._enough:
             samples = np.array([sample for samples in vehicles for sample in samples])
             self._parameters, self._covariance = _fitted(samples)
@@ -71,8 +71,12 @@ class ExpectedSizes:
         *place, size = sample
         at = np.array([1.0, *place])
         expected = float(at @ self._parameters)
-        spread = CONFIRMATION.size_sigmas * float(np.sqrt(at @ self._covariance @ at))
-        return (expected - spread) / CONFIRMATION.size_factor < size < (expected + spread) * CONFIRMATION.size_factor
+        spread = CONFIRMATION_LIMITS.size_sigmas * float(np.sqrt(at @ self._covariance @ at))
+        return (
+            (expected - spread) / CONFIRMATION_LIMITS.size_factor
+            < size
+            < (expected + spread) * CONFIRMATION_LIMITS.size_factor
+        )
 
 
 def _fitted(samples: Array) -> tuple[Array, Array]:
@@ -82,12 +86,12 @@ def _fitted(samples: Array) -> tuple[Array, Array]:
     """
     design = np.column_stack([np.ones(len(samples)), samples[:, :2]]) / samples[:, 2:]
     weights = np.ones(len(samples))
-    for _ in range(CONFIRMATION.fit_rounds):
+    for _ in range(CONFIRMATION_LIMITS.fit_rounds):
         normal = design.T @ (design * weights[:, None])
         parameters = np.linalg.lstsq(normal, design.T @ weights, rcond=None)[0]
         errors = np.abs(design @ parameters - 1)
-        weights = np.minimum(1.0, CONFIRMATION.size_sigma / np.maximum(errors, 1e-9))
-    return np.asarray(parameters), np.asarray(CONFIRMATION.size_sigma**2 * np.linalg.pinv(normal))
+        weights = np.minimum(1.0, CONFIRMATION_LIMITS.size_sigma / np.maximum(errors, 1e-9))
+    return np.asarray(parameters), np.asarray(CONFIRMATION_LIMITS.size_sigma**2 * np.linalg.pinv(normal))
 
 
 @dataclass(slots=True)
@@ -138,7 +142,7 @@ class Confirmation:
     def __init__(self, score: float, *, every: int = 1) -> None:
         """Detections above `score` are sure; the detector sees each `every`-th frame."""
         self._sure = score
-        self._fewest = CONFIRMATION.fewest_frames if every == 1 else CONFIRMATION.fewest_key_frames
+        self._fewest = CONFIRMATION_LIMITS.fewest_frames if every == 1 else CONFIRMATION_LIMITS.fewest_key_frames
         self._links = BoxLinks()
         self._vehicles: dict[int, _Vehicle] = {}
         """By number; those that were lost before they were surely seen are gone."""
@@ -173,13 +177,13 @@ class Confirmation:
         Vehicles are numbered in the order in which they are first seen.
         """
         seen = {i: one for i, one in self._vehicles.items() if one.sure >= self._fewest}
-        sizes = ExpectedSizes([one.samples for one in seen.values() if one.moved > CONFIRMATION.moving_sizes])
+        sizes = ExpectedSizes([one.samples for one in seen.values() if one.moved > CONFIRMATION_LIMITS.moving_sizes])
         stay = {
             i
             for i, one in seen.items()
-            if one.moved > CONFIRMATION.standing_sizes or sizes.allow((*one.samples[0][:2], one.size))
+            if one.moved > CONFIRMATION_LIMITS.standing_sizes or sizes.allow((*one.samples[0][:2], one.size))
         }
-        constant = {i for i in stay if seen[i].sure > CONFIRMATION.high_share * seen[i].found}
+        constant = {i for i in stay if seen[i].sure > CONFIRMATION_LIMITS.high_share * seen[i].found}
         names = {number: name for name, number in enumerate(sorted(stay))}
         return [
             np.array(

@@ -17,7 +17,7 @@ from skope.detector.network_settings import Settings
 from skope.files.atomic import sha256_of
 from skope.files.json_files import read_json
 from skope.files.output_folders import WORK_FILE, claim_output
-from skope.footage.confirmation import CONFIRMATION
+from skope.footage.confirmation import CONFIRMATION_LIMITS
 from skope.footage.key_frames import KEY_FRAME_LIMITS
 from skope.schema import CATEGORY_NAMES, AnyResult, Found
 from skope.tracking.box_links import LINK_LIMITS, BoxLinks
@@ -118,7 +118,7 @@ class PredictJob:
     @property
     def least_score(self) -> float:
         """Score from which the detector makes detections: weak ones continue vehicles of a video."""
-        return min(self.score, CONFIRMATION.weak_score) if self.confirms else self.score
+        return min(self.score, CONFIRMATION_LIMITS.weak_score) if self.confirms else self.score
 
     @property
     def confirms(self) -> bool:

@@ -9,6 +9,7 @@ import hashlib
 import os
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
@@ -22,11 +23,21 @@ from skope.files.atomic import hold_lock, replacing
 
 Arrays = Mapping[str, NDArray[Any]]
 
-LIMIT_BYTES: Final = 2 * 1024**3
-"""Largest size of the cache of each kind, bytes."""
-_DAY: Final = 86400.0
-_SOURCES: Final = (".py", ".toml", ".xml", ".glsl")
-_LIBRARIES: Final = ("numpy", "shapely", "sumolib", "fast-simplification")
+
+@dataclass(frozen=True)
+class CacheLimits:
+    """Size and age of the cache."""
+
+    most_bytes: int = 2 * 1024**3
+    """Largest size of the cache of each kind, bytes."""
+    day_s: float = 86400.0
+    """Seconds of a day."""
+
+
+CACHE_LIMITS: Final = CacheLimits()
+
+CACHED_SOURCES: Final = (".py", ".toml", ".xml", ".glsl")
+CACHED_LIBRARIES: Final = ("numpy", "shapely", "sumolib", "fast-simplification")
 """Libraries that meshes are built with; another version of one makes the cache invalid."""
 
 
@@ -100,9 +111,9 @@ def digest_of(*parts: str) -> str:
 @cache
 def _program_digest() -> str:
     """Digest of the generator's source files and of the versions of the libraries that meshes are built with."""
-    digest = hashlib.sha256("\n".join(f"{name} {version(name)}" for name in _LIBRARIES).encode())
+    digest = hashlib.sha256("\n".join(f"{name} {version(name)}" for name in CACHED_LIBRARIES).encode())
     root = Path(__file__).parents[1]
-    files = [*root.glob("*.py"), *(path for path in (root / "gen").rglob("*") if path.suffix in _SOURCES)]
+    files = [*root.glob("*.py"), *(path for path in (root / "gen").rglob("*") if path.suffix in CACHED_SOURCES)]
     for path in sorted(files):
         digest.update(path.relative_to(root).as_posix().encode() + b"\n" + path.read_bytes())
     return digest.hexdigest()
@@ -154,11 +165,11 @@ def _shrink(newest: Path) -> None:
     """Remove the longest unused files of the newest one's kind, and what killed processes left of it."""
     kind = newest.name.split("_")[0]
     for left in newest.parent.glob(f".{kind}_*.part*"):
-        if time.time() - left.stat().st_mtime > _DAY:
+        if time.time() - left.stat().st_mtime > CACHE_LIMITS.day_s:
             _remove(left)
     files = sorted(newest.parent.glob(f"{kind}_*.npz"), key=lambda path: path.stat().st_mtime, reverse=True)
     total = 0
     for path in files:
         total += path.stat().st_size
-        if total > LIMIT_BYTES and path != files[0]:
+        if total > CACHE_LIMITS.most_bytes and path != files[0]:
             _remove(path)

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from skope.types import Array
 
-FEW: Final = 500
+FEW_TRIANGLES: Final = 500
 """Triangles that are not worth simplifying."""
 
 
@@ -108,12 +108,12 @@ def numbered_rows(rows: Array, decimals: int) -> tuple[NDArray[np.int64], NDArra
 def simplified(mesh: Mesh, share: float) -> Mesh:
     """About a `share` of the triangles, for pictures of what is far away; what was closed stays closed.
 
-    Meshes of fewer than `FEW` triangles stay as they are.
+    Meshes of fewer than `FEW_TRIANGLES` triangles stay as they are.
 
     Quadric error decimation (Garland and Heckbert 1997). A fin stands on every edge where materials meet or the surface
     ends, so that these edges hold against being moved; each triangle that is left keeps its material and normals.
     """
-    if len(mesh.triangles) < FEW:
+    if len(mesh.triangles) < FEW_TRIANGLES:
         return mesh
     from fast_simplification import replay_simplification, simplify
 

@@ -4,6 +4,7 @@ A keypoint's score claims the probability that it is visible and within alpha L.
 matched detections; that a whole vehicle is there is what the vehicle's own score claims.
 """
 
+from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
@@ -13,10 +14,18 @@ from skope.metrics.match import Matches
 from skope.metrics.outcome_counts import ratio
 from skope.types import Array, Integers, Mask
 
-SCORE_BINS: Final = 10
-"""Bins of the reliability diagram."""
-CURVE_POINTS: Final = 101
-"""Recalls at which precision is told."""
+
+@dataclass(frozen=True)
+class ReliabilityBins:
+    """Resolution of the reliability diagram and the precision curve."""
+
+    score_bins: int = 10
+    """Bins of the reliability diagram."""
+    curve_points: int = 101
+    """Number of recalls at which precision is reported."""
+
+
+RELIABILITY_BINS: Final = ReliabilityBins()
 
 
 def confidence(matches: Matches, outcomes: Outcomes, options: Options) -> dict[str, Any]:
@@ -59,14 +68,14 @@ def reliability(score: Array, right: Mask) -> list[dict[str, Any]]:
     Returns:
         A row for each tenth: "from" and "to", "count", mean "score", and the share that is "right".
     """
-    place = np.minimum((score * SCORE_BINS).astype(np.int64), SCORE_BINS - 1)
+    place = np.minimum((score * RELIABILITY_BINS.score_bins).astype(np.int64), RELIABILITY_BINS.score_bins - 1)
     rows = []
     for i in np.unique(place):
         inside = place == i
         rows.append(
             {
-                "from": i / SCORE_BINS,
-                "to": (i + 1) / SCORE_BINS,
+                "from": i / RELIABILITY_BINS.score_bins,
+                "to": (i + 1) / RELIABILITY_BINS.score_bins,
                 "count": int(inside.sum()),
                 "score": float(score[inside].mean()),
                 "right": float(right[inside].mean()),
@@ -124,7 +133,7 @@ def curve(score: Array, right: Mask, total: int) -> tuple[Array, Array]:
     """
     if not total:
         return np.zeros(0), np.zeros(0)
-    recalls = np.linspace(0, 1, CURVE_POINTS)
+    recalls = np.linspace(0, 1, RELIABILITY_BINS.curve_points)
     order = np.argsort(-score, kind="stable")
     hits = np.cumsum(right[order])
     last: Integers = (

@@ -29,7 +29,7 @@ from skope.pose.search import EXCHANGE_FLAGS, POSE_SEARCH, retry_exchanged, retr
 from skope.pose.shape_model import Shapes, fleet_shapes
 from skope.types import Array
 
-REJECTIONS: Final = ("few_keypoints", "on_a_line", "no_fit", "inconsistent", "uncertain")
+REJECTION_REASONS: Final = ("few_keypoints", "on_a_line", "no_fit", "inconsistent", "uncertain")
 """Reasons why a vehicle has no pose: too few keypoints; keypoints on one line; nothing in front of the camera fits;
 more than 60% of the keypoints contradict the rest; the covariance is too large to be useful.
 """
@@ -95,7 +95,7 @@ class Poses:
     rms_px: Array
     """(N,) root mean square distance in the image of the keypoints that agree, pixels."""
     refusal: tuple[str | None, ...]
-    """(N,) one of `REJECTIONS` for a vehicle without a pose, else None."""
+    """(N,) one of `REJECTION_REASONS` for a vehicle without a pose, else None."""
     flags: tuple[tuple[str, ...], ...]
     """(N,) those of `POSE_FLAGS` that hold for each vehicle."""
 
@@ -278,7 +278,7 @@ def _refusals(
         unsure | ~np.isfinite(spread),
     )
     found = np.stack([*reasons, np.ones(len(T), dtype=bool)])
-    return tuple((*REJECTIONS, None)[i] for i in found.argmax(axis=0))
+    return tuple((*REJECTION_REASONS, None)[i] for i in found.argmax(axis=0))
 
 
 def _doubts(

@@ -14,7 +14,7 @@ from skope.camera.calibration_files import read_uncertain_camera
 from skope.camera.ground_plane import Ground
 from skope.camera.model import Camera
 from skope.camera.motion.camera_motion import TURN_ANGLES, CameraMotion, motion_of_info
-from skope.camera.motion.view_registration import REGISTRATION, KnownView, read_views, view_numbers
+from skope.camera.motion.view_registration import REGISTRATION_LIMITS, KnownView, read_views, view_numbers
 from skope.camera.uncertain_camera import UncertainCamera
 from skope.dataset import coco
 from skope.dataset.camera_of_file import read_camera, sized
@@ -336,7 +336,7 @@ def _longest_view(file: AnnotationFile) -> tuple[AnnotationFile, str | None]:
     part = _parts(file, views)
     if part is None:
         return file, None
-    kept = np.flatnonzero(part == int(np.bincount(part[part != REGISTRATION.moving_view]).argmax()))
+    kept = np.flatnonzero(part == int(np.bincount(part[part != REGISTRATION_LIMITS.moving_view]).argmax()))
     begin, end = (file.images[i].time_s for i in (kept[0], kept[-1]))
     words = (
         f"{file.name}: the view changes ({counted(len(views) - 1, 'time')}); taken is the longest part, "
@@ -376,7 +376,7 @@ def _other_views(file: AnnotationFile, calibrated: object, camera: Camera | None
             raise UserError(f"{file.name}: calibrated.seconds: expected two numbers") from None
         times = [image.time_s or 0.0 for image in file.images]
         first = int(np.searchsorted(times, middle).clip(0, len(part) - 1))
-    valid = int(next((k for k in part[first:] if k != REGISTRATION.moving_view), 0))
+    valid = int(next((k for k in part[first:] if k != REGISTRATION_LIMITS.moving_view), 0))
     if (part == valid).all():
         return _OtherViews()
     found = {} if camera is None else _turned_views(views, valid, sized(camera, _shape(file), file.name))

@@ -33,7 +33,7 @@ class OptimiserLimits:
     """A fit is settled when a step lowers its cost by less than this share."""
 
 
-OPTIMISER: Final = OptimiserLimits()
+OPTIMISER_LIMITS: Final = OptimiserLimits()
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,7 +152,7 @@ class _Problem:
         damping = np.full(len(p), 1e-3)
         cost, squared, variance, normal, gradient = self._linearised(p, R, a)
         live = np.arange(len(p))
-        for _ in range(OPTIMISER.most_iterations):
+        for _ in range(OPTIMISER_LIMITS.most_iterations):
             # Solve (H + damping diag H) step = -gradient for the vehicles that are not settled.
             part = self._part(live)
             H = normal[live].copy()
@@ -176,7 +176,7 @@ class _Problem:
                 mine[good] = other[better]
             damping[live] *= np.where(better, 0.1, 10.0)
             # Leave those whose last step gained next to nothing, and those that not even a tiny step makes better.
-            live = live[~(better & (gained < OPTIMISER.settled * (1 + cost[live]))) & (damping[live] < 1e8)]
+            live = live[~(better & (gained < OPTIMISER_LIMITS.settled * (1 + cost[live]))) & (damping[live] < 1e8)]
             if not live.size:
                 break
         # Back from the k columns to all keypoints.
@@ -215,7 +215,7 @@ class _Problem:
         fx, fy = self._focal
         away = np.stack([fx * (x / near - self._xy[..., 0]), fy * (y / near - self._xy[..., 1])], axis=-1)
         variance = self._measured + self._rest / near**2
-        squared = np.where(front, (away**2).sum(axis=-1) / variance, OPTIMISER.behind_cost)
+        squared = np.where(front, (away**2).sum(axis=-1) / variance, OPTIMISER_LIMITS.behind_cost)
         weight = np.where(front & self._counted, observations.weight(squared) / variance, 0.0)
         # Derivatives of the two image coordinates by a shift along the world's axes, then along the vehicle's.
         Rc = self._T[:3, :3]

@@ -26,10 +26,19 @@ Beta: TypeAlias = tuple[float, float]
 """Parameters a and b of a Beta distribution of a share; (0, 1): the share is 0."""
 _SIDE_LEVEL: Final = 1 - (1 - COUNT_INTERVAL_LEVEL) / 2
 """Level of each of the two quantiles."""
-COMPUTED_MASS: Final = 0.9999
-"""Share of a distribution's probability that is computed. The rest is put at its last number."""
-LARGEST_COUNT: Final = 2**20
-"""Largest number that is computed."""
+
+
+@dataclass(frozen=True)
+class DistributionLimits:
+    """How far distributions of counts are computed."""
+
+    mass: float = 0.9999
+    """Share of a distribution's probability that is computed. The rest is put at its last number."""
+    largest_count: int = 2**20
+    """Largest number that is computed."""
+
+
+DISTRIBUTION_LIMITS: Final = DistributionLimits()
 
 
 @dataclass(frozen=True)
@@ -102,7 +111,7 @@ def missed_pmf(counted: int, missed: Beta) -> Array:
         k = np.arange(size, dtype=np.float64)
         log = gammaln(successes + k) - gammaln(k + 1) - gammaln(successes)
         pmf = np.exp(log + betaln(seen + successes, unseen + k) - betaln(seen, unseen))
-        if pmf.sum() >= COMPUTED_MASS or size >= LARGEST_COUNT:
+        if pmf.sum() >= DISTRIBUTION_LIMITS.mass or size >= DISTRIBUTION_LIMITS.largest_count:
             pmf[-1] += max(0.0, 1 - pmf.sum())
             return np.asarray(pmf)
         size *= 2

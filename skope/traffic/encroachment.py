@@ -28,7 +28,7 @@ class EncroachmentSearch:
     """Step of the first pass, which finds whether paths come near each other."""
 
 
-ENCROACHMENT: Final = EncroachmentSearch()
+ENCROACHMENT_SEARCH: Final = EncroachmentSearch()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,10 +52,13 @@ def near(one: FootprintPath, other: FootprintPath, most_s: float) -> bool:
         other: Another one.
         most_s: Longest time between the two, seconds.
     """
-    rows, columns = slice(None, None, ENCROACHMENT.coarse_step), slice(None, None, ENCROACHMENT.coarse_step)
+    rows, columns = (
+        slice(None, None, ENCROACHMENT_SEARCH.coarse_step),
+        slice(None, None, ENCROACHMENT_SEARCH.coarse_step),
+    )
     away = np.linalg.norm(one.place[rows, None] - other.place[None, columns], axis=-1)
     late = np.abs(one.times_s[rows, None] - other.times_s[None, columns])
-    step_s = float(one.times_s[1] - one.times_s[0]) * ENCROACHMENT.coarse_step
+    step_s = float(one.times_s[1] - one.times_s[0]) * ENCROACHMENT_SEARCH.coarse_step
     reach = one.radius + other.radius + step_s * (float(one.speed.max()) + float(other.speed.max()))
     return bool(((away < reach) & (late <= most_s + step_s)).any())
 
@@ -86,7 +89,7 @@ def _after(first: FootprintPath, second: FootprintPath, most_s: float, swapped: 
     shift = int(first.ticks[0] - second.ticks[0])
     every = np.arange(round(most_s / step_s) + 1)
     # Some of the times at once, the least ones first: mostly one batch is enough, or nobody is near at all.
-    for late in np.split(every, range(ENCROACHMENT.batch_steps, len(every), ENCROACHMENT.batch_steps)):
+    for late in np.split(every, range(ENCROACHMENT_SEARCH.batch_steps, len(every), ENCROACHMENT_SEARCH.batch_steps)):
         i, j = np.broadcast_arrays(rows[:, None], rows[:, None] + shift + late)
         there = (j >= 0) & (j < len(second.ticks))
         i, j = i[there], j[there]
@@ -103,7 +106,11 @@ def _finer(
     first: FootprintPath, second: FootprintPath, first_s: float, second_s: float, step_s: float, swapped: bool
 ) -> Encroachment:
     """The least time between moments around those at which the footprints overlap."""
-    shifts = np.arange(-ENCROACHMENT.fine_steps, ENCROACHMENT.fine_steps + 1) * step_s / ENCROACHMENT.fine_steps
+    shifts = (
+        np.arange(-ENCROACHMENT_SEARCH.fine_steps, ENCROACHMENT_SEARCH.fine_steps + 1)
+        * step_s
+        / ENCROACHMENT_SEARCH.fine_steps
+    )
     here = np.clip(first_s + shifts, *first.times_s[[0, -1]])
     there = np.clip(second_s + shifts, *second.times_s[[0, -1]])
     a, b = footprint_corners(*first.at(here), first.size), footprint_corners(*second.at(there), second.size)
@@ -142,7 +149,7 @@ def by_area(one: FootprintPath, other: FootprintPath, about_s: float) -> Encroac
 
 
 def _during(path: FootprintPath, about_s: float) -> Array:
-    return np.flatnonzero(np.abs(path.times_s - about_s) <= ENCROACHMENT.around_s)  # type: ignore[return-value]
+    return np.flatnonzero(np.abs(path.times_s - about_s) <= ENCROACHMENT_SEARCH.around_s)  # type: ignore[return-value]
 
 
 def _stay(path: FootprintPath, rows: Array, shapes: Any, area: Any) -> tuple[float, float]:

@@ -15,8 +15,18 @@ from skope.traffic.gates import GateCrossing, direction_names
 from skope.traffic.missed_crossings import Unseen
 from skope.traffic.observation import Observation
 
-_MIN_KNOWN_SHARE = 0.5
-"""Minimum share of the vehicles at a gate and direction whose class is known, for the others to take their mean."""
+
+@dataclass(frozen=True)
+class CountLimits:
+    """Shares from which counts are complete and classes known."""
+
+    known_share: float = 0.5
+    """Minimum share of the vehicles at a gate and direction whose class is known, for the others to take their mean."""
+    observed_share: float = 0.999
+    """Fraction of an interval that must be observed for its count to be complete."""
+
+
+COUNT_LIMITS: Final = CountLimits()
 
 
 def pce_factors(crossings: Sequence[GateCrossing], settings: TrafficSettings) -> dict[str, float] | None:
@@ -37,7 +47,7 @@ def pce_factors(crossings: Sequence[GateCrossing], settings: TrafficSettings) ->
     unknown = classes.count(UNKNOWN_CLASS)
     if not unknown:
         return factors
-    if len(known) < _MIN_KNOWN_SHARE * (len(known) + unknown):
+    if len(known) < COUNT_LIMITS.known_share * (len(known) + unknown):
         return None
     return {**factors, UNKNOWN_CLASS: sum(known) / len(known)}
 
@@ -53,8 +63,6 @@ def passenger_cars(crossings: Sequence[GateCrossing], factors: Mapping[str, floa
 
 
 ALL_CLASSES: Final = "all"
-OBSERVED_SHARE: Final = 0.999
-"""Fraction of an interval that must be observed for its count to be complete."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,7 +97,7 @@ def observed_word(interval: ClockInterval, observed_s: float) -> str:
     """All, part or nothing."""
     if observed_s <= 0:
         return "nothing"
-    return "all" if observed_s >= OBSERVED_SHARE * (interval.end_s - interval.begin_s) else "part"
+    return "all" if observed_s >= COUNT_LIMITS.observed_share * (interval.end_s - interval.begin_s) else "part"
 
 
 def interval_counts(

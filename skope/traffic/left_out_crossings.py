@@ -13,9 +13,19 @@ from skope.traffic.gate_counts import ALL_CLASSES
 from skope.traffic.gates import GateCrossing, direction_names, may_count, signed_distances
 from skope.traffic.traffic_report import TrafficReport
 
-_MIN_NUMBER: Final = 3
-_MIN_SHARE: Final = 0.1
-"""A gate and direction is listed with at least `_MIN_NUMBER` left out, and more than this share of its count."""
+
+@dataclass(frozen=True)
+class LeftOutLimits:
+    """Limits from which a gate and direction is listed."""
+
+    number: int = 3
+    """Smallest number of crossings that were left out."""
+    share: float = 0.1
+    """Share of its count above which a gate and direction is listed."""
+
+
+LEFT_OUT_LIMITS: Final = LeftOutLimits()
+
 _IN_DOUBT: Final = {"begins": "the track begins at the gate", "ends": "the track ends at the gate"}
 
 
@@ -47,7 +57,7 @@ def left_out_crossings(report: TrafficReport) -> dict[tuple[str, str], list[Left
     return {
         side: sorted(rows, key=lambda row: row.time_s)
         for side, rows in found.items()
-        if len(rows) >= _MIN_NUMBER and len(rows) > _MIN_SHARE * counted.get(side, 0)
+        if len(rows) >= LEFT_OUT_LIMITS.number and len(rows) > LEFT_OUT_LIMITS.share * counted.get(side, 0)
     }
 
 

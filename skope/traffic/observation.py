@@ -39,7 +39,7 @@ class ObservationLimits:
     """What begins or ends this close to an end of the footage, or to a gap, is cut by it, seconds."""
 
 
-OBSERVATION: Final = ObservationLimits()
+OBSERVATION_LIMITS: Final = ObservationLimits()
 
 _WITH_OFFSET: Final = "2026-11-26T10:00:00+01:00"
 
@@ -87,7 +87,7 @@ class Observation:
         steps = np.diff(self.times_s)
         usual = _usual_step(self.times_s)
         moved = np.diff(np.searchsorted(self.moved_s, self.times_s)) > 0
-        cuts = np.flatnonzero((steps > max(OBSERVATION.gap_s, OBSERVATION.gap_steps * usual)) | moved)
+        cuts = np.flatnonzero((steps > max(OBSERVATION_LIMITS.gap_s, OBSERVATION_LIMITS.gap_steps * usual)) | moved)
         begins = self.times_s[np.concatenate([[0], cuts + 1]).astype(int)]
         ends = self.times_s[np.concatenate([cuts, [len(self.times_s) - 1]]).astype(int)]
         return np.stack([begins, ends + usual], axis=1)
@@ -126,7 +126,7 @@ class Observation:
 
     def is_cut(self, time_s: float) -> bool:
         """Whether what begins or ends at a time is cut by the footage or by a gap in it, not lost."""
-        return not len(self.spans) or bool(np.abs(self.spans - time_s).min() < OBSERVATION.cut_s)
+        return not len(self.spans) or bool(np.abs(self.spans - time_s).min() < OBSERVATION_LIMITS.cut_s)
 
     def pixels_per_metre(self, place: Array) -> float | None:
         """Pixels of a metre across the line of sight at a place (2,) of the road; None: not known.
@@ -170,7 +170,7 @@ class Observation:
     def to_dict(self) -> dict[str, Any]:
         """Content of `footage.json`."""
         return {
-            "version": OBSERVATION.version,
+            "version": OBSERVATION_LIMITS.version,
             "source": self.source,
             "times_s": [round(float(time), 4) for time in self.times_s],
             "moved_times_s": [round(float(time), 4) for time in self.moved_s],
@@ -204,7 +204,7 @@ def _ends(times_s: Array) -> Array:
     """(N,) until when each frame of a recording stands."""
     usual = _usual_step(times_s)
     return np.asarray(
-        times_s + np.append(np.minimum(np.diff(times_s), OBSERVATION.gap_steps * usual), usual)[: len(times_s)]
+        times_s + np.append(np.minimum(np.diff(times_s), OBSERVATION_LIMITS.gap_steps * usual), usual)[: len(times_s)]
     )
 
 
@@ -230,7 +230,7 @@ def read_observation(folder: Path) -> Observation:
     document = read_json(path)
     if not isinstance(document, dict):
         raise UserError(f"{path}: expected an object")
-    check_version(path, document.get("version"), OBSERVATION.version)
+    check_version(path, document.get("version"), OBSERVATION_LIMITS.version)
     times = _numbers(path, document, "times_s")
     if (np.diff(times) <= 0).any():
         raise UserError(f"{path}: times_s: expected times that rise from frame to frame")

@@ -26,10 +26,19 @@ from skope.traffic.observation import Observation
 from skope.traffic.speeds import MOTOR_TRAFFIC, SectionPass, SpeedGroup
 from skope.types import Array
 
-_STEP_S: Final = 1.0
-"""Queues are looked at so often."""
-_STOP_S: Final = 1.0
-"""A road user that is slow for less time, seconds, has not stopped."""
+
+@dataclass(frozen=True)
+class QueueTimes:
+    """Times of queues and stops."""
+
+    step_s: float = 1.0
+    """Interval at which queues are measured, seconds."""
+    stop_s: float = 1.0
+    """Shortest stop, seconds."""
+
+
+QUEUE_TIMES: Final = QueueTimes()
+
 SPEED_SHIFTS: Final = (-INTERVAL_SIGMAS, -INTERVAL_SIGMAS / 2, INTERVAL_SIGMAS / 2, INTERVAL_SIGMAS)
 """Shifts of the speeds that are tried, in standard deviations. One stop at one speed may be two or none at another."""
 Queue = tuple[float, float, tuple[float, ...]]
@@ -110,7 +119,7 @@ def stops(
     slow = standing(speed, settings.stop_kmh / KMH_PER_MPS, 2 * settings.stop_kmh / KMH_PER_MPS)
     runs = np.split(np.arange(len(rows)), np.flatnonzero(np.diff(slow)) + 1)
     lengths = [float(times[rows[run[-1]]] - times[rows[run[0]]]) for run in runs if slow[run[0]]]
-    lasting = [length for length in lengths if length >= _STOP_S]
+    lasting = [length for length in lengths if length >= QUEUE_TIMES.stop_s]
     return len(lasting), sum(lasting)
 
 
@@ -131,7 +140,9 @@ def queues(
         settings: Speeds at which queues begin and end, and the gap that ends one.
     """
     spans = observation.spans
-    moments = np.unique(np.concatenate([np.arange(math.ceil(a), b, _STEP_S) for a, b in spans] or [np.zeros(0)]))
+    moments = np.unique(
+        np.concatenate([np.arange(math.ceil(a), b, QUEUE_TIMES.step_s) for a, b in spans] or [np.zeros(0)])
+    )
     found = [
         _in_lane(trajectories, lanes, k, moments, settings) if len(moments) else {} for k in range(len(lanes.lanes))
     ]

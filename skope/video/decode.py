@@ -2,6 +2,7 @@
 
 from collections import deque
 from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 import cv2
@@ -16,14 +17,21 @@ if TYPE_CHECKING:
     from av.video.stream import VideoStream
 
 
-_DEMUX_RETRIES: Final = 20
-"""Consecutive read errors after which a file counts as ended."""
-_MOST_BETWEEN_KEY_FRAMES: Final = 300
-"""Frames are used again this many frames after damage, also where no key frame came: some cameras send none."""
+@dataclass(frozen=True)
+class DecodeLimits:
+    """Limits of reading damaged files."""
+
+    retries: int = 20
+    """Consecutive read errors after which a file counts as ended."""
+    damaged_frames: int = 300
+    """Frames are used again this many frames after damage, also where no key frame came: some cameras send none."""
+
+
+DECODE_LIMITS: Final = DecodeLimits()
 
 
 def packets(
-    container: "InputContainer", stream: "VideoStream", retries: int = _DEMUX_RETRIES
+    container: "InputContainer", stream: "VideoStream", retries: int = DECODE_LIMITS.retries
 ) -> Iterator["Packet[VideoStream]"]:
     """Packets of a stream up to its end, the empty one that ends it included.
 
@@ -99,7 +107,7 @@ class Decoder:
             self._suspect = None
             self._note_damage()
             return False
-        if self._since_damage is None or frame.key_frame or self._since_damage >= _MOST_BETWEEN_KEY_FRAMES:
+        if self._since_damage is None or frame.key_frame or self._since_damage >= DECODE_LIMITS.damaged_frames:
             self._since_damage = None
             return True
         self.damaged += 1

@@ -3,6 +3,7 @@
 import threading
 from collections import OrderedDict
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, Generic, TypeVar
 
@@ -13,10 +14,18 @@ from skope.video.footage import FOOTAGE_LIMITS, open_footage
 
 Encoded = TypeVar("Encoded")
 
-_KEPT_FRAMES: Final = 32
-"""Number of frames that are kept."""
-_KEPT_BEFORE: Final = 8
-"""This many frames before one that is jumped to are kept too: going back meets them next, and a jump is slow."""
+
+@dataclass(frozen=True)
+class CacheSize:
+    """Number of frames in the cache."""
+
+    frames: int = 32
+    """Number of frames that are kept."""
+    before: int = 8
+    """Number of frames before a jump's target that are kept too. Going back needs them next, and a jump is slow."""
+
+
+CACHE_SIZE: Final = CacheSize()
 
 
 class FrameCache(Generic[Encoded]):
@@ -54,14 +63,14 @@ class FrameCache(Generic[Encoded]):
     def _decode(self, index: int) -> None:
         """Keep a frame, and those shortly before it that are decoded on the way."""
         if not 0 <= self._next <= index <= self._next + FOOTAGE_LIMITS.seek_frames:
-            begin = max(0, index - _KEPT_BEFORE)
+            begin = max(0, index - CACHE_SIZE.before)
             self._frames, self._next = self._footage.frames(begin), begin
         for frame, pixels in self._frames:
             assert frame.frame_index is not None
             self._next = frame.frame_index + 1
-            if frame.frame_index >= index - _KEPT_BEFORE:
+            if frame.frame_index >= index - CACHE_SIZE.before:
                 self._kept[frame.frame_index] = self._encode(pixels)
-            while len(self._kept) > _KEPT_FRAMES:
+            while len(self._kept) > CACHE_SIZE.frames:
                 self._kept.popitem(last=False)
             if frame.frame_index == index:
                 return

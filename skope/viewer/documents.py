@@ -65,11 +65,19 @@ def described() -> list[dict[str, Any]]:
     return [{"name": quality.name, "values": list(quality.values)} for quality in ALL_QUALITIES]
 
 
-SCORE_STEPS: Final = 1000
-"""Score thresholds are whole numbers from 0 to this, so that browser and server mean the same."""
-SCORE_THRESHOLDS: Final = np.arange(SCORE_STEPS + 1) / SCORE_STEPS
-_KEPT_THRESHOLDS: Final = 8
-"""Score thresholds whose counts are kept."""
+@dataclass(frozen=True)
+class ScoreSteps:
+    """Resolution of the score threshold."""
+
+    steps: int = 1000
+    """Score thresholds are whole numbers from 0 to this, so that browser and server mean the same."""
+    kept: int = 8
+    """Number of score thresholds whose counts are kept."""
+
+
+SCORE_STEPS_KEPT: Final = ScoreSteps()
+
+SCORE_THRESHOLDS: Final = np.arange(SCORE_STEPS_KEPT.steps + 1) / SCORE_STEPS_KEPT.steps
 IMAGE_FACETS: Final[dict[str, Callable[[Image], str | None]]] = {
     "split": lambda image: image.split,
     "site": lambda image: image.site,
@@ -86,7 +94,7 @@ class Documents:
         self._collection = collection
         self._splits = [_SplitDocuments(split, collection) for split in collection.splits]
         self._ends = list(itertools.accumulate(len(split.file.images) for split in collection.splits))
-        self.scores = lru_cache(maxsize=_KEPT_THRESHOLDS)(self._scores)
+        self.scores = lru_cache(maxsize=SCORE_STEPS_KEPT.kept)(self._scores)
 
     @property
     def has_predictions(self) -> bool:
@@ -236,7 +244,7 @@ class _SplitDocuments:
         Quality is None where nothing is labelled. Without ground truth there are detections only.
         """
         assert self._options
-        options = replace(self._options, score=step / SCORE_STEPS)
+        options = replace(self._options, score=step / SCORE_STEPS_KEPT.steps)
         matches = match_split(self._split.file, self._split.results, options)
         outcomes = outcomes_at(matches, options.loosest, options)
         tally = outcome_counts.tally(matches, options.loosest, options)

@@ -8,6 +8,7 @@ import errno
 import re
 import sys
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import lru_cache
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -19,8 +20,20 @@ from skope.page.templates import render
 from skope.terminal.console import Console
 
 LOCAL_ADDRESS: Final = "127.0.0.1"
-FIRST_PORT: Final = 8033
-"""Port that is taken if it is free."""
+
+
+@dataclass(frozen=True)
+class ServerLimits:
+    """Port and largest request of a local server."""
+
+    port: int = 8033
+    """Port that is taken if it is free."""
+    request_bytes: int = 1 << 25
+    """Maximum size of a request, bytes."""
+
+
+SERVER_LIMITS: Final = ServerLimits()
+
 JSON_TYPE: Final = "application/json"
 TEXT_TYPE: Final = "text/plain; charset=utf-8"
 HTML_TYPE: Final = "text/html; charset=utf-8"
@@ -33,8 +46,6 @@ SHARED_FILES: Final = {
 }
 """Files that every page has: path -> package, name and media type."""
 LOCAL_HOST: Final = re.compile(r"(localhost|127\.0\.0\.1|\[::1\])(:[0-9]{1,5})?", re.IGNORECASE)
-_LARGEST_REQUEST_BYTES: Final = 1 << 25
-"""Bytes that a request may bring along."""
 SAFE_HEADERS: Final = {
     # The page asks this server alone, runs its own script alone, and stands in no other page.
     "Content-Security-Policy": "default-src 'none'; img-src data:; style-src 'self'; script-src 'self'; "
@@ -108,10 +119,12 @@ class LocalHandler(BaseHTTPRequestHandler):
             return
         if (
             not re.fullmatch("[0-9]{1,9}", length)
-            or int(length) > _LARGEST_REQUEST_BYTES
+            or int(length) > SERVER_LIMITS.request_bytes
             or "Transfer-Encoding" in self.headers
         ):
-            self.send_error(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"expected at most {_LARGEST_REQUEST_BYTES >> 20} MB")
+            self.send_error(
+                HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"expected at most {SERVER_LIMITS.request_bytes >> 20} MB"
+            )
             return
         data = self.rfile.read(int(length))
         self.close_connection = not kept_open
@@ -174,13 +187,13 @@ def bound_to(make: Callable[[int], S], port: int | None) -> S:
 
     Args:
         make: What makes it.
-        port: Where it listens; None: `FIRST_PORT`, or any free one where that is taken.
+        port: Where it listens; None: `SERVER_LIMITS.port`, or any free one where that is taken.
 
     Raises:
         UserError: `port` cannot be used.
     """
     try:
-        return make(FIRST_PORT if port is None else port)
+        return make(SERVER_LIMITS.port if port is None else port)
     except OverflowError:
         raise UserError(f"--port: expected a number from 0 to 65535, got {port}") from None
     except OSError as error:

@@ -7,7 +7,7 @@ from skope.errors import UserError
 from skope.files.json_files import json_bytes
 from skope.terminal.console import Console
 from skope.viewer.collection import Collection
-from skope.viewer.documents import SCORE_STEPS, Documents
+from skope.viewer.documents import SCORE_STEPS_KEPT, Documents
 from skope.viewer.local_server import (
     CSS_TYPE,
     HTML_TYPE,
@@ -73,7 +73,11 @@ class _Handler(LocalHandler):
             return file[2], read_resource(*file[:2])
         if path == "/index.json":
             return JSON_TYPE, self.server.index
-        if (scores := SCORES_ADDRESS.fullmatch(path)) and int(scores[1]) <= SCORE_STEPS and documents.has_predictions:
+        if (
+            (scores := SCORES_ADDRESS.fullmatch(path))
+            and int(scores[1]) <= SCORE_STEPS_KEPT.steps
+            and documents.has_predictions
+        ):
             return JSON_TYPE, json_bytes(documents.scores(int(scores[1])))
         if (image := IMAGE_ADDRESS.fullmatch(path)) and (number := int(image[1])) < len(documents):
             if image[2]:

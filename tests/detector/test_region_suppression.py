@@ -1,5 +1,6 @@
 """Regions that are suppressed for a whole batch are those that torchvision leaves out image by image."""
 
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -73,7 +74,9 @@ def test_the_best_are_looked_at_first_and_the_others_where_those_are_too_few(
         return batched_nms(boxes, *others)
 
     monkeypatch.setattr(region_suppression, "batched_nms", noted)
-    monkeypatch.setattr(region_suppression, "_BEST_FIRST", multiple)
+    monkeypatch.setattr(
+        region_suppression, "SUPPRESSION_LIMITS", replace(region_suppression.SUPPRESSION_LIMITS, first_factor=multiple)
+    )
     draw, model = torch.Generator().manual_seed(1), Model()
     levels = [400, 90, 30]
     boxes, logits = drawn(1, sum(levels), draw=draw), torch.randn(1, sum(levels), generator=draw)

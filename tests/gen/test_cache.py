@@ -26,7 +26,7 @@ def empty(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def test_each_kind_is_bounded(empty: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(cache, "LIMIT_BYTES", 30_000)
+    monkeypatch.setattr(cache, "CACHE_LIMITS", replace(cache.CACHE_LIMITS, most_bytes=30_000))
     for i in range(6):
         cache.cached("light", f"{i}", lambda: {"ambient": np.zeros(4000, np.float16)})
         os.utime(empty / f"light_{i}.npz", (i, i))

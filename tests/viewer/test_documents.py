@@ -21,7 +21,7 @@ from skope.viewer.documents import (
     ALL_QUALITIES,
     HEIGHT_QUALITY,
     OCCLUSION_QUALITY,
-    SCORE_STEPS,
+    SCORE_STEPS_KEPT,
     TYPE_QUALITY,
     Documents,
     kind_number,
@@ -160,7 +160,7 @@ def measured(collection: Collection, score: float) -> SplitScores:
 def test_counts_are_those_of_the_metrics_at_every_threshold(predicted: Collection, step: int) -> None:
     documents = Documents(predicted)
     scores = documents.scores(step)
-    expected = measured(predicted, step / SCORE_STEPS).entry
+    expected = measured(predicted, step / SCORE_STEPS_KEPT.steps).entry
     assert sum(scores["detections"]) == expected["detections"]
     assert sum(scores["false"]) == expected["failures"]["0.6"]["false"]
     assert sum(map(len, scores["missed"])) == expected["failures"]["0.6"]["missed"]
@@ -203,11 +203,11 @@ def test_browser_and_server_agree_on_what_lies_above_a_threshold(predicted: Coll
     found = Result(image_id=1, score=score, bbox=np.array([0.0, 0, 9, 9]), keypoints=np.zeros((K, 3)))
     documents = Documents(replace(predicted, splits=(replace(split, results=(found,)),)))
     drawn = documents.details(0)["detections"]
-    for step in range(SCORE_STEPS):
+    for step in range(SCORE_STEPS_KEPT.steps):
         above = [one for one in drawn if one["step"] > step]
-        assert len(above) == (score > step / SCORE_STEPS)
+        assert len(above) == (score > step / SCORE_STEPS_KEPT.steps)
     for step in (0, 69, 70, 71, 290, 500, 900, 999):
-        assert documents.scores(step)["detections"][0] == (score > step / SCORE_STEPS)
+        assert documents.scores(step)["detections"][0] == (score > step / SCORE_STEPS_KEPT.steps)
 
 
 def test_footage_has_detections_and_nothing_is_false(predicted: Collection) -> None:

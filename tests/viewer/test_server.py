@@ -4,6 +4,7 @@ import json
 import signal
 import socket
 from collections.abc import Callable
+from dataclasses import replace
 from http.client import HTTPConnection, HTTPResponse
 from pathlib import Path
 from typing import Any
@@ -215,7 +216,7 @@ def test_another_port_is_found_where_the_usual_one_is_taken(
 ) -> None:
     documents = Documents(labelled)
     with bound(documents, 0) as first:
-        monkeypatch.setattr(local_server, "FIRST_PORT", first.server_port)
+        monkeypatch.setattr(local_server, "SERVER_LIMITS", replace(local_server.SERVER_LIMITS, port=first.server_port))
         with bound(documents, None) as second:
             assert second.server_port not in (0, first.server_port)
 

@@ -67,7 +67,7 @@ class AdjustmentLimits:
     """The search ends when a step lowers the cost by less than this share."""
 
 
-ADJUSTMENT: Final = AdjustmentLimits()
+ADJUSTMENT_LIMITS: Final = AdjustmentLimits()
 
 START_ROAD: Final = Ground(height_sigma=0.03, tilt_sigma=math.radians(0.7))
 """On it vehicles are placed before they are adjusted."""
@@ -223,16 +223,18 @@ class BundleAdjustment:
     def begun(self, camera: Array) -> Bundle:
         """Vehicles placed under a camera (5,) in closed form, each of the body type whose mean fits its views."""
         starts = self._starts(camera)
-        cost = self._by_vehicle(np.minimum(starts.cost, ADJUSTMENT.view_cost_cap)) - 2 * np.log(self._shapes.share)
+        cost = self._by_vehicle(np.minimum(starts.cost, ADJUSTMENT_LIMITS.view_cost_cap)) - 2 * np.log(
+            self._shapes.share
+        )
         shared = np.concatenate([camera, np.zeros(UNKNOWN_COUNT - len(camera))])
         return self._placed(shared, starts, cost.argmin(axis=1))
 
     def refined(self, bundle: Bundle) -> Solved:
         """Search on from a bundle, by turns for the body types and for all else."""
-        best = self.solve(self.with_likeliest_types(bundle), ADJUSTMENT.most_steps)
-        for _ in range(ADJUSTMENT.type_rounds):
-            again = self.solve(self.with_likeliest_types(best.bundle), ADJUSTMENT.most_steps)
-            if again.cost > best.cost - ADJUSTMENT.least_gain:
+        best = self.solve(self.with_likeliest_types(bundle), ADJUSTMENT_LIMITS.most_steps)
+        for _ in range(ADJUSTMENT_LIMITS.type_rounds):
+            again = self.solve(self.with_likeliest_types(best.bundle), ADJUSTMENT_LIMITS.most_steps)
+            if again.cost > best.cost - ADJUSTMENT_LIMITS.least_gain:
                 break
             same = (again.bundle.kind == best.bundle.kind).all()
             best = again
@@ -242,11 +244,11 @@ class BundleAdjustment:
 
     def solve(self, bundle: Bundle, steps: int) -> Solved:
         """Search on from a bundle: camera, offsets, shapes and places, with the body types that it has."""
-        vehicle, damping = self._views.vehicle, np.full(self._views.count, ADJUSTMENT.first_damping)
+        vehicle, damping = self._views.vehicle, np.full(self._views.count, ADJUSTMENT_LIMITS.first_damping)
         counted = self._counted(bundle)
         here = self._linearised(bundle, counted)
         for step in range(steps):
-            if step and step % ADJUSTMENT.visibility_steps == 0:
+            if step and step % ADJUSTMENT_LIMITS.visibility_steps == 0:
                 counted = self._counted(bundle)
                 here = self._linearised(bundle, counted)
             parts = here.without_poses(vehicle, bundle.shape, damping)
@@ -255,13 +257,13 @@ class BundleAdjustment:
             there = self._linearised(ahead, counted)
             gain = self._total(here, bundle) - self._total(there, ahead)
             if gain > 0:
-                settled = gain < ADJUSTMENT.settled * self._total(here, bundle)
+                settled = gain < ADJUSTMENT_LIMITS.settled * self._total(here, bundle)
                 bundle, here, damping = ahead, there, damping / 5
-                if settled and step > ADJUSTMENT.visibility_steps:
+                if settled and step > ADJUSTMENT_LIMITS.visibility_steps:
                     break
             else:
                 damping = damping * 8
-                if damping[0] > ADJUSTMENT.last_damping:
+                if damping[0] > ADJUSTMENT_LIMITS.last_damping:
                     break
         parts, each = self._whole(here, bundle)
         cost = self._prior_cost(bundle) + float(each.sum())
@@ -281,11 +283,11 @@ class BundleAdjustment:
     def _fitted(self, bundle: Bundle) -> tuple[Bundle, Array]:
         """The bundle with likelier shapes and places, and (N,) what each vehicle costs so."""
         vehicle, still = self._views.vehicle, np.zeros(UNKNOWN_COUNT)
-        damping = np.full(self._views.count, ADJUSTMENT.first_damping)
+        damping = np.full(self._views.count, ADJUSTMENT_LIMITS.first_damping)
         counted = self._counted(bundle)
         here = self._linearised(bundle, counted, by="nothing")
-        for step in range(ADJUSTMENT.shape_steps):
-            if step == ADJUSTMENT.visibility_steps:
+        for step in range(ADJUSTMENT_LIMITS.shape_steps):
+            if step == ADJUSTMENT_LIMITS.visibility_steps:
                 counted = self._counted(bundle)
                 here = self._linearised(bundle, counted, by="nothing")
             parts = here.without_poses(vehicle, bundle.shape, damping)
@@ -369,8 +371,8 @@ class BundleAdjustment:
         pictured = Pictured.of(camera, views.size, world)
         away = pictured.pixels - views.found[..., :2]
         variance = self._variance + (focal * self._shapes.rest[kind] / pictured.near) ** 2
-        squared = np.where(pictured.front, (away**2).sum(axis=-1) / variance, ADJUSTMENT.behind_cost)
-        each = np.where(counted, observations.cost(squared), ADJUSTMENT.hidden_cost * self._seen)
+        squared = np.where(pictured.front, (away**2).sum(axis=-1) / variance, ADJUSTMENT_LIMITS.behind_cost)
+        each = np.where(counted, observations.cost(squared), ADJUSTMENT_LIMITS.hidden_cost * self._seen)
         vehicle_cost = self._by_vehicle(each.sum(axis=1)) + (bundle.shape**2).sum(axis=1)
         weight = np.where(counted & pictured.front, observations.weight(squared) / variance, 0.0)
         # Derivatives of the image by a shift in the world, by the pose, by the shape.
@@ -396,8 +398,8 @@ class BundleAdjustment:
 
 def _offset_sigma() -> Array:
     """(G, 3) standard deviations of the keypoints' offsets, metres."""
-    sigma = np.full((len(MIRROR_PAIRS), 3), ADJUSTMENT.offset_m)
-    sigma[[one == other for one, other in MIRROR_PAIRS], 1] = ADJUSTMENT.middle_offset_m
+    sigma = np.full((len(MIRROR_PAIRS), 3), ADJUSTMENT_LIMITS.offset_m)
+    sigma[[one == other for one, other in MIRROR_PAIRS], 1] = ADJUSTMENT_LIMITS.middle_offset_m
     return sigma
 
 

@@ -14,7 +14,7 @@ from skope.types import Array, Mask
 
 _POSE_STRIDE: Final = np.array([3.0, 3.0, 0.5])
 """A pose changes by so much at most in a step: heights of the camera, radians."""
-REGULARISATION: Final = 1e-10
+REGULARISING_SHARE: Final = 1e-10
 """Share of its trace that is added to the diagonal of a singular matrix."""
 
 
@@ -144,7 +144,9 @@ def _inverses(matrices: Array) -> Array:
         return np.asarray(np.linalg.inv(matrices))
     except np.linalg.LinAlgError:
         size = np.trace(matrices, axis1=-2, axis2=-1)
-        return np.asarray(np.linalg.inv(matrices + (REGULARISATION * size)[:, None, None] * np.eye(matrices.shape[-1])))
+        return np.asarray(
+            np.linalg.inv(matrices + (REGULARISING_SHARE * size)[:, None, None] * np.eye(matrices.shape[-1]))
+        )
 
 
 def summed(values: Array, vehicle: NDArray[np.intp], count: int) -> Array:

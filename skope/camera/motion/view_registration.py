@@ -50,7 +50,7 @@ class RegistrationLimits:
     """Number of the view of frames that were taken while the camera moved."""
 
 
-REGISTRATION: Final = RegistrationLimits()
+REGISTRATION_LIMITS: Final = RegistrationLimits()
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,7 +104,7 @@ def register(before: Pixels, after: Pixels) -> ViewHomography | None:
     size = (before.shape[1], before.shape[0])
     if after.shape != before.shape:
         return None
-    first, second = (SmallPicture.of(pixels, REGISTRATION.image_width_px) for pixels in (before, after))
+    first, second = (SmallPicture.of(pixels, REGISTRATION_LIMITS.image_width_px) for pixels in (before, after))
     rough = _of_features(first, second)
     if rough is None or not _overlaps(rough, size):
         return None
@@ -112,7 +112,7 @@ def register(before: Pixels, after: Pixels) -> ViewHomography | None:
     halves = np.array([[1, 0, -0.5], [0, 1, -0.5], [0, 0, 1.0]])
     back = halves @ np.linalg.inv(rough) @ np.linalg.inv(halves)
     warped: Any = cv2.warpPerspective(after, back, size, flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-    corners = ReferencePicture(first).followed(SmallPicture.of(warped, REGISTRATION.image_width_px))
+    corners = ReferencePicture(first).followed(SmallPicture.of(warped, REGISTRATION_LIMITS.image_width_px))
     if corners is None:
         return None
     there = transformed(rough, corners.after)
@@ -124,19 +124,23 @@ def _of_features(first: SmallPicture, second: SmallPicture) -> Array | None:
     """(3, 3) homography in pixels of the pictures that most shared features agree with; None where too few do."""
     sift = cv2.SIFT.create(nfeatures=4000)
     (points, descriptors), (others, descriptions) = (sift.detectAndCompute(one.fine, None) for one in (first, second))
-    if min(len(points), len(others)) < REGISTRATION.fewest_features:
+    if min(len(points), len(others)) < REGISTRATION_LIMITS.fewest_features:
         return None
     pairs = cv2.BFMatcher().knnMatch(descriptors, descriptions, k=2)
     good = [
-        pair[0] for pair in pairs if len(pair) == 2 and pair[0].distance < REGISTRATION.feature_ratio * pair[1].distance
+        pair[0]
+        for pair in pairs
+        if len(pair) == 2 and pair[0].distance < REGISTRATION_LIMITS.feature_ratio * pair[1].distance
     ]
-    if len(good) < REGISTRATION.fewest_features:
+    if len(good) < REGISTRATION_LIMITS.fewest_features:
         return None
     before = (np.array([points[match.queryIdx].pt for match in good]) + 0.5) / first.scale
     after = (np.array([others[match.trainIdx].pt for match in good]) + 0.5) / second.scale
     cv2.setRNGSeed(0)
-    matrix, agree = cv2.findHomography(before, after, cv2.RANSAC, REGISTRATION.feature_px / first.scale, maxIters=5000)
-    if matrix is None or int(agree.sum()) < REGISTRATION.fewest_features:
+    matrix, agree = cv2.findHomography(
+        before, after, cv2.RANSAC, REGISTRATION_LIMITS.feature_px / first.scale, maxIters=5000
+    )
+    if matrix is None or int(agree.sum()) < REGISTRATION_LIMITS.fewest_features:
         return None
     return np.asarray(matrix, dtype=np.float64)
 
@@ -151,7 +155,7 @@ def _overlaps(matrix: Array, size: tuple[int, int]) -> bool:
         across, down = (transformed(H, grid + step) - there for step in np.eye(2))
         upright = across[..., 0] * down[..., 1] - across[..., 1] * down[..., 0] > 0
         shares.append(float((is_inside(there, size) & upright).mean()))
-    return min(shares) >= REGISTRATION.least_overlap
+    return min(shares) >= REGISTRATION_LIMITS.least_overlap
 
 
 def _checked(before: Array, after: Array, size: tuple[int, int], scale: float) -> ViewHomography | None:
@@ -162,12 +166,12 @@ def _checked(before: Array, after: Array, size: tuple[int, int], scale: float) -
     whole = _fit(before, after)
     if whole is None or halves[0] is None or halves[1] is None or not _overlaps(whole, size):
         return None
-    if _parts_with(before, whole, size) < REGISTRATION.fewest_parts:
+    if _parts_with(before, whole, size) < REGISTRATION_LIMITS.fewest_parts:
         return None
     edges = np.array([[0, 0], [1, 0], [0, 1], [1, 1.0]]) * size
     apart = np.linalg.norm(transformed(halves[0], edges) - transformed(halves[1], edges), axis=1).max()
     residual = float(np.sqrt(((transformed(whole, before) - after) ** 2).mean()))
-    if not (residual * scale < REGISTRATION.residual_px and apart * scale < REGISTRATION.corner_error_px):
+    if not (residual * scale < REGISTRATION_LIMITS.residual_px and apart * scale < REGISTRATION_LIMITS.corner_error_px):
         return None
     return ViewHomography(whole, residual, float(apart) / 2)
 
@@ -177,9 +181,13 @@ def _parts_with(corners: Array, matrix: Array, size: tuple[int, int]) -> int:
     grid = _grid(size)
     shared = grid[is_inside(transformed(matrix, grid), size)]
     low, high = shared.min(axis=0), shared.max(axis=0)
-    part = np.clip((corners - low) / (high - low) * REGISTRATION.grid_parts, 0, REGISTRATION.grid_parts - 1).astype(int)
-    counts = np.bincount(part[:, 0] + REGISTRATION.grid_parts * part[:, 1], minlength=REGISTRATION.grid_parts**2)
-    return int((counts >= REGISTRATION.fewest_per_part).sum())
+    part = np.clip(
+        (corners - low) / (high - low) * REGISTRATION_LIMITS.grid_parts, 0, REGISTRATION_LIMITS.grid_parts - 1
+    ).astype(int)
+    counts = np.bincount(
+        part[:, 0] + REGISTRATION_LIMITS.grid_parts * part[:, 1], minlength=REGISTRATION_LIMITS.grid_parts**2
+    )
+    return int((counts >= REGISTRATION_LIMITS.fewest_per_part).sum())
 
 
 def _grid(size: tuple[int, int]) -> Array:
@@ -243,9 +251,9 @@ def _view(change: Mapping[str, Any]) -> KnownView:
 
 
 def view_numbers(views: Sequence[KnownView], times_s: Sequence[float] | Array) -> NDArray[np.intp]:
-    """(N,) index in `views` of the view that frames at times (N,) show; `REGISTRATION.moving_view` while the camera
+    """(N,) index in `views` of the view that frames at times (N,) show; `REGISTRATION_LIMITS.moving_view` while the camera
     was moving."""
     times = np.asarray(times_s, dtype=np.float64)
     number = np.searchsorted([view.begin_s for view in views[1:]], times, side="right")
     settled = np.array([view.settled_s for view in views])
-    return np.where(times >= settled[number], number, REGISTRATION.moving_view)
+    return np.where(times >= settled[number], number, REGISTRATION_LIMITS.moving_view)

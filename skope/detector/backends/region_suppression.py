@@ -6,6 +6,7 @@ a CPU, the best regions of all levels first, and the others only where those are
 
 import itertools
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Final
 
 import torch
@@ -18,10 +19,18 @@ from torchvision.ops import batched_nms, clip_boxes_to_image
 
 from skope.detector.suppression import not_overlapped
 
-_BEST_FIRST: Final = 3
-"""Regions that are looked at first, as a multiple of those that are wanted."""
-_LEAST_SIDE: Final = 1e-2
-"""Detections that are narrower or lower are left out, as in torchvision, pixels."""
+
+@dataclass(frozen=True)
+class SuppressionLimits:
+    """Limits of the suppression of regions."""
+
+    first_factor: int = 3
+    """Number of regions that are examined first, as a multiple of those that are wanted."""
+    least_side_px: float = 1e-2
+    """Detections with a shorter side are left out, as in torchvision, pixels."""
+
+
+SUPPRESSION_LIMITS: Final = SuppressionLimits()
 
 
 def suppress_together(model: KeypointRCNN) -> None:
@@ -76,7 +85,7 @@ class _BestFirst(_ProposalLimits):
         boxes = clip_boxes_to_image(boxes, size)
         good = _has_sides(boxes, self._least_side) & (scores >= self._least_score)
         boxes, level, scores = boxes[good], level[good], scores[good]
-        for best in (_BEST_FIRST * self._after, len(boxes)):
+        for best in (SUPPRESSION_LIMITS.first_factor * self._after, len(boxes)):
             kept = batched_nms(boxes[:best], scores[:best], level[:best], self._overlap)[: self._after]
             if len(kept) == self._after or best >= len(boxes):
                 break
@@ -151,7 +160,7 @@ class _Detections:
         scores = torch.stack([pad(one, (0, 0, 0, most - len(one)), value=-1.0) for one in likely]).transpose(1, 2)
         groups, best = _best(boxes.flatten(0, 1), scores.flatten(0, 1), most)
         boxes, scores = _clipped(groups.view_as(boxes), image_shapes), best.view_as(scores)
-        good = _has_sides(boxes, _LEAST_SIDE) & (scores > max(0.0, heads.score_thresh))
+        good = _has_sides(boxes, SUPPRESSION_LIMITS.least_side_px) & (scores > max(0.0, heads.score_thresh))
         kept = not_overlapped(boxes.flatten(0, 1), good.flatten(0, 1), heads.nms_thresh).view_as(good)
         most_found = heads.detections_per_img
         found, sure, numbers = _chosen(boxes.flatten(1, 2), scores.flatten(1), kept.flatten(1), most_found)

@@ -1,6 +1,7 @@
 """Pictures of a dataset: overlays of single images, sheets of several, and splits for the viewer."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
@@ -16,10 +17,19 @@ from skope.viewer.collection import Collection, ShownSplit, read_picture
 
 LAYER_NAMES: Final = ("keypoints", "boxes_3d", "mask", "depth", "occlusion")
 """Layers that can be drawn on an image."""
-SHEET_IMAGES: Final = 12
-"""Number of images on a sheet."""
-_SHEET_IMAGE_PX: Final = 640
-"""Width of an image on a sheet, pixels."""
+
+
+@dataclass(frozen=True)
+class SheetSize:
+    """Size of a sheet of images."""
+
+    images: int = 12
+    """Number of images on a sheet."""
+    image_px: int = 640
+    """Width of an image on a sheet, pixels."""
+
+
+SHEET_SIZE: Final = SheetSize()
 
 
 def overlay(dataset: Dataset, image: Image, labels: Sequence[Annotation | RoadUser], layers: Sequence[str]) -> Pixels:
@@ -71,7 +81,7 @@ def one_image(dataset: Dataset, number: int, layers: Sequence[str], out: Path) -
 
 
 def sheets(dataset: Dataset, site: str | None, layers: Sequence[str], out: Path) -> list[Path]:
-    """Write sheets of `SHEET_IMAGES` overlays, evenly spread over each split, or over one site.
+    """Write sheets of `SHEET_SIZE.images` overlays, evenly spread over each split, or over one site.
 
     Args:
         dataset: Where the images are.
@@ -96,7 +106,7 @@ def sheets(dataset: Dataset, site: str | None, layers: Sequence[str], out: Path)
         raise UserError(f"{dataset.root}: no image is of site {site!r}" if site else f"{dataset.root}: has no images")
     paths = []
     for name, pairs in groups.items():
-        chosen = [pairs[i] for i in sorted({round(k) for k in np.linspace(0, len(pairs) - 1, SHEET_IMAGES)})]
+        chosen = [pairs[i] for i in sorted({round(k) for k in np.linspace(0, len(pairs) - 1, SHEET_SIZE.images)})]
         cells = [_cell(overlay(dataset, image, own, layers), f"{image.id}  {image.file_name}") for image, own in chosen]
         paths.append(out / f"{name}.png")
         draw.write(paths[-1], draw.contact_sheet(cells, 3))
@@ -106,9 +116,9 @@ def sheets(dataset: Dataset, site: str | None, layers: Sequence[str], out: Path)
 def _cell(pixels: Pixels, text: str) -> Pixels:
     import cv2
 
-    height = round(pixels.shape[0] * _SHEET_IMAGE_PX / pixels.shape[1])
+    height = round(pixels.shape[0] * SHEET_SIZE.image_px / pixels.shape[1])
     return draw.caption(
-        np.asarray(cv2.resize(pixels, (_SHEET_IMAGE_PX, height), interpolation=cv2.INTER_AREA), np.uint8), text
+        np.asarray(cv2.resize(pixels, (SHEET_SIZE.image_px, height), interpolation=cv2.INTER_AREA), np.uint8), text
     )
 
 

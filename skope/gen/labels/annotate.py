@@ -16,7 +16,7 @@ from skope.errors import UserError, one_of
 from skope.gen.bystanders import bystander
 from skope.gen.bystanders.bystander import CATEGORY_OF
 from skope.gen.labels.boxes_and_masks import Extent, box_around, measure_extent
-from skope.gen.labels.visibility import VISIBILITY, behind, find_hidden
+from skope.gen.labels.visibility import VISIBILITY_LIMITS, behind, find_hidden
 from skope.gen.labels.world_keypoints import LOCALIZER_CHOICES, world_keypoints
 from skope.gen.render.frame import RenderedFrame
 from skope.gen.scene.recording import Moment
@@ -26,11 +26,20 @@ from skope.schema import CATEGORY_NAMES, Annotation, Box3D, RoadUser
 from skope.types import Array, Mask
 
 OCCLUSION_RULES: Final = ("others", "paper")
-MIN_PIXELS: Final = 20
-"""Vehicles with fewer visible pixels are ignored as `small`."""
-MIN_CONTRAST: Final = 1.0
-"""Vehicles whose visible pixels change by less than this on average, in units of what noise and compression hide, are
-ignored as `unseen`."""
+
+
+@dataclass(frozen=True)
+class LabelLimits:
+    """Limits below which a vehicle is ignored."""
+
+    pixels: int = 20
+    """Vehicles with fewer visible pixels are ignored as `small`."""
+    contrast: float = 1.0
+    """Vehicles whose visible pixels change by less than this on average, in units of what noise and compression hide,
+    are ignored as `unseen`."""
+
+
+LABEL_LIMITS: Final = LabelLimits()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,9 +83,9 @@ def ignore_reason(shape: Extent, occluded: bool, contrast: float, rules: Rules) 
         return "occluded"
     if shape.visible < rules.min_visible * shape.whole:
         return "sliver"
-    if min(shape.bbox[2:]) < rules.min_box or shape.visible < MIN_PIXELS:
+    if min(shape.bbox[2:]) < rules.min_box or shape.visible < LABEL_LIMITS.pixels:
         return "small"
-    return "unseen" if contrast < MIN_CONTRAST else None
+    return "unseen" if contrast < LABEL_LIMITS.contrast else None
 
 
 @dataclass
@@ -123,7 +132,7 @@ def annotate(
     gap, shown = behind(view, camera, world.tested)
     own = shown[0] == np.array(seen, dtype=np.int32).reshape(-1, 1) + 1
     v = np.where(inside, np.where(find_hidden(moment, world, view, camera, inside, gap, shown), 1, 2), 0)
-    hidden = inside & (np.nan_to_num(gap[0], nan=0.0) > VISIBILITY.vehicle_m)
+    hidden = inside & (np.nan_to_num(gap[0], nan=0.0) > VISIBILITY_LIMITS.vehicle_m)
     by_others = occluded_by_others(hidden & ~own, inside)
     by_paper = hidden.sum(-1) * 2 > keypoints.K
     tally = RuleCounts()

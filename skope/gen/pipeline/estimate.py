@@ -15,7 +15,7 @@ from skope.cpu_count import usable_processors
 from skope.gen.output.frames import Encoding
 from skope.gen.pipeline.config import DatasetRequest
 from skope.gen.pipeline.dataset_store import Store
-from skope.gen.pipeline.workers import FRAMES_PER_JOB
+from skope.gen.pipeline.workers import WORKER_TIMES
 from skope.gen.scene.recording import RecordingInfo, RecordingPlan
 from skope.terminal.console import counted, disk_size, minutes
 
@@ -151,7 +151,7 @@ def _rendering(
     )
     shapes = WORK_RATES.shapes_s * len(plans) if p.variation.shape_jitter else 0.0
     frames = sum(left[plan.info] for plan in plans)
-    drawing = of(rate.frame) * max(frames / cores, min(frames, FRAMES_PER_JOB))
+    drawing = of(rate.frame) * max(frames / cores, min(frames, WORKER_TIMES.frames_per_job))
     return lighting + (grown + shapes) / cores + drawing
 
 

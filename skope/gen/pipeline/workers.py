@@ -25,10 +25,18 @@ from skope.gen.scene import recording as recordings
 from skope.gen.scene.recording import Recording, RecordingInfo, RecordingPlan
 from skope.gen.simulation.simulate import simulate_together
 
-FRAMES_PER_JOB = 8
-"""Frames per job: small enough that no worker idles long at the end."""
-_LISTEN_S: Final = 0.2
-"""Seconds between two looks at what workers tell while they are at their jobs."""
+
+@dataclass(frozen=True)
+class WorkerTimes:
+    """Size of a job, and how often workers are listened to."""
+
+    frames_per_job: int = 8
+    """Frames per job: small enough that no worker idles long at the end."""
+    listen_s: float = 0.2
+    """Interval at which messages of workers are read, seconds."""
+
+
+WORKER_TIMES: Final = WorkerTimes()
 
 
 @dataclass(frozen=True)
@@ -82,7 +90,9 @@ class JobQueue:
     recordings that no worker has had; there it begins with a town, where so many `views` in a row share one.
     """
 
-    def __init__(self, missing: Mapping[RecordingInfo, list[int]], chunk: int = FRAMES_PER_JOB, views: int = 0) -> None:
+    def __init__(
+        self, missing: Mapping[RecordingInfo, list[int]], chunk: int = WORKER_TIMES.frames_per_job, views: int = 0
+    ) -> None:
         self._left = {
             recording: deque(RenderJob(recording, tuple(frames[i : i + chunk])) for i in range(0, len(frames), chunk))
             for recording, frames in missing.items()
@@ -271,7 +281,7 @@ class ProcessPool:
                 while left and idle:
                     worker = idle.pop(0)
                     busy[worker.pool.submit(next_for(worker))] = worker
-                done, _ = wait(busy, timeout=_LISTEN_S, return_when=FIRST_COMPLETED)
+                done, _ = wait(busy, timeout=WORKER_TIMES.listen_s, return_when=FIRST_COMPLETED)
                 while not self._lit_sites.empty():
                     on_light(self._lit_sites.get())
                 for future in done:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from skope.camera.model import Camera, Distortion
 from skope.errors import UserError
-from skope.gen.scenery.houses import HOUSE_VIEW_M
+from skope.gen.scenery.houses import HOUSE_LIMITS
 from skope.gen.towns.land_use import Layout
 from skope.gen.towns.road_graph import RoadGraph, driven, right_of
 from skope.gen.towns.sites import Site, site_at, sites_of
@@ -314,7 +314,7 @@ class ViewSampler:
         """To which of the places (N, 3) no house can stand in the way: houses keep off roads, and off what is near."""
         along = np.linspace(0.1, 0.9, 9)[:, None, None]
         points = eye[:2] + along * (places[:, :2] - eye[:2])
-        near = np.hypot(*np.moveaxis(points - eye[:2], -1, 0)) < HOUSE_VIEW_M
+        near = np.hypot(*np.moveaxis(points - eye[:2], -1, 0)) < HOUSE_LIMITS.open_view_m
         x, y = np.moveaxis(self._layout.graph.world(points), -1, 0)
         return np.asarray((near | shapely.contains_xy(self._open, x, y)).all(axis=0))
 

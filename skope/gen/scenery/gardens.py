@@ -1,6 +1,7 @@
 """Enclosures of houses' plots: low walls, picket fences, railings and hedges in front, timber fences behind."""
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
@@ -17,10 +18,18 @@ from skope.gen.towns.regions import is_free, polygons, rectangle_polygon
 from skope.gen.towns.road_graph import places_along, right_of
 from skope.gen.towns.town_style import drawn_name
 
-SHRUB_TRIES: Final = 18
-"""Groups of shrubs that are tried on open ground before each camera."""
-OPEN_GROUND: Final = 46.0
-"""Distance from a camera up to which open ground is enclosed, metres."""
+
+@dataclass(frozen=True)
+class GardenLimits:
+    """Shrubs and enclosed ground before cameras."""
+
+    shrub_tries: int = 18
+    """Groups of shrubs that are tried on open ground before each camera."""
+    open_ground_m: float = 46.0
+    """Distance from a camera up to which open ground is enclosed, metres."""
+
+
+GARDEN_LIMITS: Final = GardenLimits()
 
 
 def gardens(layout: Layout, houses: list[House], pits: Any, rng: np.random.Generator) -> Iterator[Mesh]:
@@ -72,13 +81,13 @@ def _open_ground(layout: Layout, taken: Any, rng: np.random.Generator) -> Iterat
     for edge, place, heading in places_along(edges, length + 0.15, 0.0):
         place = place + right_of(heading) * _enclosure_offset(layout, edge, 0.6)
         run = rectangle_polygon(place, heading, length, 0.5)
-        if layout.camera_distance(place) < OPEN_GROUND and not run.buffer(0.15).intersects(taken):
+        if layout.camera_distance(place) < GARDEN_LIMITS.open_ground_m and not run.buffer(0.15).intersects(taken):
             near = layout.camera_distance(place) < 25.0
             yield _boundary(kinds[edge.getID()], length, near, rng).moved([*place, 0.0], heading)
     for edge, place, heading in places_along(edges, 2.6, 0.0):
         at = place + right_of(heading) * _enclosure_offset(layout, edge, 2.6) + rng.uniform(-1.2, 1.2, 2)
         likely = rng.random()
-        if likely < 0.4 and layout.camera_distance(at) < OPEN_GROUND and is_free(taken, at, 1.0):
+        if likely < 0.4 and layout.camera_distance(at) < GARDEN_LIMITS.open_ground_m and is_free(taken, at, 1.0):
             yield bush(rng.uniform(0.35, 0.6), rng).moved([*at, 0.0])
 
 
@@ -86,16 +95,18 @@ def _scattered_shrubs(layout: Layout, taken: Any, rng: np.random.Generator) -> I
     """Low shrubs and beds on open ground that cameras look at from near by, and on islands."""
     shapely.prepare(taken)
     for site in layout.sites:
-        for _ in range(SHRUB_TRIES):
+        for _ in range(GARDEN_LIMITS.shrub_tries):
             angle = np.radians(site.yaw_deg + rng.uniform(-60.0, 60.0))
-            at = site.position[:2] + rng.uniform(9.0, OPEN_GROUND) * np.array([np.cos(angle), np.sin(angle)])
+            at = site.position[:2] + rng.uniform(9.0, GARDEN_LIMITS.open_ground_m) * np.array(
+                [np.cos(angle), np.sin(angle)]
+            )
             group = int(rng.integers(1, 7))
             places = at + rng.normal(0.0, 0.5 + 0.16 * group, (group, 2)) * [1.4, 1.0]
             for place, size in zip(places, rng.uniform(0.3, 0.62, group), strict=True):
                 if is_free(taken, place, 0.4):
                     yield bush(float(size), rng).moved([*place, 0.0])
     for island in polygons(layout.islands.buffer(-1.3)):
-        if layout.camera_distance(np.array(island.centroid.coords[0])) < 2 * OPEN_GROUND:
+        if layout.camera_distance(np.array(island.centroid.coords[0])) < 2 * GARDEN_LIMITS.open_ground_m:
             ring = island.exterior
             for s in np.arange(1.5, ring.length, 4.5):
                 if rng.random() < layout.style.median_trees:

@@ -19,10 +19,19 @@ from skope.gen.towns.road_graph import beside, driven
 from skope.gen.towns.town_style import BuildingKind, ObjectRow, drawn_name
 from skope.types import Array
 
-HOUSE_VIEW_M: Final = 38.0
-"""Houses do not stand in a camera's view of road that is nearer to it than this, metres."""
-HOUSE_FALL_M: Final = 2.2
-"""Largest fall of the ground under a house, metres; nothing is built on steeper ground."""
+
+@dataclass(frozen=True)
+class HouseLimits:
+    """Where houses stand."""
+
+    open_view_m: float = 38.0
+    """Houses do not stand in a camera's view of road that is nearer to it than this, metres."""
+    largest_fall_m: float = 2.2
+    """Largest fall of the ground under a house, metres; nothing is built on steeper ground."""
+
+
+HOUSE_LIMITS: Final = HouseLimits()
+
 
 BRICK_MATERIALS: Final = ("brick", "brick_brown", "brick_buff", "brick_painted")
 _FACADE_AXES: Final = {
@@ -125,7 +134,7 @@ class Taken:
                 *streets,
                 layout.enclosed(max(layout.style.interchange, LAND_USE.island_m)),
                 layout.around_cameras.buffer(5.0),
-                layout.sightlines(HOUSE_VIEW_M),
+                layout.sightlines(HOUSE_LIMITS.open_view_m),
             ]
         )
         shapely.prepare(self._kept_clear)
@@ -134,7 +143,7 @@ class Taken:
     def has_room_for(self, house: House) -> bool:
         """Whether a house fits, with its car park; if so their place is taken."""
         footprint = house.footprint
-        if house.floor - house.footing > HOUSE_FALL_M:
+        if house.floor - house.footing > HOUSE_LIMITS.largest_fall_m:
             return False
         if house.kind.parking:
             x, y = house.size[0] / 2, house.size[1] / 2
@@ -291,7 +300,7 @@ def _put_into_slope(
 ) -> None:
     """Dormers or roof windows in the slope towards the street."""
     look, places = rng.random(), np.array([-0.45, 0.45]) * x
-    thickness = roof.ROOF_THICKNESS_M
+    thickness = roof.ROOF_SIZES.thickness_m
     for at in places:
         if look < 0.35:
             front = 0.78 * y

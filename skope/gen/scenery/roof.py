@@ -1,15 +1,24 @@
 """Roofs of houses: x along the ridge, z up, the eaves' height given; chimneys, dormers, gutters."""
 
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
 from skope.gen.scenery.quads import Solid
 
-ROOF_OVERHANG_M: Final = 0.35
-"""Distance by which eaves stand out over the walls, metres."""
-ROOF_THICKNESS_M: Final = 0.14
-"""Thickness of a roof, metres."""
+
+@dataclass(frozen=True)
+class RoofSizes:
+    """Sizes of roofs."""
+
+    overhang_m: float = 0.35
+    """Distance by which eaves stand out over the walls, metres."""
+    thickness_m: float = 0.14
+    """Thickness of a roof, metres."""
+
+
+ROOF_SIZES: Final = RoofSizes()
 
 
 def gabled(half: tuple[float, float], eaves: float, rise: float, verge: float, material: str, walls: str) -> Solid:
@@ -18,10 +27,10 @@ def gabled(half: tuple[float, float], eaves: float, rise: float, verge: float, m
     pitch = rise / y
     out = Solid()
     for side in (1.0, -1.0):
-        low, top = (side * (y + ROOF_OVERHANG_M), eaves - ROOF_OVERHANG_M * pitch), (0.0, eaves + rise)
+        low, top = (side * (y + ROOF_SIZES.overhang_m), eaves - ROOF_SIZES.overhang_m * pitch), (0.0, eaves + rise)
         ends = (x + verge) * np.array([-1.0, 1.0]) * -side
         upper = [(ends[0], *low), (ends[1], *low), (ends[1], *top), (ends[0], *top)]
-        upper_z = [(px, py, pz + ROOF_THICKNESS_M) for px, py, pz in upper]
+        upper_z = [(px, py, pz + ROOF_SIZES.thickness_m) for px, py, pz in upper]
         out.face(material, *upper_z)
         out.face("frame", *upper[::-1])
         out.face("frame", upper[0], upper[1], upper_z[1], upper_z[0])
@@ -30,14 +39,16 @@ def gabled(half: tuple[float, float], eaves: float, rise: float, verge: float, m
     for sign in (1.0, -1.0):
         out.face(walls, (sign * x, -sign * y, eaves), (sign * x, sign * y, eaves), (sign * x, 0.0, eaves + rise))
     out.box(
-        material, (-x - verge, -0.12, eaves + rise + 0.04), (x + verge, 0.12, eaves + rise + ROOF_THICKNESS_M + 0.06)
+        material,
+        (-x - verge, -0.12, eaves + rise + 0.04),
+        (x + verge, 0.12, eaves + rise + ROOF_SIZES.thickness_m + 0.06),
     )
     return out
 
 
 def hipped(half: tuple[float, float], eaves: float, rise: float, material: str) -> Solid:
     """A roof that slopes to all four sides."""
-    x, y = half[0] + ROOF_OVERHANG_M, half[1] + ROOF_OVERHANG_M
+    x, y = half[0] + ROOF_SIZES.overhang_m, half[1] + ROOF_SIZES.overhang_m
     low, top = eaves - 0.05, eaves + rise
     ridge = max(x - y, 0.3)
     a, b, c, d = (-x, -y, low), (x, -y, low), (x, y, low), (-x, y, low)
@@ -130,11 +141,11 @@ def gutters(half: tuple[float, float], eaves: float) -> Solid:
     x, y = half
     out = Solid()
     for side in (1.0, -1.0):
-        a, b = sorted((side * (y + ROOF_OVERHANG_M), side * (y + ROOF_OVERHANG_M + 0.12)))
+        a, b = sorted((side * (y + ROOF_SIZES.overhang_m), side * (y + ROOF_SIZES.overhang_m + 0.12)))
         out.box("zinc", (-x - 0.2, a, eaves - 0.3), (x + 0.2, b, eaves - 0.19))
         a, b = sorted((side * (y + 0.02), side * (y + 0.1)))
         end = side * (x - 0.15)
         out.box("zinc", (end - 0.04, a, 0.0), (end + 0.04, b, eaves - 0.2), without="-z")
-        a, b = sorted((side * (y + 0.02), side * (y + ROOF_OVERHANG_M + 0.06)))
+        a, b = sorted((side * (y + 0.02), side * (y + ROOF_SIZES.overhang_m + 0.06)))
         out.box("zinc", (end - 0.04, a, eaves - 0.3), (end + 0.04, b, eaves - 0.22))
     return out

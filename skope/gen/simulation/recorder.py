@@ -65,7 +65,7 @@ class RecordingLimits:
     """Track ids of a site's recordings are this far apart, so that they never meet."""
 
 
-RECORDED: Final = RecordingLimits()
+RECORDING_REACH: Final = RecordingLimits()
 
 
 @dataclass(frozen=True)
@@ -89,7 +89,7 @@ def parked_vehicles(
     models: Mapping[str, FleetEntry],
     rng: np.random.Generator,
     *,
-    most: int = RECORDED.most_parked,
+    most: int = RECORDING_REACH.most_parked,
 ) -> list[Parked]:
     """Draw parked vehicles for some of the bays, of models that fit, nose or tail first.
 
@@ -107,7 +107,7 @@ def parked_vehicles(
         return []
     layout = Layout.of(town)
     names, shares = list(fitting), np.array(list(fitting.values()))
-    share, out = min(RECORDED.occupied_share, most / len(bays)), []
+    share, out = min(RECORDING_REACH.occupied_share, most / len(bays)), []
     for i, bay in enumerate(bays):
         if rng.random() > share:
             continue
@@ -137,7 +137,7 @@ def flashed(lamps: int, time: float, name: str) -> int:
     """
     indicators = LAMP_BITS["indicator_left"] | LAMP_BITS["indicator_right"]
     phase = zlib.crc32(name.encode()) / 2**32
-    return lamps if (time / RECORDED.flash_s + phase) % 1 < 0.5 else lamps & ~indicators
+    return lamps if (time / RECORDING_REACH.flash_s + phase) % 1 < 0.5 else lamps & ~indicators
 
 
 def _rider_lamps(kind: str, name: str, dark: bool) -> int:
@@ -148,7 +148,7 @@ def _rider_lamps(kind: str, name: str, dark: bool) -> int:
         name: Name of the rider, whose habit follows from it.
         dark: Whether vehicles have their lamps lit.
     """
-    unlit = zlib.crc32(f"{name} unlit".encode()) < RECORDED.unlit_share * 2**32
+    unlit = zlib.crc32(f"{name} unlit".encode()) < RECORDING_REACH.unlit_share * 2**32
     if kind == "motorcyclist":
         return LAMP_BITS["low_beam"] if dark or not unlit else 0
     return LAMP_BITS["low_beam"] | LAMP_BITS["reverse"] if kind == "cyclist" and dark and not unlit else 0
@@ -179,13 +179,17 @@ class Recorder:
         self._eye, axis = camera.position[:2].tolist(), camera.T_camera_world[2, :2]
         self._ahead = (axis / max(float(np.linalg.norm(axis)), 1e-9)).tolist()
         self._reach = float(
-            np.clip(1.5 * camera.K[0, 0] / RECORDED.speck_px, RECORDED.simulated_within_m, RECORDED.recorded_within_m)
+            np.clip(
+                1.5 * camera.K[0, 0] / RECORDING_REACH.speck_px,
+                RECORDING_REACH.simulated_within_m,
+                RECORDING_REACH.recorded_within_m,
+            )
         )
         self._always = LAMP_BITS["low_beam"] if lamps_on else 0
         self._eye_3d, self._axis = camera.position, camera.T_camera_world[2, :3]
         self._half_view, self._around = (
             _half_view(camera),
-            RECORDED.around_at_night_m if lamps_on else RECORDED.around_m,
+            RECORDING_REACH.around_at_night_m if lamps_on else RECORDING_REACH.around_m,
         )
         self._parked: dict[str, tuple[Parked, Pose]] = {}
         self._index: dict[str, int] = {}
@@ -193,15 +197,15 @@ class Recorder:
         self._times: list[float] = []
         self._signals: list[dict[str, str]] = []
         self._rows: list[tuple[int, int, Pose, int]] = []
-        self._first_track = plan.index * RECORDED.tracks_per_recording + 1
+        self._first_track = plan.index * RECORDING_REACH.tracks_per_recording + 1
 
     def near(self, everyone: Mapping[str, Driven], traffic: Traffic) -> dict[str, tuple[Vehicle, Driven]]:
         """Vehicles near enough to be simulated physically, by name."""
-        return self._within(0.0, RECORDED.simulated_within_m, everyone, traffic)
+        return self._within(0.0, RECORDING_REACH.simulated_within_m, everyone, traffic)
 
     def far(self, everyone: Mapping[str, Driven], traffic: Traffic) -> dict[str, tuple[Vehicle, Driven]]:
         """Vehicles that are recorded, but too far away to be worth simulating physically, by name."""
-        return self._within(RECORDED.simulated_within_m, self._reach, everyone, traffic)
+        return self._within(RECORDING_REACH.simulated_within_m, self._reach, everyone, traffic)
 
     def _within(
         self, least: float, most: float, everyone: Mapping[str, Driven], traffic: Traffic
@@ -217,13 +221,17 @@ class Recorder:
         east, north = x - self._eye[0], y - self._eye[1]
         away = math.hypot(east, north)
         ahead = east * self._ahead[0] + north * self._ahead[1]
-        return away < RECORDED.coming_m + (self._reach if ahead > -RECORDED.coming_m else RECORDED.behind_m)
+        return away < RECORDING_REACH.coming_m + (
+            self._reach if ahead > -RECORDING_REACH.coming_m else RECORDING_REACH.behind_m
+        )
 
     def _distance(self, position: Sequence[float]) -> float:
         """Distance of a place (x, y, ...) from the camera on the map, metres; inf where the camera cannot see it."""
         east, north = position[0] - self._eye[0], position[1] - self._eye[1]
         away = math.hypot(east, north)
-        return away if east * self._ahead[0] + north * self._ahead[1] > 0 or away < RECORDED.behind_m else math.inf
+        return (
+            away if east * self._ahead[0] + north * self._ahead[1] > 0 or away < RECORDING_REACH.behind_m else math.inf
+        )
 
     def _vehicle(self, name: str, model: str) -> Vehicle:
         if name not in self._vehicles:
@@ -248,7 +256,8 @@ class Recorder:
     def _daytime_lamps(self, name: str) -> int:
         """The lamps that a vehicle has lit by day too."""
         lit = (
-            self._plan.variation.views and zlib.crc32(f"{name} by day".encode()) < RECORDED.daytime_lamps_share * 2**32
+            self._plan.variation.views
+            and zlib.crc32(f"{name} by day".encode()) < RECORDING_REACH.daytime_lamps_share * 2**32
         )
         return LAMP_BITS["low_beam"] if lit else 0
 
@@ -274,7 +283,7 @@ class Recorder:
 
     def in_view(self, bays: Iterable[Bay]) -> list[Bay]:
         """The bays near enough that vehicles parked in them are recorded."""
-        return [bay for bay in bays if self._distance(bay.place) < RECORDED.parked_within_m]
+        return [bay for bay in bays if self._distance(bay.place) < RECORDING_REACH.parked_within_m]
 
     def park(self, vehicles: Iterable[Parked]) -> None:
         """Add parked vehicles, which are in every frame."""
@@ -284,7 +293,7 @@ class Recorder:
     def add_others(self, others: Mapping[str, PlacedBystander]) -> None:
         """Add bystanders, by name, to the last frame that was added."""
         for name, other in others.items():
-            if self._distance(other.T_world_body[:2, 3].tolist()) < RECORDED.simulated_within_m:
+            if self._distance(other.T_world_body[:2, 3].tolist()) < RECORDING_REACH.simulated_within_m:
                 parts, look = other.part_poses, other.body.look.to_dict()
                 more = np.concatenate([parts[4:], trailer_motion.NO_TRAILER[: 7 - len(parts)]])
                 pose = Pose(other.T_world_body, parts[:4], other.velocity, more)

@@ -16,7 +16,7 @@ from skope.gen.scene.recording import Recording, RecordingPlan
 from skope.gen.scenery.build import bays_of
 from skope.gen.simulation.pedestrians import Riders, Walkers
 from skope.gen.simulation.physics import World, at_rest
-from skope.gen.simulation.recorder import RECORDED, Recorder, parked_vehicles
+from skope.gen.simulation.recorder import RECORDING_REACH, Recorder, parked_vehicles
 from skope.gen.simulation.smooth_paths import drivable, reach
 from skope.gen.towns.land_use import sidewalks
 from skope.gen.towns.road_graph import RoadGraph
@@ -48,7 +48,7 @@ class SimulationTimes:
     """Vehicles drive with their lamps lit when the visibility is below this, metres."""
 
 
-SIMULATION: Final = SimulationTimes()
+SIMULATION_TIMES: Final = SimulationTimes()
 
 
 def simulate(plan: RecordingPlan) -> Recording:
@@ -75,8 +75,8 @@ def simulate_together(plans: Sequence[RecordingPlan]) -> list[Recording]:
     first = plans[0]
     site, step = first.site, step_for(first.interval)
     rng = first.shared_rng(Stream.TRAFFIC)
-    warm_up = round(rng.uniform(*SIMULATION.warm_up_s) / step)
-    stride, settle, ahead = round(first.interval / step), round(SIMULATION.settle_s / step), reach(step)
+    warm_up = round(rng.uniform(*SIMULATION_TIMES.warm_up_s) / step)
+    stride, settle, ahead = round(first.interval / step), round(SIMULATION_TIMES.settle_s / step), reach(step)
     starts = [settle + stride * k // len(plans) for k in range(len(plans))]
     steps = max(start + (plan.frames - 1) * stride for plan, start in zip(plans, starts, strict=True)) + 1
     models, conditions = _models(first), [_conditions(plan) for plan in plans]
@@ -89,7 +89,7 @@ def simulate_together(plans: Sequence[RecordingPlan]) -> list[Recording]:
             duration=(warm_up + steps + ahead) * step,
             rng=rng,
             flows=site.flows,
-            passing=RoadGraph.of(site.town).seen_by(site.road.camera, RECORDED.simulated_within_m)
+            passing=RoadGraph.of(site.town).seen_by(site.road.camera, RECORDING_REACH.simulated_within_m)
             if site.road
             else frozenset(),
             step=step,
@@ -182,7 +182,7 @@ class _Cameras:
         """Put parked vehicles and pedestrians before the cameras."""
         town, first = self._plans[0].site.town, self._plans[0]
         in_view = {bay: None for recorder in self.recorders for bay in recorder.in_view(bays_of(town))}
-        rng, most = first.shared_rng(Stream.PARKED_VEHICLES), RECORDED.most_parked * len(self._plans)
+        rng, most = first.shared_rng(Stream.PARKED_VEHICLES), RECORDING_REACH.most_parked * len(self._plans)
         standing = parked_vehicles(town, list(in_view), self._models, rng, most=most)
         footprints = [one.footprint(self._models[one.model].vehicle) for one in standing]
         masts = town.variant.masts if town.variant else ()
@@ -190,7 +190,7 @@ class _Cameras:
         cameras = zip(self._plans, places, self.recorders, self._conditions, strict=True)
         for plan, (x, y, _), recorder, conditions in cameras:
             recorder.park(standing)
-            paths = sidewalks(town, (x, y), SIMULATION.crowd_within_m)
+            paths = sidewalks(town, (x, y), SIMULATION_TIMES.crowd_within_m)
             self.walkers.append(_walkers(plan, paths, footprints, raining=conditions.rain_mm_h > 0))
 
     def recordings(self) -> list[Recording]:
@@ -261,7 +261,7 @@ def _models(plan: RecordingPlan) -> dict[str, FleetEntry]:
     others = {name: entry for name, entry in models.items() if name not in asked}
     total = sum(entry.share for entry in others.values())
     if plan.vehicle_share is None:
-        part = SIMULATION.added_share * total
+        part = SIMULATION_TIMES.added_share * total
     elif plan.vehicle_share < 1:
         part = total * plan.vehicle_share / (1 - plan.vehicle_share) / len(asked)
     else:
@@ -277,7 +277,7 @@ def _asked(name: str) -> Vehicle:
 def lamps_on(conditions: Conditions) -> bool:
     """Whether vehicles drive with their lamps lit: at a low sun, in bad visibility and in rain."""
     seen = (
-        conditions.sun_elevation_deg >= SIMULATION.lamps_on_deg
-        and conditions.visibility_m >= SIMULATION.lamps_on_visibility_m
+        conditions.sun_elevation_deg >= SIMULATION_TIMES.lamps_on_deg
+        and conditions.visibility_m >= SIMULATION_TIMES.lamps_on_visibility_m
     )
     return not seen or conditions.rain_mm_h > 0

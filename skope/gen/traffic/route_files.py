@@ -37,9 +37,19 @@ RIDERS_OF_CLASS: Final = {vehicle_class: name for name, vehicle_class in RIDER_C
     "moped": "motorcyclist"
 }
 EXPONENTIAL_PERIOD: Final = re.compile(r"exp\(([^)]+)\)")
-HOUR_S: Final = 3600.0
-_MOST_PER_HOUR: Final = 1e5
-"""Most vehicles an hour that a flow may ask for; no road carries more."""
+
+
+@dataclass(frozen=True)
+class FlowLimits:
+    """Units and limits of flows."""
+
+    hour_s: float = 3600.0
+    """Seconds of an hour."""
+    most_per_hour: float = 1e5
+    """Most vehicles an hour that a flow may ask for; no road carries more."""
+
+
+FLOW_LIMITS: Final = FlowLimits()
 
 
 @dataclass(frozen=True)
@@ -110,8 +120,8 @@ def streams(text: str, network: Path) -> tuple[_Flow, ...]:
         if element.tag in ("vehicle", "trip", "flow"):
             try:
                 begin, end, period, random = _times(element)
-                if period < HOUR_S / _MOST_PER_HOUR:
-                    raise ValueError(f"more than {_MOST_PER_HOUR:.0f} vehicles an hour")
+                if period < FLOW_LIMITS.hour_s / FLOW_LIMITS.most_per_hour:
+                    raise ValueError(f"more than {FLOW_LIMITS.most_per_hour:.0f} vehicles an hour")
             except ValueError as error:
                 raise UserError(f"{_name(element)}: {error}") from None
             kind = classes.get(element.get("type"), "")
@@ -136,7 +146,7 @@ def _times(element: ElementTree.Element) -> tuple[float, float, float, bool]:
     if "number" in element.attrib:
         return begin, end, (end - begin) / max(_number(element, "number"), 1e-9), False
     if "vehsPerHour" in element.attrib:
-        return begin, end, HOUR_S / _number(element, "vehsPerHour"), False
+        return begin, end, FLOW_LIMITS.hour_s / _number(element, "vehsPerHour"), False
     if "probability" in element.attrib:
         return begin, end, 1 / _number(element, "probability"), True
     if element.get("period", "").startswith("exp("):

@@ -1,6 +1,7 @@
 """The fronts of vehicles: grilles and intakes with depth, fog lamps, plate and logo; headlights with lenses behind
 clear glass, strips of daytime light and indicators."""
 
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -22,9 +23,20 @@ from skope.gen.vehicles.panels import (
 from skope.gen.vehicles.shape import Shape, VehicleStyle
 from skope.types import Array
 
-_RIM_WIDTH_M: Final = 0.009
-"""Width of the dark rim around a headlight, metres."""
-_RIM_SHIFT: Final = np.array([_RIM_WIDTH_M, 0.0])
+
+@dataclass(frozen=True)
+class FrontSizes:
+    """Sizes of parts of a front."""
+
+    rim_m: float = 0.009
+    """Width of the dark rim around a headlight, metres."""
+    logo_radius_m: float = 0.042
+    """Radius of the logo, metres."""
+
+
+FRONT_SIZES: Final = FrontSizes()
+
+_RIM_SHIFT: Final = np.array([FRONT_SIZES.rim_m, 0.0])
 _DARK_KINDS: Final = frozenset(("swept", "hook", "slim", "narrow", "blade", "pixel", "split"))
 """Kinds with a dark housing."""
 LENS_PLACES: Final[dict[str, tuple[tuple[float, float], ...]]] = {
@@ -90,7 +102,7 @@ def _draw_lenses(
     shape = rounded(lamp, 0.045 if kind == "drop" else 0.02)
     points["headlight_inner"] = shell.place((lamp[0] + lamp[3]) / 2 - _RIM_SHIFT, WRAP_AXES)[0]
     points["headlight_outer"] = shell.place((lamp[1] + lamp[2]) / 2 + _RIM_SHIFT, WRAP_AXES)[0]
-    shell.sink(grown(shape, _RIM_WIDTH_M), WRAP_AXES, 0.014, "trim", wall="trim")
+    shell.sink(grown(shape, FRONT_SIZES.rim_m), WRAP_AXES, 0.014, "trim", wall="trim")
     shell.draw(shape, WRAP_AXES, "lamp_dark" if kind in _DARK_KINDS else "lamp_clear")
     radius = min(0.34 * tall, 0.085 * (outer - inner) + 0.01)
     for across, upward in LENS_PLACES.get(kind, ((0.24, 0.52), (0.5, 0.52))):
@@ -156,8 +168,6 @@ def _draw_round(
     shell.draw(side, WRAP_AXES, "indicator_left")
 
 
-_LOGO_RADIUS_M: Final = 0.042
-"""Radius of the logo, metres."""
 _GRILLE_PATTERNS: Final = {
     "wide": "grille_slats",
     "shield": "grille_mesh",
@@ -200,7 +210,7 @@ def draw_front(shell: Surface, w: Array, s: Shape, style: VehicleStyle, points: 
     _draw_intake(shell, s, style, intake, wide)
     draw_headlight(shell, style.headlight, (inner, outer), (low, high), intake[1], points)
     points["front_logo"] = np.add(logo, [0.009, 0, 0])
-    return [parts.badge(logo, _LOGO_RADIUS_M * style.badge_size, 1.0, style.badge), *hung]
+    return [parts.badge(logo, FRONT_SIZES.logo_radius_m * style.badge_size, 1.0, style.badge), *hung]
 
 
 def _stepped(plate: float, steps: int, low: float, high: float) -> float:

@@ -1,6 +1,7 @@
 """The rears of vehicles: plate in its recess, bumper, reflectors, exhausts; tail lamps of red glass with brake light,
 indicator and reversing light in it."""
 
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -12,11 +13,20 @@ from skope.gen.vehicles.panels import Points, disc, grown, plate_height, quad, r
 from skope.gen.vehicles.shape import Shape, VehicleStyle
 from skope.types import Array
 
-_BEYOND_REAR_M: Final = 99.0
-"""Farther along a shell than the middle of its rear, metres."""
-_RIM_WIDTH_M: Final = 0.009
-"""Width of the dark rim around a tail lamp, metres."""
-_RIM_SHIFT: Final = np.array([_RIM_WIDTH_M, 0.0])
+
+@dataclass(frozen=True)
+class RearSizes:
+    """Sizes of parts of a rear."""
+
+    beyond_rear_m: float = 99.0
+    """Farther along a shell than the middle of its rear, metres."""
+    rim_m: float = 0.009
+    """Width of the dark rim around a tail lamp, metres."""
+
+
+REAR_SIZES: Final = RearSizes()
+
+_RIM_SHIFT: Final = np.array([REAR_SIZES.rim_m, 0.0])
 LAMP_PANES: Final = {
     "wide": {
         "brake_light": (0.36, 0.97, 0.55, 0.92),
@@ -118,7 +128,7 @@ def _draw_panes(shell: Surface, kind: str, lamp: Array) -> None:
     outer, inner = lamp[0, 0], lamp[1, 0]
     low, high = lamp[:, 1].min(), lamp[:, 1].max()
     shape = rounded(lamp, 0.022)
-    shell.sink(grown(shape, _RIM_WIDTH_M), WRAP_AXES, 0.006, "gap", wall="chrome")
+    shell.sink(grown(shape, REAR_SIZES.rim_m), WRAP_AXES, 0.006, "gap", wall="chrome")
     shell.draw(shape, WRAP_AXES, LENS_MATERIALS.get(kind, "taillight"))
     if kind in ("round", "rings"):
         radius = 0.4 * min(high - low, (inner - outer) / 2.2)
@@ -133,13 +143,21 @@ def _draw_panes(shell: Surface, kind: str, lamp: Array) -> None:
     if kind == "hook":
         shell.draw(within(lamp, 0.06, 0.3, 0.08, 0.72), WRAP_AXES, "brake_light", layer=3)
     if kind == "band":
-        shell.draw(rectangle_outline(inner, _BEYOND_REAR_M, high - 0.085, high - 0.02), WRAP_AXES, "gap")
-        shell.draw(rectangle_outline(inner, _BEYOND_REAR_M, high - 0.075, high - 0.03), WRAP_AXES, "taillight", layer=2)
+        shell.draw(rectangle_outline(inner, REAR_SIZES.beyond_rear_m, high - 0.085, high - 0.02), WRAP_AXES, "gap")
+        shell.draw(
+            rectangle_outline(inner, REAR_SIZES.beyond_rear_m, high - 0.075, high - 0.03),
+            WRAP_AXES,
+            "taillight",
+            layer=2,
+        )
     if kind == "bar":
         middle = (low + high) / 2
-        shell.draw(rectangle_outline(inner, _BEYOND_REAR_M, middle - 0.03, middle + 0.03), WRAP_AXES, "gap")
+        shell.draw(rectangle_outline(inner, REAR_SIZES.beyond_rear_m, middle - 0.03, middle + 0.03), WRAP_AXES, "gap")
         shell.draw(
-            rectangle_outline(inner, _BEYOND_REAR_M, middle - 0.018, middle + 0.018), WRAP_AXES, "taillight", layer=2
+            rectangle_outline(inner, REAR_SIZES.beyond_rear_m, middle - 0.018, middle + 0.018),
+            WRAP_AXES,
+            "taillight",
+            layer=2,
         )
 
 

@@ -11,8 +11,18 @@ from numpy.typing import ArrayLike, NDArray
 from skope.gen.mesh import Mesh, from_triangles, merged
 from skope.types import Array
 
-_WALL_CORNERS: Final = 40
-"""Corners of the wall around its middle."""
+
+@dataclass(frozen=True)
+class CutLimits:
+    """Precision of cuts through meshes."""
+
+    wall_corners: int = 40
+    """Corners of the wall around its middle."""
+    snap_m: float = 8e-4
+    """Cuts nearer to a vertex than this go through it, metres."""
+
+
+CUT_LIMITS: Final = CutLimits()
 
 
 def clipped(mesh: Mesh, x: float) -> Mesh:
@@ -51,7 +61,7 @@ def rear_wall(mesh: Mesh, x: float, material: str) -> Mesh:
     away = edge - middle
     turn, reach = np.arctan2(away[:, 1], away[:, 0]), np.hypot(*away.T)
     ring = [(0.0, edge[:, 1].min())]
-    bounds = np.linspace(-np.pi / 2, np.pi / 2, _WALL_CORNERS + 1)
+    bounds = np.linspace(-np.pi / 2, np.pi / 2, CUT_LIMITS.wall_corners + 1)
     for low, high in pairwise(bounds):
         held = np.flatnonzero((turn >= low) & (turn <= high))
         if len(held):
@@ -70,8 +80,6 @@ Indices = NDArray[np.int64]
 
 NORMAL_COLUMNS: Final = slice(3, 6)
 """Columns of a vertex that are a direction, which stays a unit vector in between two vertices."""
-SNAP_M: Final = 8e-4
-"""Cuts nearer to a vertex than this go through it, metres."""
 TRIANGLE_EDGES: Final = np.array([[0, 1], [1, 2], [2, 0]])
 """Corners of a triangle that each of its edges joins."""
 _SPLIT_TRIANGLES: Final = {
@@ -166,7 +174,7 @@ def _reach_inside(
     u, v = (vertices[:, column][triangles] for column in projection)
     out = np.ones(len(triangles), dtype=bool)
     for (nu, nv), offset in zip(normals.tolist(), offsets.tolist(), strict=True):
-        out &= (u * nu + v * nv - offset > SNAP_M).any(axis=1)
+        out &= (u * nu + v * nv - offset > CUT_LIMITS.snap_m).any(axis=1)
     return out
 
 
@@ -174,7 +182,7 @@ def _heights(vertices: Array, projection: tuple[int, int], start: Array, normal:
     """(V,) distances of vertices from an edge, inwards; 0 for those that a cut goes through."""
     u, v = projection
     value: Array = (vertices[:, u] - start[0]) * normal[0] + (vertices[:, v] - start[1]) * normal[1]
-    value[np.abs(value) < SNAP_M] = 0
+    value[np.abs(value) < CUT_LIMITS.snap_m] = 0
     return value
 
 

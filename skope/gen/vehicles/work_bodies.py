@@ -1,6 +1,7 @@
 """Bodies of lorries that work: fire engines with shutters and a ladder, refuse collectors with a hopper at the rear,
 hook lifts with containers, skip loaders, decks that carry cars."""
 
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -12,14 +13,24 @@ from skope.gen.vehicles.panels import GRAPHIC_COLORS, PANEL_LIMITS, draw_graphic
 from skope.gen.vehicles.parts import arch_lip, block
 from skope.gen.vehicles.solids import Tower, arch, barrel, beam, ladder, pipe, prism
 
-_LADDER_HEIGHT_M: Final = 0.3
-"""Height of the ladder over the roof, metres."""
+
+@dataclass(frozen=True)
+class WorkBodySizes:
+    """Sizes of parts of work vehicles."""
+
+    ladder_m: float = 0.3
+    """Height of the ladder over the roof, metres."""
+    hopper_m: float = 1.55
+    """Length of a hopper, metres."""
+
+
+WORK_BODY_SIZES: Final = WorkBodySizes()
 
 
 def fire_body(space: CargoSpace) -> Cargo:
     """A fire engine's body: shutters along the sides, a ladder on the roof, reflecting bands, lamps of its own."""
     out = Cargo()
-    floor, high = space.floor, space.shape.height - _LADDER_HEIGHT_M
+    floor, high = space.floor, space.shape.height - WORK_BODY_SIZES.ladder_m
     well = space.shape.track / 2 - space.shape.wheel_width * 1.7
     tower = Tower(
         Plan(space.half - 0.01, space.ahead + 0.02, space.end + 0.02, 0.0, 0.0, 0.06, 0.05), floor, high, edge=0.06,
@@ -94,15 +105,11 @@ def _fire_roof(space: CargoSpace, high: float) -> list[Mesh]:
     return out
 
 
-_HOPPER_LENGTH_M: Final = 1.55
-"""Length of a hopper, metres."""
-
-
 def refuse_body(space: CargoSpace) -> Cargo:
     """A compacting body with ribs, and behind it a hopper: cheeks, the bin's edge, the comb that lifts, steps."""
     rng, out = space.rng(), Cargo()
     add, half, floor = out.parts.append, space.half - 0.03, space.floor
-    start, high = space.end + _HOPPER_LENGTH_M, space.shape.height - 0.12
+    start, high = space.end + WORK_BODY_SIZES.hopper_m, space.shape.height - 0.12
     tower = Tower(
         Plan(half - 0.03, space.ahead, start - 0.1, 0.0, 0.0, 0.08, 0.035), floor, high - 0.08,
         edge=0.16, crown=0.05, ridge=0.6, stations=3, levels=3,

@@ -13,7 +13,7 @@ from skope.camera.calibrate import LeftOutError, SiteCalibration, calibrate, lef
 from skope.camera.evidence import Belief, Evidence
 from skope.camera.ground_plane import ground_places
 from skope.camera.model import Camera
-from skope.camera.pose_from_points import FEWEST_POINTS
+from skope.camera.pose_from_points import POINT_FIT
 from skope.camera.uncertain_camera import UncertainCamera
 from skope.dataset.camera_of_file import sized
 from skope.errors import UserError
@@ -60,7 +60,11 @@ def missing(document: Mapping[str, Any], marks: Marks) -> str:
     """Advice on what to mark or type before points can tell a camera; empty where points are not what is missing."""
     evidence = marks.evidence
     # Three points have as many coordinates as a pose; a fourth is needed where the lens is not known.
-    needed = FEWEST_POINTS - 1 if any("focal" in belief.of for belief in evidence.beliefs) else FEWEST_POINTS
+    needed = (
+        POINT_FIT.fewest_points - 1
+        if any("focal" in belief.of for belief in evidence.beliefs)
+        else POINT_FIT.fewest_points
+    )
     if evidence.lengths or evidence.parallels or len(evidence.points) >= needed:
         return ""
     marked = entries_of(document, "points")

@@ -4,6 +4,7 @@ Longitude and latitude are WGS84's, so the site has to say where on the Earth it
 """
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -23,9 +24,19 @@ from skope.traffic.traffic_report import TrafficReport
 from skope.types import Array
 
 GEOJSON_FILE: Final = "traffic.geojson"
-_DEGREE_DIGITS: Final = 7
-"""Of degrees: a centimetre."""
-_LEAST_POINTS: Final = 2
+
+
+@dataclass(frozen=True)
+class GeojsonFormat:
+    """Digits and least length of a line."""
+
+    degree_digits: int = 7
+    """Digits of degrees: a centimetre."""
+    least_points: int = 2
+    """Smallest number of points of a line."""
+
+
+GEOJSON_FORMAT: Final = GeojsonFormat()
 
 
 def write_geojson(folder: Path, report: TrafficReport) -> list[Path]:
@@ -57,7 +68,7 @@ def _features(report: TrafficReport) -> Iterator[dict[str, Any]]:
         yield _feature(report, "Polygon", zone.polygon, {"kind": "zone", "name": zone.name})
     for one in report.trajectories:
         rows = thinned(one, site.traffic.trajectory_interval_s)
-        if may_count(one, site.traffic) and len(rows) >= _LEAST_POINTS:
+        if may_count(one, site.traffic) and len(rows) >= GEOJSON_FORMAT.least_points:
             yield _feature(report, "LineString", one.xy[rows], _of_track(report, one, rows))
     for conflict in report.conflicts.conflicts:
         yield _feature(
@@ -137,7 +148,7 @@ def _feature(report: TrafficReport, kind: str, places: Outline | Array, properti
         if (x * np.roll(y, -1) - np.roll(x, -1) * y).sum() < 0:
             points = points[::-1]
         points = np.concatenate([points, points[:1]])
-    degrees = np.round(on_earth(report.site.world, points), _DEGREE_DIGITS).tolist()
+    degrees = np.round(on_earth(report.site.world, points), GEOJSON_FORMAT.degree_digits).tolist()
     return {
         "type": "Feature",
         "geometry": {"type": kind, "coordinates": [degrees] if kind == "Polygon" else degrees},

@@ -6,6 +6,7 @@ usual ones, and say so (`size_measured`).
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -22,8 +23,19 @@ from skope.version import __version__
 OPENLABEL_FILE: Final = "traffic.json"
 WORLD_FRAME: Final = "world"
 _HEIGHTS_M: Final[Mapping[str, float]] = {"pedestrian": 1.7, "bicycle": 1.7, "motorcycle": 1.6}
-_VEHICLE_M: Final = 1.5
-_VALUE_DIGITS: Final = 3
+
+
+@dataclass(frozen=True)
+class OpenlabelFormat:
+    """Default height and digits."""
+
+    height_m: float = 1.5
+    """Height of a road user, metres."""
+    digits: int = 3
+    """Digits after the decimal point."""
+
+
+OPENLABEL_FORMAT: Final = OpenlabelFormat()
 
 
 def write_openlabel(folder: Path, report: TrafficReport) -> list[Path]:
@@ -98,7 +110,7 @@ def _cuboid(one: Track, time_s: float) -> dict[str, Any]:
     ahead = one.at(one.facing, time_s)
     heading = math.atan2(ahead[1], ahead[0])
     length, width = one.size
-    height = one.height or _HEIGHTS_M.get(one.category, _VEHICLE_M)
+    height = one.height or _HEIGHTS_M.get(one.category, OPENLABEL_FORMAT.height_m)
     values = (x, y, height / 2, 0.0, 0.0, math.sin(heading / 2), math.cos(heading / 2), length, width, height)
     sigma = float(worst_sigma(one.at(one.total_covariance, time_s)))
     speed, speed_sigma = (float(one.at(column, time_s)) * KMH_PER_MPS for column in (one.speed, one.speed_sigma))
@@ -109,7 +121,7 @@ def _cuboid(one: Track, time_s: float) -> dict[str, Any]:
         "val": [round(value, 6) for value in values],
         "coordinate_system": WORLD_FRAME,
         "attributes": {
-            "num": [{"name": name, "val": round(value, _VALUE_DIGITS)} for name, value in numbers.items()],
+            "num": [{"name": name, "val": round(value, OPENLABEL_FORMAT.digits)} for name, value in numbers.items()],
             "boolean": [{"name": "size_measured", "val": measured}],
         },
     }

@@ -4,6 +4,7 @@ A gate counts fewer crossings than tracks that pass its line; the reasons are li
 """
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from datetime import datetime
 from typing import Final
 
@@ -21,10 +22,19 @@ from skope.traffic.traffic_report import TrafficReport
 GateDirection = tuple[str, str]
 Block = str | Table
 """A paragraph, a table, or markup (`Markup`) as it is."""
-_MAX_INTERVALS: Final = 400
-"""Maximum number of intervals in a table; the others are in counts.csv."""
-_MAX_OPEN_ROWS: Final = 12
-"""Tables with more rows are folded."""
+
+
+@dataclass(frozen=True)
+class TableLimits:
+    """Length of tables of counts."""
+
+    most_intervals: int = 400
+    """Maximum number of intervals in a table; the others are in counts.csv."""
+    most_open_rows: int = 12
+    """Tables with more rows are folded."""
+
+
+TABLE_LIMITS: Final = TableLimits()
 
 
 def side_name(side: GateDirection) -> str:
@@ -122,7 +132,7 @@ def _by_interval(
     report: TrafficReport, whole: dict[GateDirection, dict[str, Count]], groups: list[str]
 ) -> Iterator[Table]:
     """A folded table for each gate and direction: a row per interval, a column per class that occurs there."""
-    intervals = report.intervals[:_MAX_INTERVALS]
+    intervals = report.intervals[: TABLE_LIMITS.most_intervals]
     if len(report.intervals) < 2:
         return
     cells: dict[tuple[GateDirection, float, str], Count] = {
@@ -151,9 +161,13 @@ def _by_interval(
             *([_pce_text(totals[ALL_CLASSES])] if has_pce else []),
         ]
         head = ["from", *map(_heading, (*groups, *classes)), *(["PCE"] if has_pce else [])]
-        more = "" if len(report.intervals) <= _MAX_INTERVALS else f", the first {_MAX_INTERVALS} intervals"
+        more = (
+            ""
+            if len(report.intervals) <= TABLE_LIMITS.most_intervals
+            else f", the first {TABLE_LIMITS.most_intervals} intervals"
+        )
         caption = f"{side_name(side)}: counts by interval and class{more}"
-        folded = len(rows) > _MAX_OPEN_ROWS
+        folded = len(rows) > TABLE_LIMITS.most_open_rows
         yield Table(caption=caption, head=head, rows=rows, foot=foot, sticky=True, folded=folded)
 
 
@@ -174,10 +188,14 @@ def all_by_interval(report: TrafficReport) -> list[Block]:
             _observed_label(report, interval, cells[(interval.begin_s, *sides[0])]),
             *(with_interval(cells[(interval.begin_s, *side)]) for side in sides),
         ]
-        for interval in report.intervals[:_MAX_INTERVALS]
+        for interval in report.intervals[: TABLE_LIMITS.most_intervals]
     ]
     caption, head = "Counts of all by interval, with 90% intervals", ["from", *map(side_name, sides)]
-    return [Table(caption=caption, head=head, rows=rows, sticky=True, folded=len(rows) > _MAX_OPEN_ROWS or None)]
+    return [
+        Table(
+            caption=caption, head=head, rows=rows, sticky=True, folded=len(rows) > TABLE_LIMITS.most_open_rows or None
+        )
+    ]
 
 
 def _hour(report: TrafficReport, hour: PeakHour) -> str:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from skope.camera.motion.followed_views import with_homographies
 from skope.camera.motion.view_changes import ViewChange
-from skope.camera.motion.view_registration import REGISTRATION, read_views, register, transformed, view_numbers
+from skope.camera.motion.view_registration import REGISTRATION_LIMITS, read_views, register, transformed, view_numbers
 from skope.dataset import coco
 from skope.keypoints import SKOPE33
 from skope.schema import AnnotationFile, Image
@@ -59,8 +59,8 @@ def test_a_knocked_camera_is_followed_from_where_it_stands_still(tmp_path: Path)
     assert view_numbers([first, second], [0.0, 2.9, 3.0, 3.5, 3.6, 9.0]).tolist() == [
         0,
         0,
-        REGISTRATION.moving_view,
-        REGISTRATION.moving_view,
+        REGISTRATION_LIMITS.moving_view,
+        REGISTRATION_LIMITS.moving_view,
         1,
         1,
     ]

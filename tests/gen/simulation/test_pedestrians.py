@@ -16,7 +16,7 @@ from skope.gen.mesh import Mesh
 from skope.gen.render.choose_renderer import make_renderer
 from skope.gen.scene.recording import LAMP_BITS
 from skope.gen.simulation.pedestrians import Riders, Walkers
-from skope.gen.simulation.recorder import RECORDED, flashed
+from skope.gen.simulation.recorder import RECORDING_REACH, flashed
 from skope.gen.traffic.sumo import SUMO_STEPS, SumoRider
 from tests.gen.scenes import standing, with_people
 
@@ -141,7 +141,7 @@ def test_riders_lean_into_curves_and_their_wheels_roll() -> None:
 
 def test_indicators_flash_and_other_lamps_do_not() -> None:
     lamps = LAMP_BITS["indicator_left"] | LAMP_BITS["brake"]
-    lit = [flashed(lamps, t, "v00001") for t in np.arange(0, 20 * RECORDED.flash_s, 0.01)]
+    lit = [flashed(lamps, t, "v00001") for t in np.arange(0, 20 * RECORDING_REACH.flash_s, 0.01)]
     assert all(state & LAMP_BITS["brake"] for state in lit)
     on = np.array([bool(state & LAMP_BITS["indicator_left"]) for state in lit])
     assert on.mean() == pytest.approx(0.5, abs=0.02)
