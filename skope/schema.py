@@ -44,8 +44,20 @@ VEHICLE_COLORS: Final = (
     "white", "black", "grey", "silver", "blue", "red", "brown", "green", "orange", "yellow", "gold", "purple", "other",
 )  # fmt: skip
 WEATHER_NAMES: Final = ("clear", "cloudy", "overcast", "rain", "after_rain", "fog", "snow")
-_OUTSIDE_SHARE: Final = 0.1
-_OUTSIDE_PX: Final = 2.0
+
+
+@dataclass(frozen=True)
+class EdgeTolerance:
+    """How far a box may lie outside its image."""
+
+    share: float = 0.1
+    """Share of the image's size."""
+    pixels: float = 2.0
+    """Pixels."""
+
+
+EDGE_TOLERANCE: Final = EdgeTolerance()
+
 IGNORE_REASONS: Final = ("occluded", "sliver", "small", "unseen")
 
 
@@ -280,7 +292,9 @@ def far_outside(annotation: Annotation) -> NDArray[np.bool_]:
     low, size = annotation.bbox[:2], annotation.bbox[2:]
     points = annotation.keypoints[:, :2]
     away = np.maximum(low - points, points - low - size).max(axis=1)
-    far: NDArray[np.bool_] = (annotation.keypoints[:, 2] > 0) & (away > max(_OUTSIDE_SHARE * size.max(), _OUTSIDE_PX))
+    far: NDArray[np.bool_] = (annotation.keypoints[:, 2] > 0) & (
+        away > max(EDGE_TOLERANCE.share * size.max(), EDGE_TOLERANCE.pixels)
+    )
     return far
 
 

@@ -10,11 +10,21 @@ from numpy.typing import ArrayLike
 from skope.camera.model import Camera
 from skope.types import Array
 
-_BESIDE_PX: Final = 0.25
-AROUND_PIXEL: Final = _BESIDE_PX * np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
+
+@dataclass(frozen=True)
+class GroundRays:
+    """Numerical limits of rays to the ground."""
+
+    step_px: float = 0.25
+    """Step of numerical derivatives, pixels."""
+    grazing_fall: float = 1e-6
+    """A ray that falls by less than this share of its length is parallel to the plane."""
+
+
+GROUND_RAYS: Final = GroundRays()
+
+AROUND_PIXEL: Final = GROUND_RAYS.step_px * np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
 """(4, 2) steps of numerical derivatives by pixels, forward and backward on each axis."""
-GRAZING_FALL: Final = 1e-6
-"""A ray that falls by less than this share of its length is parallel to the plane."""
 
 
 @dataclass(frozen=True)
@@ -79,7 +89,7 @@ def ground_places(
     falls = directions[..., 2] - directions[..., :2] @ rise
     below = np.asarray(height, dtype=np.float64) + (eye[:2] - np.asarray(about, dtype=np.float64)) @ rise - eye[2]
     if least_fall is None:
-        meets = valid & (falls < -GRAZING_FALL)
+        meets = valid & (falls < -GROUND_RAYS.grazing_fall)
         reach = np.where(meets, below / np.where(meets, falls, -1.0), -1.0)
     else:
         reach = below / np.minimum(falls, -least_fall)
@@ -110,4 +120,4 @@ def ground_slopes(
     """
     around = pixels + AROUND_PIXEL.reshape(4, *(1,) * (pixels.ndim - 1), 2)
     places = ground_places(camera, around, height, slope=slope, about=about)[..., :2]
-    return np.stack([places[0] - places[1], places[2] - places[3]], axis=-1) / (2 * _BESIDE_PX)
+    return np.stack([places[0] - places[1], places[2] - places[3]], axis=-1) / (2 * GROUND_RAYS.step_px)

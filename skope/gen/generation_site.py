@@ -32,10 +32,20 @@ from skope.site.site_file import read_parts
 from skope.types import Range
 
 NAME_PATTERN: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_]{0,39}")
-SEEN_WITHIN_M: Final = 150.0
-"""Largest distance of a lane in the image for a camera to count as looking at a road, metres."""
-_HIGHEST_ROAD_M: Final = 5.0
-"""Largest height of the road above or below 0, metres: heights are to be counted from about the road."""
+
+
+@dataclass(frozen=True)
+class SiteLimits:
+    """Limits of a user's own site."""
+
+    seen_within_m: float = 150.0
+    """Largest distance of a lane in the image for a camera to count as looking at a road, metres."""
+    highest_road_m: float = 5.0
+    """Largest height of the road above or below 0, metres: heights are to be counted from about the road."""
+
+
+SITE_LIMITS: Final = SiteLimits()
+
 PHOTOGRAPH_CONDITIONS: Final[Mapping[str, Range]] = {
     "exposure_ev": (0.0, 0.0),
     "vignetting": (0.0, 0.0),
@@ -264,7 +274,7 @@ def _traffic(table: Table, road: OwnRoad, graph: RoadGraph) -> tuple[float, str]
     """Vehicles per hour, and the text of a route file in place of them; 0 or "" for the one that is not given."""
     path = table.file("flows")
     if path is None:
-        seen = graph.seen_by(road.camera, SEEN_WITHIN_M)
+        seen = graph.seen_by(road.camera, SITE_LIMITS.seen_within_m)
         if all(seen.isdisjoint(edges) for edges, _ in ways(Town.of(road).network)):
             raise table.wrong("network", "no way from rim to rim passes the camera; give flows")
         return table.number("vehicles_per_hour", low=1, high=1e5), ""
@@ -318,7 +328,7 @@ def _checked_graph(table: Table, road: OwnRoad) -> RoadGraph:
             f"{_span(graph)}",
         )
     level = graph.road_level(camera.position[:2])
-    if abs(level) > _HIGHEST_ROAD_M:
+    if abs(level) > SITE_LIMITS.highest_road_m:
         raise table.wrong(
             "network",
             f"its road is at {level:.0f} m, expected about 0: set ground_height of a map, or run netconvert with "
@@ -326,8 +336,10 @@ def _checked_graph(table: Table, road: OwnRoad) -> RoadGraph:
         )
     if camera.position[2] < level + 0.5:
         raise table.wrong("camera", f"hangs at {camera.position[2]:.2f} m, but the road lies at {level:.2f} m")
-    if not graph.seen_by(camera, SEEN_WITHIN_M):
-        raise table.wrong("camera", f"no lane of the network nearer than {SEEN_WITHIN_M:g} m is in its image")
+    if not graph.seen_by(camera, SITE_LIMITS.seen_within_m):
+        raise table.wrong(
+            "camera", f"no lane of the network nearer than {SITE_LIMITS.seen_within_m:g} m is in its image"
+        )
     return graph
 
 

@@ -10,6 +10,7 @@ has its next work while it does the last (scripts/bench_train.py).
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Final
 
 import torch
 from torch import Tensor

@@ -251,8 +251,8 @@ def _view(change: Mapping[str, Any]) -> KnownView:
 
 
 def view_numbers(views: Sequence[KnownView], times_s: Sequence[float] | Array) -> NDArray[np.intp]:
-    """(N,) index in `views` of the view that frames at times (N,) show; `REGISTRATION_LIMITS.moving_view` while the camera
-    was moving."""
+    """(N,) index in `views` of the view that frames at times (N,) show; `REGISTRATION_LIMITS.moving_view` while the
+    camera was moving."""
     times = np.asarray(times_s, dtype=np.float64)
     number = np.searchsorted([view.begin_s for view in views[1:]], times, side="right")
     settled = np.array([view.settled_s for view in views])

@@ -14,7 +14,7 @@ from skope.camera.model import Camera
 from skope.gen.mesh import Mesh
 from skope.gen.scene.recording import LAMP_BITS, Moment, body_of
 from skope.gen.scenery.build import Signal
-from skope.gen.vehicles.model import TRAILER_PART, Body
+from skope.gen.vehicles.model import MODEL_PARTS, Body
 from skope.pictures.draw import DRAWING_STYLE
 from skope.types import Array
 
@@ -179,7 +179,7 @@ class Lit:
 @lru_cache(maxsize=512)
 def lamps_of(body: Body) -> tuple[Lamp, ...]:
     """The lamps of a body and its trailer."""
-    trailer = tuple(_lamps_of(body.trailer.mesh, TRAILER_PART)) if body.trailer else ()
+    trailer = tuple(_lamps_of(body.trailer.mesh, MODEL_PARTS.trailer_part)) if body.trailer else ()
     return (*_lamps_of(body.mesh, 0), *trailer)
 
 

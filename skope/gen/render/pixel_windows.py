@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skope.camera.model import Camera
-from skope.gen.vehicles.model import TRAILER_PART, Body, straight_lwh
+from skope.gen.vehicles.model import MODEL_PARTS, Body, straight_lwh
 from skope.pictures.draw import DRAWING_STYLE
 from skope.types import Array
 
@@ -222,7 +222,7 @@ def _box_corners(vehicle: Body) -> list[Array]:
 
 def _corners_world(corners: Sequence[Array], T_world_parts: Array) -> Array:
     """(N, 3) world points of a vehicle's body, and of its trailer where there are two arrays of points."""
-    poses = T_world_parts[[0, TRAILER_PART]]
+    poses = T_world_parts[[0, MODEL_PARTS.trailer_part]]
     return np.concatenate([p @ T[:3, :3].T + T[:3, 3] for p, T in zip(corners, poses, strict=False)])
 
 

@@ -37,7 +37,7 @@ from skope.gen.scene.recording import LAMP_BITS, Moment, RecordedVehicle, Record
 from skope.gen.scenery.build import scenery
 from skope.gen.simulation.pybullet_engine import engine
 from skope.gen.towns.town import Town
-from skope.gen.vehicles.model import TRAILER_PART, Body
+from skope.gen.vehicles.model import MODEL_PARTS, Body
 from skope.gen.vehicles.paints import ALL_PAINTS
 from skope.types import Array
 
@@ -248,7 +248,7 @@ class TinyRenderer:
         if window is None:
             return None
         stage, on_stage = _vehicle_stage(vehicle)
-        for part in [part for k, some in enumerate(on_stage) if k in (0, TRAILER_PART) for part in some]:
+        for part in [part for k, some in enumerate(on_stage) if k in (0, MODEL_PARTS.trailer_part) for part in some]:
             if stage.parts[part] in ("paint", "livery"):
                 paint = ALL_PAINTS[recorded.color]
                 red, green, blue = paint.rgb if stage.parts[part] == "paint" else paint.livery

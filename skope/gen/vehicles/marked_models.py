@@ -20,14 +20,24 @@ from skope.types import Array
 
 WHEEL_CORNERS: Final = tuple(keypoints.NAMES[k].removeprefix("wheel_") for k in keypoints.WHEELS)
 """front_right, front_left, rear_right, rear_left."""
-LENGTH_RANGE_M: Final = (2.0, 25.0)
-"""Range of a vehicle's length, metres: models beyond it are in another unit."""
+
+
+@dataclass(frozen=True)
+class ModelFileLimits:
+    """Limits of models in files."""
+
+    lengths_m: tuple[float, float] = (2.0, 25.0)
+    """Range of a vehicle's length, metres: models beyond it are in another unit."""
+    color_steps: int = 16
+    """Levels that each channel of a model's colours is rounded to."""
+
+
+MODEL_FILES: Final = ModelFileLimits()
+
 _UNIT_METRES: Final = {"millimetres": 0.001, "centimetres": 0.01, "inches": 0.0254, "feet": 0.3048}
 _AXIS_VECTORS: Final = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 LAMP_MATERIALS: Final = ("headlight", "taillight", "brake_light", "indicator_left", "indicator_right", "reverse_light")
 """Materials that light up: a surface whose material has one of these names is such a lamp."""
-_COLOR_STEPS: Final = 16
-"""Levels that each channel of a model's colours is rounded to."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,7 +186,7 @@ def _face_colors(geometry: Any) -> NDArray[np.uint8]:
             colors = np.asarray(visual.face_colors)[:, :3]
     except Exception:  # a model without usable colours is grey
         colors = np.full((len(faces), 3), 150)
-    step = 255 / (_COLOR_STEPS - 1)
+    step = 255 / (MODEL_FILES.color_steps - 1)
     return np.asarray(np.rint(np.rint(colors / step) * step), dtype=np.uint8)
 
 
@@ -292,10 +302,12 @@ def _wheel_corners(path: Path, at: dict[str, Array]) -> dict[str, str]:
 
 
 def _check_length(path: Path, length: float, scale: float) -> None:
-    if LENGTH_RANGE_M[0] <= length <= LENGTH_RANGE_M[1]:
+    if MODEL_FILES.lengths_m[0] <= length <= MODEL_FILES.lengths_m[1]:
         return
     guesses = [
         f"{unit}: --scale {metres}" for unit, metres in _UNIT_METRES.items() if 2.5 < length / scale * metres < 20
     ]
     hint = f"; in {' or in '.join(guesses)}?" if guesses else f"; --scale {4.5 / (length / scale):.2g} makes it a car's"
-    raise UserError(f"{path}: is {length:.4g} m long, expected {LENGTH_RANGE_M[0]:g} to {LENGTH_RANGE_M[1]:g}{hint}")
+    raise UserError(
+        f"{path}: is {length:.4g} m long, expected {MODEL_FILES.lengths_m[0]:g} to {MODEL_FILES.lengths_m[1]:g}{hint}"
+    )

@@ -70,12 +70,19 @@ class Sidecar:
         return cls(value["distances"], value["side"])
 
 
-COARSE_SHARE: Final = 0.25
-"""Share of its triangles, about, that a body far away is drawn with."""
+@dataclass(frozen=True)
+class ModelParts:
+    """Parts and coarse forms of a vehicle's mesh."""
+
+    coarse_share: float = 0.25
+    """Share of its triangles, about, that a body far away is drawn with."""
+    trailer_part: int = 5
+    """Index of a trailer's body among the parts of an articulated vehicle; its own two wheels follow."""
 
 
-TRAILER_PART: Final = 5
-"""Index of a trailer's body among the parts of an articulated vehicle; its own two wheels follow."""
+MODEL_PARTS: Final = ModelParts()
+
+
 ON_TRAILER: Final = np.array(["rear" in name or "taillight" in name for name in keypoints.NAMES])
 """(33,) which keypoints of an articulated vehicle ride on its trailer: all of its rear, wheels too."""
 
@@ -161,7 +168,7 @@ class Body(Protocol):
 
     @property
     def coarse(self) -> tuple[Mesh, ...]:
-        """The parts with about the share `COARSE_SHARE` of their triangles, for pictures from afar."""
+        """The parts with about the share `MODEL_PARTS.coarse_share` of their triangles, for pictures from afar."""
 
     @property
     def size_lwh(self) -> tuple[float, float, float]:
@@ -216,7 +223,7 @@ class Vehicle(Body, Protocol):
 
 def simplified_parts(parts: Sequence[Mesh]) -> tuple[Mesh, ...]:
     """Parts of a body for pictures from afar; those that are the same are simplified once."""
-    coarse = {part: simplified(part, COARSE_SHARE) for part in dict.fromkeys(parts)}
+    coarse = {part: simplified(part, MODEL_PARTS.coarse_share) for part in dict.fromkeys(parts)}
     return tuple(coarse[part] for part in parts)
 
 

@@ -5,7 +5,7 @@ from skope.camera.model import Camera
 from skope.gen.labels.raycast import RayCaster, _split_in_patches
 from skope.gen.labels.world_keypoints import world_keypoints
 from skope.gen.vehicles.fleet import fleet
-from skope.gen.vehicles.model import TRAILER_PART
+from skope.gen.vehicles.model import MODEL_PARTS
 from tests.gen.rays import cast, vehicle_triangles
 from tests.gen.scenes import standing
 
@@ -58,7 +58,7 @@ def test_rays_meet_both_parts_of_an_articulated_vehicle_that_is_bent() -> None:
     ends = np.cumsum([len(part.triangles) for part in vehicle.parts])
     part = np.searchsorted(ends, which[before], side="right")
     assert (part == 0).sum() > 20
-    assert (part == TRAILER_PART).sum() > 20
+    assert (part == MODEL_PARTS.trailer_part).sum() > 20
 
 
 def test_patches_hold_every_triangle_and_lie_close_together() -> None:

@@ -14,7 +14,7 @@ from skope.gen.mesh import merged
 from skope.gen.render.gl.context import Device, DeviceMesh, linear
 from skope.gen.render.pixel_windows import Window, hull_of, may_be_seen, window_of
 from skope.gen.scene.recording import Moment, body_of
-from skope.gen.vehicles.model import TRAILER_PART, Body, straight_lwh
+from skope.gen.vehicles.model import MODEL_PARTS, Body, straight_lwh
 from skope.gen.vehicles.paints import ALL_PAINTS
 from skope.types import Array
 
@@ -114,7 +114,7 @@ class Placer:
 @lru_cache(maxsize=256)
 def _upload_meshes(device: Device, vehicle: Body) -> dict[str, Any]:
     """A vehicle's meshes on the device, by field of `PlacedVehicle`."""
-    insides = {0: vehicle.interior} | ({TRAILER_PART: vehicle.trailer.interior} if vehicle.trailer else {})
+    insides = {0: vehicle.interior} | ({MODEL_PARTS.trailer_part: vehicle.trailer.interior} if vehicle.trailer else {})
     solid, panes = list(vehicle.parts), [part.taken(np.zeros(0, dtype=np.int64)) for part in vehicle.parts]
     for k, interior in insides.items():
         body = vehicle.parts[k]

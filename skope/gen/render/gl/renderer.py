@@ -38,7 +38,7 @@ from skope.gen.render.pixel_windows import (
 from skope.gen.render.spray import Spray
 from skope.gen.scene.recording import Recording
 from skope.gen.scenery.build import scenery
-from skope.gen.vehicles.model import TRAILER_PART
+from skope.gen.vehicles.model import MODEL_PARTS
 from skope.types import Array
 
 
@@ -507,7 +507,9 @@ def _footprint(placed: PlacedVehicle, middle: Array) -> Array:
     trailer, out = placed.vehicle.trailer, []
     bodies = [(placed.vehicle.size_lwh, 0.0, placed.T_world_chassis)]
     if trailer:
-        bodies.append((trailer.size_lwh, float(trailer.corners[:, 0].mean()), placed.T_world_parts[TRAILER_PART]))
+        bodies.append(
+            (trailer.size_lwh, float(trailer.corners[:, 0].mean()), placed.T_world_parts[MODEL_PARTS.trailer_part])
+        )
     for size_lwh, ahead, T in bodies:
         size = np.array(size_lwh) * [0.5, 0.5, 1.0]
         local = np.array([[-1, -1], [1, -1], [1, 1], [-1, -1], [1, 1], [-1, 1]]) * (size[:2] + WINDOW_LIMITS.contact_m)
