@@ -290,7 +290,7 @@ def _in_words(hint: Any) -> str:
 # --------------------------------------------------------------------------------------------------------------- tables
 
 
-class Table:
+class TomlTable:
     """A table of a TOML file, read key by key. Errors name file and key. `done` rejects keys that were not read."""
 
     def __init__(self, path: Path, name: str, values: Mapping[str, Any], files: dict[str, Path] | None = None) -> None:
@@ -395,24 +395,24 @@ class Table:
         self.files[self._within(key)] = path
         return path
 
-    def table(self, key: str) -> "Table":
+    def table(self, key: str) -> "TomlTable":
         """A table in this one; an empty one if the key is missing."""
         value = self.value(key) if key in self else {}
         if not isinstance(value, dict):
             raise self.wrong(key, "expected a table")
-        return Table(self.path, self._within(key), value, self.files)
+        return TomlTable(self.path, self._within(key), value, self.files)
 
-    def tables(self, key: str) -> list["Table"]:
+    def tables(self, key: str) -> list["TomlTable"]:
         """A list of tables."""
         values = self.value(key) if key in self else []
         if not isinstance(values, list) or not all(isinstance(value, dict) for value in values):
             raise self.wrong(key, "expected a list of tables")
-        return [Table(self.path, self._within(key), value, self.files) for value in values]
+        return [TomlTable(self.path, self._within(key), value, self.files) for value in values]
 
-    def rows(self, key: str) -> list["Table"]:
+    def rows(self, key: str) -> list["TomlTable"]:
         """A list of tables that messages number from 1, as in `gates[2]`."""
         numbered = enumerate(self.tables(key), start=1)
-        return [Table(row.path, f"{row._name}[{i}]", row._values, row.files) for i, row in numbered]
+        return [TomlTable(row.path, f"{row._name}[{i}]", row._values, row.files) for i, row in numbered]
 
     def _within(self, key: str) -> str:
         return f"{self._name}.{key}".lstrip(".")

@@ -45,7 +45,7 @@ from skope.traffic.gate_counts import ALL_CLASSES, expected
 from skope.traffic.gates import GateCrossing, direction_names
 from skope.traffic.length_bins import bin_probabilities
 from skope.traffic.measure import measure
-from skope.traffic.normal_distribution import INTERVAL_SIGMAS
+from skope.normal_distribution import INTERVAL_SIGMAS
 from skope.traffic.observation import FOOTAGE_FILE, Observation, read_observation
 from skope.traffic.traffic_report import TrafficReport
 from skope.traffic.turning_movements import NO_GATE

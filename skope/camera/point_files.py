@@ -46,7 +46,7 @@ class PointFileLimits:
     """Difference of UTM's scale from 1 that is reported. Inside a zone it is smaller."""
 
 
-POINT_FILES: Final = PointFileLimits()
+POINT_FILE_LIMITS: Final = PointFileLimits()
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -150,7 +150,7 @@ def _otvision(path: Path) -> PointFile:
         f"UTM zone {zone_half}: the world's (0, 0) is at easting {origin[0]:.0f}, northing {origin[1]:.0f}; the points "
         "have no heights: the road is taken to be a plane"
     ]
-    if abs(scale - 1) > POINT_FILES.stretched:
+    if abs(scale - 1) > POINT_FILE_LIMITS.stretched:
         said.append(
             f"so far from the middle of zone {zone_half} a metre on the road is {scale:.5f} m of the map's: distances "
             f"and speeds are too {'large' if scale > 1 else 'small'} by {abs(scale - 1):.2%}"
@@ -177,12 +177,12 @@ def _made(
             raise UserError(f"{path}: name: {name!r} is the name of two points")
         if not name.isprintable() or len(name) > 200:
             raise UserError(f"{path}: name: expected one line and up to 200 letters")
-    if (np.abs(pixels) > POINT_FILES.widest_px).any():
-        raise UserError(f"{path}: expected pixels within {POINT_FILES.widest_px:g}")
-    if (np.abs(places) > POINT_FILES.farthest_m).any() or (
-        len(places) and np.ptp(places, axis=0).max() > POINT_FILES.spread_m
+    if (np.abs(pixels) > POINT_FILE_LIMITS.widest_px).any():
+        raise UserError(f"{path}: expected pixels within {POINT_FILE_LIMITS.widest_px:g}")
+    if (np.abs(places) > POINT_FILE_LIMITS.farthest_m).any() or (
+        len(places) and np.ptp(places, axis=0).max() > POINT_FILE_LIMITS.spread_m
     ):
-        raise UserError(f"{path}: points lie more than {POINT_FILES.spread_m / 1000:g} km apart")
+        raise UserError(f"{path}: points lie more than {POINT_FILE_LIMITS.spread_m / 1000:g} km apart")
     points = []
     for k, name in enumerate(names):
         try:

@@ -30,7 +30,7 @@ from skope.terminal.console import Console, counted
 if TYPE_CHECKING:
     from skope.detector.predictor import Predictor
 
-REPORT_FILE: Final = "report.html"
+EVALUATION_REPORT: Final = "report.html"
 OVERLAY_COUNT: Final = 4
 """Number of pictures that are drawn of each split."""
 
@@ -110,7 +110,7 @@ def evaluate(job: EvalJob, console: Console, width: int) -> dict[str, Any]:
     beside = table.published() if job.beside_paper else None
     subject = f"{job.checkpoint or job.predictions} on {job.truth.root}"
     page = report.render_page(document, measured, job.truth.root, job.options, job.protocol, beside, subject)
-    write_text(job.out / REPORT_FILE, page)
+    write_text(job.out / EVALUATION_REPORT, page)
     pictures = [path for file in splits for path in _overlays(job, file, found[file.name], console)]
 
     console.result(table.render_table(document, job.protocol, width, beside=beside))
@@ -266,4 +266,4 @@ def _last_line(job: EvalJob, splits: Sequence[AnnotationFile], pictures: Sequenc
     files = ["metrics.json", "tallies.json"]
     files += [f"predictions_{names}.json"] if job.checkpoint else []
     files += [f"{pictures[0].parent.name}/"] if pictures else []
-    return f"Wrote {', '.join(files)} to {job.out}; open {job.out / REPORT_FILE}"
+    return f"Wrote {', '.join(files)} to {job.out}; open {job.out / EVALUATION_REPORT}"

@@ -25,7 +25,7 @@ from skope.gen.towns.town import Occluder, OwnRoad, PixelOutline, Town
 from skope.gen.towns.town_style import style
 from skope.gen.traffic import route_files
 from skope.gen.traffic.demand import ways
-from skope.records import Table
+from skope.records import TomlTable
 from skope.site.gates_zones_lanes import read_occluder, read_outline
 from skope.site.site_camera import read_site_camera
 from skope.site.site_file import read_parts
@@ -101,7 +101,7 @@ def read_generation_site(path: Path) -> OwnSite:
     Raises:
         UserError: A file cannot be read, or a key is missing, unknown or wrong; the message names file and key.
     """
-    table = Table.read(path)
+    table = TomlTable.read(path)
     name = table.text("name", path.stem)
     if not NAME_PATTERN.fullmatch(name):
         raise table.wrong("name", f"expected up to 40 letters, digits and _, got {name!r}")
@@ -157,7 +157,7 @@ def read_generation_site(path: Path) -> OwnSite:
 # -------------------------------------------------------------------------------------------------------------- pieces
 
 
-def _picture_size(table: Table, path: Path | None) -> tuple[int, int] | None:
+def _picture_size(table: TomlTable, path: Path | None) -> tuple[int, int] | None:
     if path is None:
         return None
     image = cv2.imdecode(np.frombuffer(read_bytes(path), dtype=np.uint8), cv2.IMREAD_COLOR)
@@ -169,7 +169,7 @@ def _picture_size(table: Table, path: Path | None) -> tuple[int, int] | None:
     return width, height
 
 
-def _network(table: Table) -> bytes:
+def _network(table: TomlTable) -> bytes:
     path = table.file("network")
     if path is None:
         raise table.wrong("network", "missing")
@@ -190,7 +190,7 @@ def _network(table: Table) -> bytes:
         raise table.wrong("network", f"{path}: {error}") from None
 
 
-def _origin(table: Table, path: Path) -> tuple[float, float]:
+def _origin(table: TomlTable, path: Path) -> tuple[float, float]:
     """Latitude and longitude of the world's origin; the middle of the map's nodes unless given."""
     if "origin" in table:
         latitude, longitude = table.numbers("origin", 2)
@@ -206,7 +206,7 @@ def _origin(table: Table, path: Path) -> tuple[float, float]:
     return latitude, longitude
 
 
-def _occluder(row: Table, camera: Camera, level: float) -> Occluder:
+def _occluder(row: TomlTable, camera: Camera, level: float) -> Occluder:
     mark = read_occluder(row)
     row.done()
     if mark.foot is None:
@@ -220,7 +220,7 @@ def _occluder(row: Table, camera: Camera, level: float) -> Occluder:
     return Occluder(mark.polygon, round(distance, 3))
 
 
-def _shade(table: Table, camera: Camera) -> PixelOutline:
+def _shade(table: TomlTable, camera: Camera) -> PixelOutline:
     """The outline of a shadow, all of it on the ground."""
     outline = read_outline(table)
     table.done()
@@ -230,7 +230,7 @@ def _shade(table: Table, camera: Camera) -> PixelOutline:
     return outline
 
 
-def _light(table: Table) -> tuple[str, str, dict[str, Range]]:
+def _light(table: TomlTable) -> tuple[str, str, dict[str, Range]]:
     """Weather, hour, and where the sun stands if that is known."""
     weather, sun = table.text("weather", "clear"), {}
     if "when" in table:
@@ -256,7 +256,7 @@ def _light(table: Table) -> tuple[str, str, dict[str, Range]]:
     return weather, hour, sun
 
 
-def _conditions(table: Table) -> dict[str, Range]:
+def _conditions(table: TomlTable) -> dict[str, Range]:
     out = {}
     for name in CONDITION_LIMITS:
         if name in table:
@@ -270,7 +270,7 @@ def _conditions(table: Table) -> dict[str, Range]:
         raise table.wrong("", str(error).removeprefix("--set ")) from None
 
 
-def _traffic(table: Table, road: OwnRoad, graph: RoadGraph) -> tuple[float, str]:
+def _traffic(table: TomlTable, road: OwnRoad, graph: RoadGraph) -> tuple[float, str]:
     """Vehicles per hour, and the text of a route file in place of them; 0 or "" for the one that is not given."""
     path = table.file("flows")
     if path is None:
@@ -288,7 +288,7 @@ def _traffic(table: Table, road: OwnRoad, graph: RoadGraph) -> tuple[float, str]
     return 0.0, text
 
 
-def _splits(table: Table) -> tuple[str, ...]:
+def _splits(table: TomlTable) -> tuple[str, ...]:
     if "splits" not in table:
         return ()
     names = table.value("splits")
@@ -304,7 +304,7 @@ def _splits(table: Table) -> tuple[str, ...]:
 # -------------------------------------------------------------------------------------------------------------- checks
 
 
-def _checked_graph(table: Table, road: OwnRoad) -> RoadGraph:
+def _checked_graph(table: TomlTable, road: OwnRoad) -> RoadGraph:
     """The graph of the road. Raises UserError where style, camera and road do not make a picture."""
     camera = road.camera
     if camera.distortion.model != "none":

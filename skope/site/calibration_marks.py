@@ -8,7 +8,7 @@ from typing import Any, Final
 from skope.camera.calibration_files import read_uncertain_camera
 from skope.camera.evidence import Belief, Evidence, MarkedLength, MarkedPoint, ParallelLines, Vertical
 from skope.errors import UserError
-from skope.records import Table
+from skope.records import TomlTable
 from skope.site.gates_zones_lanes import checked_name
 from skope.site.mark_parser import KNOWN_RANGES, LENS_RANGES, known_value, read_mark
 
@@ -78,7 +78,7 @@ def beliefs_of(
     return tuple(out)
 
 
-def read_marks(table: Table, unknown: list[str]) -> CalibrationMarks:
+def read_marks(table: TomlTable, unknown: list[str]) -> CalibrationMarks:
     """The marks of a [calibration] table; keys that mean nothing here are added to `unknown`.
 
     Raises:
@@ -100,7 +100,7 @@ def read_marks(table: Table, unknown: list[str]) -> CalibrationMarks:
     return made
 
 
-def _rows(table: Table, kind: str, unknown: list[str]) -> tuple[Any, ...]:
+def _rows(table: TomlTable, kind: str, unknown: list[str]) -> tuple[Any, ...]:
     out, names = [], set[str]()
     for index, row in enumerate(table.rows(kind)):
         name = checked_name(row, "name", row.text("name")) if "name" in row else str(index + 1)
@@ -115,7 +115,7 @@ def _rows(table: Table, kind: str, unknown: list[str]) -> tuple[Any, ...]:
     return tuple(out)
 
 
-def _measured(table: Table, key: str, limits: tuple[float, float]) -> tuple[float, float] | None:
+def _measured(table: TomlTable, key: str, limits: tuple[float, float]) -> tuple[float, float] | None:
     """A value with its standard deviation, [value, sigma]."""
     if key not in table:
         return None
@@ -125,7 +125,7 @@ def _measured(table: Table, key: str, limits: tuple[float, float]) -> tuple[floa
     return found
 
 
-def _lens(table: Table, unknown: list[str]) -> Mapping[str, tuple[float, float]]:
+def _lens(table: TomlTable, unknown: list[str]) -> Mapping[str, tuple[float, float]]:
     """Raises UserError where it does not say a focal length."""
     focal = _measured(table, "focal_px", LENS_RANGES["focal_px"])
     if focal is None:
@@ -135,7 +135,7 @@ def _lens(table: Table, unknown: list[str]) -> Mapping[str, tuple[float, float]]
     return {"focal_px": focal, **({"k1": k1} if k1 else {})}
 
 
-def _size(table: Table) -> tuple[int, int] | None:
+def _size(table: TomlTable) -> tuple[int, int] | None:
     if "size" not in table:
         return None
     width, height = table.numbers("size", 2)
@@ -144,14 +144,14 @@ def _size(table: Table) -> tuple[int, int] | None:
     return int(width), int(height)
 
 
-def _time(table: Table, key: str) -> datetime | None:
+def _time(table: TomlTable, key: str) -> datetime | None:
     value = table.value(key)
     if value is not None and (not isinstance(value, datetime) or value.tzinfo is None):
         raise table.wrong(key, "expected a time with its zone, like 2026-06-21T14:30:00+02:00")
     return value
 
 
-def _vehicles(table: Table) -> Belief | None:
+def _vehicles(table: TomlTable) -> Belief | None:
     """The camera that `skope eval camera` has found from vehicles, which says nothing of place and direction."""
     path = table.file("vehicles")
     if path is None:

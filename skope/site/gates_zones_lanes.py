@@ -8,7 +8,7 @@ from shapely import Polygon
 from skope.camera.ground_plane import Ground, ground_places
 from skope.camera.model import Camera, same_aspect
 from skope.errors import UserError
-from skope.records import Table
+from skope.records import TomlTable
 from skope.site.mark_parser import MARK_LIMITS, NO_NAME, is_name
 from skope.types import Array
 
@@ -116,7 +116,7 @@ def gate_on_road(gate: Gate, camera: Camera) -> Gate:
     return replace(gate, line=line_on_road(camera, np.array(gate_at_size(gate, size).pixels)))
 
 
-def read_gate(row: Table) -> Gate:
+def read_gate(row: TomlTable) -> Gate:
     """Raises UserError naming file and key, as all readers here do."""
     if "line" not in row and "pixels" not in row:
         raise row.wrong("line", "missing: draw the gate (`pixels`) or survey it (`line`)")
@@ -130,7 +130,7 @@ def read_gate(row: Table) -> Gate:
     )
 
 
-def _ends(row: Table, key: str, what: str) -> Outline:
+def _ends(row: TomlTable, key: str, what: str) -> Outline:
     """The two ends of a gate."""
     ends = read_line(row, key)
     if len(ends) != 2:
@@ -140,7 +140,7 @@ def _ends(row: Table, key: str, what: str) -> Outline:
     return ends
 
 
-def _image_size(row: Table) -> tuple[int, int] | None:
+def _image_size(row: TomlTable) -> tuple[int, int] | None:
     """Width and height of the image that a gate was drawn in; None if the row does not give it."""
     if "size" not in row:
         return None
@@ -150,7 +150,7 @@ def _image_size(row: Table) -> tuple[int, int] | None:
     return int(width), int(height)
 
 
-def _directions(row: Table) -> tuple[str, str] | None:
+def _directions(row: TomlTable) -> tuple[str, str] | None:
     """Names of a gate's two directions; None where the row does not say them."""
     if "directions" not in row:
         return None
@@ -162,7 +162,7 @@ def _directions(row: Table) -> tuple[str, str] | None:
     return checked_name(row, "directions", names[0]), checked_name(row, "directions", names[1])
 
 
-def _edges(row: Table) -> tuple[str, str] | None:
+def _edges(row: TomlTable) -> tuple[str, str] | None:
     """The edges of a SUMO network that a gate lies across, by direction; None where the row does not say it."""
     if "edges" not in row:
         return None
@@ -175,11 +175,11 @@ def _edges(row: Table) -> tuple[str, str] | None:
     return one, other
 
 
-def read_zone(row: Table) -> Zone:
+def read_zone(row: TomlTable) -> Zone:
     return Zone(name=read_name(row), polygon=read_outline(row, "[x, y]"))
 
 
-def read_lane(row: Table) -> Lane:
+def read_lane(row: TomlTable) -> Lane:
     line = read_line(row, "line")
     width = (
         row.number("width", low=MARK_LIMITS.lane_width_m[0], high=MARK_LIMITS.lane_width_m[1])
@@ -189,7 +189,7 @@ def read_lane(row: Table) -> Lane:
     return Lane(name=read_name(row), line=line, width=width)
 
 
-def read_occluder(row: Table) -> OccluderMark:
+def read_occluder(row: TomlTable) -> OccluderMark:
     polygon = read_outline(row)
     if "distance" in row:
         return OccluderMark(polygon=polygon, distance=row.number("distance", low=0.5, high=2000))
@@ -197,7 +197,7 @@ def read_occluder(row: Table) -> OccluderMark:
     return OccluderMark(polygon=polygon, foot=(column, line))
 
 
-def read_outline(row: Table, corner: str = "[column, row]") -> Outline:
+def read_outline(row: TomlTable, corner: str = "[column, row]") -> Outline:
     """Three or more corners of `polygon`, whose sides do not cross each other; `corner` says of what each consists."""
     points = row.value("polygon")
     if not isinstance(points, list) or len(points) < 3:
@@ -208,7 +208,7 @@ def read_outline(row: Table, corner: str = "[column, row]") -> Outline:
     return outline
 
 
-def read_line(row: Table, key: str) -> Outline:
+def read_line(row: TomlTable, key: str) -> Outline:
     """Two or more places [x, y], metres."""
     points = row.value(key)
     if not isinstance(points, list) or len(points) < 2:
@@ -219,13 +219,13 @@ def read_line(row: Table, key: str) -> Outline:
     return line
 
 
-def read_name(row: Table) -> str:
+def read_name(row: TomlTable) -> str:
     if "name" not in row:
         raise row.wrong("name", "missing")
     return checked_name(row, "name", row.text("name"))
 
 
-def checked_name(row: Table, key: str, name: str) -> str:
+def checked_name(row: TomlTable, key: str, name: str) -> str:
     """Check a name that people give; it may be of any script.
 
     Args:

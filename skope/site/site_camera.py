@@ -29,7 +29,7 @@ from skope.camera.pose_from_points import fit_camera_to_points
 from skope.camera.uncertain_camera import UncertainCamera
 from skope.errors import UserError
 from skope.files.json_files import read_json
-from skope.records import Table
+from skope.records import TomlTable
 from skope.types import Array
 
 ImageSize = tuple[int, int]
@@ -48,7 +48,7 @@ class OwnCamera:
     """The camera with its covariance; None: nothing says how well it is known."""
 
 
-def read_site_camera(table: Table, picture: ImageSize | None) -> OwnCamera:
+def read_site_camera(table: TomlTable, picture: ImageSize | None) -> OwnCamera:
     """The camera of a table; `picture` is the photograph's size, which is the camera's where nothing else says it."""
     try:
         made = _camera(table, picture)
@@ -60,7 +60,7 @@ def read_site_camera(table: Table, picture: ImageSize | None) -> OwnCamera:
     return made
 
 
-def _known(table: Table, camera: Camera) -> UncertainCamera | None:
+def _known(table: TomlTable, camera: Camera) -> UncertainCamera | None:
     """The camera with the covariance of the table, or of the file that all of it comes from; None: neither has one."""
     if "covariance" in table:
         own = table.table("covariance")
@@ -74,7 +74,7 @@ def _known(table: Table, camera: Camera) -> UncertainCamera | None:
     return UncertainCamera(camera, known.parameters, known.covariance) if known else None
 
 
-def _calibrated(table: Table) -> None:
+def _calibrated(table: TomlTable) -> None:
     """When and by what the camera was calibrated: for people to read."""
     when = table.value("when")
     if when is not None and not isinstance(when, datetime | str):
@@ -82,7 +82,7 @@ def _calibrated(table: Table) -> None:
     table.text("from")
 
 
-def _camera(table: Table, picture: ImageSize | None) -> OwnCamera:
+def _camera(table: TomlTable, picture: ImageSize | None) -> OwnCamera:
     file, raw = table.file("file"), table.flag("raw")
     read = _calibration(file, raw=raw) if file else None
     size = _size(table, read, picture)
@@ -110,7 +110,7 @@ def _calibration(path: Path, *, raw: bool) -> CameraCalibration:
     return CameraCalibration(camera.K, camera.distortion, (camera.width, camera.height), camera.T_camera_world)
 
 
-def _size(table: Table, read: CameraCalibration | None, picture: ImageSize | None) -> ImageSize:
+def _size(table: TomlTable, read: CameraCalibration | None, picture: ImageSize | None) -> ImageSize:
     if "size" in table:
         width, height = table.numbers("size", 2)
         if min(width, height) < 16 or max(width, height) > 8192 or width % 1 or height % 1:
@@ -121,7 +121,7 @@ def _size(table: Table, read: CameraCalibration | None, picture: ImageSize | Non
     return picture or DEFAULT_SIZE_PX
 
 
-def _intrinsics(table: Table, read: CameraCalibration | None, size: ImageSize) -> Array | None:
+def _intrinsics(table: TomlTable, read: CameraCalibration | None, size: ImageSize) -> Array | None:
     if "K" in table:
         return np.array(table.matrix("K", 3, 3))
     if "fov_deg" in table:
@@ -132,7 +132,7 @@ def _intrinsics(table: Table, read: CameraCalibration | None, size: ImageSize) -
     return _scaled(table, read.K, read.size, size)
 
 
-def _scaled(table: Table, K: Array, calibrated: ImageSize, size: ImageSize) -> Array:
+def _scaled(table: TomlTable, K: Array, calibrated: ImageSize, size: ImageSize) -> Array:
     """The intrinsics of a calibration's image size at the camera's. Distortion has no unit and stays."""
     x, y = size[0] / calibrated[0], size[1] / calibrated[1]
     if abs(calibrated[1] * x - size[1]) > 1:
@@ -143,7 +143,7 @@ def _scaled(table: Table, K: Array, calibrated: ImageSize, size: ImageSize) -> A
     return np.diag([x, y, 1.0]) @ K
 
 
-def _distortion(table: Table, read: CameraCalibration | None) -> Distortion:
+def _distortion(table: TomlTable, read: CameraCalibration | None) -> Distortion:
     if "distortion" not in table:
         return read.distortion if read else Distortion()
     own = table.table("distortion")
@@ -155,7 +155,7 @@ def _distortion(table: Table, read: CameraCalibration | None) -> Distortion:
     return Distortion(model, coefficients)
 
 
-def _pose(table: Table, read: CameraCalibration | None, fixed: list[str]) -> Array:
+def _pose(table: TomlTable, read: CameraCalibration | None, fixed: list[str]) -> Array:
     if "T_camera_world" in table:
         return np.array(table.matrix("T_camera_world", 4, 4))
     if "R" in table:
@@ -174,7 +174,7 @@ def _pose(table: Table, read: CameraCalibration | None, fixed: list[str]) -> Arr
     return read.T_camera_world
 
 
-def _hung(table: Table) -> Array:
+def _hung(table: TomlTable) -> Array:
     position = table.numbers("position", 3)
     roll = math.radians(table.number("roll_deg", 0.0, low=-180, high=180))
     if "look_at" in table:
@@ -189,7 +189,7 @@ def _hung(table: Table) -> Array:
     return Camera.looking(position, yaw=yaw, pitch_down=pitch, roll=roll).T_camera_world
 
 
-def _from_points(table: Table, size: ImageSize, K: Array | None, lens: Distortion) -> OwnCamera:
+def _from_points(table: TomlTable, size: ImageSize, K: Array | None, lens: Distortion) -> OwnCamera:
     rows = table.value("points")
     if not isinstance(rows, list):
         raise table.wrong("points", "expected rows of [column, row, x, y, z]")

@@ -15,7 +15,7 @@ from zoneinfo import ZoneInfo
 
 from skope.errors import UserError
 from skope.files.atomic import decoded, read_bytes
-from skope.records import Table
+from skope.records import TomlTable
 from skope.site.calibration_marks import CalibrationMarks, read_marks
 from skope.site.gates_zones_lanes import (
     Gate,
@@ -90,7 +90,7 @@ class PlanPicture:
     """By how much the picture's up is turned from the world's y, counter-clockwise."""
 
 
-def read_plan(table: Table, unknown: list[str]) -> PlanPicture:
+def read_plan(table: TomlTable, unknown: list[str]) -> PlanPicture:
     """The table's plan; keys that mean nothing here are added to `unknown`.
 
     Raises:
@@ -170,7 +170,7 @@ def read_site(path: Path) -> SiteFile:
 def parse_site(path: Path, data: bytes) -> SiteFile:
     """The site file of these bytes; `path` is what messages name. Raises as `read_site` does."""
     try:
-        table = Table.parse(path, decoded(data))
+        table = TomlTable.parse(path, decoded(data))
     except UnicodeDecodeError:
         raise UserError(f"{path}: not UTF-8 text") from None
     camera = read_site_camera(table.table("camera"), None) if "camera" in table else None
@@ -190,7 +190,7 @@ def parse_site(path: Path, data: bytes) -> SiteFile:
     )
 
 
-def read_parts(table: Table) -> SiteParts:
+def read_parts(table: TomlTable) -> SiteParts:
     """The parts of a site file that everything shares. Raises UserError naming file and key."""
     unknown: list[str] = []
     zone = _time_zone(table)
@@ -211,7 +211,7 @@ def read_parts(table: Table) -> SiteParts:
     )
 
 
-def _named(table: Table, key: str, read: Callable[[Table], _Part], unknown: list[str]) -> tuple[_Part, ...]:
+def _named(table: TomlTable, key: str, read: Callable[[TomlTable], _Part], unknown: list[str]) -> tuple[_Part, ...]:
     """The rows of a list of tables, no two of one name."""
     out, names = [], set[str]()
     for row in table.rows(key):
@@ -224,7 +224,7 @@ def _named(table: Table, key: str, read: Callable[[Table], _Part], unknown: list
     return tuple(out)
 
 
-def _time_zone(table: Table) -> ZoneInfo | None:
+def _time_zone(table: TomlTable) -> ZoneInfo | None:
     if "time_zone" not in table:
         return None
     name = table.text("time_zone")
@@ -234,7 +234,7 @@ def _time_zone(table: Table) -> ZoneInfo | None:
         raise table.wrong("time_zone", f'expected a name like "Europe/Berlin", got {name[:60]!r}') from None
 
 
-def _start(table: Table, zone: ZoneInfo | None) -> datetime | None:
+def _start(table: TomlTable, zone: ZoneInfo | None) -> datetime | None:
     if "start" not in table:
         return None
     start = table.value("start")

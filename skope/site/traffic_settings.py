@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final
 
-from skope.records import Table, plain_values
+from skope.records import TomlTable, plain_values
 from skope.site.gates_zones_lanes import checked_name
 
 VEHICLE_CLASSES: Final = ("car", "van", "lorry", "bus")
@@ -102,7 +102,7 @@ SETTING_RANGES: Final = {
 """Settings that are numbers, and what they can be."""
 
 
-def read_traffic(table: Table, gates: tuple[str, ...], unknown: list[str]) -> TrafficSettings:
+def read_traffic(table: TomlTable, gates: tuple[str, ...], unknown: list[str]) -> TrafficSettings:
     """The table's settings, the default where it does not name one; keys that mean nothing are added to `unknown`.
 
     Args:
@@ -133,14 +133,14 @@ def read_traffic(table: Table, gates: tuple[str, ...], unknown: list[str]) -> Tr
     return settings
 
 
-def _interval(table: Table, default: int) -> int:
+def _interval(table: TomlTable, default: int) -> int:
     minutes = table.number("interval_minutes", default, low=1, high=SETTING_LIMITS.day_minutes)
     if minutes % 1 or SETTING_LIMITS.day_minutes % minutes:
         raise table.wrong("interval_minutes", f"expected whole minutes that a day is a multiple of, got {minutes:g}")
     return int(minutes)
 
 
-def _length_bins(table: Table) -> tuple[float, float] | None:
+def _length_bins(table: TomlTable) -> tuple[float, float] | None:
     """The two limits; None where the key is missing."""
     if "length_bins_m" not in table:
         return None
@@ -153,7 +153,7 @@ def _length_bins(table: Table) -> tuple[float, float] | None:
     return first, second
 
 
-def _pce_factors(table: Table) -> dict[str, float]:
+def _pce_factors(table: TomlTable) -> dict[str, float]:
     """The passenger-car equivalents, with defaults for the classes that the table does not name.
 
     Raises:
@@ -168,7 +168,7 @@ def _pce_factors(table: Table) -> dict[str, float]:
     return read
 
 
-def _names(table: Table, key: str, known: tuple[str, ...], what: str) -> tuple[str, ...] | None:
+def _names(table: TomlTable, key: str, known: tuple[str, ...], what: str) -> tuple[str, ...] | None:
     """A list of names, each of which is known; None where the key is missing."""
     if key not in table:
         return None

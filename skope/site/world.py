@@ -9,7 +9,7 @@ import numpy as np
 
 from skope.camera.geographic import geographic, local_metres, utm_metres
 from skope.errors import UserError
-from skope.records import Table
+from skope.records import TomlTable
 from skope.types import Array
 
 
@@ -52,7 +52,7 @@ UTM_ZONE: Final = re.compile(r"([1-9]|[1-5][0-9]|60)([NS])")
 _FARTHEST_M: Final = 1e8
 
 
-def read_world(table: Table, unknown: list[str]) -> Mapping[str, Any]:
+def read_world(table: TomlTable, unknown: list[str]) -> Mapping[str, Any]:
     """The table's values as they stand there: `origin`, and perhaps `axes`, `utm_zone`, `epsg` and `scale`.
 
     The origin is longitude and latitude in degrees, or easting and northing in metres of a UTM zone. Keys that mean
@@ -81,7 +81,7 @@ def read_world(table: Table, unknown: list[str]) -> Mapping[str, Any]:
     return out
 
 
-def _origin(table: Table, unknown: list[str]) -> dict[str, float]:
+def _origin(table: TomlTable, unknown: list[str]) -> dict[str, float]:
     """Raises UserError where it is neither in degrees nor in metres."""
     limits = {"longitude": 180.0, "latitude": 90.0}
     if "easting" in table or "northing" in table:

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from skope.camera.model import Camera
-from skope.tracks.track import Track
+from skope.normal_distribution import INTERVAL_SIGMAS
+from skope.tracks.track import KMH_PER_MPS, Track
 from skope.types import Array
 
 if TYPE_CHECKING:
@@ -149,10 +150,11 @@ def draw_labels(
 
 
 def label(track: Track, i: int) -> str:
-    """A track's number, with the speed that who moves has in its i-th frame, and its 95% interval."""
+    """A track's number, with the speed that who moves has in its i-th frame, and its 90% interval."""
     if track.speed[i] <= MAP_SYMBOLS.driving_mps:
         return f"#{track.number}"
-    return f"#{track.number}  {track.speed[i] * 3.6:.0f} ± {2 * track.speed_sigma[i] * 3.6:.0f} km/h"
+    return f"#{track.number}  {track.speed[i] * KMH_PER_MPS:.0f} ± "
+    f"{INTERVAL_SIGMAS * track.speed_sigma[i] * KMH_PER_MPS:.0f} km/h"
 
 
 def _around(anchor: Array, half: Array) -> Iterator[Array]:

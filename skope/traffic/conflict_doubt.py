@@ -7,13 +7,13 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from skope.normal_distribution import INTERVAL_LEVEL, INTERVAL_SIGMAS
 from skope.site.traffic_settings import TrafficSettings
 from skope.tracks.track import VEHICLE_LENGTH_SIGMA_M, Track
 from skope.traffic.collision import Doubt, deceleration_to_avoid, times_to_collision
 from skope.traffic.encroachment import Encroachment, by_places
 from skope.traffic.event_probability import event_probability
 from skope.traffic.footprints import FootprintPath
-from skope.traffic.normal_distribution import COUNT_INTERVAL_LEVEL, INTERVAL_SIGMAS
 from skope.types import Array
 
 
@@ -191,7 +191,7 @@ def _drawn(
 
 
 def _middle(drawn: Array) -> tuple[float, float]:
-    """Between what values lie with `COUNT_INTERVAL_LEVEL`; infinite ones are the largest."""
-    tail = round(len(drawn) * (1 - COUNT_INTERVAL_LEVEL) / 2)
+    """Between what values lie with `INTERVAL_LEVEL`; infinite ones are the largest."""
+    tail = round(len(drawn) * (1 - INTERVAL_LEVEL) / 2)
     ordered = np.sort(drawn)
     return float(ordered[tail]), float(ordered[-1 - tail])

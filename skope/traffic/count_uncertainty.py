@@ -19,12 +19,12 @@ import numpy as np
 from scipy.special import betaln, gammaln
 from scipy.stats import betabinom
 
-from skope.traffic.normal_distribution import COUNT_INTERVAL_LEVEL
+from skope.normal_distribution import INTERVAL_LEVEL
 from skope.types import Array
 
 Beta: TypeAlias = tuple[float, float]
 """Parameters a and b of a Beta distribution of a share; (0, 1): the share is 0."""
-_SIDE_LEVEL: Final = 1 - (1 - COUNT_INTERVAL_LEVEL) / 2
+_SIDE_LEVEL: Final = 1 - (1 - INTERVAL_LEVEL) / 2
 """Level of each of the two quantiles."""
 
 
@@ -43,7 +43,7 @@ DISTRIBUTION_LIMITS: Final = DistributionLimits()
 
 @dataclass(frozen=True)
 class CountInterval:
-    """Inclusive bounds of a true number at `COUNT_INTERVAL_LEVEL` (90%)."""
+    """Inclusive bounds of a true number at `INTERVAL_LEVEL` (90%)."""
 
     low: int
     high: int

@@ -11,13 +11,13 @@ import numpy as np
 from skope.camera.ground_plane import Ground, ground_places
 from skope.camera.model import Camera, same_aspect
 from skope.camera.uncertain_camera import moved_camera
+from skope.normal_distribution import at_most
 from skope.schema import VEHICLE_CATEGORY
 from skope.site.gates_zones_lanes import Gate, Outline, gate_at_size, line_on_road
 from skope.site.traffic_settings import TrafficSettings
 from skope.tracks.track import VEHICLE_LENGTH_SIGMA_M, Track, is_in_traffic
 from skope.traffic.event_probability import EVENT_FACTORS, crossing_probability, usual_step
 from skope.traffic.lanes import LaneMap
-from skope.traffic.normal_distribution import at_most
 from skope.traffic.observation import Observation
 from skope.traffic.passages import Passage, passages
 from skope.types import Array

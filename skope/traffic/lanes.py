@@ -9,9 +9,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from skope.normal_distribution import at_most
 from skope.site.gates_zones_lanes import Lane
 from skope.tracks.track import Track, is_in_traffic
-from skope.traffic.normal_distribution import at_most
 from skope.types import Array
 
 

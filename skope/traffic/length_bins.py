@@ -14,6 +14,7 @@ from typing import Final
 
 import numpy as np
 
+from skope.normal_distribution import at_most
 from skope.schema import VEHICLE_CATEGORY
 from skope.site.gates_zones_lanes import Gate
 from skope.site.traffic_settings import OF_VEHICLES, TrafficSettings
@@ -23,7 +24,6 @@ from skope.traffic.counting_intervals import ClockInterval
 from skope.traffic.gate_counts import observed_word
 from skope.traffic.gates import GateCrossing, direction_names
 from skope.traffic.missed_crossings import Unseen, Vanished
-from skope.traffic.normal_distribution import at_most
 from skope.traffic.observation import Observation
 from skope.types import Array
 

@@ -14,6 +14,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from skope.normal_distribution import INTERVAL_SIGMAS
 from skope.schema import PEDESTRIAN_CATEGORY
 from skope.site.traffic_settings import TrafficSettings
 from skope.tracks.track import KMH_PER_MPS, Track, worst_sigma
@@ -21,7 +22,6 @@ from skope.traffic.count_uncertainty import CountInterval, count_interval
 from skope.traffic.counting_intervals import ClockInterval
 from skope.traffic.event_probability import event_probability, queue_miss_rate
 from skope.traffic.lanes import LaneMap
-from skope.traffic.normal_distribution import INTERVAL_SIGMAS
 from skope.traffic.observation import Observation
 from skope.traffic.speeds import MOTOR_TRAFFIC, SectionPass, SpeedGroup
 from skope.types import Array

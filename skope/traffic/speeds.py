@@ -15,12 +15,12 @@ from typing import Final, TypeVar
 import numpy as np
 from scipy.special import bdtr
 
+from skope.normal_distribution import INTERVAL_LEVEL, INTERVAL_SIGMAS
 from skope.schema import PEDESTRIAN_CATEGORY
 from skope.site.traffic_settings import TRAFFIC_CLASSES
 from skope.tracks.track import Track, has_plausible_speed
 from skope.traffic.counting_intervals import ClockInterval
 from skope.traffic.gates import GateCrossing
-from skope.traffic.normal_distribution import COUNT_INTERVAL_LEVEL, INTERVAL_SIGMAS
 from skope.traffic.observation import Observation
 from skope.traffic.turning_movements import Movement
 
@@ -78,7 +78,7 @@ def speed_percentiles(
     for name, share in SPEED_PERCENTILES.items():
         ranks = order_ranks(n, share)
         if ranks is None:
-            least = math.ceil(math.log((1 - COUNT_INTERVAL_LEVEL) / 2) / math.log(max(share, 1 - share)))
+            least = math.ceil(math.log((1 - INTERVAL_LEVEL) / 2) / math.log(max(share, 1 - share)))
             out[name] = _refused(f"{n} vehicles: an interval needs {least}")
         elif ratio < SPEED_MODEL.least_ratio and share != 0.5:
             out[name] = _refused("speeds vary hardly more than they are uncertain")
@@ -108,11 +108,11 @@ def _ratio_sigma(ratio: float, n: int) -> float:
 
 
 def order_ranks(n: int, share: float) -> tuple[int, int] | None:
-    """Indices of two of n sorted values between which a quantile lies with `COUNT_INTERVAL_LEVEL`.
+    """Indices of two of n sorted values between which a quantile lies with `INTERVAL_LEVEL`.
 
     Each end errs with half of the rest at most. None where n is too small for that.
     """
-    tail = (1 - COUNT_INTERVAL_LEVEL) / 2
+    tail = (1 - INTERVAL_LEVEL) / 2
     ranks = np.arange(n)
     below = bdtr(ranks, n, share)  # so many values or fewer lie below the quantile
     # The k-th value (from 0) is above the quantile where k or fewer values lie below it.

@@ -11,8 +11,8 @@ import numpy as np
 
 from skope.files.csv_files import write_csv
 from skope.files.json_files import write_json
+from skope.normal_distribution import INTERVAL_LEVEL
 from skope.traffic.count_uncertainty import count_interval, in_json
-from skope.traffic.normal_distribution import COUNT_INTERVAL_LEVEL
 from skope.traffic.peak_hour import peak_hours_in_json
 from skope.traffic.report_tables import report_tables
 from skope.traffic.traffic_report import TrafficReport
@@ -97,7 +97,7 @@ def report_summary(report: TrafficReport, *, tracks: str | list[str], revision: 
         "observed_s": round(observation.observed_s, 3),
         "observed_spans_s": np.round(spans, 3).tolist(),
         "camera_common_sigma": observation.common_sigma,
-        "interval_level": COUNT_INTERVAL_LEVEL,
+        "interval_level": INTERVAL_LEVEL,
         "trajectories": len(report.trajectories),
         "joined": [[one.number, *one.joined] for one in report.trajectories if one.joined],
         "counts": totals,

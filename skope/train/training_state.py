@@ -24,7 +24,7 @@ from skope.train.run_config import RunConfig
 from skope.train.teacher import Teacher
 
 STATE_FILE = "resume.pt"
-PLAIN_FIELDS = ("origin", "fingerprints", "epochs_done", "steps_done", "sums", "history", "best")
+STATE_FIELDS = ("origin", "fingerprints", "epochs_done", "steps_done", "sums", "history", "best")
 
 
 @dataclass
@@ -64,7 +64,7 @@ class TrainingState:
             "detector": self.config.to_dict(),
             "optimizer": self.optimizer.state_dict(),
             "mean": None if self.mean is None else self.mean.state_dict(),
-            **{name: getattr(self, name) for name in PLAIN_FIELDS},
+            **{name: getattr(self, name) for name in STATE_FIELDS},
         }
 
 
@@ -143,7 +143,7 @@ def resume(run: Path, config: RunConfig, fingerprints: Sequence[str], device: to
         raise UserError(f"{run}: nothing saved yet to resume from ({STATE_FILE} is missing); leave out --resume")
     try:
         saved = torch.load(path, map_location="cpu", weights_only=True)
-        plain = {name: saved[name] for name in PLAIN_FIELDS}
+        plain = {name: saved[name] for name in STATE_FIELDS}
         detector_config = DetectorConfig.from_dict(saved["detector"])
         model = build(detector_config, trainable_layers=config.recipe.trainable_layers)
         model.load_state_dict(saved["model"])

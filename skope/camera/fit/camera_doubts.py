@@ -10,6 +10,7 @@ import numpy as np
 from skope.camera.fit.camera_unknowns import FOCAL, HEIGHT, RAY_LIMITS, camera_of_unknowns, on_road
 from skope.camera.fit.fit_camera import CameraEstimate, gain_of_pixel_width
 from skope.camera.uncertain_camera import slopes
+from skope.normal_distribution import INTERVAL_SIGMAS
 from skope.pose.fit_body_types import INLIER_VARIANCES
 from skope.types import Array
 
@@ -107,7 +108,8 @@ def _unknown(estimate: CameraEstimate) -> str | None:
     if ways <= DOUBT_LIMITS.distance_sigma and focal <= DOUBT_LIMITS.focal_sigma:
         return None
     return (
-        f"distances along the road are known within {2 * ways:.0%}, the focal length within {2 * focal:.0%} (95%); "
+        f"distances along the road are known within {INTERVAL_SIGMAS * ways:.0%}, the focal length within "
+        f"{INTERVAL_SIGMAS * focal:.0%} (90%); "
         "vehicles in other places and directions may tell more"
     )
 

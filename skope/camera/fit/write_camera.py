@@ -26,6 +26,7 @@ from skope.camera.uncertain_camera import slopes
 from skope.dataset.folder import PIXEL_WIDTH
 from skope.errors import UserError
 from skope.files.output_folders import write_new
+from skope.normal_distribution import INTERVAL_SIGMAS
 from skope.pose.keypoint_views import Scene
 from skope.terminal.console import counted
 from skope.types import Array
@@ -214,7 +215,8 @@ def from_vehicles(
         height=(fit.camera.position[2], fit.sigma_height),
     )
     yield (
-        f"distances and speeds: all within {2 * ways:.0%} of the truth, in one direction (95%), if the images are what "
+        f"distances and speeds: all within {INTERVAL_SIGMAS * ways:.0%} of the truth, in one direction (90%), "
+        f"if the images are what "
         "the camera saw, neither squeezed nor cropped"
     )
     if folder is not None:
@@ -230,22 +232,22 @@ def _part_of(scene: Scene) -> dict[str, Any]:
 
 
 def camera_figures(**values: tuple[float, float]) -> Iterator[str]:
-    """Lines with the camera's figures and their 95% intervals; angles are radians, each with its standard deviation."""
+    """Lines with the camera's figures and their 90% intervals. Angles are radians, each with its standard deviation."""
     (focal, focal_sigma), (height, height_sigma) = values["focal"], values["height"]
-    yield f"focal length {focal:.0f} px (95%: {_logarithmic(focal, focal_sigma, 0)})"
+    yield f"focal length {focal:.0f} px (90%: {_logarithmic(focal, focal_sigma, 0)})"
     angles = {
-        name: f"{math.degrees(value):.2f} deg (95%: {math.degrees(value - 2 * sigma):.2f} to "
-        f"{math.degrees(value + 2 * sigma):.2f})"
+        name: f"{math.degrees(value):.2f} deg (90%: {math.degrees(value - INTERVAL_SIGMAS * sigma):.2f} to "
+        f"{math.degrees(value + INTERVAL_SIGMAS * sigma):.2f})"
         for name, (value, sigma) in values.items()
         if name in ("pitch", "roll")
     }
     yield f"tilt down {angles['pitch']}; roll {angles['roll']}"
-    yield f"height {height:.2f} m (95%: {_logarithmic(height, height_sigma, 2)})"
+    yield f"height {height:.2f} m (90%: {_logarithmic(height, height_sigma, 2)})"
 
 
 def _logarithmic(value: float, sigma: float, digits: int) -> str:
-    """The 95% interval of a value whose logarithm is uncertain."""
-    factor = math.exp(2 * sigma / value)
+    """The 90% interval of a value whose logarithm is uncertain."""
+    factor = math.exp(INTERVAL_SIGMAS * sigma / value)
     return f"{value / factor:.{digits}f} to {value * factor:.{digits}f}"
 
 
@@ -282,7 +284,7 @@ def known_length(text: str) -> KnownLength:
 
 def doubt(name: Path | str, ways_sigma: float) -> str:
     """Common error of all distances under a camera, in words."""
-    return f"{name}: all distances and speeds may be off by {2 * ways_sigma:.0%}, in one direction (95%)"
+    return f"{name}: all distances and speeds may be off by {INTERVAL_SIGMAS * ways_sigma:.0%}, in one direction (90%)"
 
 
 def write_camera(out: Path, camera: Camera, besides: Mapping[str, Any]) -> Iterator[str]:

@@ -91,7 +91,7 @@ _BREAKDOWN_TITLES: Final = {
     "model": "Model seen in training",
     "keypoint_kind": "Keypoints of the body's own, or substituted",
 }
-LAYER_TITLES: Final = {
+DRAWN_LAYERS: Final = {
     "truth": "ground truth (solid; rings: hidden)",
     "found": "predictions (dashed; rings: score under 0.5)",
     "wrong": "failures (L/R sides swapped, F/R ends swapped)",
@@ -127,7 +127,7 @@ def render_page(
         "eval/report/report.html",
         title=f"{subject} ({', '.join(split.file.name for split in measured)})",
         subject=subject,
-        layers=LAYER_TITLES,
+        layers=DRAWN_LAYERS,
         protocol=protocol,
         about=[_about(document), _source(document["of"])],
         tables={name: _table(document, name, beside) for name in PROTOCOL_NAMES},

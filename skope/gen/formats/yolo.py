@@ -25,7 +25,7 @@ from skope.terminal.console import Console, counted
 
 VALIDATION_SHARE: Final = 0.1
 """Share of each training recording, at its end, that becomes part `val` of a dataset without such a split."""
-IMAGE_SUFFIXES: Final = frozenset((".bmp", ".dng", ".heic", ".jpeg", ".jpg", ".mpo", ".png", ".tif", ".tiff", ".webp"))
+YOLO_SUFFIXES: Final = frozenset((".bmp", ".dng", ".heic", ".jpeg", ".jpg", ".mpo", ".png", ".tif", ".tiff", ".webp"))
 """Of the pictures that Ultralytics reads."""
 YOLO_SPLITS, VAL = "train", "val"
 
@@ -39,10 +39,10 @@ def write(dataset: Dataset, out: Path, names: Sequence[str], console: Console) -
         own = file.labels_by_image()
         for image in console.bar(file.images, unit="image", label=f"writing {name}"):
             path = PurePosixPath(name) / _findable(bare_name(image.file_name))
-            if path.suffix.lower() not in IMAGE_SUFFIXES:
+            if path.suffix.lower() not in YOLO_SUFFIXES:
                 raise UserError(
                     f"{dataset.root}: {image.file_name}: Ultralytics reads no {path.suffix or 'files without a suffix'}"
-                    f" ({', '.join(sorted(IMAGE_SUFFIXES))})"
+                    f" ({', '.join(sorted(YOLO_SUFFIXES))})"
                 )
             place_file(dataset.root / image.file_name, out / "images" / path)
             labels = out / "labels" / path.with_suffix(".txt")

@@ -30,7 +30,7 @@ from skope.types import Array
 
 
 @dataclass(frozen=True)
-class RecordingLimits:
+class RecordingReach:
     """Distances up to which road users are simulated and recorded."""
 
     occupied_share: float = 0.5
@@ -65,7 +65,7 @@ class RecordingLimits:
     """Track ids of a site's recordings are this far apart, so that they never meet."""
 
 
-RECORDING_REACH: Final = RecordingLimits()
+RECORDING_REACH: Final = RecordingReach()
 
 
 @dataclass(frozen=True)

@@ -18,15 +18,14 @@ from skope.tracks.track import KMH_PER_MPS
 from skope.traffic.counting_intervals import ClockInterval
 from skope.traffic.gate_counts import observed_word
 from skope.traffic.gates import GateCrossing, direction_names
+from skope.traffic.speeds import MOTOR_CLASSES
 from skope.traffic.traffic_report import TrafficReport
 
 if TYPE_CHECKING:
     from skope.site.site_file import SiteParts
 
-LIGHT_CLASSES: Final = frozenset({"car", "van", "unknown"})
 HEAVY_CLASSES: Final = frozenset({"lorry", "bus"})
 """Detectors distinguish two kinds of vehicles."""
-MOTOR_CLASSES: Final = LIGHT_CLASSES | HEAVY_CLASSES | {"motorcycle"}
 GateSide = tuple[str, str]
 """A gate and a direction."""
 

@@ -11,6 +11,7 @@ from markupsafe import Markup
 
 from skope.camera.model import Camera
 from skope.files.atomic import write_text
+from skope.normal_distribution import INTERVAL_SIGMAS
 from skope.page.svg import tag
 from skope.page.templates import Cell, Table, render
 from skope.schema import VEHICLE_CATEGORY
@@ -19,7 +20,6 @@ from skope.tracks.track import KMH_PER_MPS
 from skope.traffic.count_uncertainty import in_words
 from skope.traffic.left_out_crossings import left_out_crossings
 from skope.traffic.length_bins import LENGTH_MODEL, NO_BIN
-from skope.traffic.normal_distribution import INTERVAL_SIGMAS
 from skope.traffic.page.charts import (
     counts_over_time,
     flow_diagram,

@@ -161,7 +161,7 @@ def test_a_camera_file_says_how_certain_it_is(skope: Any) -> None:
     document = json.loads(Path("c.json").read_text())
     assert np.array(document["covariance"]["matrix"]).shape == (5, 5)
     assert 0 < document["sigma"]["distance"] < 0.13
-    assert "(95%: " in out
+    assert "(90%: " in out
 
 
 @pytest.mark.slow
