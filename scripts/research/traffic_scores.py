@@ -35,6 +35,7 @@ from skope.dataset import coco
 from skope.dataset.folder import PREDICTIONS_FILE
 from skope.errors import UserError
 from skope.files.json_files import read_json, write_json
+from skope.normal_distribution import INTERVAL_SIGMAS
 from skope.schema import CATEGORY_NAMES, VEHICLE_CATEGORY, AnnotationFile, Labelled
 from skope.site.site_file import read_site
 from skope.tracks.csv_file import TRACKS_CSV, read_tracks
@@ -45,7 +46,6 @@ from skope.traffic.gate_counts import ALL_CLASSES, expected
 from skope.traffic.gates import GateCrossing, direction_names
 from skope.traffic.length_bins import bin_probabilities
 from skope.traffic.measure import measure
-from skope.normal_distribution import INTERVAL_SIGMAS
 from skope.traffic.observation import FOOTAGE_FILE, Observation, read_observation
 from skope.traffic.traffic_report import TrafficReport
 from skope.traffic.turning_movements import NO_GATE

@@ -150,11 +150,11 @@ def draw_labels(
 
 
 def label(track: Track, i: int) -> str:
-    """A track's number, with the speed that who moves has in its i-th frame, and its 90% interval."""
+    """A track's number and, if it moves, its speed in its i-th frame with the 90% interval."""
     if track.speed[i] <= MAP_SYMBOLS.driving_mps:
         return f"#{track.number}"
-    return f"#{track.number}  {track.speed[i] * KMH_PER_MPS:.0f} ± "
-    f"{INTERVAL_SIGMAS * track.speed_sigma[i] * KMH_PER_MPS:.0f} km/h"
+    speed, error = track.speed[i] * KMH_PER_MPS, INTERVAL_SIGMAS * track.speed_sigma[i] * KMH_PER_MPS
+    return f"#{track.number}  {speed:.0f} ± {error:.0f} km/h"
 
 
 def _around(anchor: Array, half: Array) -> Iterator[Array]:
