@@ -39,8 +39,7 @@ def name(field: str, value: Any) -> str:
     if not isinstance(value, str) or value.startswith(".") or not _is_part(value, NAME_LIMITS.name_bytes):
         raise UserError(
             f"{field}: expected a name of up to {NAME_LIMITS.name_bytes} bytes without slashes, control "
-            f"characters or a leading "
-            f"dot, got {_short(value)}"
+            f"characters or a leading dot, got {_short(value)}"
         )
     return value
 

@@ -231,8 +231,7 @@ def _of_gate(gate: Gate, report: "TrafficReport") -> Iterator[str]:
     if number >= max(REMARK_LIMITS.few_tracks, REMARK_LIMITS.many_share * total):
         yield (
             f"gate {gate.name!r}: {number} tracks begin or end within {REMARK_LIMITS.beside_m:g} m of it "
-            f"({total} crossings): many "
-            "may be missed; move it to where vehicles are seen on both sides"
+            f"({total} crossings): many may be missed; move it to where vehicles are seen on both sides"
         )
     perhaps = (*report.crossings, *report.unseen.doubtful)
     beside = sum("beside" in one.doubt and one.gate == gate.name for one in perhaps)

@@ -109,8 +109,7 @@ def _unknown(estimate: CameraEstimate) -> str | None:
         return None
     return (
         f"distances along the road are known within {INTERVAL_SIGMAS * ways:.0%}, the focal length within "
-        f"{INTERVAL_SIGMAS * focal:.0%} (90%); "
-        "vehicles in other places and directions may tell more"
+        f"{INTERVAL_SIGMAS * focal:.0%} (90%); vehicles in other places and directions may tell more"
     )
 
 
@@ -148,8 +147,7 @@ def _squeezed(estimate: CameraEstimate) -> str | None:
         return None
     return (
         f"the vehicles fit better if a pixel is {DOUBT_LIMITS.squeezed_aspect:.2f} times as wide as high: bring "
-        f"the images to the shape "
-        "that the camera saw"
+        f"the images to the shape that the camera saw"
     )
 
 

@@ -111,8 +111,7 @@ def sample_vehicles(
     if len(of_vehicle) < fewest:
         raise UserError(
             f"{scene.file.name}: {len(of_vehicle)} vehicles show {SAMPLE_LIMITS.fewest_keypoints} keypoints on "
-            f"{SAMPLE_LIMITS.least_edge_px:g} px or more, "
-            f"clear of others and of the image's edge; {fewest} are needed"
+            f"{SAMPLE_LIMITS.least_edge_px:g} px or more, clear of others and of the image's edge; {fewest} are needed"
         )
     spread = {number: _spread_out(candidates) for number, candidates in of_vehicle.items()}
     order = np.random.default_rng(0).permutation(list(spread)).tolist()

@@ -216,8 +216,7 @@ def from_vehicles(
     )
     yield (
         f"distances and speeds: all within {INTERVAL_SIGMAS * ways:.0%} of the truth, in one direction (90%), "
-        f"if the images are what "
-        "the camera saw, neither squeezed nor cropped"
+        f"if the images are what the camera saw, neither squeezed nor cropped"
     )
     if folder is not None:
         yield f"next: skope eval track {shlex.quote(str(folder))} --camera {shlex.quote(str(out))}"

@@ -28,8 +28,7 @@ def predict(
             metavar="PATH",
             help="Checkpoint file, run folder for its newest one, or weights that come with skope.",
             show_default=f"{weights.DEFAULT_WEIGHTS}; of a live stream the first of "
-            f"{', '.join(weights.BY_ACCURACY)} that "
-            "keeps up",
+            f"{', '.join(weights.BY_ACCURACY)} that keeps up",
         ),
     ] = None,
     camera: CameraOption = None,

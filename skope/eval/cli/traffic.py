@@ -180,8 +180,7 @@ def _report_of_footage(
     if hand_count is not None:
         raise UserError(
             f"--hand-count: needs a folder, not footage: `{COMMAND_NAME} {source} --site {site.path} --out "
-            f"{out}` first, "
-            f"then `{COMMAND_NAME} {again} --site {site.path}` with --hand-count and another --out"
+            f"{out}` first, then `{COMMAND_NAME} {again} --site {site.path}` with --hand-count and another --out"
         )
     draw = f"`skope eval site {source} --site {site.path}`"
     if site.camera is None and not any(gate.pixels for gate in site.gates):
