@@ -26,7 +26,7 @@ from scipy.optimize import minimize
 
 from skope import keypoints
 from skope.files.atomic import write_text
-from skope.gen.labels.boxes_and_masks import box_around
+from skope.gen.labels.annotate import box_around
 from skope.gen.labels.raycast import Fan
 from skope.gen.traffic.demand import DEMAND_LIMITS
 from skope.gen.vehicles.fleet import build_vehicle, fleet, jittered
