@@ -40,7 +40,7 @@ class GateLimits:
     near_m: float = 5.0
     """Positions within this distance of a gate set its hysteresis, metres."""
     vehicle_leave: float = 2.0
-    """A vehicle has left a line at this many times the least travel from it; other road users at once."""
+    """A vehicle has left a line at this many times the least travel from it; other road users at one times it."""
     beside_probability: float = 0.05
     """A crossing with a lower probability of being within the gate passes beside its end, and the reverse."""
 
