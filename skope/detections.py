@@ -17,8 +17,11 @@ from skope.records import check_image
 from skope.schema import AnyResult, Result, RoadUserResult
 from skope.types import Pixels
 
+KEPT_SCORE: Final = 0.5
+"""Default score above which detections are kept, tracked and drawn."""
+
 MIN_SCORE: Final = 0.05
-"""Detections that score less are not made, unless it is said otherwise."""
+"""Default score below which a detector reports nothing."""
 Chosen: TypeAlias = int | slice | Sequence[int] | Sequence[bool] | NDArray[np.bool_] | NDArray[np.integer]
 """Rows that are chosen: a number, a slice, numbers in their new order, or whether each row is."""
 

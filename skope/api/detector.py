@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from skope.api.footage import RoadHeight, Video, open_video
 from skope.camera.model import Camera
 from skope.dataset import folder
+from skope.detections import KEPT_SCORE, MIN_SCORE
 from skope.detector import weights
 from skope.errors import one_of
 from skope.records import check_image, check_number
@@ -76,7 +77,7 @@ class Detector:
         *,
         camera: str | Path | Camera | None = None,
         ground: RoadHeight = "auto",
-        score: float = 0.5,
+        score: float = KEPT_SCORE,
         every: int = 1,
         start_s: float = 0.0,
         end_s: float | None = None,
@@ -131,7 +132,7 @@ def load_detector(
     backend: str = "auto",
     precision: str = "auto",
     min_size: int | None = None,
-    min_score: float = 0.05,
+    min_score: float = MIN_SCORE,
     tiles: str = "none",
 ) -> Detector:
     """Load a detector.

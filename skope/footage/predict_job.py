@@ -12,6 +12,7 @@ from typing import Final, Protocol
 import numpy as np
 
 from skope.camera.model import Camera
+from skope.detections import KEPT_SCORE
 from skope.detector.device import choose_device
 from skope.detector.network_settings import Settings
 from skope.files.atomic import sha256_of
@@ -91,7 +92,7 @@ class PredictJob:
     """The detector: a file, a run folder, or a name of what comes with skope; None: what suits the footage of these."""
     out: Path
     settings: Settings = field(default_factory=Settings)
-    score: float = 0.5
+    score: float = KEPT_SCORE
     """Least score of a detection that is kept."""
     camera: Camera | None = None
     camera_info: Mapping[str, float] = field(default_factory=dict)

@@ -20,6 +20,7 @@ from skope.dataset import coco
 from skope.dataset.camera_of_file import read_camera, sized
 from skope.dataset.folder import FRAMES_FILE, PREDICTIONS_FILE
 from skope.dataset.image_selection import part as part_of
+from skope.detections import KEPT_SCORE
 from skope.errors import UserError
 from skope.metrics import read_inputs
 from skope.metrics.match import match
@@ -158,7 +159,7 @@ class Scene:
         return replace(view, found=found)
 
     def views(
-        self, *, score: float = 0.5, sigma_px: float | None = None, noise: float = 0.0, seed: int = 0
+        self, *, score: float = KEPT_SCORE, sigma_px: float | None = None, noise: float = 0.0, seed: int = 0
     ) -> Iterator[View]:
         """Every image with its detections, or its labelled vehicles, one after the other.
 

@@ -16,6 +16,7 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
+from skope.detections import KEPT_SCORE
 from skope.files.json_files import write_json
 from skope.files.progress import Progress
 from skope.pose.camera_error import with_camera_error
@@ -76,7 +77,9 @@ class PoseErrors:
         return PoseErrors(*(getattr(self, f.name)[mask] for f in fields(self)))
 
 
-def measure_poses(scene: Scene, *, noise: float = 0.0, score: float = 0.5, sigma_px: float | None = None) -> PoseErrors:
+def measure_poses(
+    scene: Scene, *, noise: float = 0.0, score: float = KEPT_SCORE, sigma_px: float | None = None
+) -> PoseErrors:
     """Measure the poses of a scene that has ground truth.
 
     Measured are its predictions, as far as they match a ground-truth vehicle with an IoU of 0.6, or, where it has none,

@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 
 from skope.camera.model import Camera
+from skope.detections import KEPT_SCORE
 from skope.errors import UserError
 from skope.pictures.draw import DRAWING_STYLE
 from skope.pose.keypoint_views import Scene, View
@@ -44,7 +45,6 @@ class CameraPictureSettings:
     farthest_m: float = 150.0
     letters_px: int = 18
     """Distances are written so far apart at least, pixels."""
-    score: float = 0.5
     grid_color: tuple[int, int, int] = (255, 255, 255)
     horizon_color: tuple[int, int, int] = (255, 120, 40)
     box_color: tuple[int, int, int] = (90, 235, 120)
@@ -112,9 +112,7 @@ def draw_camera_picture(scene: Scene, folder: Path) -> Pixels | None:
         UserError: The footage is not there any more, or cannot be read.
     """
     source = footage_of(folder, scene.file.info)
-    view = max(
-        scene.views(score=CAMERA_PICTURE_SETTINGS.score), key=lambda one: int((~one.interpolated).sum()), default=None
-    )
+    view = max(scene.views(score=KEPT_SCORE), key=lambda one: int((~one.interpolated).sum()), default=None)
     if source is None or view is None:
         return None
     camera = scene.camera_of(view.image)

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from skope.detections import KEPT_SCORE
 from skope.detector import weights
 from skope.detector.network_settings import TILE_CHOICES
 from skope.errors import UserError
@@ -46,7 +47,7 @@ def predict(
         str,
         counts(choices=TILE_CHOICES, help="auto: look at parts too where the image is larger than in the network."),
     ] = "none",
-    score: Annotated[float, output(help="Keep detections above this.")] = 0.5,
+    score: Annotated[float, output(help="Keep detections above this.")] = KEPT_SCORE,
     unconfirmed: Annotated[
         bool, output("--unconfirmed", help="On video, keep also what no other frame confirms.")
     ] = False,

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from skope.dataset.folder import FRAMES_FILE, PREDICTIONS_FILE
+from skope.detections import KEPT_SCORE
 from skope.errors import UserError
 from skope.eval.cli.options import check_pixels, check_probability, counts, data_option, numbers_of, output
 from skope.files.output_folders import claim_output
@@ -75,7 +76,7 @@ class SceneOptions(KeypointOptions):
             "unless they clearly show another; none: unknown, size tells distance.",
         ),
     ] = "auto"
-    score: ScoreOption = 0.5
+    score: ScoreOption = KEPT_SCORE
     sigma: SigmaOption = None
 
     def scene(self, *noise: float, console: Console) -> "Scene":
