@@ -17,9 +17,6 @@ from skope.records import check_image
 from skope.schema import AnyResult, Result, RoadUserResult
 from skope.types import Pixels
 
-KEPT_SCORE: Final = 0.5
-"""Default score above which detections are kept, tracked and drawn."""
-
 MIN_SCORE: Final = 0.05
 """Default score below which a detector reports nothing."""
 Chosen: TypeAlias = int | slice | Sequence[int] | Sequence[bool] | NDArray[np.bool_] | NDArray[np.integer]

@@ -12,7 +12,6 @@ from typing import Final, Protocol
 import numpy as np
 
 from skope.camera.model import Camera
-from skope.detections import KEPT_SCORE
 from skope.detector.device import choose_device
 from skope.detector.network_settings import Settings
 from skope.files.atomic import sha256_of
@@ -20,6 +19,7 @@ from skope.files.json_files import read_json
 from skope.files.output_folders import WORK_FILE, claim_output
 from skope.footage.confirmation import CONFIRMATION_LIMITS
 from skope.footage.key_frames import KEY_FRAME_LIMITS
+from skope.metrics.thresholds import KEPT_SCORE
 from skope.schema import CATEGORY_NAMES, AnyResult, Found
 from skope.tracking.box_links import LINK_LIMITS, BoxLinks
 from skope.types import Integers32

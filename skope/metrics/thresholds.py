@@ -17,3 +17,6 @@ class PaperThresholds:
 
 
 PAPER_THRESHOLDS: Final = PaperThresholds()
+
+KEPT_SCORE: Final = 0.5
+"""Default score above which detections are kept, tracked and drawn."""

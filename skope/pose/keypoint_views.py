@@ -20,10 +20,10 @@ from skope.dataset import coco
 from skope.dataset.camera_of_file import read_camera, sized
 from skope.dataset.folder import FRAMES_FILE, PREDICTIONS_FILE
 from skope.dataset.image_selection import part as part_of
-from skope.detections import KEPT_SCORE
 from skope.errors import UserError
 from skope.metrics import read_inputs
 from skope.metrics.match import match
+from skope.metrics.thresholds import KEPT_SCORE
 from skope.pose.camera_error import CALIBRATED_FIELD, calibrated_seconds, camera_of_info
 from skope.pose.turned_view import TurnedView, turned_view
 from skope.schema import Annotation, AnnotationFile, Image, Result, RoadUserResult

@@ -16,9 +16,9 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from skope.detections import KEPT_SCORE
 from skope.files.json_files import write_json
 from skope.files.progress import Progress
+from skope.metrics.thresholds import KEPT_SCORE
 from skope.pose.camera_error import with_camera_error
 from skope.pose.keypoint_views import Scene
 from skope.pose.pose_records import INTERPOLATED_REASON, Located, locate_view, records, write_poses

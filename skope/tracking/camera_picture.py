@@ -14,8 +14,8 @@ import cv2
 import numpy as np
 
 from skope.camera.model import Camera
-from skope.detections import KEPT_SCORE
 from skope.errors import UserError
+from skope.metrics.thresholds import KEPT_SCORE
 from skope.pictures.draw import DRAWING_STYLE
 from skope.pose.keypoint_views import Scene, View
 from skope.pose.pose_records import corners_of, locate_view

@@ -7,12 +7,12 @@ from typing import Annotated
 
 import typer
 
-from skope.detections import KEPT_SCORE
 from skope.detector import weights
 from skope.detector.network_settings import TILE_CHOICES
 from skope.errors import UserError
 from skope.eval.cli.options import FastMachineOptions, check_probability, counts, data_option, output
 from skope.eval.cli.scene_options import CameraOption
+from skope.metrics.thresholds import KEPT_SCORE
 from skope.terminal.command_options import DIR_METAVAR, PREDICTION_FOLDER
 from skope.terminal.console import Console
 

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from skope.dataset.folder import FRAMES_FILE, PREDICTIONS_FILE
-from skope.detections import KEPT_SCORE
 from skope.errors import UserError
 from skope.eval.cli.options import check_pixels, check_probability, counts, data_option, numbers_of, output
 from skope.files.output_folders import claim_output
+from skope.metrics.thresholds import KEPT_SCORE
 from skope.terminal.command_options import DIR_METAVAR, FILE_METAVAR
 from skope.terminal.console import Console
 
