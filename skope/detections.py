@@ -32,7 +32,7 @@ class RoadUserDetections:
     scores: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
     """(M,) confidence that this is one of its category, 0 to 1."""
     categories: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
-    """(M,) ids of their categories, 2 to 4, see `schema.CATEGORIES`."""
+    """(M,) ids of their categories, 2 to 4, see `schema.CATEGORY_NAMES`."""
 
     def __len__(self) -> int:
         return len(self.scores)

@@ -182,7 +182,7 @@ def _doubted(fit: WeightedFit, count: int) -> list[int]:
 
 
 def _pose_without(evidence: Evidence, wrong: frozenset[int]) -> list[Array]:
-    """Values of `PARAMETERS` that the other points alone show."""
+    """Values of `CAMERA_PARAMETERS` that the other points alone show."""
     kept = [point for i, point in enumerate(evidence.points) if i not in wrong]
     if len(kept) < POINT_FIT.fewest_points:
         return []

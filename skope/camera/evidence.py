@@ -105,7 +105,7 @@ class Belief:
     """A Gaussian that something else says of a camera: its vehicles, its maker, somebody with a ladder."""
 
     of: tuple[str, ...]
-    """Names in `skope.camera.uncertain_camera.PARAMETERS`."""
+    """Names in `skope.camera.uncertain_camera.CAMERA_PARAMETERS`."""
     mean: Array
     """(M,) in their units."""
     covariance: Array

@@ -71,7 +71,7 @@ def spread_around(
         own: The camera around which the covariance is taken.
         others: The other cameras that suit the evidence.
         chances: Probability of each of them.
-        unknown: Names of the P parameters that were solved for, of `PARAMETERS`.
+        unknown: Names of the P parameters that were solved for, of `CAMERA_PARAMETERS`.
 
     Returns:
         (P, P) what is added to the covariance of `own`, in the parameters' units; no direction's variance is made
@@ -96,7 +96,8 @@ def _between(one: WeightedFit, other: WeightedFit, names: Sequence[str]) -> Arra
 
 
 def _starts(evidence: Evidence) -> list[Array]:
-    """Values of `PARAMETERS` of cameras with several lenses that see the points where they are marked, or near."""
+    """Values of `CAMERA_PARAMETERS` of cameras with several lenses that see the points where they are marked, or
+    near."""
     uv, places = [point.pixel for point in evidence.points], [point.place for point in evidence.points]
     out = []
     for bend in OTHER_CAMERAS.distortions:

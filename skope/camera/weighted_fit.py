@@ -52,7 +52,7 @@ class WeightedFit:
     """The likeliest values of a camera's unknown parameters."""
 
     at: Array
-    """(8,) values of `PARAMETERS`."""
+    """(8,) values of `CAMERA_PARAMETERS`."""
     cost: float
     """Sum of the squares of the residuals, in standard deviations."""
     J: Array
@@ -86,7 +86,7 @@ def best_fit(
 
     Args:
         terms: The evidence.
-        starts: Values (8,) of `PARAMETERS` to begin with, one or more.
+        starts: Values (8,) of `CAMERA_PARAMETERS` to begin with, one or more.
         unknown: Names of the P parameters to solve for; the others stay as they begin.
         size: Width and height of the image, pixels.
 
@@ -112,7 +112,7 @@ def fit_terms(
 
     Args:
         terms: The evidence.
-        begun: (8,) values of `PARAMETERS` to begin with.
+        begun: (8,) values of `CAMERA_PARAMETERS` to begin with.
         unknown: Names of the P parameters to solve for; the others stay as they begin.
         size: Width and height of the image, pixels.
         rounds: Rounds at most; it ends earlier when nothing moves.
@@ -160,7 +160,7 @@ def camera_starts(evidence: Evidence, start: Camera | None, terms: Sequence[Evid
         terms: The evidence as terms, which rank the cameras.
 
     Returns:
-        Values (8,) of `PARAMETERS`, the best first: 1 of a given start, at most 2 from points, 6 of the grid.
+        Values (8,) of `CAMERA_PARAMETERS`, the best first: 1 of a given start, at most 2 from points, 6 of the grid.
 
     Raises:
         UserError: No camera sees the points as they were marked.

@@ -40,7 +40,7 @@ def read(path: Path) -> AnnotationFile:
 
     Args:
         path: A file that skope wrote, or any COCO keypoints file with the 33 keypoints of one of `keypoints.SCHEMES`,
-            whose categories are one alone, or `vehicle` and others of `schema.CATEGORIES` with their ids.
+            whose categories are one alone, or `vehicle` and others of `schema.CATEGORY_NAMES` with their ids.
 
     Raises:
         UserError: Something is missing, malformed or inconsistent; it names file, record and field.

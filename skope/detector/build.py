@@ -75,12 +75,12 @@ class DetectorConfig:
     anchors: tuple[int, ...] = NETWORK_DEFAULTS.anchors
     """Sides of the anchors of each level of the pyramid, finest first, pixels inside the network."""
     categories: tuple[str, ...] = schema.VEHICLE_ALONE
-    """Names of what it finds, of `schema.CATEGORIES`: label k of the network is the k-th, label 0 the background.
+    """Names of what it finds, of `schema.CATEGORY_NAMES`: label k of the network is the k-th, label 0 the background.
     Vehicles are label 1, and they alone have keypoints."""
     box_passes: int = 1
     """Passes of the box head: 2 lets it correct each box once more, from the box itself."""
     backbone: str = DEFAULT_BACKBONE
-    """Network that makes the feature maps: a name in `skope.detector.backbones.BACKBONES`."""
+    """Network that makes the feature maps: a name in `skope.detector.backbones.BACKBONE_CHOICES`."""
     pyramid_width: int = NETWORK_DEFAULTS.pyramid_width
     """Channels of the pyramid's maps, and of the proposals' head on them."""
     keypoint_layers: int = NETWORK_DEFAULTS.heads[0]

@@ -326,7 +326,8 @@ def read_scene(
 
 
 def _parts(file: AnnotationFile, views: Sequence[KnownView]) -> NDArray[np.intp] | None:
-    """(N,) index in `views` of the view that each image shows, or `MOVING`; None: all show one, as far as is known."""
+    """(N,) index in `views` of the view that each image shows, or `REGISTRATION_LIMITS.moving_view`; None: all show
+    one, as far as is known."""
     times = [image.time_s for image in file.images if image.time_s is not None]
     return view_numbers(views, times) if len(views) > 1 and len(times) == len(file.images) > 0 else None
 

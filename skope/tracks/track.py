@@ -58,7 +58,7 @@ class Track:
     category: str = VEHICLE_CATEGORY
     """Vehicle, bicycle, motorcycle or pedestrian."""
     class_name: str
-    """One of `skope.site.traffic_settings.CLASSES`."""
+    """One of `skope.site.traffic_settings.TRAFFIC_CLASSES`."""
     class_confidence: float
     """Probability that the class of a vehicle is right, 0 to 1."""
     times_s: Array

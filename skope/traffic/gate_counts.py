@@ -77,7 +77,7 @@ class Count:
     lane: str
     """A lane's name, "" for who is in none, or `ALL_CLASSES`."""
     class_name: str
-    """A class, `VEHICLE` for those on more than two wheels, or `ALL_CLASSES`."""
+    """A class, `VEHICLE_CATEGORY` for those on more than two wheels, or `ALL_CLASSES`."""
     count: int | None
     """None: nothing was observed."""
     expected: CountInterval | None
@@ -182,7 +182,7 @@ def _kinds(lanes: Sequence[str], settings: TrafficSettings, *, by_class: bool) -
 
 
 def row_classes(settings: TrafficSettings) -> tuple[str, ...]:
-    """`ALL_CLASSES`, and `VEHICLE` where vehicles and others are counted."""
+    """`ALL_CLASSES`, and `VEHICLE_CATEGORY` where vehicles and others are counted."""
     mixed = not OF_VEHICLES.isdisjoint(settings.classes) and not OF_VEHICLES.issuperset(settings.classes)
     return (ALL_CLASSES, VEHICLE_CATEGORY) if mixed else (ALL_CLASSES,)
 

@@ -43,7 +43,7 @@ class HandCount:
     """0 from the gate's left to its right as it is drawn, 1 back."""
     direction_name: str
     class_name: str
-    """A class, `MOTOR` or `ALL`."""
+    """A class, `MOTOR_TRAFFIC` or `ALL_CLASSES`."""
     interval: ClockInterval
     """Interval in which it was counted."""
     number: int

@@ -12,4 +12,4 @@ OTC_CLASSES: Final = {
     "bicycle": "bicyclist",
     "pedestrian": "pedestrian",
 }
-"""Each class of `skope.site.traffic_settings.CLASSES`, and its name there."""
+"""Each class of `skope.site.traffic_settings.TRAFFIC_CLASSES`, and its name there."""

@@ -38,7 +38,7 @@ class PeakHour:
     """Empty for the whole site: each road user counts once, at the first gate that it crosses."""
     direction: str
     class_name: str
-    """`VEHICLE` (more than two wheels), or `ALL` if the site counts no others, or no vehicles."""
+    """`VEHICLE_CATEGORY` (more than two wheels), or `ALL_CLASSES` if the site counts no others, or no vehicles."""
     begin_s: float
     """Seconds of the footage."""
     end_s: float
@@ -88,7 +88,7 @@ def peak_hours(report: TrafficReport) -> list[PeakHour]:
 
 
 def peak_hour_class(report: TrafficReport) -> str:
-    """`VEHICLE`, or `ALL` if the site counts vehicles alone, or none."""
+    """`VEHICLE_CATEGORY`, or `ALL_CLASSES` if the site counts vehicles alone, or none."""
     return VEHICLE_CATEGORY if VEHICLE_CATEGORY in row_classes(report.site.traffic) else ALL_CLASSES
 
 

@@ -76,7 +76,7 @@ class TurningCount:
     origin: GateDirection
     destination: GateDirection
     class_name: str
-    """`VEHICLE` for those on more than two wheels, or `ALL`."""
+    """`VEHICLE_CATEGORY` for those on more than two wheels, or `ALL_CLASSES`."""
     count: int | None
     """None: nothing was observed."""
     expected: CountInterval | None

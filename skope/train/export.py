@@ -4,7 +4,7 @@
 ONNX take an `image` (3, H, W), float32 sRGB from 0 to 1, of any size, and answer, best first, in pixels of
 that image: `boxes` (N, 4) xyxy, `scores` (N,) from 0 to 1, `keypoints` (N, 33, 2) x, y and `keypoint_scores` (N, 33)
 from 0 to 1. Where the detector has learnt other categories than vehicles, `categories` (N,) follows, ids from 1 as in
-`skope.schema.CATEGORIES`: of others than vehicles the keypoint scores are 0, and the keypoints mean nothing.
+`skope.schema.CATEGORY_NAMES`: of others than vehicles the keypoint scores are 0, and the keypoints mean nothing.
 
 Rounding to compact weights uses second moments of the layers' inputs, gathered from images.
 """

@@ -13,7 +13,7 @@ class NetworkShape:
     """Fields of `DetectorConfig` that a recipe may set; None: as the first weights have it, else torchvision's own."""
 
     backbone: str | None = None
-    """A name in `skope.detector.backbones.BACKBONES`."""
+    """A name in `skope.detector.backbones.BACKBONE_CHOICES`."""
     pyramid_width: int | None = None
     """Channels of the pyramid's maps."""
     keypoint_layers: int | None = None

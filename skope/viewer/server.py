@@ -36,7 +36,7 @@ def serve(collection: Collection, port: int | None, console: Console) -> None:
 
     Args:
         collection: What is shown.
-        port: Where the server listens; None: `PORT`, or any free one where that is taken.
+        port: Where the server listens; None: `SERVER_LIMITS.port`, or any free one where that is taken.
         console: Where the address is printed.
 
     Raises:

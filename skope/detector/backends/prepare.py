@@ -148,7 +148,7 @@ def prepare(
         model: On `device`, in evaluation mode; changed in place.
         metadata: Of its checkpoint.
         device: Where the rest is computed.
-        backend: `auto`, `torch`, or a key of `RUNTIMES`. `auto` is OpenVINO on a CPU where it is installed.
+        backend: `auto`, `torch`, or a key of `RUNTIME_CLASSES`. `auto` is OpenVINO on a CPU where it is installed.
         precision: Number format of the products: `float32`, `bfloat16`, `int8`, or `auto`, the fastest that backend,
             processor and checkpoint have.
         one_size: Whether images have one size, or few, for each of which a runtime may prepare.

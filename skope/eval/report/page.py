@@ -115,7 +115,7 @@ def render_page(
         measured: Scores of the splits.
         root: Folder that the paths of the images begin at; those whose files are not there are not shown.
         options: How was measured.
-        protocol: Which table is shown, one of `PROTOCOLS`.
+        protocol: Which table is shown, one of `PROTOCOL_NAMES`.
         beside: A published table (see `table.published`); None: none.
         subject: What was measured, for the title.
 

@@ -50,7 +50,7 @@ def render_table(
 
     Args:
         metrics: The content of `metrics.json`.
-        protocol: Which figures are shown, one of `PROTOCOLS`.
+        protocol: Which figures are shown, one of `PROTOCOL_NAMES`.
         width: Longest line of the table in characters; a single split may need more.
         beside: A published table (see `published`), whose rows stand below ours; None: none.
 

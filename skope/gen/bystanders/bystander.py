@@ -47,7 +47,7 @@ JOINTED_MAKERS: Final[dict[str, tuple[Callable[[Look], tuple[Mesh, ...]], Callab
 }
 BYSTANDER_KINDS: Final = tuple(FIGURE_MAKERS)
 CATEGORY_OF: Final = {"pedestrian": "pedestrian", "cyclist": "bicycle", "motorcyclist": "motorcycle"}
-"""The category (of `skope.schema.CATEGORIES`) of each kind."""
+"""The category (of `skope.schema.CATEGORY_NAMES`) of each kind."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -104,7 +104,7 @@ class Look:
     passenger: float = 0.0
     """Whether somebody rides along, on a bicycle a child in its seat: yes above 0.5."""
     machine: float = 0.0
-    """The machine that is ridden: number of one of `skope.gen.bystanders.riding.MACHINES`."""
+    """The machine that is ridden: number of one of `skope.gen.bystanders.riding.MACHINE_NAMES`."""
 
     @classmethod
     def drawn(cls, rng: np.random.Generator) -> "Look":

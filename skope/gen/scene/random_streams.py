@@ -141,7 +141,7 @@ class Variation:
     plans of other sites have 0 whatever the dataset has."""
     largest_vehicle: Range | None = None
     """Range of the height of the largest vehicle that a view's camera sees, as a share of the image's; None for
-    `skope.gen.scene.camera_sampling.LARGEST_VEHICLE_SHARE`."""
+    `skope.gen.scene.camera_sampling.CAMERA_SAMPLING.largest_vehicle`."""
     town_jitter: bool = False
     """Whether what stands along the roads is drawn anew; recordings that share their traffic share it too."""
     distractors: Range | None = None

@@ -131,7 +131,7 @@ def flashed(lamps: int, time: float, name: str) -> int:
     """The lamps that are lit at a time: indicators flash, with a phase that follows from the vehicle's name.
 
     Args:
-        lamps: Bits of `LAMPS` that are switched on.
+        lamps: Bits of `LAMP_BITS` that are switched on.
         time: Seconds.
         name: The vehicle's name.
     """

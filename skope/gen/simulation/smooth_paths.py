@@ -58,7 +58,7 @@ class Driven(NamedTuple):
     speed: float
     """Speed of the rear axle, forwards, m/s."""
     lamps: int
-    """Lamps that are lit, as bits of `skope.gen.scene.recording.LAMPS`."""
+    """Lamps that are lit, as bits of `skope.gen.scene.recording.LAMP_BITS`."""
     trailer: DrivenTrailer | None = None
     """Place of an articulated vehicle's trailer."""
 

@@ -122,7 +122,7 @@ class SumoVehicle(NamedTuple):
     speed: float
     """m/s."""
     lamps: int
-    """Lamps that are lit, as bits of `LAMPS`."""
+    """Lamps that are lit, as bits of `LAMP_BITS`."""
     trailer: SumoTrailer | None = None
 
 
@@ -390,5 +390,5 @@ class Traffic:
 
 @cache
 def _lamps(signals: int) -> int:
-    """Bits of `LAMPS` for the bits that SUMO has for a vehicle's signals."""
+    """Bits of `LAMP_BITS` for the bits that SUMO has for a vehicle's signals."""
     return sum(ours for theirs, ours in _SUMO_LAMPS.items() if signals & theirs)

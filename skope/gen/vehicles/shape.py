@@ -48,7 +48,7 @@ class Dimensions:
 
 @dataclass(frozen=True, kw_only=True)
 class Details:
-    """Parts of `skope.gen.vehicles.jittered_parts.DETAILS` that a vehicle has in place of its model's.
+    """Parts of `skope.gen.vehicles.jittered_parts.ALL_DETAILS` that a vehicle has in place of its model's.
 
     Each is the option's number, 0 for the model's own.
     """
@@ -218,7 +218,7 @@ class VehicleStyle:
     spoiler: bool = False
     """A lip over the rear window."""
     palette: str = "private"
-    """Name of the group of `PAINTS` that the model comes in."""
+    """Name of the group of `ALL_PAINTS` that the model comes in."""
     sign: bool = False
     """A taxi's sign on the roof."""
     spokes: int = 5
@@ -289,7 +289,8 @@ class VehicleStyle:
     """Material of the front number plate; "" for none."""
     rear_plate: str = "plate"
     plate_steps: int = 0
-    """Number of places by which the front number plate hangs above its usual one; a place is `parts.PLATE_STEP`."""
+    """Number of places by which the front number plate hangs above its usual one; a place is
+    `parts.PART_SIZES.plate_step_m`."""
     low_plate: bool = False
     """The rear number plate hangs in the bumper."""
     badge: str = "chrome"

@@ -73,7 +73,8 @@ def movement_matrices(report: TrafficReport, classes: Sequence[str]) -> list[Blo
 
     Args:
         report: The report.
-        classes: `ALL`, and `VEHICLE` if others are counted too; the first one has matrices by interval.
+        classes: `ALL_CLASSES`, and `VEHICLE_CATEGORY` if others are counted too; the first one has matrices by
+        interval.
 
     Returns:
         Empty if nobody was seen at two gates.
