@@ -152,6 +152,7 @@ RUNS: Final[Sequence[Run]] = (
         "curve {out} --look {checkpoint}@64@every --paths {footage}/v.json",
         says='{"rate": ',
     ),
+    Run("research/night_statistics.py", "real={dataset} now={dataset}", says="luma_50"),
     Run("research/marker_offsets.py", "{road}", says="kind                points"),
     Run("train_leg.py", "run 1 --out {out}", says="leg 1 goes on from weights: --state", code=2),
     Run("train_leg.py", "join {out} --out {out}/a.safetensors", says="parts.json", code=2),
@@ -295,7 +296,7 @@ def test_every_script_is_listed() -> None:
     files = [path for path in SCRIPTS.rglob("*") if path.is_file()]
     others = {path.name for path in files if path.suffix not in (".py", ".sh", ".pyc")}
     recipes = {"leg.toml", "lite.toml", "reference.toml", "world.toml"}
-    assert others == {*recipes, "legs.toml", "legs.jsonl"}
+    assert others == {*recipes, "legs.toml", "legs.jsonl", "demo_page.html"}
     for name in recipes:
         assert choose_recipe(str(SCRIPTS / "recipes" / name), gpu=True, bfloat16=True).name == Path(name).stem
 
@@ -501,14 +502,14 @@ def test_a_leg_learns_from_places_that_were_drawn_before(tmp_path: Path, monkeyp
     monkeypatch.syspath_prepend(str(SCRIPTS))
     leg = importlib.import_module("train_leg")
     (tmp_path / "second").mkdir()
-    (tmp_path / "second" / leg.CARD).write_text("{}")
+    (tmp_path / "second" / leg.CARD_FILE).write_text("{}")
 
     def make(places: Any, niceness: str, *command: str) -> None:
         time.sleep(0.5)
         if command[1] == "render":
             folder = Path(command[-1])
             folder.mkdir()
-            (folder / leg.CARD).write_text("{}")
+            (folder / leg.CARD_FILE).write_text("{}")
 
     monkeypatch.setattr(leg.Places, "_skope", make)
     places = leg.Places(tmp_path, {"first": "--preset demo", "second": "--preset demo"}, workers=1)
@@ -525,7 +526,7 @@ def test_a_leg_learns_from_places_that_another_makes(tmp_path: Path, monkeypatch
     places = leg.Places(tmp_path, {"first": "--preset demo", "second": "--preset demo"}, workers=0)
     assert places.wait_for(["first"], time.monotonic()) == []
     (tmp_path / "first").mkdir()
-    (tmp_path / "first" / leg.CARD).write_text("{}")
+    (tmp_path / "first" / leg.CARD_FILE).write_text("{}")
     assert places.wait_for(["first"], time.monotonic() + 60) == ["first"]
     places.stop()
 

@@ -5,6 +5,7 @@ Nothing is imported before it is wanted: many programs that tests start draw not
 
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from importlib.abc import MetaPathFinder
 from importlib.machinery import ModuleSpec, PathFinder
 from types import ModuleType
@@ -25,7 +26,7 @@ class _FewDirections(MetaPathFinder):
 
         def execute_and_change(module: ModuleType) -> None:
             execute(module)
-            module.SAMPLES = SAMPLES  # type: ignore[attr-defined]
+            module.LIGHT_SAMPLING = replace(module.LIGHT_SAMPLING, samples=SAMPLES)  # type: ignore[attr-defined]
 
         spec.loader.exec_module = execute_and_change  # type: ignore[method-assign]
         return spec

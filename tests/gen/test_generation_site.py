@@ -31,8 +31,8 @@ from skope.gen.render.gl.background import fitted_to_photograph
 from skope.gen.render.gl.renderer import device
 from skope.gen.scene import recording as recordings
 from skope.gen.scene.conditions import sun_direction, time_of_day
-from skope.gen.scene.random_streams import Variation
 from skope.gen.scene.recording import Recording, RecordingPlan
+from skope.gen.scene.variation import Variation
 from skope.gen.scenery.build import scenery
 from skope.gen.scenery.markings import markings, zebra_stripes
 from skope.gen.simulation.simulate import simulate

@@ -152,7 +152,7 @@ def test_resuming_keeps_what_the_run_began_with(tmp_path: Path) -> None:
 
 def test_the_next_command_carries_what_differs_from_the_defaults() -> None:
     every = ("train", "easy", "medium", "hard", "extra")
-    said = configure.next_command(Path("runs/b"), Path("d"), every, cli.RUN, cli.DATA)
+    said = configure.next_command(Path("runs/b"), Path("d"), every, cli.RUN_FOLDER, cli.DATA_FOLDER)
     assert said == "skope eval --split hard --data d --checkpoint runs/b"
 
 
@@ -161,7 +161,10 @@ def test_the_next_command_carries_what_differs_from_the_defaults() -> None:
     [(("easy", "medium", "train"), " --split medium"), (("train", "val", "own"), " --split own"), (("train",), "")],
 )
 def test_the_next_command_names_a_split_that_is_there(splits: tuple[str, ...], option: str) -> None:
-    assert configure.next_command(cli.RUN, cli.DATA, splits, cli.RUN, cli.DATA) == f"skope eval{option}"
+    assert (
+        configure.next_command(cli.RUN_FOLDER, cli.DATA_FOLDER, splits, cli.RUN_FOLDER, cli.DATA_FOLDER)
+        == f"skope eval{option}"
+    )
 
 
 def test_importing_the_command_line_does_not_import_torch() -> None:

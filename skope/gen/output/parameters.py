@@ -13,8 +13,8 @@ from skope.gen.labels.annotate import Rules
 from skope.gen.output import licences
 from skope.gen.output.frames import Encoding
 from skope.gen.scene.package_versions import versions
-from skope.gen.scene.random_streams import Variation
 from skope.gen.scene.recording import RecordingInfo
+from skope.gen.scene.variation import Variation
 from skope.records import dataclass_of, plain_values, shown
 from skope.schema import CATEGORY_NAMES, VEHICLE_ALONE
 from skope.types import Range

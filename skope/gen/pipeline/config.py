@@ -18,8 +18,9 @@ from skope.gen.output.writers import DATASET_FORMATS
 from skope.gen.render.lens import pinhole_of
 from skope.gen.scene import camera_sampling
 from skope.gen.scene.conditions import TIMES_OF_DAY, check_settings
-from skope.gen.scene.random_streams import Stream, Variation, rng
+from skope.gen.scene.random_streams import Stream, rng
 from skope.gen.scene.recording import RecordingPlan
+from skope.gen.scene.variation import Variation
 from skope.gen.towns.sites import Site, site, sites
 from skope.gen.traffic.sumo import step_for
 from skope.gen.vehicles.fleet import fleet

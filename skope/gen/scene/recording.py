@@ -22,7 +22,8 @@ from skope.files import safe_names
 from skope.files.atomic import read_bytes, write_bytes
 from skope.gen.bystanders import bystander
 from skope.gen.scene.conditions import Conditions
-from skope.gen.scene.random_streams import Stream, Variation, rng
+from skope.gen.scene.random_streams import Stream, rng
+from skope.gen.scene.variation import Variation
 from skope.gen.towns.sites import Site
 from skope.gen.towns.town import Mast, OwnRoad, Town, Variant, towns
 from skope.gen.vehicles.fleet import build_vehicle

@@ -195,8 +195,8 @@ def test_images_of_footage_come_from_their_folder(tmp_path: Path) -> None:
 
 
 def test_frames_of_a_video_are_decoded_in_any_order(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    for name, value in (("_KEPT_FRAMES", 3), ("_KEPT_BEFORE", 1), ("SEEK_FRAMES", 2)):
-        monkeypatch.setattr(frame_cache, name, value)
+    monkeypatch.setattr(frame_cache, "CACHE_SIZE", frame_cache.CacheSize(frames=3, before=1))
+    monkeypatch.setattr(frame_cache, "FOOTAGE_LIMITS", replace(frame_cache.FOOTAGE_LIMITS, seek_frames=2))
     write_video(tmp_path / "bridge.mp4", frames(10), 10)
     seen = collection(predicted(tmp_path / "out", records(10), "../bridge.mp4"))
     images = seen.splits[0].file.images

@@ -12,8 +12,8 @@ from skope.errors import UserError
 from skope.gen.labels.annotate import Rules
 from skope.gen.output.frames import Encoding
 from skope.gen.output.parameters import DatasetPlan, OwnSiteRecord, Parameters
-from skope.gen.scene.random_streams import Variation
 from skope.gen.scene.recording import RecordingInfo
+from skope.gen.scene.variation import Variation
 
 OWN = OwnSiteRecord(file="site.toml", digests={"site": "ab"}, town="cd", photograph=True, splits=("train", "test"))
 PARAMETERS = Parameters(

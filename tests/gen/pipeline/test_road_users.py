@@ -198,7 +198,7 @@ def test_only_three_presets_label_people() -> None:
         assert request.parameters.variation.road_users == on
         assert request.parameters.categories == (schema.CATEGORY_NAMES if on else ("vehicle",))
         assert all(plan.variation.road_users == on for plan in request.plans())
-        assert ("road_users" in request.parameters.to_dict()) == on
+        assert request.parameters.to_dict()["road_users"] == on
     off = from_preset("world", seed=0, renderer="gl", driver="", rules=Rules(), frames=2, road_users=False)
     assert not off.parameters.variation.road_users
 

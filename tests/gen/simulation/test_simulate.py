@@ -9,8 +9,8 @@ import pytest
 
 from skope.errors import UserError
 from skope.gen.scene import recording as recordings
-from skope.gen.scene.random_streams import Variation
 from skope.gen.scene.recording import LAMP_BITS, RecordingPlan
+from skope.gen.scene.variation import Variation
 from skope.gen.scenery.build import bays_of
 from skope.gen.simulation.physics import World, at_rest
 from skope.gen.simulation.recorder import Recorder, parked_vehicles
