@@ -36,7 +36,7 @@ from skope.dataset.folder import open_dataset, read_image
 from skope.files.atomic import replacing
 from skope.gen.inspect.vehicle_models import parked_recording
 from skope.gen.labels.annotate import Rules, annotate
-from skope.gen.labels.visibility import VISIBILITY_LIMITS, behind
+from skope.gen.labels.visibility import VISIBILITY_TOLERANCES, behind
 from skope.gen.labels.world_keypoints import WorldKeypoints, world_keypoints
 from skope.gen.pipeline.config import from_preset
 from skope.gen.render.choose_renderer import choose_renderer, make_renderer
@@ -296,8 +296,8 @@ def occlusion_figure(scene: Scene) -> Figure:
         left, scene, int(np.nanargmax(np.where(kinds == "hidden by something else", gap, np.nan))), points, (0, -95)
     )
     for tolerance, words in (
-        (VISIBILITY_LIMITS.point_m, "a point is hidden"),
-        (VISIBILITY_LIMITS.vehicle_m, "counts for the whole vehicle"),
+        (VISIBILITY_TOLERANCES.point_m, "a point is hidden"),
+        (VISIBILITY_TOLERANCES.vehicle_m, "counts for the whole vehicle"),
     ):
         right.axhline(tolerance, color="black", lw=0.8, ls="--")
         right.text(32.4, tolerance * 1.08, f"> {tolerance:g} m: {words}", ha="right", va="bottom", fontsize=9)

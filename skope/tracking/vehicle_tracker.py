@@ -156,7 +156,8 @@ def follow(images: Iterable[Sequence[Detection]], times_s: Sequence[float]) -> l
         times_s: Seconds of each image, rising.
 
     Returns:
-        A track for each vehicle that has three poses or more over 0.4 s or more, numbered from 1 by its first frame.
+        A track for each vehicle with enough poses (`skope.tracking.tracks.TRACK_LIMITS`), numbered from 1 by its first
+        frame.
 
     Raises:
         ValueError: The times do not rise.

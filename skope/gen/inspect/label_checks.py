@@ -11,7 +11,7 @@ from pycocotools import mask as coco_mask
 
 from skope import keypoints
 from skope.camera.model import Camera
-from skope.gen.labels.visibility import VISIBILITY_LIMITS
+from skope.gen.labels.visibility import VISIBILITY_TOLERANCES
 from skope.pictures.draw import visible_mask
 from skope.schema import Annotation, Image, Labelled, RoadUser, far_outside
 from skope.types import AnyFloats
@@ -215,19 +215,19 @@ def visibility_findings(depth: AnyFloats, camera: Camera, annotation: Annotation
     at_edge = np.isnan(gaps).any(axis=0)
     with np.errstate(invalid="ignore"):
         doubt = LABEL_TOLERANCES.depth_doubt_m + np.minimum(
-            np.nan_to_num(most - least, nan=VISIBILITY_LIMITS.slope_m, posinf=VISIBILITY_LIMITS.slope_m),
-            VISIBILITY_LIMITS.slope_m,
+            np.nan_to_num(most - least, nan=VISIBILITY_TOLERANCES.slope_m, posinf=VISIBILITY_TOLERANCES.slope_m),
+            VISIBILITY_TOLERANCES.slope_m,
         )
     v = annotation.keypoints[:, 2]
     near = (
         np.linalg.norm(camera.to_camera(annotation.keypoints_3d), axis=1) < LABEL_TOLERANCES.depth_limit_m
     ) & ~at_edge
-    for k in np.flatnonzero(near & (v == 2) & (least > VISIBILITY_LIMITS.point_m + doubt)):
+    for k in np.flatnonzero(near & (v == 2) & (least > VISIBILITY_TOLERANCES.point_m + doubt)):
         yield f"keypoints: {keypoints.NAMES[k]} has v = 2, but the depth file shows {least[k]:.2f} m less"
     for k in np.flatnonzero(
         near
         & (annotation.bbox[2:].max() >= LABEL_TOLERANCES.sharp_px)
         & (v == 1)
-        & (most < VISIBILITY_LIMITS.point_m - LABEL_TOLERANCES.depth_doubt_m)
+        & (most < VISIBILITY_TOLERANCES.point_m - LABEL_TOLERANCES.depth_doubt_m)
     ):
         yield f"keypoints: {keypoints.NAMES[k]} has v = 1, but the depth file shows nothing before it"

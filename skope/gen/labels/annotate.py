@@ -17,7 +17,7 @@ from skope.camera.model import Camera
 from skope.errors import UserError, one_of
 from skope.gen.bystanders import bystander
 from skope.gen.bystanders.bystander import CATEGORY_OF
-from skope.gen.labels.visibility import VISIBILITY_LIMITS, behind, find_hidden
+from skope.gen.labels.visibility import VISIBILITY_TOLERANCES, behind, find_hidden
 from skope.gen.labels.world_keypoints import LOCALIZER_CHOICES, world_keypoints
 from skope.gen.render.frame import RenderedFrame
 from skope.gen.scene.recording import Moment
@@ -236,7 +236,7 @@ def annotate(
     gap, shown = behind(view, camera, world.tested)
     own = shown[0] == np.array(seen, dtype=np.int32).reshape(-1, 1) + 1
     v = np.where(inside, np.where(find_hidden(moment, world, view, camera, inside, gap, shown), 1, 2), 0)
-    hidden = inside & (np.nan_to_num(gap[0], nan=0.0) > VISIBILITY_LIMITS.vehicle_m)
+    hidden = inside & (np.nan_to_num(gap[0], nan=0.0) > VISIBILITY_TOLERANCES.vehicle_m)
     by_others = occluded_by_others(hidden & ~own, inside)
     by_paper = hidden.sum(-1) * 2 > keypoints.K
     tally = RuleCounts()

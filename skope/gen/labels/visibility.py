@@ -27,14 +27,14 @@ class VisibilityTolerances:
     """Largest allowance for the slope of a surface within a pixel, metres; see `behind`."""
 
 
-VISIBILITY_LIMITS: Final = VisibilityTolerances()
+VISIBILITY_TOLERANCES: Final = VisibilityTolerances()
 
 
 def behind(view: RenderedFrame, camera: Camera, points: Array) -> tuple[Array, NDArray[np.int32]]:
     """Distance of points behind the surfaces that the four pixels around them show.
 
     A pixel's depth is that of its centre, not of the point's ray: what the surface's slope can make between the two is
-    subtracted, up to `VISIBILITY_LIMITS.slope_m`.
+    subtracted, up to `VISIBILITY_TOLERANCES.slope_m`.
 
     Args:
         view: The rendered frame.
@@ -63,7 +63,7 @@ def behind(view: RenderedFrame, camera: Camera, points: Array) -> tuple[Array, N
     finite = np.isfinite(depth)
     z = np.where(finite, depth, 1.0)
     room = np.abs(z / np.maximum(1 - shift / z, 1e-3) - z)
-    slack = np.minimum(np.where(finite, room, 0.0) * length, VISIBILITY_LIMITS.slope_m)
+    slack = np.minimum(np.where(finite, room, 0.0) * length, VISIBILITY_TOLERANCES.slope_m)
     gap = np.linalg.norm(camera.to_camera(points), axis=-1) - depth * length - slack
     return np.where(seen, gap, np.nan), np.where(seen, view.ids[rows, columns], -2).astype(np.int32)
 
@@ -96,7 +96,7 @@ def find_hidden(
     Returns:
         (N, 33) which are hidden.
     """
-    blocked = np.nan_to_num(gap, nan=0.0) > VISIBILITY_LIMITS.point_m
+    blocked = np.nan_to_num(gap, nan=0.0) > VISIBILITY_TOLERANCES.point_m
     hidden: Mask = blocked[0].copy()
     edge = (blocked != blocked[0]).any(axis=0) | (shown != shown[0]).any(axis=0)
     # A wheel's centre may be inside the image while the middle of its face, which is tested, is not.
@@ -106,10 +106,10 @@ def find_hidden(
         points = world.tested[doubtful]
         away = np.linalg.norm(points - camera.position, axis=-1)
         hits = RayCaster(moment, [body_of(recorded) for recorded in moment.vehicles], camera).first_hits(points)
-        hidden[doubtful] = away - hits > VISIBILITY_LIMITS.point_m
+        hidden[doubtful] = away - hits > VISIBILITY_TOLERANCES.point_m
         hidden |= blocked.all(axis=0) & (shown == STATIC_ID).any(axis=0)
     if beyond.any():
         # No ray meets scenery: the pixel of the wheel's centre shows it, which its own face is before.
         to_center, at_center = behind(view, camera, world.points[beyond])
-        hidden[beyond] |= (at_center[0] == STATIC_ID) & (to_center[0] > VISIBILITY_LIMITS.vehicle_m)
+        hidden[beyond] |= (at_center[0] == STATIC_ID) & (to_center[0] > VISIBILITY_TOLERANCES.vehicle_m)
     return hidden

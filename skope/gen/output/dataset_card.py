@@ -118,12 +118,13 @@ def label_rules(rules: Rules) -> list[str]:
     return [
         "v = 2: visible; v = 1: inside the image but hidden by the vehicle itself or by something else; "
         "v = 0: outside the image, x = y = 0.",
-        f"A keypoint is hidden when it lies more than {visibility.VISIBILITY_LIMITS.point_m} m behind the surface that "
+        f"A keypoint is hidden when it lies more than {visibility.VISIBILITY_TOLERANCES.point_m} m behind the "
+        f"surface that "
         f"the four pixels around it show, after allowing for that surface's slope (at most "
-        f"{visibility.VISIBILITY_LIMITS.slope_m} m); where "
+        f"{visibility.VISIBILITY_TOLERANCES.slope_m} m); where "
         "they disagree, when a vehicle's own shape stands before it on its own ray, or its own pixel shows something "
         "else.",
-        f"A vehicle is {by_rule} (tolerance {visibility.VISIBILITY_LIMITS.vehicle_m} m).",
+        f"A vehicle is {by_rule} (tolerance {visibility.VISIBILITY_TOLERANCES.vehicle_m} m).",
         "A vehicle without a visible pixel has no annotation.",
         f"Ignored (iscrowd = 1): sliver, less than {rules.min_visible:.0%} of its silhouette unhidden and inside the "
         f"image; small, shorter edge of its box under {rules.min_box:g} px or fewer than "

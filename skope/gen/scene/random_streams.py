@@ -1,5 +1,4 @@
-"""What is drawn at random for a recording: the ways in which it may differ from its site, and a named stream of random
-numbers for each.
+"""Named streams of random numbers, one for each thing that is drawn for a recording.
 
 A draw depends on the dataset's seed, the recording's site and number and on what is drawn, and on nothing else, so that
 one more draw for one thing leaves all others as they are.
