@@ -118,7 +118,12 @@ def test_a_wrong_point_is_named_in_what_is_said_and_written(skope: Any) -> None:
 @pytest.mark.parametrize(
     ("name", "text", "size", "said"),
     [
-        ("s.toml", "[calibration]\npoints = [{ pixel = [1] }]\n", [], "s.toml: calibration.points[1].pixel: expected column and row"),
+        (
+            "s.toml",
+            "[calibration]\npoints = [{ pixel = [1] }]\n",
+            [],
+            "s.toml: calibration.points[1].pixel: expected column and row",
+        ),
         ("s.toml", "time_zone = 'UTC'\n", [], "s.toml: calibration: missing"),
         ("s.toml", "[calibration]\nheight_m = [5, 0.1]\n", [], "s.toml: calibration.size: missing"),
         ("s.toml", "[calibration]\nsize = [640, 480]\n", [], "s.toml: calibration: nothing tells metres"),
