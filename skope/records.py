@@ -8,7 +8,7 @@ import difflib
 import math
 import tomllib
 import types
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, is_dataclass
 from pathlib import Path
 from typing import Any, Final, Self, TypeGuard, TypeVar, Union, get_args, get_origin, get_type_hints
@@ -119,7 +119,7 @@ def check_array(name: str, value: Any, *shape: int) -> Array:
     """
     try:
         result = np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise UserError(f"{name}: expected numbers, got {str(value)[: RECORD_LIMITS.shown_letters]!r}") from None
     if result.size != math.prod(shape):
         expected = " x ".join(map(str, shape))
@@ -190,14 +190,10 @@ def dataclass_of(cls: type[T], values: Any, where: str, defaults: Mapping[str, A
         UserError: A field is missing, unknown, or of another type.
     """
     if not isinstance(values, Mapping):
-        raise UserError(f"{where}: expected an object, got {shown(values)}")
+        raise UserError(f"{where.rstrip(': ')}: expected an object, got {shown(values)}")
     hints = get_type_hints(cls)
     known = [field.name for field in fields(cls)]  # type: ignore[arg-type]
-    for name in values:
-        if name not in known:
-            close = difflib.get_close_matches(str(name), known, n=1)
-            hint = f"did you mean {close[0]}?" if close else f"expected {', '.join(sorted(known))}"
-            raise UserError(f"{_joined(where, name)}: unknown field; {hint}")
+    check_known(values, known, where)
     made = dict(defaults or {})
     for name in known:
         if name in values:
@@ -210,13 +206,26 @@ def dataclass_of(cls: type[T], values: Any, where: str, defaults: Mapping[str, A
         raise UserError(_joined(where, str(error))) from None
 
 
+def check_known(values: Mapping[str, Any], known: Sequence[str], where: str) -> None:
+    """Raise a UserError if a mapping has a key that is not among `known`; the message suggests one."""
+    for name in values:
+        if name not in known:
+            close = difflib.get_close_matches(str(name), known, n=1)
+            hint = f"did you mean {close[0]}?" if close else f"expected {', '.join(sorted(known))}"
+            raise UserError(f"{_joined(where, name)}: unknown field; {hint}")
+
+
 def with_values(base: T, values: Any, where: str) -> T:
     """A copy of a dataclass with other values, as `dataclass_of` reads them.
 
-    A field that is itself a dataclass is changed, not replaced: its table may have some of its fields.
+    A field that is itself a dataclass is changed, not replaced: its table may have some of its fields. The text "none"
+    stands for None, for which TOML and flags have no word.
     """
     own = {field.name: getattr(base, field.name) for field in fields(base)}  # type: ignore[arg-type]
+    hints = get_type_hints(type(base))
     if isinstance(values, Mapping):
+        optional = [name for name in values if name in hints and type(None) in get_args(hints[name])]
+        values = {**values, **{name: None for name in optional if values[name] == NONE_WORD}}
         values = {
             name: with_values(own[name], value, _joined(where, name)) if is_dataclass(own.get(name)) else value
             for name, value in values.items()
@@ -236,7 +245,7 @@ def value_of(value: Any, hint: Any, where: str) -> Any:
         UserError: The value is not of this type.
     """
     choices = get_args(hint) if get_origin(hint) in (Union, types.UnionType) else (hint,)
-    if type(None) in choices and value in (None, NONE_WORD):
+    if type(None) in choices and value is None:
         return None
     for choice in choices:
         if is_dataclass(choice) and isinstance(value, choice):  # type: ignore[arg-type]

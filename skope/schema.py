@@ -47,16 +47,16 @@ WEATHER_NAMES: Final = ("clear", "cloudy", "overcast", "rain", "after_rain", "fo
 
 
 @dataclass(frozen=True)
-class EdgeTolerance:
-    """How far a box may lie outside its image."""
+class KeypointTolerance:
+    """How far a labelled keypoint may lie outside its box."""
 
     share: float = 0.1
-    """Share of the image's size."""
+    """Share of the box's longer edge."""
     pixels: float = 2.0
-    """Pixels."""
+    """Least tolerance, pixels."""
 
 
-EDGE_TOLERANCE: Final = EdgeTolerance()
+KEYPOINT_TOLERANCE: Final = KeypointTolerance()
 
 IGNORE_REASONS: Final = ("occluded", "sliver", "small", "unseen")
 
@@ -293,7 +293,7 @@ def far_outside(annotation: Annotation) -> NDArray[np.bool_]:
     points = annotation.keypoints[:, :2]
     away = np.maximum(low - points, points - low - size).max(axis=1)
     far: NDArray[np.bool_] = (annotation.keypoints[:, 2] > 0) & (
-        away > max(EDGE_TOLERANCE.share * size.max(), EDGE_TOLERANCE.pixels)
+        away > max(KEYPOINT_TOLERANCE.share * size.max(), KEYPOINT_TOLERANCE.pixels)
     )
     return far
 

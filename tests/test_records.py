@@ -9,7 +9,16 @@ import numpy as np
 import pytest
 
 from skope.errors import UserError
-from skope.records import check_image, check_number, check_share, dataclass_of, is_number, value_of, with_values
+from skope.records import (
+    check_array,
+    check_image,
+    check_number,
+    check_share,
+    dataclass_of,
+    is_number,
+    value_of,
+    with_values,
+)
 from skope.site.mark_parser import number_or_none
 
 NO_NUMBERS = (True, False, None, "1", [1], math.nan, math.inf, -math.inf, 10**400)
@@ -94,10 +103,16 @@ def test_values_of_a_nested_table_change_alone() -> None:
     assert changed == Outer("a", 4, {"x": 1.0}, Inner((), (1, 2)))
 
 
-def test_none_has_a_word() -> None:
-    assert value_of("none", int | None, "a") is None
-    with pytest.raises(UserError, match="a: expected a whole number or none, got 'nothing'"):
-        value_of("nothing", int | None, "a")
+def test_none_has_a_word_where_there_is_none_in_the_language() -> None:
+    base = Inner((), (1, 2))
+    assert with_values(base, {"limits": "none"}, "--set ").limits is None
+    with pytest.raises(UserError, match="a: expected a whole number or none, got 'none'"):
+        value_of("none", int | None, "a")
+
+
+def test_numbers_of_any_length_are_rejected() -> None:
+    with pytest.raises(UserError, match="a: expected numbers"):
+        check_array("a", [10**400], 1)
 
 
 RGB = np.random.default_rng(0).integers(0, 256, (12, 20, 3)).astype(np.uint8)

@@ -52,6 +52,7 @@ from skope.dataset.image_selection import part
 from skope.errors import UserError
 from skope.footage.confirmation import Confirmation
 from skope.keypoints import FLIP, OTHER_END
+from skope.normal_distribution import INTERVAL_SIGMAS
 from skope.pose.camera_error import with_camera_error
 from skope.pose.keypoint_views import Scene, read_scene
 from skope.pose.pose_records import locate_view
@@ -199,7 +200,7 @@ def measure(name: str, file: AnnotationFile, results: list[Result] | None, how: 
         f"{said}: {estimate.vehicles} vehicles, focal x{math.exp(row.off[0]):.2f} tilt {math.degrees(row.off[1]):+.1f} "
         f"height x{math.exp(row.off[2]):.2f} (in sigmas {' '.join(f'{v:.1f}' for v in row.sigmas)}), distances "
         f"{np.median(row.distances):+.1%} ways {np.median(row.ways) if row.ways.size else 0.0:+.1%}, said within "
-        f"{2 * sigma_of_ways(estimate):.0%}",
+        f"{INTERVAL_SIGMAS * sigma_of_ways(estimate):.0%}",
         flush=True,
     )
     return row

@@ -31,10 +31,9 @@ class CalibrationRules:
     """Largest distance of a correct keypoint, as a share of the longer edge of the box."""
     iou: float = 0.6
     """IoU of a correct box."""
-    # How firmly each keypoint's two numbers are held to those of all keypoints together, in units of one observation:
-    # what is hardly ever seen takes theirs, what is seen hundreds of times its own.
     prior_weight: float = 1.0
-    """Weight of the prior of the fit."""
+    """Weight with which each keypoint's two numbers are pulled to those of all keypoints together, in observations. A
+    keypoint that is rarely seen takes theirs, one that is seen hundreds of times its own."""
     fit_steps: int = 50
     """Steps of the fit."""
 

@@ -20,8 +20,8 @@ from skope.types import Array, Integers
 
 
 @dataclass(frozen=True)
-class BootstrapRules:
-    """Blocks and level of bootstrap intervals."""
+class IntervalRules:
+    """Blocks and level of the intervals."""
 
     block_s: float = 10.0
     """Length of a block of the only recording, seconds."""
@@ -31,7 +31,7 @@ class BootstrapRules:
     """Nominal coverage of an interval."""
 
 
-BOOTSTRAP_RULES: Final = BootstrapRules()
+INTERVAL_RULES: Final = IntervalRules()
 
 
 Interval = tuple[float, float] | None
@@ -55,7 +55,7 @@ class Blocks:
 
     def to_dict(self) -> dict[str, Any]:
         """Basis of the intervals, as `metrics.json` says it."""
-        return {"unit": self.unit, "blocks": self.count, "sites": self.sites, "level": BOOTSTRAP_RULES.level}
+        return {"unit": self.unit, "blocks": self.count, "sites": self.sites, "level": INTERVAL_RULES.level}
 
 
 def blocks_of(images: Sequence[Image]) -> Blocks:
@@ -65,13 +65,13 @@ def blocks_of(images: Sequence[Image]) -> Blocks:
     sites = len(set(site_names)) if images and len(site_names) == len(images) else None
     recordings = {(image.site, image.recording) for image in images if image.recording is not None}
     keys: list[Any]
-    if sites is not None and sites >= BOOTSTRAP_RULES.enough_sites:
+    if sites is not None and sites >= INTERVAL_RULES.enough_sites:
         unit, keys = "site", site_names
     elif len(recordings) > 1:
         unit, keys = "recording", [(image.site, image.recording) for image in images]
     elif images and all(image.time_s is not None for image in images):
-        unit = f"{BOOTSTRAP_RULES.block_s:g} s"
-        keys = [(image.site, int((image.time_s or 0.0) // BOOTSTRAP_RULES.block_s)) for image in images]
+        unit = f"{INTERVAL_RULES.block_s:g} s"
+        keys = [(image.site, int((image.time_s or 0.0) // INTERVAL_RULES.block_s)) for image in images]
     else:
         unit, keys = "image", list(range(len(images)))
     number = {key: i for i, key in enumerate(dict.fromkeys(keys))}
@@ -116,10 +116,10 @@ def share_interval(value: float | None, without: Array) -> Interval:
 
 
 def student(freedom: int) -> float:
-    """Bound of |t| with probability `BOOTSTRAP_RULES.level`, for Student's t with `freedom` degrees of freedom."""
+    """Bound of |t| with probability `INTERVAL_RULES.level`, for Student's t with `freedom` degrees of freedom."""
     from scipy.special import stdtrit  # only what says intervals waits for it
 
-    return float(stdtrit(freedom, (1 + BOOTSTRAP_RULES.level) / 2))
+    return float(stdtrit(freedom, (1 + INTERVAL_RULES.level) / 2))
 
 
 def intervals(values: Quotients, blocks: Blocks) -> dict[str, Any]:

@@ -107,9 +107,15 @@ def _rows(table: TomlTable, kind: str, unknown: list[str]) -> tuple[Any, ...]:
         if name in names:
             raise row.wrong("name", f"{name!r} is the name of two {kind}")
         names.add(name)
+        for key, value in row.values.items():
+            if value == "":  # on the page, an empty field stands for its default
+                raise row.wrong(key, "expected a value, got an empty text")
         mark, problems = read_mark(kind, index, name, row.value)
-        for one in problems:
-            raise row.wrong(one.field, f"missing: {one.text}" if one.missing else one.text)
+        for problem in problems:
+            key = problem.field.partition(".")[0]
+            if key and key not in row:
+                raise row.wrong(key, "missing")
+            raise row.wrong(problem.field, f"incomplete: {problem.text}" if problem.missing else problem.text)
         out.append(mark)
         unknown += row.unread
     return tuple(out)

@@ -94,8 +94,9 @@ def known_value(value: Any, limits: tuple[float, float]) -> tuple[float, float] 
     """A value that a camera can have, with its standard deviation; None for anything else.
 
     Args:
-        value: [value, standard deviation], in the same unit: the latter from `MARK_LIMITS.least_known_sigma` to the
-        upper limit. limits: Least and largest value.
+        value: [value, standard deviation], in the same unit. The standard deviation lies between
+            `MARK_LIMITS.least_known_sigma` and the upper limit.
+        limits: Least and largest value.
     """
     rows = positions([value], 2)
     if rows is None:

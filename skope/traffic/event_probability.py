@@ -39,7 +39,7 @@ class EventFactors:
     usual_step_s: float = 0.1
     """Time between positions if no track gives it, seconds."""
     jumping: float = 0.1
-    """Factor for such a crossing."""
+    """Factor for a crossing at a speed above `FASTEST_MPS`."""
     same_vehicle: tuple[float, float, float] = (6.13, -3.55, -1.54)
     """Coefficients of the log odds that a track is one vehicle from one gate to the next: intercept; log(0.1 s +
     longest gap); log(1 s + time). Of 526 such tracks 13 had switched to another vehicle, 12 of them in a gap of at

@@ -53,7 +53,7 @@ def read_toml(path: Path) -> dict[str, Any]:
     """The table of a TOML file; a missing or malformed one is a UserError that names it."""
     try:
         return tomllib.loads(read_text(path))
-    except tomllib.TOMLDecodeError as error:
+    except ValueError as error:  # also a number with more digits than Python reads
         raise UserError(f"{path}: not valid TOML: {error}") from None
 
 
@@ -70,7 +70,7 @@ def from_flags(flags: Sequence[str], where: str) -> dict[str, Any]:
             into = into.setdefault(table, {})
         try:
             into[leaf] = tomllib.loads(f"value = {text}")["value"]
-        except tomllib.TOMLDecodeError:
+        except ValueError:  # no TOML, or a number with more digits than Python reads
             into[leaf] = text.strip()
     return values
 
@@ -299,9 +299,8 @@ def choose_recipe(name: str, *, gpu: bool, bfloat16: bool) -> Recipe:
     """The recipe that the flag `--recipe` names.
 
     Args:
-        name: One of `RECIPE_CHOICES`, or a TOML file that changes one of them. `auto` is `paper` on a GPU and `laptop`
-        on a
-            CPU.
+        name: One of `RECIPE_CHOICES`, or a TOML file that changes one of them. `auto` is `paper` on a GPU and
+            `laptop` on a CPU.
         gpu: Whether the run is on a GPU.
         bfloat16: Whether this processor has instructions for such numbers, which all recipes but `paper` make use of:
             on two cores a step takes half the time. It is part of the recipe that the run records.

@@ -58,7 +58,7 @@ class AdjustmentLimits:
     type_rounds: int = 3
     """Maximum number of rounds in which body types are chosen again."""
     least_gain: float = 0.01
-    """The search ends after a round that gains less than this share."""
+    """The search ends after a round that lowers the cost by less than this."""
     shape_steps: int = 6
     """Steps of a search for shapes and positions alone."""
     visibility_steps: int = 3

@@ -7,7 +7,7 @@ from importlib import resources
 from typing import Any, Final
 
 from skope.errors import one_of
-from skope.metrics.intervals import BOOTSTRAP_RULES
+from skope.metrics.intervals import INTERVAL_RULES
 from skope.metrics.keypoint_outcomes import PROTOCOL_NAMES
 from skope.metrics.pck_precision_recall import METRIC_RULES
 from skope.metrics.road_users import AP50_IOU
@@ -217,7 +217,7 @@ def evidence(intervals: Mapping[str, Any]) -> str:
         return words + " of one recording: this infers to no other weather, light or site"
     if sites == 1:
         return words + " of one site: this infers to no other site"
-    if sites is not None and sites < BOOTSTRAP_RULES.enough_sites:
+    if sites is not None and sites < INTERVAL_RULES.enough_sites:
         return words + f" of {sites} sites: too few to infer to others"
     return words
 

@@ -102,7 +102,8 @@ def command(p: Parameters) -> str:
         parts += ["--road-users"] if variation.road_users else []
     parts += ["--camera-jitter"] if "zoom_by" in variation.cameras else []
     parts += [f"--licence {shlex.quote(p.licence)}"] if p.licence != licences.DEFAULT_LICENCE else []
-    return " ".join([*parts, *(f"--set {name}={low:.12g}..{high:.12g}" for name, (low, high) in variation.settings.items())])
+    settings = [f"--set {name}={low:.12g}..{high:.12g}" for name, (low, high) in variation.settings.items()]
+    return " ".join([*parts, *settings])
 
 
 def _switch(name: str, on: bool) -> str:

@@ -15,7 +15,7 @@ from skope.gen.output.frames import Encoding
 from skope.gen.scene.package_versions import versions
 from skope.gen.scene.recording import RecordingInfo
 from skope.gen.scene.variation import Variation
-from skope.records import dataclass_of, plain_values, shown
+from skope.records import check_known, dataclass_of, plain_values, shown
 from skope.schema import CATEGORY_NAMES, VEHICLE_ALONE
 from skope.types import Range
 
@@ -110,6 +110,8 @@ class Parameters:
         """
         if not isinstance(values, Mapping):
             raise UserError(f"{where}: expected an object, got {shown(values)}")
+        own = [field.name for field in (*fields(cls), *fields(Variation)) if field.name != "variation"]
+        check_known(values, own, where)
         varied = {field.name for field in fields(Variation)} & values.keys()
         variation = dataclass_of(Variation, {name: values[name] for name in varied}, where)
         others = {name: value for name, value in values.items() if name not in varied}
