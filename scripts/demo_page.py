@@ -66,13 +66,13 @@ def verdict(before: Mapping[str, Any], after: Mapping[str, Any]) -> str:
 
 
 def tracked(path: Path) -> str:
-    """How many vehicles were followed, and how fast the fastest was, in words."""
+    """Number of tracked vehicles and the highest speed, in words."""
     with path.open(encoding="utf-8", newline="") as file:
-        rows = list(csv.DictReader(file))
+        rows = [row for row in csv.DictReader(file) if row["category"] == "vehicle"]
     if not rows:
-        return "No vehicle was followed."
+        return "No vehicle was tracked."
     fastest = 3.6 * max(float(row["speed"]) for row in rows)
-    return f"{len({row['track'] for row in rows})} vehicles were followed; the fastest drove {fastest:.0f} km/h."
+    return f"{len({row['track'] for row in rows})} vehicles were tracked; the fastest drove {fastest:.0f} km/h."
 
 
 def page(run: Path, data: Path) -> tuple[str, str]:

@@ -60,7 +60,9 @@ def test_the_page_holds_its_pictures_and_links_to_what_there_is(
         (run / name).mkdir()
     write_video(run / "seen" / "overlay.mp4", [np.full((64, 96, 3), 20 * i, dtype=np.uint8) for i in range(5)], 5)
     draw.write(run / "tracks" / "birdseye.png", np.zeros((80, 120, 3), dtype=np.uint8))
-    (run / "tracks" / "tracks.csv").write_text("track,speed\n1,10\n1,5\n2,0\n")
+    (run / "tracks" / "tracks.csv").write_text(
+        "track,category,speed\n1,vehicle,10\n1,vehicle,5\n2,vehicle,0\n3,bicycle,12\n"
+    )
     for name in ("fcd.xml", "mot.txt"):
         (run / "tracks" / name).touch()
 
@@ -77,7 +79,7 @@ def test_the_page_holds_its_pictures_and_links_to_what_there_is(
     links = re.findall(r'<a [^>]*href="([^"]+)"', page)
     assert len(links) == 7
     assert all((run / link).is_file() for link in links)
-    assert "2 vehicles were followed; the fastest drove 36 km/h." in page
+    assert "2 vehicles were tracked; the fastest drove 36 km/h." in page
     assert "http" not in re.sub(r"data:image[^\"]+", "", page).replace("http-equiv", "").replace(
         "http://www.w3.org", ""
     )
