@@ -15,6 +15,7 @@ from skope.gen.vehicles.panels import (
     MARKER_MATERIAL,
     PANEL_LIMITS,
     draw_graphics,
+    draw_on_left,
     draw_upper_markers,
     rectangle_outline,
 )
@@ -44,13 +45,7 @@ def box_body(space: CargoSpace) -> Cargo:
     sill, top = space.floor + 0.12, high - 0.16
     draw_graphics(shell, (space.end + 0.2, space.ahead - 0.2), (sill + 0.05, top), rng)
     for x in np.linspace(space.ahead - 0.04, space.end + 0.04, 2):
-        shell.draw(
-            rectangle_outline(x - 0.035, x + 0.035, sill, top + 0.04),
-            SIDE_AXES,
-            "rail",
-            layer=3,
-            facing=PANEL_LIMITS.left_axis,
-        )
+        draw_on_left(shell, (x - 0.035, x + 0.035, sill, top + 0.04), "rail", layer=3)
     _draw_box_rear(shell, space, end, shutter=rng.uniform() < CLOSED_BODIES.shutter_share)
     out.parts.append(shell.half)
     if space.style.cooled:
@@ -78,28 +73,10 @@ def curtain_body(space: CargoSpace) -> Cargo:
         )
     draw_graphics(shell, (space.end + 0.2, space.ahead - 0.2), (sill + 0.22, top - 0.05), rng)
     for x in folds:
-        shell.draw(
-            rectangle_outline(x - 0.02, x + 0.02, sill, sill + 0.34),
-            SIDE_AXES,
-            "trim",
-            layer=8,
-            facing=PANEL_LIMITS.left_axis,
-        )
-        shell.draw(
-            rectangle_outline(x - 0.035, x + 0.035, sill + 0.1, sill + 0.17),
-            SIDE_AXES,
-            "chrome",
-            layer=10,
-            facing=PANEL_LIMITS.left_axis,
-        )
+        draw_on_left(shell, (x - 0.02, x + 0.02, sill, sill + 0.34), "trim", layer=8)
+        draw_on_left(shell, (x - 0.035, x + 0.035, sill + 0.1, sill + 0.17), "chrome", layer=10)
     for x in (space.ahead - 0.05, space.end + 0.05):
-        shell.draw(
-            rectangle_outline(x - 0.05, x + 0.05, sill, top + 0.04),
-            SIDE_AXES,
-            "rail",
-            layer=3,
-            facing=PANEL_LIMITS.left_axis,
-        )
+        draw_on_left(shell, (x - 0.05, x + 0.05, sill, top + 0.04), "rail", layer=3)
     _draw_box_rear(shell, space, end, shutter=False)
     out.parts.append(shell.half)
     _mark_box_points(out, shell, space, end)
@@ -175,13 +152,7 @@ def luton_body(space: CargoSpace) -> Cargo:
     sill, top = space.floor + 0.12, space.shape.height - 0.16
     draw_graphics(shell, (space.end + 0.2, space.ahead - 0.15), (sill + 0.05, top), rng)
     for x in (space.ahead - 0.04, space.end + 0.04):
-        shell.draw(
-            rectangle_outline(x - 0.035, x + 0.035, sill, top + 0.04),
-            SIDE_AXES,
-            "rail",
-            layer=3,
-            facing=PANEL_LIMITS.left_axis,
-        )
+        draw_on_left(shell, (x - 0.035, x + 0.035, sill, top + 0.04), "rail", layer=3)
     _draw_box_rear(shell, space, end, shutter=rng.uniform() < 0.6)
     out.parts += [shell.half, peak(space, "livery")]
     _mark_box_points(out, shell, space, end)

@@ -17,6 +17,7 @@ from skope.gen.vehicles.panels import (
     PANEL_LIMITS,
     disc,
     draw_graphics,
+    draw_on_left,
     draw_upper_markers,
     grown,
     rectangle_outline,
@@ -337,21 +338,11 @@ class StepVanBody(LaidOutBus):
                 facing=PANEL_LIMITS.left_axis,
             )
         for x in np.linspace(self.end + 0.35, back - 0.45, 5).tolist():
-            shell.draw(
-                rectangle_outline(x - 0.02, x + 0.02, s.belt_height - 0.3, s.height - 0.25),
-                SIDE_AXES,
-                "rail",
-                layer=1,
-                facing=PANEL_LIMITS.left_axis,
-            )
+            draw_on_left(shell, (x - 0.02, x + 0.02, s.belt_height - 0.3, s.height - 0.25), "rail", layer=1)
         rng = np.random.default_rng(int(s.length * 1e4))
         draw_graphics(shell, (self.end + 0.4, back - 0.3), (s.belt_height - 0.25, s.height - 0.3), rng)
-        shell.draw(
-            rectangle_outline(self.end + 0.1, self.nose - 0.2, s.belt_height - 0.42, s.belt_height - 0.34),
-            SIDE_AXES,
-            "trim",
-            layer=8,
-            facing=PANEL_LIMITS.left_axis,
+        draw_on_left(
+            shell, (self.end + 0.1, self.nose - 0.2, s.belt_height - 0.42, s.belt_height - 0.34), "trim", layer=8
         )
         self.points["beltline"] = shell.place((back, s.belt_height), SIDE_AXES)[0]
 

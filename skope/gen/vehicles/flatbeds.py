@@ -8,7 +8,7 @@ import numpy as np
 from skope.gen.mesh import Mesh, box, merged
 from skope.gen.vehicles.lofted_surfaces import SIDE_AXES, TOP_AXES, WRAP_AXES, Plan
 from skope.gen.vehicles.lorry_parts import Cargo, CargoSpace
-from skope.gen.vehicles.panels import MARKER_MATERIAL, PANEL_LIMITS, rectangle_outline
+from skope.gen.vehicles.panels import MARKER_MATERIAL, PANEL_LIMITS, draw_on_left, rectangle_outline
 from skope.gen.vehicles.parts import block
 from skope.gen.vehicles.solids import Tower, barrel, beam, pipe, prism
 
@@ -66,13 +66,7 @@ def _platform(space: CargoSpace, rng: np.random.Generator, load: str, *, sides: 
     shell.draw(rectangle_outline(-1, 99, 0, low + 0.09), WRAP_AXES, "trim")
     if sides:
         for x in np.linspace(front - 0.05, space.end + 0.05, 4 if heavy else 3):
-            shell.draw(
-                rectangle_outline(x - 0.04, x + 0.04, low + 0.05, high),
-                SIDE_AXES,
-                "rail",
-                layer=2,
-                facing=PANEL_LIMITS.left_axis,
-            )
+            draw_on_left(shell, (x - 0.04, x + 0.04, low + 0.05, high), "rail", layer=2)
         for z in np.arange(low + 0.16, high - 0.03, 0.08).tolist():
             shell.line([(space.end + 0.1, z), (front - 0.1, z)], SIDE_AXES, width=0.012, facing=PANEL_LIMITS.left_axis)
         shell.paint([(-99, -9), (99, -9), (99, 9), (-99, 9)], TOP_AXES, "bed", levels=(2.1, 3.0))

@@ -41,6 +41,11 @@ def rectangle_outline(a: float, b: float, low: float, high: float) -> Array:
     return quad(a, b, (low, low), (high, high))
 
 
+def draw_on_left(shell: Surface, rectangle: tuple[float, float, float, float], material: str, *, layer: float) -> None:
+    """Draw an upright rectangle on the left side: from and to along the vehicle, lower and upper edge, metres."""
+    shell.draw(rectangle_outline(*rectangle), SIDE_AXES, material, layer=layer, facing=PANEL_LIMITS.left_axis)
+
+
 def within(outline: Array, start: float, end: float, low: float = 0.0, high: float = 1.0) -> Array:
     """Part of a quad by shares across and up."""
     bottom, top = outline[[0, 1]], outline[[3, 2]]

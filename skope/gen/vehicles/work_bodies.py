@@ -9,7 +9,7 @@ import numpy as np
 from skope.gen.mesh import Mesh, box
 from skope.gen.vehicles.lofted_surfaces import BOTTOM, SIDE_AXES, TOP_AXES, WRAP_AXES, Plan, Surface
 from skope.gen.vehicles.lorry_parts import BEACON_COLOR, Cargo, CargoSpace, mudguards
-from skope.gen.vehicles.panels import GRAPHIC_COLORS, PANEL_LIMITS, draw_graphics, rectangle_outline
+from skope.gen.vehicles.panels import GRAPHIC_COLORS, PANEL_LIMITS, draw_graphics, draw_on_left, rectangle_outline
 from skope.gen.vehicles.parts import arch_lip, block
 from skope.gen.vehicles.solids import Tower, arch, barrel, beam, ladder, pipe, prism
 
@@ -65,9 +65,7 @@ def _draw_shutters(shell: Surface, space: CargoSpace, up: tuple[float, float], e
         shell.paint(rectangle_outline(a, b, sill, top), SIDE_AXES, "cladding_grey", facing=PANEL_LIMITS.left_axis)
         for z in np.arange(sill + 0.07, top, 0.09).tolist():
             shell.line([(a, z), (b, z)], SIDE_AXES, "rail", width=0.012, facing=PANEL_LIMITS.left_axis)
-        shell.draw(
-            rectangle_outline(a, b, sill, sill + 0.05), SIDE_AXES, "trim", layer=3, facing=PANEL_LIMITS.left_axis
-        )
+        draw_on_left(shell, (a, b, sill, sill + 0.05), "trim", layer=3)
     band = rectangle_outline(space.end + 0.1, space.ahead - 0.05, sill - 0.2, sill - 0.06)
     shell.draw(band, SIDE_AXES, "#d8c41c", layer=3, facing=PANEL_LIMITS.left_axis)
     shell.paint(rectangle_outline(edge, end + 0.1, sill, top), WRAP_AXES, "cladding_grey")
