@@ -1,6 +1,7 @@
 """Drawings of a user on a road, as a site file has them: gates, zones, lanes, occluders."""
 
 from dataclasses import dataclass, replace
+from typing import Final
 
 import numpy as np
 from shapely import Polygon
@@ -13,6 +14,9 @@ from skope.site.mark_parser import MARK_LIMITS, NO_NAME, is_name
 from skope.types import Array
 
 Outline = tuple[tuple[float, float], ...]
+
+DEFAULT_LANE_M: Final = 3.5
+"""Width of a lane that states none, metres."""
 
 
 @dataclass(frozen=True, kw_only=True)

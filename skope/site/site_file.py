@@ -28,6 +28,7 @@ from skope.site.gates_zones_lanes import (
     read_occluder,
     read_zone,
 )
+from skope.site.mark_parser import MARK_LIMITS
 from skope.site.site_camera import OwnCamera, read_site_camera
 from skope.site.traffic_settings import TrafficSettings, read_traffic
 from skope.site.world import read_world
@@ -64,17 +65,8 @@ def clock_doubt(time: datetime, zone: ZoneInfo) -> str:
     return ""
 
 
-@dataclass(frozen=True)
-class PlanLimits:
-    """Limits of a picture from above."""
-
-    pixel_m: tuple[float, float] = (1e-5, 1e4)
-    """Range of the size of a pixel, metres."""
-    farthest_m: float = 1e8
-    """Largest coordinate, metres."""
-
-
-PLAN_LIMITS: Final = PlanLimits()
+_PIXEL_M: Final = (1e-5, 1e4)
+"""Range of the size of a pixel of a picture from above, metres."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,11 +92,11 @@ def read_plan(table: TomlTable, unknown: list[str]) -> PlanPicture:
     if not name or not name.isprintable():
         raise table.wrong("file", "expected the name of a picture")
     x, y = table.numbers("origin", 2)
-    if max(abs(x), abs(y)) > PLAN_LIMITS.farthest_m:
-        raise table.wrong("origin", f"expected metres within {PLAN_LIMITS.farthest_m:g}")
+    if max(abs(x), abs(y)) > MARK_LIMITS.farthest_m:
+        raise table.wrong("origin", f"expected metres within {MARK_LIMITS.farthest_m:g}")
     plan = PlanPicture(
         file=table.path.parent / name,
-        metres_per_pixel=table.number("metres_per_pixel", low=PLAN_LIMITS.pixel_m[0], high=PLAN_LIMITS.pixel_m[1]),
+        metres_per_pixel=table.number("metres_per_pixel", low=_PIXEL_M[0], high=_PIXEL_M[1]),
         origin=(x, y),
         rotation_deg=table.number("rotation_deg", 0.0, low=-360, high=360),
     )

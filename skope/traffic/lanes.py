@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skope.normal_distribution import at_most
-from skope.site.gates_zones_lanes import Lane
+from skope.site.gates_zones_lanes import DEFAULT_LANE_M, Lane
 from skope.tracks.track import Track, is_in_traffic
 from skope.types import Array
 
@@ -19,8 +19,6 @@ from skope.types import Array
 class LaneLimits:
     """Limits of lane changes."""
 
-    width_m: float = 3.5
-    """Width of a lane that states none, metres."""
     stay_s: float = 1.0
     """Least time in a lane for a change to it, seconds."""
     between_s: float = 3.0
@@ -56,7 +54,7 @@ class LaneMap:
     def __init__(self, lanes: Sequence[Lane]) -> None:
         self.lanes = tuple(lanes)
         self._lines = [_without_repeats(np.array(lane.line)) for lane in lanes]
-        self._half = np.array([(lane.width or LANE_LIMITS.width_m) / 2 for lane in lanes])
+        self._half = np.array([(lane.width or DEFAULT_LANE_M) / 2 for lane in lanes])
 
     def indices(self, places: Array, least: float = 0.0) -> tuple[NDArray[np.int64], Array, Array]:
         """The lane of each place (M, 2): index or -1, distance to its middle (M,), and (M, 2) where it leads there.

@@ -29,20 +29,10 @@ from skope.detector.detect import offsets_of_label
 from skope.detector.suppression import not_overlapped
 from skope.train.anchor_matching import MATCHING_LIMITS, assign, sample_anchors
 from skope.train.target_batch import HeightWidth, Target, TargetBatch, to_device
-from skope.train.teacher import Lesson, Teacher
+from skope.train.teacher import BOX_LOSS_BETA, Lesson, Teacher
 
-
-@dataclass(frozen=True)
-class BoxLossRules:
-    """Rules of the losses of boxes."""
-
-    beta: float = 1 / 9
-    """Error of a box's offset from which the loss grows linearly."""
-    least_side_px: float = 1.0
-    """Least side of a box of the second pass, pixels inside the network."""
-
-
-BOX_LOSS_RULES: Final = BoxLossRules()
+_LEAST_SIDE_PX: Final = 1.0
+"""Least side of a box of the second pass, pixels inside the network."""
 
 
 @dataclass(frozen=True)
@@ -265,7 +255,7 @@ def _second_look(
         sizes: Of the images inside the network.
     """
     found = _clipped(_moved(boxes, offsets, heads.box_coder), sizes)[somebody]
-    found = torch.cat([found[:, :2], torch.maximum(found[:, 2:], found[:, :2] + BOX_LOSS_RULES.least_side_px)], dim=1)
+    found = torch.cat([found[:, :2], torch.maximum(found[:, 2:], found[:, :2] + _LEAST_SIDE_PX)], dim=1)
     counts = somebody.sum(dim=1).tolist()
     pooled = heads.box_roi_pool(features, list(torch.split(found, counts)), sizes)
     _, deltas = heads.box_predictor(heads.box_head(pooled))
@@ -337,7 +327,7 @@ def _box_error(found: Tensor, truth: Tensor, boxes: Tensor, weights: Sequence[fl
     wanted = encode_boxes(truth.flatten(0, 1), boxes.flatten(0, 1), to_device(weights, boxes.device)).view_as(found)
     # Where nothing is counted the offset may be infinite, and infinity times nothing is not a number.
     wanted = wanted.where(counted[..., None], found.detach())
-    return functional.smooth_l1_loss(found, wanted, beta=BOX_LOSS_RULES.beta, reduction="none").sum(dim=2)
+    return functional.smooth_l1_loss(found, wanted, beta=BOX_LOSS_BETA, reduction="none").sum(dim=2)
 
 
 def _moved(boxes: Tensor, offsets: Tensor, coder: BoxCoder) -> Tensor:

@@ -25,8 +25,8 @@ from skope.train.target_batch import HeightWidth
 
 TEACHER_LOSSES: Final = ("loss_teacher_classes", "loss_teacher_boxes", "loss_teacher_keypoints")
 """Names of the losses that a teacher adds."""
-TEACHER_BETA: Final = 1 / 9
-"""Error of a box's offset from which the loss grows linearly, as for labels."""
+BOX_LOSS_BETA: Final = 1 / 9
+"""Error of a box's offset from which the loss grows linearly, for labels and teacher alike."""
 
 
 @dataclass(frozen=True)
@@ -104,7 +104,7 @@ class Lesson:
         label = labels.clamp(min=0).flatten()
         offsets, wanted = (offsets_of_label(each, label) for each in (deltas, moved))
         error = (
-            functional.smooth_l1_loss(offsets, wanted, beta=TEACHER_BETA, reduction="none").sum(dim=1).view_as(drawn)
+            functional.smooth_l1_loss(offsets, wanted, beta=BOX_LOSS_BETA, reduction="none").sum(dim=1).view_as(drawn)
         )
         return {
             "loss_teacher_classes": self.rules.classes * apart.where(drawn, 0.0).sum() / number,

@@ -14,7 +14,7 @@ from shapely import Polygon
 
 from skope.camera.ground_plane import ground_places
 from skope.camera.model import Camera
-from skope.site.gates_zones_lanes import line_on_road
+from skope.site.gates_zones_lanes import DEFAULT_LANE_M, line_on_road
 from skope.site.mark_parser import MARK_LIMITS, NO_NAME, Problem, is_name, number_or_none, positions
 from skope.site.page.marks import entries_of
 from skope.site.page.overlays import Polyline, polylines_of
@@ -37,8 +37,6 @@ class DrawingRules:
     """Largest error of positions of a gate at 90%, metres."""
     shortest_m: float = 0.5
     """Shortest gate, metres."""
-    lane_m: float = 3.5
-    """Default width of a lane, metres."""
     step_m: float = 0.5
     """Length of the parts in which lines on the road are projected, metres. A lens bends them."""
     arrow_m: float = 3.0
@@ -135,7 +133,7 @@ class Drawing:
     """(N, 2) metres on the road; of occluders, pixels. (0, 2) for a gate that has `pixels`."""
     pixels: Array | None = None
     """(2, 2) ends of a gate that is drawn in the image; None for everything else."""
-    width: float = DRAWING_RULES.lane_m
+    width: float = DEFAULT_LANE_M
     foot: Array | None = None
     """(2,) pixel at which an occluder stands on the ground."""
 
@@ -163,7 +161,7 @@ def read_drawings(document: Mapping[str, Any], size: tuple[int, int]) -> tuple[l
             rows = positions(entry.get(POSITION_FIELDS[kind]), 2)
             assert rows is not None
             foot = positions([entry.get("foot")], 2) if kind == "occluders" else None
-            width = number_or_none(entry.get("width")) or DRAWING_RULES.lane_m
+            width = number_or_none(entry.get("width")) or DEFAULT_LANE_M
             at = np.asarray(rows)
             good.append(
                 Drawing(kind=kind, index=index, positions=at, width=width, foot=np.array(foot[0]) if foot else None)

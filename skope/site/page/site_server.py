@@ -16,8 +16,9 @@ from zoneinfo import available_timezones
 from skope.camera.evidence import MARKING_ERRORS
 from skope.errors import UserError
 from skope.files.json_files import json_bytes, parse_json
+from skope.site.gates_zones_lanes import DEFAULT_LANE_M
 from skope.site.mark_parser import MARK_LIMITS
-from skope.site.page.drawings import DRAWING_RULES, FEWEST_POSITIONS, drawn_in_image, read_drawings
+from skope.site.page.drawings import FEWEST_POSITIONS, drawn_in_image, read_drawings
 from skope.site.page.inputs import SiteFrames, decoded_frame, read_file
 from skope.site.page.marks import marks_of_document, read_time
 from skope.site.page.plan import PlanPictures, map_places, plan_scale, seen_from_above
@@ -49,7 +50,7 @@ PAGE_FILES: Final = SHARED_FILES | {
 }
 PAGE_LIMITS: Final = {
     "fewest": FEWEST_POSITIONS,
-    "usual": {"points": MARKING_ERRORS.place_m, "lengths": MARK_LIMITS.length_sigma_m, "lanes": DRAWING_RULES.lane_m},
+    "usual": {"points": MARKING_ERRORS.place_m, "lengths": MARK_LIMITS.length_sigma_m, "lanes": DEFAULT_LANE_M},
     "longest_name": MARK_LIMITS.name_letters,
 }
 """Limits of the parser as the page has them: positions of each kind, values of fields that are empty, letters."""
