@@ -234,13 +234,12 @@ class _Run:
     def go(self) -> Path:
         """Train all epochs that are left; returns the last checkpoint."""
         # Loading goes on from epoch to epoch: to begin anew takes the processes seconds, an epoch of a few images less.
-        with self.progress, contextlib.closing(self._loaded()) as samples:
+        board = contextlib.nullcontext() if self.board is None else contextlib.closing(self.board)
+        with self.progress, board, contextlib.closing(self._loaded()) as samples:
             while self.training.epochs_done < self.config.recipe.epochs:
                 self._epoch(samples)
                 if self.processes.first:
                     self._validate_and_save()
-        if self.board is not None:
-            self.board.close()
         return self.out / checkpoint_name(self.training.epochs_done)
 
     @property

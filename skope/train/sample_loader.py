@@ -114,8 +114,9 @@ class Loader:
                 batch = next(batches)
             except StopIteration:
                 return
-            except RuntimeError as error:
-                if "DataLoader" not in str(error):
+            except (RuntimeError, EOFError, ConnectionError) as error:
+                # A process that ends while it hands a batch over breaks its connection.
+                if isinstance(error, RuntimeError) and "DataLoader" not in str(error):
                     raise
                 ended, silent = "timed out" not in str(error), time.monotonic() - since > LOADER_LIMITS.silent_s
                 if not (ended or silent or self._stopping()):

@@ -4,6 +4,7 @@ import json
 import os
 import shutil
 import signal
+import threading
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -92,6 +93,7 @@ def test_a_resumed_run_equals_an_uninterrupted_one(
     state = torch.get_rng_state()
     whole = tmp_path / "whole"
     last = train(data, whole, recipe)
+    threads = set(threading.enumerate())
     assert torch.equal(state, torch.get_rng_state())
 
     steps = sorted(np.random.default_rng().choice(np.arange(1, 4), 2, replace=False).tolist())
@@ -101,6 +103,7 @@ def test_a_resumed_run_equals_an_uninterrupted_one(
             _Signal(n, number, patch)
             with pytest.raises(KeyboardInterrupt):
                 train(data, parts, recipe, resume=training_state.resumable(parts))
+        assert set(threading.enumerate()) <= threads, "TensorBoard's is closed"
         torch.manual_seed(123)  # where the state that torch starts with must not matter
     assert capfd.readouterr().err.count("skope: stopping after this step, to save it; once more stops at once") == 2
     resumed = train(data, parts, recipe, resume=True)

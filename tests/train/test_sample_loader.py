@@ -10,6 +10,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from torch.utils.data import DataLoader
 
 from skope.terminal.console import Console
 from skope.train import sample_loader
@@ -127,6 +128,26 @@ def test_no_sample_is_lost_with_a_process(
     said = capsys.readouterr().err
     assert "warning: processes that load images have " in said
     assert "this process loads them from here (--workers)" in said
+
+
+@pytest.mark.parametrize("error", [EOFError, ConnectionRefusedError, ConnectionResetError])
+def test_no_sample_is_lost_with_a_process_that_ends_while_it_hands_one_over(
+    images: TrainingSet, monkeypatch: pytest.MonkeyPatch, error: type[Exception]
+) -> None:
+    expected = [batch[0].name for batch in Loader(images, workers=0, console=Console()).batches(GROUPS, 1)]
+
+    class Breaking(DataLoader[Any]):
+        def __iter__(self) -> Any:
+            yield next(super().__iter__())
+            raise error
+
+    monkeypatch.setattr(sample_loader, "DataLoader", Breaking)
+    loader = Loader(images, workers=1, console=Console(quiet=True))
+    names = []
+    for batch in loader.batches(GROUPS, 1):
+        names.append(batch[0].name)
+        monkeypatch.setattr(sample_loader, "DataLoader", DataLoader)
+    assert (names, loader.workers) == (expected, 0)
 
 
 def test_waiting_for_a_silent_process_can_be_stopped(images: TrainingSet, monkeypatch: pytest.MonkeyPatch) -> None:
