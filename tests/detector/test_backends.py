@@ -325,6 +325,31 @@ def test_the_command_names_what_computes(skope: Any, random_run: Path, pixels: N
     assert not Path("p").exists()
 
 
+SIGNAL_AFTER_DELETION = """
+import gc, os, signal
+import numpy as np
+from torch import nn
+from skope.detector.backends.network_parts import NetworkPart
+from skope.detector.backends.runtimes import RUNTIME_CLASSES
+
+runs = [RUNTIME_CLASSES["openvino"]().compile(NetworkPart(nn.Conv2d(3, 4, 3), (-1, 3, 8, 8)), "float32") for _ in "123"]
+for k in range(3):
+    runs[k](np.zeros((1, 3, 8, 8), np.float32))
+for k in range(3):
+    runs[k] = None
+    gc.collect()
+signal.signal(signal.SIGINT, lambda *_: print("received"))
+os.kill(os.getpid(), signal.SIGINT)
+"""
+
+
+def test_signals_arrive_after_detectors_are_deleted() -> None:
+    """A signal that crashes the process would lose what Ctrl-C saves."""
+    pytest.importorskip("openvino")
+    done = subprocess.run([sys.executable, "-c", SIGNAL_AFTER_DELETION], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout) == (0, "received\n"), done.stderr
+
+
 @pytest.mark.parametrize("backend", ["openvino", "onnx", "together"])
 def test_backends_find_other_road_users_too(backend: str, categories_run: Path) -> None:
     """Those that torch finds surely, of each category; only vehicles go through the keypoint head."""

@@ -92,6 +92,17 @@ class Runtime(ABC):
     def _compiled(self, part: NetworkPart, number: str) -> RunNetwork: ...
 
 
+@lru_cache
+def _openvino_core(library: ModuleType) -> Any:
+    """The one core of this process, which is kept until it exits.
+
+    Each core of OpenVINO installs an alternative signal stack and puts the previous one back when it is deleted. Two
+    cores that are deleted in another order leave a stack whose memory is gone, and the next signal, Ctrl-C for example,
+    crashes the process (seen with 2026.4).
+    """
+    return library.Core()
+
+
 class OpenVino(Runtime):
     """OpenVINO. Sums of products, and what is not in eight bits, are in bfloat16 where they may be."""
 
@@ -101,7 +112,7 @@ class OpenVino(Runtime):
     oldest = (2025, 0)
 
     def _compiled(self, part: NetworkPart, number: str) -> RunNetwork:
-        core = self._library.Core()
+        core = _openvino_core(self._library)
         hints = {
             "INFERENCE_PRECISION_HINT": "bf16" if number != "float32" and has_bfloat16(torch.device("cpu")) else "f32",
             "PERFORMANCE_HINT": "LATENCY",
