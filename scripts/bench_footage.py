@@ -58,10 +58,10 @@ from skope.cli import main as main_of_skope
 from skope.dataset import coco
 from skope.dataset.folder import FRAMES_FILE
 from skope.dataset.image_selection import part
-from skope.detections import MIN_SCORE, apart, results_of
+from skope.detections import apart, results_of
 from skope.detector.checkpoint import load_weights
 from skope.detector.detect import as_tensor
-from skope.detector.network_settings import Settings
+from skope.detector.network_settings import MIN_SCORE, Settings
 from skope.detector.predictor import Predictor
 from skope.files.json_files import read_json, write_json
 from skope.footage.confirmation import CONFIRMATION_LIMITS, Confirmation

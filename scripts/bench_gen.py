@@ -39,7 +39,8 @@ import cv2
 import numpy as np
 
 from skope.cpu_count import usable_processors
-from skope.gen.labels.annotate import Rules, annotate
+from skope.gen.labels.annotate import annotate
+from skope.gen.labels.ignore_rules import Rules
 from skope.gen.output import dataset_card
 from skope.gen.output.frames import Encoding, files_of, frames_of
 from skope.gen.pipeline.dataset_store import Store

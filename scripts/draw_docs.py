@@ -35,7 +35,8 @@ from skope.camera.model import Camera
 from skope.dataset.folder import open_dataset, read_image
 from skope.files.atomic import replacing
 from skope.gen.inspect.vehicle_models import parked_recording
-from skope.gen.labels.annotate import Rules, annotate
+from skope.gen.labels.annotate import annotate
+from skope.gen.labels.ignore_rules import Rules
 from skope.gen.labels.visibility import VISIBILITY_TOLERANCES, behind
 from skope.gen.labels.world_keypoints import WorldKeypoints, world_keypoints
 from skope.gen.pipeline.config import from_preset

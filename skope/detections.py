@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Final, Self, TypeAlias
+from typing import Self, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,8 +17,6 @@ from skope.records import check_image
 from skope.schema import AnyResult, Result, RoadUserResult
 from skope.types import Pixels
 
-MIN_SCORE: Final = 0.05
-"""Default score below which a detector reports nothing."""
 Chosen: TypeAlias = int | slice | Sequence[int] | Sequence[bool] | NDArray[np.bool_] | NDArray[np.integer]
 """Rows that are chosen: a number, a slice, numbers in their new order, or whether each row is."""
 

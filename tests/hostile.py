@@ -14,7 +14,8 @@ from skope.camera.model import Camera
 from skope.dataset import coco
 from skope.dataset.depth_files import depth_png
 from skope.files.json_files import json_bytes, write_json
-from skope.gen.labels.annotate import RuleCounts, Rules
+from skope.gen.labels.annotate import RuleCounts
+from skope.gen.labels.ignore_rules import Rules
 from skope.gen.output.frames import image_of
 from skope.gen.output.writers import FrameFiles, Labels, checksum, count_kind
 from skope.gen.pipeline.config import from_preset

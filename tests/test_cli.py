@@ -23,7 +23,7 @@ from skope import cli, schema
 from skope.detector.backbones import BACKBONE_CHOICES
 from skope.detector.network_settings import BACKEND_CHOICES, PRECISION_CHOICES, TILE_CHOICES
 from skope.gen.formats.convert import READER_NAMES, WRITER_NAMES
-from skope.gen.labels.annotate import OCCLUSION_RULES
+from skope.gen.labels.ignore_rules import OCCLUSION_RULES
 from skope.gen.labels.world_keypoints import LOCALIZER_CHOICES
 from skope.gen.output.frames import SUFFIX_OF_FORMAT
 from skope.gen.output.writers import DATASET_FORMATS

@@ -78,7 +78,7 @@ GEN = (
 )
 """Folders and modules of skope/gen: each imports from those before it only, the last one from all."""
 SHARED = (
-    {"cpu_count", "errors", "normal_distribution", "types", "version"},
+    {"cpu_count", "errors", "confidence_level", "types", "version"},
     {"keypoints"},
     {"boxes", "files"},
     {"records"},

@@ -46,13 +46,13 @@ from skope.camera.motion.camera_motion import MOTION_KEY, turned_camera
 from skope.camera.motion.camera_shake import SwayWatch, record_of
 from skope.camera.motion.view_changes import Looks
 from skope.camera.uncertain_camera import UNCERTAINTY_LIMITS, radius_of
+from skope.confidence_level import INTERVAL_SIGMAS
 from skope.dataset import coco
 from skope.dataset.folder import CHANGES_KEY, read_image
 from skope.dataset.image_selection import part
 from skope.errors import UserError
 from skope.footage.confirmation import Confirmation
 from skope.keypoints import FLIP, OTHER_END
-from skope.normal_distribution import INTERVAL_SIGMAS
 from skope.pose.camera_error import with_camera_error
 from skope.pose.keypoint_views import Scene, read_scene
 from skope.pose.pose_records import locate_view

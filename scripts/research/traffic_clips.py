@@ -37,7 +37,8 @@ from skope.files.atomic import replacing
 from skope.files.json_files import read_json, write_json
 from skope.gen.bystanders import bystander
 from skope.gen.bystanders.bystander import CATEGORY_OF
-from skope.gen.labels.annotate import Rules, box_around
+from skope.gen.labels.annotate import box_around
+from skope.gen.labels.ignore_rules import Rules
 from skope.gen.pipeline.config import from_preset
 from skope.gen.pipeline.write_footage import plan_of
 from skope.gen.scene.recording import Recording, RecordingPlan, vehicle_body

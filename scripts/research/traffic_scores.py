@@ -31,11 +31,11 @@ from scipy.optimize import minimize
 from scipy.stats import norm
 from traffic_clips import CLIP, LABELS, NOISE_PX, SEEN, SITE, chosen, plain_counts, read_truth
 
+from skope.confidence_level import INTERVAL_SIGMAS
 from skope.dataset import coco
 from skope.dataset.folder import PREDICTIONS_FILE
 from skope.errors import UserError
 from skope.files.json_files import read_json, write_json
-from skope.normal_distribution import INTERVAL_SIGMAS
 from skope.schema import CATEGORY_NAMES, VEHICLE_CATEGORY, AnnotationFile, Labelled
 from skope.site.site_file import read_site
 from skope.tracks.csv_file import TRACKS_CSV, read_tracks

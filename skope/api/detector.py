@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 from skope.api.footage import RoadHeight, Video, open_video
 from skope.camera.model import Camera
 from skope.dataset import folder
-from skope.detections import MIN_SCORE
 from skope.detector import weights
+from skope.detector.network_settings import MIN_SCORE
 from skope.errors import one_of
 from skope.metrics.thresholds import KEPT_SCORE
 from skope.records import check_image, check_number

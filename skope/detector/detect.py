@@ -25,8 +25,9 @@ from torchvision.models.detection.transform import resize_boxes
 from torchvision.ops import clip_boxes_to_image
 
 from skope import keypoints, schema
-from skope.detections import MIN_SCORE, Detections, RoadUserDetections
+from skope.detections import Detections, RoadUserDetections
 from skope.detector.build import NETWORK_DEFAULTS, box_passes_of
+from skope.detector.network_settings import MIN_SCORE
 
 _VALUES_AT_ONCE: Final = {"cuda": 2**27, "cpu": 2**20}
 """Values of enlarged maps that are held together, by the kind of device."""

@@ -10,6 +10,8 @@ FASTEST_BACKEND: Final = "openvino"
 """Backend that "auto" is on a CPU, where it is installed."""
 PRECISION_CHOICES: Final = ("auto", "float32", "bfloat16", "int8")
 TILE_CHOICES: Final = ("none", "auto")
+MIN_SCORE: Final = 0.05
+"""Default score threshold: a detector reports no detection with a lower score."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -21,7 +23,7 @@ class Settings:
     given: bool = False
     """Leave detection out and place the keypoints of the ground-truth vehicles inside their own boxes."""
     min_score: float | None = None
-    """Only detections above this go through the keypoint head; None: those above `detections.MIN_SCORE`.
+    """Only detections above this go through the keypoint head; None: those above `MIN_SCORE`.
 
     Footage has a score of its own (`PredictJob.score`), from which this follows."""
     backend: str = "torch"

@@ -20,14 +20,14 @@ from torchvision.models.detection import KeypointRCNN
 
 from skope import boxes
 from skope.dataset.folder import read_image
-from skope.detections import MIN_SCORE, Detections, apart
+from skope.detections import Detections, apart
 from skope.detector import score_calibration
 from skope.detector.backends.prepare import prepare
 from skope.detector.build import DetectorConfig
 from skope.detector.checkpoint import find_checkpoint, load_weights
 from skope.detector.detect import detect, detect_on_boxes
 from skope.detector.device import choose_device
-from skope.detector.network_settings import Settings
+from skope.detector.network_settings import MIN_SCORE, Settings
 from skope.detector.tiles import Tile, join_tiles, tiles_of
 from skope.detector.weights import shipped
 from skope.errors import UserError

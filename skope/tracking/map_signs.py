@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from skope.camera.model import Camera
-from skope.normal_distribution import INTERVAL_SIGMAS
+from skope.confidence_level import INTERVAL_SIGMAS
 from skope.tracks.track import KMH_PER_MPS, Track
 from skope.types import Array
 

@@ -7,13 +7,13 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from skope.normal_distribution import INTERVAL_LEVEL, INTERVAL_SIGMAS
+from skope.confidence_level import INTERVAL_LEVEL, INTERVAL_SIGMAS
 from skope.site.traffic_settings import TrafficSettings
 from skope.tracks.track import VEHICLE_LENGTH_SIGMA_M, Track
-from skope.traffic.collision import Doubt, deceleration_to_avoid, times_to_collision
-from skope.traffic.encroachment import Encroachment, by_places
 from skope.traffic.event_probability import event_probability
 from skope.traffic.footprints import FootprintPath
+from skope.traffic.post_encroachment_time import Encroachment, by_places
+from skope.traffic.time_to_collision import Doubt, deceleration_to_avoid, times_to_collision
 from skope.types import Array
 
 

@@ -15,7 +15,6 @@ from skope.schema import PEDESTRIAN_CATEGORY
 from skope.site.gates_zones_lanes import Zone
 from skope.site.traffic_settings import TrafficSettings
 from skope.tracks.track import Track, has_plausible_speed, is_in_traffic
-from skope.traffic.collision import COLLISION_LIMITS, angle_deg, times_to_collision
 from skope.traffic.conflict_doubt import (
     CONFLICT_DOUBT,
     hardest_needed,
@@ -25,8 +24,9 @@ from skope.traffic.conflict_doubt import (
     surely_encroaches,
     ttc_doubt,
 )
-from skope.traffic.encroachment import Encroachment, by_area, by_places, near
 from skope.traffic.footprints import FootprintPath, footprint_paths, overlap
+from skope.traffic.post_encroachment_time import Encroachment, by_area, by_places, near
+from skope.traffic.time_to_collision import COLLISION_LIMITS, angle_deg, times_to_collision
 from skope.traffic.zones import inside_polygon
 from skope.types import Array
 

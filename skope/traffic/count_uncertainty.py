@@ -19,7 +19,7 @@ import numpy as np
 from scipy.special import betaln, gammaln
 from scipy.stats import betabinom
 
-from skope.normal_distribution import INTERVAL_LEVEL
+from skope.confidence_level import INTERVAL_LEVEL
 from skope.types import Array
 
 Beta: TypeAlias = tuple[float, float]

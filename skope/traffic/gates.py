@@ -11,7 +11,7 @@ import numpy as np
 from skope.camera.ground_plane import Ground, ground_places
 from skope.camera.model import Camera, same_aspect
 from skope.camera.uncertain_camera import moved_camera
-from skope.normal_distribution import at_most
+from skope.confidence_level import at_most
 from skope.schema import VEHICLE_CATEGORY
 from skope.site.gates_zones_lanes import Gate, Outline, gate_at_size, line_on_road
 from skope.site.traffic_settings import TrafficSettings

@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from skope.normal_distribution import at_most
+from skope.confidence_level import at_most
 from skope.site.gates_zones_lanes import DEFAULT_LANE_M, Lane
 from skope.tracks.track import Track, is_in_traffic
 from skope.types import Array

@@ -14,7 +14,7 @@ from typing import Final
 
 import numpy as np
 
-from skope.normal_distribution import at_most
+from skope.confidence_level import at_most
 from skope.schema import VEHICLE_CATEGORY
 from skope.site.gates_zones_lanes import Gate
 from skope.site.traffic_settings import OF_VEHICLES, TrafficSettings

@@ -10,7 +10,6 @@ import numpy as np
 from skope.site.gates_zones_lanes import Gate
 from skope.site.traffic_settings import TrafficSettings
 from skope.tracks.track import Track
-from skope.traffic.collision import hard_brakings
 from skope.traffic.conflicts import conflicts
 from skope.traffic.counting_intervals import ClockInterval, clock_intervals, local_start
 from skope.traffic.event_probability import usual_step
@@ -28,6 +27,7 @@ from skope.traffic.queues import delays, queues
 from skope.traffic.recordings import SiteRecording
 from skope.traffic.report_remarks import remarks
 from skope.traffic.speeds import section_passes, speed_groups
+from skope.traffic.time_to_collision import hard_brakings
 from skope.traffic.traffic_report import TrafficReport
 from skope.traffic.turning_movements import movements, turning_counts
 from skope.traffic.zones import visits

@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from skope.normal_distribution import INTERVAL_SIGMAS
+from skope.confidence_level import INTERVAL_SIGMAS
 from skope.schema import PEDESTRIAN_CATEGORY
 from skope.site.traffic_settings import TrafficSettings
 from skope.tracks.track import KMH_PER_MPS, Track, worst_sigma

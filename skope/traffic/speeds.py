@@ -15,7 +15,7 @@ from typing import Final, TypeVar
 import numpy as np
 from scipy.special import bdtr
 
-from skope.normal_distribution import INTERVAL_LEVEL, INTERVAL_SIGMAS
+from skope.confidence_level import INTERVAL_LEVEL, INTERVAL_SIGMAS
 from skope.schema import PEDESTRIAN_CATEGORY
 from skope.site.traffic_settings import TRAFFIC_CLASSES
 from skope.tracks.track import Track, has_plausible_speed

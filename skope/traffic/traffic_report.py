@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 from skope.site.gates_zones_lanes import Gate
 from skope.terminal.console import text_table
 from skope.tracks.track import KMH_PER_MPS, Track
-from skope.traffic.collision import HardBraking
 from skope.traffic.conflicts import ConflictSearch
 from skope.traffic.count_uncertainty import count_interval, in_words
 from skope.traffic.counting_intervals import ClockInterval
@@ -23,6 +22,7 @@ from skope.traffic.observation import Observation
 from skope.traffic.queues import Delay, QueueRecord
 from skope.traffic.recordings import SiteRecording
 from skope.traffic.speeds import MOTOR_TRAFFIC, Percentile, SectionPass, SpeedGroup
+from skope.traffic.time_to_collision import HardBraking
 from skope.traffic.turning_movements import NO_GATE, Movement, TurningCount
 from skope.traffic.zones import ZoneVisit
 

@@ -9,9 +9,9 @@ from typing import Any, Final
 
 import numpy as np
 
+from skope.confidence_level import INTERVAL_LEVEL
 from skope.files.csv_files import write_csv
 from skope.files.json_files import write_json
-from skope.normal_distribution import INTERVAL_LEVEL
 from skope.traffic.count_uncertainty import count_interval, in_json
 from skope.traffic.peak_hour import peak_hours_in_json
 from skope.traffic.report_tables import report_tables

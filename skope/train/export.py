@@ -28,13 +28,13 @@ from torchvision.models.detection import KeypointRCNN
 from skope import keypoints, schema
 from skope.dataset import image_selection
 from skope.dataset.folder import open_dataset
-from skope.detections import MIN_SCORE
 from skope.detector import int8_ranges, weights
 from skope.detector.backbones import BACKBONE_CHOICES
 from skope.detector.build import NETWORK_DEFAULTS, DetectorConfig
 from skope.detector.checkpoint import checkpoint_bytes, find_checkpoint, full_state, load_weights
 from skope.detector.detect import detect
 from skope.detector.device import choose_device
+from skope.detector.network_settings import MIN_SCORE
 from skope.errors import UserError, one_of
 from skope.files.output_folders import check_file, write_new
 from skope.schema import VEHICLE_ALONE

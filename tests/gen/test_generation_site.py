@@ -23,7 +23,7 @@ from skope.dataset.folder import open_dataset
 from skope.errors import UserError
 from skope.gen.generation_site import OwnSite, read_generation_site
 from skope.gen.inspect.check import check
-from skope.gen.labels.annotate import Rules
+from skope.gen.labels.ignore_rules import Rules
 from skope.gen.pipeline.config import DatasetRequest, from_preset
 from skope.gen.render.choose_renderer import make_renderer
 from skope.gen.render.daylight import Daylight

@@ -10,12 +10,12 @@ from shapely import Polygon
 
 from skope.site.traffic_settings import TrafficSettings
 from skope.tracks.track import Track
-from skope.traffic.collision import deceleration_to_avoid, times_to_collision
 from skope.traffic.conflicts import Conflict, conflicts
-from skope.traffic.encroachment import by_area, by_places
 from skope.traffic.event_probability import event_probability
 from skope.traffic.footprints import FootprintPath, footprint_corners, meeting, overlap
 from skope.traffic.join_broken_tracks import join_trajectories
+from skope.traffic.post_encroachment_time import by_area, by_places
+from skope.traffic.time_to_collision import deceleration_to_avoid, times_to_collision
 from tests.traffic.drives import drive, straight, then
 
 

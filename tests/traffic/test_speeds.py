@@ -11,7 +11,6 @@ from scipy.stats import binom
 from skope.site.gates_zones_lanes import Gate, Lane, Zone
 from skope.site.traffic_settings import TrafficSettings
 from skope.tracks.track import Track
-from skope.traffic.collision import hard_brakings
 from skope.traffic.count_uncertainty import count_interval
 from skope.traffic.counting_intervals import ClockInterval
 from skope.traffic.event_probability import event_probability, queue_miss_rate
@@ -21,6 +20,7 @@ from skope.traffic.lanes import LaneMap
 from skope.traffic.observation import Observation
 from skope.traffic.queues import delays, queues
 from skope.traffic.speeds import order_ranks, section_passes, speed_groups, speed_percentiles, way
+from skope.traffic.time_to_collision import hard_brakings
 from skope.traffic.turning_movements import movements
 from skope.traffic.zones import visits
 from tests.traffic.drives import GATE, along_x, drive, straight, watched

@@ -14,12 +14,12 @@ from torchvision.models.detection import KeypointRCNN, keypointrcnn_resnet50_fpn
 from skope import boxes, schema
 from skope.dataset import coco
 from skope.dataset.folder import open_dataset, read_image
-from skope.detections import MIN_SCORE
 from skope.detector import int8_ranges
 from skope.detector.backbones import BACKBONE_CHOICES
 from skope.detector.build import DetectorConfig, KeypointNetwork, build
 from skope.detector.checkpoint import load_weights, save_weights
 from skope.detector.detect import detect
+from skope.detector.network_settings import MIN_SCORE
 from skope.errors import UserError
 from skope.terminal.console import Console
 from skope.train import init_weights, loop, splits

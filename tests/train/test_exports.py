@@ -14,10 +14,10 @@ from safetensors.torch import load_file
 from torchvision.models.detection import KeypointRCNN
 
 from skope.dataset.folder import read_image
-from skope.detections import MIN_SCORE
 from skope.detector.backbones import BACKBONE_CHOICES
 from skope.detector.build import DetectorConfig, KeypointNetwork, build
 from skope.detector.checkpoint import load_weights, read_checkpoint, save_weights
+from skope.detector.network_settings import MIN_SCORE
 from skope.errors import UserError
 from skope.terminal.console import Console
 from skope.train.export import OUTPUT_NAMES, Deployed, export

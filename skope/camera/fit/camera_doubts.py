@@ -10,7 +10,7 @@ import numpy as np
 from skope.camera.fit.camera_unknowns import FOCAL, HEIGHT, RAY_LIMITS, camera_of_unknowns, on_road
 from skope.camera.fit.fit_camera import CameraEstimate, gain_of_pixel_width
 from skope.camera.uncertain_camera import slopes
-from skope.normal_distribution import INTERVAL_SIGMAS
+from skope.confidence_level import INTERVAL_SIGMAS
 from skope.pose.fit_body_types import INLIER_VARIANCES
 from skope.types import Array
 

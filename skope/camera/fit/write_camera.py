@@ -23,10 +23,10 @@ from skope.camera.fit.fit_camera import CameraEstimate
 from skope.camera.fit.vehicle_sample import sample_vehicles
 from skope.camera.model import Camera
 from skope.camera.uncertain_camera import slopes
+from skope.confidence_level import INTERVAL_SIGMAS
 from skope.dataset.folder import PIXEL_WIDTH
 from skope.errors import UserError
 from skope.files.output_folders import write_new
-from skope.normal_distribution import INTERVAL_SIGMAS
 from skope.pose.keypoint_views import Scene
 from skope.terminal.console import counted
 from skope.types import Array

@@ -222,7 +222,7 @@ def video(
     """Make footage of a site, with labels of every frame."""
     from skope.files.atomic import sha256_of
     from skope.gen.generation_site import own_site
-    from skope.gen.labels.annotate import Rules
+    from skope.gen.labels.ignore_rules import Rules
     from skope.gen.pipeline.config import from_preset
     from skope.gen.pipeline.write_footage import plan_of, write_footage
     from skope.gen.render.choose_renderer import choose_renderer

@@ -164,7 +164,7 @@ class DatasetOptions:
     def request(self) -> "tuple[DatasetRequest, str]":
         """The request that the options make, and what to say of the renderer."""
         from skope.gen.generation_site import own_site
-        from skope.gen.labels.annotate import Rules
+        from skope.gen.labels.ignore_rules import Rules
         from skope.gen.output.frames import Encoding
         from skope.gen.output.licences import named
         from skope.gen.pipeline.config import from_preset

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from skope import keypoints
 from skope.camera.model import Camera
-from skope.gen.labels.annotate import Rules, annotate
+from skope.gen.labels.annotate import annotate
+from skope.gen.labels.ignore_rules import Rules
 from skope.gen.labels.raycast import Fan
 from skope.gen.labels.world_keypoints import trilaterate
 from skope.gen.render.choose_renderer import make_renderer

@@ -6,106 +6,24 @@ It knows arrays alone, and none of the engines that made them.
 
 import math
 from dataclasses import dataclass, field
-from typing import Any, Final
+from typing import Any
 
-import cv2
 import numpy as np
-from pycocotools import mask as coco_mask
 
 from skope import keypoints
 from skope.camera.model import Camera
-from skope.errors import UserError, one_of
 from skope.gen.bystanders import bystander
 from skope.gen.bystanders.bystander import CATEGORY_OF
+from skope.gen.labels.ignore_rules import Rules, counts_as_hidden, ignore_reason, occluded_by_others
+from skope.gen.labels.image_extent import measure_extent
 from skope.gen.labels.visibility import VISIBILITY_TOLERANCES, behind, find_hidden
-from skope.gen.labels.world_keypoints import LOCALIZER_CHOICES, world_keypoints
+from skope.gen.labels.world_keypoints import world_keypoints
 from skope.gen.render.frame import RenderedFrame
 from skope.gen.scene.recording import Moment
 from skope.gen.vehicles.model import Trailer, Vehicle
 from skope.gen.vehicles.paints import color_name
 from skope.schema import CATEGORY_NAMES, Annotation, Box3D, RoadUser
-from skope.types import Array, Mask
-
-
-@dataclass(frozen=True, eq=False)
-class Extent:
-    """Boxes, mask and pixel counts of a road user in the image."""
-
-    bbox: Array
-    """(4,) x, y, width, height of the silhouette inside the image, pixels."""
-    bbox_visible: Array
-    """(4,) x, y, width, height of the visible pixels."""
-    segmentation: dict[str, Any]
-    """Visible pixels as COCO's RLE."""
-    visible: int
-    """Number of visible pixels."""
-    inside: int
-    """Pixels of the whole silhouette inside the image."""
-    whole: int
-    """Pixels of the whole silhouette, also outside the image."""
-
-    def fields(self) -> dict[str, Any]:
-        """The fields of `schema.Labelled` that follow from these."""
-        return {
-            "bbox": self.bbox,
-            "bbox_visible": self.bbox_visible,
-            "segmentation": self.segmentation,
-            "area": self.visible,
-            "area_full": self.inside,
-            "occlusion": 1 - self.visible / self.inside,
-            "truncation": 1 - self.inside / self.whole,
-        }
-
-
-def measure_extent(view: RenderedFrame, i: int, camera: Camera) -> Extent | None:
-    """Boxes, mask and pixel counts of a road user; None where none of its pixels is visible.
-
-    Args:
-        view: The rendered frame.
-        i: Number of the road user in it.
-        camera: The frame's camera.
-    """
-    silhouette = view.silhouettes[i]
-    height, width = silhouette.mask.shape
-    x0, y0 = max(silhouette.x, 0), max(silhouette.y, 0)
-    x1, y1 = min(silhouette.x + width, camera.width), min(silhouette.y + height, camera.height)
-    visible = view.ids[y0:y1, x0:x1] == i + 1
-    if not visible.any():
-        return None
-    whole = silhouette.mask[y0 - silhouette.y : y1 - silhouette.y, x0 - silhouette.x : x1 - silhouette.x]
-    # The silhouette is drawn in another window, where an edge may round to the pixel beside it; visible pixels are part
-    # of the vehicle in any case.
-    inside = whole | visible
-    corner = np.array([x0, y0, 0, 0])
-    return Extent(
-        bbox_of(inside) + corner,
-        bbox_of(visible) + corner,
-        _segmentation(visible, (x0, y0), (camera.width, camera.height)),
-        int(np.count_nonzero(visible)),
-        int(np.count_nonzero(inside)),
-        int(np.count_nonzero(silhouette.mask) + np.count_nonzero(inside) - np.count_nonzero(whole)),
-    )
-
-
-def _segmentation(mask: Mask, corner: tuple[int, int], size: tuple[int, int]) -> dict[str, Any]:
-    """COCO's RLE of an image of `size` (width, height) with a mask at `corner` (x, y) and nothing else."""
-    (x0, y0), (width, height) = corner, size
-    # RLE runs go down the columns; an empty row at the end keeps a run from continuing in the next column.
-    columns = np.pad(mask, ((0, 1), (0, 0))).T.ravel()
-    edges = np.flatnonzero(np.diff(columns, prepend=False))
-    column, row = np.divmod(edges, len(mask) + 1)
-    edges = (x0 + column) * height + y0 + row
-    # In a mask as high as the image a run may end where the next begins: such runs are joined.
-    meets = np.flatnonzero(edges[1:] == edges[:-1])
-    edges = np.delete(edges, np.concatenate([meets, meets + 1]))
-    counts = np.diff(edges[edges < width * height], prepend=0, append=width * height).tolist()
-    rle = coco_mask.frPyObjects({"size": [height, width], "counts": counts}, height, width)
-    return {"size": [height, width], "counts": rle["counts"].decode()}
-
-
-def bbox_of(mask: Mask) -> Array:
-    """(4,) x, y, width, height of the tight box around a mask's (H, W) pixels."""
-    return np.array(cv2.boundingRect(mask.view(np.uint8)), dtype=np.float64)
+from skope.types import Array
 
 
 def box_around(vehicle: Vehicle, trailer: Trailer, T_world_chassis: Array, T_world_trailer: Array) -> tuple[Array, Any]:
@@ -127,69 +45,6 @@ def box_around(vehicle: Vehicle, trailer: Trailer, T_world_chassis: Array, T_wor
     points = np.concatenate([own, corners @ T[:3, :3].T + T[:3, 3]])
     low, high = points.min(axis=0), points.max(axis=0)
     return T_world_chassis[:3, :3] @ ((low + high) / 2) + T_world_chassis[:3, 3], high - low
-
-
-OCCLUSION_RULES: Final = ("others", "paper")
-
-
-@dataclass(frozen=True)
-class LabelLimits:
-    """Limits below which a vehicle is ignored."""
-
-    pixels: int = 20
-    """Vehicles with fewer visible pixels are ignored as `small`."""
-    contrast: float = 1.0
-    """Vehicles whose visible pixels change by less than this on average, in units of what noise and compression hide,
-    are ignored as `unseen`."""
-
-
-LABEL_LIMITS: Final = LabelLimits()
-
-
-@dataclass(frozen=True, kw_only=True)
-class Rules:
-    """Rules on what is ground truth and what ignored, and on how keypoints are localised."""
-
-    occlusion: str = "others"
-    localizer: str = "rigid"
-    min_visible: float = 0.15
-    """Less than this share of the silhouette unhidden and inside the image: `sliver`."""
-    min_box: float = 12.0
-    """A box whose shorter edge is under this many pixels: `small`."""
-
-    def __post_init__(self) -> None:
-        one_of("--occlusion-rule", self.occlusion, OCCLUSION_RULES)
-        one_of("--localizer", self.localizer, LOCALIZER_CHOICES)
-        if not 0 <= self.min_visible <= 1:
-            raise UserError(f"--min-visible: expected a share from 0 to 1, got {self.min_visible}")
-        if not self.min_box >= 0:
-            raise UserError(f"--min-box: expected pixels from 0, got {self.min_box}")
-
-
-def occluded_by_others(hidden_by_others: Mask, inside: Mask) -> Mask:
-    """(...,) whether a vehicle counts as hidden by the rule `others`.
-
-    It does where something else hides more than half of its keypoints inside the image; both masks are (..., 33).
-    """
-    return np.asarray(hidden_by_others.sum(-1) * 2 > inside.sum(-1))
-
-
-def ignore_reason(shape: Extent, occluded: bool, contrast: float, rules: Rules) -> str | None:
-    """Tell why a road user is ignored; None where it is ground truth.
-
-    Args:
-        shape: Its boxes and pixel counts.
-        occluded: Whether something else hides it, by the rule of occlusion.
-        contrast: Its contrast with what is behind it, in deviations of the noise.
-        rules: The limits.
-    """
-    if occluded:
-        return "occluded"
-    if shape.visible < rules.min_visible * shape.whole:
-        return "sliver"
-    if min(shape.bbox[2:]) < rules.min_box or shape.visible < LABEL_LIMITS.pixels:
-        return "small"
-    return "unseen" if contrast < LABEL_LIMITS.contrast else None
 
 
 @dataclass
@@ -335,12 +190,6 @@ def annotate_road_users(
             )
         )
     return out
-
-
-def counts_as_hidden(extent: Extent) -> bool:
-    """Whether somebody without keypoints counts as occluded: something else hides more than half of the pixels that the
-    whole silhouette has inside the image."""
-    return 2 * extent.visible < extent.inside
 
 
 def _body_fields(moment: Moment, i: int, camera: Camera) -> dict[str, Any]:

@@ -10,8 +10,8 @@ from skope.dataset.depth_files import DEPTH_CODING
 from skope.dataset.folder import CARD_FILE, read_manifest
 from skope.files.atomic import write_text
 from skope.files.json_files import write_json
-from skope.gen.labels import annotate, visibility
-from skope.gen.labels.annotate import Rules
+from skope.gen.labels import visibility
+from skope.gen.labels.ignore_rules import LABEL_LIMITS, Rules
 from skope.gen.output import card_text, licences
 from skope.gen.output.croissant import croissant
 from skope.gen.output.frames import Encoding
@@ -129,7 +129,7 @@ def label_rules(rules: Rules) -> list[str]:
         "A vehicle without a visible pixel has no annotation.",
         f"Ignored (iscrowd = 1): sliver, less than {rules.min_visible:.0%} of its silhouette unhidden and inside the "
         f"image; small, shorter edge of its box under {rules.min_box:g} px or fewer than "
-        f"{annotate.LABEL_LIMITS.pixels} visible pixels; unseen, contrast under {annotate.LABEL_LIMITS.contrast:g}.",
+        f"{LABEL_LIMITS.pixels} visible pixels; unseen, contrast under {LABEL_LIMITS.contrast:g}.",
         f"Keypoints are localised by {rules.localizer}; wheel centres are the wheels' own.",
     ]
 

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from skope.dataset import coco
 from skope.dataset.depth_files import depth_png
 from skope.errors import UserError, one_of
-from skope.gen.labels.annotate import RuleCounts, Rules, annotate, annotate_road_users
+from skope.gen.labels.annotate import RuleCounts, annotate, annotate_road_users
+from skope.gen.labels.ignore_rules import Rules
 from skope.gen.output.writers import FrameFiles, Labels, checksum, label_fields
 from skope.gen.render.frame import RenderedFrame, Renderer
 from skope.gen.scene.recording import Recording

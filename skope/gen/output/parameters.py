@@ -9,7 +9,7 @@ from typing import Any, Self
 from skope import keypoints
 from skope.dataset.folder import check_takes
 from skope.errors import UserError
-from skope.gen.labels.annotate import Rules
+from skope.gen.labels.ignore_rules import Rules
 from skope.gen.output import licences
 from skope.gen.output.frames import Encoding
 from skope.gen.scene.package_versions import versions

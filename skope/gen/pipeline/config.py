@@ -12,7 +12,7 @@ from typing import Any, Final
 from skope.camera.model import Distortion
 from skope.errors import UserError, one_of
 from skope.gen.generation_site import OwnSite
-from skope.gen.labels.annotate import Rules
+from skope.gen.labels.ignore_rules import Rules
 from skope.gen.output.parameters import DatasetPlan, OwnSiteRecord, Parameters
 from skope.gen.output.writers import DATASET_FORMATS
 from skope.gen.render.lens import pinhole_of

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, Final, Protocol
 
 from skope.errors import UserError
-from skope.gen.labels.annotate import Rules
+from skope.gen.labels.ignore_rules import Rules
 from skope.gen.output.frames import Encoding, frames_of
 from skope.gen.pipeline.dataset_store import Store
 from skope.gen.render.choose_renderer import make_renderer

@@ -16,7 +16,8 @@ from skope.files.atomic import replacing
 from skope.files.json_files import read_json
 from skope.files.output_folders import changed_options
 from skope.files.safe_names import for_ffmpeg
-from skope.gen.labels.annotate import Rules, annotate, annotate_road_users
+from skope.gen.labels.annotate import annotate, annotate_road_users
+from skope.gen.labels.ignore_rules import Rules
 from skope.gen.output.frames import image_of
 from skope.gen.pipeline.generate import lighting_messages
 from skope.gen.render.choose_renderer import make_renderer

@@ -10,8 +10,8 @@ import numpy as np
 from markupsafe import Markup
 
 from skope.camera.model import Camera
+from skope.confidence_level import INTERVAL_SIGMAS
 from skope.files.atomic import write_text
-from skope.normal_distribution import INTERVAL_SIGMAS
 from skope.page.svg import tag
 from skope.page.templates import Cell, Table, render
 from skope.schema import VEHICLE_CATEGORY

@@ -11,7 +11,9 @@ from pycocotools import mask as coco_mask
 from skope import keypoints
 from skope.camera.model import Camera
 from skope.errors import UserError
-from skope.gen.labels.annotate import Rules, _segmentation, annotate, bbox_of, occluded_by_others
+from skope.gen.labels.annotate import annotate
+from skope.gen.labels.ignore_rules import Rules, occluded_by_others
+from skope.gen.labels.image_extent import _segmentation, bbox_of
 from skope.gen.labels.visibility import behind
 from skope.gen.labels.world_keypoints import world_keypoints
 from skope.gen.render.choose_renderer import make_renderer

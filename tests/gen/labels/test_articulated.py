@@ -9,7 +9,8 @@ import pytest
 from skope import keypoints
 from skope.camera.model import Camera
 from skope.dataset import coco
-from skope.gen.labels.annotate import Rules, annotate
+from skope.gen.labels.annotate import annotate
+from skope.gen.labels.ignore_rules import Rules
 from skope.gen.labels.world_keypoints import world_keypoints
 from skope.gen.render.choose_renderer import make_renderer
 from skope.gen.render.frame import RenderedFrame

@@ -13,7 +13,8 @@ from skope.camera.model import Camera
 from skope.gen.bystanders import bystander
 from skope.gen.bystanders.luggage import LUGGAGE_KINDS
 from skope.gen.bystanders.people import Look
-from skope.gen.labels.annotate import Rules, annotate, annotate_road_users
+from skope.gen.labels.annotate import annotate, annotate_road_users
+from skope.gen.labels.ignore_rules import Rules
 from skope.gen.render.choose_renderer import make_renderer
 from skope.gen.render.frame import RenderedFrame
 from skope.gen.scene.recording import RecordedVehicle, Recording

@@ -16,7 +16,7 @@ from skope.cli import app
 from skope.dataset import coco
 from skope.errors import UserError
 from skope.files.json_files import read_json, write_json
-from skope.gen.labels.annotate import Rules
+from skope.gen.labels.ignore_rules import Rules
 from skope.gen.output import card_text, dataset_card, licences
 from skope.gen.output.croissant import croissant
 from skope.gen.output.frames import Encoding

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from skope.errors import UserError
-from skope.gen.labels.annotate import Rules
+from skope.gen.labels.ignore_rules import Rules
 from skope.gen.output.frames import Encoding
 from skope.gen.output.parameters import DatasetPlan, OwnSiteRecord, Parameters
 from skope.gen.scene.recording import RecordingInfo

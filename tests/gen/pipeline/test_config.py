@@ -9,7 +9,7 @@ import pytest
 
 from skope.errors import UserError
 from skope.gen.generation_site import own_site
-from skope.gen.labels.annotate import Rules
+from skope.gen.labels.ignore_rules import Rules
 from skope.gen.pipeline.config import DatasetRequest, from_preset, presets
 from skope.gen.pipeline.dataset_store import Store
 from skope.gen.scene.recording import RecordingPlan

@@ -16,7 +16,7 @@ from skope.dataset.folder import open_dataset
 from skope.errors import UserError
 from skope.gen.inspect.check import check
 from skope.gen.inspect.diff import differences
-from skope.gen.labels.annotate import Rules
+from skope.gen.labels.ignore_rules import Rules
 from skope.gen.output import card_text
 from skope.gen.pipeline.config import from_preset, presets
 from skope.gen.scene import recording as recordings

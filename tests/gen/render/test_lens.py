@@ -6,7 +6,8 @@ import pytest
 
 from skope.camera.model import Camera, Distortion
 from skope.errors import UserError
-from skope.gen.labels.annotate import Rules, annotate
+from skope.gen.labels.annotate import annotate
+from skope.gen.labels.ignore_rules import Rules
 from skope.gen.render.choose_renderer import make_renderer
 from skope.gen.render.frame import RenderedFrame, Silhouette
 from skope.gen.render.lens import Lens, pinhole_of

@@ -5,7 +5,7 @@ import pytest
 
 from skope.camera.model import Camera
 from skope.errors import UserError
-from skope.gen.labels.annotate import Rules
+from skope.gen.labels.ignore_rules import Rules
 from skope.gen.pipeline.config import DatasetRequest, from_preset
 from skope.gen.scene import camera_sampling
 from skope.gen.scene.camera_sampling import CameraRanges

@@ -11,7 +11,8 @@ from skope.camera.model import Camera
 from skope.gen.bystanders.bystander import BYSTANDER_KINDS, build_bystander
 from skope.gen.bystanders.luggage import LUGGAGE_KINDS
 from skope.gen.bystanders.people import HIP, Look
-from skope.gen.labels.annotate import Rules, annotate
+from skope.gen.labels.annotate import annotate
+from skope.gen.labels.ignore_rules import Rules
 from skope.gen.mesh import Mesh
 from skope.gen.render.choose_renderer import make_renderer
 from skope.gen.scene.recording import LAMP_BITS

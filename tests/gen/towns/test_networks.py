@@ -11,7 +11,7 @@ import shapely
 from shapely import LineString
 
 from skope.gen.inspect.town_maps import town_map
-from skope.gen.labels.annotate import Rules
+from skope.gen.labels.ignore_rules import Rules
 from skope.gen.pipeline.config import from_preset, presets
 from skope.gen.render.materials import GROUND_MATERIALS
 from skope.gen.scenery.bridges_and_barriers import BRIDGE_SIZES

@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from skope.normal_distribution import at_most
+from skope.confidence_level import at_most
 from skope.schema import PEDESTRIAN_CATEGORY
 from skope.site.traffic_settings import TrafficSettings
 from skope.tracks.track import Track, has_plausible_speed, is_in_traffic
