@@ -46,7 +46,7 @@ from skope.detector.detect import heatmap_peaks
 from skope.detector.device import choose_device
 from skope.detector.network_settings import Settings
 from skope.detector.predictor import Predictor
-from skope.metrics.keypoint_outcomes import Options
+from skope.metrics.keypoint_outcomes import MetricOptions
 from skope.metrics.pck_precision_recall import score_split
 from skope.metrics.thresholds import PAPER_THRESHOLDS
 from skope.schema import Annotation, AnnotationFile, Image, Result
@@ -297,7 +297,7 @@ def bench_metrics(options: argparse.Namespace) -> None:
     """Time of the metrics and of plain loops, and how far their figures are apart."""
     images = options.images
     file, results = synthetic_split(np.random.default_rng(0), images)
-    rounds = [timed(lambda: score_split(file, results, Options())["iou"]) for _ in range(5)]
+    rounds = [timed(lambda: score_split(file, results, MetricOptions())["iou"]) for _ in range(5)]
     fast, ours = float(np.median([seconds for seconds, _ in rounds])), rounds[0][1]
     slow, peer = timed(lambda: loops(file, results))
     worst = 0.0
@@ -338,7 +338,7 @@ def bench_inference(options: argparse.Namespace) -> None:
                 torch.cuda.synchronize(where)
             seconds[name] += time.perf_counter() - begun
     print(f"{machine(where.type)}; inference on {len(file.images)} images of {data} ({options.split})")
-    settings = Options(score=score)
+    settings = MetricOptions(score=score)
     for name in ways:
         entry = score_split(file, found[name], settings)
         figures = entry["iou"]["0.6"]

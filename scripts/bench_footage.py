@@ -70,7 +70,7 @@ from skope.footage.predict_job import PredictJob, claim
 from skope.schema import AnnotationFile, Image, Result
 from skope.terminal.console import Console
 from skope.types import Pixels
-from skope.video.footage import Cut, Footage, open_footage
+from skope.video.footage import Footage, FrameRange, open_footage
 
 SCORE: Final = 0.5
 WAYS: Final = {
@@ -116,7 +116,7 @@ def clips(options: argparse.Namespace) -> list[tuple[Path, Footage]]:
     for labels in sorted(options.footage.rglob("*.json")):
         times = [image.time_s or 0.0 for image in coco.read(labels).images]
         end = math.inf if options.frames >= len(times) else times[options.frames]
-        out.append((labels, open_footage(str(labels.with_suffix(".mp4")), Cut(end_s=end))))
+        out.append((labels, open_footage(str(labels.with_suffix(".mp4")), FrameRange(end_s=end))))
     return out
 
 

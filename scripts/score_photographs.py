@@ -38,7 +38,7 @@ from skope.files.json_files import read_json, write_json
 from skope.files.output_folders import claim_output
 from skope.keypoints import FLIP, OTHER_END
 from skope.metrics.coco_ap import average_precision
-from skope.metrics.keypoint_outcomes import Options, lengths, outcomes_at
+from skope.metrics.keypoint_outcomes import MetricOptions, lengths, outcomes_at
 from skope.metrics.match import Matches, match
 from skope.metrics.pck_precision_recall import METRIC_RULES, recall_at_precision
 from skope.metrics.read_inputs import for_images, read_vehicle_results
@@ -67,7 +67,7 @@ PANEL_PX: Final = 1280
 """Width of a photograph on a sheet."""
 ROWS: Final = 2
 """Photographs on a sheet, few enough for it to be read at full size."""
-OPTIONS: Final = Options(alpha=0.1, iou=(IOU,))
+OPTIONS: Final = MetricOptions(alpha=0.1, iou=(IOU,))
 UNNAMED: Final = "unnamed"
 
 Figures = dict[str, Any]
@@ -379,7 +379,7 @@ def log_look(path: Path, metrics: Mapping[str, Any]) -> None:
 
 def run(options: argparse.Namespace) -> None:
     """Read, predict, score, write, print."""
-    Options(score=options.score)
+    MetricOptions(score=options.score)
     photographs = read_photographs(options.photographs)
     root, out = photographs.source.parent, options.out
     if out.resolve().is_relative_to(root.resolve()):

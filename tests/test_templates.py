@@ -43,7 +43,7 @@ def test_a_block_is_a_paragraph_a_list_or_markup(block: object, markup: str) -> 
 
 
 def test_a_script_holds_each_module_once_before_those_that_use_it() -> None:
-    script = bundled_script("page/page.js", "traffic/page/hand_count.js")
+    script = bundled_script("page/page.js", "traffic/page/manual_count.js")
     assert not re.search(r"^(import|export) ", script, re.MULTILINE)
     assert script.count("const byId =") == 1
     assert script.index("const byId =") < script.index("const unpacked =") < script.index("const root =")

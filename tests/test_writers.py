@@ -203,7 +203,7 @@ WRITERS = {
     ),
     "eval traffic": Row(
         own="eval traffic IN/road_tracks --site IN/gates.toml --out OUT",
-        other="eval traffic IN/road_tracks --site IN/gates.toml --begins 2026-11-26T10:00:00Z --out OUT",
+        other="eval traffic IN/road_tracks --site IN/gates.toml --start-time 2026-11-26T10:00:00Z --out OUT",
         lost=without("summary.json"),
     ),
     "eval camera": Row(

@@ -35,10 +35,10 @@ from skope.camera.calibrate import calibrate
 from skope.camera.evidence import MARKING_ERRORS, Evidence, MarkedLength, MarkedPoint, ParallelLines
 from skope.camera.evidence_terms import point_term, terms_of
 from skope.camera.fit.bundle_adjustment import VehicleViews
-from skope.camera.fit.camera_doubts import why_not
+from skope.camera.fit.camera_doubts import rejection_reason
 from skope.camera.fit.camera_unknowns import UNKNOWN_NAMES
 from skope.camera.fit.fit_camera import fit_camera_to_vehicles
-from skope.camera.ground_plane import ground_places
+from skope.camera.ground_plane import intersect_ground
 from skope.camera.model import Camera, Distortion
 from skope.camera.uncertain_camera import CAMERA_PARAMETERS, UncertainCamera, values_of
 from skope.camera.weighted_fit import SEARCH_SCALES, fit_terms
@@ -89,7 +89,7 @@ def road(camera: Camera) -> tuple[Array, Array]:
     """(N, 2) pixels on a grid of the image that show road up to `FARTHEST_M` away, and (N, 3) their places."""
     u, v = np.meshgrid(np.linspace(20, SIZE[0] - 20, 25), np.linspace(20, SIZE[1] - 20, 19))
     pixels = np.column_stack([u.ravel(), v.ravel()])
-    places = ground_places(camera, pixels)
+    places = intersect_ground(camera, pixels)
     near = np.linalg.norm(places[:, :2] - camera.position[:2], axis=1) < FARTHEST_M
     return pixels[near], places[near]
 
@@ -292,7 +292,7 @@ def from_vehicles(camera: Camera, rng: np.random.Generator, traffic: Traffic) ->
     views = vehicle_views(camera, rng, traffic)
     fit = fit_camera_to_vehicles(views)
     boxes = [(np.ptp(view[:, 0]) / 2 + view[:, 0].min(), view[:, 1].max()) for view in views.found]
-    if reason := why_not(fit, np.array(boxes)):
+    if reason := rejection_reason(fit, np.array(boxes)):
         raise UserError(reason)
     return UncertainCamera.from_dict(fit.camera, {"of": list(UNKNOWN_NAMES), "matrix": fit.covariance.tolist()})
 

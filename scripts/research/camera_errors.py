@@ -37,14 +37,14 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from skope.camera.fit.camera_doubts import sigma_of_ways, why_not
+from skope.camera.fit.camera_doubts import rejection_reason, sigma_of_ways
 from skope.camera.fit.camera_unknowns import FOCAL, HEIGHT, PITCH, on_road
 from skope.camera.fit.fit_camera import fit_camera_to_vehicles
 from skope.camera.fit.vehicle_sample import sample_vehicles
 from skope.camera.model import Camera
 from skope.camera.motion.camera_motion import MOTION_KEY, turned_camera
-from skope.camera.motion.camera_shake import SwayWatch, record_of
-from skope.camera.motion.view_changes import Looks
+from skope.camera.motion.camera_shake import CameraShakeEstimator, record_of
+from skope.camera.motion.view_changes import ViewSamples
 from skope.camera.uncertain_camera import UNCERTAINTY_LIMITS, radius_of
 from skope.confidence_level import INTERVAL_SIGMAS
 from skope.dataset import coco
@@ -187,7 +187,7 @@ def measure(name: str, file: AnnotationFile, results: list[Result] | None, how: 
     try:
         drawn = sample_vehicles(scene, 40, score=0.9, noise=1.0 if results is None else 0.0, sigma_px=None)
         estimate = fit_camera_to_vehicles(drawn.views)
-        reason = why_not(estimate, drawn.lower_edges)
+        reason = rejection_reason(estimate, drawn.lower_edges)
     except UserError as error:
         reason = str(error)
     if reason:
@@ -279,7 +279,7 @@ def shaken(file: AnnotationFile, pictures: "Pictures", sway_px: float, bump_px: 
     rest = at_rest(wide)
     times = [image.time_s or 0.0 for image in file.images]
     turns = [turned_camera(rest, *move) for move in moves(len(times), times, sway_px, bump_px)]
-    watch, looks = SwayWatch(), Looks()
+    watch, looks = CameraShakeEstimator(), ViewSamples()
     images = [replace(image, width=SIZE[0], height=SIZE[1], camera=rest) for image in file.images]
     frames = ((one, seen_by(turn, wide, pictures(one))) for one, turn in zip(images, turns, strict=True))
     for _ in looks.watch(watch.watch(frames)):

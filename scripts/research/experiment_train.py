@@ -187,7 +187,7 @@ def measured(options: argparse.Namespace, name: str, seed: int) -> Row:
         workers=options.workers if device.type == "cuda" else 0,
         resume=training_state.resumable(folder / "run"),
         console=console,
-        saving=loop.Saving(),
+        saving=loop.CheckpointPolicy(),
     )
     model, detector, _ = load_weights(checkpoint, device)
 

@@ -38,7 +38,7 @@ from skope import boxes
 from skope.dataset import coco
 from skope.dataset.folder import PREDICTIONS_FILE
 from skope.dataset.image_selection import part
-from skope.metrics.keypoint_outcomes import Options, outcomes_at
+from skope.metrics.keypoint_outcomes import MetricOptions, outcomes_at
 from skope.metrics.match import match
 from skope.metrics.outcome_counts import ratio
 from skope.metrics.pck_precision_recall import ranked, recall_at_precision
@@ -95,7 +95,7 @@ def count(truth: AnnotationFile, results: Sequence[Result], score: float = 0.0) 
     everything = match(truth, results, score=0.0, thresholds=(IOU,))
     scores, hits = ranked(everything, IOU)
     matches = match(truth, results, score=score, thresholds=(IOU,)) if score else everything
-    outcomes = outcomes_at(matches, IOU, Options())
+    outcomes = outcomes_at(matches, IOU, MetricOptions())
     times = np.array([image.time_s or 0.0 for image in truth.images])[matches.gt_image]
     tracks = np.array([vehicle.track_id for vehicle in matches.vehicles])
     first = {track: times[tracks == track].min() for track in set(tracks.tolist())}

@@ -129,14 +129,14 @@ def make_tracks(
     return number, rows
 
 
-def write_footage(folder: Path, times: Array, begins: datetime, moved_s: float = math.inf) -> None:
+def write_footage(folder: Path, times: Array, start_time: datetime, moved_s: float = math.inf) -> None:
     watched = Observation(
         times_s=times[times < moved_s],
         moved_s=times[times >= moved_s],
         source=f"{folder.name}.mp4",
-        common_sigma=0.01,
+        common_scale_sigma=0.01,
         camera=Camera.looking([0.0, -90.0, 25.0], yaw=math.pi / 2, pitch_down=0.3, size=(1280, 720)),
-        begins=begins,
+        start_time=start_time,
     )
     write_json(folder / FOOTAGE_FILE, watched.to_dict())
 
@@ -236,7 +236,7 @@ def started(tracks: Sequence[Path], site: Path, out: Path) -> subprocess.Popen[b
         *map(str, tracks),
         "--site",
         str(site),
-        "--also",
+        "--export",
         "otanalytics",
         "--out",
         str(out),
@@ -308,7 +308,7 @@ def compare_recordings(options: argparse.Namespace, whole: dict[str, bytes], sit
     split_tracks(options.out / "tracks", folders, options.hours * 3600 / options.recordings, options.fps)
     parts, _, cells = measured(folders, site, options.out / "of_recordings")
     print(f"| {options.recordings} recordings | | | {cells} |", flush=True)
-    for name in ("counts.csv", "turning.csv", "speeds.csv", "delays.csv", "occupancy.csv", "headways.csv"):
+    for name in ("counts.csv", "turning_movements.csv", "speeds.csv", "delays.csv", "occupancy.csv", "headways.csv"):
         one, other = (report[name].decode().splitlines() for report in (whole, parts))
         same = (
             "the same bytes" if one == other else f"{len(one)} and {len(other)} lines, {len({*one} ^ {*other})} differ"

@@ -365,7 +365,7 @@ def by_clip(clips: Sequence[Row]) -> None:
             f"{clip['clip']['name']:27.27} {true:16d} {said:7d} {wrong:5d}  {speeds_off(clip, 'v50'):>14}  "
             f"{speeds_off(clip, 'v85'):>8}   {told}"
         )
-        pet = f"PET off {pair_of(conflicts['pet_places_s'])} s, of the area {pair_of(conflicts['pet_area_s'])} s"
+        pet = f"PET off {pair_of(conflicts['pet_ssam_s'])} s, of the area {pair_of(conflicts['pet_area_s'])} s"
         pairs = f"{conflicts['matched']} of {conflicts['truth']} conflicts, {conflicts['told']} told"
         print(f"{'':27} {pairs}; {pet}")
 
@@ -616,7 +616,7 @@ def conflict_rows(clip: ScoredClip) -> Row:
         "overlapping": clip.told.conflicts.overlapping,
         **{
             name: middle_of([abs(getattr(real[key], name) - getattr(told[key], name)) for key in both])
-            for name in ("pet_places_s", "pet_area_s", "ttc_s")
+            for name in ("pet_ssam_s", "pet_area_s", "ttc_s")
         },
     }
 

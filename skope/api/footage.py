@@ -158,10 +158,10 @@ class Video:
         from skope.terminal.console import SilentConsole
         from skope.tracking.track_footage import (
             TrackJob,
-            begins_of,
             followed,
             observation_of,
             poses_kept,
+            start_time_of,
             times_of,
         )
         from skope.tracking.track_list import Tracks
@@ -176,7 +176,7 @@ class Video:
             place=folder,
             out=folder,
             fps=None,
-            begins=None,
+            start_time=None,
             noise=0.0,
             score=score,
             sigma_px=None,
@@ -190,7 +190,7 @@ class Video:
         finally:
             progress.end()
         index = [i if image.frame_index is None else image.frame_index for i, image in enumerate(scene.file.images)]
-        observation = observation_of(scene, times, begins_of(scene, job.begins))
+        observation = observation_of(scene, times, start_time_of(scene, job.start_time))
         return Tracks(tracks, observation, frame_index=index)
 
     def find_camera(
@@ -282,7 +282,7 @@ def open_video(
     from skope.dataset.camera_of_file import fitted_camera, read_camera
     from skope.footage.predict_job import PredictJob
     from skope.pose.camera_error import camera_info
-    from skope.video.footage import Cut, open_footage
+    from skope.video.footage import FrameRange, open_footage
 
     check_number("score", score, 0.0, 1.0)
     check_number("every", every, 1, math.inf)
@@ -296,7 +296,7 @@ def open_video(
         check_number("ground", ground, -_HIGHEST_M, _HIGHEST_M)
     if fps is not None:
         check_number("fps", fps, 0.001, 1000.0)
-    cut = Cut(every=every, start_s=start_s, end_s=math.inf if end_s is None else end_s)
+    cut = FrameRange(every=every, start_s=start_s, end_s=math.inf if end_s is None else end_s)
     footage = open_footage(str(source), cut)
     if fps is not None and footage.clip is not None:
         footage = open_footage(str(source), cut, fps=fps)

@@ -37,13 +37,13 @@ def score(
         UserError: A file cannot be read, or the predictions are of other images.
     """
     from skope.metrics import read_inputs
-    from skope.metrics.pck_precision_recall import Options, score_split
+    from skope.metrics.pck_precision_recall import MetricOptions, score_split
     from skope.metrics.road_users import category_figures
 
     file = annotations if isinstance(annotations, AnnotationFile) else coco.read(Path(annotations))
     given = predictions
     found = read_inputs.read_all_results(Path(given), file) if isinstance(given, str | Path) else given
     vehicles, road_users = apart(found)
-    entry = score_split(file, vehicles, Options(score=min_score, alpha=alpha, iou=tuple(iou)))
+    entry = score_split(file, vehicles, MetricOptions(score=min_score, alpha=alpha, iou=tuple(iou)))
     figures = category_figures(file, road_users, score=min_score) if road_users else {}
     return entry | ({"categories": figures} if figures else {})

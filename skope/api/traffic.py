@@ -37,9 +37,9 @@ def measure_traffic(
     tracks: "str | Path | Sequence[str | Path] | Sequence[Track]",
     site: "str | Path | SiteFile",
     *,
-    begins: str | datetime | Sequence[str | datetime] | None = None,
+    start_time: str | datetime | Sequence[str | datetime] | None = None,
     times_s: Sequence[float] | None = None,
-    hand_count: str | Path | None = None,
+    manual_count: str | Path | None = None,
 ) -> "TrafficReport":
     """Count and measure traffic: what `skope eval traffic` writes, in memory.
 
@@ -47,11 +47,11 @@ def measure_traffic(
         tracks: The folder that `skope eval track` wrote, several such folders of one site, or what `track` or
             `Video.tracks` gave.
         site: A site file with gates, zones, lanes and settings, or what `read_site` has read.
-        begins: When the footage begins, as a time or as `--begins` takes it; of several recordings a time for each, in
-            their order. Default: as their `footage.json`, the site or, of several, the names of their footage say.
+        start_time: Start of the footage, a time or a text as `--start-time` takes it. For several recordings a time for
+            each, in their order. Default: from `footage.json`, the site file or the names of the footage.
         times_s: Of tracks in memory the times of all frames, seconds, also of those without any track; by default
             those that `track` or `Video.tracks` had. Between them it is known when nothing was observed.
-        hand_count: CSV of what was counted by hand (docs/traffic.md), from which the intervals of counts learn.
+        manual_count: CSV of what was counted by hand (docs/traffic.md), from which the intervals of counts learn.
 
     Returns:
         The report: its `crossings`, `visits`, `counts`, `turning`, `speeds`, `headways`, `queues`, `delays` and
@@ -66,21 +66,21 @@ def measure_traffic(
     from skope.tracks.csv_file import as_written
     from skope.traffic.counting_intervals import local_start
     from skope.traffic.gates import gates_on_road
-    from skope.traffic.hand_count_file import read_hand_counts
+    from skope.traffic.manual_count_file import read_manual_counts
     from skope.traffic.measure import measure
     from skope.traffic.observation import Observation
-    from skope.traffic.recordings import RecordedTraffic, read_recordings, said_begin
+    from skope.traffic.recordings import RecordedTraffic, parse_start_time, read_recordings
 
     read = site if isinstance(site, SiteFile) else read_site(site)
-    said = [begins] if isinstance(begins, str | datetime) else list(begins or ())
+    said = [start_time] if isinstance(start_time, str | datetime) else list(start_time or ())
     given = [tracks] if isinstance(tracks, str | Path) else list(tracks)
     folders = [Path(one) for one in given if isinstance(one, str | Path)]
     if folders and len(folders) < len(given):
         raise ValueError("tracks: expected folders, or what `track` gave, not both")
     if not folders and len(said) > 1:
-        raise UserError(f"begins: expected one time for one recording, got {len(said)}")
+        raise UserError(f"start_time: expected one time for one recording, got {len(said)}")
     if folders:
-        footage = read_recordings(folders, said, read, "begins")
+        footage = read_recordings(folders, said, read, "start_time")
     else:
         followed = [one for one in given if not isinstance(one, str | Path)]
         if times_s is not None:
@@ -93,13 +93,13 @@ def measure_traffic(
         footage = RecordedTraffic(
             tracks=tuple(as_written(one) for one in followed),
             observation=observed,
-            start=said_begin(said[0], read, "begins") if said else local_start(read),
+            start=parse_start_time(said[0], read, "start_time") if said else local_start(read),
         )
     start, observation = footage.start, footage.observation
     counted = (
         ()
-        if hand_count is None
-        else read_hand_counts(Path(hand_count), gates_on_road(read.gates), read.traffic, start, observation)
+        if manual_count is None
+        else read_manual_counts(Path(manual_count), gates_on_road(read.gates), read.traffic, start, observation)
     )
     return measure(footage.tracks, observation, read, start, counted, recordings=footage.recordings)
 
@@ -108,7 +108,7 @@ def count(
     tracks: "str | Path | Sequence[str | Path] | Sequence[Track]",
     site: "str | Path | SiteFile",
     *,
-    begins: str | datetime | Sequence[str | datetime] | None = None,
+    start_time: str | datetime | Sequence[str | datetime] | None = None,
     times_s: Sequence[float] | None = None,
 ) -> "list[Count]":
     """Count who crossed each gate, by direction, lane, class and interval on the clock.
@@ -116,7 +116,7 @@ def count(
     Args:
         tracks: As `measure_traffic` takes them.
         site: The site file with the gates, or what `read_site` has read.
-        begins: As `measure_traffic` takes them.
+        start_time: As in `measure_traffic`.
         times_s: As `measure_traffic` takes them.
 
     Returns:
@@ -127,4 +127,4 @@ def count(
     Raises:
         UserError: A file is missing or wrong.
     """
-    return list(measure_traffic(tracks, site, begins=begins, times_s=times_s).counts)
+    return list(measure_traffic(tracks, site, start_time=start_time, times_s=times_s).counts)

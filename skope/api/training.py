@@ -58,7 +58,7 @@ def train_detector(
     from skope.detector.device import choose_device, has_bfloat16
     from skope.terminal.console import Console
     from skope.train import configure
-    from skope.train.loop import Saving, train
+    from skope.train.loop import CheckpointPolicy, train
 
     for name, number in (("epochs", epochs), ("batch_size", batch_size), ("max_images", max_images)):
         if number is not None:
@@ -91,5 +91,11 @@ def train_detector(
     config, resume = configure.new_or_same(run, folders, flags, gpu=on_gpu, bfloat16=bfloat16)
     loading = configure.loading_workers(gpu=on_gpu) if workers is None else workers
     return train(
-        config, run, device=where, workers=loading, resume=resume, console=Console(quiet=quiet), saving=Saving()
+        config,
+        run,
+        device=where,
+        workers=loading,
+        resume=resume,
+        console=Console(quiet=quiet),
+        saving=CheckpointPolicy(),
     )

@@ -20,7 +20,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from skope.camera.evidence import Evidence, MarkedPoint
-from skope.camera.evidence_terms import EvidenceTerm, point_term, terms_of
+from skope.camera.evidence_terms import ResidualTerm, point_term, terms_of
 from skope.camera.model import Camera
 from skope.camera.other_cameras import likely_cameras, spread_around
 from skope.camera.pose_from_points import POINT_FIT, fit_camera_to_points
@@ -83,7 +83,7 @@ class _Hypothesis:
 
 
 def with_wrong_points(
-    evidence: Evidence, terms: Sequence[EvidenceTerm], fit: WeightedFit, unknown: Sequence[str]
+    evidence: Evidence, terms: Sequence[ResidualTerm], fit: WeightedFit, unknown: Sequence[str]
 ) -> JudgedPoints:
     """The points that are likely to be wrong, and the camera of the others.
 
@@ -132,7 +132,7 @@ def with_wrong_points(
 
 def _judged(
     evidence: Evidence,
-    terms: Sequence[EvidenceTerm],
+    terms: Sequence[ResidualTerm],
     unknown: Sequence[str],
     best: _Hypothesis,
     found: Sequence[_Hypothesis],
@@ -280,7 +280,7 @@ def _excess(fit: WeightedFit, groups: int) -> float:
     return math.sqrt(fit.cost / spare) if chi2.sf(fit.cost, spare) < WRONG_POINTS.surprising else 1.0
 
 
-def _residuals(terms: Sequence[EvidenceTerm], camera: Camera) -> tuple[Residual, ...]:
+def _residuals(terms: Sequence[ResidualTerm], camera: Camera) -> tuple[Residual, ...]:
     out = []
     for term in terms:
         if term.kind == "lens":

@@ -101,7 +101,7 @@ class Vertical:
 
 
 @dataclass(frozen=True, eq=False)
-class Belief:
+class CameraPrior:
     """A Gaussian that something else says of a camera: its vehicles, its maker, somebody with a ladder."""
 
     of: tuple[str, ...]
@@ -119,7 +119,7 @@ class Belief:
             raise UserError(f"{_named('beliefs', self.name)}: covariance: expected a positive definite matrix")
 
     @classmethod
-    def of_fov(cls, fov_deg: float, sigma_deg: float, width: int) -> "Belief":
+    def of_fov(cls, fov_deg: float, sigma_deg: float, width: int) -> "CameraPrior":
         """Believe in a horizontal field of view.
 
         Args:
@@ -137,12 +137,12 @@ class Belief:
         )
 
     @classmethod
-    def of_height(cls, metres: float, sigma_m: float) -> "Belief":
+    def of_height(cls, metres: float, sigma_m: float) -> "CameraPrior":
         """The camera's height over the road."""
         return cls(("z",), np.array([metres]), np.array([[sigma_m**2]]), "height")
 
     @classmethod
-    def of_lens(cls, focal_px: float, sigma_px: float, k1: tuple[float, float] | None) -> "Belief":
+    def of_lens(cls, focal_px: float, sigma_px: float, k1: tuple[float, float] | None) -> "CameraPrior":
         """Believe in a focal length, and in a lens distortion where it is known.
 
         Args:
@@ -168,7 +168,7 @@ class Evidence:
     lengths: tuple[MarkedLength, ...] = ()
     parallels: tuple[ParallelLines, ...] = ()
     verticals: tuple[Vertical, ...] = ()
-    beliefs: tuple[Belief, ...] = ()
+    beliefs: tuple[CameraPrior, ...] = ()
 
 
 def _named(kind: str, name: str) -> str:

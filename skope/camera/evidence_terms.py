@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 
 from skope.camera.evidence import Evidence, MarkedLength, MarkedPoint, ParallelLines, Vertical
-from skope.camera.ground_plane import ground_places, ground_slopes
+from skope.camera.ground_plane import ground_jacobian, intersect_ground
 from skope.camera.model import Camera
 from skope.camera.uncertain_camera import CAMERA_PARAMETERS, slopes, values_of
 from skope.types import Array
@@ -23,7 +23,7 @@ lenses lie between a rectilinear one (k1 = 0) and an equidistant fisheye: tan a 
 
 
 @dataclass(frozen=True, eq=False)
-class EvidenceTerm:
+class ResidualTerm:
     """One piece of evidence: residuals (M,) of a camera, and their covariance (M, M)."""
 
     kind: str
@@ -34,7 +34,7 @@ class EvidenceTerm:
     """The point that it is of: many of them are projected at once."""
 
 
-def residuals_of(terms: Sequence[EvidenceTerm], camera: Camera) -> list[Array]:
+def residuals_of(terms: Sequence[ResidualTerm], camera: Camera) -> list[Array]:
     """The residuals of each term."""
     points = [term.point for term in terms if term.point is not None]
     off = iter(np.zeros((0, 2)))
@@ -44,7 +44,7 @@ def residuals_of(terms: Sequence[EvidenceTerm], camera: Camera) -> list[Array]:
     return [term.residual(camera) if term.point is None else next(off) for term in terms]
 
 
-def covariances_of(terms: Sequence[EvidenceTerm], camera: Camera) -> list[Array]:
+def covariances_of(terms: Sequence[ResidualTerm], camera: Camera) -> list[Array]:
     """The covariance of each term's residuals."""
     points = [term.point for term in terms if term.point is not None]
     spread = iter(np.zeros((0, 2, 2)))
@@ -58,9 +58,9 @@ def covariances_of(terms: Sequence[EvidenceTerm], camera: Camera) -> list[Array]
     return [term.covariance(camera) if term.point is None else next(spread) for term in terms]
 
 
-def point_term(point: MarkedPoint) -> EvidenceTerm:
+def point_term(point: MarkedPoint) -> ResidualTerm:
     """The term of a marked point: pixels from where the camera sees its place."""
-    term = EvidenceTerm(
+    term = ResidualTerm(
         "point",
         point.name,
         lambda camera: residuals_of([term], camera)[0],
@@ -70,30 +70,30 @@ def point_term(point: MarkedPoint) -> EvidenceTerm:
     return term
 
 
-def _length_term(length: MarkedLength) -> EvidenceTerm:
+def _length_term(length: MarkedLength) -> ResidualTerm:
     def residual(camera: Camera) -> Array:
-        begin, end = ground_places(camera, length.pixels)
+        begin, end = intersect_ground(camera, length.pixels)
         return _finite(np.array([np.linalg.norm(end - begin) - length.metres]))
 
     def covariance(camera: Camera) -> Array:
-        begin, end = ground_places(camera, length.pixels)[:, :2]
+        begin, end = intersect_ground(camera, length.pixels)[:, :2]
         along = (end - begin) / max(float(np.linalg.norm(end - begin)), 1e-9)
-        by_marks = _finite(along @ ground_slopes(camera, length.pixels))
+        by_marks = _finite(along @ ground_jacobian(camera, length.pixels))
         return np.array([[length.sigma_m**2 + length.sigma_px**2 * float((by_marks**2).sum())]])
 
-    return EvidenceTerm("length", length.name, residual, covariance)
+    return ResidualTerm("length", length.name, residual, covariance)
 
 
-def _parallel_term(group: ParallelLines) -> EvidenceTerm:
+def _parallel_term(group: ParallelLines) -> ResidualTerm:
     def directions(camera: Camera) -> Array:
         """(L, 2) from one end of each line to the other, metres."""
-        ends = ground_places(camera, group.lines)[..., :2]
+        ends = intersect_ground(camera, group.lines)[..., :2]
         return np.asarray(ends[:, 1] - ends[:, 0])
 
     def variances(camera: Camera, way: Array) -> Array:
         """(L,) of the lines' angles, square radians."""
         across = np.stack([-way[:, 1], way[:, 0]], axis=-1) / np.maximum((way**2).sum(axis=-1), 1e-9)[:, None]
-        by_marks = np.einsum("li,leij->lej", across, ground_slopes(camera, group.lines))
+        by_marks = np.einsum("li,leij->lej", across, ground_jacobian(camera, group.lines))
         return _finite(group.sigma_px**2 * (by_marks**2).sum(axis=(1, 2)))
 
     def residual(camera: Camera) -> Array:
@@ -108,15 +108,15 @@ def _parallel_term(group: ParallelLines) -> EvidenceTerm:
     def covariance(camera: Camera) -> Array:
         return np.diag(variances(camera, directions(camera)))
 
-    return EvidenceTerm("parallel lines", group.name, residual, covariance)
+    return ResidualTerm("parallel lines", group.name, residual, covariance)
 
 
-def _vertical_term(vertical: Vertical) -> EvidenceTerm:
+def _vertical_term(vertical: Vertical) -> ResidualTerm:
     foot, top = vertical.pixels
 
     def line(camera: Camera) -> tuple[Array, Array]:
         """Unit vector of the vertical in the image near its top, and pixels that a metre of it is long there."""
-        place = ground_places(camera, foot)
+        place = intersect_ground(camera, foot)
         ray = camera.rays(top)[0] @ camera.T_camera_world[:3, :3]
         flat = float(np.linalg.norm((place - camera.position)[:2])) / max(float(np.linalg.norm(ray[:2])), 1e-9)
         height = vertical.metres or max(float(camera.position[2] + flat * ray[2]), 0.1)
@@ -137,19 +137,19 @@ def _vertical_term(vertical: Vertical) -> EvidenceTerm:
             return np.array([[both]])
         return np.diag([both, both + float(a_metre @ a_metre) * vertical.sigma_m**2])
 
-    return EvidenceTerm("vertical", vertical.name, residual, covariance)
+    return ResidualTerm("vertical", vertical.name, residual, covariance)
 
 
-def _gaussian_term(kind: str, name: str, of: Sequence[str], mean: Array, covariance: Array) -> EvidenceTerm:
+def _gaussian_term(kind: str, name: str, of: Sequence[str], mean: Array, covariance: Array) -> ResidualTerm:
     which = [CAMERA_PARAMETERS.index(parameter) for parameter in of]
 
     def residual(camera: Camera) -> Array:
         return np.asarray(values_of(camera)[which] - mean)
 
-    return EvidenceTerm(kind, name, residual, lambda _: covariance)
+    return ResidualTerm(kind, name, residual, lambda _: covariance)
 
 
-def terms_of(evidence: Evidence) -> list[EvidenceTerm]:
+def terms_of(evidence: Evidence) -> list[ResidualTerm]:
     out = [point_term(point) for point in evidence.points]
     out += [_length_term(length) for length in evidence.lengths]
     out += [_parallel_term(group) for group in evidence.parallels]

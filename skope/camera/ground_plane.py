@@ -63,7 +63,7 @@ class Ground:
         return T
 
 
-def ground_places(
+def intersect_ground(
     camera: Camera,
     pixels: ArrayLike,
     height: ArrayLike = 0.0,
@@ -96,7 +96,7 @@ def ground_places(
     return np.where((reach > 0)[..., None], eye + reach[..., None] * directions, np.nan)
 
 
-def ground_slopes(
+def ground_jacobian(
     camera: Camera,
     pixels: Array,
     height: ArrayLike = 0.0,
@@ -104,7 +104,7 @@ def ground_slopes(
     slope: ArrayLike = (0.0, 0.0),
     about: ArrayLike = (0.0, 0.0),
 ) -> Array:
-    """(..., 2, 2) derivatives of the places that pixels (..., 2) show on a plane, metres a pixel; see `ground_places`.
+    """(..., 2, 2) derivatives of `intersect_ground` by the pixels (..., 2), metres per pixel.
 
     By central differences, of all pixels at once: a search asks for these thousands of times.
 
@@ -119,5 +119,5 @@ def ground_slopes(
         (..., 2, 2) x and y by pixel u and v; NaN at and above the horizon.
     """
     around = pixels + AROUND_PIXEL.reshape(4, *(1,) * (pixels.ndim - 1), 2)
-    places = ground_places(camera, around, height, slope=slope, about=about)[..., :2]
+    places = intersect_ground(camera, around, height, slope=slope, about=about)[..., :2]
     return np.stack([places[0] - places[1], places[2] - places[3]], axis=-1) / (2 * GROUND_RAYS.step_px)

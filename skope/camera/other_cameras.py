@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 
 from skope.camera.evidence import Evidence
-from skope.camera.evidence_terms import EvidenceTerm
+from skope.camera.evidence_terms import ResidualTerm
 from skope.camera.model import Distortion
 from skope.camera.pose_from_points import centred, fit_camera_to_points
 from skope.camera.uncertain_camera import CAMERA_PARAMETERS, values_of
@@ -37,7 +37,7 @@ OTHER_CAMERAS: Final = OtherCameraStarts()
 
 
 def likely_cameras(
-    evidence: Evidence, terms: Sequence[EvidenceTerm], fit: WeightedFit, unknown: Sequence[str]
+    evidence: Evidence, terms: Sequence[ResidualTerm], fit: WeightedFit, unknown: Sequence[str]
 ) -> tuple[list[WeightedFit], Array]:
     """All cameras that suit the evidence, the likeliest first, and (C,) the probability of each.
 

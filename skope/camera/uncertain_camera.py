@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import erf
 
-from skope.camera.evidence import Belief
-from skope.camera.ground_plane import ground_places
+from skope.camera.evidence import CameraPrior
+from skope.camera.ground_plane import intersect_ground
 from skope.camera.model import Camera, Distortion
 from skope.errors import UserError
 from skope.types import Array
@@ -87,10 +87,10 @@ class UncertainCamera:
         """The covariance as `from_dict` reads it."""
         return {"of": list(self.parameters), "matrix": self.covariance.tolist()}
 
-    def belief(self, name: str) -> Belief:
+    def belief(self, name: str) -> CameraPrior:
         """The knowledge of the camera as evidence for another calibration."""
         which = [CAMERA_PARAMETERS.index(parameter) for parameter in self.parameters]
-        return Belief(self.parameters, values_of(self.camera)[which], self.covariance, name)
+        return CameraPrior(self.parameters, values_of(self.camera)[which], self.covariance, name)
 
     def of_camera(self, camera: Camera) -> "UncertainCamera":
         """The same uncertainty of a camera that is another one's at another size of the image."""
@@ -109,7 +109,7 @@ class UncertainCamera:
 
     def places(self, pixels: ArrayLike, height: float = 0.0) -> Array:
         """(..., 3) where pixels (..., 2) lie on the plane z = `height`, metres; NaN at and above the horizon."""
-        return ground_places(self.camera, pixels, height)
+        return intersect_ground(self.camera, pixels, height)
 
     def place_covariance(self, pixels: ArrayLike, height: float = 0.0, sigma_px: float = 0.0) -> Array:
         """(..., 2, 2) covariance of x and y of `places`, from the camera's error and from that of the pixels.
@@ -126,7 +126,7 @@ class UncertainCamera:
         J = self._by_parameters(uv, height=height)
         out = np.asarray(J @ self.covariance @ np.swapaxes(J, -1, -2))
         if sigma_px:
-            J = slopes(lambda step: ground_places(self.camera, uv + step, height)[..., :2], np.zeros(2), 0.25)
+            J = slopes(lambda step: intersect_ground(self.camera, uv + step, height)[..., :2], np.zeros(2), 0.25)
             out = out + sigma_px**2 * J @ np.swapaxes(J, -1, -2)
         return out
 
@@ -171,7 +171,7 @@ class UncertainCamera:
         V = (stretched @ v[..., None, :, None])[..., 0]
         return np.asarray(V @ self.covariance @ np.swapaxes(V, -1, -2))
 
-    def ways_sigma(self) -> float:
+    def distance_sigma(self) -> float:
         """Relative standard deviation of short ways on the road z = 0, at the ninth in ten of its places near by."""
         u, v = np.meshgrid(*(np.linspace(0.05, 0.95, 9) * side for side in (self.camera.width, self.camera.height)))
         places = self.places(np.stack([u.ravel(), v.ravel()], axis=-1))
@@ -191,12 +191,12 @@ class UncertainCamera:
         return np.where(valid[..., None, None], J, np.nan)
 
     def _by_parameters(self, pixels: Array, **plane: ArrayLike) -> Array:
-        """(..., 2, P) derivatives of the places that pixels (..., 2) show on a plane, as `ground_places` takes it."""
+        """(..., 2, P) derivatives of `intersect_ground` by the camera parameters."""
         steps = np.array([PARAMETER_STEPS[name] for name in self.parameters])
 
         def moved(step: Array) -> Array:
             camera = moved_camera(self.camera, dict(zip(self.parameters, (step * steps).tolist(), strict=True)))
-            return ground_places(camera, pixels, **plane)[..., :2]  # type: ignore[arg-type]
+            return intersect_ground(camera, pixels, **plane)[..., :2]  # type: ignore[arg-type]
 
         return np.asarray(slopes(moved, np.zeros(len(steps)), 1.0) / steps)
 

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from skope.camera.evidence import Evidence
-from skope.camera.evidence_terms import EvidenceTerm, covariances_of, residuals_of
+from skope.camera.evidence_terms import ResidualTerm, covariances_of, residuals_of
 from skope.camera.model import Camera
 from skope.camera.pose_from_points import POINT_FIT, fit_camera_to_points
 from skope.camera.uncertain_camera import CAMERA_PARAMETERS, camera_of_parameters, values_of
@@ -80,7 +80,7 @@ class WeightedFit:
 
 
 def best_fit(
-    terms: Sequence[EvidenceTerm], starts: Sequence[Array], unknown: Sequence[str], size: tuple[int, int]
+    terms: Sequence[ResidualTerm], starts: Sequence[Array], unknown: Sequence[str], size: tuple[int, int]
 ) -> WeightedFit:
     """Find the likeliest camera; of many starts only those that are ahead after some steps go on.
 
@@ -100,7 +100,7 @@ def best_fit(
 
 
 def fit_terms(
-    terms: Sequence[EvidenceTerm],
+    terms: Sequence[ResidualTerm],
     begun: Array,
     unknown: Sequence[str],
     size: tuple[int, int],
@@ -150,7 +150,7 @@ def fit_terms(
     return WeightedFit(at, float(2 * fit.cost), np.asarray(fit.jac), tuple(np.split(fit.fun, ends)), log_weights)
 
 
-def camera_starts(evidence: Evidence, start: Camera | None, terms: Sequence[EvidenceTerm]) -> list[Array]:
+def camera_starts(evidence: Evidence, start: Camera | None, terms: Sequence[ResidualTerm]) -> list[Array]:
     """Cameras that the search for the likeliest one begins with.
 
     Args:
@@ -191,12 +191,12 @@ def camera_starts(evidence: Evidence, start: Camera | None, terms: Sequence[Evid
     return sorted(grid, key=lambda at: _smooth_cost(terms, camera_of_parameters(at, evidence.size)))[:6]
 
 
-def _capped_cost(terms: Sequence[EvidenceTerm], camera: Camera) -> float:
+def _capped_cost(terms: Sequence[ResidualTerm], camera: Camera) -> float:
     """Sum of the squares of the residuals in standard deviations, each piece of evidence up to 16: one may be wrong."""
     pairs = zip(residuals_of(terms, camera), covariances_of(terms, camera), strict=True)
     return sum(min(float(off @ np.linalg.solve(C + 1e-12, off)), 16.0) for off, C in pairs)
 
 
-def _smooth_cost(terms: Sequence[EvidenceTerm], camera: Camera) -> float:
+def _smooth_cost(terms: Sequence[ResidualTerm], camera: Camera) -> float:
     """Cost that ranks cameras which may be far from right."""
     return sum(float(np.linalg.norm(np.arcsinh(off))) for off in residuals_of(terms, camera))

@@ -32,7 +32,7 @@ CHANGES_KEY: Final = "view_changes"
 that was registered with `settled_s`, `homography`, `residual_px` and `corner_error_px`."""
 DETECTOR_KEY: Final = "detector"
 """Key in `info` of the frames: the detector, as a name of what comes with skope, or a file."""
-SIGHT_FIELD: Final = "sight"
+VISIBILITY_KEY: Final = "visibility_samples"
 """Under this name the `info` of frames says how bright a video is and how much contrast it has: rows of time (s),
 brightness (0 to 1) and contrast."""
 PIXEL_WIDTH: Final = "pixel_width"
@@ -40,7 +40,7 @@ PIXEL_WIDTH: Final = "pixel_width"
 square."""
 SKIPPED_KEY: Final = "skipped"
 """Key in `info` of the frames: lines on what could not be read in the footage. Absent: all of it was read."""
-BEGINS_KEY: Final = "begins"
+START_TIME_KEY: Final = "start_time"
 """Key in `info` of the frames: the time of second 0 of a live stream, with its offset."""
 
 _CARD_FIELDS: Final[dict[str, type]] = {

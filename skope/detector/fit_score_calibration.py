@@ -29,7 +29,7 @@ from skope.detector.weights import shipped
 from skope.errors import UserError
 from skope.files.output_folders import check_file, work_of, write_new
 from skope.metrics import read_inputs, score_reliability
-from skope.metrics.keypoint_outcomes import Options, outcomes_at
+from skope.metrics.keypoint_outcomes import MetricOptions, outcomes_at
 from skope.metrics.match import match
 from skope.metrics.road_users import box_outcomes
 from skope.schema import CATEGORY_ID, AnnotationFile, Result, RoadUserResult
@@ -163,7 +163,7 @@ def fit_calibration(job: CalibrationJob, console: Console) -> Path:
 
     matches = match(file, results, score=job.score, thresholds=(CALIBRATION_RULES.iou,))
     outcomes = outcomes_at(
-        matches, CALIBRATION_RULES.iou, Options(alpha=CALIBRATION_RULES.alpha, iou=(CALIBRATION_RULES.iou,))
+        matches, CALIBRATION_RULES.iou, MetricOptions(alpha=CALIBRATION_RULES.alpha, iou=(CALIBRATION_RULES.iou,))
     )
     points = matches.det_keypoints[outcomes.detection[outcomes.found]]
     right = outcomes.correct(CALIBRATION_RULES.alpha)[outcomes.found]

@@ -20,7 +20,7 @@ from skope.files.json_files import write_json
 from skope.files.output_folders import claim_output
 from skope.files.progress import Progress
 from skope.metrics import pck_precision_recall, read_inputs
-from skope.metrics.keypoint_outcomes import Options
+from skope.metrics.keypoint_outcomes import MetricOptions
 from skope.metrics.read_inputs import GroundTruth
 from skope.metrics.split_scores import split_metrics, to_tallies
 from skope.pictures import draw
@@ -41,7 +41,7 @@ class EvalJob:
 
     truth: GroundTruth
     out: Path
-    options: Options
+    options: MetricOptions
     protocol: str
     checkpoint: Path | None
     predictions: Path | None

@@ -41,7 +41,7 @@ class FrameDetector(Protocol):
         """The same, where images can wait."""
 
 
-class LiveChoice:
+class LiveDetectorSelector:
     """Detectors for a live stream, of which the first that keeps up with it looks at its frames."""
 
     def __init__(self, candidates: Sequence[Predictor], every: int, console: Console) -> None:
@@ -56,7 +56,7 @@ class LiveChoice:
         self._candidates, self._every, self._console = list(candidates), every, console
 
     @classmethod
-    def load(cls, given: str | None, settings: Settings, every: int, console: Console) -> "LiveChoice":
+    def load(cls, given: str | None, settings: Settings, every: int, console: Console) -> "LiveDetectorSelector":
         """Load the detectors that come with skope, or the `given` one of them. Raises UserError as `Predictor.load`."""
         names = weights.BY_ACCURACY if given is None else (given,)
         return cls([Predictor.load(Path(name), settings, console) for name in names], every, console)

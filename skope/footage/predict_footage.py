@@ -15,24 +15,24 @@ from typing import Any, Final, Protocol
 import numpy as np
 
 from skope.camera.motion.camera_motion import MOTION_KEY, CameraMotion
-from skope.camera.motion.camera_shake import SwayWatch, motion_of_row, motion_to_row, record_of
+from skope.camera.motion.camera_shake import CameraShakeEstimator, motion_of_row, motion_to_row, record_of
 from skope.camera.motion.followed_views import with_homographies
-from skope.camera.motion.frame_contrast import sight_rows
+from skope.camera.motion.frame_contrast import visibility_rows
 from skope.camera.motion.image_shift import ImageMotion
-from skope.camera.motion.view_changes import Looks, ViewChange
+from skope.camera.motion.view_changes import ViewChange, ViewSamples
 from skope.cpu_count import usable_processors
 from skope.dataset import coco
 from skope.dataset.camera_of_file import with_camera
 from skope.dataset.folder import (
-    BEGINS_KEY,
     CHANGES_KEY,
     DETECTOR_KEY,
     FOLLOWED_KEY,
     FRAMES_FILE,
     PIXEL_WIDTH,
     PREDICTIONS_FILE,
-    SIGHT_FIELD,
     SKIPPED_KEY,
+    START_TIME_KEY,
+    VISIBILITY_KEY,
 )
 from skope.detector import weights
 from skope.detector.network_settings import Settings
@@ -41,7 +41,7 @@ from skope.errors import UserError
 from skope.files.progress import Progress
 from skope.footage.confirmation import Confirmation
 from skope.footage.key_frames import with_frames_between
-from skope.footage.live_choice import FrameDetector, LiveChoice
+from skope.footage.live_choice import FrameDetector, LiveDetectorSelector
 from skope.footage.overlays import KeepRule, write_overlay
 from skope.footage.predict_job import PROGRESS_FILE, Linked, NumbersByCategory, PredictJob, claim, found_at
 from skope.schema import CATEGORY_NAMES, AnnotationFile, AnyResult, Image
@@ -117,11 +117,11 @@ def _tell_notes(footage: Footage, told: int, console: Console) -> int:
     return len(footage.notes)
 
 
-def _loaded(job: PredictJob, settings: Settings, console: Console) -> Predictor | LiveChoice:
+def _loaded(job: PredictJob, settings: Settings, console: Console) -> Predictor | LiveDetectorSelector:
     """Load the job's detector; for a live stream those that come with skope, unless another is asked for."""
     given = None if job.checkpoint is None else str(job.checkpoint)
     if job.footage.live and (given is None or (given in weights.BY_ACCURACY and not Path(given).exists())):
-        return LiveChoice.load(given, settings, job.footage.cut.every, console)
+        return LiveDetectorSelector.load(given, settings, job.footage.cut.every, console)
     return Predictor.load(Path(given or weights.DEFAULT_WEIGHTS), settings, console)
 
 
@@ -143,8 +143,8 @@ class Prediction:
         """The `track_id` of each road user of the last key frame."""
         for row in self._progress.rows():
             self._keep(coco.image_from_dict(row["image"]), motion_of_row(row["motion"]), row["look"])
-            if BEGINS_KEY in row["image"]:
-                job.footage.begins = datetime.fromisoformat(row["image"][BEGINS_KEY])
+            if START_TIME_KEY in row["image"]:
+                job.footage.start_time = datetime.fromisoformat(row["image"][START_TIME_KEY])
             if row["key"]:
                 self._last_key = self.images[-1].id
                 self._last_numbers = [result.get("track_id", 0) for result in row["results"]]
@@ -165,7 +165,7 @@ class Prediction:
         job, last = self._job, self.last
         if self.killed:
             return
-        looks, sway = Looks(self._looks[-1][0] if self._looks else None), _sway_watch(job, last)
+        looks, sway = ViewSamples(self._looks[-1][0] if self._looks else None), _sway_watch(job, last)
         for bare, found, key in found_in(
             job,
             self._detector,
@@ -175,8 +175,8 @@ class Prediction:
             watched=(looks, sway, *watched),
         ):
             image = with_camera(bare, job.camera)
-            begins = {} if job.footage.begins is None else {BEGINS_KEY: job.footage.begins.isoformat()}
-            row = {**coco.image_to_dict(image), **begins}
+            start_time = {} if job.footage.start_time is None else {START_TIME_KEY: job.footage.start_time.isoformat()}
+            row = {**coco.image_to_dict(image), **start_time}
             entry = {"image": row, "results": list(map(coco.result_to_dict, found))}
             look = looks.taken.pop(image.id, None)
             motion = sway.taken(image.id)
@@ -258,8 +258,8 @@ def _info(
 ) -> dict[str, Any]:
     """The `info` of the frames: what is known of the footage."""
     info: dict[str, Any] = {"source": job.footage.name, "fps": job.footage.fps, **found_at(job), **job.camera_info}
-    if job.footage.begins is not None:
-        info[BEGINS_KEY] = job.footage.begins.isoformat(timespec="milliseconds")
+    if job.footage.start_time is not None:
+        info[START_TIME_KEY] = job.footage.start_time.isoformat(timespec="milliseconds")
     if job.footage.clip and not job.footage.clip.square:
         info[PIXEL_WIDTH] = round(job.footage.clip.pixel_width, 4)
     if job.footage.skipped:
@@ -267,7 +267,7 @@ def _info(
     if job.key_every > 1:
         info[FOLLOWED_KEY] = True
     if looked:
-        info[SIGHT_FIELD] = sight_rows(looked)
+        info[VISIBILITY_KEY] = visibility_rows(looked)
     if changed:
         info[CHANGES_KEY] = [change.to_dict() for change in changed]
     if sways:
@@ -275,15 +275,15 @@ def _info(
     return info
 
 
-def _sway_watch(job: PredictJob, last: int) -> SwayWatch:
+def _sway_watch(job: PredictJob, last: int) -> CameraShakeEstimator:
     """Make the measure of the camera's sway, against the first frame also where a run goes on."""
     # Frames of a stream do not wait, and where the detector sees key frames only, it is what takes the time.
     apart = not job.footage.live and job.key_every == 1
     processes = min(_SWAY_PROCESSES, usable_processors() // _SWAY_PROCESSES) if apart else 0
     if not last or job.footage.live:
-        return SwayWatch(processes=processes)
+        return CameraShakeEstimator(processes=processes)
     first = next(job.footage.frames(), None)
-    return SwayWatch(first[1] if first and job.footage.clip else None, processes)
+    return CameraShakeEstimator(first[1] if first and job.footage.clip else None, processes)
 
 
 @dataclass

@@ -11,7 +11,7 @@ from typing import Any, Final
 import numpy as np
 
 from skope import keypoints
-from skope.metrics.keypoint_outcomes import Options, Outcomes, outcomes_at
+from skope.metrics.keypoint_outcomes import MetricOptions, Outcomes, outcomes_at
 from skope.metrics.match import Matches
 from skope.metrics.outcome_counts import ratio
 from skope.schema import Annotation, Image
@@ -50,7 +50,7 @@ class FleetInfo:
     """Model -> names of the keypoints that stand for a part that its body lacks."""
 
 
-def breakdown(images: Sequence[Image], matches: Matches, options: Options, fleet: FleetInfo) -> dict[str, Any]:
+def breakdown(images: Sequence[Image], matches: Matches, options: MetricOptions, fleet: FleetInfo) -> dict[str, Any]:
     """Measure parts of the vehicles, and each keypoint.
 
     Args:

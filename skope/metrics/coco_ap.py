@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skope import keypoints, schema
-from skope.metrics.keypoint_outcomes import Options
+from skope.metrics.keypoint_outcomes import MetricOptions
 from skope.metrics.match import box_of
 from skope.schema import Annotation, AnnotationFile, Found, Labelled, Result
 
@@ -22,7 +22,9 @@ _WHATEVER_SIZE: Final = {"all": (0.0, 1e10)}
 CocoRow: TypeAlias = dict[str, Any]
 
 
-def average_precision(file: AnnotationFile, results: Sequence[Result], options: Options) -> dict[str, float | None]:
+def average_precision(
+    file: AnnotationFile, results: Sequence[Result], options: MetricOptions
+) -> dict[str, float | None]:
     """COCO's average precision of boxes (by IoU) and of keypoints (by object keypoint similarity).
 
     An ignored vehicle is a COCO crowd region: a detection on it is neither right nor wrong. To the keypoint figures a
@@ -47,7 +49,7 @@ def average_precision(file: AnnotationFile, results: Sequence[Result], options: 
     return {"box_ap": box, "box_ap50": box50, "keypoint_ap": points, "keypoint_ap50": points50}
 
 
-def _truth_row(annotation: Annotation, options: Options, left_out: NDArray[np.bool_]) -> dict[str, Any]:
+def _truth_row(annotation: Annotation, options: MetricOptions, left_out: NDArray[np.bool_]) -> dict[str, Any]:
     points = annotation.keypoints.copy()
     hidden_too = options.labelled == "all"
     unlabelled = points[:, 2] < (1 if hidden_too else 2)

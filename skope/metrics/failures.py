@@ -10,7 +10,7 @@ import numpy as np
 
 from skope import keypoints
 from skope.keypoints import FLIP, OTHER_END
-from skope.metrics.keypoint_outcomes import Options, Outcomes, lengths
+from skope.metrics.keypoint_outcomes import MetricOptions, Outcomes, lengths
 from skope.metrics.match import Matches
 from skope.types import Array, Integers
 
@@ -22,7 +22,7 @@ NOT_WRONG: Final = -1
 LEFT_RIGHT, FRONT_REAR, JITTER = range(len(ERROR_KINDS))
 
 
-def wrong_points(matches: Matches, outcomes: Outcomes, options: Options) -> Integers:
+def wrong_points(matches: Matches, outcomes: Outcomes, options: MetricOptions) -> Integers:
     """Tell the kinds of wrong keypoints.
 
     A keypoint is wrong when it is labelled and farther than alpha L from its place. It is swapped when it lies within
@@ -60,7 +60,7 @@ def _apart(matches: Matches, outcomes: Outcomes, counterpart: Any) -> Array:
     return np.where(labelled, out, np.inf)
 
 
-def failure_counts(matches: Matches, outcomes: Outcomes, options: Options) -> dict[str, int]:
+def failure_counts(matches: Matches, outcomes: Outcomes, options: MetricOptions) -> dict[str, int]:
     """Count what went wrong at one IoU threshold.
 
     Args:

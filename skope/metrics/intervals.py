@@ -109,13 +109,13 @@ def share_interval(value: float | None, without: Array) -> Interval:
     error, freedom = jackknife_error(without)
     if value is None or freedom < 1 or not 0 < value < 1:
         return None
-    reach = student(freedom) * error / (value * (1 - value))
+    reach = t_quantile(freedom) * error / (value * (1 - value))
     odds = math.log(value / (1 - value)) + np.array([-reach, reach])
     low, high = 1 / (1 + np.exp(-np.clip(odds, -500, 500)))
     return float(low), float(high)
 
 
-def student(freedom: int) -> float:
+def t_quantile(freedom: int) -> float:
     """Bound of |t| with probability `INTERVAL_RULES.level`, for Student's t with `freedom` degrees of freedom."""
     from scipy.special import stdtrit  # only what says intervals waits for it
 
@@ -154,7 +154,7 @@ def difference(a: Quotients, b: Quotients, blocks: Blocks, name: Name) -> Interv
     error, freedom = jackknife_error(gaps)
     if ours is None or theirs is None or freedom < 1:
         return None
-    gap, reach = theirs - ours, student(freedom) * error
+    gap, reach = theirs - ours, t_quantile(freedom) * error
     return gap - reach, gap + reach
 
 

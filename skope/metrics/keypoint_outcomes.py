@@ -19,7 +19,7 @@ LABELLED_CHOICES: Final = ("visible", "all")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Options:
+class MetricOptions:
     """Rules on what counts as a detection, a labelled keypoint, a predicted one and a correct one."""
 
     score: float = PAPER_THRESHOLDS.score
@@ -66,7 +66,7 @@ class Outcomes:
     detection: Integers
     """(G,) index of the detection in `Matches`, -1 for none."""
     labelled: Mask
-    """(G, 33) keypoints that are labelled, as `Options.labelled` says."""
+    """(G, 33) keypoints that are labelled, as `MetricOptions.labelled` says."""
     predicted: Mask
     """(G, 33) keypoints that the detection predicts."""
     offset: Array
@@ -84,7 +84,7 @@ class Outcomes:
         return self.labelled & self.predicted & (self.offset <= alpha * self.length[:, None])
 
 
-def predicted_keypoints(matches: Matches, options: Options) -> Mask:
+def predicted_keypoints(matches: Matches, options: MetricOptions) -> Mask:
     """(D, 33) which keypoints of each detection count as predicted."""
     mask = np.zeros((len(matches.det_image), keypoints.K), dtype=bool)
     mask[:, list(options.points)] = True
@@ -99,7 +99,7 @@ def lengths(vectors: Array) -> Array:
         return np.asarray(np.sqrt(vectors[..., 0] ** 2 + vectors[..., 1] ** 2))
 
 
-def outcomes_at(matches: Matches, threshold: float, options: Options) -> Outcomes:
+def outcomes_at(matches: Matches, threshold: float, options: MetricOptions) -> Outcomes:
     """Compare each vehicle with the detection that took it.
 
     Args:

@@ -12,7 +12,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from skope.metrics.keypoint_outcomes import Options, outcomes_at, predicted_keypoints
+from skope.metrics.keypoint_outcomes import MetricOptions, outcomes_at, predicted_keypoints
 from skope.metrics.match import Matches
 from skope.types import Array, Integers
 
@@ -29,7 +29,7 @@ FIGURE_NAMES: Final[tuple[Name, ...]] = (
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Tally:
+class ImageCounts:
     """Counts of each of N images at one IoU threshold, (N,) each."""
 
     ground_truth: Integers
@@ -58,7 +58,7 @@ class Tally:
         return {field.name: getattr(self, field.name).tolist() for field in fields(self)}
 
 
-def tally(matches: Matches, threshold: float, options: Options) -> Tally:
+def tally(matches: Matches, threshold: float, options: MetricOptions) -> ImageCounts:
     """Count vehicles, detections and keypoints in each image.
 
     Args:
@@ -84,7 +84,7 @@ def tally(matches: Matches, threshold: float, options: Options) -> Tally:
     def of_detections(weights: NDArray[Any]) -> Integers:
         return by_image(matches.det_image, weights)
 
-    return Tally(
+    return ImageCounts(
         ground_truth=of_vehicles(np.ones_like(labelled)),
         detections=of_detections(np.ones_like(points)),
         matched=of_detections(matched),
@@ -102,7 +102,7 @@ Quotients = dict[Name, tuple[Array, Array]]
 """Figure -> (N,) numerator and (N,) denominator of each image."""
 
 
-def quotients(counts: Tally) -> Quotients:
+def quotients(counts: ImageCounts) -> Quotients:
     """Numerators and denominators whose sums over images give each figure of `FIGURE_NAMES`.
 
     The figures are those of the SKoPe3D paper's table in its own protocol (`paper`) and pooled (`pooled`).
@@ -135,7 +135,7 @@ def quotients(counts: Tally) -> Quotients:
     return out
 
 
-def quality(counts: Tally) -> Array:
+def quality(counts: ImageCounts) -> Array:
     """(N,) share of an image's labelled keypoints that are right, times vehicles / (vehicles + false ones).
 
     NaN where nothing is labelled.

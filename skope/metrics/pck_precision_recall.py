@@ -14,13 +14,13 @@ from numpy.typing import NDArray
 
 from skope import keypoints
 from skope.metrics import outcome_counts
-from skope.metrics.keypoint_outcomes import Options, Outcomes
+from skope.metrics.keypoint_outcomes import MetricOptions, Outcomes
 from skope.metrics.match import Matches, match
 from skope.metrics.outcome_counts import ratio
 from skope.schema import AnnotationFile, Result
 
 __all__ = [
-    "Options",
+    "MetricOptions",
     "localisation",
     "match_split",
     "named_scores",
@@ -49,7 +49,7 @@ METRIC_RULES: Final = MetricRules()
 
 
 def scores_document(
-    options: Options,
+    options: MetricOptions,
     splits: Mapping[str, Any],
     *,
     calibrated: bool | None = None,
@@ -80,7 +80,7 @@ def scores_document(
     }
 
 
-def score_split(file: AnnotationFile, results: Sequence[Result], options: Options) -> dict[str, Any]:
+def score_split(file: AnnotationFile, results: Sequence[Result], options: MetricOptions) -> dict[str, Any]:
     """Match and measure a split: its counts and, for each IoU threshold, precision, recall and PCK.
 
     Args:
@@ -98,7 +98,7 @@ def score_split(file: AnnotationFile, results: Sequence[Result], options: Option
     return score_summary(match_split(file, results, options), options)
 
 
-def match_split(file: AnnotationFile, results: Sequence[Result], options: Options) -> Matches:
+def match_split(file: AnnotationFile, results: Sequence[Result], options: MetricOptions) -> Matches:
     """Match results to the ground truth, as `skope.metrics.match.match` does.
 
     Args:
@@ -109,7 +109,7 @@ def match_split(file: AnnotationFile, results: Sequence[Result], options: Option
     return match(file, results, score=options.score, boxes=options.boxes, thresholds=options.iou)
 
 
-def score_summary(matches: Matches, options: Options) -> dict[str, Any]:
+def score_summary(matches: Matches, options: MetricOptions) -> dict[str, Any]:
     """Counts of a split and, per IoU threshold, ratios."""
     return {
         "images": matches.images,
@@ -120,7 +120,7 @@ def score_summary(matches: Matches, options: Options) -> dict[str, Any]:
     }
 
 
-def named_scores(pooled: outcome_counts.Tally) -> dict[str, Any]:
+def named_scores(pooled: outcome_counts.ImageCounts) -> dict[str, Any]:
     """Counts and ratios at one IoU threshold, laid out as in `metrics.json`."""
     names = ("matched", "labelled", "labelled_all", "correct", "predicted", "detections_ignored")
     sums = {name: int(getattr(pooled, name).sum()) for name in names}
@@ -156,7 +156,7 @@ def ranked(matches: Matches, threshold: float) -> tuple[NDArray[np.float64], NDA
     return matches.det_score[counted], hit[counted]
 
 
-def recalls(file: AnnotationFile, results: Sequence[Result], options: Options) -> dict[str, float | None]:
+def recalls(file: AnnotationFile, results: Sequence[Result], options: MetricOptions) -> dict[str, float | None]:
     """Box recall at each precision of `METRIC_RULES.at_precision`, at the loosest IoU and whatever score it takes.
 
     Args:

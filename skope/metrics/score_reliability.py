@@ -9,7 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from skope.metrics.keypoint_outcomes import Options, Outcomes, predicted_keypoints
+from skope.metrics.keypoint_outcomes import MetricOptions, Outcomes, predicted_keypoints
 from skope.metrics.match import Matches
 from skope.metrics.outcome_counts import ratio
 from skope.types import Array, Integers, Mask
@@ -28,7 +28,7 @@ class ReliabilityBins:
 RELIABILITY_BINS: Final = ReliabilityBins()
 
 
-def confidence(matches: Matches, outcomes: Outcomes, options: Options) -> dict[str, Any]:
+def confidence(matches: Matches, outcomes: Outcomes, options: MetricOptions) -> dict[str, Any]:
     """The entry `confidence` of a split in `metrics.json`.
 
     Other programs' scores may be logits or visibilities; those outside 0..1 claim no probability, only an order.
@@ -102,7 +102,7 @@ def auc(positive: Array, negative: Array) -> float | None:
     return float(below.mean() / 2 / negative.size)
 
 
-def _average_precision(matches: Matches, outcomes: Outcomes, options: Options) -> dict[str, Any]:
+def _average_precision(matches: Matches, outcomes: Outcomes, options: MetricOptions) -> dict[str, Any]:
     """Precision over recall of keypoints by falling score, false vehicles' keypoints being wrong ones.
 
     Recall is of all labelled keypoints, of missed vehicles too; keypoints that are not labelled are wrong, as in

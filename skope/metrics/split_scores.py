@@ -10,9 +10,9 @@ from skope.metrics import failures, outcome_counts, pck_precision_recall, score_
 from skope.metrics.breakdown import FleetInfo, breakdown
 from skope.metrics.coco_ap import NO_PRECISION, average_precision
 from skope.metrics.intervals import Blocks, blocks_of, intervals
-from skope.metrics.keypoint_outcomes import Options, Outcomes, outcomes_at
+from skope.metrics.keypoint_outcomes import MetricOptions, Outcomes, outcomes_at
 from skope.metrics.match import Matches
-from skope.metrics.outcome_counts import Tally
+from skope.metrics.outcome_counts import ImageCounts
 from skope.metrics.road_users import category_figures
 from skope.schema import VEHICLE_ALONE, AnnotationFile, Result, RoadUserResult
 
@@ -28,7 +28,7 @@ class SplitScores:
     matches: Matches
     outcomes: Mapping[float, Outcomes]
     """IoU threshold -> what became of each vehicle."""
-    tallies: Mapping[float, Tally]
+    tallies: Mapping[float, ImageCounts]
     """IoU threshold -> counts of each image."""
     blocks: Blocks
     entry: dict[str, Any]
@@ -38,7 +38,7 @@ class SplitScores:
 def split_metrics(
     file: AnnotationFile,
     results: Sequence[Result],
-    options: Options,
+    options: MetricOptions,
     fleet: FleetInfo,
     *,
     all_scores: bool = True,
@@ -105,8 +105,8 @@ def to_tallies(measured: SplitScores) -> dict[str, Any]:
     }
 
 
-def from_tallies(entry: Mapping[str, Any]) -> tuple[Blocks, dict[str, Tally]]:
+def from_tallies(entry: Mapping[str, Any]) -> tuple[Blocks, dict[str, ImageCounts]]:
     """The blocks and, by threshold, the counts of a split's entry in `tallies.json`."""
     blocks = Blocks(unit=entry["unit"], sites=entry["sites"], number=np.array(entry["blocks"], dtype=np.int64))
     columns = {t: {name: np.array(c, dtype=np.int64) for name, c in table.items()} for t, table in entry["iou"].items()}
-    return blocks, {t: Tally(**named) for t, named in columns.items()}
+    return blocks, {t: ImageCounts(**named) for t, named in columns.items()}

@@ -106,7 +106,7 @@ def camera_errors(
     )
     blind = ~(np.isfinite(of_place) & np.isfinite(of_velocity)).all(axis=(1, 2))
     if blind.any():
-        share = known.ways_sigma()
+        share = known.distance_sigma()
         away = np.linalg.norm(places[blind, :2] - known.camera.position[:2], axis=1)
         of_place[blind] = (share * away)[:, None, None] ** 2 * np.eye(2)
         of_velocity[blind] = (share * np.linalg.norm(velocities[blind], axis=1))[:, None, None] ** 2 * np.eye(2)

@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 from scipy.optimize import least_squares
 
-from skope.camera.ground_plane import ground_places
+from skope.camera.ground_plane import intersect_ground
 from skope.camera.model import Camera
 from skope.camera.motion.camera_motion import TURN_ANGLES, covariance_of_turns, turned_camera
 from skope.camera.motion.view_registration import ViewHomography, is_inside, transformed
@@ -69,7 +69,7 @@ def turned_view(camera: Camera, homography: ViewHomography) -> TurnedView | None
     rays, valid = camera.rays(before)
     kept = is_inside(after, size) & valid
     before, after = before[kept], after[kept]
-    distance = np.linalg.norm(ground_places(camera, before) - camera.position, axis=1)
+    distance = np.linalg.norm(intersect_ground(camera, before) - camera.position, axis=1)
     near = distance[distance < TURN_LIMITS.near_m]
     if len(near) < TURN_LIMITS.fewest_near:
         return None

@@ -6,7 +6,7 @@ from datetime import datetime
 from typing import Any, Final
 
 from skope.camera.calibration_files import read_uncertain_camera
-from skope.camera.evidence import Belief, Evidence, MarkedLength, MarkedPoint, ParallelLines, Vertical
+from skope.camera.evidence import CameraPrior, Evidence, MarkedLength, MarkedPoint, ParallelLines, Vertical
 from skope.errors import UserError
 from skope.records import TomlTable
 from skope.site.gates_zones_lanes import checked_name
@@ -33,7 +33,7 @@ class CalibrationMarks:
     """Calibration of the lens: `focal_px`, and `k1` where it is known, each with its standard deviation."""
     height_m: tuple[float, float] | None = None
     """The camera's height over the road and its standard deviation, metres."""
-    vehicles: Belief | None = None
+    vehicles: CameraPrior | None = None
     """Evidence of its vehicles on the camera."""
 
     def evidence(self, size: tuple[int, int] | None = None) -> Evidence:
@@ -59,7 +59,7 @@ def beliefs_of(
     fov_deg: tuple[float, float] | None = None,
     lens: Mapping[str, tuple[float, float]] | None = None,
     height_m: tuple[float, float] | None = None,
-) -> tuple[Belief, ...]:
+) -> tuple[CameraPrior, ...]:
     """Prior knowledge of a camera as evidence for its calibration.
 
     Args:
@@ -70,11 +70,11 @@ def beliefs_of(
     """
     out = []
     if fov_deg:
-        out.append(Belief.of_fov(*fov_deg, width))
+        out.append(CameraPrior.of_fov(*fov_deg, width))
     if lens:
-        out.append(Belief.of_lens(*lens["focal_px"], lens.get("k1")))
+        out.append(CameraPrior.of_lens(*lens["focal_px"], lens.get("k1")))
     if height_m:
-        out.append(Belief.of_height(*height_m))
+        out.append(CameraPrior.of_height(*height_m))
     return tuple(out)
 
 
@@ -157,7 +157,7 @@ def _time(table: TomlTable, key: str) -> datetime | None:
     return value
 
 
-def _vehicles(table: TomlTable) -> Belief | None:
+def _vehicles(table: TomlTable) -> CameraPrior | None:
     """The camera that `skope eval camera` has found from vehicles, which says nothing of place and direction."""
     path = table.file("vehicles")
     if path is None:

@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 from shapely import Polygon
 
-from skope.camera.ground_plane import Ground, ground_places
+from skope.camera.ground_plane import Ground, intersect_ground
 from skope.camera.model import Camera, same_aspect
 from skope.errors import UserError
 from skope.records import TomlTable
@@ -103,7 +103,7 @@ def line_on_road(camera: Camera, pixels: Array, ground: Ground | None = None) ->
         World x and y of both ends, metres, to a millimetre; empty if one lies on or above the horizon.
     """
     road = ground or Ground()
-    ends = np.round(ground_places(camera, pixels, road.height, slope=road.slope, about=road.about)[:, :2], 3)
+    ends = np.round(intersect_ground(camera, pixels, road.height, slope=road.slope, about=road.about)[:, :2], 3)
     if not np.isfinite(ends).all() or (ends[0] == ends[1]).all():
         return ()
     return tuple((float(x), float(y)) for x, y in ends)

@@ -25,7 +25,7 @@ from skope.tracking.birdseye_video import put_text
 from skope.tracking.ground_view import footage_of
 from skope.tracks.track import Track
 from skope.types import Array, Pixels
-from skope.video.footage import Cut, open_footage
+from skope.video.footage import FrameRange, open_footage
 
 
 @dataclass(frozen=True)
@@ -130,7 +130,7 @@ def draw_camera_picture(scene: Scene, folder: Path) -> Pixels | None:
 def _frame(source: Path, view: View) -> Pixels:
     index = view.image.frame_index
     start = 0.0 if view.image.time_s is None else max(0.0, view.image.time_s - 1.0)
-    for image, pixels in open_footage(str(source), Cut(start_s=start)).frames():
+    for image, pixels in open_footage(str(source), FrameRange(start_s=start)).frames():
         if image.frame_index == index or (index is None and image.file_name == view.image.file_name):
             return pixels.copy()
     raise UserError(f"{source}: frame {index} cannot be read")

@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from skope.camera.ground_plane import Ground, ground_places, ground_slopes
+from skope.camera.ground_plane import Ground, ground_jacobian, intersect_ground
 from skope.camera.model import Camera
 from skope.pose.camera_error import camera_errors
 from skope.pose.keypoint_views import Scene
@@ -165,7 +165,7 @@ def ground_points(camera: Camera, ground: Ground, pixels: Array, sigma_px: Array
         N places; None where the pixel shows no road, or it is too far away to tell where.
     """
     places, per_metre = _on_plane(camera, ground, pixels)
-    slopes = ground_slopes(camera, pixels, ground.height, slope=ground.slope, about=ground.about)
+    slopes = ground_jacobian(camera, pixels, ground.height, slope=ground.slope, about=ground.about)
     rise = ground.height_sigma * per_metre
     moved = slopes * sigma_px[:, None]
     covariances = moved @ moved.swapaxes(1, 2) + rise[:, :, None] * rise[:, None]
@@ -185,6 +185,6 @@ def _on_plane(camera: Camera, ground: Ground, pixels: Array) -> tuple[Array, Arr
     NaN where they do not.
     """
     eye, slope = camera.position, np.array(ground.slope)
-    places = ground_places(camera, pixels, ground.height, slope=slope, about=ground.about)[..., :2]
+    places = intersect_ground(camera, pixels, ground.height, slope=slope, about=ground.about)[..., :2]
     below = ground.height + float((eye[:2] - ground.about) @ slope) - eye[2]
     return places, (places - eye[:2]) / (below if below else np.nan)

@@ -17,7 +17,7 @@ from skope.camera.motion.view_registration import read_views, view_numbers
 from skope.pictures.median import median_of
 from skope.schema import AnnotationFile
 from skope.types import Array, Pixels
-from skope.video.footage import FOUND_AT, Cut, open_footage
+from skope.video.footage import FOUND_AT, FrameRange, open_footage
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ def empty_road(folder: Path, file: AnnotationFile) -> Pixels | None:
     times = [image.time_s for image in file.images if image.time_s is not None]
     shown = view_numbers(read_views(file.name, file.info), times).tolist()
     times = [time_s for time_s, view in zip(times, shown, strict=True) if view == shown[0]] or [0.0, math.inf]
-    span = Cut(start_s=times[0], end_s=min(times[-1], times[0] + GROUND_IMAGE.seconds) + GROUND_IMAGE.rounding_s)
+    span = FrameRange(start_s=times[0], end_s=min(times[-1], times[0] + GROUND_IMAGE.seconds) + GROUND_IMAGE.rounding_s)
     footage = open_footage(str(source), span)
     footage.cut = replace(span, every=max(1, len(footage) // GROUND_IMAGE.frames))
     frames = [pixels for _, pixels in footage.frames()]

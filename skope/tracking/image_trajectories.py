@@ -11,7 +11,7 @@ import numpy as np
 
 from skope.camera.motion.view_registration import KnownView, is_inside, read_views, transformed, view_numbers
 from skope.dataset import coco
-from skope.dataset.folder import BEGINS_KEY, FRAMES_FILE, PREDICTIONS_FILE, SIGHT_FIELD
+from skope.dataset.folder import FRAMES_FILE, PREDICTIONS_FILE, START_TIME_KEY, VISIBILITY_KEY
 from skope.errors import UserError
 from skope.metrics.read_inputs import read_all_results
 from skope.schema import CATEGORY_NAMES, VEHICLE_CATEGORY, AnnotationFile
@@ -20,7 +20,7 @@ from skope.site.traffic_settings import UNKNOWN_CLASS
 from skope.tracking.duplicates import DUPLICATE_LIMITS, feet, inside_and_apart
 from skope.tracking.track_flags import box_never_moved
 from skope.tracks.track import Track
-from skope.traffic.observation import Observation, checked_sight, read_begins
+from skope.traffic.observation import Observation, checked_visibility, read_start_time
 from skope.types import Array
 
 
@@ -93,9 +93,11 @@ def read_image_trajectories(folder: Path, gates: Sequence[Gate] = ()) -> tuple[l
         times_s=np.array(sorted(time_s for number, time_s in timed.items() if shown[number] in observed)),
         source=source,
         moved_s=np.array(sorted(time_s for number, time_s in timed.items() if shown[number] not in observed)),
-        sight=checked_sight(file.info.get(SIGHT_FIELD, []), f"{folder / FRAMES_FILE}: info.{SIGHT_FIELD}"),
-        begins=read_begins(file.info[BEGINS_KEY], f"{folder / FRAMES_FILE}: info.{BEGINS_KEY}")
-        if BEGINS_KEY in file.info
+        visibility_samples=checked_visibility(
+            file.info.get(VISIBILITY_KEY, []), f"{folder / FRAMES_FILE}: info.{VISIBILITY_KEY}"
+        ),
+        start_time=read_start_time(file.info[START_TIME_KEY], f"{folder / FRAMES_FILE}: info.{START_TIME_KEY}")
+        if START_TIME_KEY in file.info
         else None,
     )
     return [one for one in made if one.confirmed], observation, notes

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skope.camera.model import Camera
-from skope.dataset.folder import BEGINS_KEY, FOLLOWED_KEY, SIGHT_FIELD
+from skope.dataset.folder import FOLLOWED_KEY, START_TIME_KEY, VISIBILITY_KEY
 from skope.errors import UserError
 from skope.files.atomic import replacing, write_bytes, write_text
 from skope.files.json_files import json_bytes
@@ -32,7 +32,7 @@ from skope.tracking.vehicle_tracker import follow
 from skope.tracks.csv_file import TRACKS_CSV, as_written, write_tracks
 from skope.tracks.frame_files import mot_row, write_fcd, write_mot
 from skope.tracks.track import Track
-from skope.traffic.observation import FOOTAGE_FILE, Observation, checked_sight, read_begins
+from skope.traffic.observation import FOOTAGE_FILE, Observation, checked_visibility, read_start_time
 from skope.traffic.road_picture import empty_road_picture, write_empty_road_picture, write_road_picture
 from skope.video.write import write_video
 
@@ -49,7 +49,7 @@ class TrackJob:
     out: Path
     fps: float | None
     """Images a second; None: the images tell their times."""
-    begins: datetime | None
+    start_time: datetime | None
     """Time of second 0, with its zone; None: as the file of frames says, which does so of live streams."""
     noise: float
     """Standard deviation of the noise that is added to labelled keypoints, pixels."""
@@ -66,7 +66,7 @@ class TrackJob:
 def follow_footage(job: TrackJob, console: Console) -> Iterator[str]:
     """Follow the vehicles and write their tracks under `job.out`; yields lines that say what was written and found."""
     scene = job.scene
-    begins = begins_of(scene, job.begins)
+    start_time = start_time_of(scene, job.start_time)
     times = times_of(scene, job.fps)
     progress = poses_kept(job.out)
     if progress.count:
@@ -78,7 +78,7 @@ def follow_footage(job: TrackJob, console: Console) -> Iterator[str]:
     write_tracks(job.out / TRACKS_CSV, every, index)
     write_mot(job.out / "mot.txt", [track for track in every if track.category == VEHICLE_CATEGORY])
     write_fcd(job.out / "fcd.xml", every, times)
-    observation = observation_of(scene, times, begins)
+    observation = observation_of(scene, times, start_time)
     write_bytes(job.out / FOOTAGE_FILE, json_bytes(observation.to_dict()))
     written = [TRACKS_CSV, "mot.txt", "fcd.xml", FOOTAGE_FILE, "birdseye.png"]
     shown = [observation.with_camera_error(track) for track in every]  # each by itself
@@ -127,11 +127,11 @@ def follow_footage(job: TrackJob, console: Console) -> Iterator[str]:
         yield from speed_errors(scene, tracks)
 
 
-def begins_of(scene: Scene, begins: datetime | None) -> datetime | None:
-    """Time of second 0: as `begins` says, else as the file of frames, which says so of live streams; None: neither."""
-    said = scene.file.info.get(BEGINS_KEY)
-    where = f"{scene.file.name}: info.{BEGINS_KEY}"
-    return read_begins(said, where) if begins is None and said is not None else begins
+def start_time_of(scene: Scene, start_time: datetime | None) -> datetime | None:
+    """Time of second 0: `start_time`, else the start of a live stream from the file of frames, else None."""
+    said = scene.file.info.get(START_TIME_KEY)
+    where = f"{scene.file.name}: info.{START_TIME_KEY}"
+    return read_start_time(said, where) if start_time is None and said is not None else start_time
 
 
 def poses_kept(folder: Path) -> Progress:
@@ -163,13 +163,13 @@ def followed(
     return [as_written(track) for track in (*tracks, *road_users)]
 
 
-def observation_of(scene: Scene, times: Sequence[float], begins: datetime | None) -> Observation:
+def observation_of(scene: Scene, times: Sequence[float], start_time: datetime | None) -> Observation:
     """Times at which the road was observed, which no track tells: `skope.traffic` counts by it.
 
     Args:
         scene: The footage.
         times: Time of each image, seconds.
-        begins: When second 0 was, with its zone, as `begins_of` says; None: not known.
+        start_time: Time of second 0 with its time zone, as `start_time_of` returns it; None if not known.
     """
     moved = np.array([scene.moved_in(image) for image in scene.file.images])
     known = scene.known_in(scene.file.images[0])
@@ -182,14 +182,16 @@ def observation_of(scene: Scene, times: Sequence[float], begins: datetime | None
     return Observation(
         times_s=seconds[~moved],
         source=str(scene.file.info.get("source", scene.file.name)),
-        common_sigma=known.ways_sigma() if known else None,
+        common_scale_sigma=known.distance_sigma() if known else None,
         camera=camera,
         uncertainty=known,
         ground=scene.ground,
         moved_s=seconds[moved],
         turned=tuple(turned.values()),
-        sight=checked_sight(scene.file.info.get(SIGHT_FIELD, []), f"{scene.file.name}: info.{SIGHT_FIELD}"),
-        begins=begins,
+        visibility_samples=checked_visibility(
+            scene.file.info.get(VISIBILITY_KEY, []), f"{scene.file.name}: info.{VISIBILITY_KEY}"
+        ),
+        start_time=start_time,
     )
 
 

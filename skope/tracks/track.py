@@ -104,7 +104,7 @@ class Track:
     """Reasons to distrust the track."""
     joined: tuple[int, ...] = ()
     """Numbers of further tracks that were joined to this one."""
-    joined_probability: float = 1.0
+    stitch_probability: float = 1.0
     """Probability that all of them belong to one road user."""
 
     def __post_init__(self) -> None:

@@ -13,7 +13,7 @@ from skope.tracks.track import VEHICLE_LENGTH_SIGMA_M, Track
 from skope.traffic.event_probability import event_probability
 from skope.traffic.footprints import FootprintPath
 from skope.traffic.post_encroachment_time import Encroachment, by_places
-from skope.traffic.time_to_collision import Doubt, deceleration_to_avoid, times_to_collision
+from skope.traffic.time_to_collision import SampledStates, deceleration_to_avoid, times_to_collision
 from skope.types import Array
 
 
@@ -59,7 +59,7 @@ def is_followed(trajectory: Track, time_s: float) -> bool:
     return gap_s <= CONFLICT_DOUBT.longest_gap_s and trajectory.sigma_at(time_s) <= CONFLICT_DOUBT.worst_sigma_m
 
 
-def ttc_doubt(
+def ttc_interval(
     one: FootprintPath, other: FootprintPath, row: tuple[int, int], settings: TrafficSettings, rng: np.random.Generator
 ) -> tuple[float, float, float]:
     """Interval of a time to collision, and its probability to be within the limit.
@@ -88,7 +88,7 @@ def hardest_needed(
     seconds: Array,
     settings: TrafficSettings,
     rng: np.random.Generator,
-    common_sigma: float = 0.0,
+    common_scale_sigma: float = 0.0,
 ) -> tuple[float, float, float]:
     """The largest deceleration that avoids a collision.
 
@@ -99,7 +99,7 @@ def hardest_needed(
         seconds: (K,) times to the collision then.
         settings: How far ahead is looked.
         rng: Draws places and speeds.
-        common_sigma: Relative standard deviation that the camera gives all distances and speeds alike.
+        common_scale_sigma: Relative standard deviation that the camera gives all distances and speeds alike.
 
     Returns:
         m/s², and the low and high end of the interval that holds 90%; all NaN where there is no collision.
@@ -112,7 +112,9 @@ def hardest_needed(
     ahead = times_to_collision(one, other, index, _farthest_s(settings), doubt)
     # The camera's error is one for both: it stretches distances and speeds alike, so that times stay.
     scale = (
-        np.maximum(0.0, 1 + common_sigma * rng.standard_normal(CONFLICT_DOUBT.braking_samples)) if common_sigma else 1.0
+        np.maximum(0.0, 1 + common_scale_sigma * rng.standard_normal(CONFLICT_DOUBT.braking_samples))
+        if common_scale_sigma
+        else 1.0
     )
     return float(drac[k]), *_middle(scale * deceleration_to_avoid(one, other, index, ahead, doubt))
 
@@ -178,7 +180,7 @@ def _drawn(
     rows: tuple[int, int],
     rng: np.random.Generator,
     count: int = CONFLICT_DOUBT.samples,
-) -> tuple[tuple[NDArray[np.intp], NDArray[np.intp]], Doubt]:
+) -> tuple[tuple[NDArray[np.intp], NDArray[np.intp]], SampledStates]:
     """A moment `count` times, with places and speeds drawn as uncertain as they are."""
     shifts, speeds = [], []
     for path, row in zip((one, other), rows, strict=True):
@@ -187,7 +189,7 @@ def _drawn(
         sigma = float(trajectory.at(trajectory.speed_sigma, time_s))
         speeds.append(np.maximum(0.0, path.speed[row] + rng.normal(0, sigma, count)))
     index = np.full(count, rows[0]), np.full(count, rows[1])
-    return index, Doubt((shifts[0], shifts[1]), (speeds[0], speeds[1]))
+    return index, SampledStates((shifts[0], shifts[1]), (speeds[0], speeds[1]))
 
 
 def _middle(drawn: Array) -> tuple[float, float]:

@@ -22,7 +22,7 @@ from skope.traffic.conflict_doubt import (
     is_followed,
     pet_sigma,
     surely_encroaches,
-    ttc_doubt,
+    ttc_interval,
 )
 from skope.traffic.footprints import FootprintPath, footprint_paths, overlap
 from skope.traffic.post_encroachment_time import Encroachment, by_area, by_places, near
@@ -47,22 +47,23 @@ CONFLICT_LIMITS: Final = ConflictLimits()
 
 
 @dataclass(frozen=True, kw_only=True)
-class Meeting:
-    """Two who come near to a collision, or get where the other one was."""
+class Encounter:
+    """Two road users that come close to a collision, or one that reaches the place of the other."""
 
-    one: FootprintPath
-    other: FootprintPath
+    first: FootprintPath
+    second: FootprintPath
     rows: tuple[NDArray[np.intp], NDArray[np.intp]]
-    """Of the moments at which they are near."""
+    """Rows of both paths at the times when they are near each other."""
     seconds: Array
-    """Times to their collision then."""
+    """Times to collision at these rows, seconds."""
     moment: tuple[int, int]
-    """The rows of the moment of the conflict."""
+    """Rows of both paths at the time of the conflict."""
     ttc_s: float
-    """The least of the times; NaN where it is above the limit."""
-    reached: Encroachment | None
-    ways_deg: float
-    """Between their ways."""
+    """Smallest time to collision, seconds; NaN if it is above the limit."""
+    encroachment: Encroachment | None
+    """The encroachment with the smallest time; None if there is none within the limit."""
+    crossing_angle_deg: float
+    """Angle between the two paths, degrees."""
 
     @property
     def close(self) -> bool:
@@ -70,100 +71,100 @@ class Meeting:
         return not math.isnan(self.ttc_s)
 
     def in_order(self) -> tuple[tuple[FootprintPath, float], tuple[FootprintPath, float]]:
-        """The first and the second of the two, and when they meet."""
-        one, other = self.one, self.other
-        swapped = self.reached.swapped if self.reached is not None else _behind(one, other, *self.moment)
-        first, second = (other, one) if swapped else (one, other)
-        if self.close or self.reached is None:
-            time_s = float(one.times_s[self.moment[0]])
-            return (first, time_s), (second, time_s)
-        return (first, self.reached.first_s), (second, self.reached.second_s)
+        """Both paths with the time at which each is in conflict, the earlier one first."""
+        first, second = self.first, self.second
+        swapped = self.encroachment.swapped if self.encroachment is not None else _behind(first, second, *self.moment)
+        earlier, later = (second, first) if swapped else (first, second)
+        if self.close or self.encroachment is None:
+            time_s = float(first.times_s[self.moment[0]])
+            return (earlier, time_s), (later, time_s)
+        return (earlier, self.encroachment.first_s), (later, self.encroachment.second_s)
 
 
-def meeting_of(one: FootprintPath, other: FootprintPath, settings: TrafficSettings) -> Meeting | None:
+def find_encounter(first: FootprintPath, second: FootprintPath, settings: TrafficSettings) -> Encounter | None:
     """Find where two come near a collision, or get where the other one was.
 
     Args:
-        one: A road user.
-        other: Another one.
+        first: A road user.
+        second: Another one.
         settings: `ttc_s` and `pet_s` are the limits.
 
     Returns:
         The meeting; None where there is none, where one only follows the other, or where it is doubtful that places
         cross.
     """
-    rows, seconds = _approaches(one, other, settings)
+    rows, seconds = _approaches(first, second, settings)
     least = int(seconds.argmin()) if len(seconds) else 0
     close = bool(len(seconds) and seconds[least] <= settings.ttc_s)
-    reached = by_places(one, other, settings.pet_s)
-    if reached is not None and reached.seconds == 0:
-        reached = None  # they touch: places are not that exact
+    encroachment = by_places(first, second, settings.pet_s)
+    if encroachment is not None and encroachment.seconds == 0:
+        encroachment = None  # they touch: places are not that exact
     if close:
         i, j = int(rows[0][least]), int(rows[1][least])
-    elif reached is not None:
-        times = (reached.first_s, reached.second_s)
-        i, j = (_row(path, time_s) for path, time_s in zip((one, other), in_order(times, reached), strict=True))
+    elif encroachment is not None:
+        times = (encroachment.first_s, encroachment.second_s)
+        i, j = (_row(path, time_s) for path, time_s in zip((first, second), in_order(times, encroachment), strict=True))
     else:
         return None
     # Two that turn one behind the other head elsewhere at any moment, but not at any place.
-    ways_deg = _angle_of_ways(one, other, i, j)
-    if not close and ways_deg < COLLISION_LIMITS.rear_end_deg:
+    crossing_angle_deg = _angle_of_ways(first, second, i, j)
+    if not close and crossing_angle_deg < COLLISION_LIMITS.rear_end_deg:
         return None  # one behind the other: that is a gap
-    if not close and not surely_encroaches(one, other, i, j, settings.pet_s):
+    if not close and not surely_encroaches(first, second, i, j, settings.pet_s):
         return None
-    return Meeting(
-        one=one,
-        other=other,
+    return Encounter(
+        first=first,
+        second=second,
         rows=rows,
         seconds=seconds,
         moment=(i, j),
         ttc_s=float(seconds[least]) if close else math.nan,
-        reached=reached,
-        ways_deg=ways_deg,
+        encroachment=encroachment,
+        crossing_angle_deg=crossing_angle_deg,
     )
 
 
-def rows_together(one: FootprintPath, other: FootprintPath) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def rows_together(first: FootprintPath, second: FootprintPath) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """The rows of the moments at which both are there, of each."""
-    begin, end = max(one.ticks[0], other.ticks[0]), min(one.ticks[-1], other.ticks[-1]) + 1
+    begin, end = max(first.ticks[0], second.ticks[0]), min(first.ticks[-1], second.ticks[-1]) + 1
     ticks = np.arange(begin, max(begin, end))
-    return ticks - one.ticks[0], ticks - other.ticks[0]
+    return ticks - first.ticks[0], ticks - second.ticks[0]
 
 
 def _approaches(
-    one: FootprintPath, other: FootprintPath, settings: TrafficSettings
+    first: FootprintPath, second: FootprintPath, settings: TrafficSettings
 ) -> tuple[tuple[NDArray[np.intp], NDArray[np.intp]], Array]:
     """The rows of moments at which the two are near, and the times to their collision."""
-    a, b = rows_together(one, other)
+    a, b = rows_together(first, second)
     horizon = max(settings.ttc_s, CONFLICT_DOUBT.horizon_s)
-    speeds = one.speed[a] + other.speed[b]
-    reach = one.radius + other.radius + speeds * horizon
-    close = (np.linalg.norm(one.place[a] - other.place[b], axis=1) < reach) & (
-        np.maximum(one.speed[a], other.speed[b]) >= CONFLICT_LIMITS.moving_mps
+    speeds = first.speed[a] + second.speed[b]
+    reach = first.radius + second.radius + speeds * horizon
+    close = (np.linalg.norm(first.place[a] - second.place[b], axis=1) < reach) & (
+        np.maximum(first.speed[a], second.speed[b]) >= CONFLICT_LIMITS.moving_mps
     )
     rows = a[close], b[close]
     parts = [
         (rows[0][k : k + CONFLICT_LIMITS.block_rows], rows[1][k : k + CONFLICT_LIMITS.block_rows])
         for k in range(0, len(rows[0]), CONFLICT_LIMITS.block_rows)
     ]
-    seconds = [times_to_collision(one, other, part, horizon) for part in parts]
+    seconds = [times_to_collision(first, second, part, horizon) for part in parts]
     return rows, np.concatenate([np.zeros(0), *seconds])
 
 
-def _angle_of_ways(one: FootprintPath, other: FootprintPath, i: int, j: int) -> float:
+def _angle_of_ways(first: FootprintPath, second: FootprintPath, i: int, j: int) -> float:
     """Degrees between the ways of two, where the way of one is nearest to where the other one is."""
-    here = int(np.linalg.norm(one.place - other.place[j], axis=1).argmin())
-    there = int(np.linalg.norm(other.place - one.place[i], axis=1).argmin())
-    return float(min(angle_deg(one.facing[here], other.facing[j]), angle_deg(one.facing[i], other.facing[there])))
+    here = int(np.linalg.norm(first.place - second.place[j], axis=1).argmin())
+    there = int(np.linalg.norm(second.place - first.place[i], axis=1).argmin())
+    return float(min(angle_deg(first.facing[here], second.facing[j]), angle_deg(first.facing[i], second.facing[there])))
 
 
 def _row(path: FootprintPath, time_s: float) -> int:
     return int(np.abs(path.times_s - time_s).argmin())
 
 
-def _behind(one: FootprintPath, other: FootprintPath, i: int, j: int) -> bool:
-    """Whether `one` sees `other` ahead."""
-    return bool((other.place[j] - one.place[i]) @ one.facing[i] > 0)
+def _behind(first: FootprintPath, second: FootprintPath, i: int, j: int) -> bool:
+    """Whether `first` sees `second` ahead."""
+    return bool((second.place[j] - first.place[i]) @ first.facing[i] > 0)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -196,7 +197,7 @@ class Conflict:
     drac_low_ms2: float
     drac_high_ms2: float
     """Between these it lies with 90%."""
-    pet_places_s: float
+    pet_ssam_s: float
     """Post-encroachment time by SSAM's definition, seconds; NaN where there is none up to the limit."""
     pet_area_s: float
     """The same from when the first one leaves the area that both drive over; NaN where they drive along one way."""
@@ -212,7 +213,7 @@ class ConflictSearch:
     overlapping: int
     """Pairs whose footprints overlap while they drive, or touch: two tracks of one vehicle, or places that are wrong.
     They are no conflicts."""
-    unsteady: int
+    poorly_tracked_pairs: int
     """Pairs of which one is not followed well enough where they meet to say that it is a conflict."""
 
 
@@ -221,7 +222,7 @@ def conflicts(
     settings: TrafficSettings,
     rng: np.random.Generator,
     zones: Sequence[Zone] = (),
-    common_sigma: float = 0.0,
+    common_scale_sigma: float = 0.0,
 ) -> ConflictSearch:
     """Find all pairs with a time to collision up to `settings.ttc_s`, or whose ways cross within `settings.pet_s`.
 
@@ -230,30 +231,30 @@ def conflicts(
         settings: Limits of the two times.
         rng: Draws places and speeds, for how uncertain a conflict is.
         zones: Give the conflicts in them a name.
-        common_sigma: Relative standard deviation that the camera gives all distances and speeds alike. It cancels in
-            times, and widens the intervals of decelerations.
+        common_scale_sigma: Relative standard deviation of the scale, which all distances and speeds share. It cancels
+            in times and widens the intervals of decelerations.
 
     Returns:
         The conflicts by time, and how many pairs were left out.
     """
-    followed = [one for one in trajectories if is_in_traffic(one) and has_plausible_speed(one)]
+    followed = [first for first in trajectories if is_in_traffic(first) and has_plausible_speed(first)]
     made = footprint_paths(followed, CONFLICT_DOUBT.step_s)
-    found, overlapping, unsteady = [], 0, 0
-    for one, other in _pairs(made, settings.pet_s):
-        if not near(one, other, max(settings.pet_s, settings.ttc_s)):
+    found, overlapping, poorly_tracked_pairs = [], 0, 0
+    for first, second in _pairs(made, settings.pet_s):
+        if not near(first, second, max(settings.pet_s, settings.ttc_s)):
             continue
-        if _overlapping(one, other):
+        if _overlapping(first, second):
             overlapping += 1
-        elif (meeting := meeting_of(one, other, settings)) is None:
+        elif (encounter := find_encounter(first, second, settings)) is None:
             continue
-        elif not all(is_followed(path.trajectory, time_s) for path, time_s in meeting.in_order()):
-            unsteady += 1
-        elif meeting.ttc_s <= 0:
+        elif not all(is_followed(path.trajectory, time_s) for path, time_s in encounter.in_order()):
+            poorly_tracked_pairs += 1
+        elif encounter.ttc_s <= 0:
             overlapping += 1
         else:
-            found.append(_conflict(meeting, settings, rng, zones, common_sigma))
+            found.append(_conflict(encounter, settings, rng, zones, common_scale_sigma))
     found.sort(key=lambda conflict: conflict.time_s)
-    return ConflictSearch(conflicts=tuple(found), overlapping=overlapping, unsteady=unsteady)
+    return ConflictSearch(conflicts=tuple(found), overlapping=overlapping, poorly_tracked_pairs=poorly_tracked_pairs)
 
 
 def _pairs(made: Sequence[FootprintPath], late_s: float) -> Iterator[tuple[FootprintPath, FootprintPath]]:
@@ -261,60 +262,64 @@ def _pairs(made: Sequence[FootprintPath], late_s: float) -> Iterator[tuple[Footp
     ordered = sorted(made, key=lambda path: int(path.ticks[0]))
     present: list[FootprintPath] = []
     for path in ordered:
-        present = [other for other in present if other.times_s[-1] + late_s >= path.times_s[0]]
-        for other in present:
-            if not path.trajectory.category == other.trajectory.category == PEDESTRIAN_CATEGORY:
-                yield other, path
+        present = [second for second in present if second.times_s[-1] + late_s >= path.times_s[0]]
+        for second in present:
+            if not path.trajectory.category == second.trajectory.category == PEDESTRIAN_CATEGORY:
+                yield second, path
         present.append(path)
 
 
-def _overlapping(one: FootprintPath, other: FootprintPath) -> bool:
+def _overlapping(first: FootprintPath, second: FootprintPath) -> bool:
     """Whether the footprints ever overlap, each of them a little smaller than it is stated."""
-    a, b = rows_together(one, other)
-    close = np.linalg.norm(one.place[a] - other.place[b], axis=1) < one.radius + other.radius
+    a, b = rows_together(first, second)
+    close = np.linalg.norm(first.place[a] - second.place[b], axis=1) < first.radius + second.radius
     shrunk = [
         path.place[rows, None] + 0.8 * (path.corners[rows] - path.place[rows, None])
-        for path, rows in ((one, a[close]), (other, b[close]))
+        for path, rows in ((first, a[close]), (second, b[close]))
     ]
     return bool(overlap(*shrunk).any())
 
 
 def _conflict(
-    meeting: Meeting,
+    encounter: Encounter,
     settings: TrafficSettings,
     rng: np.random.Generator,
     zones: Sequence[Zone],
-    common_sigma: float,
+    common_scale_sigma: float,
 ) -> Conflict:
     """The conflict of two who meet, with how uncertain it is."""
-    one, other, reached, (i, j) = meeting.one, meeting.other, meeting.reached, meeting.moment
-    angle = float(angle_deg(one.facing[i], other.facing[j])) if meeting.close else meeting.ways_deg
-    area = by_area(one, other, float(one.times_s[i])) if meeting.ways_deg >= COLLISION_LIMITS.rear_end_deg else None
-    told = ttc_doubt(one, other, (i, j), settings, rng) if meeting.close else (math.nan,) * 3
-    hardest, drac_low, drac_high = hardest_needed(
-        one, other, meeting.rows, meeting.seconds, settings, rng, common_sigma
+    first, second, encroachment, (i, j) = encounter.first, encounter.second, encounter.encroachment, encounter.moment
+    angle = float(angle_deg(first.facing[i], second.facing[j])) if encounter.close else encounter.crossing_angle_deg
+    area = (
+        by_area(first, second, float(first.times_s[i]))
+        if encounter.crossing_angle_deg >= COLLISION_LIMITS.rear_end_deg
+        else None
     )
-    (first, first_s), (second, second_s) = meeting.in_order()
-    middle = (one.place[i] + other.place[j]) / 2
+    told = ttc_interval(first, second, (i, j), settings, rng) if encounter.close else (math.nan,) * 3
+    hardest, drac_low, drac_high = hardest_needed(
+        first, second, encounter.rows, encounter.seconds, settings, rng, common_scale_sigma
+    )
+    (earlier, first_s), (later, second_s) = encounter.in_order()
+    middle = (first.place[i] + second.place[j]) / 2
     return Conflict(
-        first=first.trajectory,
-        second=second.trajectory,
+        first=earlier.trajectory,
+        second=later.trajectory,
         time_s=second_s,
         first_s=first_s,
         place=middle,
         zone=next((zone.name for zone in zones if inside_polygon(np.array(zone.polygon), middle[None])[0]), ""),
         kind=_kind(angle),
         angle_deg=angle,
-        ttc_s=meeting.ttc_s,
+        ttc_s=encounter.ttc_s,
         ttc_low_s=told[0],
         ttc_high_s=told[1],
         probability=told[2],
         drac_ms2=hardest,
         drac_low_ms2=drac_low,
         drac_high_ms2=drac_high,
-        pet_places_s=reached.seconds if reached is not None else math.nan,
+        pet_ssam_s=encroachment.seconds if encroachment is not None else math.nan,
         pet_area_s=area.seconds if area is not None and area.seconds <= settings.pet_s else math.nan,
-        pet_sigma_s=pet_sigma(one, other, reached),
+        pet_sigma_s=pet_sigma(first, second, encroachment),
     )
 
 

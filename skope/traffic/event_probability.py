@@ -219,4 +219,4 @@ def usual_step(tracks: Sequence[Track]) -> float:
 def undoubted(track: Track) -> float:
     """Factor for the flags of a track, and for having been joined."""
     doubted = EVENT_FACTORS.doubted if DOUBTED_FLAGS & set(track.flags) else 1.0
-    return doubted * track.joined_probability
+    return doubted * track.stitch_probability

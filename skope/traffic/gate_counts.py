@@ -12,7 +12,7 @@ from skope.traffic.count_uncertainty import CountDistribution, CountErrors, Coun
 from skope.traffic.counting_intervals import ClockInterval
 from skope.traffic.event_probability import MissRateGroup
 from skope.traffic.gates import GateCrossing, direction_names
-from skope.traffic.missed_crossings import Unseen
+from skope.traffic.missed_crossings import MissedCrossings
 from skope.traffic.observation import Observation
 
 
@@ -94,10 +94,10 @@ class Count:
 
 
 def observed_word(interval: ClockInterval, observed_s: float) -> str:
-    """All, part or nothing."""
+    """How much of an interval was observed: "full", "partial" or "none"."""
     if observed_s <= 0:
-        return "nothing"
-    return "all" if observed_s >= COUNT_LIMITS.observed_share * (interval.end_s - interval.begin_s) else "part"
+        return "none"
+    return "full" if observed_s >= COUNT_LIMITS.observed_share * (interval.end_s - interval.begin_s) else "partial"
 
 
 def interval_counts(
@@ -107,7 +107,7 @@ def interval_counts(
     intervals: Sequence[ClockInterval],
     observation: Observation,
     settings: TrafficSettings,
-    unseen: Unseen,
+    unseen: MissedCrossings,
     *,
     by_class: bool = True,
 ) -> list[Count]:
@@ -205,7 +205,7 @@ def is_in_row(crossing: GateCrossing, lane: str, classes: Collection[str]) -> bo
 
 def row_interval(
     crossings: Sequence[GateCrossing],
-    unseen: Unseen,
+    unseen: MissedCrossings,
     side: tuple[str, int],
     interval: ClockInterval,
     lane: str,

@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from skope.camera.ground_plane import Ground, ground_places
+from skope.camera.ground_plane import Ground, intersect_ground
 from skope.camera.model import Camera, same_aspect
 from skope.camera.uncertain_camera import moved_camera
 from skope.confidence_level import at_most
@@ -18,8 +18,8 @@ from skope.site.traffic_settings import TrafficSettings
 from skope.tracks.track import VEHICLE_LENGTH_SIGMA_M, Track, is_in_traffic
 from skope.traffic.event_probability import EVENT_FACTORS, crossing_probability, usual_step
 from skope.traffic.lanes import LaneMap
+from skope.traffic.line_crossings import LineCrossing, line_crossings
 from skope.traffic.observation import Observation
-from skope.traffic.passages import Passage, passages
 from skope.types import Array
 
 
@@ -159,7 +159,7 @@ def _seen_by(gate: Gate, true: Camera, used: Camera, ground: Ground) -> Gate:
     ends = np.array(gate.line)
     spots = ends[0] + np.linspace(0, 1, GATE_LIMITS.gate_spots)[:, None] * (ends[1] - ends[0])
     pixels, _, valid = true.project(np.column_stack([spots, ground.heights(spots)]))
-    found = ground_places(used, np.where(valid[:, None], pixels, 0.0), ground.height, slope=ground.slope,
+    found = intersect_ground(used, np.where(valid[:, None], pixels, 0.0), ground.height, slope=ground.slope,
                           about=ground.about)[:, :2]  # fmt: skip
     seen = np.flatnonzero(valid & np.isfinite(found).all(axis=1))
     if not len(seen):
@@ -234,7 +234,7 @@ def _of_one(
     rule = _rule(trajectory, gate, signed, settings)
     found = []
     leave = leaving_distance(trajectory, rule["least_travel"])
-    for passage in passages(signed, trajectory.times_s, **rule, leave=leave, places=trajectory.xy):
+    for passage in line_crossings(signed, trajectory.times_s, **rule, leave=leave, places=trajectory.xy):
         at = float(trajectory.at(along, passage.time_s))
         # Half-open along the gate too: of two gates that share an end, one counts.
         inside = 0 <= at < length
@@ -287,7 +287,7 @@ def normal_of(gate: Gate) -> Array:
 def _crossing(
     trajectory: Track,
     gate: Gate,
-    passage: Passage,
+    passage: LineCrossing,
     lanes: LaneMap,
     rule: dict[str, float],
     ends: tuple[bool, float],
@@ -333,13 +333,13 @@ def _along_s(trajectory: Track, velocity: Array, *, metres: bool) -> float:
     return off / max(float(np.linalg.norm(velocity)), GATE_LIMITS.slowest_mps)
 
 
-def _end_time(trajectory: Track, gate: Gate, places: Array, passage: Passage, rule: dict[str, float]) -> float:
+def _end_time(trajectory: Track, gate: Gate, places: Array, passage: LineCrossing, rule: dict[str, float]) -> float:
     """Time at which the front or the rear (M, 2) crosses the gate's line in the same direction; NaN where that is not
     seen."""
     signed, _ = signed_distances(gate, places)
     times = [
         one.time_s
-        for one in passages(signed, trajectory.times_s, **rule, places=None)
+        for one in line_crossings(signed, trajectory.times_s, **rule, places=None)
         if one.came_from == passage.came_from and not one.begins
     ]
     return min(times, key=lambda time_s: abs(time_s - passage.time_s)) if times else math.nan

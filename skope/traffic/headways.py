@@ -42,7 +42,7 @@ class Occupancy:
     occupied_s: float
     sigma_s: float
     """Standard deviation of `occupied_s`, seconds."""
-    left_out: int
+    excluded_vehicles: int
     """Vehicles whose front or rear was not seen to cross."""
 
 
@@ -105,7 +105,7 @@ def occupancies(
                     observed_s=observed_s,
                     occupied_s=_union([span for span, _ in inside]),
                     sigma_s=math.sqrt(sum(2 * one.end_sigma_s**2 for _, one in inside)),
-                    left_out=sum(math.isnan(one.rear_s - one.front_s) for one in there),
+                    excluded_vehicles=sum(math.isnan(one.rear_s - one.front_s) for one in there),
                 )
             )
     return out

@@ -16,9 +16,9 @@ from skope.traffic.counting_intervals import clock_intervals, local_start
 from skope.traffic.event_probability import image_miss_rate_groups, usual_step
 from skope.traffic.gate_counts import interval_counts
 from skope.traffic.gates import gate_crossings, gates_in_image
-from skope.traffic.hand_checks import counts_adjusted_by_hand, hand_checks
-from skope.traffic.hand_count_file import HandCount
 from skope.traffic.lanes import LaneMap
+from skope.traffic.manual_count_checks import counts_adjusted_by_hand, manual_count_checks
+from skope.traffic.manual_count_file import ManualCount
 from skope.traffic.measure import total_counts, whole_footage
 from skope.traffic.missed_crossings import unseen
 from skope.traffic.observation import Observation
@@ -63,7 +63,7 @@ def count_in_image(
     observation: Observation,
     site: "SiteParts",
     start: datetime | None = None,
-    hand_counts: Sequence[HandCount] = (),
+    manual_counts: Sequence[ManualCount] = (),
 ) -> TrafficReport:
     """Counts and movements of tracks whose places are columns and negative rows of the image, pixels.
 
@@ -72,7 +72,7 @@ def count_in_image(
         observation: When the camera has shown the view that the gates are drawn in.
         site: Gates with `pixels` and the settings are used.
         start: When the footage begins; None: as the site says.
-        hand_counts: What was counted by hand meanwhile.
+        manual_counts: What was counted by hand meanwhile.
     """
     settings = site.traffic
     gates = gates_in_image(site.gates)
@@ -93,7 +93,7 @@ def count_in_image(
     kinds = {gate.name: image_miss_rate_groups(_vehicle_px(tracks, gate)) for gate in gates}
     missed = unseen(tracks, gates, every, observation, settings, IMAGE_GATES.near_px, kinds)
     crossed = [one for one in every if one.counts]
-    checks = hand_checks(hand_counts, crossed, missed, settings)
+    checks = manual_count_checks(manual_counts, crossed, missed, settings)
     missed = counts_adjusted_by_hand(checks, crossed, missed, gates, settings)
     moved = movements(crossed, settings)
     counts = interval_counts(crossed, gates, [], intervals, observation, settings, missed)
@@ -115,7 +115,7 @@ def count_in_image(
         lengths=(),
         lengths_total=(),
         unseen=missed,
-        hand_checks=tuple(checks),
+        manual_count_checks=tuple(checks),
         movements=tuple(moved),
         turning=tuple(turning_counts(moved, gates, intervals, observation, settings, missed)),
         turning_total=tuple(turning_counts(moved, gates, [whole], observation, settings, missed)),
@@ -125,12 +125,12 @@ def count_in_image(
         occupancies=(),
         queues=(),
         delays=(),
-        conflicts=ConflictSearch(conflicts=(), overlapping=0, unsteady=0),
+        conflicts=ConflictSearch(conflicts=(), overlapping=0, poorly_tracked_pairs=0),
         brakings=(),
         metres=False,
     )
     why = (NO_METRES,) if len(known) == len(counts) else (NO_METRES, _NO_CLASSES)
-    return replace(report, refused=(*why, *remarks_on_counts(report)))
+    return replace(report, notes=(*why, *remarks_on_counts(report)))
 
 
 def _vehicle_px(tracks: Sequence[Track], gate: Gate) -> float | None:

@@ -23,7 +23,7 @@ from skope.traffic.count_uncertainty import CountDistribution, CountErrors, Coun
 from skope.traffic.counting_intervals import ClockInterval
 from skope.traffic.gate_counts import observed_word
 from skope.traffic.gates import GateCrossing, direction_names
-from skope.traffic.missed_crossings import Unseen, Vanished
+from skope.traffic.missed_crossings import LostTrack, MissedCrossings
 from skope.traffic.observation import Observation
 from skope.types import Array
 
@@ -85,10 +85,10 @@ def bounds_m(limits_m: Sequence[float]) -> tuple[tuple[float, float], ...]:
     return (0.0, first), (first, second), (second, math.inf)
 
 
-def length_sigma_m(trajectory: Track, common_sigma: float | None) -> float:
+def length_sigma_m(trajectory: Track, common_scale_sigma: float | None) -> float:
     """Standard deviation of a vehicle's length, metres.
 
-    `common_sigma` is the relative error that the camera's calibration gives all lengths alike; None: not known.
+    `common_scale_sigma` is the relative error that the camera's calibration gives all lengths alike; None: not known.
     """
     assert trajectory.length is not None
     length = trajectory.length
@@ -96,34 +96,34 @@ def length_sigma_m(trajectory: Track, common_sigma: float | None) -> float:
     low, high = (end - length for end in LENGTH_MODEL.mistaken_m)
     strayed = (high**3 - low**3) / (3 * (high - low))
     square = sum(share * (sigma * length) ** 2 for share, sigma in parts) + _rest(parts) * strayed
-    return math.hypot(math.sqrt(square), (common_sigma or 0.0) * length)
+    return math.hypot(math.sqrt(square), (common_scale_sigma or 0.0) * length)
 
 
-def bin_probabilities(trajectory: Track, limits_m: Sequence[float], common_sigma: float | None) -> Array:
+def bin_probabilities(trajectory: Track, limits_m: Sequence[float], common_scale_sigma: float | None) -> Array:
     """(3,) how probable it is that a vehicle is short, medium and long.
 
     Args:
         trajectory: A vehicle whose length was measured.
         limits_m: From which lengths on vehicles are medium, and long, metres.
-        common_sigma: As `length_sigma_m` takes it.
+        common_scale_sigma: As `length_sigma_m` takes it.
     """
-    below = [_shorter_than(trajectory, limit, common_sigma or 0.0) for limit in limits_m]
+    below = [_shorter_than(trajectory, limit, common_scale_sigma or 0.0) for limit in limits_m]
     return np.diff([0.0, *below, 1.0])
 
 
-def length_bin(trajectory: Track, limits_m: Sequence[float], common_sigma: float | None) -> tuple[str, float]:
+def length_bin(trajectory: Track, limits_m: Sequence[float], common_scale_sigma: float | None) -> tuple[str, float]:
     """The bin of a vehicle.
 
     Args:
         trajectory: A vehicle whose length was measured.
         limits_m: From which lengths on vehicles are medium, and long, metres.
-        common_sigma: As `length_sigma_m` takes it.
+        common_scale_sigma: As `length_sigma_m` takes it.
 
     Returns:
         The most probable bin, or `NO_BIN` where its probability is less than `LENGTH_MODEL.bin_probability`; and that
         probability.
     """
-    chances = bin_probabilities(trajectory, limits_m, common_sigma)
+    chances = bin_probabilities(trajectory, limits_m, common_scale_sigma)
     return _bin_of(chances), float(chances.max())
 
 
@@ -144,7 +144,7 @@ def length_counts(
     intervals: Sequence[ClockInterval],
     observation: Observation,
     settings: TrafficSettings,
-    unseen: Unseen,
+    unseen: MissedCrossings,
 ) -> list[LengthCount]:
     """Count for each interval, gate, direction and bin, and those who are in none.
 
@@ -161,9 +161,9 @@ def length_counts(
     """
     if OF_VEHICLES.isdisjoint(settings.classes):
         return []
-    limits, common = settings.length_bins_m, observation.common_sigma
+    limits, common = settings.length_bins_m, observation.common_scale_sigma
     told = [one for one in (*crossings, *unseen.doubtful) if has_length(one.trajectory)]
-    every: list[GateCrossing | Vanished] = [*told, *(one for one in unseen.vanished if has_length(one.trajectory))]
+    every: list[GateCrossing | LostTrack] = [*told, *(one for one in unseen.vanished if has_length(one.trajectory))]
     chances: Chances = {one: bin_probabilities(one.trajectory, limits, common) for one in every}
     names = {one: _bin_of(chances[one]) for one in told}
     out = []
@@ -197,7 +197,7 @@ def length_counts(
 
 
 NO_LIMITS: Final = (None, None, None, None)
-Chances = dict[GateCrossing | Vanished, Array]
+Chances = dict[GateCrossing | LostTrack, Array]
 """Probability of each bin, by crossing or vanished track."""
 
 
@@ -208,7 +208,7 @@ def _between(
     side: tuple[str, int],
     interval: ClockInterval,
     limits_m: Sequence[float],
-    unseen: Unseen,
+    unseen: MissedCrossings,
 ) -> tuple[CountInterval | None, ...]:
     """The intervals of the bins at a gate, by the crossings there and by who was lost, and none of `NO_BIN`."""
     (kind,) = (one for one in unseen.kinds_at(*side) if one.classes == OF_VEHICLES)
@@ -244,7 +244,7 @@ def _rest(parts: Sequence[tuple[float, float]]) -> float:
     return 1 - sum(share for share, _ in parts)
 
 
-def _shorter_than(trajectory: Track, limit_m: float, common_sigma: float) -> float:
+def _shorter_than(trajectory: Track, limit_m: float, common_scale_sigma: float) -> float:
     """Probability that a vehicle is shorter than this in truth."""
     assert trajectory.length is not None
     parts = _errors(trajectory)
@@ -254,7 +254,7 @@ def _shorter_than(trajectory: Track, limit_m: float, common_sigma: float) -> flo
     told_m = min(trajectory.length, longest)
 
     def below(sigma: float, length_m: float) -> float:
-        return at_most((length_m / told_m - 1) / math.hypot(sigma, common_sigma))
+        return at_most((length_m / told_m - 1) / math.hypot(sigma, common_scale_sigma))
 
     shares = sum(share * below(sigma, min(limit_m, longest)) / below(sigma, longest) for share, sigma in parts)
     return shares + _rest(parts) * strayed

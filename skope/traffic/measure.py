@@ -15,18 +15,18 @@ from skope.traffic.counting_intervals import ClockInterval, clock_intervals, loc
 from skope.traffic.event_probability import usual_step
 from skope.traffic.gate_counts import Count, interval_counts
 from skope.traffic.gates import GateCrossing, gate_crossings, gates_of_other_cameras, gates_on_road
-from skope.traffic.hand_checks import counts_adjusted_by_hand, hand_checks
-from skope.traffic.hand_count_file import HandCount
 from skope.traffic.headways import headways, occupancies
-from skope.traffic.join_broken_tracks import join_trajectories
 from skope.traffic.lanes import LaneMap, lane_changes
 from skope.traffic.length_bins import length_counts
-from skope.traffic.missed_crossings import Unseen, unseen
+from skope.traffic.manual_count_checks import counts_adjusted_by_hand, manual_count_checks
+from skope.traffic.manual_count_file import ManualCount
+from skope.traffic.missed_crossings import MissedCrossings, unseen
 from skope.traffic.observation import Observation
 from skope.traffic.queues import delays, queues
 from skope.traffic.recordings import SiteRecording
 from skope.traffic.report_remarks import remarks
 from skope.traffic.speeds import section_passes, speed_groups
+from skope.traffic.stitch_broken_tracks import stitch_tracks
 from skope.traffic.time_to_collision import hard_brakings
 from skope.traffic.traffic_report import TrafficReport
 from skope.traffic.turning_movements import movements, turning_counts
@@ -44,7 +44,7 @@ def measure(
     observation: Observation,
     site: "SiteParts",
     start: datetime | None = None,
-    hand_counts: Sequence[HandCount] = (),
+    manual_counts: Sequence[ManualCount] = (),
     *,
     broken: bool = True,
     recordings: Sequence[SiteRecording] = (),
@@ -56,7 +56,7 @@ def measure(
         observation: When it observed the road.
         site: Gates, zones, lanes and settings.
         start: When the footage begins; None: as the site says.
-        hand_counts: What was counted by hand meanwhile.
+        manual_counts: What was counted by hand meanwhile.
         broken: Whether a road user's track may have broken into several, which are joined. Those of a simulation are
             whole.
         recordings: The recordings, where tracks and observation are of several.
@@ -64,7 +64,7 @@ def measure(
     settings = site.traffic
     begin = local_start(site) if start is None else start
     confirmed = [one for one in tracks if one.confirmed]
-    trajectories = join_trajectories(confirmed) if broken else confirmed
+    trajectories = stitch_tracks(confirmed) if broken else confirmed
     lanes, gates = LaneMap(site.lanes), gates_on_road(site.gates, (*observation.parts, observation)[0])
     whole = whole_footage(observation)
     intervals = clock_intervals(begin, max(0.0, whole.begin_s), whole.end_s, settings.interval_minutes)
@@ -72,13 +72,13 @@ def measure(
     every, others = _crossings(trajectories, site, observation, lanes, step_s)
     missed = unseen(trajectories, gates, every, observation, settings, other_cameras=others)
     crossed = [one for one in every if one.counts]
-    checks = hand_checks(hand_counts, crossed, missed, settings)
+    checks = manual_count_checks(manual_counts, crossed, missed, settings)
     missed = counts_adjusted_by_hand(checks, crossed, missed, gates, settings)
     moved = movements(crossed, settings, step_s if broken else None)
     sections = section_passes(moved)
     speeds = speed_groups(crossed, sections, intervals, observation)
     search = conflicts(
-        trajectories, settings, np.random.default_rng(DRAW_SEED), site.zones, observation.common_sigma or 0.0
+        trajectories, settings, np.random.default_rng(DRAW_SEED), site.zones, observation.common_scale_sigma or 0.0
     )
     late = delays(sections, speeds, settings)
     names = [lane.name for lane in site.lanes]
@@ -97,7 +97,7 @@ def measure(
         lengths=tuple(length_counts(crossed, gates, intervals, observation, settings, missed)),
         lengths_total=tuple(length_counts(crossed, gates, [whole], observation, settings, missed)),
         unseen=missed,
-        hand_checks=tuple(checks),
+        manual_count_checks=tuple(checks),
         movements=tuple(moved),
         turning=tuple(turning_counts(moved, gates, intervals, observation, settings, missed)),
         turning_total=tuple(turning_counts(moved, gates, [whole], observation, settings, missed)),
@@ -111,7 +111,7 @@ def measure(
         brakings=tuple(hard_brakings(trajectories, settings)),
         recordings=tuple(recordings),
     )
-    return replace(report, refused=tuple(remarks(report)))
+    return replace(report, notes=tuple(remarks(report)))
 
 
 def _crossings(
@@ -139,7 +139,7 @@ def total_counts(
     gates: Sequence[Gate],
     observation: Observation,
     settings: TrafficSettings,
-    missed: Unseen,
+    missed: MissedCrossings,
 ) -> tuple[Count, ...]:
     """The counts of the whole footage, of each gate and direction, of all and of vehicles.
 

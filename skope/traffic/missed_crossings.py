@@ -37,7 +37,7 @@ MISSED_LIMITS: Final = MissedLimits()
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Vanished:
+class LostTrack:
     """A track that was lost before a gate, or found behind it."""
 
     trajectory: Track
@@ -51,10 +51,10 @@ class Vanished:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Unseen:
+class MissedCrossings:
     """Road users that a camera may have missed at gates."""
 
-    vanished: tuple[Vanished, ...] = ()
+    vanished: tuple[LostTrack, ...] = ()
     doubtful: tuple[GateCrossing, ...] = ()
     """Crossings that are not counted: more probably none than one, or just beside the gate."""
     kinds: Mapping[str, tuple[MissRateGroup, ...]] = field(default_factory=dict)
@@ -111,7 +111,7 @@ def unseen(
     near: float = MISSED_LIMITS.near_m,
     kinds: Mapping[str, tuple[MissRateGroup, ...]] | None = None,
     other_cameras: Mapping[str, Sequence[Sequence[GateCrossing]]] | None = None,
-) -> Unseen:
+) -> MissedCrossings:
     """Gather who may have crossed gates without being counted.
 
     Args:
@@ -122,11 +122,11 @@ def unseen(
         settings: The classes that are counted.
         near: A gate is seen near where somebody was so far from it, in the unit of places.
         kinds: Miss rates by gate; None: by how many pixels a metre is at each.
-        other_cameras: As in `Unseen`.
+        other_cameras: As in `MissedCrossings`.
     """
     crossed = {(one.trajectory.number, one.gate) for one in crossings}
     found = [
-        Vanished(trajectory=one, gate=gate.name, direction=direction, time_s=time_s, begins=begins)
+        LostTrack(trajectory=one, gate=gate.name, direction=direction, time_s=time_s, begins=begins)
         for one in trajectories
         if may_count(one, settings)
         for gate in gates
@@ -136,7 +136,7 @@ def unseen(
     ]
     confirmed = [one for one in trajectories if one.confirmed]
     blind = {gate.name for gate in gates if not any(near_gate(gate, one, near).any() for one in confirmed)}
-    return Unseen(
+    return MissedCrossings(
         vanished=tuple(sorted(found, key=lambda one: one.time_s)),
         doubtful=tuple(one for one in crossings if not one.counts),
         kinds=kinds

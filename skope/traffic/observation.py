@@ -52,7 +52,7 @@ class Observation:
     """(F,) seconds of the frames in which places are known, rising."""
     source: str = ""
     """Name of the footage."""
-    common_sigma: float | None = None
+    common_scale_sigma: float | None = None
     """Relative standard deviation that all distances and speeds share, from the camera's calibration. None: the camera
     file has no covariance."""
     camera: Camera | None = None
@@ -66,9 +66,9 @@ class Observation:
     """(M,) seconds of the frames after the camera had been moved, rising: they are not among `times_s`."""
     turned: tuple[tuple[float, Camera], ...] = ()
     """Cameras that `camera` was turned to in this footage, each with the time from which on, seconds, rising."""
-    sight: Array = field(default_factory=lambda: np.zeros((0, 3)))
+    visibility_samples: Array = field(default_factory=lambda: np.zeros((0, 3)))
     """(L, 3) times (s), rising, brightness (0 to 1) and contrast of pictures of the footage; empty: not measured."""
-    begins: datetime | None = None
+    start_time: datetime | None = None
     """Time of second 0, with its zone, as the footage itself says; None: it does not."""
     parts: tuple["Observation", ...] = ()
     """The recordings, where it is of several, in order, in the same seconds; each knows its own camera."""
@@ -88,9 +88,9 @@ class Observation:
         usual = _usual_step(self.times_s)
         moved = np.diff(np.searchsorted(self.moved_s, self.times_s)) > 0
         cuts = np.flatnonzero((steps > max(OBSERVATION_LIMITS.gap_s, OBSERVATION_LIMITS.gap_steps * usual)) | moved)
-        begins = self.times_s[np.concatenate([[0], cuts + 1]).astype(int)]
+        starts = self.times_s[np.concatenate([[0], cuts + 1]).astype(int)]
         ends = self.times_s[np.concatenate([cuts, [len(self.times_s) - 1]]).astype(int)]
-        return np.stack([begins, ends + usual], axis=1)
+        return np.stack([starts, ends + usual], axis=1)
 
     @cached_property
     def extent(self) -> tuple[float, float]:
@@ -147,7 +147,7 @@ class Observation:
             sigma: Standard deviation for a known camera.
             value: The speed or length, in the unit of `sigma`.
         """
-        return math.hypot(sigma, (self.common_sigma or 0.0) * value)
+        return math.hypot(sigma, (self.common_scale_sigma or 0.0) * value)
 
     def with_camera_error(self, track: Track) -> Track:
         """The track with the camera's error in its covariance and speed errors: to show one track by itself.
@@ -155,7 +155,7 @@ class Observation:
         Never for measuring traffic: there the camera's error is one for all tracks.
         """
         recording = self.parts[self.recording_at(float(track.times_s[0])) - 1] if self.parts else self
-        speed_sigma = np.hypot(track.speed_sigma, (self.common_sigma or 0.0) * track.speed)
+        speed_sigma = np.hypot(track.speed_sigma, (self.common_scale_sigma or 0.0) * track.speed)
         known = recording.uncertainty
         if known is None:
             return replace(track, speed_sigma=speed_sigma)
@@ -163,7 +163,7 @@ class Observation:
         found = known.covariance_at(track.position, slope)
         visible = np.asarray(np.isfinite(found).all(axis=(1, 2)))
         away = np.linalg.norm(track.xy - known.camera.position[:2], axis=1)
-        unseen = ((self.common_sigma or 0.0) * away)[:, None, None] ** 2 * np.eye(2)
+        unseen = ((self.common_scale_sigma or 0.0) * away)[:, None, None] ** 2 * np.eye(2)
         added = np.where(visible[:, None, None], found, unseen)
         return replace(track, covariance=track.covariance + added, speed_sigma=speed_sigma)
 
@@ -174,12 +174,12 @@ class Observation:
             "source": self.source,
             "times_s": [round(float(time), 4) for time in self.times_s],
             "moved_times_s": [round(float(time), 4) for time in self.moved_s],
-            "common_sigma": self.common_sigma,
+            "common_scale_sigma": self.common_scale_sigma,
             "camera": None if self.camera is None else _camera_dict(self.camera, self.uncertainty),
             "ground": None if self.ground is None else asdict(self.ground),
             **({"turned": [self._turned_dict(*one) for one in self.turned]} if self.turned else {}),
-            "sight": self.sight.tolist(),
-            **({} if self.begins is None else {"begins": self.begins.isoformat()}),
+            "visibility_samples": self.visibility_samples.tolist(),
+            **({} if self.start_time is None else {"start_time": self.start_time.isoformat()}),
         }
 
     @staticmethod
@@ -187,7 +187,7 @@ class Observation:
         return {"from_s": round(from_s, 4), **_camera_dict(camera, None)}
 
 
-def held_s(times_s: Array, begin_s: float, end_s: float, further_s: Sequence[float] | Array = ()) -> Array:
+def frame_durations_s(times_s: Array, begin_s: float, end_s: float, further_s: Sequence[float] | Array = ()) -> Array:
     """(N,) seconds of an interval for which each frame stands: until the next one, but not through gaps.
 
     Args:
@@ -234,21 +234,23 @@ def read_observation(folder: Path) -> Observation:
     times = _numbers(path, document, "times_s")
     if (np.diff(times) <= 0).any():
         raise UserError(f"{path}: times_s: expected times that rise from frame to frame")
-    sigma = document.get("common_sigma")
-    check_share(f"{path}: common_sigma", sigma)
+    sigma = document.get("common_scale_sigma")
+    check_share(f"{path}: common_scale_sigma", sigma)
     camera, uncertainty = _read_camera(path, document.get("camera"))
     source = document.get("source")
     return Observation(
         times_s=times,
         source=source if isinstance(source, str) else "",
-        common_sigma=document.get("common_sigma"),
+        common_scale_sigma=document.get("common_scale_sigma"),
         camera=camera,
         uncertainty=uncertainty,
         ground=value_of(document.get("ground"), Ground | None, f"{path}: ground"),
         moved_s=np.unique(_numbers(path, document, "moved_times_s")),
         turned=_read_turned(path, document.get("turned", [])),
-        sight=checked_sight(document.get("sight"), f"{path}: sight"),
-        begins=None if document.get("begins") is None else read_begins(document["begins"], f"{path}: begins"),
+        visibility_samples=checked_visibility(document.get("visibility_samples"), f"{path}: visibility_samples"),
+        start_time=None
+        if document.get("start_time") is None
+        else read_start_time(document["start_time"], f"{path}: start_time"),
     )
 
 
@@ -278,8 +280,8 @@ def _read_turned(path: Path, value: Any) -> tuple[tuple[float, Camera], ...]:
     return tuple((float(one["from_s"]), camera) for one, camera in zip(value, cameras, strict=True) if camera)
 
 
-def checked_sight(rows: Any, where: str) -> Array:
-    """(L, 3) `Observation.sight` of a file's rows. Raises UserError that begins with `where`."""
+def checked_visibility(rows: Any, where: str) -> Array:
+    """(L, 3) `Observation.visibility_samples` of a file's rows. Raises UserError that begins with `where`."""
     if rows == []:
         return np.zeros((0, 3))
     try:
@@ -291,12 +293,12 @@ def checked_sight(rows: Any, where: str) -> Array:
     return values
 
 
-def read_begins(text: Any, where: str) -> datetime:
+def read_start_time(text: Any, where: str) -> datetime:
     """A time with its offset, of a text. Raises UserError that begins with `where`."""
-    begins = time_of(text, where, _WITH_OFFSET)
-    if begins.tzinfo is None:
+    start_time = time_of(text, where, _WITH_OFFSET)
+    if start_time.tzinfo is None:
         raise UserError(f"{where}: expected a time with its offset, like {_WITH_OFFSET}, got {text!r:.40}")
-    return begins
+    return start_time
 
 
 def _numbers(path: Path, document: dict[str, Any], name: str) -> Array:

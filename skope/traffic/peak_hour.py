@@ -171,7 +171,7 @@ def _is_full(report: TrafficReport, interval: ClockInterval) -> bool:
     seconds = interval.end_s - interval.begin_s
     full_length = abs(seconds - 60 * report.site.traffic.interval_minutes) < PEAK_PERIODS.rounding_s
     observed_s = report.observation.seconds_in(interval.begin_s, interval.end_s)
-    return full_length and observed_word(interval, observed_s) == "all"
+    return full_length and observed_word(interval, observed_s) == "full"
 
 
 def _volumes(report: TrafficReport, class_name: str) -> dict[tuple[str, str], list[int]]:

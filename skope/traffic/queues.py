@@ -23,7 +23,7 @@ from skope.traffic.counting_intervals import ClockInterval
 from skope.traffic.event_probability import event_probability, queue_miss_rate
 from skope.traffic.lanes import LaneMap
 from skope.traffic.observation import Observation
-from skope.traffic.speeds import MOTOR_TRAFFIC, SectionPass, SpeedGroup
+from skope.traffic.speeds import MOTOR_TRAFFIC, SegmentTraversal, SpeedGroup
 from skope.types import Array
 
 
@@ -56,7 +56,7 @@ class QueueRecord:
     """From the front of the first vehicle to the rear of the last one, metres; 0 without a queue."""
     sigma_m: float
     """Standard deviation of that, from both places, metres."""
-    at_s: float
+    longest_at_s: float
     """Time at which it was so long, seconds; NaN without a queue."""
     vehicles: int
     """In the longest queue."""
@@ -72,9 +72,9 @@ class QueueRecord:
 class Delay:
     """Stops and delay of a road user between two gates."""
 
-    section: SectionPass
+    section: SegmentTraversal
     stops: int
-    stops_between: CountInterval
+    stops_bounds: CountInterval
     """Between which numbers of stops there were: where all speeds are off by as much as their errors allow."""
     stopped_s: float
     delay_s: float
@@ -162,7 +162,7 @@ def queues(
                     lane=lane.name,
                     longest_m=length,
                     sigma_m=sigma,
-                    at_s=here[k] if length else math.nan,
+                    longest_at_s=here[k] if length else math.nan,
                     vehicles=len(chances),
                     vehicles_expected=bounds[k],
                     mean_vehicles=float(np.mean([len(one[2]) for one in queue])),
@@ -228,7 +228,9 @@ def _queue(chain: Sequence[tuple[float, float, float, float]]) -> Queue:
     return first[0] - last[1], math.hypot(first[2], last[2]), tuple(sorted(one[3] for one in chain))
 
 
-def delays(sections: Sequence[SectionPass], groups: Sequence[SpeedGroup], settings: TrafficSettings) -> list[Delay]:
+def delays(
+    sections: Sequence[SegmentTraversal], groups: Sequence[SpeedGroup], settings: TrafficSettings
+) -> list[Delay]:
     """Stops and delay of everyone who was seen at two gates.
 
     Args:
@@ -258,7 +260,7 @@ def delays(sections: Sequence[SectionPass], groups: Sequence[SpeedGroup], settin
             Delay(
                 section=one,
                 stops=number,
-                stops_between=CountInterval(min(numbers), max(numbers)),
+                stops_bounds=CountInterval(min(numbers), max(numbers)),
                 stopped_s=stopped_s,
                 delay_s=one.seconds - one.length_m / speed,
                 sigma_s=math.hypot(one.seconds_sigma, one.length_m / speed * sigma / speed),

@@ -39,7 +39,7 @@ _IN_NAME: Final = re.compile(
 offset behind it, or a counter, leaves it in doubt."""
 
 
-def said_begin(said: str | datetime, site: "SiteFile", where: str) -> datetime:
+def parse_start_time(said: str | datetime, site: "SiteFile", where: str) -> datetime:
     """Read the time at which somebody says that footage begins.
 
     Args:
@@ -149,26 +149,26 @@ class _Placed:
 
 
 def read_recordings(
-    folders: Sequence[Path], begins: Sequence[str | datetime], site: "SiteFile", where: str
+    folders: Sequence[Path], start_time: Sequence[str | datetime], site: "SiteFile", where: str
 ) -> RecordedTraffic:
     """Read the tracks of one or several recordings of a site.
 
     Args:
         folders: Folders that `skope eval track` wrote, in any order.
-        begins: When each began, in the order of `folders`; empty: as each says itself, else as the site says where
-            there is one recording, or the name of its footage where there are several.
+        start_time: Start of each recording, in the order of `folders`. If empty, `footage.json` has it, else the site
+            file (for one recording) or the name of its footage (for several).
         site: The site.
-        where: What messages call `begins`.
+        where: What messages call `start_time`.
 
     Raises:
         UserError: It is not known when one of several began, two overlap in time, or a file is missing or wrong.
     """
-    if begins and len(begins) != len(folders):
+    if start_time and len(start_time) != len(folders):
         raise UserError(
             f"{where}: expected a time for each of {counted(len(folders), 'recording')}, in their order, got "
-            f"{len(begins)}"
+            f"{len(start_time)}"
         )
-    said: list[datetime | None] = [said_begin(one, site, where) for one in begins]
+    said: list[datetime | None] = [parse_start_time(one, site, where) for one in start_time]
     said = said or [None] * len(folders)
     if len(folders) == 1:
         return _only(folders[0], said[0], site)
@@ -208,7 +208,7 @@ def recording_lines(recordings: Sequence[SiteRecording], observation: Observatio
         first = guessed[0]
         yield (
             f"{len(guessed)} of {len(recordings)} recordings are taken to begin when the names of their footage say "
-            f"({first.source!r}: {first.begin.isoformat(timespec='seconds')}): a guess, which --begins replaces"
+            f"({first.source!r}: {first.begin.isoformat(timespec='seconds')}): a guess, which --start-time replaces"
         )
     if late := [one for one in recordings if one.late_s >= RECORDING_LIMITS.reported_s]:
         yield (
@@ -216,7 +216,7 @@ def recording_lines(recordings: Sequence[SiteRecording], observation: Observatio
             f"the one before has ended ({late[0].folder} is the first): they are taken to follow it"
         )
     parts = observation.parts
-    known = [part.common_sigma for part in parts if part.common_sigma is not None]
+    known = [part.common_scale_sigma for part in parts if part.common_scale_sigma is not None]
     if 0 < len(known) < len(parts):
         yield f"speeds: how well the camera is known is said of {len(known)} of {len(parts)} recordings alone"
     elif len(set(known)) > 1:
@@ -249,7 +249,7 @@ def begin_of(said: datetime | None, observation: Observation, site: "SiteFile") 
     Returns:
         What somebody says, else what the footage says; None: neither does.
     """
-    return local_time(observation.begins, site) if said is None and observation.begins is not None else said
+    return local_time(observation.start_time, site) if said is None and observation.start_time is not None else said
 
 
 def _placed(folder: Path, said: datetime | None, site: "SiteFile", where: str) -> _Placed:
@@ -305,9 +305,9 @@ def _one_after_the_other(placed: Sequence[_Placed]) -> Iterator[tuple[_Placed, f
     for one in placed:
         late_s = 0.0 if before is None else max(0.0, _seconds(before.at(1), one.at(0)))
         if before is not None and late_s > RECORDING_LIMITS.inexact_s:
-            begins, ends = (time.isoformat(timespec="seconds") for time in (one.at(0), before.at(1)))
+            start_time, ends = (time.isoformat(timespec="seconds") for time in (one.at(0), before.at(1)))
             raise UserError(
-                f"{one.folder}: begins at {begins}, before {before.folder} has ended ({ends}): recordings of one "
+                f"{one.folder}: begins at {start_time}, before {before.folder} has ended ({ends}): recordings of one "
                 "report may not overlap"
             )
         before = replace(one, begin=_later(one.begin, late_s))
@@ -316,28 +316,28 @@ def _one_after_the_other(placed: Sequence[_Placed]) -> Iterator[tuple[_Placed, f
 
 def _together(parts: Sequence[Observation]) -> Observation:
     """The observation of all recordings; of what their cameras differ in, what is least certain."""
-    sigmas = [math.inf if part.common_sigma is None else part.common_sigma for part in parts]
+    sigmas = [math.inf if part.common_scale_sigma is None else part.common_scale_sigma for part in parts]
     return Observation(
         times_s=np.concatenate([part.times_s for part in parts]),
         source=f"{parts[0].source} to {parts[-1].source}",
-        common_sigma=max(sigmas) if math.isfinite(max(sigmas)) else None,
+        common_scale_sigma=max(sigmas) if math.isfinite(max(sigmas)) else None,
         moved_s=np.concatenate([part.moved_s for part in parts]),
-        sight=np.concatenate([part.sight for part in parts]),
+        visibility_samples=np.concatenate([part.visibility_samples for part in parts]),
         parts=tuple(parts),
     )
 
 
 def _in_report(observation: Observation, begin_s: float) -> Observation:
     """A recording's observation in seconds of the report."""
-    sight = observation.sight.copy()
-    sight[:, 0] = _at(sight[:, 0], begin_s)
+    visibility_samples = observation.visibility_samples.copy()
+    visibility_samples[:, 0] = _at(visibility_samples[:, 0], begin_s)
     return replace(
         observation,
         times_s=_at(observation.times_s, begin_s),
         moved_s=_at(observation.moved_s, begin_s),
         turned=tuple((from_s + begin_s, camera) for from_s, camera in observation.turned),
-        sight=sight,
-        begins=None,
+        visibility_samples=visibility_samples,
+        start_time=None,
     )
 
 

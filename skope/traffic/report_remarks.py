@@ -12,8 +12,8 @@ from skope.schema import VEHICLE_CATEGORY
 from skope.site.gates_zones_lanes import Gate
 from skope.tracks.track import is_in_traffic
 from skope.traffic.gates import signed_distances
-from skope.traffic.hand_checks import hand_lines
-from skope.traffic.observation import Observation, held_s
+from skope.traffic.manual_count_checks import hand_lines
+from skope.traffic.observation import Observation, frame_durations_s
 from skope.traffic.recordings import recording_lines
 from skope.traffic.turning_movements import NO_GATE, on_foot
 from skope.types import Array, Mask
@@ -50,12 +50,12 @@ REMARK_LIMITS: Final = RemarkLimits()
 
 
 @dataclass(frozen=True, kw_only=True)
-class SightIn:
+class IntervalVisibility:
     """Sight of the camera in an interval; None where nothing was measured in it."""
 
-    dark_s: float | None
+    low_brightness_s: float | None
     """Seconds in which the picture was dark."""
-    flat_s: float | None
+    low_contrast_s: float | None
     """Seconds in which it had hardly any contrast: fog, a lens that is covered."""
     moved_s: float
     """Seconds of another view than the camera's calibration is of: it had been moved. Nothing is observed then."""
@@ -67,7 +67,7 @@ class SightIn:
     """Mean contrast."""
 
 
-def sight_in(observation: Observation, begin_s: float, end_s: float) -> SightIn:
+def interval_visibility(observation: Observation, begin_s: float, end_s: float) -> IntervalVisibility:
     """Measure how well the camera saw in an interval.
 
     Args:
@@ -76,19 +76,26 @@ def sight_in(observation: Observation, begin_s: float, end_s: float) -> SightIn:
         end_s: Its end, seconds.
     """
     every = np.union1d(observation.times_s, observation.moved_s)
-    moved_s = float(held_s(every, begin_s, end_s, observation.further_s)[np.isin(every, observation.moved_s)].sum())
-    times, brightness, contrast = observation.sight.T
-    held = held_s(times, begin_s, end_s, observation.further_s)
+    moved_s = float(
+        frame_durations_s(every, begin_s, end_s, observation.further_s)[np.isin(every, observation.moved_s)].sum()
+    )
+    times, brightness, contrast = observation.visibility_samples.T
+    held = frame_durations_s(times, begin_s, end_s, observation.further_s)
     if not held.sum() > 0:
-        return SightIn(
-            dark_s=None, flat_s=None, moved_s=moved_s, poor_s=moved_s or None, brightness=None, contrast=None
+        return IntervalVisibility(
+            low_brightness_s=None,
+            low_contrast_s=None,
+            moved_s=moved_s,
+            poor_s=moved_s or None,
+            brightness=None,
+            contrast=None,
         )
     dark, flat = brightness < REMARK_LIMITS.dark, contrast < REMARK_LIMITS.flat
     frames = np.concatenate([[-np.inf], every])
     of_moved = np.isin(frames[np.searchsorted(every, times, side="right")], observation.moved_s)
-    return SightIn(
-        dark_s=float(held[dark].sum()),
-        flat_s=float(held[flat].sum()),
+    return IntervalVisibility(
+        low_brightness_s=float(held[dark].sum()),
+        low_contrast_s=float(held[flat].sum()),
         moved_s=moved_s,
         poor_s=moved_s + float(held[(dark | flat) & ~of_moved].sum()),
         brightness=float(np.average(brightness, weights=held)),
@@ -98,17 +105,17 @@ def sight_in(observation: Observation, begin_s: float, end_s: float) -> SightIn:
 
 def sight_lines(observation: Observation) -> Iterator[str]:
     """Sentence on how long the camera saw little; none where it always saw."""
-    found = sight_in(observation, -np.inf, np.inf)
+    found = interval_visibility(observation, -np.inf, np.inf)
     parts = {
-        "dark": found.dark_s,
-        "without contrast": found.flat_s,
+        "dark": found.low_brightness_s,
+        "without contrast": found.low_contrast_s,
         "of another view, as the camera had been moved": found.moved_s,
     }
     told = [f"{seconds:.0f} s {what}" for what, seconds in parts.items() if seconds is not None and seconds >= 0.5]
     if told:
         yield (
             f"the camera saw little: {', '.join(told)}; who crosses then is hardly seen, and intervals do not "
-            "tell how many (sight.csv says when)"
+            "tell how many (visibility.csv has the intervals)"
         )
 
 
@@ -119,9 +126,9 @@ def remarks(report: "TrafficReport") -> Iterator[str]:
     if not report.site.lanes:
         yield "no queues and lane changes, headways over the whole width of a gate: the site has no lanes"
     if report.start is None:
-        yield "intervals count from the footage's beginning: neither start in the site nor --begins says when that was"
+        yield "intervals start with the footage: its time is not known (start in the site file, or --start-time)"
     observation = report.observation
-    if observation.common_sigma is None:
+    if observation.common_scale_sigma is None:
         yield "speeds: nothing says how well the camera is known: the error that it gives all is not in their intervals"
     yield from recording_lines(report.recordings, observation)
     lost = sum(observation.spans[1:, 0] - observation.spans[:-1, 1])
@@ -177,7 +184,7 @@ def remarks_on_counts(report: "TrafficReport") -> Iterator[str]:
             "movements: tracks of people go over to others who walk beside: how many of all went from gate to gate is "
             "known of vehicles alone where people walk"
         )
-    yield from hand_lines(report.hand_checks)
+    yield from hand_lines(report.manual_count_checks)
     yield from sight_lines(report.observation)
 
 
@@ -188,10 +195,10 @@ def _of_conflicts(report: "TrafficReport") -> Iterator[str]:
             f"conflicts: {search.overlapping} pairs whose footprints overlap are left out: two tracks of one vehicle, "
             "or places that are wrong"
         )
-    if search.unsteady:
+    if search.poorly_tracked_pairs:
         yield (
-            f"conflicts: {search.unsteady} pairs are left out of which one is not followed well enough where they meet "
-            "(without a gap of 0.6 s, known to 0.5 m): there may be conflicts among them, most are none"
+            f"conflicts: {search.poorly_tracked_pairs} pairs are excluded because one track is poor where they meet "
+            "(gap of 0.6 s or more, or positions not known to 0.5 m): most are no conflicts, but some may be"
         )
 
 

@@ -19,7 +19,7 @@ from skope.traffic.gate_counts import observed_word
 from skope.traffic.gates import GateCrossing
 from skope.traffic.length_bins import LENGTH_MODEL, WHY_NOT, LengthCount, has_length, length_bin, length_sigma_m
 from skope.traffic.otc_classes import OTC_CLASSES
-from skope.traffic.report_remarks import sight_in
+from skope.traffic.report_remarks import interval_visibility
 from skope.traffic.speeds import SPEED_PERCENTILES
 from skope.traffic.traffic_report import TrafficReport
 
@@ -38,16 +38,16 @@ class ReportTable:
 
 def report_tables(report: TrafficReport) -> dict[str, ReportTable]:
     """The tables by their names; without metres those of counts and movements alone."""
-    by_hand = {"hand_count": _hand_count(report)} if report.hand_checks else {}
-    always = {**by_hand, "sight": _sight(report), "events": _events(report)}
+    manual_count = {"manual_count": _manual_count(report)} if report.manual_count_checks else {}
+    always = {**manual_count, "visibility": _visibility(report), "events": _events(report)}
     if not report.metres:
-        return {**always, "counts": _counts(report), "turning": _turning(report)}
+        return {**always, "counts": _counts(report), "turning_movements": _turning(report)}
     return {
         **always,
         "trajectories": _trajectories(report),
         "counts": _counts(report),
         "lengths": _lengths(report),
-        "turning": _turning(report),
+        "turning_movements": _turning(report),
         "speeds": _speeds(report),
         "headways": _headways(report),
         "occupancy": _occupancy(report),
@@ -131,7 +131,7 @@ def _length(report: TrafficReport, one: Track) -> TableRow:
     otc = OTC_CLASSES[one.class_name]
     if not report.metres or not has_length(one):
         return otc, *_NO_LENGTH[1:]
-    common = report.observation.common_sigma
+    common = report.observation.common_scale_sigma
     return otc, one.length, length_sigma_m(one, common), *length_bin(one, report.site.traffic.length_bins_m, common)
 
 
@@ -147,13 +147,13 @@ def _trajectories(report: TrafficReport) -> ReportTable:
                     *(*shown.xy[i].tolist(), math.degrees(shown.heading[i]), float(shown.speed[i]) * KMH_PER_MPS),
                     *(float(shown.position_sigma[i]), float(shown.speed_sigma[i]) * KMH_PER_MPS),
                     *(one.length, one.width, int(shown.located[i])),
-                    *(" ".join(map(str, one.joined)), one.joined_probability, " ".join(one.flags)),
+                    *(" ".join(map(str, one.joined)), one.stitch_probability, " ".join(one.flags)),
                     *_recording(report, time_s),
                 )
 
     return _table(
-        "track class time_s time x y heading_deg speed_kmh sigma_position sigma_speed_kmh length width located "
-        f"joined joined_probability flags{RECORDING_COLUMN if report.recordings else ''}",
+        "track class time_s time x y heading_deg speed_kmh position_sigma_m speed_sigma_kmh length width located "
+        f"joined stitch_probability flags{RECORDING_COLUMN if report.recordings else ''}",
         rows(),
     )
 
@@ -168,25 +168,31 @@ def thinned(one: Track, step_s: float) -> list[int]:
     return [*rows, len(one.times_s) - 1] if len(one.times_s) > 1 else rows
 
 
-def _sight(report: TrafficReport) -> ReportTable:
+def _visibility(report: TrafficReport) -> ReportTable:
     def row(interval: ClockInterval) -> TableRow:
-        found = sight_in(report.observation, interval.begin_s, interval.end_s)
+        found = interval_visibility(report.observation, interval.begin_s, interval.end_s)
         observed_s = report.observation.seconds_in(interval.begin_s, interval.end_s)
-        seconds = (observed_word(interval, observed_s), observed_s, found.dark_s, found.flat_s, found.moved_s)
+        seconds = (
+            observed_word(interval, observed_s),
+            observed_s,
+            found.low_brightness_s,
+            found.low_contrast_s,
+            found.moved_s,
+        )
         return *_of_interval(interval), *seconds, found.brightness, found.contrast
 
     return _table(
-        "begin end begin_s end_s observed observed_s dark_s flat_s moved_s brightness contrast",
+        "begin end begin_s end_s observed observed_s low_brightness_s low_contrast_s moved_s brightness contrast",
         map(row, report.intervals),
     )
 
 
 def _counts(report: TrafficReport) -> ReportTable:
     seen = report.observation
-    poor_s = {one: sight_in(seen, one.begin_s, one.end_s).poor_s for one in report.intervals}
+    poor_s = {one: interval_visibility(seen, one.begin_s, one.end_s).poor_s for one in report.intervals}
     return _table(
-        "begin end begin_s end_s observed observed_s poor_sight_s gate direction lane class count low high otc_class "
-        "pce",
+        "begin end begin_s end_s observed observed_s low_visibility_s gate direction lane class count "
+        "count_low_90 count_high_90 otc_class pce",
         (
             (
                 *_of_interval(one.interval),
@@ -211,7 +217,8 @@ def _counts(report: TrafficReport) -> ReportTable:
 
 def _lengths(report: TrafficReport) -> ReportTable:
     return _table(
-        "begin end begin_s end_s observed gate direction length_bin from_m to_m count low high remark",
+        "begin end begin_s end_s observed gate direction length_bin from_m to_m "
+        "count count_low_90 count_high_90 remark",
         (
             (
                 *_of_interval(one.interval),
@@ -231,23 +238,25 @@ def _bounds(one: LengthCount) -> TableRow:
     return tuple(end if math.isfinite(end) else None for end in one.between_m)
 
 
-def _hand_count(report: TrafficReport) -> ReportTable:
+def _manual_count(report: TrafficReport) -> ReportTable:
     return _table(
-        "begin end begin_s end_s gate direction class by_hand count low high difference geh contradicts",
+        "begin end begin_s end_s gate direction class manual_count "
+        "count count_low_90 count_high_90 difference geh contradicts",
         (
             (
                 *_of_interval(one.hand.interval),
                 *(one.hand.gate, one.hand.direction_name, one.hand.class_name, one.hand.number, one.count),
                 *(*in_cells(one.expected), one.count - one.hand.number, one.geh, int(one.contradicts)),
             )
-            for one in report.hand_checks
+            for one in report.manual_count_checks
         ),
     )
 
 
 def _turning(report: TrafficReport) -> ReportTable:
     return _table(
-        "begin end begin_s end_s observed from_gate from_direction to_gate to_direction class count low high",
+        "begin end begin_s end_s observed from_gate from_direction to_gate to_direction class "
+        "count count_low_90 count_high_90",
         (
             (
                 *_of_interval(one.interval),
@@ -268,14 +277,18 @@ def _speeds(report: TrafficReport) -> ReportTable:
             for name in SPEED_PERCENTILES:
                 one = group.percentiles[name]
                 cells += [None if v is None else v * KMH_PER_MPS for v in (one.value, one.low, one.high)]
-            why = "; ".join(f"{name}: {one.refused}" for name, one in group.percentiles.items() if one.refused)
+            why = "; ".join(
+                f"{name}: {one.unavailable_reason}" for name, one in group.percentiles.items() if one.unavailable_reason
+            )
             yield (
                 *_of_interval(group.interval),
                 *(group.kind, group.where, group.class_name, group.number, *cells),
                 *(int(group.common_known), why),
             )
 
-    return _table(f"begin end begin_s end_s kind where class vehicles {names} camera_error_counts refused", rows())
+    return _table(
+        f"begin end begin_s end_s kind where class vehicles {names} includes_camera_error unavailable_reason", rows()
+    )
 
 
 def _headways(report: TrafficReport) -> ReportTable:
@@ -297,12 +310,12 @@ def _headways(report: TrafficReport) -> ReportTable:
 
 def _occupancy(report: TrafficReport) -> ReportTable:
     return _table(
-        "begin end begin_s end_s gate direction lane observed_s occupied_s sigma_s occupancy left_out",
+        "begin end begin_s end_s gate direction lane observed_s occupied_s sigma_s occupancy excluded_vehicles",
         (
             (
                 *_of_interval(one.interval),
                 *(one.gate, one.direction, one.lane, one.observed_s, one.occupied_s, one.sigma_s),
-                *(one.occupied_s / one.observed_s, one.left_out),
+                *(one.occupied_s / one.observed_s, one.excluded_vehicles),
             )
             for one in report.occupancies
         ),
@@ -311,12 +324,19 @@ def _occupancy(report: TrafficReport) -> ReportTable:
 
 def _queues(report: TrafficReport) -> ReportTable:
     return _table(
-        "begin end begin_s end_s lane longest_m sigma_m at_s vehicles vehicles_low vehicles_high mean_vehicles "
+        "begin end begin_s end_s lane longest_m sigma_m longest_at_s vehicles vehicles_low vehicles_high mean_vehicles "
         "mean_low mean_high",
         (
             (
                 *_of_interval(one.interval),
-                *(one.lane, one.longest_m, one.sigma_m, one.at_s, one.vehicles, *in_cells(one.vehicles_expected)),
+                *(
+                    one.lane,
+                    one.longest_m,
+                    one.sigma_m,
+                    one.longest_at_s,
+                    one.vehicles,
+                    *in_cells(one.vehicles_expected),
+                ),
                 *(one.mean_vehicles, *one.mean_between),
             )
             for one in report.queues
@@ -337,7 +357,7 @@ def _delays(report: TrafficReport) -> ReportTable:
                     section.speed * KMH_PER_MPS,
                     report.observation.total_sigma(section.speed_sigma, section.speed) * KMH_PER_MPS,
                 ),
-                *(one.stops, *in_cells(one.stops_between), one.stopped_s, one.delay_s, one.sigma_s),
+                *(one.stops, *in_cells(one.stops_bounds), one.stopped_s, one.delay_s, one.sigma_s),
             )
 
     return _table(
@@ -349,15 +369,16 @@ def _delays(report: TrafficReport) -> ReportTable:
 
 def _conflicts(report: TrafficReport) -> ReportTable:
     return _table(
-        "time_s time x y zone kind angle_deg first first_class second second_class ttc_s ttc_low_s ttc_high_s "
-        "ttc_probability drac_ms2 drac_low_ms2 drac_high_ms2 pet_ssam_s pet_area_s pet_sigma_s",
+        "time_s time x y zone conflict_type conflict_angle_deg first first_class second second_class "
+        "ttc_s ttc_low_s ttc_high_s ttc_probability drac_ms2 drac_low_ms2 drac_high_ms2 "
+        "pet_ssam_s pet_area_s pet_sigma_s",
         (
             (
                 *(one.time_s, clock(report, one.time_s), *one.place.tolist(), one.zone, one.kind, one.angle_deg),
                 *(one.first.number, one.first.class_name, one.second.number, one.second.class_name),
                 *(one.ttc_s, one.ttc_low_s, one.ttc_high_s, one.probability),
                 *(one.drac_ms2, one.drac_low_ms2, one.drac_high_ms2),
-                *(one.pet_places_s, one.pet_area_s, one.pet_sigma_s),
+                *(one.pet_ssam_s, one.pet_area_s, one.pet_sigma_s),
             )
             for one in report.conflicts.conflicts
         ),

@@ -48,29 +48,29 @@ class Percentile:
     """A percentile of speeds, m/s."""
 
     value: float | None
-    """None: it cannot be told, `refused` says why."""
+    """None: it cannot be told, `unavailable_reason` says why."""
     low: float | None
     high: float | None
     """Between `low` and `high` is the percentile of all who drive so, with 90%."""
-    refused: str = ""
+    unavailable_reason: str = ""
 
 
 def speed_percentiles(
-    speeds: Sequence[float], sigmas: Sequence[float], common_sigma: float | None
+    speeds: Sequence[float], sigmas: Sequence[float], common_scale_sigma: float | None
 ) -> dict[str, Percentile]:
     """The percentiles of `SPEED_PERCENTILES`, by their names.
 
     Args:
         speeds: As measured, m/s.
         sigmas: Standard deviation of each for a known camera, m/s.
-        common_sigma: Relative standard deviation that the camera gives all speeds alike; None: not known, and not in
-            the intervals.
+        common_scale_sigma: Relative standard deviation of the scale, which all speeds share; None if not known. It is
+            then not in the intervals.
     """
     values = np.sort(np.asarray(speeds, dtype=np.float64))
     n = len(values)
     if n == 0:
-        return {name: _refused("no vehicle") for name in SPEED_PERCENTILES}
-    shared = 0.0 if common_sigma is None else common_sigma
+        return {name: _unavailable("no vehicle") for name in SPEED_PERCENTILES}
+    shared = 0.0 if common_scale_sigma is None else common_scale_sigma
     noise, spread = float(np.square(np.asarray(sigmas)).mean()), float(values.var(ddof=1)) if n > 1 else 0.0
     ratio = 1.0 if noise == 0 else 1 - noise / spread if spread > 0 else -1.0
     middle = float(np.median(values))
@@ -79,9 +79,9 @@ def speed_percentiles(
         ranks = order_ranks(n, share)
         if ranks is None:
             least = math.ceil(math.log((1 - INTERVAL_LEVEL) / 2) / math.log(max(share, 1 - share)))
-            out[name] = _refused(f"{n} vehicles: an interval needs {least}")
+            out[name] = _unavailable(f"{n} vehicles: an interval needs {least}")
         elif ratio < SPEED_MODEL.least_ratio and share != 0.5:
-            out[name] = _refused("speeds vary hardly more than they are uncertain")
+            out[name] = _unavailable("speeds vary hardly more than they are uncertain")
         else:
             drawn = math.sqrt(max(0.0, ratio)) if share != 0.5 else 1.0
             value, low, high = (
@@ -98,8 +98,8 @@ def speed_percentiles(
     return out
 
 
-def _refused(why: str) -> Percentile:
-    return Percentile(value=None, low=None, high=None, refused=why)
+def _unavailable(why: str) -> Percentile:
+    return Percentile(value=None, low=None, high=None, unavailable_reason=why)
 
 
 def _ratio_sigma(ratio: float, n: int) -> float:
@@ -131,7 +131,7 @@ _Measured = TypeVar("_Measured")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class SectionPass:
+class SegmentTraversal:
     """A road user drives from one gate to another."""
 
     movement: Movement
@@ -172,19 +172,19 @@ def section_name(movement: Movement) -> str:
     return " -> ".join(f"{gate} ({direction})" for gate, direction in movement.sides)
 
 
-def section_passes(found: Sequence[Movement]) -> list[SectionPass]:
+def section_passes(found: Sequence[Movement]) -> list[SegmentTraversal]:
     """Everyone who was seen at two gates, in order of time."""
     return [_pass(one) for one in found if one.origin is not None and one.destination is not None]
 
 
-def _pass(movement: Movement) -> SectionPass:
+def _pass(movement: Movement) -> SegmentTraversal:
     before, after = movement.origin, movement.destination
     assert before is not None
     assert after is not None
     seconds = max(1e-3, after.time_s - before.time_s)
     length = way(before.trajectory, before.time_s, after.time_s)
     sigma = math.hypot(before.sigma_s, after.sigma_s)
-    return SectionPass(
+    return SegmentTraversal(
         movement=movement,
         length_m=length,
         seconds=seconds,
@@ -217,7 +217,7 @@ def way(trajectory: Track, begin_s: float, end_s: float) -> float:
 
 def speed_groups(
     crossings: Sequence[GateCrossing],
-    sections: Sequence[SectionPass],
+    sections: Sequence[SegmentTraversal],
     intervals: Sequence[ClockInterval],
     observation: Observation,
 ) -> list[SpeedGroup]:
@@ -231,7 +231,7 @@ def speed_groups(
         intervals: The intervals.
         observation: How uncertain the camera leaves all speeds.
     """
-    known = observation.common_sigma
+    known = observation.common_scale_sigma
     crossings = [one for one in crossings if has_plausible_speed(one.trajectory)]
     sections = [one for one in sections if has_plausible_speed(one.movement.trajectory)]
 

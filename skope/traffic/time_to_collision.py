@@ -95,7 +95,7 @@ def _hardest(trajectory: Track, limit: float) -> HardBraking | None:
 
 
 @dataclass(frozen=True, eq=False)
-class Doubt:
+class SampledStates:
     """Other places and speeds that two road users may have at K moments."""
 
     shifts: tuple[Array, Array]
@@ -103,9 +103,9 @@ class Doubt:
     speeds: tuple[Array, Array]
     """(K,) of each, m/s."""
 
-    def only(self, some: NDArray[np.intp]) -> "Doubt":
+    def only(self, some: NDArray[np.intp]) -> "SampledStates":
         """Some of the moments, by their indices."""
-        return Doubt(
+        return SampledStates(
             (self.shifts[0][some], self.shifts[1][some]),
             (self.speeds[0][some], self.speeds[1][some]),
         )
@@ -116,7 +116,7 @@ def times_to_collision(
     other: FootprintPath,
     rows: tuple[NDArray[np.intp], NDArray[np.intp]],
     horizon_s: float,
-    doubt: Doubt | None = None,
+    doubt: SampledStates | None = None,
 ) -> Array:
     """(K,) seconds to the collision from each of K moments; infinite where there is none within the horizon.
 
@@ -138,7 +138,7 @@ def _ways(
     paths: tuple[FootprintPath, FootprintPath],
     rows: tuple[NDArray[np.intp], NDArray[np.intp]],
     horizon_s: float,
-    doubt: Doubt | None,
+    doubt: SampledStates | None,
 ) -> tuple[Array, list[tuple[Array, Array]]]:
     """The ways ahead of two: when their L legs begin (L,), and corners (K, L, 4, 2), velocities (K, L, 2)."""
     legs = np.asarray(
@@ -166,7 +166,7 @@ def deceleration_to_avoid(
     other: FootprintPath,
     rows: tuple[NDArray[np.intp], NDArray[np.intp]],
     seconds: Array,
-    doubt: Doubt | None = None,
+    doubt: SampledStates | None = None,
 ) -> Array:
     """Decelerations that avoid collisions.
 
@@ -196,7 +196,7 @@ def _across(
     other: FootprintPath,
     rows: tuple[NDArray[np.intp], NDArray[np.intp]],
     speeds: tuple[Array, Array],
-    doubt: Doubt | None,
+    doubt: SampledStates | None,
 ) -> Array:
     """(K,) m/s^2 by which the one that gets later to where both drive lets the other one leave before."""
     legs, ways = _ways((one, other), rows, COLLISION_LIMITS.passed_s, doubt)

@@ -13,17 +13,17 @@ from skope.traffic.count_uncertainty import count_interval, in_words
 from skope.traffic.counting_intervals import ClockInterval
 from skope.traffic.gate_counts import ALL_CLASSES, Count
 from skope.traffic.gates import GateCrossing
-from skope.traffic.hand_checks import HandCheck
 from skope.traffic.headways import Headway, Occupancy
 from skope.traffic.lanes import LaneChange
 from skope.traffic.length_bins import LengthCount
-from skope.traffic.missed_crossings import Unseen
+from skope.traffic.manual_count_checks import ManualCountComparison
+from skope.traffic.missed_crossings import MissedCrossings
 from skope.traffic.observation import Observation
 from skope.traffic.queues import Delay, QueueRecord
 from skope.traffic.recordings import SiteRecording
-from skope.traffic.speeds import MOTOR_TRAFFIC, Percentile, SectionPass, SpeedGroup
+from skope.traffic.speeds import MOTOR_TRAFFIC, Percentile, SegmentTraversal, SpeedGroup
 from skope.traffic.time_to_collision import HardBraking
-from skope.traffic.turning_movements import NO_GATE, Movement, TurningCount
+from skope.traffic.turning_movements import NO_GATE, Movement, TurningMovementCount
 from skope.traffic.zones import ZoneVisit
 
 if TYPE_CHECKING:
@@ -53,15 +53,15 @@ class TrafficReport:
     """Counts of vehicles by length; empty without metres."""
     lengths_total: tuple[LengthCount, ...]
     """Those of the whole footage."""
-    unseen: Unseen
+    unseen: MissedCrossings
     """Road users that may have crossed gates and are not counted."""
-    hand_checks: tuple[HandCheck, ...]
+    manual_count_checks: tuple[ManualCountComparison, ...]
     """Hand counts, beside what was counted here."""
     movements: tuple[Movement, ...]
-    turning: tuple[TurningCount, ...]
-    turning_total: tuple[TurningCount, ...]
+    turning: tuple[TurningMovementCount, ...]
+    turning_total: tuple[TurningMovementCount, ...]
     """The matrix of the whole footage."""
-    sections: tuple[SectionPass, ...]
+    sections: tuple[SegmentTraversal, ...]
     speeds: tuple[SpeedGroup, ...]
     headways: tuple[Headway, ...]
     occupancies: tuple[Occupancy, ...]
@@ -71,7 +71,7 @@ class TrafficReport:
     brakings: tuple[HardBraking, ...]
     recordings: tuple[SiteRecording, ...] = ()
     """The recordings, where it is of several, in the order of time."""
-    refused: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
     """Sentences on what could not be measured, or should be distrusted, and why."""
     metres: bool = True
     """Whether places are metres on the road; else pixels, and nothing is measured but counts and movements."""
@@ -85,7 +85,7 @@ def report_lines(report: TrafficReport) -> Iterator[str]:
         yield from text_table(
             ["gate", "direction", "class", "count", "there were", "v50 km/h", "v85 km/h"], _gates(report), "lll"
         )
-    if report.hand_checks:
+    if report.manual_count_checks:
         head = ["gate", "direction", "class", "by hand", "count", "there were, by what is seen alone", "GEH"]
         yield from text_table(head, _by_hand(report), "lll")
     if movements := list(_movements(report)):
@@ -118,7 +118,7 @@ def _gates(report: TrafficReport) -> Iterator[list[str]]:
 
 
 def _by_hand(report: TrafficReport) -> Iterator[list[str]]:
-    for one in report.hand_checks:
+    for one in report.manual_count_checks:
         told = in_words(one.expected)
         hand = one.hand
         counted = (str(hand.number), str(one.count), told, f"{one.geh:.1f}")

@@ -19,7 +19,7 @@ from skope.traffic.counting_intervals import ClockInterval
 from skope.traffic.event_probability import EVENT_FACTORS, MissRateGroup, same_probability
 from skope.traffic.gate_counts import classes_of, row_classes
 from skope.traffic.gates import GateCrossing, direction_names
-from skope.traffic.missed_crossings import Unseen
+from skope.traffic.missed_crossings import MissedCrossings
 from skope.traffic.observation import Observation
 
 GateDirection = tuple[str, str]
@@ -69,7 +69,7 @@ class Movement:
 
 
 @dataclass(frozen=True, kw_only=True)
-class TurningCount:
+class TurningMovementCount:
     """Number that went from one gate to another in an interval."""
 
     interval: ClockInterval
@@ -137,8 +137,8 @@ def turning_counts(
     intervals: Sequence[ClockInterval],
     observation: Observation,
     settings: TrafficSettings,
-    missed: Unseen,
-) -> list[TurningCount]:
+    missed: MissedCrossings,
+) -> list[TurningMovementCount]:
     """The matrix of each interval: a count for each pair that anybody has driven in the whole footage.
 
     Each pair has a count of all, and of vehicles where others are counted too. A movement counts in the interval of the
@@ -171,7 +171,7 @@ def turning_counts(
                 classes = classes_of(class_name, settings)
                 members = [one for one in there if one.trajectory.class_name in classes]
                 out.append(
-                    TurningCount(
+                    TurningMovementCount(
                         interval=interval,
                         origin=pair[0],
                         destination=pair[1],

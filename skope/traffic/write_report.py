@@ -96,13 +96,13 @@ def report_summary(report: TrafficReport, *, tracks: str | list[str], revision: 
         "metres": report.metres,
         "observed_s": round(observation.observed_s, 3),
         "observed_spans_s": np.round(spans, 3).tolist(),
-        "camera_common_sigma": observation.common_sigma,
+        "camera_common_sigma": observation.common_scale_sigma,
         "interval_level": INTERVAL_LEVEL,
         "trajectories": len(report.trajectories),
         "joined": [[one.number, *one.joined] for one in report.trajectories if one.joined],
         "counts": totals,
         "peak_hour": peak_hours_in_json(report),
-        "hand_counts": len(report.hand_checks),
+        "manual_counts": len(report.manual_count_checks),
         "turning": [
             {
                 "from": list(one.origin),
@@ -115,5 +115,5 @@ def report_summary(report: TrafficReport, *, tracks: str | list[str], revision: 
         ],
         "conflicts_by_ttc": {"count": len(likely), "low": sure.low, "high": sure.high},
         "hard_brakings": len(report.brakings),
-        "refused": list(report.refused),
+        "notes": list(report.notes),
     }

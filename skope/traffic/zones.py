@@ -11,7 +11,7 @@ from skope.site.gates_zones_lanes import Zone
 from skope.site.traffic_settings import TrafficSettings
 from skope.tracks.track import Track
 from skope.traffic.gates import leaving_distance
-from skope.traffic.passages import passages
+from skope.traffic.line_crossings import line_crossings
 from skope.types import Array
 
 
@@ -88,7 +88,7 @@ def _of_one(trajectory: Track, zone: Zone, settings: TrafficSettings) -> list[Zo
     if (signed < 0).all():
         return []
     leave = leaving_distance(trajectory, settings.least_travel_m)
-    changes = passages(signed, times, hysteresis=settings.hysteresis_m, leave=leave, places=trajectory.xy)
+    changes = line_crossings(signed, times, hysteresis=settings.hysteresis_m, leave=leave, places=trajectory.xy)
     first = float(times[0]), float(times[-1])
     begins_inside = (
         changes[0].came_from > 0 if changes else bool(signed[0] >= 0 and signed.max() >= settings.hysteresis_m)

@@ -135,7 +135,7 @@ def run(
     from skope.dataset.folder import open_dataset
     from skope.detector.device import choose_device, has_bfloat16
     from skope.train import configure
-    from skope.train.loop import Saving, train
+    from skope.train.loop import CheckpointPolicy, train
 
     where = choose_device(device)
     flags: dict[str, Any] = {
@@ -162,7 +162,7 @@ def run(
         config, resume = configure.new_or_same(out, data or (DATA_FOLDER,), flags, gpu=on_gpu, bfloat16=bfloat16)
     if workers is None:
         workers = configure.loading_workers(gpu=on_gpu)
-    saving = Saving(keep=keep, state_interval_s=60 * save_minutes)
+    saving = CheckpointPolicy(keep=keep, state_interval_s=60 * save_minutes)
     try:
         checkpoint = train(config, out, device=where, workers=workers, resume=resume, console=console, saving=saving)
     except KeyboardInterrupt:

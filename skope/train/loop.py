@@ -62,7 +62,7 @@ TRAINING_INTERVALS: Final = TrainingIntervals()
 
 
 @dataclass(frozen=True, kw_only=True)
-class Saving:
+class CheckpointPolicy:
     """When the state of a run is written, and how much of it stays."""
 
     keep: int = 1
@@ -74,7 +74,14 @@ class Saving:
 
 
 def train(
-    config: RunConfig, out: Path, *, device: torch.device, workers: int, resume: bool, console: Console, saving: Saving
+    config: RunConfig,
+    out: Path,
+    *,
+    device: torch.device,
+    workers: int,
+    resume: bool,
+    console: Console,
+    saving: CheckpointPolicy,
 ) -> Path:
     """Train a detector.
 
@@ -158,7 +165,7 @@ class _Run:
     parts: Sequence[TrainingSource]
     processes: ProcessGroup
     device: torch.device
-    saving: Saving
+    saving: CheckpointPolicy
     stop: StopRequest
     console: Console
     file: AnnotationFile
@@ -185,7 +192,7 @@ class _Run:
         processes: ProcessGroup,
         device: torch.device,
         workers: int,
-        saving: Saving,
+        saving: CheckpointPolicy,
         stop: StopRequest,
         console: Console,
     ) -> Self:

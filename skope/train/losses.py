@@ -29,14 +29,14 @@ from skope.detector.detect import offsets_of_label
 from skope.detector.suppression import not_overlapped
 from skope.train.anchor_matching import MATCHING_LIMITS, assign, sample_anchors
 from skope.train.target_batch import HeightWidth, Target, TargetBatch, to_device
-from skope.train.teacher import BOX_LOSS_BETA, Lesson, Teacher
+from skope.train.teacher import BOX_LOSS_BETA, Teacher, TeacherOutputs
 
 _LEAST_SIDE_PX: Final = 1.0
 """Least side of a box of the second pass, pixels inside the network."""
 
 
 @dataclass(frozen=True)
-class LearningRules:
+class LossSettings:
     """Rules of a training step, besides those in the model."""
 
     regions: int
@@ -52,7 +52,7 @@ def detection_losses(
     model: KeypointRCNN,
     pixels: Sequence[Tensor],
     targets: Sequence[Target],
-    rules: LearningRules,
+    rules: LossSettings,
     teacher: Teacher | None = None,
 ) -> dict[str, Tensor]:
     """Take a batch through a model in training.
@@ -206,9 +206,9 @@ def _head_losses(
     proposals: list[Tensor],
     sizes: list[HeightWidth],
     batch: TargetBatch,
-    rules: LearningRules,
+    rules: LossSettings,
     looks_again: bool,
-    lesson: Lesson | None,
+    lesson: TeacherOutputs | None,
 ) -> dict[str, Tensor]:
     """The losses of the second stage: class, box and keypoints; the boxes' twice where it `looks_again`."""
     boxes, labels, matched, drawn = _regions(heads, proposals, batch, rules)
@@ -265,7 +265,7 @@ def _second_look(
 
 
 def _regions(
-    heads: RoIHeads, proposals: list[Tensor], batch: TargetBatch, rules: LearningRules
+    heads: RoIHeads, proposals: list[Tensor], batch: TargetBatch, rules: LossSettings
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """Lesson of the second stage: boxes (B, S, 4), labels, whose they are, and which are drawn (B, S)."""
     lengths = to_device([len(each) for each in proposals], batch.boxes.device)[:, None]
@@ -287,8 +287,8 @@ def _keypoint_losses(
     matched: Tensor,
     sizes: list[HeightWidth],
     batch: TargetBatch,
-    rules: LearningRules,
-    lesson: Lesson | None,
+    rules: LossSettings,
+    lesson: TeacherOutputs | None,
 ) -> dict[str, Tensor]:
     """The loss over vehicles with a labelled point, at most `keypoint_regions` of an image, drawn without preference.
 

@@ -15,7 +15,7 @@ from torch import Tensor
 from skope.errors import UserError
 from skope.train import teacher
 from skope.train.distributed import ProcessGroup
-from skope.train.losses import LearningRules, detection_losses
+from skope.train.losses import LossSettings, detection_losses
 from skope.train.recipe import Recipe
 from skope.train.training_samples import TrainingSample
 from skope.train.training_state import TrainingState
@@ -140,7 +140,7 @@ def _losses(
 ) -> Tensor:
     """The losses of some images in the order of `loss_names`, weighted as their share of the batch."""
     pixels = [sample.pixels.to(device, non_blocking=True) for sample in part]
-    rules = LearningRules(recipe.regions, recipe.keypoint_regions, recipe.ignore_below)
+    rules = LossSettings(recipe.regions, recipe.keypoint_regions, recipe.ignore_below)
     with torch.autocast(device.type, torch.bfloat16, enabled=recipe.bfloat16):
         found = detection_losses(training.model, pixels, [each.target for each in part], rules, training.teacher)
     return torch.stack([found[name].float() for name in loss_names(training)]) * (len(part) / images)

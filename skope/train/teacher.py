@@ -62,14 +62,14 @@ class Teacher:
         fold_norms(model.to(memory_format=torch.channels_last))
         return cls(model.requires_grad_(False), config, rules)
 
-    def lesson(self, images: Tensor) -> "Lesson":
+    def lesson(self, images: Tensor) -> "TeacherOutputs":
         """Look at (N, 3, H, W) images as they enter the network."""
         with torch.no_grad():
-            return Lesson(self.model.roi_heads, self.model.backbone(images), self.rules)
+            return TeacherOutputs(self.model.roi_heads, self.model.backbone(images), self.rules)
 
 
 @dataclass(frozen=True)
-class Lesson:
+class TeacherOutputs:
     """Answers of a teacher to a batch of images."""
 
     heads: RoIHeads

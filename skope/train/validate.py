@@ -12,7 +12,7 @@ from torchvision.models.detection import KeypointRCNN
 from skope import boxes
 from skope.dataset.folder import read_image
 from skope.detector.detect import detect, detect_on_boxes
-from skope.metrics.pck_precision_recall import Options, score_split
+from skope.metrics.pck_precision_recall import MetricOptions, score_split
 from skope.metrics.road_users import category_figures
 from skope.schema import VEHICLE_ALONE, AnnotationFile, Result, RoadUserResult
 
@@ -85,7 +85,7 @@ def run_model(
     road_users: list[RoadUserResult] = []
     for image, path in zip(file.images, paths, strict=True):
         pixels = read_image(path, size=(image.width, image.height))
-        found, others = detect_in_image(model, pixels, image.id, device, Options().score, file.categories)
+        found, others = detect_in_image(model, pixels, image.id, device, MetricOptions().score, file.categories)
         detected += found
         road_users += others
         truth = sorted((a for a in vehicles[image.id] if not a.ignored), key=lambda a: a.id)
@@ -103,7 +103,7 @@ def figures(file: AnnotationFile, found: ValidationResults) -> Figures:
     detection; None where there is nothing to divide by. Of each other category that `file` labels there are precision
     and recall of boxes, at the same score and an IoU of 0.5.
     """
-    options = Options()
+    options = MetricOptions()
     split = score_split(file, found.detected, options)
     at = split["iou"][VALIDATION_IOU]
     road_users = category_figures(file, found.road_users, score=options.score, all_scores=False)

@@ -58,7 +58,7 @@ _LISTS_FRAMES: Final = ("avi", "mov,")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Clip:
+class VideoInfo:
     """What a video file or stream says about itself. It is opened once for this."""
 
     address: str
@@ -154,7 +154,7 @@ def _video_streams(container: "InputContainer") -> list["VideoStream"]:
     return sorted(streams, key=size, reverse=True)  # equals stay in their order
 
 
-def open_clip(address: str, fps: float | None = None) -> Clip:
+def open_clip(address: str, fps: float | None = None) -> VideoInfo:
     """Open a video to see what it says about itself.
 
     Args:
@@ -177,7 +177,7 @@ def open_clip(address: str, fps: float | None = None) -> Clip:
             count = stream.frames or (round(container.duration / 1e6 * rate) if container.duration else 0)
             scheme = address.partition("://")[0]
             live = scheme not in ("http", "https") or not count
-            return Clip(
+            return VideoInfo(
                 address=address,
                 live=live,
                 count=0 if live else count,
@@ -202,7 +202,7 @@ def open_clip(address: str, fps: float | None = None) -> Clip:
             "--fps sets the rate"
         )
     notes += [f"has no frames from {begin:.1f} to {end:.1f} s" for begin, end in _gaps(times)]
-    return Clip(
+    return VideoInfo(
         address=address,
         count=count,
         lost=seen.lost,
@@ -223,11 +223,11 @@ class _Packets:
     times_s: tuple[float, ...]
     """Times of the shown frames since the first one, seconds; empty where some are missing or two are alike."""
     stamps: tuple[int, ...]
-    """As in `Clip`."""
+    """As in `VideoInfo`."""
     count: int
     """Number of frames."""
     lost: int
-    """As in `Clip`."""
+    """As in `VideoInfo`."""
     rate: float
     """Frame rate to assume where there are no times, frames per second."""
 

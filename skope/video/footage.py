@@ -21,7 +21,7 @@ from skope.files import safe_names
 from skope.schema import Image
 from skope.types import Pixels
 from skope.video import live
-from skope.video.container import CONTAINER_LIMITS, Clip, open_clip, opened, shown_address
+from skope.video.container import CONTAINER_LIMITS, VideoInfo, open_clip, opened, shown_address
 from skope.video.decode import decode_frames, fitted, rgb_of, shown_size
 from skope.video.live import StreamRecord
 
@@ -52,7 +52,7 @@ FOUND_AT: Final = "found_at"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Cut:
+class FrameRange:
     """The part of a source that is wanted."""
 
     every: int = 1
@@ -72,7 +72,7 @@ class Footage(ABC):
     """A source of frames. Going over it again gives the same frames, unless it is a live stream."""
 
     name: str
-    cut: Cut = field(default_factory=Cut)
+    cut: FrameRange = field(default_factory=FrameRange)
     skipped: list[str] = field(default_factory=list)
     """Lines on images that could not be read."""
     notes: list[str] = field(default_factory=list)
@@ -81,9 +81,9 @@ class Footage(ABC):
     """Why a live stream ended before `cut`; empty where it did not."""
     images: tuple[Path, ...] = ()
     """Image files, in order; empty for a video or stream."""
-    clip: Clip | None = None
+    clip: VideoInfo | None = None
     """What the video or stream says about itself; None for image files."""
-    begins: datetime | None = None
+    start_time: datetime | None = None
     """Time of second 0 of a live stream, by this computer's clock, once its first frame has come; else None."""
 
     @property
@@ -173,9 +173,9 @@ class ImageFiles(Footage):
 
 @dataclass
 class VideoFootage(Footage):
-    """Base of what is read through a `Clip`."""
+    """Base of what is read through a `VideoInfo`."""
 
-    clip: Clip = field(kw_only=True)
+    clip: VideoInfo = field(kw_only=True)
 
     @property
     def place(self) -> Path | None:
@@ -293,8 +293,8 @@ class LiveStream(VideoFootage):
                 for number, frame in enumerate(wanted, start=1):
                     if frame.time_s >= self.cut.end_s:
                         break
-                    if self.begins is None:
-                        self.begins = datetime.now(UTC) - timedelta(seconds=frame.time_s)
+                    if self.start_time is None:
+                        self.start_time = datetime.now(UTC) - timedelta(seconds=frame.time_s)
                     told = self._tell(record, told)
                     record.taken += 1
                     name = f"{self.name}/{frame.number:06d}"
@@ -312,7 +312,7 @@ class LiveStream(VideoFootage):
         return len(record.events)
 
 
-def _of_clip(name: str, cut: Cut, clip: Clip) -> VideoFootage:
+def _of_clip(name: str, cut: FrameRange, clip: VideoInfo) -> VideoFootage:
     """The footage of a video file or stream."""
     notes = [f"{shown_address(clip.address)} {note}" for note in clip.notes]
     if clip.live:
@@ -321,7 +321,7 @@ def _of_clip(name: str, cut: Cut, clip: Clip) -> VideoFootage:
     return kind(name, cut, clip=clip, notes=notes)
 
 
-def open_footage(source: str, cut: Cut | None = None, *, fps: float | None = None) -> Footage:
+def open_footage(source: str, cut: FrameRange | None = None, *, fps: float | None = None) -> Footage:
     """Open a source of frames.
 
     Args:
@@ -332,7 +332,7 @@ def open_footage(source: str, cut: Cut | None = None, *, fps: float | None = Non
     Raises:
         UserError: `source` is none of these, or cannot be opened; or `fps` does not fit it.
     """
-    cut = cut or Cut()
+    cut = cut or FrameRange()
     if fps is not None and not 0 < fps <= FOOTAGE_LIMITS.most_fps:
         raise UserError(f"--fps: expected frames per second up to {FOOTAGE_LIMITS.most_fps:g}, got {fps:g}")
     if "://" in source:
@@ -346,7 +346,7 @@ def open_footage(source: str, cut: Cut | None = None, *, fps: float | None = Non
     return footage
 
 
-def _on_this_machine(source: str, cut: Cut, fps: float | None) -> Footage:
+def _on_this_machine(source: str, cut: FrameRange, fps: float | None) -> Footage:
     path = Path(source)
     if path.is_dir():
         images = (p for p in path.iterdir() if p.suffix.lower() in IMAGE_SUFFIXES and not p.name.startswith("."))
@@ -367,7 +367,7 @@ def _on_this_machine(source: str, cut: Cut, fps: float | None) -> Footage:
     return _of_clip(path.stem, cut, open_clip(source, fps))
 
 
-def _numbered(clip: Clip, first: int) -> Generator[tuple[int, "VideoFrame"]]:
+def _numbered(clip: VideoInfo, first: int) -> Generator[tuple[int, "VideoFrame"]]:
     """Frames of a file with their numbers, from number `first` on or somewhat before."""
     if clip.stamps and first >= FOOTAGE_LIMITS.seek_frames:
         with opened(clip.address) as (container, stream):
@@ -384,7 +384,7 @@ def _numbered(clip: Clip, first: int) -> Generator[tuple[int, "VideoFrame"]]:
         yield from _by_stamp(clip, decoded) if clip.stamps else enumerate(itertools.islice(decoded, clip.count))
 
 
-def _by_stamp(clip: Clip, frames: Iterator["VideoFrame"]) -> Iterator[tuple[int, "VideoFrame"]]:
+def _by_stamp(clip: VideoInfo, frames: Iterator["VideoFrame"]) -> Iterator[tuple[int, "VideoFrame"]]:
     """Frames with their numbers by their time stamps. Frames with unknown ones are left out."""
     numbers = {stamp: number for number, stamp in enumerate(clip.stamps)}
     for frame in frames:

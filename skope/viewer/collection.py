@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from skope.dataset import shards
 from skope.dataset.folder import read_image
-from skope.metrics.keypoint_outcomes import Options
+from skope.metrics.keypoint_outcomes import MetricOptions
 from skope.schema import AnnotationFile, Image, Result
 
 _MEDIA_TYPES: Final = {".jpg": "image/jpeg", ".jpeg": "image/jpeg", ".png": "image/png", ".webp": "image/webp"}
@@ -65,5 +65,5 @@ class Collection:
     """Gives the picture of an image, or raises a UserError that says what is wrong with it."""
     truth: bool = True
     """Whether the vehicles in the files are ground truth; footage has none."""
-    options: Options | None = None
+    options: MetricOptions | None = None
     """Options by which detections count and are held against the ground truth; None where there are no predictions."""

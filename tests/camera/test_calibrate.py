@@ -10,7 +10,7 @@ import pytest
 from skope.camera.calibrate import calibrate
 from skope.camera.evidence import (
     MARKING_ERRORS,
-    Belief,
+    CameraPrior,
     Evidence,
     MarkedLength,
     MarkedPoint,
@@ -18,8 +18,8 @@ from skope.camera.evidence import (
     Vertical,
     marked_points,
 )
-from skope.camera.evidence_terms import EvidenceTerm
-from skope.camera.ground_plane import ground_places
+from skope.camera.evidence_terms import ResidualTerm
+from skope.camera.ground_plane import intersect_ground
 from skope.camera.model import Camera, Distortion
 from skope.camera.uncertain_camera import CAMERA_PARAMETERS, radius_of, values_of
 from skope.camera.weighted_fit import WeightedFit, fit_terms
@@ -34,10 +34,10 @@ PIXELS = np.array([[200, 300], [1100, 330], [640, 420], [150, 650], [1150, 600],
 
 
 def on_road(pixels: Array, camera: Camera = CAMERA) -> Array:
-    return ground_places(camera, pixels)
+    return intersect_ground(camera, pixels)
 
 
-def known(*names: str, sigma: float = 1e-7) -> Belief:
+def known(*names: str, sigma: float = 1e-7) -> CameraPrior:
     """That parameters are those of `CAMERA`."""
     yaw, pitch, roll = CAMERA.angles
     values = dict(
@@ -47,7 +47,7 @@ def known(*names: str, sigma: float = 1e-7) -> Belief:
             strict=True,
         )
     )
-    return Belief(names, np.array([values[name] for name in names]), sigma**2 * np.eye(len(names)))
+    return CameraPrior(names, np.array([values[name] for name in names]), sigma**2 * np.eye(len(names)))
 
 
 @pytest.mark.parametrize("count", [4, 6, 8])
@@ -66,8 +66,8 @@ def test_the_pose_is_opencvs_where_the_lens_is_known() -> None:
     pixels = camera.project(places)[0] + rng.normal(0, 1.5, (8, 2))
     # Places that are known exactly, so that both minimise the distances in the image.
     points = tuple(MarkedPoint(a, b, sigma_m=1e-6, sigma_z_m=1e-6) for a, b in zip(pixels, places, strict=True))
-    lens = Belief(("focal", "k1"), np.array([math.log(CAMERA.K[0, 0]), 0.0]), 1e-14 * np.eye(2))
-    prior = Belief(("roll",), np.zeros(1), np.array([[1e6]]))
+    lens = CameraPrior(("focal", "k1"), np.array([math.log(CAMERA.K[0, 0]), 0.0]), 1e-14 * np.eye(2))
+    prior = CameraPrior(("roll",), np.zeros(1), np.array([[1e6]]))
     found = calibrate(Evidence(SIZE, points=points, beliefs=(lens, prior))).camera
     _, turn, shift = cv2.solvePnP(places, pixels, camera.K, None)
     turn, shift = cv2.solvePnPRefineLM(places, pixels, camera.K, None, turn, shift)
@@ -80,7 +80,7 @@ def test_a_length_gives_the_height_by_similar_triangles() -> None:
     """On level ground all distances grow with the camera's height."""
     ends = np.array([[400.0, 500.0], [900.0, 520.0]])
     unit = Camera.looking([0, 0, 1.0], yaw=0, pitch_down=0.3, size=SIZE, fov=2 * math.atan(0.5), distortion=LENS)
-    a, b = ground_places(unit, ends)
+    a, b = intersect_ground(unit, ends)
     metres = 5.5
     found = calibrate(
         Evidence(SIZE, lengths=(MarkedLength(ends, metres),), beliefs=(known("focal", "k1", "pitch", "roll"),))
@@ -88,7 +88,7 @@ def test_a_length_gives_the_height_by_similar_triangles() -> None:
     assert found.camera.position[2] == pytest.approx(metres / np.linalg.norm(b - a), rel=1e-5)
     # 0.05 m of 5.5, and ends that are 1.5 px off.
     slope = np.linalg.norm(
-        ground_places(found.camera, ends + [[0, 0], [1, 0]])[1] - ground_places(found.camera, ends)[1]
+        intersect_ground(found.camera, ends + [[0, 0], [1, 0]])[1] - intersect_ground(found.camera, ends)[1]
     )
     z = found.parameters.index("z")
     height_sigma = math.sqrt(found.covariance[z, z])
@@ -101,7 +101,9 @@ def test_verticals_give_tilt_and_roll() -> None:
     feet = on_road(PIXELS[[0, 1, 2, 3, 4]])
     tops = CAMERA.project(feet + [0, 0, 3.0])[0]
     verticals = tuple(Vertical(np.stack([foot, top])) for foot, top in zip(PIXELS[[0, 1, 2, 3, 4]], tops, strict=True))
-    found = calibrate(Evidence(SIZE, verticals=verticals, beliefs=(known("focal", "k1"), Belief.of_height(7.0, 0.01))))
+    found = calibrate(
+        Evidence(SIZE, verticals=verticals, beliefs=(known("focal", "k1"), CameraPrior.of_height(7.0, 0.01)))
+    )
     _, pitch, roll = found.camera.angles
     assert pitch == pytest.approx(0.3, abs=1e-4)
     assert roll == pytest.approx(0.0, abs=1e-4)
@@ -139,7 +141,7 @@ def test_four_points_that_suit_two_cameras_give_the_likelier_one_and_hold_both()
 
 def test_where_no_weights_can_be_told_there_is_no_fit() -> None:
     """As where a camera stands on its head and sees a mark where its lens ends."""
-    term = EvidenceTerm("point", "", lambda _: np.zeros(2), lambda _: np.array([[1.0, 2.0], [2.0, 1.0]]))
+    term = ResidualTerm("point", "", lambda _: np.zeros(2), lambda _: np.array([[1.0, 2.0], [2.0, 1.0]]))
     assert fit_terms([term], values_of(CAMERA), CAMERA_PARAMETERS, SIZE).cost == math.inf
 
 

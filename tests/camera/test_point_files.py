@@ -11,7 +11,7 @@ import pytest
 from skope.camera.calibrate import calibrate, left_out_errors
 from skope.camera.evidence import Evidence, MarkedPoint
 from skope.camera.geographic import local_metres, utm_metres, utm_scale
-from skope.camera.ground_plane import ground_places
+from skope.camera.ground_plane import intersect_ground
 from skope.camera.model import Camera
 from skope.camera.point_files import read_points
 from skope.errors import UserError
@@ -142,7 +142,7 @@ def test_a_point_that_is_left_out_is_placed_by_the_others() -> None:
     )
     within = []
     for _ in range(4):
-        places = ground_places(camera, pixels) + rng.normal(0, [0.1, 0.1, 0.03], (8, 3))
+        places = intersect_ground(camera, pixels) + rng.normal(0, [0.1, 0.1, 0.03], (8, 3))
         marks = pixels + rng.normal(0, 1.5, (8, 2))
         points = tuple(MarkedPoint(a, b, name=str(k)) for k, (a, b) in enumerate(zip(marks, places, strict=True)))
         evidence = Evidence(size, points=points)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from skope.camera.calibration_files import read_uncertain_camera
-from skope.camera.ground_plane import ground_places
+from skope.camera.ground_plane import intersect_ground
 from skope.camera.model import Camera, Distortion
 from skope.camera.uncertain_camera import CAMERA_PARAMETERS, UncertainCamera, moved_camera, values_of
 from skope.errors import UserError
@@ -56,7 +56,7 @@ def test_moved_cameras_have_the_values_that_they_were_moved_to() -> None:
 @pytest.mark.parametrize("slope", [(0.0, 0.0), (0.06, -0.04)])
 def test_covariances_are_those_of_repeated_draws(slope: tuple[float, float]) -> None:
     rise = np.array(slope)
-    xy = ground_places(CAMERA, np.array([[640.0, 500.0], [300.0, 400.0], [1000.0, 600.0]]), slope=slope)
+    xy = intersect_ground(CAMERA, np.array([[640.0, 500.0], [300.0, 400.0], [1000.0, 600.0]]), slope=slope)
     velocities = np.array([[10.0, 0.0], [-3.0, 12.0], [0.0, 5.0]])
     one = known()
     of_place = one.covariance_at(xy, slope)
@@ -64,7 +64,7 @@ def test_covariances_are_those_of_repeated_draws(slope: tuple[float, float]) -> 
 
     def places(camera: Camera, at: Array) -> Array:
         pixels = CAMERA.project(np.column_stack([at, at @ rise]))[0]
-        return ground_places(camera, pixels, slope=slope)[:, :2]
+        return intersect_ground(camera, pixels, slope=slope)[:, :2]
 
     at, late = xy[:, :2], xy[:, :2] + 0.05 * velocities
     cameras = drawn(800)
@@ -79,11 +79,11 @@ def test_a_height_that_is_off_stretches_all_ways() -> None:
     """By similar triangles."""
     camera = Camera.looking([2.0, 3.0, 8.0], yaw=0.3, pitch_down=0.4, size=(1280, 720), fov=1.0)
     one = within(camera, 0.05)
-    place = ground_places(camera, [700.0, 500.0])
+    place = intersect_ground(camera, [700.0, 500.0])
     away = np.linalg.norm(place[:2] - [2, 3])
     assert np.sqrt(np.linalg.eigvalsh(one.covariance_at(place))) == pytest.approx([0, 0.05 * away], abs=1e-6)
     assert np.sqrt(one.covariance_of_velocities(place, [3.0, 4.0]) @ [0.6, 0.8] @ [0.6, 0.8]) == pytest.approx(0.25)
-    assert one.ways_sigma() == pytest.approx(0.05)
+    assert one.distance_sigma() == pytest.approx(0.05)
     assert np.isnan(one.covariance_at([-50.0, 3.0, 0.0])).all()
 
 
@@ -94,13 +94,13 @@ def test_planes_are_met_where_rays_meet_them() -> None:
     xy = CAMERA.position[:2] + rng.uniform(8, 30, (50, 1)) * [math.cos(0.8), math.sin(0.8)] + rng.normal(0, 3, (50, 2))
     places = np.column_stack([xy, height + (xy - about) @ slope])
     pixels, _, valid = CAMERA.project(places)
-    back = ground_places(CAMERA, pixels[valid], height, slope=slope, about=about)
+    back = intersect_ground(CAMERA, pixels[valid], height, slope=slope, about=about)
     assert valid.sum() > 30
     np.testing.assert_allclose(back, places[valid], atol=1e-8)
-    own = ground_places(CAMERA, pixels[valid], places[valid][:, 2], slope=slope, about=places[valid][:, :2])
+    own = intersect_ground(CAMERA, pixels[valid], places[valid][:, 2], slope=slope, about=places[valid][:, :2])
     np.testing.assert_allclose(own, places[valid], atol=1e-8)
-    assert np.isnan(ground_places(CAMERA, [640.0, -500.0])).all()
-    far = ground_places(CAMERA, [640.0, -500.0], least_fall=1e-3)
+    assert np.isnan(intersect_ground(CAMERA, [640.0, -500.0])).all()
+    far = intersect_ground(CAMERA, [640.0, -500.0], least_fall=1e-3)
     assert np.linalg.norm(far[:2] - CAMERA.position[:2]) > 1000
 
 

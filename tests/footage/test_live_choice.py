@@ -11,7 +11,7 @@ import pytest
 
 from skope.detector import weights
 from skope.files.json_files import read_json
-from skope.footage.live_choice import LiveChoice
+from skope.footage.live_choice import LiveDetectorSelector
 from skope.schema import AnyResult, Image
 from skope.terminal.console import Console
 from skope.types import Pixels
@@ -59,7 +59,7 @@ def test_the_first_one_that_keeps_up_looks(
 ) -> None:
     detectors = [Slow(name, {"exact": 0.1, "quick": 0.001}[name]) for name in names]
     loaded: Any = detectors
-    choice = LiveChoice(loaded, 1, Console())
+    choice = LiveDetectorSelector(loaded, 1, Console())
     assert choice.files == (Path("file"),) * len(names)
     found = [image.id for image, _ in choice.each(camera(fps))]
     assert found == [1, 2, 3, 4, 5]
@@ -74,7 +74,7 @@ def test_a_stream_of_one_frame_and_none() -> None:
     for count in (0, 1):
         loaded: Any = [Slow("exact", 0.0), Slow("quick", 0.0)]
         frames = (frame for frame, _ in zip(camera(10), range(count), strict=False))
-        assert len(list(LiveChoice(loaded, 1, Console(quiet=True)).each(frames))) == count
+        assert len(list(LiveDetectorSelector(loaded, 1, Console(quiet=True)).each(frames))) == count
 
 
 def test_predict_says_how_fast_each_is_and_which_one_looks(skope: Any) -> None:

@@ -11,7 +11,7 @@ import scipy.stats
 from skope import keypoints
 from skope.metrics import failures, intervals, score_reliability
 from skope.metrics.breakdown import FleetInfo, breakdown
-from skope.metrics.keypoint_outcomes import Options, outcomes_at
+from skope.metrics.keypoint_outcomes import MetricOptions, outcomes_at
 from skope.metrics.match import match
 from skope.metrics.outcome_counts import quotients, tally
 from skope.metrics.pck_precision_recall import localisation, match_split, score_split
@@ -20,7 +20,7 @@ from tests.metrics import brute
 from tests.metrics.cases import as_records, random_case
 from tests.samples import make_annotation
 
-OPTIONS = Options(score=0.5, alpha=0.15, labelled="all", keypoint_score=0.2)
+OPTIONS = MetricOptions(score=0.5, alpha=0.15, labelled="all", keypoint_score=0.2)
 T = 0.6
 
 
@@ -279,7 +279,7 @@ def test_differences_are_covered_as_often(count: int) -> None:
 
 def test_students_quantiles_are_those_of_scipy() -> None:
     for freedom in (*range(1, 12), 20, 50, 1000):
-        assert intervals.student(freedom) == pytest.approx(scipy.stats.t.ppf(0.975, freedom), rel=1e-9)
+        assert intervals.t_quantile(freedom) == pytest.approx(scipy.stats.t.ppf(0.975, freedom), rel=1e-9)
 
 
 def test_where_nothing_can_be_said_there_is_no_interval() -> None:
@@ -318,7 +318,7 @@ def test_parts_equal_scoring_their_vehicles_alone() -> None:
     image = Image(id=1, file_name="a.png", width=1000, height=500, weather="rain")
     file = AnnotationFile(images=(image,), annotations=tuple(vehicles))
     fleet = FleetInfo(held_out={"van_b"}, substituted={"bus_city": ("hood_front_left", "hood_front_right")})
-    options = Options()
+    options = MetricOptions()
     parts = breakdown(file.images, match(file, results), options, fleet)
     which = {
         "distance": {
@@ -362,7 +362,7 @@ def test_parts_equal_scoring_their_vehicles_alone() -> None:
 
 def test_without_extra_fields_there_are_few_parts() -> None:
     file, results = as_records(*cases()[3])
-    parts = breakdown(file.images, match(file, results), Options(), FleetInfo())
+    parts = breakdown(file.images, match(file, results), MetricOptions(), FleetInfo())
     assert set(parts) <= {"height", "keypoint"}
 
 
@@ -379,7 +379,7 @@ def test_the_papers_keypoint_precision_is_recall_times_pck_times_the_labelled_sh
             results.append(Result(image_id=image, score=1.0, bbox=vehicles[-1].bbox, keypoints=points))
     images = tuple(Image(id=i, file_name=f"{i}.png", width=400, height=90) for i in range(1, 9))
     file = AnnotationFile(images=images, annotations=tuple(vehicles))
-    entry = score_split(file, results, Options())["iou"]["0.9"]
+    entry = score_split(file, results, MetricOptions())["iou"]["0.9"]
     share = entry["labelled"] / (33 * entry["matched"])
     assert share == pytest.approx(22 / 33)
     assert 0.2 < entry["pck"] < 0.95

@@ -11,7 +11,7 @@ from pycocotools.cocoeval import COCOeval
 
 from skope.dataset import coco
 from skope.metrics.coco_ap import average_precision
-from skope.metrics.keypoint_outcomes import Options
+from skope.metrics.keypoint_outcomes import MetricOptions
 from skope.schema import AnnotationFile, Result
 from tests.samples import make_annotation, make_image
 
@@ -35,33 +35,33 @@ def exactly(value: float | None) -> dict[str, Any]:
 
 def test_perfect_predictions_of_60_vehicles_in_an_image_score_1() -> None:
     file = crowd(60)
-    assert average_precision(file, perfect(file), Options()) == exactly(1.0)
+    assert average_precision(file, perfect(file), MetricOptions()) == exactly(1.0)
 
 
 def test_without_ground_truth_there_is_no_precision() -> None:
     empty = AnnotationFile(images=(make_image(1),), annotations=())
     found = perfect(crowd(1))
-    assert average_precision(empty, found, Options()) == exactly(None)
-    assert average_precision(empty, [], Options()) == exactly(None)
-    assert average_precision(replace(empty, images=()), [], Options()) == exactly(None)
-    assert average_precision(crowd(2, iscrowd=1), found, Options()) == exactly(None)
+    assert average_precision(empty, found, MetricOptions()) == exactly(None)
+    assert average_precision(empty, [], MetricOptions()) == exactly(None)
+    assert average_precision(replace(empty, images=()), [], MetricOptions()) == exactly(None)
+    assert average_precision(crowd(2, iscrowd=1), found, MetricOptions()) == exactly(None)
 
 
 def test_without_detections_precision_is_0() -> None:
-    assert average_precision(crowd(2), [], Options()) == exactly(0.0)
+    assert average_precision(crowd(2), [], MetricOptions()) == exactly(0.0)
 
 
 def test_half_of_the_vehicles_found() -> None:
     # Precision is 1 up to recall 0.5: 51 of the 101 recalls 0, 0.01, ... 1.
     file = crowd(2)
-    assert average_precision(file, perfect(file)[:1], Options()) == exactly(51 / 101)
+    assert average_precision(file, perfect(file)[:1], MetricOptions()) == exactly(51 / 101)
 
 
 def test_a_better_scored_false_vehicle_halves_precision() -> None:
     file = crowd(1)
     false = Result(image_id=1, score=0.9, bbox=np.array([900.0, 400, 50, 50]), keypoints=np.full((33, 3), 900.0))
-    assert average_precision(file, [*perfect(file, 0.6), false], Options()) == exactly(0.5)
-    assert average_precision(file, [*perfect(file, 0.95), false], Options()) == exactly(1.0)
+    assert average_precision(file, [*perfect(file, 0.6), false], MetricOptions()) == exactly(0.5)
+    assert average_precision(file, [*perfect(file, 0.95), false], MetricOptions()) == exactly(1.0)
 
 
 def test_box_ap_over_iou_thresholds() -> None:
@@ -69,7 +69,7 @@ def test_box_ap_over_iou_thresholds() -> None:
     file = crowd(1)
     (result,) = perfect(file)
     narrow = replace(result, bbox=result.bbox * [1, 1, 0.8, 1])
-    figures = average_precision(file, [narrow], Options())
+    figures = average_precision(file, [narrow], MetricOptions())
     assert (figures["box_ap"], figures["box_ap50"]) == (pytest.approx(0.7), pytest.approx(1.0))
 
 
@@ -82,9 +82,9 @@ def test_keypoint_ap_by_the_formula_of_object_keypoint_similarity() -> None:
     (result,) = perfect(file)
     shifted = replace(result, keypoints=result.keypoints + np.array([distance, 0, 0]))
     file = replace(file, annotations=(replace(vehicle, area=vehicle.area / 4),))
-    assert average_precision(file, [shifted], Options())["keypoint_ap"] == pytest.approx(0.5)
+    assert average_precision(file, [shifted], MetricOptions())["keypoint_ap"] == pytest.approx(0.5)
     narrow = replace(file, annotations=(replace(file.annotations[0], area_full=None),))
-    assert average_precision(narrow, [shifted], Options())["keypoint_ap"] == 0.0
+    assert average_precision(narrow, [shifted], MetricOptions())["keypoint_ap"] == 0.0
 
 
 def test_hidden_points_count_when_asked_for() -> None:
@@ -93,22 +93,22 @@ def test_hidden_points_count_when_asked_for() -> None:
     points = result.keypoints.copy()
     points[-20:, :2] += 500
     lost = replace(result, keypoints=points)
-    assert average_precision(file, [lost], Options())["keypoint_ap"] == pytest.approx(1.0)
-    assert average_precision(file, [lost], Options(labelled="all"))["keypoint_ap"] == 0.0
+    assert average_precision(file, [lost], MetricOptions())["keypoint_ap"] == pytest.approx(1.0)
+    assert average_precision(file, [lost], MetricOptions(labelled="all"))["keypoint_ap"] == 0.0
 
 
 def test_a_detection_on_an_ignored_vehicle_is_neither_right_nor_wrong() -> None:
     file = crowd(2)
     ignored = replace(file, annotations=(file.annotations[0], replace(file.annotations[1], iscrowd=1)))
     found = [perfect(file, 0.5)[0], perfect(file, 0.9)[1]]
-    assert average_precision(ignored, found, Options()) == exactly(1.0)
+    assert average_precision(ignored, found, MetricOptions()) == exactly(1.0)
 
 
 def test_more_than_pycocotools_own_twenty_detections_count_and_it_stays_silent(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     file = crowd(25)
-    assert average_precision(file, perfect(file), Options())["keypoint_ap"] == pytest.approx(1.0)
+    assert average_precision(file, perfect(file), MetricOptions())["keypoint_ap"] == pytest.approx(1.0)
     assert capsys.readouterr().out == ""
 
 
@@ -116,7 +116,7 @@ def test_inverted_boxes_and_ids_of_zero_are_handled() -> None:
     file = AnnotationFile(images=(make_image(0),), annotations=(make_annotation(0, 0, (0, 0, 60, 40)),))
     (good,) = perfect(file)
     inverted = replace(good, bbox=np.array([50.0, 50, -20, -20]), score=0.1)
-    assert average_precision(file, [good, inverted], Options()) == exactly(1.0)
+    assert average_precision(file, [good, inverted], MetricOptions()) == exactly(1.0)
 
 
 def test_pycocotools_loads_what_we_write(tmp_path: Path) -> None:
@@ -144,7 +144,7 @@ def test_average_precision_is_that_of_pycocotools_own_files_and_loader(tmp_path:
     visible = tuple(replace(v, keypoints=np.where(v.keypoints[:, 2:] == 2, v.keypoints, 0.0)) for v in file.annotations)
     coco.write(tmp_path / "truth.json", replace(file, annotations=visible))
     coco.write_results(tmp_path / "results.json", results)
-    ours = average_precision(file, coco.read_results(tmp_path / "results.json"), Options())
+    ours = average_precision(file, coco.read_results(tmp_path / "results.json"), MetricOptions())
     with contextlib.redirect_stdout(io.StringIO()):
         truth = COCO(str(tmp_path / "truth.json"))
         # Loaded with their boxes: for keypoints `loadRes` would take the area from the points' extent.

@@ -5,7 +5,7 @@ import pytest
 
 from skope import keypoints
 from skope.errors import UserError
-from skope.metrics.keypoint_outcomes import Options
+from skope.metrics.keypoint_outcomes import MetricOptions
 from skope.metrics.match import match
 from skope.metrics.pck_precision_recall import recall_at_precision, recalls, score_split
 from skope.metrics.thresholds import PAPER_THRESHOLDS
@@ -52,7 +52,7 @@ def worked() -> dict[str, Any]:
     at[15:, 0] = 10.5
     detection = result((0, 0, 85, 50), at=at)
     return score_split(
-        split(vehicle(1, (0, 0, 100, 50), 20), vehicle(2, (200, 0, 100, 50), 10)), [detection], Options()
+        split(vehicle(1, (0, 0, 100, 50), 20), vehicle(2, (200, 0, 100, 50), 10)), [detection], MetricOptions()
     )
 
 
@@ -92,7 +92,9 @@ def test_layout_of_a_split(worked: dict[str, Any]) -> None:
 
 
 def at_06(*annotations: Annotation, found: list[Result], images: int = 1, **options: Any) -> dict[str, Any]:
-    entry: dict[str, Any] = score_split(split(*annotations, images=images), found, Options(**options))["iou"]["0.6"]
+    entry: dict[str, Any] = score_split(split(*annotations, images=images), found, MetricOptions(**options))["iou"][
+        "0.6"
+    ]
     return entry
 
 
@@ -122,7 +124,7 @@ def test_a_score_equal_to_the_threshold_does_not_count() -> None:
 
 
 def test_an_iou_equal_to_the_threshold_matches() -> None:
-    entries = score_split(split(vehicle(1, (0, 0, 100, 50))), [result((0, 0, 80, 50))], Options())["iou"]
+    entries = score_split(split(vehicle(1, (0, 0, 100, 50))), [result((0, 0, 80, 50))], MetricOptions())["iou"]
     assert [entries[t]["matched"] for t in ("0.9", "0.8", "0.7")] == [0, 1, 1]
 
 
@@ -162,7 +164,7 @@ def test_visible_boxes_set_both_the_match_and_the_reach() -> None:
     found = [result((0, 0, 60, 50), at=points(33, x=8))]
     assert at_06(half, found=found, boxes="visible")["correct"] == 0
     assert at_06(half, found=found, boxes="full")["correct"] == 33
-    assert score_split(split(half), found, Options(boxes="visible"))["iou"]["0.9"]["matched"] == 1
+    assert score_split(split(half), found, MetricOptions(boxes="visible"))["iou"]["0.9"]["matched"] == 1
     with pytest.raises(UserError, match="annotation 1: field bbox_visible"):
         match(split(vehicle(1, (0, 0, 10, 10))), [], boxes="visible")
 
@@ -180,7 +182,7 @@ def test_visible_boxes_set_both_the_match_and_the_reach() -> None:
 )
 def test_options_out_of_range(values: dict[str, Any], said: str) -> None:
     with pytest.raises(UserError, match=said):
-        Options(**values)
+        MetricOptions(**values)
 
 
 # --------------------------------------------------------------------------------- against the loops, on random cases
@@ -217,7 +219,9 @@ def test_metrics_equal_the_loops(block: int) -> None:
             ("visible", 0.1, 0.9, 0.0, list(range(33))),
             ("all", 0.05, 0.5, 0.5, [0, 3, 17, 32]),
         ):
-            options = Options(labelled=labelled, alpha=alpha, score=score, keypoint_score=least, points=tuple(points))
+            options = MetricOptions(
+                labelled=labelled, alpha=alpha, score=score, keypoint_score=least, points=tuple(points)
+            )
             ours = score_split(file, results, options)
             assert ours["images"] == len(images)
             for t in PAPER_THRESHOLDS.iou:
@@ -233,7 +237,7 @@ def test_recalls_at_precisions_equal_the_best_of_all_score_thresholds(block: int
     reached = 0
     for case in range(50):
         images, vehicles, detections = random_case(np.random.default_rng((block, case)))
-        ours = recalls(*as_records(images, vehicles, detections), Options(score=0.9, iou=(0.8, 0.6)))
+        ours = recalls(*as_records(images, vehicles, detections), MetricOptions(score=0.9, iou=(0.8, 0.6)))
         # Detections score 0.5, 0.9, 0.92, 0.95 or 1.
         rows = [
             brute.evaluate(images, vehicles, detections, 0.6, "visible", score, 0.1, 0.0, list(range(33)))

@@ -14,7 +14,7 @@ from pycocotools.cocoeval import COCOeval
 
 from skope.dataset import coco
 from skope.metrics.breakdown import FleetInfo
-from skope.metrics.keypoint_outcomes import Options
+from skope.metrics.keypoint_outcomes import MetricOptions
 from skope.metrics.road_users import category_figures
 from skope.metrics.split_scores import split_metrics
 from skope.schema import CATEGORY_NAMES, AnnotationFile, Result, RoadUser, RoadUserResult
@@ -166,7 +166,7 @@ def test_vehicles_are_measured_as_if_there_were_nobody_else() -> None:
     alone = replace(file, road_users=(), categories=("vehicle",))
 
     def entry(of: AnnotationFile, **more: Any) -> dict[str, Any]:
-        return split_metrics(of, cars, Options(), FleetInfo(), **more).entry
+        return split_metrics(of, cars, MetricOptions(), FleetInfo(), **more).entry
 
     with_others = entry(file, road_users=results, known=CATEGORY_NAMES)
     assert set(with_others.pop("categories")) == set(CATEGORY_NAMES[1:])

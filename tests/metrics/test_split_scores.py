@@ -10,14 +10,14 @@ import pytest
 from skope.eval.report import render_page, table
 from skope.metrics import pck_precision_recall
 from skope.metrics.breakdown import FleetInfo
-from skope.metrics.keypoint_outcomes import Options
+from skope.metrics.keypoint_outcomes import MetricOptions
 from skope.metrics.outcome_counts import quotients, ratio
 from skope.metrics.split_scores import from_tallies, split_metrics, to_tallies
 from skope.schema import AnnotationFile, Result
 from tests.html_page import Page
 from tests.metrics.cases import as_records, random_case
 
-OPTIONS = Options(score=0.5, keypoint_score=0.2)
+OPTIONS = MetricOptions(score=0.5, keypoint_score=0.2)
 
 
 def poor_splits() -> list[tuple[AnnotationFile, list[Result]]]:

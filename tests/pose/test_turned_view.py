@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import pytest
 
-from skope.camera.ground_plane import ground_places
+from skope.camera.ground_plane import intersect_ground
 from skope.camera.model import Camera
 from skope.camera.motion.camera_motion import turned_camera
 from skope.camera.motion.view_registration import ViewHomography
@@ -21,7 +21,7 @@ def homography(after: Camera) -> ViewHomography:
     """What the images of road and houses undergo together, as well as a homography tells it."""
     u, v = np.meshgrid(np.linspace(5, 635, 20), np.linspace(5, 355, 14))
     before = np.stack([u, v], axis=-1).reshape(-1, 2)
-    places = ground_places(CAMERA, before)
+    places = intersect_ground(CAMERA, before)
     rays, _ = CAMERA.rays(before)
     away = np.linalg.norm(places - CAMERA.position, axis=1)
     road = np.isfinite(away) & (away < 80)

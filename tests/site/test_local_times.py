@@ -8,7 +8,7 @@ import pytest
 
 from skope.errors import UserError
 from skope.site.site_file import clock_doubt, parse_site
-from skope.traffic.recordings import said_begin
+from skope.traffic.recordings import parse_start_time
 
 
 @pytest.mark.parametrize(
@@ -36,8 +36,8 @@ def test_clock_doubt(zone: str, time: str, said: str) -> None:
 @pytest.mark.parametrize("time", ["2026-03-29T02:30:00", "2026-10-25T02:30:00"])
 def test_a_site_file_and_begins_give_one_reason(time: str) -> None:
     zone = 'time_zone = "Europe/Berlin"\n'
-    with pytest.raises(UserError) as begins:
-        said_begin(time, parse_site(Path("site.toml"), zone.encode()), "--begins")
+    with pytest.raises(UserError) as start_time:
+        parse_start_time(time, parse_site(Path("site.toml"), zone.encode()), "--start-time")
     with pytest.raises(UserError) as start:
         parse_site(Path("site.toml"), f"{zone}start = {time}\n".encode())
-    assert str(begins.value) == f"--begins: {time}: {str(start.value).removeprefix('site.toml: start: ')}"
+    assert str(start_time.value) == f"--start-time: {time}: {str(start.value).removeprefix('site.toml: start: ')}"

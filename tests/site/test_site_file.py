@@ -207,7 +207,7 @@ def test_what_is_wrong_is_told_in_one_line(site: Path, old: str, new: str, said:
 def test_a_start_that_clocks_never_show_or_show_twice_is_rejected(
     site: Path, zone: str, start: str, said: list[str]
 ) -> None:
-    """`--begins` rejects the same times for the same reason."""
+    """`--start-time` rejects the same times for the same reason."""
     site.write_text(f'time_zone = "{zone}"\nstart = {start}\n')
     with pytest.raises(UserError) as error:
         read_site(site)

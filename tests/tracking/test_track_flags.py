@@ -230,7 +230,9 @@ def test_the_cameras_error_widens_what_a_track_says() -> None:
     one = track(1, along(0, 12, count=40))
     camera = Camera.looking([-10.0, 0.0, 8.0], yaw=0.0, pitch_down=0.3)
     known = within(camera, 0.05)
-    observed = Observation(times_s=one.times_s, camera=camera, uncertainty=known, common_sigma=known.ways_sigma())
+    observed = Observation(
+        times_s=one.times_s, camera=camera, uncertainty=known, common_scale_sigma=known.distance_sigma()
+    )
     wide = observed.with_camera_error(one)
     assert wide.speed_sigma == pytest.approx(np.hypot(0.2, 0.05 * one.speed))
     away = np.linalg.norm(one.position[:, :2] - [-10, 0], axis=1)

@@ -75,4 +75,4 @@ that, and a user's, which stays."""
 
 def watched(seconds: float, fps: float = 10.0, *, begin_s: float = 0.0, common: float | None = 0.0) -> Observation:
     """Footage without a gap."""
-    return Observation(times_s=begin_s + np.arange(round(seconds * fps) + 1) / fps, common_sigma=common)
+    return Observation(times_s=begin_s + np.arange(round(seconds * fps) + 1) / fps, common_scale_sigma=common)

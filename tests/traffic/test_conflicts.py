@@ -13,8 +13,8 @@ from skope.tracks.track import Track
 from skope.traffic.conflicts import Conflict, conflicts
 from skope.traffic.event_probability import event_probability
 from skope.traffic.footprints import FootprintPath, footprint_corners, meeting, overlap
-from skope.traffic.join_broken_tracks import join_trajectories
 from skope.traffic.post_encroachment_time import by_area, by_places
+from skope.traffic.stitch_broken_tracks import stitch_tracks
 from skope.traffic.time_to_collision import deceleration_to_avoid, times_to_collision
 from tests.traffic.drives import drive, straight, then
 
@@ -78,7 +78,7 @@ def test_encroachment_of_crossing_ways(late_s: float) -> None:
     for tracks in (crossing(late_s), crossing(late_s)[::-1]):
         (one,) = found(*tracks)
         assert (one.first.number, one.second.number, one.kind) == (1, 2, "crossing")
-        assert one.pet_places_s == pytest.approx(late_s, abs=0.03)
+        assert one.pet_ssam_s == pytest.approx(late_s, abs=0.03)
         assert one.pet_area_s == pytest.approx(late_s, abs=0.03)
         assert one.angle_deg == pytest.approx(90)
         assert one.pet_sigma_s == pytest.approx(math.hypot(math.hypot(0.05, 0.15) / 10, math.hypot(0.05, 0.15) / 8))
@@ -92,7 +92,7 @@ def test_collision_course_of_crossing_ways() -> None:
     # From 10 m before: fronts meet when each of them has 1 m of half width and 2 m of half length to go.
     assert conflict.ttc_s == pytest.approx((10 - 2 - 1) / 10, abs=1e-6)
     assert conflict.kind == "crossing"
-    assert math.isnan(conflict.pet_places_s)
+    assert math.isnan(conflict.pet_ssam_s)
     # Each could let the other one pass, who has gone when its rear is 1 m beyond the middle: in 1.3 s. The one that
     # has 7 m to go until then brakes by 2 (v - d / t) / t, if it does not stop before: by v^2 / (2 d).
     passing = 2 * (10 - 7 / 1.3) / 1.3
@@ -142,7 +142,7 @@ def test_an_implausible_speed_is_in_no_conflict() -> None:
 @pytest.mark.parametrize("wrong", ["gap", "end", "few", "vague"])
 def test_who_is_hardly_followed_is_in_no_conflict(wrong: str) -> None:
     first, second = crossing(1.0)
-    assert not conflicts((first, second), TrafficSettings(), np.random.default_rng(0)).unsteady
+    assert not conflicts((first, second), TrafficSettings(), np.random.default_rng(0)).poorly_tracked_pairs
     there = np.abs(second.times_s - 4.3) < 0.4
     worse = {
         "gap": replace(second, located=~there),
@@ -151,7 +151,7 @@ def test_who_is_hardly_followed_is_in_no_conflict(wrong: str) -> None:
         "vague": replace(second, covariance=np.where(there[:, None, None], np.eye(2), second.covariance)),
     }[wrong]
     search = conflicts((first, worse), TrafficSettings(), np.random.default_rng(0))
-    assert (search.conflicts, search.unsteady) == ((), 1)
+    assert (search.conflicts, search.poorly_tracked_pairs) == ((), 1)
 
 
 # ----------------------------------------------------------------------------------------------------------- joining
@@ -165,9 +165,9 @@ def hidden(number: int, begin_s: float, end_s: float, *, y: float = 0.0, speed: 
 def test_broken_tracks_are_joined_and_say_so() -> None:
     """Hidden for 1.5 s; a third part, hidden for half a second; and one that goes on while the next one has begun."""
     parts = [hidden(1, 0, 4), hidden(2, 5.5, 8), hidden(3, 8.5, 11), hidden(4, 10.7, 14)]
-    (whole,) = join_trajectories(parts[::-1])
+    (whole,) = stitch_tracks(parts[::-1])
     assert (whole.number, whole.joined) == (1, (2, 3, 4))
-    assert 0.9 < whole.joined_probability < 1
+    assert 0.9 < whole.stitch_probability < 1
     assert (np.diff(whole.times_s) > 0).all()
     assert whole.at(whole.xy, 4.75) == pytest.approx([57.0, 0.0], abs=0.01)
 
@@ -182,16 +182,16 @@ def test_others_are_not_joined() -> None:
         hidden(2, 5.5, 8, category="bicycle"),  # type: ignore[arg-type]
         hidden(2, 20, 24),  # after too long
     ):
-        assert len(join_trajectories([first, other])) == 2
+        assert len(stitch_tracks([first, other])) == 2
     # Two who may both be meant: neither is.
-    assert len(join_trajectories([first, hidden(2, 5.5, 8, y=0.4), hidden(3, 5.5, 8, y=-0.4)])) == 3
+    assert len(stitch_tracks([first, hidden(2, 5.5, 8, y=0.4), hidden(3, 5.5, 8, y=-0.4)])) == 3
 
 
 def test_a_parked_car_stays_parked_when_its_tracks_are_joined() -> None:
     """And one that waits and then drives has moved."""
     parked = [straight(k, (5, 5), (0, 0), 6, begin_s=7.0 * k, flags=("never_moved",)) for k in range(2)]
-    assert [one.flags for one in join_trajectories(parked)] == [("never_moved",)]
+    assert [one.flags for one in stitch_tracks(parked)] == [("never_moved",)]
     drums = [replace(one, category="bicycle", class_name="bicycle") for one in parked]
-    assert len(join_trajectories(drums)) == 2, "of another category it is an object, which is joined to nobody"
+    assert len(stitch_tracks(drums)) == 2, "of another category it is an object, which is joined to nobody"
     leaves = drive(3, [(5 + 0.02 * max(0, k - 5) ** 2, 5) for k in range(60)], 13.2 + 0.1 * np.arange(60))
-    assert [one.flags for one in join_trajectories([parked[1], leaves])] == [()]
+    assert [one.flags for one in stitch_tracks([parked[1], leaves])] == [()]

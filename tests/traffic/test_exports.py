@@ -257,11 +257,11 @@ def test_sumos_tools_take_the_counts(tmp_path: Path) -> None:
     out, off = tmp_path / "sampled.xml", tmp_path / "off.xml"
     words = ["-r", str(tmp_path / "routes.xml"), "--turn-files", str(written[0]), "--edgedata-files", str(written[1])]
     run_tool("routeSampler.py", *words, "-o", str(out), "--mismatch-output", str(off), "--optimize", "full")
-    begins = 10 * 3600.0
+    start_time = 10 * 3600.0
     sampled = Counter(
         tuple(vehicle.route[0].edges.split())
         for vehicle in sumolib.xml.parse(str(out), "vehicle")
-        if begins <= float(vehicle.depart) < begins + 300
+        if start_time <= float(vehicle.depart) < start_time + 300
     )
     ways = {"west": ("10#0", "-10#0"), "east": ("-10#1", "10#1"), "south": ("-11", "11")}
     assert sampled == {(ways[a][0], ways[b][1]): number for (a, b), number in DRIVEN.items()}

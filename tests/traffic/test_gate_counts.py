@@ -16,7 +16,7 @@ from skope.traffic.event_probability import usual_step
 from skope.traffic.gate_counts import ALL_CLASSES, interval_counts
 from skope.traffic.gates import gate_crossings
 from skope.traffic.lanes import LaneMap
-from skope.traffic.missed_crossings import Unseen
+from skope.traffic.missed_crossings import MissedCrossings
 from skope.traffic.observation import Observation
 from skope.traffic.turning_movements import NO_GATE, movements, turning_counts
 from tests.traffic.drives import GATE, drive, straight, watched
@@ -60,9 +60,11 @@ def test_nothing_counted_and_nothing_observed_are_told_apart() -> None:
     seen = Observation(times_s=times)
     start = datetime(2026, 11, 26, 10, 0, tzinfo=BERLIN)
     found = gate_crossings([straight(1, (-30, 0), (10, 0), 6, begin_s=4600)], [GATE], NO_LANES, TrafficSettings())
-    rows = interval_counts(found, [GATE], [], clock_intervals(start, 0, 4800, 15), seen, TrafficSettings(), Unseen())
+    rows = interval_counts(
+        found, [GATE], [], clock_intervals(start, 0, 4800, 15), seen, TrafficSettings(), MissedCrossings()
+    )
     west = [(one.observed, one.count) for one in rows if (one.direction, one.class_name) == ("west", ALL_CLASSES)]
-    assert west == [("all", 0), *[("nothing", None)] * 4, ("part", 1)]
+    assert west == [("full", 0), *[("none", None)] * 4, ("partial", 1)]
     assert all((one.expected is None) == (one.count is None) for one in rows if one.class_name != "unknown")
     assert seen.together(10.0, 890.0)
     assert not seen.together(890.0, 4600.0)
@@ -77,7 +79,9 @@ def test_one_class_for_each_track_and_classes_add_up() -> None:
     ]
     settings = TrafficSettings()
     found = gate_crossings(tracks, [GATE], NO_LANES, settings)
-    rows = interval_counts(found, [GATE], [], clock_intervals(None, 0, 200, 15), watched(200), settings, Unseen())
+    rows = interval_counts(
+        found, [GATE], [], clock_intervals(None, 0, 200, 15), watched(200), settings, MissedCrossings()
+    )
     by_class = {one.class_name: one for one in rows if one.direction == "west"}
     assert by_class.pop(ALL_CLASSES).count == 40
     assert by_class.pop("vehicle").count == int((names != "pedestrian").sum())
@@ -127,10 +131,10 @@ def test_movements_with_u_turns_add_up_to_the_gates_counts() -> None:
     found = gate_crossings(tracks, ARMS, NO_LANES, settings)
     moved = movements(found, settings)
     intervals = clock_intervals(None, 0, 520, 1)
-    every = turning_counts(moved, ARMS, intervals, watched(520), settings, Unseen())
+    every = turning_counts(moved, ARMS, intervals, watched(520), settings, MissedCrossings())
     rows, vehicles = ([one for one in every if one.class_name == name] for name in (ALL_CLASSES, "vehicle"))
     assert [one.count for one in vehicles] == [one.count for one in rows]  # there is nobody else
-    per_gate = interval_counts(found, ARMS, [], intervals, watched(520), settings, Unseen())
+    per_gate = interval_counts(found, ARMS, [], intervals, watched(520), settings, MissedCrossings())
     for arm, direction in itertools.product(names, ("in", "out")):
         side = arm, direction
         total = sum(one.gate == arm and one.direction_name == direction for one in found)
@@ -197,7 +201,9 @@ def test_where_people_walk_movements_are_known_of_vehicles_alone() -> None:
     found = movements(gate_crossings(tracks, ARMS, NO_LANES, settings), settings, 0.1)
     told = {
         (one.destination[0], one.class_name): one.expected
-        for one in turning_counts(found, ARMS, clock_intervals(None, 0, 60, 1), watched(60), settings, Unseen())
+        for one in turning_counts(
+            found, ARMS, clock_intervals(None, 0, 60, 1), watched(60), settings, MissedCrossings()
+        )
         if one.origin == ("west", "in")
     }
     assert told["east", ALL_CLASSES] is None, "one of those who walk may have come from there"

@@ -10,17 +10,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from skope.camera.ground_plane import Ground, ground_places
+from skope.camera.ground_plane import Ground, intersect_ground
 from skope.camera.model import Camera
 from skope.site.gates_zones_lanes import Gate, Lane
 from skope.site.traffic_settings import TrafficSettings
 from skope.tracks.track import Track
 from skope.traffic.gate_counts import Count
 from skope.traffic.gates import GateCrossing, gate_crossings, gates_of_other_cameras
-from skope.traffic.join_broken_tracks import join_trajectories
 from skope.traffic.lanes import LaneMap, lane_changes
 from skope.traffic.measure import measure
 from skope.traffic.observation import Observation
+from skope.traffic.stitch_broken_tracks import stitch_tracks
 from tests.samples import within
 from tests.traffic.drives import GATE, along_x, drive, straight, then, watched
 from tests.traffic.test_missed_crossings import SITE
@@ -72,7 +72,7 @@ def test_a_track_that_breaks_on_the_gate_is_counted_once() -> None:
         x = np.linspace(-6, 6, 61) + shift
         for k in range(3, 58):
             parts = [along_x(1, x[:k]), along_x(2, x[k:], np.arange(k, 61) * 0.1)]
-            assert len(crossed(*join_trajectories(parts))) == 1, (shift, k)
+            assert len(crossed(*stitch_tracks(parts))) == 1, (shift, k)
 
 
 def test_what_is_in_doubt_says_so() -> None:
@@ -253,7 +253,7 @@ def test_metre_gates_and_image_gates_count_alike_under_any_camera() -> None:
         moved = []
         for one in true:
             seen, _, _ = CAMERA.project(one.position)
-            moved.append(drive(one.number, ground_places(wrong, seen)[:, :2], one.times_s))
+            moved.append(drive(one.number, intersect_ground(wrong, seen)[:, :2], one.times_s))
         assert counted(moved, gate, seen_by(wrong, 0.2)).count == expected, (height, pitch)
 
 
@@ -296,5 +296,5 @@ def test_a_gate_whose_pixels_do_not_lie_on_the_road_is_named_and_not_counted_els
     wide = Gate(name="wide", pixels=drawn_across(CAMERA, 40.0), size=(640, 480), line=above.line)
     report = measure([straight(1, (20, 0), (10, 0), 6.0)], seen_by(CAMERA, None), replace(SITE, gates=(above, wide)))
     assert not report.counts
-    named = [line for line in report.refused if "not counted: its pixels do not lie on the road" in line]
+    named = [line for line in report.notes if "not counted: its pixels do not lie on the road" in line]
     assert [line.split(":")[0] for line in named] == ["gate 'sky'", "gate 'wide'"]

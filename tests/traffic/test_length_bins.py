@@ -119,7 +119,7 @@ def test_the_files_say_it(tmp_path: Path) -> None:
         ("unknown", "", "", "0"),
     ]
     assert [row["remark"] for row in rows] == ["", "", WHY_NOT, ""]
-    assert [bool(row["low"]) for row in rows] == [True, True, False, False]
+    assert [bool(row["count_low_90"]) for row in rows] == [True, True, False, False]
     with (tmp_path / "events.csv").open(encoding="utf-8-sig", newline="") as file:
         events = {row["track"]: row for row in csv.DictReader(file) if row["event"] == "gate"}
     assert [events[k]["otc_class"] for k in ("1", "2", "3", "999")] == ["car", "bus", "truck", "pedestrian"]

@@ -101,7 +101,7 @@ def test_a_gate_that_loses_more_vehicles_than_cross_it_says_nothing_of_their_num
     report = told(*lost, straight(20, (-45, 0), (10, 0), 9.0, begin_s=30.0))
     assert [between(report, "west", who) for who in ("all", "vehicle")] == [None, None]
     assert between(report, "east") == (0, 0)
-    (line,) = (line for line in report.refused if "lost before it" in line)
+    (line,) = (line for line in report.notes if "lost before it" in line)
     assert line.startswith("gate 'g' (west): more vehicles are lost before it, or found behind it, than cross it")
 
 
@@ -116,7 +116,7 @@ def test_where_people_are_too_small_to_be_seen_vehicles_alone_are_known(focal_px
     report = measure([straight(k, (-30, 0), (10, 0), 6.0, begin_s=5.0 * k) for k in range(8)], observed, SITE)
     assert between(report, "west") is not None
     assert (between(report, "west", "all") is not None) == known
-    assert any("so small in the image" in line for line in report.refused) != known
+    assert any("so small in the image" in line for line in report.notes) != known
 
 
 def test_where_vehicles_are_too_small_to_be_seen_no_count_is_known() -> None:
@@ -124,14 +124,14 @@ def test_where_vehicles_are_too_small_to_be_seen_no_count_is_known() -> None:
     camera = Camera.looking((0.0, -90.0, 8.9), yaw=1.57, pitch_down=0.1, size=(1280, 720), fov=2 * math.atan(640 / 600))
     report = measure([straight(1, (-30, 0), (10, 0), 6.0)], replace(watched(60.0), camera=camera), SITE)
     assert [between(report, "west", who) for who in ("all", "vehicle")] == [None, None]
-    (line,) = (line for line in report.refused if "gate 'g' (west)" in line)
+    (line,) = (line for line in report.notes if "gate 'g' (west)" in line)
     assert "vehicles are so small in the image there that few are detected" in line
 
 
 def test_a_gate_that_nobody_was_ever_seen_near_has_no_count_that_is_known() -> None:
     report = told(straight(1, (-90, 40), (5, 0), 6.0, begin_s=10.0))
     assert between(report, "west") is None
-    assert any("gate 'g': nobody was ever seen near it" in line for line in report.refused)
+    assert any("gate 'g': nobody was ever seen near it" in line for line in report.notes)
     assert all(one.expected is None for one in report.counts)
 
 
@@ -173,7 +173,7 @@ def test_a_track_that_leaves_the_image_behind_the_gate_has_no_gap() -> None:
 
 def test_a_crossing_that_is_more_probably_none_is_not_counted() -> None:
     others = [straight(k, (-30, 3), (10, 0), 6.0, begin_s=3.0 * k) for k in range(2, 12)]
-    report = told(*others, replace(seldom(1), joined_probability=0.4))
+    report = told(*others, replace(seldom(1), stitch_probability=0.4))
     assert [one.trajectory.number for one in report.unseen.doubtful] == [1]
     assert between(report, "west") is not None
     (total,) = (one for one in report.counts_total if (one.direction, one.class_name) == ("west", "vehicle"))

@@ -106,7 +106,7 @@ def test_the_command_writes_what_it_counted(skope: Skope, tracks: Any) -> None: 
     where = site_of(tracks)
     assert skope("eval", "traffic", "t", "--out", "r", "-q")[0] == 0
     assert not Path("r/otanalytics").exists()
-    code, out, err = skope("eval", "traffic", "t", "--out", "r", "--also", "otanalytics")
+    code, out, err = skope("eval", "traffic", "t", "--out", "r", "--export", "otanalytics")
     assert code == 0, err
     assert "wrote r/otanalytics/plan.ottrk" in out
     names = {"plan.ottrk", "plan.otflow", "image.ottrk", "image.otflow", "work.json"}
@@ -117,7 +117,7 @@ def test_the_command_writes_what_it_counted(skope: Skope, tracks: Any) -> None: 
     camera["T_camera_world"] = CAMERA.T_camera_world.tolist()
     text = "\n".join(["[camera]", *(f"{key} = {value}" for key, value in camera.items())])
     where.write_text(f"{where.read_text()}{text}\n")
-    assert skope("eval", "traffic", "t", "--out", "q", "--also", "otanalytics", "-q")[0] == 0
+    assert skope("eval", "traffic", "t", "--out", "q", "--export", "otanalytics", "-q")[0] == 0
     assert {path.name for path in Path("q/otanalytics").iterdir()} == names
     document = read_ottrk(Path("q/otanalytics/image.ottrk"))
     rows = document["data"]["detections"]
@@ -145,7 +145,7 @@ def test_the_command_writes_what_it_counted(skope: Skope, tracks: Any) -> None: 
     ]
 
     before = {path.name: path.read_bytes() for path in Path("q/otanalytics").iterdir()}
-    assert skope("eval", "traffic", "t", "--out", "q", "--also", "otanalytics", "-q")[0] == 0
+    assert skope("eval", "traffic", "t", "--out", "q", "--export", "otanalytics", "-q")[0] == 0
     assert {path.name: path.read_bytes() for path in Path("q/otanalytics").iterdir()} == before
 
 
@@ -156,12 +156,12 @@ def test_another_camera_is_other_work(skope: Skope, tracks: Any) -> None:  # noq
     told = {**CAMERA.to_dict(), "width": CAMERA.width, "height": CAMERA.height}
     Path("camera.json").write_text(json.dumps(told))
     call = ("eval", "traffic", "t", "--out", "r", "-q")
-    code, _, err = skope(*call, "--also", "otanalytics")
+    code, _, err = skope(*call, "--export", "otanalytics")
     assert code == 0, err
     before = {path: path.read_bytes() for path in Path("r").rglob("*.*")}
     told["K"][0][0] += 5
     Path("camera.json").write_text(json.dumps(told))
-    code, _, err = skope(*call, "--also", "otanalytics")
+    code, _, err = skope(*call, "--export", "otanalytics")
     assert (code, "r/otanalytics holds other work" in err, err.count("\n")) == (2, True, 1)
     assert {path: path.read_bytes() for path in Path("r").rglob("*.*")} == before
     assert skope(*call)[0] == 0

@@ -10,7 +10,7 @@ import pytest
 
 from skope.site.gates_zones_lanes import Gate
 from skope.traffic.counting_intervals import ClockInterval
-from skope.traffic.hand_count_file import HandCount
+from skope.traffic.manual_count_file import ManualCount
 from skope.traffic.measure import measure
 from skope.traffic.page.count_tables import side_name
 from skope.traffic.page.page import traffic_page, write_page
@@ -23,9 +23,9 @@ from tests.traffic.test_exports import HEAD, junction_report, report_of, site_of
 HOSTILE = '<img src=x onerror="document.title=1">&"'
 
 
-def hand(number: int) -> HandCount:
+def hand(number: int) -> ManualCount:
     interval = ClockInterval(begin_s=0.0, end_s=60.0, begin=None, end=None)
-    return HandCount(
+    return ManualCount(
         gate="west", direction=1, direction_name="from the west", class_name="all", interval=interval, number=number
     )
 
@@ -47,7 +47,7 @@ def test_it_says_what_the_tables_say() -> None:
     row = f">{short.gate} ({short.direction})</th><td>{short.count} <small>{short.expected.low} to"
     assert row in page
     assert "of those over 12 m that is not known" in page
-    for line in report.refused:
+    for line in report.notes:
         assert f"<li>{line}</li>".replace("'", "&#39;") in page
 
 
@@ -55,7 +55,7 @@ def test_a_count_by_hand_is_beside_what_was_counted() -> None:
     plain = junction_report()
     report = measure(plain.trajectories, plain.observation, plain.site, plain.start, [hand(5), hand(3)])
     page = traffic_page(report, tracks="t")
-    (first, _) = report.hand_checks
+    (first, _) = report.manual_count_checks
     off = f"{100 * (first.count - 5) / 5:+.0f} %"
     assert f"<td>5</td><td>{first.count}</td><td>{off}</td><td>{first.geh:.1f}</td>" in page
     assert "of 8 counted by hand" in page

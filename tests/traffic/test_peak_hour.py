@@ -91,7 +91,7 @@ def test_why_there_is_none() -> None:
 def test_an_interval_with_a_gap_is_in_no_peak_hour() -> None:
     """The third quarter has a gap of a minute: no hour of an hour and a half lies beside it."""
     times = np.arange(0, 5401.0)
-    seen = Observation(times_s=times[(times < 2000) | (times > 2060)], common_sigma=0.0)
+    seen = Observation(times_s=times[(times < 2000) | (times > 2060)], common_scale_sigma=0.0)
     report = counted(cars([4, 4, 4, 4, 4, 4]), 1.5, observation=seen)
     assert "15-minute intervals; the longest run is 45 minutes" in why_no_peak_hour(report)
 

@@ -64,9 +64,9 @@ def test_the_interval_of_v85_holds_it_in_nine_of_ten(noise: float, common: float
 def test_percentiles_that_cannot_be_told_are_refused_with_the_reason() -> None:
     few = speed_percentiles([10.0, 11.0, 12.0, 13.0, 14.0], [0.1] * 5, None)
     assert few["v50"].value == 12.0
-    assert (few["v85"].value, few["v85"].refused) == (None, "5 vehicles: an interval needs 19")
+    assert (few["v85"].value, few["v85"].unavailable_reason) == (None, "5 vehicles: an interval needs 19")
     noisy = speed_percentiles(np.random.default_rng(0).normal(10, 1, 50).tolist(), [1.0] * 50, None)
-    assert noisy["v85"].refused == "speeds vary hardly more than they are uncertain"
+    assert noisy["v85"].unavailable_reason == "speeds vary hardly more than they are uncertain"
     assert speed_percentiles([], [], None)["v50"].value is None
 
 
@@ -96,7 +96,7 @@ def test_a_stop_that_speeds_leave_open_is_one_perhaps() -> None:
         track = replace(slow, speed_sigma=np.full(300, sigma))
         (one,) = section_passes(movements(gate_crossings([track], [GATE, FAR_GATE], NO_LANES, SETTINGS), SETTINGS))
         (late,) = delays([one], [], SETTINGS)
-        told.append((late.stops, late.stops_between.low, late.stops_between.high))
+        told.append((late.stops, late.stops_bounds.low, late.stops_bounds.high))
     assert told == [(1, 1, 1), (1, 0, 1)]
 
 
@@ -164,7 +164,7 @@ def test_a_queue_reaches_from_the_first_front_to_the_last_rear() -> None:
     (queue,) = queues(waiting(), lanes, [WHOLE], watched(40), SETTINGS)
     assert (queue.longest_m, queue.vehicles) == (pytest.approx(21 + 4), 4)
     assert queue.sigma_m == pytest.approx(0.05 * math.sqrt(2))
-    assert 10 <= queue.at_s <= 30
+    assert 10 <= queue.longest_at_s <= 30
     assert queue.mean_vehicles == pytest.approx(4 * 20 / 40, rel=0.1)
     chances = [round(event_probability(one), 2) for one in waiting()[:4]]
     assert queue.vehicles_expected == count_interval(chances, MISSED)

@@ -90,12 +90,12 @@ def test_from_tracks_to_a_report(skope: Skope, tracks: AnnotationFile) -> None:
         ("10:00", "away"): "0", ("10:00", "here"): "0", ("10:15", "away"): "0", ("10:15", "here"): "1"
     }  # fmt: skip
     speeds = rows_of("r/speeds.csv")
-    assert all(row["v85_kmh"] == "" and "an interval needs 19" in row["refused"] for row in speeds)
+    assert all(row["v85_kmh"] == "" and "an interval needs 19" in row["unavailable_reason"] for row in speeds)
     summary = json.loads(Path("r/summary.json").read_text())
     assert summary["site_revision"] == read_site(Path("site.toml")).revision
     assert summary["settings"] == TrafficSettings().to_dict()
     assert summary["observed_s"] == pytest.approx(5.0)
-    assert any("no lanes" in line for line in summary["refused"])
+    assert any("no lanes" in line for line in summary["notes"])
     assert "gate    here" in out
     moments = rows_of("r/trajectories.csv")
     assert len(moments) < 0.6 * len(rows_of("t/tracks.csv")), "thinned"
@@ -122,12 +122,12 @@ def test_python_counts_what_the_command_counts(tracks: AnnotationFile) -> None:
 
 def test_a_moved_camera_observes_nothing(tracks: AnnotationFile) -> None:
     document = json.loads(Path("t/footage.json").read_text())
-    assert document["common_sigma"] is None
+    assert document["common_scale_sigma"] is None
     assert document["camera"]["T_camera_world"] == CAMERA.T_camera_world.tolist()
     document["times_s"] = [time for time in document["times_s"] if not 1.0 < time < 3.0]
     Path("t/footage.json").write_text(json.dumps(document))
     report = door.measure_traffic("t", site_of(tracks))
-    assert any("were not observed" in line for line in report.refused)
+    assert any("were not observed" in line for line in report.notes)
     assert report.observation.seconds_in(0, 5) == pytest.approx(5 - 2.0, abs=0.21)
 
 
@@ -191,8 +191,8 @@ def test_files_that_are_wrong_get_one_line(skope: Skope, tracks: AnnotationFile)
     refused("t/footage.json: times_s: expected times that rise from frame to frame")
     Path("t/footage.json").unlink()
     refused("t/footage.json: no such file; `skope eval track` writes it")
-    code, _, err = skope("eval", "traffic", "t", "--begins", "noon", "--out", "r")
-    assert (code, "--begins: expected a time" in err) == (2, True)
+    code, _, err = skope("eval", "traffic", "t", "--start-time", "noon", "--out", "r")
+    assert (code, "--start-time: expected a time" in err) == (2, True)
 
 
 def test_without_a_camera_gates_in_the_image_count_and_nothing_else(skope: Skope) -> None:
@@ -221,16 +221,16 @@ def test_without_a_camera_gates_in_the_image_count_and_nothing_else(skope: Skope
     assert "classes of vehicles: not available at gates in the image" in out
     counts = {row["class"]: row for row in rows_of("r/counts.csv") if row["direction"] == "right"}
     assert list(counts) == ["all", "vehicle", "unknown", "motorcycle", "bicycle", "pedestrian"]
-    assert [(counts[name]["count"], bool(counts[name]["high"])) for name in ("vehicle", "unknown", "bicycle")] == [
-        ("2", True), ("2", False), ("0", True)
-    ]  # fmt: skip
+    shown = [(counts[name]["count"], bool(counts[name]["count_high_90"])) for name in ("vehicle", "unknown", "bicycle")]
+    assert shown == [("2", True), ("2", False), ("0", True)]
     assert sorted(path.name for path in Path("r").iterdir()) == [
-        "counts.csv", "events.csv", "report.html", "sight.csv", "summary.json", "turning.csv", "work.json"
+        "counts.csv", "events.csv", "report.html", "summary.json", "turning_movements.csv", "visibility.csv",
+        "work.json",
     ]  # fmt: skip
     Path("h.csv").write_text("gate,direction,class,begin,end,count\ng,right,all,0,4,3\n")
-    assert skope("eval", "traffic", "seen", "--out", "by_hand", "--hand-count", "h.csv")[0] == 0
-    (by_hand,) = rows_of("by_hand/hand_count.csv")
-    assert (by_hand["count"], by_hand["difference"]) == ("2", "-1")
+    assert skope("eval", "traffic", "seen", "--out", "manual_count", "--manual-count", "h.csv")[0] == 0
+    (manual_count,) = rows_of("manual_count/manual_count.csv")
+    assert (manual_count["count"], manual_count["difference"]) == ("2", "-1")
     events = rows_of("r/events.csv")
     assert sorted((row["direction"], row["track"], row["speed_kmh"]) for row in events) == [
         ("left", "2", ""), ("right", "1", ""), ("right", "3", "")
@@ -301,7 +301,7 @@ def test_memory_folder_and_read_back_tracks_give_one_report(tracks: AnnotationFi
     assert len(made) == 4
     folder = Path("memory")
     folder.mkdir()
-    watch = Observation(times_s=np.array(times), common_sigma=0.013)
+    watch = Observation(times_s=np.array(times), common_scale_sigma=0.013)
     write_tracks(folder / TRACKS_CSV, made)
     write_json(folder / FOOTAGE_FILE, watch.to_dict())
     site = site_of(tracks)
@@ -350,8 +350,8 @@ def test_footage_is_detected_and_tracked_first_and_once(
     }
     made = {path.name: path.read_bytes() for path in Path("r").glob("*.csv")}
     assert json.loads(Path("r/tracks/footage.json").read_text())["times_s"] == pytest.approx(np.arange(8) / 10)
-    assert [row[0] for row in json.loads(Path("r/tracks/footage.json").read_text())["sight"]] == [0.0, 0.5]
-    assert all(0 < float(row["brightness"]) < 1 for row in rows_of("r/sight.csv"))
+    assert [row[0] for row in json.loads(Path("r/tracks/footage.json").read_text())["visibility_samples"]] == [0.0, 0.5]
+    assert all(0 < float(row["brightness"]) < 1 for row in rows_of("r/visibility.csv"))
     assert json.loads(Path("r/summary.json").read_text())["camera_common_sigma"] == pytest.approx(0.01, rel=0.1)
 
     def never(*_: object) -> None:
@@ -420,9 +420,9 @@ def test_footage_is_counted_by_gates_in_the_image_where_there_is_no_camera(
     assert Path("r/counts.csv").read_bytes() == made
     note = "not read in the footage: v.mp4: frame 5 of 8 cannot be decoded"
     assert f"note: {note}" in out
-    assert note in json.loads(Path("r/summary.json").read_text())["refused"]
-    code, _, err = skope(*call, "--hand-count", "h.csv")
-    assert (code, "skope eval traffic r/seen --site site.toml` with --hand-count" in err) == (2, True)
+    assert note in json.loads(Path("r/summary.json").read_text())["notes"]
+    code, _, err = skope(*call, "--manual-count", "h.csv")
+    assert (code, "skope eval traffic r/seen --site site.toml` with --manual-count" in err) == (2, True)
 
 
 def test_a_camera_of_another_image_size_is_scaled_to_the_footage(skope: Skope, random_run: Path) -> None:
@@ -469,25 +469,25 @@ def test_people_on_foot_count_by_where_they_stand(tracks: AnnotationFile) -> Non
 def test_a_gate_near_the_edge_of_what_is_seen_is_warned_of(tmp_path: Path) -> None:
     """Tracks that begin 1 m before it may well have begun after it."""
     site = parse_site(tmp_path / "s.toml", b'[[gates]]\nname = "edge"\nline = [[0, -5], [0, 5]]\n')
-    watch = Observation(times_s=np.arange(600) / 10, common_sigma=0.0)
+    watch = Observation(times_s=np.arange(600) / 10, common_scale_sigma=0.0)
     near = [straight(k, (-1.0, 0), (9, 0), 3, begin_s=5.0 + 5 * k) for k in range(6)]
     far = [straight(k, (-20.0, 0), (9, 0), 5, begin_s=5.0 + 5 * k) for k in range(6)]
-    warned = [line for line in measure(near, watch, site).refused if "'edge'" in line]
+    warned = [line for line in measure(near, watch, site).notes if "'edge'" in line]
     assert warned == [
         "gate 'edge': 6 tracks begin or end within 2 m of it (6 crossings): many may be missed; move it to where "
         "vehicles are seen on both sides"
     ]
-    assert not [line for line in measure(far, watch, site).refused if "'edge'" in line]
+    assert not [line for line in measure(far, watch, site).notes if "'edge'" in line]
 
 
 def test_a_gate_that_ends_where_people_walk_is_warned_of(tmp_path: Path) -> None:
     site = parse_site(tmp_path / "s.toml", b'[[gates]]\nname = "short"\nline = [[0, -5], [0, 5]]\n')
-    watch = Observation(times_s=np.arange(600) / 10, common_sigma=0.0)
+    watch = Observation(times_s=np.arange(600) / 10, common_scale_sigma=0.0)
     walk = {"category": "pedestrian", "class_name": "pedestrian", "sigma": 0.4}
 
     def warned(y: float) -> list[str]:
         walkers = [straight(k, (-6.0, y), (1.5, 0), 8, begin_s=5.0 + 5 * k, **walk) for k in range(4)]
-        return [line for line in measure(walkers, watch, site).refused if "'short'" in line]
+        return [line for line in measure(walkers, watch, site).notes if "'short'" in line]
 
     assert warned(5.1) == [
         "gate 'short': 4 road users pass so near to its ends that they go through it or past it: let it end where "
@@ -502,34 +502,34 @@ def test_a_hand_count_gets_a_table_and_moves_intervals(skope: Skope, tracks: Ann
     Path("h.csv").write_text(
         "gate,direction,class,begin,end,count\ngate,here,,10:14:58,10:15:03,4\ngate,away,car,0,5,0\n"
     )
-    code, out, err = skope("eval", "traffic", "t", "--out", "r", "--hand-count", "h.csv")
+    code, out, err = skope("eval", "traffic", "t", "--out", "r", "--manual-count", "h.csv")
     assert code == 0, err
-    here, away = rows_of("r/hand_count.csv")
-    assert (here["begin"], here["begin_s"], here["class"], here["by_hand"], here["count"], here["difference"]) == (
+    here, away = rows_of("r/manual_count.csv")
+    assert (here["begin"], here["begin_s"], here["class"], here["manual_count"], here["count"], here["difference"]) == (
         *("2026-11-26T10:14:58+01:00", "0.000", "all", "4", "1", "-3"),
     )
     assert float(here["geh"]) == pytest.approx((2 * 2160**2 / 3600) ** 0.5, abs=1e-3)  # 1 and 4 in 5 s
     assert (away["geh"], away["contradicts"]) == ("0.000", "0")
-    assert json.loads(Path("r/summary.json").read_text())["hand_counts"] == 2
+    assert json.loads(Path("r/summary.json").read_text())["manual_counts"] == 2
     assert "by hand" in out
     assert skope("eval", "traffic", "t", "--out", "plain")[0] == 0
-    assert not Path("plain/hand_count.csv").exists()
+    assert not Path("plain/manual_count.csv").exists()
     tables = [rows_of(f"{folder}/counts.csv") for folder in ("r", "plain")]
     assert [row["count"] for row in tables[0]] == [row["count"] for row in tables[1]]
-    assert [row["high"] for row in tables[0]] != [row["high"] for row in tables[1]]
-    python = door.measure_traffic("t", "site.toml", hand_count="h.csv")
+    assert [row["count_high_90"] for row in tables[0]] != [row["count_high_90"] for row in tables[1]]
+    python = door.measure_traffic("t", "site.toml", manual_count="h.csv")
     assert [str(one.expected.high) for one in python.counts if one.expected] == [
-        row["high"] for row in tables[0] if row["high"]
+        row["count_high_90"] for row in tables[0] if row["count_high_90"]
     ]
     code, _, err = skope("eval", "traffic", "t", "--out", "r")
     assert (code, "other work" in err) == (2, True)
     Path("h.csv").write_text("gate,direction,class,begin,end,count\ngate,here,,0,5,-2\n")
-    code, _, err = skope("eval", "traffic", "t", "--out", "new", "--hand-count", "h.csv")
+    code, _, err = skope("eval", "traffic", "t", "--out", "new", "--manual-count", "h.csv")
     assert (code, err.count("\n"), Path("new").exists()) == (2, 1, False)
     assert "h.csv: line 2: count: expected a whole number" in err
-    code, _, err = skope("eval", "traffic", "a.mp4", "--out", "new", "--hand-count", "h.csv")
+    code, _, err = skope("eval", "traffic", "a.mp4", "--out", "new", "--manual-count", "h.csv")
     assert (code, err.count("\n"), Path("new").exists()) == (2, 1, False)
-    assert "--hand-count: needs a folder, not footage" in err
+    assert "--manual-count: needs a folder, not footage" in err
 
 
 def test_files_of_other_programs_are_written_beside_the_report(skope: Skope, tracks: AnnotationFile) -> None:
@@ -537,12 +537,12 @@ def test_files_of_other_programs_are_written_beside_the_report(skope: Skope, tra
     site.write_text(site.read_text() + 'edges = ["A", "B"]\n[world]\norigin = { longitude = 8.4, latitude = 49.0 }\n')
     names = ["excel", "geojson", "openlabel", "otanalytics", "parquet", "ssam", "sumo"]
     call = ["eval", "traffic", "t", "--site", str(site)]
-    code, out, err = skope(*call, "--out", "r", "--also", ",".join(names))
+    code, out, err = skope(*call, "--out", "r", "--export", ",".join(names))
     assert code == 0, err
     assert sorted(path.name for path in Path("r").iterdir() if path.is_dir()) == names
     assert all(any(path.name != "work.json" for path in Path("r", name).iterdir()) for name in names)
     assert f"wrote {Path('r', 'ssam', 'tracks.trj')}" in out
-    assert skope(*call, "--out", "r", "--also", "excel")[0] == 0, "the same again"
+    assert skope(*call, "--out", "r", "--export", "excel")[0] == 0, "the same again"
     assert skope(*call, "--out", "r")[0] == 0
 
 
@@ -551,7 +551,7 @@ def test_files_of_other_programs_are_written_beside_the_report(skope: Skope, tra
     [
         (
             "excel,word",
-            "--also: expected some of excel, parquet, geojson, openlabel, otanalytics, ssam, sumo, got 'word'",
+            "--export: expected some of excel, parquet, geojson, openlabel, otanalytics, ssam, sumo, got 'word'",
         ),
         ("geojson", "the site does not say where on the Earth it is"),
         ("sumo", "no gate of the site has edges"),
@@ -560,6 +560,6 @@ def test_files_of_other_programs_are_written_beside_the_report(skope: Skope, tra
 def test_what_a_format_lacks_is_said_before_anything_is_written(
     skope: Skope, tracks: AnnotationFile, also: str, says: str
 ) -> None:
-    code, _, err = skope("eval", "traffic", "t", "--site", str(site_of(tracks)), "--out", "new", "--also", also)
+    code, _, err = skope("eval", "traffic", "t", "--site", str(site_of(tracks)), "--out", "new", "--export", also)
     assert (code, err.count("\n"), Path("new").exists()) == (2, 1, False)
     assert says in err

@@ -8,7 +8,7 @@ import pytest
 
 from skope.files.csv_files import read_csv
 from skope.site.site_file import parse_site
-from skope.traffic.hand_count_file import read_hand_counts
+from skope.traffic.manual_count_file import read_manual_counts
 from skope.traffic.measure import measure
 from skope.traffic.report_tables import report_tables
 from skope.traffic.traffic_report import TrafficReport
@@ -91,5 +91,5 @@ def test_a_manual_count_names_gates_with_an_apostrophe_or_without(
     """The name is copied from counts.csv, or from the site file."""
     path = tmp_path / "mine.csv"
     path.write_text(f'gate,direction,class,begin,end,count\n"{gate}",\'@in,motor,0,20,3\n', encoding="utf-8")
-    (count,) = read_hand_counts(path, report.gates, report.site.traffic, report.start, report.observation)
+    (count,) = read_manual_counts(path, report.gates, report.site.traffic, report.start, report.observation)
     assert (count.gate, count.direction_name, count.number) == (GATES[1], "@in", 3)

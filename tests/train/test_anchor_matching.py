@@ -10,7 +10,7 @@ from torchvision.ops import box_iou
 from skope import schema
 from skope.detector.build import DetectorConfig, build
 from skope.train.anchor_matching import anchor_iou, assign, sample_anchors
-from skope.train.losses import LearningRules, detection_losses
+from skope.train.losses import LossSettings, detection_losses
 from skope.train.target_batch import IGNORED_KEY, Target, TargetBatch
 
 VEHICLES = torch.tensor([[10.0, 10, 50, 40]])
@@ -145,7 +145,7 @@ def test_points_without_a_label_are_never_negative() -> None:
     given["keypoints"][0, 5] = torch.tensor([30.0, 25, 2])
     image = torch.randint(0, 256, (3, 96, 128), dtype=torch.uint8, generator=torch.Generator().manual_seed(0))
     learning = model()
-    detection_losses(learning, [image], [given], LearningRules(64, 2, 0.0))["loss_keypoint"].backward()  # type: ignore[no-untyped-call]
+    detection_losses(learning, [image], [given], LossSettings(64, 2, 0.0))["loss_keypoint"].backward()  # type: ignore[no-untyped-call]
     moved = learning.roi_heads.keypoint_predictor.kps_score_lowres.weight.grad.abs().amax(dim=(0, 2, 3))
     assert torch.nonzero(moved).flatten().tolist() == [5]
 
@@ -159,7 +159,7 @@ def test_the_keypoint_head_gets_so_many_vehicles_with_a_labelled_point() -> None
     for labels, visible, most in (([1, 1], 2.0, 2), ([1, 1], 2.0, 1), ([1, 1], 0.0, 2), ([2, 4], 2.0, 2)):
         given = {**target(boxes, torch.zeros(0, 4)), "labels": torch.tensor(labels)}
         given["keypoints"][:] = torch.tensor([30.0, 25, visible])
-        found = detection_losses(learning, [image], [given], LearningRules(64, most, 0.0))
+        found = detection_losses(learning, [image], [given], LossSettings(64, most, 0.0))
         assert torch.isfinite(found["loss_keypoint"])
     assert seen == [2, 1, 0, 0]
 
@@ -170,7 +170,7 @@ def test_boxes_keep_their_precision_in_bfloat16() -> None:
     hook = learning.roi_heads.box_roi_pool.register_forward_pre_hook(lambda _, given: seen.extend(given[1]))
     image = torch.randint(0, 256, (3, 96, 160), dtype=torch.uint8, generator=torch.Generator().manual_seed(0))
     with torch.autocast("cpu", torch.bfloat16):
-        losses = detection_losses(learning, [image], [TARGET], LearningRules(64, 2, 0.0))
+        losses = detection_losses(learning, [image], [TARGET], LossSettings(64, 2, 0.0))
     hook.remove()
     assert seen[0].dtype == torch.float32
     assert (seen[0] != seen[0].bfloat16().float()).any()

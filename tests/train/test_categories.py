@@ -25,7 +25,7 @@ from skope.terminal.console import Console
 from skope.train import init_weights, loop, splits
 from skope.train.augment import AUGMENT_STEPS, Augment
 from skope.train.export import CATEGORIES_OUTPUT, OUTPUT_NAMES, DeployedCategories, export, torchvision_code
-from skope.train.loop import Saving
+from skope.train.loop import CheckpointPolicy
 from skope.train.recipe import Recipe
 from skope.train.run_config import RunConfig
 from skope.train.target_batch import IGNORED_KEY
@@ -46,7 +46,7 @@ pytestmark = pytest.mark.usefixtures("small_detectors")
 def train(data: list[Path], out: Path, recipe: Recipe, *, resume: bool = False, **more: Any) -> Path:
     config = RunConfig(recipe=recipe, seed=0, data=tuple(map(str, data)), mix=None, max_images=None, **more)
     console = Console(quiet=True)
-    return loop.train(config, out, device=CPU, workers=0, resume=resume, console=console, saving=Saving())
+    return loop.train(config, out, device=CPU, workers=0, resume=resume, console=console, saving=CheckpointPolicy())
 
 
 def source(root: Path) -> splits.TrainingSource:
@@ -248,7 +248,9 @@ def test_what_is_labelled_and_not_learnt_is_said(tmp_path: Path, capsys: pytest.
         recipe=replace(TINY, epochs=1), seed=0, data=(str(data),), mix=None, max_images=None, categories=("vehicle",)
     )
     run = tmp_path / "run"
-    checkpoint = loop.train(config, run, device=CPU, workers=0, resume=False, console=Console(), saving=Saving())
+    checkpoint = loop.train(
+        config, run, device=CPU, workers=0, resume=False, console=Console(), saving=CheckpointPolicy()
+    )
     said = "".join(capsys.readouterr())
     assert "bicycle, pedestrian: labelled, and background to this run" in said
     assert load_weights(checkpoint, "cpu")[1].categories == ("vehicle",)
@@ -276,7 +278,7 @@ def test_a_run_of_several_categories_records_and_resumes_them(tmp_path: Path) ->
         workers=0,
         resume=True,
         console=Console(quiet=True),
-        saving=Saving(),
+        saving=CheckpointPolicy(),
     )
     assert load_weights(again, "cpu")[1].categories == ("vehicle", "pedestrian")
 

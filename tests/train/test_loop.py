@@ -22,7 +22,7 @@ from skope.errors import UserError
 from skope.terminal.console import Console
 from skope.train import loop, run_folder, step, training_state
 from skope.train.augment import AUGMENT_STEPS, Augment
-from skope.train.loop import Saving
+from skope.train.loop import CheckpointPolicy
 from skope.train.recipe import SHIPPED_RECIPES, Recipe
 from skope.train.run_config import RunConfig
 from tests import samples
@@ -38,7 +38,13 @@ TINY = replace(TINY, val_fraction=0.0)
 
 def train(data: Path, out: Path, recipe: Recipe, **options: Any) -> Path:
     config = RunConfig(recipe=recipe, seed=0, data=(str(data),), mix=None, max_images=None)
-    defaults = {"device": CPU, "workers": 0, "resume": False, "console": Console(quiet=True), "saving": Saving()}
+    defaults = {
+        "device": CPU,
+        "workers": 0,
+        "resume": False,
+        "console": Console(quiet=True),
+        "saving": CheckpointPolicy(),
+    }
     return loop.train(config, out, **{**defaults, **options})
 
 
@@ -134,7 +140,7 @@ def test_a_run_killed_without_notice_goes_on_from_what_was_saved_last(
                 raise Killed
             return self.take(*args, **kwargs)
 
-    often = Saving(state_interval_s=0, checkpoint_interval_s=0)
+    often = CheckpointPolicy(state_interval_s=0, checkpoint_interval_s=0)
     with monkeypatch.context() as patch:
         Killer(5, signal.SIGINT, patch)
         with pytest.raises(Killed):
@@ -169,7 +175,7 @@ def test_the_mean_of_the_weights_is_saved(tmp_path: Path, monkeypatch: pytest.Mo
 def test_what_a_run_leaves(tmp_path: Path) -> None:
     data = samples.make_dataset(tmp_path / "data", images=4, splits=("train",))
     out = tmp_path / "run"
-    saving = Saving(keep=2, checkpoint_interval_s=0)
+    saving = CheckpointPolicy(keep=2, checkpoint_interval_s=0)
     train(data, out, replace(TINY, epochs=3, val_fraction=0.25), saving=saving)
     assert list(checkpoints(out)) == [2, 3]
     files = {path.relative_to(out).as_posix() for path in out.rglob("*") if path.is_file()}

@@ -9,7 +9,7 @@ from torchvision.ops import clip_boxes_to_image
 from skope import keypoints
 from skope.detector.build import DetectorConfig, build
 from skope.train import losses
-from skope.train.losses import LearningRules, detection_losses
+from skope.train.losses import LossSettings, detection_losses
 from skope.train.target_batch import IGNORED_KEY, Target
 
 ALL = 1 << 20
@@ -65,7 +65,7 @@ def test_losses_and_gradients_equal_torchvisions(model: KeypointRCNN, sizes: tup
             plain = [{key: value for key, value in one.items() if key != IGNORED_KEY} for one in targets]
             losses = model([image.float() / 255 for image in pixels], plain)
         else:
-            losses = detection_losses(model, pixels, targets, LearningRules(ALL, None, 0.0))
+            losses = detection_losses(model, pixels, targets, LossSettings(ALL, None, 0.0))
         sum(losses.values()).backward()
         gradients = {key: value.grad.clone() for key, value in model.named_parameters() if value.grad is not None}
         found[name] = {key: value.detach() for key, value in losses.items()}, gradients

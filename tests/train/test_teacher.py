@@ -14,9 +14,9 @@ from skope.detector.build import DetectorConfig, build
 from skope.detector.checkpoint import checkpoint_name, save_weights
 from skope.errors import UserError
 from skope.train import cli, step, teacher
-from skope.train.losses import LearningRules, detection_losses
+from skope.train.losses import LossSettings, detection_losses
 from skope.train.recipe import TeacherRules
-from skope.train.teacher import Lesson, Teacher
+from skope.train.teacher import Teacher, TeacherOutputs
 from tests import samples
 from tests.detector.test_detector import SMALL
 from tests.train.test_losses import target
@@ -27,7 +27,7 @@ CONFIG = DetectorConfig(norm="frozen", norm_eps=1e-5, **SMALL)
 NARROW = replace(CONFIG, backbone="resnet18", pyramid_width=16, keypoint_layers=1, keypoint_width=16, box_width=16)
 TARGET = target([[10, 10, 60, 50], [50, 30, 110, 80]], [1, 1], torch.Generator().manual_seed(1))
 IMAGE = torch.randint(0, 256, (3, 90, 120), dtype=torch.uint8, generator=torch.Generator().manual_seed(0))
-RULES = LearningRules(16, 2, 0.0)
+RULES = LossSettings(16, 2, 0.0)
 
 
 def drawn(config: DetectorConfig, seed: int) -> KeypointRCNN:
@@ -98,10 +98,10 @@ def test_the_student_comes_nearer_and_the_teacher_stays() -> None:
 
 def test_divergence_of_two_known_distributions() -> None:
     """0.5 log(0.5 / 0.8) + 0.5 log(0.5 / 0.2), whatever all logits have in common."""
-    lesson = Lesson(None, {}, TeacherRules())
+    lesson = TeacherOutputs(None, {}, TeacherRules())
     own, other = torch.tensor([[0.8, 0.2]]).log() + 3, torch.tensor([[0.5, 0.5]]).log()
     assert lesson._divergence(own, other).tolist() == pytest.approx([0.2231436])
-    hot = Lesson(None, {}, TeacherRules(temperature=2.0))
+    hot = TeacherOutputs(None, {}, TeacherRules(temperature=2.0))
     assert hot._divergence(2 * own, 2 * other).tolist() == pytest.approx([4 * 0.2231436])
 
 

@@ -16,7 +16,7 @@ from skope.errors import UserError
 from skope.types import Pixels
 from skope.video.container import open_clip
 from skope.video.decode import same_shape
-from skope.video.footage import FOOTAGE_LIMITS, Cut, open_footage
+from skope.video.footage import FOOTAGE_LIMITS, FrameRange, open_footage
 from skope.video.write import write_video
 
 Skope = Callable[..., tuple[int, str, str]]
@@ -82,7 +82,7 @@ def trimmed(source: Path, out: Path, first: int) -> Path:
 def seen(source: Path, **cut: Any) -> list[tuple[int, float, int]]:
     """Index, time and brightness / 8 of each frame."""
     out = []
-    for image, pixels in open_footage(str(source), Cut(**cut)).frames():
+    for image, pixels in open_footage(str(source), FrameRange(**cut)).frames():
         assert image.frame_index is not None
         assert image.time_s is not None
         out.append((image.frame_index, round(image.time_s, 3), round(float(pixels[-8:, -8:].mean()) / 8)))

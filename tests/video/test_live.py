@@ -11,7 +11,7 @@ import pytest
 
 from skope.errors import UserError
 from skope.video import container, live
-from skope.video.footage import Cut, open_footage
+from skope.video.footage import FrameRange, open_footage
 from skope.video.live import CameraClock
 from tests.footage import streams
 
@@ -186,4 +186,4 @@ def test_no_message_holds_the_password() -> None:
 
 def test_a_live_stream_has_no_rate_to_give() -> None:
     with streams.mjpeg(100, 50) as address, pytest.raises(UserError, match=r"--fps: .* is on a server"):
-        open_footage(address, Cut(), fps=10)
+        open_footage(address, FrameRange(), fps=10)

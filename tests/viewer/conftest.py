@@ -8,7 +8,7 @@ import pytest
 
 from skope.dataset import coco
 from skope.dataset.folder import open_dataset
-from skope.metrics.keypoint_outcomes import Options
+from skope.metrics.keypoint_outcomes import MetricOptions
 from skope.schema import CATEGORY_NAMES, Result
 from skope.viewer.collection import Collection, ShownSplit, read_picture
 from skope.viewer.documents import Documents
@@ -67,7 +67,7 @@ def predicted(labelled: Collection) -> Collection:
     (split,) = labelled.splits
     truth = replace(split.file, annotations=tuple(a for a in split.file.annotations if a.id < 50))
     results: tuple[Result, ...] = tuple(detector_of(truth))
-    return replace(labelled, splits=(replace(split, results=results),), options=Options(score=0.5))
+    return replace(labelled, splits=(replace(split, results=results),), options=MetricOptions(score=0.5))
 
 
 @pytest.fixture

@@ -12,7 +12,7 @@ from skope.errors import UserError
 from skope.files.json_files import json_bytes
 from skope.keypoints import INDEX, K
 from skope.metrics.breakdown import FleetInfo
-from skope.metrics.keypoint_outcomes import Options
+from skope.metrics.keypoint_outcomes import MetricOptions
 from skope.metrics.split_scores import SplitScores, split_metrics
 from skope.schema import Result
 from skope.viewer import documents
@@ -142,7 +142,7 @@ def test_visible_boxes_are_shown_where_they_were_measured(predicted: Collection)
     shown = replace(
         predicted,
         splits=(replace(split, file=replace(split.file, annotations=vehicles)),),
-        options=Options(boxes="visible"),
+        options=MetricOptions(boxes="visible"),
     )
     assert Documents(shown).details(0)["vehicles"][0]["box"] == [1, 2, 3, 4]
 

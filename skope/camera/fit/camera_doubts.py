@@ -51,7 +51,7 @@ class DoubtLimits:
 DOUBT_LIMITS: Final = DoubtLimits()
 
 
-def why_not(estimate: CameraEstimate, lower_edges: Array) -> str | None:
+def rejection_reason(estimate: CameraEstimate, lower_edges: Array) -> str | None:
     """The first reason why an estimated camera is not to be trusted, as part of a sentence; None: it holds together.
 
     Args:

@@ -6,7 +6,7 @@ from typing import Final, Self
 
 import numpy as np
 
-from skope.camera.ground_plane import ground_places
+from skope.camera.ground_plane import intersect_ground
 from skope.camera.model import Camera, Distortion
 from skope.camera.uncertain_camera import slopes
 from skope.pose.observations import KEYPOINT_WEIGHTS
@@ -48,7 +48,7 @@ def camera_of_unknowns(unknowns: Array, size: tuple[int, int]) -> Camera:
 
 def on_road(camera: Camera, pixels: Array) -> Array:
     """(P, 2) places on the road z = 0, metres, that pixels (P, 2) show; those above the horizon are very far away."""
-    return ground_places(camera, pixels, least_fall=RAY_LIMITS.least_fall)[..., :2]
+    return intersect_ground(camera, pixels, least_fall=RAY_LIMITS.least_fall)[..., :2]
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,17 +20,17 @@ from skope.camera.calibration_files import read_uncertain_camera
 from skope.camera.evidence import Evidence
 from skope.camera.fit.camera_from_marks import evidence_of, place_errors
 from skope.camera.fit.write_camera import write_camera
-from skope.camera.ground_plane import ground_places
+from skope.camera.ground_plane import intersect_ground
 from skope.camera.model import Camera
 from skope.camera.motion.camera_motion import TURN_ANGLES, covariance_of_turns, turned_camera
-from skope.camera.motion.camera_shake import SwayWatch
+from skope.camera.motion.camera_shake import CameraShakeEstimator
 from skope.camera.motion.image_shift import FollowedCorners, ImageMotion, ReferencePicture, SmallPicture
 from skope.camera.uncertain_camera import UncertainCamera, moved_camera
 from skope.dataset.camera_of_file import fitted_camera, read_camera
 from skope.errors import UserError
 from skope.terminal.console import counted
 from skope.types import Array, Pixels
-from skope.video.footage import Cut, open_footage
+from skope.video.footage import FrameRange, open_footage
 
 
 @dataclass(frozen=True)
@@ -170,7 +170,7 @@ def _near_road(old: Camera, turned: Camera, corners: FollowedCorners, within_px:
 
     Raises UserError where they do not, or are too few to tell.
     """
-    places = ground_places(old, corners.all_before)
+    places = intersect_ground(old, corners.all_before)
     away = np.linalg.norm(places - old.position, axis=1)
     seen, _, valid = turned.project(np.where(np.isfinite(places), places, old.position))
     there = np.flatnonzero(valid & turned.inside(seen) & (away < REFIT_LIMITS.near_m))
@@ -302,12 +302,12 @@ def _frame(source: str, *, at_rest: bool) -> Pixels:
     """A picture, or a frame of a video: the first, or of a swaying camera that which is nearest to where it rests."""
     name, seconds = _split(source)
     begin = seconds or 0.0
-    footage = open_footage(name, Cut(start_s=begin, end_s=begin + REFIT_LIMITS.rest_s))
+    footage = open_footage(name, FrameRange(start_s=begin, end_s=begin + REFIT_LIMITS.rest_s))
     if footage.clip is not None and footage.clip.live:
         raise UserError(f"{name}: a live stream cannot be read again; record it to a file first")
     if footage.clip is None and (seconds is not None or len(footage.images) > 1):
         raise UserError(f"{source}: expected one picture, or a video")
-    watch, frames = SwayWatch(), dict[int, Pixels]()
+    watch, frames = CameraShakeEstimator(), dict[int, Pixels]()
     for image, pixels in watch.watch(footage.frames()):
         frames[image.id] = pixels
         if not at_rest or footage.clip is None:

@@ -17,7 +17,7 @@ import numpy as np
 
 from skope.camera.fit import fit_camera
 from skope.camera.fit.bundle_adjustment import Known
-from skope.camera.fit.camera_doubts import sigma_of_ways, why_not
+from skope.camera.fit.camera_doubts import rejection_reason, sigma_of_ways
 from skope.camera.fit.camera_unknowns import FOCAL, HEIGHT, RAY_LIMITS, UNKNOWN_NAMES, camera_of_unknowns, on_road
 from skope.camera.fit.fit_camera import CameraEstimate
 from skope.camera.fit.vehicle_sample import sample_vehicles
@@ -151,7 +151,7 @@ def camera_of_vehicles(
     drawn = sample_vehicles(scene, count, score=score, noise=noise, sigma_px=sigma_px)
     fit = fit_camera.fit_camera_to_vehicles(drawn.views, known_of(height, fov_deg, drawn.views.size[0]))
     who = f"{counted(fit.vehicles, 'vehicle')} in {counted(len(drawn.views.found), 'view')}"
-    if reason := why_not(fit, drawn.lower_edges):
+    if reason := rejection_reason(fit, drawn.lower_edges):
         raise UserError(
             f"{scene.file.name}: no camera can be calibrated from {who}: {reason}. Points marked on the road give one "
             "(--points)"
@@ -281,9 +281,11 @@ def known_length(text: str) -> KnownLength:
     return KnownLength(np.array(ends).reshape(2, 2), metres)
 
 
-def doubt(name: Path | str, ways_sigma: float) -> str:
+def doubt(name: Path | str, distance_sigma: float) -> str:
     """Common error of all distances under a camera, in words."""
-    return f"{name}: all distances and speeds may be off by {INTERVAL_SIGMAS * ways_sigma:.0%}, in one direction (90%)"
+    return (
+        f"{name}: all distances and speeds may be off by {INTERVAL_SIGMAS * distance_sigma:.0%}, in one direction (90%)"
+    )
 
 
 def write_camera(out: Path, camera: Camera, besides: Mapping[str, Any]) -> Iterator[str]:

@@ -147,7 +147,7 @@ def answer_pictures(answers_fd: int) -> None:
             answers.flush()
 
 
-class SwayWatch:
+class CameraShakeEstimator:
     """Measures how far the image of each frame of a video is from the first one's, while the caller looks at it."""
 
     def __init__(self, first: Pixels | None = None, processes: int = 0) -> None:
@@ -204,7 +204,7 @@ def _motion(idle: "SimpleQueue[_Measure]", pixels: Pixels) -> ImageMotion | None
 
 
 @dataclass(frozen=True, eq=False)
-class SwayRecord:
+class CameraShakeRecord:
     """The motion of all frames of a video, against the first one."""
 
     numbers: tuple[int, ...]
@@ -318,7 +318,7 @@ def motion_of_row(row: Sequence[float] | None) -> ImageMotion | None:
     return None if row is None else ImageMotion(*row)
 
 
-def record_of(images: Iterable[Image], motions: Iterable[ImageMotion | None], width: int) -> SwayRecord:
+def record_of(images: Iterable[Image], motions: Iterable[ImageMotion | None], width: int) -> CameraShakeRecord:
     """The record of the motions of images, which are `width` pixels wide; images without times are left out."""
     timed = [
         (image.id, image.time_s, motion)
@@ -326,4 +326,4 @@ def record_of(images: Iterable[Image], motions: Iterable[ImageMotion | None], wi
         if image.time_s is not None
     ]
     seconds: NDArray[np.float64] = np.array([time_s for _, time_s, _ in timed], dtype=np.float64)
-    return SwayRecord(tuple(number for number, _, _ in timed), seconds, tuple(one for _, _, one in timed), width)
+    return CameraShakeRecord(tuple(number for number, _, _ in timed), seconds, tuple(one for _, _, one in timed), width)

@@ -15,7 +15,7 @@ from skope.camera.motion.view_registration import ViewHomography, register, tran
 from skope.errors import UserError
 from skope.pictures.median import median_of
 from skope.types import Pixels
-from skope.video.footage import Cut, Footage
+from skope.video.footage import Footage, FrameRange
 
 
 @dataclass(frozen=True)
@@ -140,7 +140,7 @@ def _picture(footage: Footage, begin_s: float, end_s: float, *, late: bool) -> P
 
 def _part(footage: Footage, begin_s: float, end_s: float) -> Footage:
     """The frames of footage from one time to another, read independently of it."""
-    return replace(footage, cut=Cut(start_s=max(0.0, begin_s), end_s=end_s), skipped=[])
+    return replace(footage, cut=FrameRange(start_s=max(0.0, begin_s), end_s=end_s), skipped=[])
 
 
 def _movement(footage: Footage, time_s: float, old: Pixels, new: Pixels) -> tuple[float, float]:

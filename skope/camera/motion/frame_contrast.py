@@ -26,8 +26,8 @@ class ContrastMeasure:
 CONTRAST_MEASURE: Final = ContrastMeasure()
 
 
-def sight_rows(looks: Sequence[tuple[float, str]]) -> list[list[float]]:
-    """A row of time (s), brightness and contrast of each small picture, as `Looks` takes them."""
+def visibility_rows(looks: Sequence[tuple[float, str]]) -> list[list[float]]:
+    """A row of time (s), brightness and contrast of each small picture, as `ViewSamples` takes them."""
     return [[round(time_s, 4), *brightness_and_contrast(unpacked_look(packed))] for time_s, packed in looks]
 
 

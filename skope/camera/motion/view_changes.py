@@ -75,7 +75,7 @@ class ViewChange:
         )
 
 
-class Looks:
+class ViewSamples:
     """Takes a small picture of footage every half a second."""
 
     def __init__(self, last_s: float | None = None) -> None:
@@ -99,7 +99,7 @@ def changes(looks: Sequence[tuple[float, str]], stays: Callable[[float], bool] =
     """Times at which the view changes for good, of looks with their times in seconds, which rise.
 
     Args:
-        looks: Small pictures, as `Looks` takes them.
+        looks: Small pictures, as `ViewSamples` takes them.
         stays: Whether a camera that looks turned from a time on may be taken to be so; else it sways.
     """
     out: list[ViewChange] = []
@@ -141,7 +141,7 @@ def _packed(pixels: Pixels) -> str:
 
 
 def unpacked_look(packed: str) -> Pixels:
-    """The small grey picture (H, W) that `Looks` has taken."""
+    """The small grey picture (H, W) that `ViewSamples` has taken."""
     small: Any = cv2.imdecode(np.frombuffer(base64.b64decode(packed), dtype=np.uint8), cv2.IMREAD_GRAYSCALE)
     return np.asarray(small, dtype=np.uint8)
 

@@ -214,9 +214,9 @@ def evaluate_or_score(
     """Measure a checkpoint on a dataset's test splits, or score a COCO results file."""
     from skope.eval.evaluate import EvalJob, evaluate
     from skope.metrics import read_inputs
-    from skope.metrics.keypoint_outcomes import Options
+    from skope.metrics.keypoint_outcomes import MetricOptions
 
-    options = Options(
+    options = MetricOptions(
         score=score,
         alpha=alpha,
         labelled=labelled,

@@ -73,10 +73,12 @@ def predict(
 ) -> None:
     """Run a detector on footage: COCO results, and overlays. The same command goes on where a stopped one was."""
     from skope.dataset.camera_of_file import fitted_camera, read_camera
-    from skope.video.footage import Cut, open_footage
+    from skope.video.footage import FrameRange, open_footage
 
     check_probability("--score", score)
-    footage = open_footage(source, Cut(every=every, start_s=start, end_s=math.inf if end is None else end), fps=fps)
+    footage = open_footage(
+        source, FrameRange(every=every, start_s=start, end_s=math.inf if end is None else end), fps=fps
+    )
     if blur and not overlay:
         raise UserError("--blur is for the overlay: give --overlay too")
     if overlay and footage.live:

@@ -102,7 +102,7 @@ class SceneOptions(KeypointOptions):
         if scene.motion:
             console.result(f"{scene.file.name}: {scene.motion}")
         if scene.known:
-            console.result(doubt(self.camera or scene.file.name, scene.known.ways_sigma()))
+            console.result(doubt(self.camera or scene.file.name, scene.known.distance_sigma()))
         if self.ground in FITTED_CHOICES:
             scene, words = with_fitted_ground(scene, self.ground, score=self.score, noise=noise[0], sigma_px=self.sigma)
             if words:

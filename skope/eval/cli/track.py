@@ -35,7 +35,7 @@ def track(
     fps: Annotated[
         float | None, data_option(help="Frames a second.", show_default="the times that the frames carry")
     ] = None,
-    begins: Annotated[
+    start_time: Annotated[
         str | None,
         data_option(
             metavar="TIME",
@@ -52,19 +52,19 @@ def track(
 ) -> None:
     """Follow vehicles through footage: tracks in metres with speeds, as CSV, MOTChallenge and SUMO's FCD."""
     from skope.tracking.track_footage import TrackJob, follow_footage
-    from skope.traffic.observation import read_begins
+    from skope.traffic.observation import read_start_time
 
     if fps is not None and not 0.001 <= fps <= 1000:
         raise UserError(f"--fps: expected a number from 0.001 to 1000, got {fps:g}")
-    begin = None if begins is None else read_begins(begins, "--begins")
+    begin = None if start_time is None else read_start_time(start_time, "--start-time")
     scene = options.scene(noise, console=console)
-    said = {} if begin is None else {"begins": begin.isoformat()}
+    said = {} if begin is None else {"start_time": begin.isoformat()}
     options.claim_output(out, "skope eval track", fps=fps, noise=noise, **said)
     job = TrackJob(
         scene=scene,
         place=options.place,
         fps=fps,
-        begins=begin,
+        start_time=begin,
         noise=noise,
         score=options.score,
         sigma_px=options.sigma,

@@ -29,9 +29,9 @@ def recorded_video(source: str) -> "Footage":
     Raises:
         UserError: It cannot be read, is a live stream, or holds images without times.
     """
-    from skope.video.footage import Cut, open_footage
+    from skope.video.footage import FrameRange, open_footage
 
-    footage = open_footage(source, Cut())
+    footage = open_footage(source, FrameRange())
     if footage.clip is None:
         raise UserError(
             f"{source}: images carry no times: begin with `skope eval predict` and `skope eval track --fps`"
@@ -192,7 +192,7 @@ def tracked_footage(
         place=scene_options.place,
         out=tracks,
         fps=None,
-        begins=None,
+        start_time=None,
         noise=0.0,
         score=scene_options.score,
         sigma_px=scene_options.sigma,

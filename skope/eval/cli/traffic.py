@@ -20,13 +20,13 @@ from skope.terminal.console import Console
 if TYPE_CHECKING:
     from skope.site.gates_zones_lanes import Gate
     from skope.site.site_file import SiteFile
-    from skope.traffic.hand_count_file import HandCount
+    from skope.traffic.manual_count_file import ManualCount
     from skope.traffic.observation import Observation
     from skope.traffic.road_picture import EmptyRoadPicture
     from skope.traffic.traffic_report import TrafficReport
 
 COMMAND_NAME: Final = "skope eval traffic"
-BEGINS_FLAG: Final = "--begins"
+START_TIME_FLAG: Final = "--start-time"
 
 
 def traffic(
@@ -34,8 +34,8 @@ def traffic(
         list[str],
         typer.Argument(
             metavar="TRACKS...",
-            help="Folders that `skope eval track` wrote, of one recording or several of one site; a video, which is "
-            "detected first; or, without a camera, a folder that `skope eval predict` wrote.",
+            help="Output folders of `skope eval track`, for one or several recordings of one site; a video; or, "
+            "without a camera, an output folder of `skope eval predict`.",
         ),
     ],
     *,
@@ -43,31 +43,32 @@ def traffic(
         Path,
         data_option(metavar=FILE_METAVAR, help="Site file with gates, zones, lanes and settings (docs/own-road.md)."),
     ] = SITE_FILE,
-    begins: Annotated[
+    start_time: Annotated[
         list[str] | None,
         data_option(
             metavar="TIME",
-            help="When the footage begins, as 2026-11-26T10:00:00; of several recordings once for each, in their "
-            "order.",
-            show_default="as footage or site say",
+            help="Start of the footage, as 2026-11-26T10:00:00. For several recordings give it once for each, in "
+            "their order.",
+            show_default="from the footage or the site file",
         ),
     ] = None,
-    hand_count: Annotated[
+    manual_count: Annotated[
         Path | None,
         data_option(
             metavar=FILE_METAVAR,
-            help="CSV of what was counted by hand (gate,direction,class,begin,end,count); intervals learn from it.",
-            show_default="nothing",
+            help="CSV file of manual counts (gate,direction,class,begin,end,count). They narrow the count intervals; "
+            "counts do not change.",
+            show_default="none",
         ),
     ] = None,
     checkpoint: Annotated[
-        Path, data_option(metavar="PATH", help="Of footage: what to detect with, as `skope eval predict` takes it.")
+        Path, data_option(metavar="PATH", help="Detector for footage, as in `skope eval predict`.")
     ] = Path(weights.DEFAULT_WEIGHTS),
-    also: Annotated[
+    export: Annotated[
         str,
         output(
             metavar=LIST_METAVAR,
-            help="Also the files of other programs: excel, parquet, geojson, openlabel, otanalytics, ssam, sumo.",
+            help="Further formats to write: excel, parquet, geojson, openlabel, otanalytics, ssam, sumo.",
             show_default="none",
         ),
     ] = "",
@@ -81,17 +82,17 @@ def traffic(
     read = read_site(site)
     for key in read.unknown:
         console.warn(f"{site}: {key}: unknown; not used")
-    for line in _report(sources, read, begins or [], hand_count, out, also, checkpoint, hardware, console):
+    for line in _report(sources, read, start_time or [], manual_count, out, export, checkpoint, hardware, console):
         console.result(line)
 
 
 def _report(
     sources: list[str],
     site: "SiteFile",
-    begins: list[str],
-    hand_count: Path | None,
+    start_time: list[str],
+    manual_count: Path | None,
     out: Path,
-    also: str,
+    export: str,
     checkpoint: Path,
     hardware: FastMachineOptions,
     console: Console,
@@ -101,29 +102,31 @@ def _report(
     from skope.traffic.exports.formats import checked_formats
     from skope.traffic.observation import FOOTAGE_FILE
 
-    formats = checked_formats(also, site, metres=True)
+    formats = checked_formats(export, site, metres=True)
     folder = Path(sources[0])
     if len(sources) > 1 or (folder / TRACKS_CSV).is_file() or (folder.is_dir() and (folder / FOOTAGE_FILE).is_file()):
-        return _report_of_tracks([Path(one) for one in sources], site, begins, hand_count, out, formats)
-    start = _only_begin(begins, site)
+        return _report_of_tracks([Path(one) for one in sources], site, start_time, manual_count, out, formats)
+    start = _only_begin(start_time, site)
     if (folder / FRAMES_FILE).is_file():
-        return _report_in_image(folder, site, start, hand_count, out, also)
-    return _report_of_footage(sources[0], site, start, hand_count, out, formats, also, checkpoint, hardware, console)
+        return _report_in_image(folder, site, start, manual_count, out, export)
+    return _report_of_footage(
+        sources[0], site, start, manual_count, out, formats, export, checkpoint, hardware, console
+    )
 
 
-def _options(begins: str | list[str] | None, hand_count: Path | None) -> dict[str, Any]:
+def _options(start_time: str | list[str] | None, manual_count: Path | None) -> dict[str, Any]:
     """Options that are part of the work besides its files."""
-    options: dict[str, Any] = {"begins": begins}
-    if hand_count is not None:
-        options["hand_count"] = sha256_of(hand_count)
+    options: dict[str, Any] = {"start_time": start_time}
+    if manual_count is not None:
+        options["manual_count"] = sha256_of(manual_count)
     return options
 
 
 def _report_of_tracks(
     folders: list[Path],
     site: "SiteFile",
-    begins: list[str],
-    hand_count: Path | None,
+    start_time: list[str],
+    manual_count: Path | None,
     out: Path,
     formats: tuple[str, ...],
 ) -> Iterator[str]:
@@ -134,12 +137,12 @@ def _report_of_tracks(
     from skope.traffic.observation import track_files
     from skope.traffic.recordings import read_recordings
 
-    footage = read_recordings(folders, begins, site, BEGINS_FLAG)
+    footage = read_recordings(folders, start_time, site, START_TIME_FLAG)
     observation, start = footage.observation, footage.start
-    counted = _counted_by_hand(hand_count, site, gates_on_road(site.gates), start, observation)
+    counted = _manual_counts_of(manual_count, site, gates_on_road(site.gates), start, observation)
     # Of several the files alone do not tell which of them began when.
     several = [f"{one.begin.isoformat()} {sha256_of(one.folder / TRACKS_CSV)[:12]}" for one in footage.recordings]
-    options = _options(several or _isoformat(_only_begin(begins, site)), hand_count)
+    options = _options(several or _isoformat(_only_begin(start_time, site)), manual_count)
     ordered = [one.folder for one in footage.recordings] or folders
     inputs = [*(path for folder in ordered for path in track_files(folder)), site.path]
     claim_output(out, COMMAND_NAME, inputs, options)
@@ -153,10 +156,10 @@ def _report_of_footage(
     source: str,
     site: "SiteFile",
     start: datetime | None,
-    hand_count: Path | None,
+    manual_count: Path | None,
     out: Path,
     formats: tuple[str, ...],
-    also: str,
+    export: str,
     checkpoint: Path,
     hardware: FastMachineOptions,
     console: Console,
@@ -177,10 +180,10 @@ def _report_of_footage(
     from skope.traffic.observation import read_observation, track_files
 
     again = out / (SEEN_NAME if site.camera is None else TRACKS_NAME)
-    if hand_count is not None:
+    if manual_count is not None:
         raise UserError(
-            f"--hand-count: needs a folder, not footage: `{COMMAND_NAME} {source} --site {site.path} --out "
-            f"{out}` first, then `{COMMAND_NAME} {again} --site {site.path}` with --hand-count and another --out"
+            f"--manual-count: needs a folder, not footage: `{COMMAND_NAME} {source} --site {site.path} --out "
+            f"{out}` first, then `{COMMAND_NAME} {again} --site {site.path}` with --manual-count and another --out"
         )
     draw = f"`skope eval site {source} --site {site.path}`"
     if site.camera is None and not any(gate.pixels for gate in site.gates):
@@ -195,12 +198,12 @@ def _report_of_footage(
         )
     options = _options(_isoformat(start), None)
     if site.camera is None:
-        checked_formats(also, site, metres=False)
+        checked_formats(export, site, metres=False)
     footage = recorded_video(source)
     site = site_at_size(site, footage, console)
     if site.camera is None:
         folder = detected_footage(footage, site, checkpoint, hardware, out, COMMAND_NAME, options, console)
-        yield from _counted_in_image(folder, source, site, start, None, out, also, options)
+        yield from _counted_in_image(folder, source, site, start, None, out, export, options)
         return
     folder = tracked_footage(footage, site, checkpoint, hardware, out, COMMAND_NAME, options, console)
     observation = read_observation(folder)
@@ -212,7 +215,7 @@ def _report_of_footage(
 
 def _with_skipped(report: "TrafficReport", skipped: list[str]) -> "TrafficReport":
     """The report with a note on each part of the footage that could not be read."""
-    return replace(report, refused=(*report.refused, *(f"not read in the footage: {line}" for line in skipped)))
+    return replace(report, notes=(*report.notes, *(f"not read in the footage: {line}" for line in skipped)))
 
 
 def _claimed(
@@ -261,7 +264,7 @@ def _written(
     ):
         yield f"wrote {path}"
     yield from report_lines(report)
-    for line in report.refused:
+    for line in report.notes:
         yield f"note: {line}"
 
 
@@ -269,9 +272,9 @@ def _report_in_image(
     folder: Path,
     site: "SiteFile",
     start: datetime | None,
-    hand_count: Path | None,
+    manual_count: Path | None,
     out: Path,
-    also: str,
+    export: str,
 ) -> Iterator[str]:
     """Count by gates in the image what `skope eval predict` has followed.
 
@@ -288,8 +291,8 @@ def _report_in_image(
     images = coco.read(folder / FRAMES_FILE).images
     if images:
         site = gates_at_size(site, (images[0].width, images[0].height))
-    options = _options(_isoformat(start), hand_count)
-    yield from _counted_in_image(folder, str(folder), site, start, hand_count, out, also, options, claim=True)
+    options = _options(_isoformat(start), manual_count)
+    yield from _counted_in_image(folder, str(folder), site, start, manual_count, out, export, options, claim=True)
 
 
 def _counted_in_image(
@@ -297,9 +300,9 @@ def _counted_in_image(
     source: str,
     site: "SiteFile",
     start: datetime | None,
-    hand_count: Path | None,
+    manual_count: Path | None,
     out: Path,
-    also: str,
+    export: str,
     options: dict[str, Any],
     *,
     claim: bool = False,
@@ -318,17 +321,17 @@ def _counted_in_image(
     from skope.traffic.recordings import begin_of
     from skope.traffic.road_picture import empty_road_picture
 
-    formats = checked_formats(also, site, metres=False)
+    formats = checked_formats(export, site, metres=False)
     gates = gates_in_image(site.gates)
     tracks, observation, notes = read_image_trajectories(folder, gates)
     begin = begin_of(start, observation, site)
-    counted = _counted_by_hand(hand_count, site, gates, begin, observation)
+    counted = _manual_counts_of(manual_count, site, gates, begin, observation)
     inputs = [folder / FRAMES_FILE, folder / PREDICTIONS_FILE, site.path]
     if claim:
         claim_output(out, COMMAND_NAME, inputs, options)
     further = _claimed(out, inputs, options, site, formats)
     report = _with_skipped(count_in_image(tracks, observation, site, begin, counted), skipped_lines(folder))
-    report = replace(report, refused=(*report.refused, *notes))
+    report = replace(report, notes=(*report.notes, *notes))
     try:
         road = empty_road(folder, coco.read(folder / FRAMES_FILE))
         view = None if road is None else empty_road_picture(road, observation.times_s)
@@ -338,27 +341,27 @@ def _counted_in_image(
     yield from _written(report, source, site, out, further, view=view)
 
 
-def _counted_by_hand(
+def _manual_counts_of(
     path: Path | None, site: "SiteFile", gates: "Sequence[Gate]", start: datetime | None, observation: "Observation"
-) -> "tuple[HandCount, ...]":
-    """The counts that `--hand-count` names, if any. Raises UserError naming file, line and column."""
+) -> "tuple[ManualCount, ...]":
+    """The counts that `--manual-count` names, if any. Raises UserError naming file, line and column."""
     from skope.traffic.counting_intervals import local_start
-    from skope.traffic.hand_count_file import read_hand_counts
+    from skope.traffic.manual_count_file import read_manual_counts
 
     if path is None:
         return ()
     begin = local_start(site) if start is None else start
-    return read_hand_counts(path, gates, site.traffic, begin, observation)
+    return read_manual_counts(path, gates, site.traffic, begin, observation)
 
 
 def _isoformat(time: datetime | None) -> str | None:
     return None if time is None else time.isoformat()
 
 
-def _only_begin(begins: list[str], site: "SiteFile") -> datetime | None:
-    """The time that `--begins` gives for one recording. Raises UserError where it is none, or given several times."""
-    from skope.traffic.recordings import said_begin
+def _only_begin(start_time: list[str], site: "SiteFile") -> datetime | None:
+    """Return the `--start-time` of one recording; a UserError if there are several, or it is not a time."""
+    from skope.traffic.recordings import parse_start_time
 
-    if len(begins) > 1:
-        raise UserError(f"{BEGINS_FLAG}: expected one time for one recording, got {len(begins)}")
-    return said_begin(begins[0], site, BEGINS_FLAG) if begins else None
+    if len(start_time) > 1:
+        raise UserError(f"{START_TIME_FLAG}: expected one time for one recording, got {len(start_time)}")
+    return parse_start_time(start_time[0], site, START_TIME_FLAG) if start_time else None

@@ -17,7 +17,7 @@ from skope.files.json_files import read_json
 from skope.metrics import pck_precision_recall
 from skope.metrics.intervals import Blocks, difference
 from skope.metrics.keypoint_outcomes import PROTOCOL_NAMES
-from skope.metrics.outcome_counts import FIGURE_NAMES, Name, Tally, quotients, ratio
+from skope.metrics.outcome_counts import FIGURE_NAMES, ImageCounts, Name, quotients, ratio
 from skope.metrics.split_scores import from_tallies
 from skope.terminal.console import text_table
 
@@ -99,7 +99,7 @@ def _split(runs: Sequence[Run], split: str) -> dict[str, Any]:
     }
 
 
-def _aligned(first: Run, run: Run, split: str) -> tuple[Blocks, dict[str, Tally]]:
+def _aligned(first: Run, run: Run, split: str) -> tuple[Blocks, dict[str, ImageCounts]]:
     """Blocks and counts of a run, its images in the order of the first run's."""
     path = Path(run.name) / TALLIES_FILE
     reference = _valid(Path(first.name) / TALLIES_FILE, lambda: list(first.tallies[split]["image_ids"]))
@@ -110,7 +110,8 @@ def _aligned(first: Run, run: Run, split: str) -> tuple[Blocks, dict[str, Tally]
     place = {image: i for i, image in enumerate(image_ids)}
     order = np.array([place[image] for image in reference], dtype=np.int64)
     aligned = {
-        t: Tally(**{name: column[order] for name, column in vars(counts).items()}) for t, counts in columns.items()
+        t: ImageCounts(**{name: column[order] for name, column in vars(counts).items()})
+        for t, counts in columns.items()
     }
     _, expected = from_tallies(first.tallies[split])
     for t, counts in aligned.items():
@@ -127,7 +128,7 @@ def _valid(path: Path, make: Callable[[], T]) -> T:
         raise UserError(f"{path}: damaged; evaluate again") from None
 
 
-def _differences(blocks: Blocks, runs: Sequence[Tally]) -> list[dict[str, Any]]:
+def _differences(blocks: Blocks, runs: Sequence[ImageCounts]) -> list[dict[str, Any]]:
     """For each figure its value in each run, and the differences from the first run with their intervals."""
     columns = [quotients(counts) for counts in runs]
     return [

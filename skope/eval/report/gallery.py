@@ -9,7 +9,7 @@ from markupsafe import Markup
 
 from skope.errors import UserError
 from skope.metrics.failures import ERROR_KINDS, false_detections, wrong_points
-from skope.metrics.keypoint_outcomes import Options, Outcomes
+from skope.metrics.keypoint_outcomes import MetricOptions, Outcomes
 from skope.metrics.match import box_of
 from skope.metrics.outcome_counts import quality
 from skope.metrics.split_scores import SplitScores
@@ -69,7 +69,7 @@ class Photo:
     """Failures in words."""
 
 
-def gallery(measured: SplitScores, root: Path, options: Options) -> list[Photo]:
+def gallery(measured: SplitScores, root: Path, options: MetricOptions) -> list[Photo]:
     """Draw the best, the median and the worst images of a split, with the failures in each.
 
     Args:
@@ -107,7 +107,7 @@ def gallery(measured: SplitScores, root: Path, options: Options) -> list[Photo]:
 
 
 def _layers(
-    measured: SplitScores, index: int, outcomes: Outcomes, kinds: Integers, options: Options
+    measured: SplitScores, index: int, outcomes: Outcomes, kinds: Integers, options: MetricOptions
 ) -> tuple[list[str], list[str]]:
     """Layers of one image as SVG groups, and its failures in words."""
     matches, image = measured.matches, measured.file.images[index]

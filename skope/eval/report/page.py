@@ -9,7 +9,7 @@ from markupsafe import Markup
 
 from skope.eval.report.gallery import gallery
 from skope.eval.report.table import AREA_WORDS, FIGURE_COLUMNS, evidence, published_row, road_user_rows, row_of
-from skope.metrics.keypoint_outcomes import PROTOCOL_NAMES, Options
+from skope.metrics.keypoint_outcomes import PROTOCOL_NAMES, MetricOptions
 from skope.metrics.match import match
 from skope.metrics.pck_precision_recall import METRIC_RULES
 from skope.metrics.road_users import AP50_IOU
@@ -23,7 +23,7 @@ from skope.version import __version__
 CURVE_ALPHAS = np.linspace(0, 0.2, 41)
 
 
-def precision_recall(measured: SplitScores, options: Options) -> list[Line]:
+def precision_recall(measured: SplitScores, options: MetricOptions) -> list[Line]:
     """Box precision over recall by falling score, a line per IoU threshold, of all results whatever they score.
 
     Detections on ignored vehicles are left out, as in the pooled protocol.
@@ -41,7 +41,7 @@ def precision_recall(measured: SplitScores, options: Options) -> list[Line]:
     return lines
 
 
-def pck_over_alpha(measured: SplitScores, options: Options) -> list[Line]:
+def pck_over_alpha(measured: SplitScores, options: MetricOptions) -> list[Line]:
     """PCK of matched vehicles over alpha, a line per IoU threshold."""
     lines = []
     for t in options.iou:
@@ -103,7 +103,7 @@ def render_page(
     document: Mapping[str, Any],
     measured: Sequence[SplitScores],
     root: Path,
-    options: Options,
+    options: MetricOptions,
     protocol: str,
     beside: Mapping[str, Any] | None,
     subject: str,
@@ -222,7 +222,7 @@ def _cell(value: float | None, interval: Sequence[float] | None, percent: bool) 
     return Cell(text, f"{scale * low:.{digits}f}–{scale * high:.{digits}f}")
 
 
-def _split(measured: SplitScores, root: Path, options: Options) -> dict[str, Any]:
+def _split(measured: SplitScores, root: Path, options: MetricOptions) -> dict[str, Any]:
     """What the page has of a split."""
     entry = measured.entry
     loosest = f"{options.loosest:g}"

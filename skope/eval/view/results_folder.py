@@ -16,7 +16,7 @@ from skope.files.atomic import sha256_of
 from skope.files.json_files import read_json
 from skope.files.output_folders import WORK_FILE
 from skope.metrics import read_inputs
-from skope.metrics.keypoint_outcomes import Options
+from skope.metrics.keypoint_outcomes import MetricOptions
 from skope.metrics.read_inputs import GroundTruth
 from skope.schema import AnnotationFile, Image, Result, RoadUser, RoadUserResult
 from skope.terminal.console import Console
@@ -38,7 +38,7 @@ def footage_collection(folder: Path) -> Collection:
         splits=(ShownSplit(file=file, results=tuple(results)),),
         picture=_pictures(folder, file.info.get(FOUND_AT)),
         truth=False,
-        options=Options(score=0.0, scheme=file.scheme),
+        options=MetricOptions(score=0.0, scheme=file.scheme),
     )
 
 
@@ -158,7 +158,7 @@ def _check_unchanged(path: Path, source: Path, inputs: Mapping[str, str]) -> Non
         raise UserError(f"{source}: has changed since {path} was written; evaluate again")
 
 
-def _options(path: Path, metrics: Mapping[str, Any], truth: GroundTruth) -> Options:
+def _options(path: Path, metrics: Mapping[str, Any], truth: GroundTruth) -> MetricOptions:
     """Options that an evaluation was made with."""
     try:
         thresholds = [float(t) for split in metrics["splits"].values() for t in split["iou"]]
@@ -167,7 +167,7 @@ def _options(path: Path, metrics: Mapping[str, Any], truth: GroundTruth) -> Opti
             raise UserError(f"scheme: {metrics['scheme']!r} is none")
         if not all(isinstance(k, int) and 0 <= k < keypoints.K for k in points):
             raise UserError(f"points: expected whole numbers from 0 to {keypoints.K - 1}")
-        return Options(
+        return MetricOptions(
             score=metrics["score_threshold"],
             alpha=metrics["alpha"],
             labelled=metrics["labelled"],

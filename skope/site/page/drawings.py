@@ -12,7 +12,7 @@ from typing import Any, Final
 import numpy as np
 from shapely import Polygon
 
-from skope.camera.ground_plane import ground_places
+from skope.camera.ground_plane import intersect_ground
 from skope.camera.model import Camera
 from skope.site.gates_zones_lanes import DEFAULT_LANE_M, line_on_road
 from skope.site.mark_parser import MARK_LIMITS, NO_NAME, Problem, is_name, number_or_none, positions
@@ -356,6 +356,6 @@ def _beside(lane: Drawing, side: int) -> Array:
 
 
 def _occluder_warnings(one: Drawing, camera: Camera) -> list[str]:
-    if one.foot is None or np.isfinite(ground_places(camera, one.foot)).all():
+    if one.foot is None or np.isfinite(intersect_ground(camera, one.foot)).all():
         return []
     return ["its foot lies above the horizon: it stands nowhere on the road"]

@@ -12,7 +12,7 @@ from datetime import datetime
 from typing import Any, Final
 from zoneinfo import ZoneInfo
 
-from skope.camera.evidence import Belief, Evidence
+from skope.camera.evidence import CameraPrior, Evidence
 from skope.errors import UserError
 from skope.site.calibration_marks import beliefs_of
 from skope.site.mark_parser import (
@@ -94,7 +94,7 @@ def _name_problems(kind: str, index: int, name: str, own: Any) -> list[Problem]:
     return []
 
 
-def _known(value: Any, width: int) -> tuple[tuple[Belief, ...], list[Problem]]:
+def _known(value: Any, width: int) -> tuple[tuple[CameraPrior, ...], list[Problem]]:
     """Prior knowledge of the camera: `fov_deg` and `height_m`, each [value, standard deviation]."""
     given = value if isinstance(value, dict) else {}
     found: dict[str, tuple[float, float]] = {}

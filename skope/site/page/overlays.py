@@ -10,7 +10,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from skope.camera.ground_plane import ground_places
+from skope.camera.ground_plane import intersect_ground
 from skope.camera.model import Camera
 from skope.types import Array
 
@@ -132,7 +132,7 @@ def _standing(camera: Camera, columns: tuple[float, ...]) -> list[Array]:
     rows = np.linspace(0.95, 0.3, 60) * camera.height
     out: list[Array] = []
     for share in columns:
-        places = ground_places(camera, np.stack([np.full(60, share * camera.width), rows], axis=-1))
+        places = intersect_ground(camera, np.stack([np.full(60, share * camera.width), rows], axis=-1))
         away = np.linalg.norm(places - camera.position, axis=-1)
         last = 0.0
         for place, distance in zip(places, away.tolist(), strict=True):

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skope.camera.geographic import local_metres, utm_metres
-from skope.camera.ground_plane import ground_places
+from skope.camera.ground_plane import intersect_ground
 from skope.camera.model import Camera
 from skope.errors import UserError
 from skope.files.atomic import read_bytes, replacing
@@ -149,7 +149,7 @@ def _extent(camera: Camera) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """(2,) and (2,) corners of the rectangle that holds the road near the camera."""
     reach = float(np.clip(PLAN_RULES.reach_heights * camera.position[2], *PLAN_RULES.reach_m))
     u, v = np.meshgrid(np.linspace(0, camera.width, 41), np.linspace(0, camera.height, 41))
-    places = ground_places(camera, np.stack([u, v], axis=-1)).reshape(-1, 3)
+    places = intersect_ground(camera, np.stack([u, v], axis=-1)).reshape(-1, 3)
     away = np.linalg.norm(places[:, :2] - camera.position[:2], axis=-1)
     near = places[np.isfinite(away) & (away < reach), :2]
     if len(near) < 3:

@@ -10,7 +10,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from skope.camera.evidence import MARKING_ERRORS, Belief, MarkedPoint
+from skope.camera.evidence import MARKING_ERRORS, CameraPrior, MarkedPoint
 from skope.camera.model import Camera
 from skope.camera.uncertain_camera import UncertainCamera
 from skope.dataset.camera_of_file import fitted_camera
@@ -47,7 +47,7 @@ class Opened:
     document: dict[str, Any]
     revision: str | None
     """None: there is no file yet."""
-    vehicles: Belief | None = None
+    vehicles: CameraPrior | None = None
     """Evidence of vehicles on the camera."""
     plan: Path | None = None
     """The plan's picture, which need not be there."""

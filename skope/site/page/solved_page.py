@@ -10,8 +10,8 @@ from typing import Any, Final
 import numpy as np
 
 from skope.camera.calibrate import LeftOutError, SiteCalibration, calibrate, left_out_errors
-from skope.camera.evidence import Belief, Evidence
-from skope.camera.ground_plane import ground_places
+from skope.camera.evidence import CameraPrior, Evidence
+from skope.camera.ground_plane import intersect_ground
 from skope.camera.model import Camera
 from skope.camera.pose_from_points import POINT_FIT
 from skope.camera.uncertain_camera import UncertainCamera
@@ -155,7 +155,7 @@ class SolvedCamera:
 class SolvedPage:
     """Answers to documents, whose camera is solved again only where its marks have changed."""
 
-    def __init__(self, size: tuple[int, int], vehicles: Belief | None = None) -> None:
+    def __init__(self, size: tuple[int, int], vehicles: CameraPrior | None = None) -> None:
         """`vehicles` is what vehicles say of the camera."""
         self.size, self._vehicles = size, vehicles
         self._lock = threading.Lock()
@@ -233,7 +233,7 @@ class SolvedPage:
         if solved.camera is None:
             raise UserError("the camera is not calibrated yet: " + solved.message)
         at = np.asarray(rows).reshape(-1, 2)
-        places = ground_places(solved.camera, at)
+        places = intersect_ground(solved.camera, at)
         errors = solved.known.place_error(at) if solved.known else None
         return {
             "places": [[round(float(v), 3) for v in p[:2]] if np.isfinite(p).all() else None for p in places],

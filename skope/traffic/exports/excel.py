@@ -126,6 +126,6 @@ def _write_summary(sheet: "Worksheet", report: TrafficReport, formats: _Formats)
             _write_cell(sheet, row, column, value, formats)
     row += 2
     sheet.write_string(row, 0, "not measured, or to be distrusted", formats.head)
-    for line in report.refused:
+    for line in report.notes:
         row += 1
         sheet.write_string(row, 0, line)

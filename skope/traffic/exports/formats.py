@@ -49,9 +49,9 @@ def checked_formats(text: str, site: "SiteParts", *, metres: bool) -> tuple[str,
     names = [name.strip() for name in text.split(",") if name.strip()]
     for name in names:
         if name not in EXPORT_FORMATS:
-            raise UserError(f"--also: expected some of {', '.join(EXPORT_FORMATS)}, got {name!r:.40}")
+            raise UserError(f"--export: expected some of {', '.join(EXPORT_FORMATS)}, got {name!r:.40}")
         if not metres and name not in IN_PIXELS:
-            raise UserError(f"--also: {name} needs metres, and nothing calibrates the camera")
+            raise UserError(f"--export: {name} needs metres, and nothing calibrates the camera")
     if "geojson" in names:
         on_earth(site.world, np.zeros((1, 2)))
     if "sumo" in names:

@@ -86,7 +86,7 @@ def _features(report: TrafficReport) -> Iterator[dict[str, Any]]:
                     for name, value in (
                         ("ttc_s", conflict.ttc_s),
                         ("ttc_probability", conflict.probability),
-                        ("pet_ssam_s", conflict.pet_places_s),
+                        ("pet_ssam_s", conflict.pet_ssam_s),
                         ("pet_sigma_s", conflict.pet_sigma_s),
                     )
                 },
@@ -125,7 +125,7 @@ def _length(report: TrafficReport, one: Track) -> dict[str, Any]:
     """Length, its standard deviation, bin and probability of a vehicle; nothing of others, who have none."""
     if not has_length(one):
         return {}
-    common = report.observation.common_sigma
+    common = report.observation.common_scale_sigma
     name, probability = length_bin(one, report.site.traffic.length_bins_m, common)
     return {
         "length_m": one.length,

@@ -64,7 +64,7 @@ def edges_of(site: "SiteParts") -> dict[GateSide, str]:
 
 
 def _observed(report: TrafficReport, interval: ClockInterval) -> bool:
-    return observed_word(interval, report.observation.seconds_in(interval.begin_s, interval.end_s)) == "all"
+    return observed_word(interval, report.observation.seconds_in(interval.begin_s, interval.end_s)) == "full"
 
 
 def _shift(report: TrafficReport) -> float:

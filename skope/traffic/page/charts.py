@@ -23,7 +23,7 @@ from skope.traffic.gates import direction_names
 from skope.traffic.page.count_tables import Block, interval_label, side_name, with_interval
 from skope.traffic.speeds import MOTOR_CLASSES
 from skope.traffic.traffic_report import TrafficReport
-from skope.traffic.turning_movements import NO_GATE, GateDirection, TurningCount
+from skope.traffic.turning_movements import NO_GATE, GateDirection, TurningMovementCount
 from skope.types import Array
 
 
@@ -32,7 +32,7 @@ class ChartStyle:
     """Sizes of the charts."""
 
     most_intervals: int = 100
-    """Maximum number of intervals with a matrix each. The others are in turning.csv."""
+    """Maximum number of intervals with a matrix each. The others are in turning_movements.csv."""
     diagram: float = 560.0
     """Side of the diagram of movements."""
     diagram_radius: float = 200.0
@@ -124,12 +124,12 @@ def _order(report: TrafficReport) -> list[GateDirection]:
     return list(dict.fromkeys((row.gate, row.direction) for row in report.counts_total))
 
 
-def _cells(rows: Iterable[TurningCount], class_name: str) -> dict[Pair, TurningCount]:
+def _cells(rows: Iterable[TurningMovementCount], class_name: str) -> dict[Pair, TurningMovementCount]:
     return {(row.origin, row.destination): row for row in rows if row.class_name == class_name}
 
 
 def _matrix(
-    cells: Mapping[Pair, TurningCount],
+    cells: Mapping[Pair, TurningMovementCount],
     origins: Sequence[GateDirection],
     destinations: Sequence[GateDirection],
     caption: str,
@@ -254,7 +254,9 @@ def _at(angle: float, radius: float) -> tuple[float, float]:
     return CHART_STYLE.diagram / 2 + radius * math.cos(angle), CHART_STYLE.diagram / 2 - radius * math.sin(angle)
 
 
-def _band(one: TurningCount, angles: dict[str, float], most: int, style: int, rank: int) -> tuple[Markup, Markup]:
+def _band(
+    one: TurningMovementCount, angles: dict[str, float], most: int, style: int, rank: int
+) -> tuple[Markup, Markup]:
     """The band of a movement, and its number: farther along for each larger one from the same gate and direction.
 
     Who comes in keeps to the right of who goes out.

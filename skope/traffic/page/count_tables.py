@@ -173,7 +173,7 @@ def _by_interval(
 
 def _observed_label(report: TrafficReport, interval: ClockInterval, row: Count) -> Cell:
     """Begin of an interval, with a note if it was observed in part."""
-    return Cell(interval_label(report, interval), "observed in part" if row.observed == "part" else None)
+    return Cell(interval_label(report, interval), "observed in part" if row.observed == "partial" else None)
 
 
 def all_by_interval(report: TrafficReport) -> list[Block]:

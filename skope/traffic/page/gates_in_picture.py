@@ -14,7 +14,7 @@ from skope.page.templates import piece
 from skope.traffic.count_uncertainty import in_words
 from skope.traffic.gate_counts import ALL_CLASSES, Count
 from skope.traffic.page.count_tables import count_text, side_name
-from skope.traffic.page.hand_count import view_of_gates
+from skope.traffic.page.manual_count import view_of_gates
 from skope.traffic.road_picture import EmptyRoadPicture
 from skope.traffic.traffic_report import TrafficReport
 from skope.types import Array

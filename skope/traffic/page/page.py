@@ -35,13 +35,13 @@ from skope.traffic.page.count_tables import (
     side_name,
 )
 from skope.traffic.page.gates_in_picture import gates_in_picture
-from skope.traffic.page.hand_count import hand_count_json
+from skope.traffic.page.manual_count import manual_count_json
 from skope.traffic.page.road_map import road_map
 from skope.traffic.report_tables import clock
 from skope.traffic.road_picture import EmptyRoadPicture, RoadPicture
 from skope.traffic.speeds import MOTOR_TRAFFIC, SPEED_PERCENTILES, Percentile
 from skope.traffic.traffic_report import TrafficReport
-from skope.traffic.turning_movements import TurningCount
+from skope.traffic.turning_movements import TurningMovementCount
 from skope.version import __version__
 
 REPORT_FILE: Final = "report.html"
@@ -121,16 +121,16 @@ def traffic_page(
         "Crossings that are not counted": _left_out(report),
         "Accuracy": _accuracy(report),
     }
-    hand_data = hand_count_json(report, camera)
+    manual_count_data = manual_count_json(report, camera)
     return render(
         "traffic/page/report.html",
         title=f"Traffic: {report.observation.source or tracks}",
         what=_what(report),
         drawings=[gates_in_picture(report, view, camera), road_map(report, road)],
         sections=sections,
-        hand_data=hand_data,
-        hand_scripts=["traffic/page/hand_count.js"] if hand_data else [],
-        remarks=report.refused,
+        manual_count_data=manual_count_data,
+        manual_count_scripts=["traffic/page/manual_count.js"] if manual_count_data else [],
+        remarks=report.notes,
         colophon=f"skope {__version__}; tracks of {tracks}; intervals hold 90%",
     )
 
@@ -161,7 +161,7 @@ def _figures(found: Iterator[Markup]) -> list[Block]:
     return [tag("div", *every, class_="grid figures")] if every else []
 
 
-def _without_repeats(report: TrafficReport, rows: Sequence[TurningCount]) -> list[TurningCount]:
+def _without_repeats(report: TrafficReport, rows: Sequence[TurningMovementCount]) -> list[TurningMovementCount]:
     """The rows, but those of vehicles where nobody else was counted: they say what those of all say."""
     mixed = any(one.trajectory.category != VEHICLE_CATEGORY for one in (*report.crossings, *report.unseen.doubtful))
     return [one for one in rows if mixed or one.class_name != VEHICLE_CATEGORY]
@@ -251,15 +251,15 @@ def _conflicts(report: TrafficReport) -> list[Block]:
     def severe(value: float) -> float:
         return math.inf if math.isnan(value) else value
 
-    worst = sorted(found, key=lambda one: min(severe(one.ttc_s), severe(one.pet_places_s)))[: REPORT_PAGE.conflicts]
+    worst = sorted(found, key=lambda one: min(severe(one.ttc_s), severe(one.pet_ssam_s)))[: REPORT_PAGE.conflicts]
     rows = []
     for one in worst:
         moment = clock(report, one.time_s)
         ttc = "–" if math.isnan(one.ttc_s) else f"{one.ttc_s:.1f} ({one.ttc_low_s:.1f} to {_end(one.ttc_high_s)})"
         pet = (
             "–"
-            if math.isnan(one.pet_places_s)
-            else f"{one.pet_places_s:.1f} ± {_upwards(INTERVAL_SIGMAS * one.pet_sigma_s):.1f}"
+            if math.isnan(one.pet_ssam_s)
+            else f"{one.pet_ssam_s:.1f} ± {_upwards(INTERVAL_SIGMAS * one.pet_sigma_s):.1f}"
         )
         who = f"{one.first.class_name} {one.first.number}, {one.second.class_name} {one.second.number}"
         when = f"{one.time_s:.1f} s" if moment is None else f"{moment:%H:%M:%S}"
@@ -282,7 +282,7 @@ def _end(value: float) -> str:
 def _accuracy(report: TrafficReport) -> list[Block]:
     """Table of hand counts beside what was counted here."""
     rows = []
-    for one in report.hand_checks:
+    for one in report.manual_count_checks:
         hand = one.hand
         begin, end = (
             f"{moment:%H:%M:%S}" if moment else f"{seconds:.0f} s"
@@ -296,12 +296,12 @@ def _accuracy(report: TrafficReport) -> list[Block]:
         rows.append([f"{hand.gate} ({hand.direction_name})", hand.class_name, *cells])
     if not rows:
         return [
-            "No manual counts. Count 10 to 15 minutes at each gate and pass the file with --hand-count. This section "
+            "No manual counts. Count 10 to 15 minutes at each gate and pass the file with --manual-count. This section "
             "then shows errors and GEH, and all count intervals are updated."
         ]
-    errors = [abs(one.count - one.hand.number) for one in report.hand_checks]
-    total = sum(one.hand.number for one in report.hand_checks)
+    errors = [abs(one.count - one.hand.number) for one in report.manual_count_checks]
+    total = sum(one.hand.number for one in report.manual_count_checks)
     said = f"Together {sum(errors)} off, of {total} counted by hand"
-    said += f"; GEH under 5 in {np.mean([one.geh < 5 for one in report.hand_checks]):.0%}." if rows else "."
+    said += f"; GEH under 5 in {np.mean([one.geh < 5 for one in report.manual_count_checks]):.0%}." if rows else "."
     head = ["gate", "class", "when", "by hand", "counted", "off", "GEH", "90% interval without the manual count"]
     return [Table(caption="Counted by hand", head=head, rows=rows), said]

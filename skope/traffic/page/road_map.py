@@ -150,7 +150,7 @@ def _conflicts(report: TrafficReport, frame: _Frame) -> Iterator[Markup]:
         ((x, y),) = frame.points(one.place[None])
         measures = [
             f"{name} {value:.1f} s"
-            for name, value in (("TTC", one.ttc_s), ("PET", one.pet_places_s))
+            for name, value in (("TTC", one.ttc_s), ("PET", one.pet_ssam_s))
             if not math.isnan(value)
         ]
         tip = f"conflict at {one.time_s:.1f} s: {one.first.class_name} {one.first.number} and "

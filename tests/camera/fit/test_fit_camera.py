@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from skope.camera.fit.bundle_adjustment import VehicleViews
-from skope.camera.fit.camera_doubts import sigma_of_ways, why_not
+from skope.camera.fit.camera_doubts import rejection_reason, sigma_of_ways
 from skope.camera.fit.camera_unknowns import FOCAL, HEIGHT, PITCH, camera_of_unknowns
 from skope.camera.fit.fit_camera import CameraEstimate, Rival, fit_camera_to_vehicles
 from skope.camera.fit.write_camera import KnownLength, camera_figures, corrected, doubt, known_of
@@ -55,7 +55,7 @@ def ways(unknowns: Array, pixels: Array) -> Array:
 def test_a_camera_is_what_it_says_it_is_within_what_it_says(name: str) -> None:
     _, truth, edges = stored(name)
     estimate = fitted(name)
-    assert why_not(estimate, edges) is None
+    assert rejection_reason(estimate, edges) is None
     away = estimate.solved.bundle.camera - truth
     sigma = np.sqrt(np.diag(estimate.covariance))
     assert (np.abs(away) < 3 * sigma)[[FOCAL, PITCH, HEIGHT]].all()
@@ -71,7 +71,7 @@ def test_what_contradicts_itself_is_refused() -> None:
     _, truth, edges = stored("refused")
     estimate = fitted("refused")
     assert abs(estimate.solved.bundle.camera[FOCAL] - truth[FOCAL]) > 0.15
-    words = why_not(estimate, edges)
+    words = rejection_reason(estimate, edges)
     assert words is not None
     assert "keypoints lie where they cannot" in words
 
@@ -82,7 +82,7 @@ def test_squeezed_pictures_are_refused() -> None:
     found[..., 0] = SIZE[0] / 2 + 0.75 * (found[..., 0] - SIZE[0] / 2)
     estimate = fit_camera_to_vehicles(replace(views, found=found))
     undoubted = replace(estimate, unevenness=0.0, covariance=fitted("steep").covariance)
-    assert "a pixel is 1.33 times as wide as high" in str(why_not(undoubted, edges))
+    assert "a pixel is 1.33 times as wide as high" in str(rejection_reason(undoubted, edges))
 
 
 def test_what_is_known_is_kept_to() -> None:
@@ -116,18 +116,18 @@ def test_a_known_length_says_how_large_everything_is() -> None:
 def test_each_doubt_has_its_sentence() -> None:
     estimate, edges = fitted("day"), stored("day")[2]
     sky = np.column_stack([np.linspace(0, SIZE[0], 50), np.full(50, -150.0)])
-    assert "above the horizon" in str(why_not(estimate, np.concatenate([edges[:50], sky])))
+    assert "above the horizon" in str(rejection_reason(estimate, np.concatenate([edges[:50], sky])))
     vague = replace(estimate, covariance=100 * estimate.covariance)
-    assert "distances along the road are known within" in str(why_not(vague, edges))
+    assert "distances along the road are known within" in str(rejection_reason(vague, edges))
     assert estimate.unevenness < 0.5
-    assert "do not stand on one plane" in str(why_not(replace(estimate, unevenness=0.7), edges))
+    assert "do not stand on one plane" in str(rejection_reason(replace(estimate, unevenness=0.7), edges))
     other = estimate.solved.bundle.camera + np.array([0.0, 0.0, 0.0, 0.3, 0.0])
-    assert "two are about as likely" in str(why_not(replace(estimate, rival=Rival(other, 2.0)), edges))
-    assert why_not(replace(estimate, rival=Rival(other, 20.0)), edges) is None
+    assert "two are about as likely" in str(rejection_reason(replace(estimate, rival=Rival(other, 2.0)), edges))
+    assert rejection_reason(replace(estimate, rival=Rival(other, 20.0)), edges) is None
     bundle = estimate.solved.bundle
     aside = replace(bundle, pose=bundle.pose + [0.0, 0.0, math.radians(15)])
     turned = replace(estimate, solved=replace(estimate.solved, bundle=aside))
-    assert "aside of where they head" in str(why_not(turned, edges))
+    assert "aside of where they head" in str(rejection_reason(turned, edges))
 
 
 @pytest.mark.slow
@@ -190,4 +190,4 @@ def test_a_road_that_rises_is_no_plane() -> None:
         found[row, :, :2] += there - here
     estimate = fit_camera_to_vehicles(replace(views, found=found))
     assert estimate.unevenness > fitted("day").unevenness
-    assert why_not(estimate, edges) is not None
+    assert rejection_reason(estimate, edges) is not None

@@ -16,7 +16,7 @@ from scipy.stats import chi2
 
 from skope.camera.calibrate import calibrate
 from skope.camera.evidence import Evidence, marked_points
-from skope.camera.ground_plane import ground_places
+from skope.camera.ground_plane import intersect_ground
 from skope.camera.model import Camera, Distortion
 from skope.camera.motion.camera_motion import turned_camera
 from skope.camera.uncertain_camera import UncertainCamera
@@ -60,7 +60,7 @@ def write(path: Path, pixels: NDArray[np.uint8]) -> Path:
 
 
 def evidence(rng: np.random.Generator) -> Evidence:
-    places = ground_places(OLD, MARKS) + rng.normal(0, [0.1, 0.1, 0.03], (len(MARKS), 3))
+    places = intersect_ground(OLD, MARKS) + rng.normal(0, [0.1, 0.1, 0.03], (len(MARKS), 3))
     return Evidence((640, 360), points=marked_points(MARKS + rng.normal(0, 1.0, MARKS.shape), places))
 
 
@@ -73,7 +73,7 @@ def points_file(path: Path, marks: Evidence) -> Path:
 def road(camera: Camera) -> tuple[Array, Array]:
     u, v = np.meshgrid(np.linspace(40, 600, 9), np.linspace(150, 340, 7))
     pixels = np.column_stack([u.ravel(), v.ravel()])
-    places = ground_places(camera, pixels)
+    places = intersect_ground(camera, pixels)
     near = np.linalg.norm(places - camera.position, axis=1) < 40
     return pixels[near], places[near]
 

@@ -16,15 +16,15 @@ import pytest
 from skope.camera.motion import camera_shake as camera_sway
 from skope.camera.motion.camera_motion import CameraMotion
 from skope.camera.motion.camera_shake import (
+    CameraShakeEstimator,
+    CameraShakeRecord,
     MotionProcess,
-    SwayRecord,
-    SwayWatch,
     motion_of_row,
     motion_to_row,
     record_of,
 )
 from skope.camera.motion.image_shift import ImageMotion, ReferencePicture, SmallPicture
-from skope.camera.motion.view_changes import Looks, ViewChange
+from skope.camera.motion.view_changes import ViewChange, ViewSamples
 from skope.errors import UserError
 from skope.schema import Image
 from tests.camera.motion.test_image_shift import SIZE, picture, with_traffic
@@ -43,7 +43,7 @@ def path(count: int, sway_px: float, period_s: float, bump_px: float = 0.0) -> l
 
 def recorded(
     shifts: list[tuple[float, float]], processes: int = 0
-) -> tuple[SwayRecord, list[ViewChange], CameraMotion | None]:
+) -> tuple[CameraShakeRecord, list[ViewChange], CameraMotion | None]:
     rng = np.random.default_rng(0)
 
     def frames() -> list[tuple[Image, Any]]:
@@ -55,7 +55,7 @@ def recorded(
             out.append((image, with_traffic(picture(H), rng, k)))
         return out
 
-    watch, looks = SwayWatch(processes=processes), Looks()
+    watch, looks = CameraShakeEstimator(processes=processes), ViewSamples()
     images = [image for image, _ in looks.watch(watch.watch(iter(frames())))]
     rows = json.loads(json.dumps([motion_to_row(watch.taken(image.id)) for image in images]))
     record = record_of(images, map(motion_of_row, rows), SIZE[0])
@@ -75,7 +75,7 @@ def test_frames_pass_while_they_are_measured(monkeypatch: pytest.MonkeyPatch) ->
         return None
 
     monkeypatch.setattr(ReferencePicture, "motion", motion)
-    watch = SwayWatch()
+    watch = CameraShakeEstimator()
     frames = [(Image(id=k, file_name=f"{k}", width=30, height=20, time_s=k / 10), pixels + (k == 2)) for k in (1, 2, 3)]
     passed = watch.watch(iter(frames))
     assert [next(passed)[0].id for _ in frames] == [1, 2, 3]
@@ -136,7 +136,7 @@ def test_measuring_processes_end_with_the_watch() -> None:
         (Image(id=k, file_name=f"{k}", width=SIZE[0], height=SIZE[1], time_s=k / FPS), pixels) for k in range(1, 9)
     )
     made: list[MotionProcess] = []
-    watch = SwayWatch(processes=2)
+    watch = CameraShakeEstimator(processes=2)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(camera_sway, "MotionProcess", lambda first: made.append(MotionProcess(first)) or made[-1])
         passed = watch.watch(frames)
@@ -179,7 +179,7 @@ def test_a_bump_is_told_to_the_frame_and_each_part_has_its_own_rest() -> None:
 def test_a_turn_or_zoom_about_the_middle_is_another_view(turn: float, growth: float) -> None:
     """The image's edges move by 9.6 px, its middle does not."""
     still, moved = ImageMotion(0, 0, 0, 0.1, 1e-4), ImageMotion(0, 0, turn, 0.1, 1e-4, growth=growth)
-    record = SwayRecord(tuple(range(80)), np.arange(80) / FPS, (still,) * 40 + (moved,) * 40, SIZE[0])
+    record = CameraShakeRecord(tuple(range(80)), np.arange(80) / FPS, (still,) * 40 + (moved,) * 40, SIZE[0])
     (change,) = record.view_changes([])
     assert change.time_s == pytest.approx(4.0)
     assert change.shift * SIZE[0] == pytest.approx(9.6)
@@ -188,14 +188,14 @@ def test_a_turn_or_zoom_about_the_middle_is_another_view(turn: float, growth: fl
 def test_the_movement_to_another_view_is_no_sway() -> None:
     shifts = [0.0] * 40 + [20.0, 40.0, 30.0, 50.0, 45.0] + [40.0] * 35
     motions = tuple(ImageMotion(x, 0, 0, 0.1, 1e-4) for x in shifts)
-    record = SwayRecord(tuple(range(80)), np.arange(80) / FPS, motions, SIZE[0])
+    record = CameraShakeRecord(tuple(range(80)), np.arange(80) / FPS, motions, SIZE[0])
     change = ViewChange(4.0, cut=False, shift=40 / SIZE[0])
     assert record.motion([change]) is not None
     assert record.motion([replace(change, settled_s=4.5)]) is None
 
 
 def test_frames_that_cannot_be_told_have_none() -> None:
-    record = SwayRecord((1, 2, 3), np.arange(3.0), (None, None, None), 640)
+    record = CameraShakeRecord((1, 2, 3), np.arange(3.0), (None, None, None), 640)
     assert record.motion([]) is None
     moving = (ImageMotion(3, 0, 0, 0.1, 1e-4), None, ImageMotion(-3, 0, 0, 0.1, 1e-4))
     motion = replace(record, motions=moving).motion([])
@@ -227,17 +227,17 @@ def test_predict_notes_the_sway_and_a_stopped_run_measures_from_the_same_frame(
     read = CameraMotion.from_dict("mast", info["camera_motion"])
     found = np.array([(one.x, one.y) for one in read.frames.values()])
     assert found == pytest.approx(np.array(shifts) - np.median(shifts, axis=0), abs=0.35)
-    stop = SwayWatch.watch
+    stop = CameraShakeEstimator.watch
 
-    def stopping(self: SwayWatch, frames: Any) -> Any:
+    def stopping(self: CameraShakeEstimator, frames: Any) -> Any:
         for image, pixels in stop(self, frames):
             if image.id > 8:
                 raise KeyboardInterrupt
             yield image, pixels
 
-    monkeypatch.setattr(SwayWatch, "watch", stopping)
+    monkeypatch.setattr(CameraShakeEstimator, "watch", stopping)
     assert skope(*call, "--out", "parts")[0] != 0
-    monkeypatch.setattr(SwayWatch, "watch", stop)
+    monkeypatch.setattr(CameraShakeEstimator, "watch", stop)
     code, _, error = skope(*call, "--out", "parts")
     assert code == 0, error
     assert Path("parts/frames.json").read_bytes() == Path("whole/frames.json").read_bytes()

@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from skope.camera.motion.frame_contrast import brightness_and_contrast, sight_rows
+from skope.camera.motion.frame_contrast import brightness_and_contrast, visibility_rows
 from skope.camera.motion.image_shift import small_grey
-from skope.camera.motion.view_changes import Looks
+from skope.camera.motion.view_changes import ViewSamples
 from skope.dataset.folder import read_image
 from skope.schema import Image
 from skope.traffic.report_remarks import REMARK_LIMITS
@@ -48,8 +48,8 @@ def test_rows_are_half_a_second_apart() -> None:
         )
         for k in range(11)
     ]
-    looks = Looks()
+    looks = ViewSamples()
     assert len(list(looks.watch(frames))) == 11
-    rows = sight_rows([((number - 1) / 10, look) for number, look in looks.taken.items()])
+    rows = visibility_rows([((number - 1) / 10, look) for number, look in looks.taken.items()])
     assert [row[0] for row in rows] == [0.0, 0.5, 1.0]
     assert [row[1] for row in rows] == pytest.approx([0, 20 / 255, 40 / 255], abs=0.005)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from skope.camera.motion.view_changes import Looks, ViewChange, changes
+from skope.camera.motion.view_changes import ViewChange, ViewSamples, changes
 from skope.dataset.folder import read_image
 from skope.schema import Image
 
@@ -37,7 +37,7 @@ def seen(pictures: list[NDArray[np.uint8]], fps: float = 5.0) -> list[ViewChange
             out.append((image, np.clip(shown, 0, 255).astype(np.uint8)))
         return out
 
-    looks = Looks()
+    looks = ViewSamples()
     times = {image.id: image.time_s for image, _ in looks.watch(frames()) if image.time_s is not None}
     return changes([(times[number], look) for number, look in looks.taken.items()])
 

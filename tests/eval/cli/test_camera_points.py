@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from skope.camera.calibration_files import read_uncertain_camera
-from skope.camera.ground_plane import ground_places
+from skope.camera.ground_plane import intersect_ground
 from skope.camera.model import Camera, Distortion
 
 SIZE = (1280, 720)
@@ -26,7 +26,7 @@ PIXELS = np.array([[200, 300], [1100, 330], [640, 420], [150, 650], [1150, 600],
 
 
 def places(rng: np.random.Generator) -> np.ndarray:
-    return ground_places(CAMERA, PIXELS) + rng.normal(0, [0.1, 0.1, 0.0], (len(PIXELS), 3))
+    return intersect_ground(CAMERA, PIXELS) + rng.normal(0, [0.1, 0.1, 0.0], (len(PIXELS), 3))
 
 
 def camera_command(*arguments: str) -> tuple[str, ...]:
@@ -36,7 +36,7 @@ def camera_command(*arguments: str) -> tuple[str, ...]:
 def test_a_site_file_is_calibrated_by_all_that_it_has(skope: Any) -> None:
     rng = np.random.default_rng(0)
     marks = PIXELS + rng.normal(0, 1.0, PIXELS.shape)
-    ends = ground_places(CAMERA, np.array([[500.0, 600.0], [800.0, 450.0]]))
+    ends = intersect_ground(CAMERA, np.array([[500.0, 600.0], [800.0, 450.0]]))
     rows = [
         f"  {{ pixel = {uv.tolist()}, place = {xyz.tolist()}, name = 'p{k}' }},"
         for k, (uv, xyz) in enumerate(zip(marks, places(rng), strict=True))
@@ -60,7 +60,7 @@ def test_a_site_file_is_calibrated_by_all_that_it_has(skope: Any) -> None:
     assert known is not None
     assert known.parameters == ("focal", "k1", "x", "y", "z", "pitch", "roll", "yaw")
     at = np.array([[640.0, 600.0], [300.0, 400.0], [1000.0, 350.0]])
-    error = np.linalg.norm((known.places(at) - ground_places(CAMERA, at))[:, :2], axis=1)
+    error = np.linalg.norm((known.places(at) - intersect_ground(CAMERA, at))[:, :2], axis=1)
     assert (error < 2 * known.place_error(at)).all()
     row = document["marked_points"][0]
     assert set(row["left_out"]) == {"error_m", "stated_m"}
@@ -95,7 +95,7 @@ def test_reference_points_make_a_camera_near_its_own_origin(skope: Any) -> None:
     assert known is not None
     shift = origin - [document["world"]["origin"]["easting"], document["world"]["origin"]["northing"]]
     at = np.array([[640.0, 600.0], [1000.0, 400.0]])
-    error = np.linalg.norm(known.places(at)[:, :2] - ground_places(CAMERA, at)[:, :2] - shift, axis=1)
+    error = np.linalg.norm(known.places(at)[:, :2] - intersect_ground(CAMERA, at)[:, :2] - shift, axis=1)
     assert (error < 2 * known.place_error(at)).all()
     assert "warning: UTM zone 31N" in out
 

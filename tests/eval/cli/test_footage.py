@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from skope.camera.fit import fit_camera
 from skope.camera.fit.bundle_adjustment import VehicleViews
-from skope.camera.ground_plane import Ground, ground_places
+from skope.camera.ground_plane import Ground, intersect_ground
 from skope.camera.model import Camera
 from skope.camera.motion.camera_motion import turned_camera
 from skope.camera.uncertain_camera import UncertainCamera
@@ -38,7 +38,7 @@ from skope.pose.shape_model import fleet_shapes
 from skope.schema import Annotation, AnnotationFile, Box3D, Result
 from skope.traffic.observation import read_observation
 from skope.video import live
-from skope.video.footage import FOOTAGE_LIMITS, Cut, open_footage
+from skope.video.footage import FOOTAGE_LIMITS, FrameRange, open_footage
 from tests.footage import streams
 from tests.pose.test_estimate_pose import drawn
 from tests.sightings import CAMERA, drive, scene
@@ -102,7 +102,7 @@ def test_pixels_that_are_not_square_are_said_and_make_no_camera(skope: Any, rand
 
 
 def test_a_cut_takes_the_frames_it_says(tmp_path: Path) -> None:
-    footage = open_footage(str(numbered_video(tmp_path / "v.mp4", 30)), Cut(every=4, start_s=0.5, end_s=2.6))
+    footage = open_footage(str(numbered_video(tmp_path / "v.mp4", 30)), FrameRange(every=4, start_s=0.5, end_s=2.6))
     frames = list(footage.frames())
     assert [image.frame_index for image, _ in frames] == [5, 9, 13, 17, 21, 25]
     assert len(footage) == 6
@@ -138,7 +138,7 @@ def test_a_camera_on_the_network_is_read_until_it_hangs_up(
 def test_a_slow_reader_of_a_live_stream_gets_the_newest_frames(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(live, "LIVE_LIMITS", replace(live.LIVE_LIMITS, return_s=0.5))
     with streams.mjpeg(24, 20, times=2) as address:
-        footage = open_footage(address, Cut())
+        footage = open_footage(address, FrameRange())
         assert footage.live
         taken = []
         for image, pixels in footage.frames():
@@ -155,7 +155,7 @@ def test_a_slow_reader_of_a_live_stream_gets_the_newest_frames(monkeypatch: pyte
 def test_a_stream_that_breaks_off_in_the_midst_of_a_frame_is_opened_again() -> None:
     with streams.mjpeg(6, 20, times=4) as address:
         begun = time.monotonic()
-        footage = open_footage(address, Cut(end_s=0.7))
+        footage = open_footage(address, FrameRange(end_s=0.7))
         images = [image for image, _ in footage.frames()]
         lasted = time.monotonic() - begun
     assert not footage.skipped  # three openings hold enough
@@ -172,7 +172,7 @@ def test_times_are_those_of_the_frames_however_long_each_lasts(tmp_path: Path) -
     assert [image.time_s for image, _ in whole] == pytest.approx(shown, abs=1e-3)
     assert np.allclose([pixels.mean() / 8 for _, pixels in whole], range(30), atol=0.5)
     for start, end, every in ((0.05, 3.0, 1), (4.0, 7.1, 3), (8.05, 100.0, 2)):
-        footage = open_footage(str(path), Cut(start_s=start, end_s=end, every=every))
+        footage = open_footage(str(path), FrameRange(start_s=start, end_s=end, every=every))
         wanted = [i for i, at in enumerate(shown) if start <= at < end][::every]
         frames = list(footage.frames())
         assert [image.frame_index for image, _ in frames] == wanted
@@ -208,7 +208,7 @@ def test_a_truncated_video_names_the_frames_that_are_lost(tmp_path: Path) -> Non
 def test_a_live_stream_that_nobody_wants_any_more_is_left() -> None:
     before = set(threading.enumerate())
     with streams.mjpeg(1000, 50) as address:
-        frames = open_footage(address, Cut(end_s=0.3)).frames()
+        frames = open_footage(address, FrameRange(end_s=0.3)).frames()
         assert 1 <= len(list(frames)) < 30
     left = set(threading.enumerate()) - before
     for thread in left:
@@ -879,7 +879,7 @@ def test_a_turned_camera_goes_on_to_give_metres(skope: Any) -> None:
     # What is at the image's right edge leaves it by the turn; what is in its middle does not.
     gates = ""
     for gate, column in (("edge", CAMERA.width - 20.0), ("middle", CAMERA.width / 2)):
-        line = ground_places(CAMERA, np.array([[column, 0.6 * CAMERA.height], [column, 0.9 * CAMERA.height]]))[:, :2]
+        line = intersect_ground(CAMERA, np.array([[column, 0.6 * CAMERA.height], [column, 0.9 * CAMERA.height]]))[:, :2]
         gates += f'[[gates]]\nname = "{gate}"\nline = {line.tolist()}\n'
     Path("site.toml").write_text(gates)
     for name in files:
@@ -909,10 +909,10 @@ def test_the_cameras_error_is_carried_once_beside_the_tracks(skope: Any) -> None
     assert Path("sure/tracks.csv").read_bytes() == Path("unsure/tracks.csv").read_bytes()
     sure, unsure = (read_observation(Path(name)) for name in ("sure", "unsure"))
     assert sure.uncertainty is None
-    assert sure.common_sigma is None
+    assert sure.common_scale_sigma is None
     assert unsure.uncertainty is not None
     assert unsure.uncertainty.covariance_dict() == covariance
-    assert unsure.common_sigma == pytest.approx(unsure.uncertainty.ways_sigma())
+    assert unsure.common_scale_sigma == pytest.approx(unsure.uncertainty.distance_sigma())
     for one in (sure, unsure):
         assert one.camera is not None
         assert one.camera.to_dict() == CAMERA.to_dict()

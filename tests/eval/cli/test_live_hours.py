@@ -47,39 +47,39 @@ def predicted(skope: Skope, run: Path, out: str, *more: str, fps: float = 20) ->
     return begun, datetime.now(UTC)
 
 
-def begins_of(path: str) -> datetime:
-    return datetime.fromisoformat(json.loads(Path(path).read_text())["begins"])
+def start_time_of(path: str) -> datetime:
+    return datetime.fromisoformat(json.loads(Path(path).read_text())["start_time"])
 
 
 def test_a_stream_knows_when_it_began(skope: Skope, random_run: Path) -> None:
     first, last = predicted(skope, random_run, "seen", "--end", "0.4")
     frames = json.loads(Path("seen/frames.json").read_text())
-    begin = datetime.fromisoformat(frames["info"]["begins"])
+    begin = datetime.fromisoformat(frames["info"]["start_time"])
     assert first - timedelta(milliseconds=1) <= begin <= last
     code, _, err = skope("eval", "traffic", "seen", "--site", "site.toml", "--out", "image")
     assert code == 0, err
     assert datetime.fromisoformat(json.loads(Path("image/summary.json").read_text())["start"]) == begin
-    frames["info"]["begins"] = "noon"
+    frames["info"]["start_time"] = "noon"
     write_json(Path("seen/frames.json"), frames)
     code, _, err = skope("eval", "track", "seen", "--out", "other")
-    assert (code, "info.begins: expected a time" in err) == (2, True)
+    assert (code, "info.start_time: expected a time" in err) == (2, True)
 
 
 @pytest.mark.slow
 def test_hours_of_a_stream_make_one_report(skope: Skope, random_run: Path) -> None:
     predicted(skope, random_run, "seen/0", "--end", "3.6", fps=8)
     frames = json.loads(Path("seen/0/frames.json").read_text())
-    begin = datetime.fromisoformat(frames["info"]["begins"])
+    begin = datetime.fromisoformat(frames["info"]["start_time"])
     # The next hour, in the same loop.
     shutil.copytree("seen/0", "seen/1")
-    frames["info"]["begins"] = (begin + timedelta(hours=1)).isoformat()
+    frames["info"]["start_time"] = (begin + timedelta(hours=1)).isoformat()
     write_json(Path("seen/1/frames.json"), frames)
     for k in range(2):
         code, _, err = skope("eval", "track", f"seen/{k}", "--out", f"tracking/{k}")
         assert code == 0, err
         # Finished hours lie apart, as the loop in docs/traffic.md has it.
         shutil.move(f"tracking/{k}", f"tracks/{k}")
-        assert begins_of(f"tracks/{k}/footage.json") == begin + timedelta(hours=k)
+        assert start_time_of(f"tracks/{k}/footage.json") == begin + timedelta(hours=k)
     assert skope("eval", "traffic", "tracks/0", "--site", "site.toml", "--out", "reports/0")[0] == 0
     code, _, err = skope("eval", "traffic", "tracks/0", "tracks/1", "--site", "site.toml", "--out", "reports/1")
     assert code == 0, err
@@ -112,8 +112,8 @@ def test_what_a_killed_run_has_is_written_by_the_same_command(
     predicted(skope, random_run, "seen", "--end", "3.6")
     frames = json.loads(Path("seen/frames.json").read_text())
     assert len(frames["images"]) == len(rows), "nothing of the stream that plays now"
-    assert begun <= datetime.fromisoformat(frames["info"]["begins"]) <= ended
-    assert not any("begins" in image for image in frames["images"])
+    assert begun <= datetime.fromisoformat(frames["info"]["start_time"]) <= ended
+    assert not any("start_time" in image for image in frames["images"])
     with streams.mjpeg(31, 20) as address:
         words = ("--checkpoint", random_run, "--camera", "camera.json", "--out", "seen", "--end", "3.6")
         code, _, err = skope("eval", "predict", address, *words)

@@ -13,7 +13,7 @@ from skope.dataset import coco
 from skope.eval.report import gallery, page
 from skope.keypoints import INDEX
 from skope.metrics.breakdown import FleetInfo
-from skope.metrics.keypoint_outcomes import Options
+from skope.metrics.keypoint_outcomes import MetricOptions
 from skope.metrics.outcome_counts import quality
 from skope.metrics.split_scores import SplitScores, split_metrics
 from skope.page import image_viewer
@@ -110,15 +110,17 @@ def measured_split(count: int, results: list[Result] | None = None) -> SplitScor
     images = tuple(make_image(i) for i in range(1, count + 1))
     vehicles = tuple(make_annotation(i, i, (20, 20, 80, 60)) for i in range(1, count + 1))
     file = AnnotationFile(images=images, annotations=vehicles, name="a<b")
-    return split_metrics(file, results or detector_of(file), Options(score=0.5), FleetInfo())
+    return split_metrics(file, results or detector_of(file), MetricOptions(score=0.5), FleetInfo())
 
 
 def test_curves_agree_with_the_figures_at_their_place() -> None:
     measured = measured_split(40)
-    for line, figures in zip(page.pck_over_alpha(measured, Options()), measured.entry["iou"].values(), strict=True):
+    for line, figures in zip(
+        page.pck_over_alpha(measured, MetricOptions()), measured.entry["iou"].values(), strict=True
+    ):
         assert line.y[20] == pytest.approx(figures["pck"])  # alpha 0.1
         assert line.x[20] == pytest.approx(0.1)
-    (boxes, *_) = page.precision_recall(measured, Options())
+    (boxes, *_) = page.precision_recall(measured, MetricOptions())
     assert boxes.x[-1] == pytest.approx(0.75)
     assert boxes.y[-1] == pytest.approx(30 / 31)
     assert np.mean([*boxes.y, *[0.0] * (101 - len(boxes.y))]) == pytest.approx(measured.entry["coco"]["box_ap50"])
@@ -155,7 +157,13 @@ def test_names_of_the_user_are_escaped_and_missing_images_left_out(tmp_path: Pat
 
     measured = measured_split(4)
     text = render_page(
-        scores_document(Options(), {"a<b": measured.entry}), [measured], tmp_path, Options(), "pooled", None, "a&b"
+        scores_document(MetricOptions(), {"a<b": measured.entry}),
+        [measured],
+        tmp_path,
+        MetricOptions(),
+        "pooled",
+        None,
+        "a&b",
     )
     page = Page(text)
     assert "Split a<b" in page.text
@@ -178,7 +186,7 @@ def test_a_chart_places_its_points_and_leaves_gaps_out() -> None:
 
 def test_points_of_another_scheme_alone_are_drawn() -> None:
     few = tuple(sorted(keypoints.VERI20.values()))
-    options = Options(score=0.5, points=few)
+    options = MetricOptions(score=0.5, points=few)
     file = replace(measured_split(4).file)
     measured = split_metrics(file, detector_of(file), options, FleetInfo())
     assert list(measured.entry["by"]["keypoint"]) == [keypoints.NAMES[k] for k in few]

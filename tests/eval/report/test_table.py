@@ -4,7 +4,7 @@ import pytest
 
 from skope.errors import UserError
 from skope.eval.report.table import evidence, published, render_table
-from skope.metrics.keypoint_outcomes import Options
+from skope.metrics.keypoint_outcomes import MetricOptions
 from skope.metrics.pck_precision_recall import scores_document
 
 
@@ -25,7 +25,7 @@ def split(pck: float | None) -> dict[str, Any]:
     }
 
 
-METRICS = scores_document(Options(), {"easy": split(0.9865), "medium": split(1.0), "hard": split(None)})
+METRICS = scores_document(MetricOptions(), {"easy": split(0.9865), "medium": split(1.0), "hard": split(None)})
 
 
 def test_splits_stand_side_by_side_with_a_row_per_threshold() -> None:
@@ -74,7 +74,7 @@ def test_the_published_rows_stand_below_ours() -> None:
 
 def test_a_split_that_was_not_published_gets_dashes() -> None:
     lines = render_table(
-        scores_document(Options(), {"extra": split(0.5)}), "paper", 120, beside=published()
+        scores_document(MetricOptions(), {"extra": split(0.5)}), "paper", 120, beside=published()
     ).splitlines()
     assert [line.split() for line in lines if line.startswith("paper")] == [["paper", *"-----"]] * 4
 
@@ -112,5 +112,5 @@ def test_intervals_are_printed_at_the_lowest_threshold() -> None:
     names = ("box_precision", "box_recall", "keypoint_precision", "keypoint_recall")
     figures = {"pck": [0.91, 0.95], **dict.fromkeys(names, both)}
     entry = {**split(0.5), "intervals": {"unit": "site", "blocks": 9, "sites": 9, "iou": {"0.9": {}, "0.6": figures}}}
-    text = render_table(scores_document(Options(), {"extra": entry}), "pooled", 120)
+    text = render_table(scores_document(MetricOptions(), {"extra": entry}), "pooled", 120)
     assert "IoU 0.6: PCK 91.00-95.00, box Pr 0.300-0.400" in text

@@ -8,7 +8,7 @@ import pytest
 
 from skope.camera.calibrate import calibrate
 from skope.camera.evidence import Evidence, marked_points
-from skope.camera.ground_plane import ground_places
+from skope.camera.ground_plane import intersect_ground
 from skope.camera.model import Camera
 from skope.errors import UserError
 from skope.site.page.drawings import gate_warnings, read_drawings, shapes
@@ -27,13 +27,13 @@ def test_the_grid_lies_on_the_road_at_whole_steps() -> None:
     drawn = overlays(LEVEL)
     step = drawn["step_m"]
     for line in drawn["grid"]:
-        places = ground_places(LEVEL, np.array(line))[:, :2]
+        places = intersect_ground(LEVEL, np.array(line))[:, :2]
         off = np.abs(places / step - np.rint(places / step)).min(axis=1)
         near = np.linalg.norm(places, axis=1) < 40  # farther off, pixels are rounded to metres
         assert (off[near] * step < 0.1 * step).all()
     for label in drawn["labels"]:
         metres = float(label["text"].removesuffix(" m"))
-        assert ground_places(LEVEL, label["at"])[1] == pytest.approx(metres, rel=0.02)
+        assert intersect_ground(LEVEL, label["at"])[1] == pytest.approx(metres, rel=0.02)
 
 
 def test_a_level_horizon_is_the_tilt_above_the_middle() -> None:
@@ -45,8 +45,8 @@ def test_a_level_horizon_is_the_tilt_above_the_middle() -> None:
 def test_a_box_is_as_large_as_a_car() -> None:
     edges = car_edges(LEVEL, np.array([1.0, 15.0, 0.0]), np.array([0.0, 1.0]))
     assert len(edges) == 12
-    feet = [e for e in edges if np.isfinite(ground_places(LEVEL, np.array(e))).all()]
-    lengths = sorted(float(np.linalg.norm(np.subtract(*ground_places(LEVEL, np.array(e))[:, :2]))) for e in feet)
+    feet = [e for e in edges if np.isfinite(intersect_ground(LEVEL, np.array(e))).all()]
+    lengths = sorted(float(np.linalg.norm(np.subtract(*intersect_ground(LEVEL, np.array(e))[:, :2]))) for e in feet)
     assert lengths[:2] == pytest.approx([1.8, 1.8], abs=0.05)
 
 
@@ -78,7 +78,7 @@ def test_gates_are_warned_of() -> None:
     assert "outside the image" in warned([[-4, -20], [4, -20]])
     assert "nothing can cross it" in warned([[4, 20], [4.1, 20]])
     # The image's lower edge shows the road 8.8 m ahead: south of this gate nothing is seen 3 m away.
-    edge = float(ground_places(LEVEL, [320, 359])[1])
+    edge = float(intersect_ground(LEVEL, [320, 359])[1])
     south = warned([[-2, edge + 1], [2, edge + 1]])
     assert "on its right" in south
     assert "on its left" not in south

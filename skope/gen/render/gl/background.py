@@ -13,7 +13,7 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from skope.camera.ground_plane import ground_places
+from skope.camera.ground_plane import intersect_ground
 from skope.camera.model import Camera
 from skope.gen.cache import Arrays, cached, cached_from_parts, digest_of
 from skope.gen.render.daylight import Daylight
@@ -156,7 +156,7 @@ def _road_pixels(road: OwnRoad) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     step = max(1, camera.width // 320)
     rows, columns = (at.ravel() for at in np.mgrid[0 : camera.height : step, 0 : camera.width : step])
     eye = camera.position
-    places = ground_places(camera, np.stack([columns, rows], axis=-1) + 0.5, graph.road_level(eye[:2]))[:, :2]
+    places = intersect_ground(camera, np.stack([columns, rows], axis=-1) + 0.5, graph.road_level(eye[:2]))[:, :2]
     near = np.linalg.norm(places - eye[:2], axis=1) < BACKGROUND_SAMPLING.measured_within_m
     on_road = near & shapely.contains_xy(graph.ground_road, graph.world(np.nan_to_num(places)))
     outlines = [*(one.polygon for one in road.occluders), *road.shades]

@@ -76,7 +76,7 @@ export const overlapOf = (data, counts) => {
   return null;
 };
 
-// The file that --hand-count reads: whole seconds of the footage. As in skope/files/csv_files.py, a text that a spreadsheet
+// The file that --manual-count reads: whole seconds of the footage. As in skope/files/csv_files.py, a text that a spreadsheet
 // would run as a formula has an apostrophe before it, and the file begins with a byte order mark.
 export const csvOf = (data, counts) => {
   const safe = (value) => (typeof value === "string" && /^'*[=+\-@\t\r\n\uff1d\uff0b\uff0d\uff20]/.test(value) ? `'${value}` : String(value));

@@ -35,7 +35,7 @@ MANUAL_COUNT_LIMITS: Final = ManualCountLimits()
 
 
 @dataclass(frozen=True, kw_only=True)
-class HandCount:
+class ManualCount:
     """Number that crossed a gate, counted by hand."""
 
     gate: str
@@ -56,13 +56,13 @@ class HandCount:
         )
 
 
-def read_hand_counts(
+def read_manual_counts(
     path: Path,
     gates: Sequence[Gate],
     settings: TrafficSettings,
     start: datetime | None,
     observation: Observation,
-) -> tuple[HandCount, ...]:
+) -> tuple[ManualCount, ...]:
     """Read what was counted by hand.
 
     Args:
@@ -79,9 +79,9 @@ def read_hand_counts(
     names, rows = read_csv(path)
     if missing := [name for name in COUNT_COLUMNS if name not in names]:
         raise UserError(f"{path}: column {missing[0]}: missing; expected {','.join(COUNT_COLUMNS)}")
-    found: list[HandCount] = []
+    found: list[ManualCount] = []
     for line, row in enumerate(rows, start=2):
-        one = _hand_count(_Line(path, line, row), gates, settings, start, observation)
+        one = _manual_count(_Line(path, line, row), gates, settings, start, observation)
         for before, other in enumerate(found, start=2):
             if _overlap(one, other):
                 same = "holds the same" if one == other else "has the same gate, direction, some class and some time"
@@ -116,9 +116,9 @@ class _Line:
         return text
 
 
-def _hand_count(
+def _manual_count(
     line: _Line, gates: Sequence[Gate], settings: TrafficSettings, start: datetime | None, observation: Observation
-) -> HandCount:
+) -> ManualCount:
     name = line.one_of("gate", [gate.name for gate in gates])
     directions = direction_names(next(gate for gate in gates if gate.name == name))
     direction = line.one_of("direction", directions)
@@ -142,7 +142,7 @@ def _hand_count(
             f"{text!r:.{MANUAL_COUNT_LIMITS.shown_letters}}",
         )
     begin, end = (None if start is None else _after(start, one) for one in (begin_s, end_s))
-    return HandCount(
+    return ManualCount(
         gate=name,
         direction=directions.index(direction),
         direction_name=direction,
@@ -152,7 +152,7 @@ def _hand_count(
     )
 
 
-def _overlap(one: HandCount, other: HandCount) -> bool:
+def _overlap(one: ManualCount, other: ManualCount) -> bool:
     if (one.gate, one.direction) != (other.gate, other.direction) or not one.classes & other.classes:
         return False
     return one.interval.begin_s < other.interval.end_s and other.interval.begin_s < one.interval.end_s
@@ -210,7 +210,9 @@ def _said_seconds(line: _Line, column: str, start: datetime | None, first: float
             f"{text!r:.{MANUAL_COUNT_LIMITS.shown_letters}}",
         )
     if start is None:
-        raise line.wrong(column, "expected seconds: neither start in the site nor --begins says when the footage began")
+        raise line.wrong(
+            column, "expected seconds: neither start in the site nor --start-time says when the footage began"
+        )
     if isinstance(moment, datetime):
         moments = [moment]
     else:

@@ -1,4 +1,4 @@
-"""A count by hand in the page: keys beside a playing video, kept over a reload, and taken back by --hand-count."""
+"""A count by hand in the page: keys beside a playing video, kept over a reload, and taken back by --manual-count."""
 
 import codecs
 import json
@@ -26,11 +26,11 @@ from skope.tracks.csv_file import TRACKS_CSV, write_tracks
 from skope.traffic.image_counts import count_in_image
 from skope.traffic.measure import measure
 from skope.traffic.observation import FOOTAGE_FILE, Observation
-from skope.traffic.page.hand_count import (
+from skope.traffic.page.manual_count import (
     CLASS_LETTERS,
     MANUAL_COUNT_PAGE,
-    hand_count_data,
-    hand_count_json,
+    manual_count_data,
+    manual_count_json,
     packed_times,
 )
 from skope.traffic.page.page import traffic_page
@@ -77,7 +77,7 @@ def write_folder(folder: Path) -> None:
         cars.append(along_x(number, x[near], times[near]))
         cars[-1].position[:, 1] = -2 * way
     write_tracks(folder / TRACKS_CSV, cars)
-    write_json(folder / FOOTAGE_FILE, Observation(times_s=times, source="clip.mp4", common_sigma=0.01).to_dict())
+    write_json(folder / FOOTAGE_FILE, Observation(times_s=times, source="clip.mp4", common_scale_sigma=0.01).to_dict())
 
 
 def write_clip(path: Path, code: str, seconds: float = SECONDS) -> None:
@@ -155,7 +155,7 @@ def downloaded(browser: Browser, folder: Path) -> Path:
         "Browser.setDownloadBehavior", behavior="allow", downloadPath=str(folder), browserContextId=browser.context
     )
     click(browser, "download")
-    path, end = folder / "hand_count.csv", time.monotonic() + 10
+    path, end = folder / "manual_count.csv", time.monotonic() + 10
     while not path.is_file() or not path.stat().st_size:
         assert time.monotonic() < end
         time.sleep(0.02)
@@ -236,11 +236,11 @@ def test_a_clip_counted_with_keys_is_read_back_by_the_command(
         requests = [one["request"]["url"] for one in browser.told("Network.requestWillBeSent")]
         assert not [url for url in requests if not url.startswith(("file:", "data:", "blob:"))]
     code, _, err = skope(
-        "eval", "traffic", counted / "tracks", *where, "--hand-count", path, "--out", tmp_path / "again", "-q"
+        "eval", "traffic", counted / "tracks", *where, "--manual-count", path, "--out", tmp_path / "again", "-q"
     )
     assert code == 0, err
-    _, checks = read_csv(tmp_path / "again/hand_count.csv")
-    assert [[f"{row['gate']} ({row['direction']})", row["by_hand"], row["count"]] for row in checks] == [
+    _, checks = read_csv(tmp_path / "again/manual_count.csv")
+    assert [[f"{row['gate']} ({row['direction']})", row["manual_count"], row["count"]] for row in checks] == [
         row[:3] for row in rows
     ]
     assert {(row["begin_s"], row["end_s"]) for row in checks} == {("0.000", "5.000")}
@@ -331,7 +331,7 @@ def test_crossings_are_held_to_the_millisecond_and_no_later() -> None:
 
 def test_the_page_holds_who_crossed_when_and_went_where() -> None:
     report = junction_report()
-    data = hand_count_data(report, None)
+    data = manual_count_data(report, None)
     names = [(side["gate"], side["direction"]) for side in data["sides"]]
     assert [len(list(unpacked(text))) for text in data["crossings"]] == [
         sum((one.gate, one.direction_name) == side for one in report.crossings) for side in names
@@ -347,9 +347,11 @@ def test_the_page_holds_who_crossed_when_and_went_where() -> None:
 
 
 def test_too_many_crossings_are_left_out_and_said(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("skope.traffic.page.hand_count.MANUAL_COUNT_PAGE", replace(MANUAL_COUNT_PAGE, most_crossings=1))
+    monkeypatch.setattr(
+        "skope.traffic.page.manual_count.MANUAL_COUNT_PAGE", replace(MANUAL_COUNT_PAGE, most_crossings=1)
+    )
     report = report_of()
-    data = hand_count_data(report, None)
+    data = manual_count_data(report, None)
     assert (data["crossings"], data["movements"]) == (None, None)
     assert "The page does not hold so many crossings" in traffic_page(report, tracks="t")
 
@@ -358,7 +360,7 @@ def test_clocks_that_change_meanwhile_are_told() -> None:
     plain = report_of(head=HEAD)
     start = datetime(2026, 10, 25, 2, 30, tzinfo=ZoneInfo("Europe/Berlin"))
     report = measure([], watched(7200.0, 1.0), plain.site, start)
-    assert hand_count_data(report, None)["clocks"] == [[0.0, 9000.0], [1800.0, 7200.0]]
+    assert manual_count_data(report, None)["clocks"] == [[0.0, 9000.0], [1800.0, 7200.0]]
 
 
 def test_each_recording_begins_at_its_second_of_the_report() -> None:
@@ -378,7 +380,7 @@ def test_each_recording_begins_at_its_second_of_the_report() -> None:
         )
         for k, one in enumerate(parts)
     ]
-    data = hand_count_data(measure([], whole, plain.site, begin, recordings=recordings), None)
+    data = manual_count_data(measure([], whole, plain.site, begin, recordings=recordings), None)
     assert data["recordings"] == [
         {"source": "0.mp4", "begin_s": 0.0, "end_s": 60.1},
         {"source": "3600.mp4", "begin_s": 3600.0, "end_s": 3660.1},
@@ -404,14 +406,14 @@ def seen_from_above(report: TrafficReport) -> dict[str, Any]:
     T[2, 3] = 10.0
     K = np.array([[1000.0, 0, 500], [0, 1000, 400], [0, 0, 1]])
     camera = Camera(width=1000, height=800, K=K, T_camera_world=T)
-    return dict(hand_count_data(report, camera)["view"])
+    return dict(manual_count_data(report, camera)["view"])
 
 
 def test_gates_of_the_image_are_drawn_where_they_are() -> None:
     """One that is drawn upwards: from its left to its right is to the right on the screen."""
     text = b'[[gates]]\nname = "g"\npixels = [[240, 200], [240, 60]]\ndirections = ["right", "left"]\n'
     report = count_in_image([], watched(10.0), parse_site(Path("site.toml"), text))
-    view = hand_count_data(report, None)["view"]
+    view = manual_count_data(report, None)["view"]
     assert view["size"] is None
     assert view["gates"] == [
         {"gate": "g", "line": [[240.0, 200.0], [240.0, 60.0]], "arrow": [[220.0, 130.0], [260.0, 130.0]]}
@@ -420,5 +422,5 @@ def test_gates_of_the_image_are_drawn_where_they_are() -> None:
 
 def test_without_gates_or_frames_there_is_nothing_to_count() -> None:
     plain = report_of()
-    assert hand_count_json(replace(plain, gates=())) is None
-    assert hand_count_json(measure([], Observation(times_s=np.zeros(0)), plain.site)) is None
+    assert manual_count_json(replace(plain, gates=())) is None
+    assert manual_count_json(measure([], Observation(times_s=np.zeros(0)), plain.site)) is None

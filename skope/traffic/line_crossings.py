@@ -27,7 +27,7 @@ can."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class Passage:
+class LineCrossing:
     """From one side to the other."""
 
     came_from: int
@@ -45,7 +45,7 @@ class Passage:
     """Distance from the line on the side that is in doubt, in the distance's unit; infinite without doubt."""
 
 
-def passages(
+def line_crossings(
     signed: Array,
     times_s: Array,
     *,
@@ -53,7 +53,7 @@ def passages(
     least_travel: float = 0.0,
     leave: float = 0.0,
     places: Array | None = None,
-) -> list[Passage]:
+) -> list[LineCrossing]:
     """All passages of a signed distance (M,) at times (M,) from one sign to the other, in order.
 
     Args:
@@ -80,7 +80,7 @@ def passages(
         times = _times_of_change(signed, sign, times_s, a, b)
         begins, ends = before < hysteresis, after < hysteresis or b == len(signed) - 1
         out.append(
-            Passage(
+            LineCrossing(
                 came_from=came_from,
                 # Where it ends on the line, jittering, it has arrived when it was there first.
                 time_s=times[len(times) // 2] if len(times) % 2 else times[0],

@@ -22,8 +22,8 @@ from skope.traffic.count_uncertainty import Beta, CountDistribution, CountErrors
 from skope.traffic.event_probability import MissRateGroup
 from skope.traffic.gate_counts import ALL_CLASSES, distribution_of
 from skope.traffic.gates import GateCrossing
-from skope.traffic.hand_count_file import HandCount
-from skope.traffic.missed_crossings import Unseen
+from skope.traffic.manual_count_file import ManualCount
+from skope.traffic.missed_crossings import MissedCrossings
 
 SignedGate = tuple[str, int]
 """Name of a gate, and direction."""
@@ -167,10 +167,10 @@ def _odds(share: Beta) -> float:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class HandCheck:
+class ManualCountComparison:
     """A count by hand, and what skope says of the same gate, direction, classes and time."""
 
-    hand: HandCount
+    hand: ManualCount
     count: int
     """Number that skope counted."""
     near: bool
@@ -189,9 +189,9 @@ class HandCheck:
         return math.sqrt(hourly * 2 * (self.count - self.hand.number) ** 2 / together) if together else 0.0
 
 
-def hand_checks(
-    hands: Sequence[HandCount], crossings: Sequence[GateCrossing], unseen: Unseen, settings: TrafficSettings
-) -> list[HandCheck]:
+def manual_count_checks(
+    hands: Sequence[ManualCount], crossings: Sequence[GateCrossing], unseen: MissedCrossings, settings: TrafficSettings
+) -> list[ManualCountComparison]:
     """Put each hand count beside what was counted.
 
     Args:
@@ -206,7 +206,7 @@ def hand_checks(
         own = _seen(one, crossings, unseen)
         found = _distribution(one, own, unseen, settings) if near else None
         out.append(
-            HandCheck(
+            ManualCountComparison(
                 hand=one,
                 count=sum(each.counts and each.trajectory.class_name in one.classes for each in own),
                 near=near,
@@ -217,7 +217,7 @@ def hand_checks(
     return out
 
 
-def hand_lines(checks: Sequence[HandCheck]) -> Iterator[str]:
+def hand_lines(checks: Sequence[ManualCountComparison]) -> Iterator[str]:
     """Hand counts that contradict what was seen, and those of which nothing was learnt, in sentences."""
     for one in checks:
         hand = one.hand
@@ -236,12 +236,12 @@ def hand_lines(checks: Sequence[HandCheck]) -> Iterator[str]:
 
 
 def counts_adjusted_by_hand(
-    checks: Sequence[HandCheck],
+    checks: Sequence[ManualCountComparison],
     crossings: Sequence[GateCrossing],
-    unseen: Unseen,
+    unseen: MissedCrossings,
     gates: Sequence[Gate],
     settings: TrafficSettings,
-) -> Unseen:
+) -> MissedCrossings:
     """Learn from hand counts what gates miss.
 
     Args:
@@ -277,7 +277,7 @@ def counts_adjusted_by_hand(
     return replace(unseen, learnt=learnt, contradicted=frozenset(one.hand.gate for one in doubted))
 
 
-def _seen(hand: HandCount, crossings: Sequence[GateCrossing], unseen: Unseen) -> list[GateCrossing]:
+def _seen(hand: ManualCount, crossings: Sequence[GateCrossing], unseen: MissedCrossings) -> list[GateCrossing]:
     """The crossings of the gate and direction, doubtful ones too, while somebody counted."""
     side, interval = (hand.gate, hand.direction), hand.interval
     return [
@@ -287,13 +287,13 @@ def _seen(hand: HandCount, crossings: Sequence[GateCrossing], unseen: Unseen) ->
     ]
 
 
-def _most(hand: HandCount, unseen: Unseen) -> Callable[[Collection[str]], int]:
+def _most(hand: ManualCount, unseen: MissedCrossings) -> Callable[[Collection[str]], int]:
     """Make a function of classes that gives how many more of them may have crossed meanwhile."""
     return partial(unseen.most, hand.gate, hand.direction, hand.interval)
 
 
 def _errors(
-    hand: HandCount, own: Sequence[GateCrossing], unseen: Unseen, settings: TrafficSettings
+    hand: ManualCount, own: Sequence[GateCrossing], unseen: MissedCrossings, settings: TrafficSettings
 ) -> dict[int, CountErrors]:
     """What may be wrong with the count beside a manual one, by the gate's miss-rate groups."""
     out = {}
@@ -307,7 +307,7 @@ def _errors(
 
 
 def _distribution(
-    hand: HandCount, own: Sequence[GateCrossing], unseen: Unseen, settings: TrafficSettings
+    hand: ManualCount, own: Sequence[GateCrossing], unseen: MissedCrossings, settings: TrafficSettings
 ) -> CountDistribution | None:
     """skope's count beside a manual one, with its errors; None where counts have no interval either."""
     kinds = unseen.kinds_at(hand.gate, hand.direction)

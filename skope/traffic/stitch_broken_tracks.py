@@ -43,7 +43,7 @@ class JoinLimits:
 JOIN_LIMITS: Final = JoinLimits()
 
 
-def join_trajectories(tracks: Sequence[Track]) -> list[Track]:
+def stitch_tracks(tracks: Sequence[Track]) -> list[Track]:
     """The trajectories with broken ones joined, by their first moments."""
     ordered = sorted(tracks, key=lambda one: (float(one.times_s[0]), one.number))
     follows: dict[int, tuple[int, float]] = {}
@@ -135,7 +135,7 @@ def _together(before: Track, after: Track, probability: float) -> Track:
         class_confidence=_confidence(longer, shorter),
         flags=_flags(before, after),
         joined=(*before.joined, after.number, *after.joined),
-        joined_probability=before.joined_probability * after.joined_probability * probability,
+        stitch_probability=before.stitch_probability * after.stitch_probability * probability,
     )
 
 

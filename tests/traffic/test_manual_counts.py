@@ -15,10 +15,16 @@ from skope.site.traffic_settings import TrafficSettings
 from skope.traffic.count_uncertainty import CountDistribution, CountErrors, CountInterval
 from skope.traffic.counting_intervals import ClockInterval
 from skope.traffic.event_probability import MissRateGroup
-from skope.traffic.hand_checks import CountEvidence, counts_adjusted_by_hand, hand_checks, hand_lines, learnt_miss_rates
-from skope.traffic.hand_count_file import HandCount, read_hand_counts
+from skope.traffic.manual_count_checks import (
+    CountEvidence,
+    counts_adjusted_by_hand,
+    hand_lines,
+    learnt_miss_rates,
+    manual_count_checks,
+)
+from skope.traffic.manual_count_file import ManualCount, read_manual_counts
 from skope.traffic.measure import measure
-from skope.traffic.missed_crossings import Unseen
+from skope.traffic.missed_crossings import MissedCrossings
 from skope.traffic.observation import Observation
 from skope.traffic.traffic_report import TrafficReport
 from tests.traffic.drives import GATE, straight, watched
@@ -63,8 +69,8 @@ def test_ten_minutes_by_hand_make_the_next_hours_intervals_narrower_and_right(
     rng = np.random.default_rng(11)
     held, widths = 0, []
     for _ in range(200):
-        (by_hand, seen), (true, later) = drawn_gate(kind, 4.0, rng)
-        evidence = CountEvidence(side=("g", 0), errors={0: errors_of(kind, seen)}, number=by_hand)
+        (manual_count, seen), (true, later) = drawn_gate(kind, 4.0, rng)
+        evidence = CountEvidence(side=("g", 0), errors={0: errors_of(kind, seen)}, number=manual_count)
         ((learnt,),) = learnt_miss_rates([evidence], {("g", 0): [kind]}).values()
         before, after = (interval_of(one, later) for one in (kind, learnt))
         held += after.low <= true <= after.high
@@ -116,16 +122,16 @@ def test_many_manual_counts_are_worth_no_more_than_a_rate_that_drifts() -> None:
 # --------------------------------------------------------------------------------------------- from counts to report
 
 
-def by_hand(number: int, begin_s: float = 0.0, end_s: float = 60.0, **others: str) -> HandCount:
+def manual_count(number: int, begin_s: float = 0.0, end_s: float = 60.0, **others: str) -> ManualCount:
     values = {"gate": "g", "class_name": "all", **others}
     interval = ClockInterval(begin_s=begin_s, end_s=end_s, begin=None, end=None)
-    return HandCount(direction=0, direction_name="west", interval=interval, number=number, **values)
+    return ManualCount(direction=0, direction_name="west", interval=interval, number=number, **values)
 
 
-def report_of(*hands: HandCount) -> TrafficReport:
+def report_of(*hands: ManualCount) -> TrafficReport:
     site = replace(SITE, gates=(GATE, OTHER))
     cars = [straight(k, (-30, 0), (10, 0), 12.0, begin_s=6.0 * k) for k in range(100)]
-    return measure(cars, watched(620.0), site, hand_counts=hands)
+    return measure(cars, watched(620.0), site, manual_counts=hands)
 
 
 def between(report: TrafficReport, gate: str, direction: str) -> CountInterval:
@@ -137,13 +143,13 @@ def between(report: TrafficReport, gate: str, direction: str) -> CountInterval:
 
 
 def test_counts_stay_and_their_intervals_move() -> None:
-    plain, right, few = report_of(), report_of(by_hand(100, 0.0, 606.0)), report_of(by_hand(115, 0.0, 606.0))
+    plain, right, few = report_of(), report_of(manual_count(100, 0.0, 606.0)), report_of(manual_count(115, 0.0, 606.0))
     assert [one.count for one in plain.counts] == [one.count for one in few.counts]
     told = [between(one, "g", "west") for one in (plain, right, few)]
     assert told[1].high < told[0].high
     assert told[2].high > told[0].high + 5, "a seventh more crossed than were seen"
     assert told[2].low <= 115 <= told[2].high
-    (check,) = few.hand_checks
+    (check,) = few.manual_count_checks
     assert (check.count, check.hand.number, check.contradicts) == (100, 115, False)
     # 594 and 683 vehicles an hour: GEH is of flows an hour, whatever the time that was counted.
     assert check.geh == pytest.approx(np.sqrt(2 * (594.06 - 683.17) ** 2 / (594.06 + 683.17)), abs=0.01)
@@ -152,10 +158,10 @@ def test_counts_stay_and_their_intervals_move() -> None:
 
 
 def test_a_hand_count_that_cannot_be_is_said_to_contradict_and_believed_by_half() -> None:
-    plain, wrong = report_of(), report_of(by_hand(0, 0.0, 606.0))
-    (check,) = wrong.hand_checks
+    plain, wrong = report_of(), report_of(manual_count(0, 0.0, 606.0))
+    (check,) = wrong.manual_count_checks
     assert check.contradicts
-    (line,) = (line for line in wrong.refused if "contradict" in line)
+    (line,) = (line for line in wrong.notes if "contradict" in line)
     assert "gate 'g' (west), all from 0 s to 606 s: 0 counted by hand, 100 by skope" in line
     told = between(wrong, "g", "west")
     assert told.low < 10
@@ -165,26 +171,27 @@ def test_a_hand_count_that_cannot_be_is_said_to_contradict_and_believed_by_half(
 
 
 def test_a_slip_of_the_counting_hand_is_no_contradiction() -> None:
-    assert [one.contradicts for n in (85, 97, 103) for one in report_of(by_hand(n, 0.0, 606.0)).hand_checks] == [
-        *(True, False, False)
-    ]
+    assert [
+        one.contradicts for n in (85, 97, 103) for one in report_of(manual_count(n, 0.0, 606.0)).manual_count_checks
+    ] == [*(True, False, False)]
 
 
 def test_a_gate_whose_count_has_no_interval_has_none_beside_the_hand_count_and_learns() -> None:
     lost = [straight(k, (-45, 0), (10, 0), 4.0, begin_s=2.0 + k) for k in range(20)]
     through = [straight(20 + k, (-45, 0), (10, 0), 9.0, begin_s=30.0 + k) for k in range(5)]
     plain, told = (
-        measure([*lost, *through], watched(60.0), SITE, hand_counts=hands) for hands in ((), [by_hand(24, 0.0, 60.0)])
+        measure([*lost, *through], watched(60.0), SITE, manual_counts=hands)
+        for hands in ((), [manual_count(24, 0.0, 60.0)])
     )
     assert all(one.expected is None for one in plain.counts_total if one.direction == "west")
-    (check,) = told.hand_checks
+    (check,) = told.manual_count_checks
     assert (check.near, check.count, check.expected) == (True, 5, None)
     learnt = between(told, "g", "west")
     assert learnt.low <= 24 <= learnt.high
 
 
 def test_movements_learn_what_is_missed_at_their_gates() -> None:
-    plain, few = report_of(), report_of(by_hand(130, 0.0, 606.0))
+    plain, few = report_of(), report_of(manual_count(130, 0.0, 606.0))
     moved = [
         next(
             one.expected
@@ -200,9 +207,9 @@ def test_movements_learn_what_is_missed_at_their_gates() -> None:
 
 
 def test_nothing_is_learnt_where_nobody_was_ever_seen() -> None:
-    unseen = Unseen(gates=frozenset({"far"}))
+    unseen = MissedCrossings(gates=frozenset({"far"}))
     settings = TrafficSettings()
-    checks = hand_checks([by_hand(3, gate="far")], [], unseen, settings)
+    checks = manual_count_checks([manual_count(3, gate="far")], [], unseen, settings)
     assert (checks[0].expected, checks[0].contradicts) == (None, False)
     assert counts_adjusted_by_hand(checks, [], unseen, [GATE], settings).learnt == {}
     assert list(hand_lines(checks)) == [
@@ -219,10 +226,10 @@ def read(
     start: datetime | None = None,
     observation: Observation | None = None,
     classes: Sequence[str] = ("car", "bus", "unknown", "pedestrian"),
-) -> tuple[HandCount, ...]:
+) -> tuple[ManualCount, ...]:
     (tmp_path / "c.csv").write_text(HEAD + rows)
     settings = TrafficSettings(classes=tuple(classes))
-    return read_hand_counts(tmp_path / "c.csv", [GATE], settings, start, observation or watched(900.0))
+    return read_manual_counts(tmp_path / "c.csv", [GATE], settings, start, observation or watched(900.0))
 
 
 @pytest.mark.parametrize(
@@ -239,7 +246,7 @@ def read(
         ("g,west,,-2,60,1", "line 2: begin: '-2' is not within the footage"),
         ("g,west,,soon,60,1", "line 2: begin: expected seconds, a time like 10:15:00 or 2026-11-26T10:15:00"),
         ("g,west,,nan,60,1", "line 2: begin: expected seconds"),
-        ("g,west,,10:00,60,1", "line 2: begin: expected seconds: neither start in the site nor --begins says"),
+        ("g,west,,10:00,60,1", "line 2: begin: expected seconds: neither start in the site nor --start-time says"),
         ("g,west,,0,60,-1", "line 2: count: expected a whole number from 0 to 100000, got '-1'"),
         ("g,west,,0,60,1.5", "line 2: count: expected a whole number from 0 to 100000, got '1.5'"),
         ("g,west,,0,60,1000000", "line 2: count: expected a whole number"),
@@ -259,7 +266,7 @@ def test_what_is_wrong_in_a_file_is_said_by_line_and_column(tmp_path: Path, rows
 def test_columns_and_gaps(tmp_path: Path) -> None:
     (tmp_path / "c.csv").write_text("gate,direction,begin,end,count\n")
     with pytest.raises(UserError, match="column class: missing; expected gate,direction,class,begin,end,count"):
-        read_hand_counts(tmp_path / "c.csv", [GATE], TrafficSettings(), None, watched(9.0))
+        read_manual_counts(tmp_path / "c.csv", [GATE], TrafficSettings(), None, watched(9.0))
     gap = Observation(times_s=np.concatenate([np.arange(0, 60), np.arange(120, 200)]).astype(float))
     with pytest.raises(UserError, match="line 2: begin: not all from here to end was observed"):
         read(tmp_path, "g,west,,50,130,1", observation=gap)
@@ -306,5 +313,5 @@ def test_all_is_everybody_who_counts_and_motor_those_with_an_engine(tmp_path: Pa
     hands = [read(tmp_path, row, classes=site.traffic.classes)[0] for row in rows.splitlines()]
     assert hands[0].class_name == "all"
     report = measure(tracks, watched(60.0), site)
-    checks = hand_checks(hands, report.crossings, Unseen(), site.traffic)
+    checks = manual_count_checks(hands, report.crossings, MissedCrossings(), site.traffic)
     assert [one.count for one in checks] == [3, 2, 1, 1]

@@ -1,7 +1,7 @@
 // Counting by hand while the footage plays: the page's part that a person uses.
 
 import { byId, element, text } from "./dom.js";
-import { checkedState, clockAt, csvOf, gehOf, overlapOf, rowsOf, spoken, unobserved, within } from "./hand_count_numbers.js";
+import { checkedState, clockAt, csvOf, gehOf, overlapOf, rowsOf, spoken, unobserved, within } from "./manual_count_numbers.js";
 
 const $ = (id) => byId("hand-" + id);
 const root = byId("hand"), video = $("video");
@@ -315,10 +315,10 @@ const countTable = (count, number) => {
   const near = rows.filter((one) => held && gehOf(one.hand, one.counted, count.end - count.begin) < 5).length;
   const lines = [
     held ? `Together ${wrong} off, of ${all} counted by hand; GEH under 5 in ${near} of ${rows.length}.` : "",
-    held ? "" : "The page does not hold so many crossings: what was counted comes with --hand-count.",
+    held ? "" : "The page does not hold so many crossings: what was counted comes with --manual-count.",
     few ? `${few} of ${rows.length} have fewer than ${FEW} by hand: that says as good as nothing of how right the count is.` : "",
     late ? `${late} that you pressed after ${spoken(count.end)} are not in it: a count has whole seconds.` : "",
-    count.what === "movements" ? "Movements are compared here alone: --hand-count reads crossings of gates." : "",
+    count.what === "movements" ? "Movements are compared here alone: --manual-count reads crossings of gates." : "",
   ];
   const gone = text("button", "delete this count", { type: "button" });
   gone.addEventListener("click", () => {
@@ -341,9 +341,9 @@ const results = () => {
     address = URL.createObjectURL(new Blob([csvOf(data, state.done)], { type: "text/csv" }));
     const link = text("p", "");
     link.append(
-      text("a", "Download hand_count.csv", { href: address, download: "hand_count.csv", id: "hand-download", class: "hand-main" }),
+      text("a", "Download manual_count.csv", { href: address, download: "manual_count.csv", id: "hand-download", class: "hand-main" }),
       " and give it to the same command on the same tracks, with another folder: ",
-      text("code", "--hand-count hand_count.csv --out ANOTHER"),
+      text("code", "--manual-count manual_count.csv --out ANOTHER"),
       ". That report says how far the counts may be from the truth.",
     );
     out.push(link);

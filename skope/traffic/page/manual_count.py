@@ -47,7 +47,7 @@ class ManualCountPage:
 MANUAL_COUNT_PAGE: Final = ManualCountPage()
 
 
-def hand_count_data(report: TrafficReport, camera: Camera | None) -> dict[str, Any]:
+def manual_count_data(report: TrafficReport, camera: Camera | None) -> dict[str, Any]:
     """Data for the page's script, as JSON has it.
 
     Args:
@@ -185,9 +185,9 @@ def packed_times(events: Iterable[tuple[float, str]]) -> str:
     return "".join(out)
 
 
-def hand_count_json(report: TrafficReport, camera: Camera | None = None) -> Markup | None:
-    """`hand_count_data` as the page has it; None where the report has no gates, or the footage no frames."""
+def manual_count_json(report: TrafficReport, camera: Camera | None = None) -> Markup | None:
+    """`manual_count_data` as the page has it; None where the report has no gates, or the footage no frames."""
     if not report.gates or not len(report.observation.spans):
         return None
     # No "<" of a name may end the element.
-    return Markup(json.dumps(hand_count_data(report, camera), separators=(",", ":")).replace("<", "\\u003c"))
+    return Markup(json.dumps(manual_count_data(report, camera), separators=(",", ":")).replace("<", "\\u003c"))
