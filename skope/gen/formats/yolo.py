@@ -1,9 +1,9 @@
-"""Ultralytics' pose datasets: `data.yaml`, `images/<part>/...` and `labels/<part>/...`, a text file an image.
+"""Ultralytics' pose datasets: `data.yaml`, `images/<part>/...` and `labels/<part>/...`, one text file per image.
 
-A row is `0 x y w h` and x, y, v of each keypoint, lengths as shares of the image's width and height; an image without
-a vehicle has an empty file. Of a dataset that labels people on foot and on two wheels these are classes 1 to 3, with
-v = 0 in all keypoints, since each row of this format has the same length. What is ignored has no place here: it is
-background to this format's trainers.
+A row is `0 x y w h` and x, y, v of each keypoint, with lengths as shares of the image's width and height. An image
+without a vehicle has an empty file. If a dataset labels people on foot and on two wheels, these are classes 1 to 3,
+with v = 0 in all keypoints, since all rows of this format have the same length. The format has no ignored objects: they
+are background to its trainers.
 """
 
 from collections import Counter
@@ -24,9 +24,9 @@ from skope.schema import Annotation, AnnotationFile, Image, RoadUser
 from skope.terminal.console import Console, counted
 
 VALIDATION_SHARE: Final = 0.1
-"""Share of each training recording, at its end, that becomes part `val` of a dataset without such a split."""
+"""Share of each training recording, at its end, that becomes part `val` of a dataset without that split."""
 YOLO_SUFFIXES: Final = frozenset((".bmp", ".dng", ".heic", ".jpeg", ".jpg", ".mpo", ".png", ".tif", ".tiff", ".webp"))
-"""Of the pictures that Ultralytics reads."""
+"""Suffixes of the images that Ultralytics reads."""
 YOLO_SPLITS, VAL = "train", "val"
 
 
@@ -67,9 +67,9 @@ def write(dataset: Dataset, out: Path, names: Sequence[str], console: Console) -
 
 
 def _findable(name: str) -> PurePosixPath:
-    """A file's path below images/<part>/ that Ultralytics finds, with its labels.
+    """Return a file's path below images/<part>/ that Ultralytics finds, with its labels.
 
-    It looks for labels where the last `/images/` of an image's path is `/labels/`, and passes over hidden folders.
+    It searches labels where the last `/images/` of an image's path is `/labels/`, and skips hidden folders.
     """
     return PurePosixPath(*(f"{part}_" if part == "images" else part.lstrip(".") or "_" for part in name.split("/")))
 
@@ -86,7 +86,7 @@ def _indices(scheme: Scheme, names: Sequence[str]) -> list[int]:
 
 
 def _parts(dataset: Dataset, console: Console) -> dict[str, AnnotationFile]:
-    """The splits; without one to validate on, some of the training recordings, or their ends, become it."""
+    """Return the splits; without a validation split, some of the training recordings, or their ends, become it."""
     parts = {split: dataset.read(split) for split in dataset.splits}
     if YOLO_SPLITS not in parts:
         raise UserError(f"{dataset.root}: has no split {YOLO_SPLITS}, which this format cannot do without")
@@ -124,7 +124,10 @@ def _row(label: Annotation | RoadUser, image: Image, chosen: Sequence[int], cate
 
 
 def _flip(scheme: Scheme, chosen: Sequence[int]) -> list[int] | None:
-    """Index, among the `chosen` keypoints, of each one's mirror partner."""
+    """Return the index, among the `chosen` keypoints, of each keypoint's mirror partner.
+
+    None if a partner is missing.
+    """
     if scheme.flip is None:
         return None
     partners = [scheme.flip[i] for i in chosen]

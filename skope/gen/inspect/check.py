@@ -1,7 +1,7 @@
-"""Does a dataset hold what it says? And repair of one that does not: broken frames are rendered again, sound files stay
-as they are, byte for byte.
+"""Check a dataset, and repair it.
 
-Checked are files and their bytes, schema, ids, motion, and each label (`skope.gen.inspect.label_checks`).
+The checks cover files and their bytes, schema, ids, motion, and each label (`skope.gen.inspect.label_checks`). A repair
+renders broken frames again; intact files keep their bytes.
 """
 
 import hashlib
@@ -41,14 +41,15 @@ from skope.types import AnyFloats
 
 @dataclass(frozen=True)
 class MotionLimits:
-    """Limits of motion from which a check reports a vehicle."""
+    """Limits of motion above which a check reports a vehicle."""
 
     acceleration_mps2: float = 10.0
-    """Acceleration that no vehicle reaches by braking or cornering, m/s^2."""
+    """Maximum acceleration of a vehicle by braking or cornering, m/s^2."""
     turn_lever_m: float = 4.0
-    """Farthest from an articulated vehicle's front axle that its velocity is measured, metres."""
+    """Maximum distance between an articulated vehicle's front axle and the point at which its velocity is measured,
+    metres."""
     speed_mps: float = 0.3
-    """Difference between two speeds that a body's rocking and the rounding of files explain, m/s."""
+    """Difference between two speeds that the rocking of a body and the rounding of files explain, m/s."""
 
 
 MOTION_LIMITS: Final = MotionLimits()
@@ -56,25 +57,26 @@ MOTION_LIMITS: Final = MotionLimits()
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing that is wrong with a dataset."""
+    """One error in a dataset."""
 
     where: str
     """File, and the ids in it."""
     text: str
-    """The field, and what is wrong with it."""
+    """The field and its error."""
     image: str | None = None
-    """File name of the image that has to be rendered again to repair this; None when that would not help."""
+    """File name of the image that a repair must render again; None if that would not help."""
     stray: bool = False
-    """Whether `where` is a file that does not belong here."""
+    """Whether `where` is a file that does not belong to the dataset."""
 
     def __str__(self) -> str:
         return f"{self.where}: {self.text}"
 
 
 def check(dataset: Dataset) -> Iterator[Finding]:
-    """Check a dataset: files, checksums, and whether labels agree with each other, with depth and with physics.
+    """Check files and checksums of a dataset, and the consistency of its labels with depth and physics.
 
-    Yields what is wrong, split by split; nothing for a sound dataset.
+    Yields:
+        The errors, split by split; nothing for a sound dataset.
     """
     yield from _check_manifest(dataset)
     if not dataset.splits:
@@ -117,10 +119,10 @@ def check(dataset: Dataset) -> Iterator[Finding]:
 
 
 class _Seen:
-    """Finds what stands twice across splits."""
+    """Finds duplicates across splits."""
 
     def __init__(self, *, own: bool) -> None:
-        self._own = own  # its one site has recordings in several splits
+        self._own = own  # the recordings of its one site are in several splits
         self._sites: dict[str | None, list[str]] = {}
         self._images: set[int] = set()
         self._annotations: set[int] = set()
@@ -138,7 +140,7 @@ class _Seen:
             others = self._sites.setdefault(image.site, [])
             if split not in others:
                 others.append(split)
-            # Test splits may share sites, as those by condition do; what is learnt from shares none with any other.
+            # Test splits may share sites (those by condition do); a training split shares none with other splits.
             if not self._own and image.site and len(others) > 1 and "train" in others:
                 other = next(name for name in others if name != split)
                 yield Finding(where, f"site: {image.site} stands in split {other} too", image.file_name)
@@ -159,7 +161,7 @@ class _Seen:
 
 
 def _check_manifest(dataset: Dataset) -> Iterator[Finding]:
-    """Check the checksums of all files, and find stray files; nothing for datasets that came without a manifest."""
+    """Check the checksums of all files, and find stray files; yield nothing for datasets without a manifest."""
     if "takes" not in dataset.card and not (dataset.root / MANIFEST_FILE).exists():
         return
     try:
@@ -198,7 +200,7 @@ def _image_of_depth(name: str, sums: Mapping[str, str]) -> str | None:
 
 
 def _check_totals(dataset: Dataset, name: str, split: str) -> Iterator[Finding]:
-    """Values that the reader of annotation files works out itself, and others take from the file."""
+    """Check values that the reader of annotation files computes itself, and other programs read from the file."""
     for image, annotations in rows_of(dataset, split):
         for row in annotations:
             labelled = sum(v > 0 for v in row.get("keypoints", ())[2::3])
@@ -210,7 +212,7 @@ def _check_totals(dataset: Dataset, name: str, split: str) -> Iterator[Finding]:
 
 
 def _check_motion(name: str, file: AnnotationFile) -> Iterator[Finding]:
-    """Velocities against how far a track's vehicle has come from image to image."""
+    """Compare velocities with the distance that a track's vehicle has moved from image to image."""
     images = {image.id: image for image in file.images}
     tracks: dict[tuple[Any, ...], list[tuple[float, Image, Annotation | RoadUser]]] = {}
     every: list[Annotation | RoadUser] = [*file.annotations, *file.road_users]
@@ -228,7 +230,7 @@ def _check_motion(name: str, file: AnnotationFile) -> Iterator[Finding]:
             came = (there - here) / (end - start)
             wrong = float(np.linalg.norm(came - (a.velocity + b.velocity) / 2))
             turn = abs(float(wrapped(b.box_3d.yaw - a.box_3d.yaw))) / (end - start)
-            # At most so far apart is the mean of two velocities from the mean velocity between them.
+            # Maximum difference between the mean of two velocities and the mean velocity between them.
             if wrong > MOTION_LIMITS.acceleration_mps2 * (end - start) / 4 + MOTION_LIMITS.speed_mps + turn * lever:
                 yield Finding(
                     f"{name}: annotation {b.id}",
@@ -238,9 +240,9 @@ def _check_motion(name: str, file: AnnotationFile) -> Iterator[Finding]:
 
 
 def _measured_place(annotation: Annotation | RoadUser) -> tuple[AnyFloats, float]:
-    """A place (3,) on a road user that moves with its velocity, and how far at most it is from where that is measured.
+    """Return a point (3,) of a road user that moves with its velocity, and the maximum distance to its measured point.
 
-    The box around both parts of an articulated vehicle grows and shrinks while it bends: its front axle is taken.
+    The box around both parts of an articulated vehicle changes while it bends, therefore its front axle is used.
     """
     assert annotation.box_3d is not None
     if isinstance(annotation, RoadUser) or annotation.articulation is None or annotation.keypoints_3d is None:
@@ -280,7 +282,7 @@ def _check_image(dataset: Dataset, image: Image, labels: Sequence[Annotation | R
 
 
 def _lost_splits(dataset: Dataset, findings: Sequence[Finding]) -> set[str]:
-    """Splits whose annotation file, or the manifest, is broken: none of their labels can be trusted."""
+    """Return splits with a broken annotation file, or all if the manifest is broken; their labels cannot be trusted."""
     files = {finding.where for finding in findings if finding.image is None}
     if MANIFEST_FILE in files:
         return set(dataset.splits)
@@ -288,17 +290,17 @@ def _lost_splits(dataset: Dataset, findings: Sequence[Finding]) -> set[str]:
 
 
 def repair(dataset: Dataset, findings: Sequence[Finding], start_pool: PoolFactory, console: Console) -> None:
-    """Render broken frames of a dataset again, and write all labels anew.
+    """Render broken frames of a dataset again, and write all labels again.
 
     Args:
         dataset: A dataset that `skope gen` made.
-        findings: What `check` found.
+        findings: The errors from `check`.
         start_pool: Starts the workers.
-        console: Where progress is shown.
+        console: Shows progress.
 
     Raises:
-        UserError: The dataset has another origin, or recordings are broken: these are removed, and the message names
-            the command that simulates them again.
+        UserError: The dataset has another origin, or recordings are broken. Broken recordings are removed, and the
+            message contains the command that simulates them again.
     """
     if "takes" not in dataset.card:
         raise UserError(f"{dataset.root}: was not made by `skope gen`: there is nothing to make it again from")

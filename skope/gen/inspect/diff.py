@@ -14,7 +14,7 @@ Key = tuple[str | None, str | None, int | None]
 
 
 def differences(one: Dataset, other: Dataset) -> Iterator[str]:
-    """Lines that name what differs: parameters, frames, labels and bytes; none for equal datasets."""
+    """Yield lines with the differences in parameters, frames, labels and bytes; none for equal datasets."""
     a, b = one.card.get("parameters", {}), other.card.get("parameters", {})
     for name in sorted(a.keys() | b.keys()):
         if a.get(name) != b.get(name):
@@ -68,7 +68,7 @@ def _boxes(pairs: Sequence[tuple[Labelled, Labelled]]) -> Iterator[str]:
 
 
 def _frames(dataset: Dataset, split: str) -> dict[Key, dict[tuple[str, Any], Annotation | RoadUser]]:
-    """The labels of each frame, by category and track."""
+    """Return the labels of each frame, by category and track."""
     file = dataset.read(split)
     groups = file.labels_by_image()
     return {
@@ -85,7 +85,7 @@ def _named(key: Key) -> str:
 
 
 def _bytes(one: Dataset, other: Dataset) -> Iterator[str]:
-    """Differences between the files of two datasets, by their manifests, where both have one of the same format."""
+    """Yield differences between the files of two datasets with manifests of the same format."""
     if one.sharded != other.sharded:
         yield f"formats: {one.card.get('format')} and {other.card.get('format')}"
         return

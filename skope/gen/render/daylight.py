@@ -41,8 +41,10 @@ SKY_LIGHT: Final = SkyLight()
 
 
 def temperature_color(kelvin: float) -> Array:
-    """Return the linear RGB (3,) of a black body of luminance 1 (Planck's law at the primaries' dominant
-    wavelengths)."""
+    """Return the linear RGB (3,) of a black body of luminance 1.
+
+    It is Planck's law at the primaries' dominant wavelengths.
+    """
     wavelengths = np.array([611e-9, 549e-9, 464e-9])
 
     def planck(temperature: float) -> Array:

@@ -151,8 +151,10 @@ def _far_around(light: NDArray[np.float32]) -> NDArray[np.float32]:
 
 @lru_cache(maxsize=64)
 def _point_spread(radius: int, core: float) -> NDArray[np.float32]:
-    """Return a point-spread function (2 r + 1, 2 r + 1) with the falloff of glare in eyes and lenses, 1 in the
-    middle."""
+    """Return a point-spread function (2 r + 1, 2 r + 1) with the falloff of glare in eyes and lenses.
+
+    It is 1 in the middle.
+    """
     y, x = np.mgrid[-radius : radius + 1, -radius : radius + 1].astype(np.float32)
     square = (x * x + y * y) / (core * core)
     edge = np.clip(1 - np.sqrt(x * x + y * y) / radius, 0, 1)

@@ -219,8 +219,7 @@ def _project(points_world: Array, camera: Camera) -> Array:
 
 @lru_cache(maxsize=256)
 def _box_corners(vehicle: Body) -> list[Array]:
-    """Return the corners (8, 3) of the box around a vehicle with its mirrors and steered wheels, and of its trailer's
-    box.
+    """Return the corners (8, 3) of the boxes around a vehicle and its trailer, with mirrors and steered wheels.
 
     Each box is in the frame of its part.
     """

@@ -1,5 +1,4 @@
-"""Backdrop of a scene: wooded hills or a skyline at the edge of the ground, and stand-ins for the scenery of a
-photograph.
+"""Backdrop of a scene: hills or a skyline at the edge of the ground, and stand-ins for a photograph's scenery.
 
 The stand-ins are ground that receives shadows and objects that hide the traffic.
 """

@@ -178,8 +178,7 @@ def _deck_axis(graph: RoadGraph, deck: Polygon) -> LineString:
 
 
 def _guard_rails(layout: Layout) -> Iterator[Mesh]:
-    """Yield guard rails along the right of roads that have them, and in medians, except where another carriageway
-    joins."""
+    """Yield guard rails on the right of roads that have them and in medians, except where carriageways join."""
     graph = layout.graph
     for edge in graph.edges:
         lanes, kind = driven(edge), graph.kind(edge)

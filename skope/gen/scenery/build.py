@@ -211,8 +211,7 @@ def _bays_along_kerbs(town: Town, layout: Layout, houses: list[House]) -> list[B
 
 
 def _generators(town: Town) -> dict[str, np.random.Generator]:
-    """Return a separate random generator per part of the scenery, so that a change of one does not affect the
-    others."""
+    """Return a separate random generator per part of the scenery, so that parts do not affect each other."""
     own = zlib.crc32(town.name.encode())
     seed = [own, town.variant.seed] if town.variant and town.variant.seed else own
     return dict(zip(_BUILD_PARTS, np.random.default_rng(seed).spawn(len(_BUILD_PARTS)), strict=True))

@@ -31,7 +31,7 @@ class DistractorLimits:
     placed_within_m: float = 70.0
     """Maximum distance of these objects from a camera, metres."""
     out_of_view_share: float = 0.15
-    """Share of the objects at any direction from a camera; the others are in its view."""
+    """Share of the objects in any direction from a camera; the others are in its view."""
     clearance_m: float = 0.6
     """Minimum distance from the carriageway, metres."""
     largest_share: float = 0.45
@@ -148,8 +148,7 @@ def lit_objects(
 
 
 def light_pools(town: Town, layout: Layout, rng: np.random.Generator) -> Array:
-    """Return patches of light (N, 10) on the lanes in the cameras' views, up to three each, as
-    `Scenery.light_pools`."""
+    """Return up to three patches of light per camera on the lanes in its view, (N, 10) as `Scenery.light_pools`."""
     out = []
     for kerb, heading in _seen_kerbs(town, layout, 3, rng):
         at = kerb - right_of(heading) * rng.uniform(1.2, 4.5)
@@ -163,8 +162,7 @@ def light_pools(town: Town, layout: Layout, rng: np.random.Generator) -> Array:
 
 
 def hatched_areas(town: Town, layout: Layout, rng: np.random.Generator) -> list[Polygon]:
-    """Return the stripes of hatched areas at the right edges of the roads in the cameras' views, up to two areas
-    each."""
+    """Return the stripes of up to two hatched areas per camera, at the right edges of the roads in its view."""
     kerbs = _seen_kerbs(town, layout, 2, rng)
     return [part for kerb, heading in kerbs for part in hatching(kerb - 0.35 * right_of(heading), heading, rng)]
 

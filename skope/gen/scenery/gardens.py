@@ -1,5 +1,4 @@
-"""Enclosures of houses' plots: low walls, picket fences, railings and hedges at the front, timber fences at the
-rear."""
+"""Enclosures of plots: walls, picket fences, railings and hedges at the front, timber fences at the rear."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass

@@ -41,8 +41,10 @@ PARKING_PARTS: Final = (
 
 
 def arrow_trailer(rng: np.random.Generator) -> Mesh:
-    """Return a trailer of road works with an upright panel: an arrow of lamps, or a white arrow on a blue disc over
-    stripes."""
+    """Return a trailer of road works with an upright panel.
+
+    The panel has an arrow of lamps, or a white arrow on a blue disc over stripes.
+    """
     x, top = rng.uniform(0.85, 1.2), rng.uniform(2.6, 3.6)
     out = Solid()
     out.box("zinc", (-0.75, -1.2, 0.42), (0.75, 0.7, 0.56))

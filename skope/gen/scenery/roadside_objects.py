@@ -20,8 +20,7 @@ _DARK_COLOR: Final = "#222222"
 
 
 def garages(rng: np.random.Generator) -> Mesh:
-    """Return one or two garages or lock-up shops in a row: ribbed shutters, some with large letters, under a flat
-    roof."""
+    """Return one or two garages or lock-up shops with ribbed shutters, some with large letters, and a flat roof."""
     count, half, depth, top = int(rng.integers(1, 3)), rng.uniform(1.3, 1.6), 2.4, rng.uniform(2.4, 2.9)
     wall, door = str(rng.choice(WALL_MATERIALS)), drawn_color(rng)
     high, rib = top - rng.uniform(0.25, 0.5), float(rng.choice([0.12, 0.25, 0.5]))
@@ -127,8 +126,7 @@ def portable_toilets(rng: np.random.Generator) -> Mesh:
 
 
 def generator(rng: np.random.Generator) -> Mesh:
-    """Return a generator or compressor in a case on skids: sloping shoulders, louvres, a panel, an exhaust and a
-    lamp."""
+    """Return a generator or compressor in a case on skids, with louvres, a panel, an exhaust and a lamp."""
     x, y, top = rng.uniform(0.9, 1.9), rng.uniform(0.45, 0.75), rng.uniform(1.1, 1.8)
     color = drawn_color(rng)
     out = Solid()
@@ -311,8 +309,7 @@ def recessed_wall(rng: np.random.Generator) -> Mesh:
 
 
 def gravestones(rng: np.random.Generator) -> Mesh:
-    """Return a row of gravestones: slabs of polished or rough stone with round or straight tops, lettering and
-    plinths."""
+    """Return a row of gravestones: polished or rough slabs with round or straight tops, lettering and plinths."""
     out = Solid()
     count = int(rng.integers(2, 6))
     for k in range(count):

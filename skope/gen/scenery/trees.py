@@ -209,7 +209,7 @@ def plant(layout: Layout, built: Any, rng: np.random.Generator) -> list[Tree]:
             at, species, likely = place + wander, drawn_name(style.species, rng), rng.random()
             if likely < line.chance and is_free(keep_clear, at, 0.4):
                 grow(at, street, TREE_SPECIES[species])
-    # In a median only the stems can be in a camera's view; the crowns are too high to hide anything.
+    # Crowns in medians are too high to hide anything in a camera's view, except near a camera.
     near_cameras = layout.around_cameras.buffer(TREE_LIMITS.crown_m)
     for island in polygons(layout.islands.buffer(-1.4)):
         for at in _places_along(island, 11.0):
@@ -336,8 +336,7 @@ def _clump(
     rng: np.random.Generator,
     stretch: ArrayLike = (1.0, 1.0, 0.8),
 ) -> Mesh:
-    """Return an uneven ball of leaves with normals away from the crown's middle, so that the crown is lit as a
-    whole."""
+    """Return an uneven ball of leaves; its normals lean away from the crown's middle for even lighting."""
     points, triangles = _icosphere(detail)
     uneven = 0.28 if detail else 0.16
     points = points * rng.uniform(1 - uneven, 1 + uneven, (len(points), 1)) * radius * np.asarray(stretch)

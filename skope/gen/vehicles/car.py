@@ -195,8 +195,10 @@ class CarBody:
         return [cabin, (self.end + 0.13, s.backlight_x - 0.08, max(s.deck_height - 0.5, s.wheel_radius + well))]
 
     def _stations(self) -> Array:
-        """Return the positions of columns as shares of the side: around the wheels, at the pits' ends, and evenly
-        between."""
+        """Return the positions of columns as shares of the side.
+
+        They are around the wheels, at the pits' ends, and evenly between.
+        """
         s = self.shape
         top = self._plan(*BODY_PROFILE[-1, 2:5])
         ends = top.outline(np.array([0.0, 1.0]))[[SIDE_START, -SIDE_START - 1], 0]

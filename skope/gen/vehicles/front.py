@@ -218,8 +218,7 @@ def draw_front(shell: Surface, w: Array, s: Shape, style: VehicleStyle, points: 
 
 
 def _stepped(plate: float, steps: int, low: float, high: float) -> float:
-    """Return a plate's height `steps` places above its usual height, limited to the range from `low` to `high`,
-    metres."""
+    """Return a plate's height `steps` places above its usual height, limited to `low` to `high`, metres."""
     moved = plate + steps * parts.PART_SIZES.plate_step_m
     return moved if low <= moved <= high - parts.PART_SIZES.plate_m[1] else plate
 

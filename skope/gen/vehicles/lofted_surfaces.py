@@ -253,8 +253,7 @@ class Surface:
         wall: str = "trim",
         levels: tuple[float, float] = (BOTTOM, SHOULDER),
     ) -> None:
-        """Move the area in a convex polygon `depth` metres inwards without a change of height, and close its rim
-        with walls."""
+        """Move the area in a convex polygon `depth` metres horizontally inwards, and close its rim with walls."""
         chosen = self._cut_polygon(polygon, projection, levels, None)
         if not len(chosen):
             return
@@ -281,8 +280,10 @@ class Surface:
         )
 
     def _outward_directions(self, used: Indices) -> Array:
-        """Return horizontal unit vectors, equal for all vertices at one position: creases stay closed and heights do
-        not change."""
+        """Return horizontal outward unit vectors, equal for all vertices at one position.
+
+        With these, creases stay closed and heights do not change.
+        """
         same, _ = numbered_rows(self._vertices[used, :NX], 6)
         total = np.zeros((len(used), 3))
         np.add.at(total, same, self._vertices[used, NX:W])

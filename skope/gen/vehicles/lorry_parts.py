@@ -1,5 +1,4 @@
-"""Common parts of lorries and trailers: the cargo space behind a cab and its bodies, axles, and the underrun bar
-with lamps."""
+"""Common parts of lorries and trailers: the cargo space and its bodies, axles, and the underrun bar."""
 
 from dataclasses import dataclass, field
 from typing import Final

@@ -57,8 +57,7 @@ class Sidecar:
 
     @classmethod
     def of(cls, points: ArrayLike, wheels: ArrayLike | None = None) -> Self:
-        """Return the distances and sides of keypoints (33, 3) of a vehicle at rest relative to its wheels (4, 3), in
-        any frame.
+        """Return the separation of keypoints (33, 3) of a vehicle at rest from its wheels (4, 3), in any frame.
 
         Default wheels: the keypoints of the wheels.
         """
@@ -144,8 +143,7 @@ class Trailer:
 
     @property
     def at_rest(self) -> Array:
-        """(3, 4, 4) poses of the trailer and its two wheels in the frame of a vehicle that is straight in front of
-        it."""
+        """(3, 4, 4) poses of the trailer and its two wheels in the frame of a vehicle straight in front of it."""
         T = np.tile(np.eye(4), (3, 1, 1))
         T[:, :2, 3] += self.hinge[:2]
         T[1:, :3, 3] += self.wheel_centers

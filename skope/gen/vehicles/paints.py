@@ -171,8 +171,7 @@ UNPAINTED_COLORS: Final = {"orange": (206, 94, 24), "gold": (170, 140, 84), "pur
 
 
 def color_name(vehicle: Vehicle, paint: str) -> str:
-    """Return the colour of a vehicle in annotations: that of its paint, or the own colour of an unpainted added
-    model."""
+    """Return the colour of a vehicle in annotations: that of its paint, or of an unpainted added model."""
     return _own_color(vehicle) if isinstance(vehicle, AddedVehicle) else ALL_PAINTS[paint].color
 
 

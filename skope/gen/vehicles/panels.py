@@ -1,5 +1,7 @@
-"""Panels on shells: outlines in metres along and up, stripes and adverts on cars, large graphics and marker lamps on
-the sides of heavy bodies."""
+"""Panels on shells, with outlines in metres along and up.
+
+They are stripes and adverts on cars, and large graphics and marker lamps on the sides of heavy bodies.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -33,8 +35,7 @@ Points = dict[str, Array]
 
 
 def quad(a: float, b: float, low: tuple[float, float], high: tuple[float, float]) -> Array:
-    """Return the outline of a panel from `a` to `b` along the shell, with its lower and upper edge at either end,
-    metres."""
+    """Return the outline of a panel from `a` to `b` along the shell; `low` and `high` are its ends' edges, metres."""
     return np.array([(a, low[0]), (b, low[1]), (b, high[1]), (a, high[0])])
 
 
@@ -80,8 +81,7 @@ def rounded(polygon: ArrayLike, radius: float) -> Array:
 
 
 def mirrored(side: Sequence[tuple[float, float]]) -> Array:
-    """Return the whole of an outline that is symmetric about the shell's middle, from its half from the bottom
-    upwards."""
+    """Return a symmetric outline from its half, which runs from the bottom upwards."""
     half = np.array(side)
     return np.vstack([half, half[::-1] * [-1, 1]])
 

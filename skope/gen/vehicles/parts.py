@@ -43,8 +43,10 @@ def block(low: ArrayLike, high: ArrayLike, material: str, bevel: float) -> Mesh:
 
 
 def _mirror_shell(center: Array, sections: Array, material: str) -> Mesh:
-    """Return a closed shell along y with a flat rear: `sections` (N, 4) are y, half height, reach ahead and behind
-    `center`."""
+    """Return a closed shell along y with a flat rear.
+
+    `sections` (N, 4) are y, half height, reach ahead and behind `center`.
+    """
     turn = np.linspace(0, 2 * np.pi, 9) + np.pi / 8
     # A nearly square ring: flatter at the top, bottom and rear than a circle.
     c, s = (np.sign(f(turn)) * np.abs(f(turn)) ** 0.7 for f in (np.cos, np.sin))

@@ -1,5 +1,4 @@
-"""Left halves of the solids of heavy bodies: upright shells with rounded corners and edges, prisms, barrels, pipes,
-mudguards, ladders."""
+"""Left halves of the solids of heavy bodies: upright shells, prisms, barrels, pipes, mudguards, ladders."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -1,5 +1,4 @@
-"""Trailers: box, curtain, container or tank on a frame, behind a kingpin or at a drawbar, and the rear half of a
-bus."""
+"""Trailers: box, curtain, container or tank behind a kingpin or at a drawbar, and the rear half of a bus."""
 
 from dataclasses import dataclass, replace
 from functools import cached_property

@@ -305,8 +305,7 @@ class TruckBody:
             )
 
     def _build_frame(self) -> None:
-        """Build rails, tank, guards, axles with all wheels except the four outer ones, and the rear bumper with its
-        lamps."""
+        """Build rails, tank, guards, axles with their inner wheels, and the rear bumper with its lamps."""
         s, style = self.shape, self.style
         low, high = s.box_height - (0.1 if style.skirts else 0.3), s.box_height + 0.01
         add = self._parts.append
@@ -366,8 +365,10 @@ class TruckBody:
 
 
 def _sheet(face: list[tuple[float, float]], inner: float, outer: float) -> Mesh:
-    """Return a prism from y = `inner` to y = `outer` over a convex polygon (x, z), counter-clockwise seen from the
-    right."""
+    """Return a prism from y = `inner` to y = `outer` over a convex polygon (x, z).
+
+    The polygon is counter-clockwise seen from the right.
+    """
     near, far = ([np.array([x, y, z]) for x, z in face] for y in (inner, outer))
     around = [[near[i], far[i], far[j], near[j]] for i, j in ((k, (k + 1) % len(face)) for k in range(len(face)))]
     return quads(np.array([near, far[::-1], *around]), "trim")

@@ -31,8 +31,7 @@ WORK_BODY_SIZES: Final = WorkBodySizes()
 
 
 def fire_body(space: CargoSpace) -> Cargo:
-    """Return a fire engine's body with shutters along the sides, a ladder on the roof, reflective bands and its own
-    lamps."""
+    """Return a fire engine's body with side shutters, a roof ladder, reflective bands and lamps."""
     out = Cargo()
     floor, high = space.floor, space.shape.height - WORK_BODY_SIZES.ladder_m
     well = space.shape.track / 2 - space.shape.wheel_width * 1.7
@@ -108,8 +107,7 @@ def _fire_roof(space: CargoSpace, high: float) -> list[Mesh]:
 
 
 def refuse_body(space: CargoSpace) -> Cargo:
-    """Return a compacting body with ribs, and behind it a hopper with cheeks, the bin's edge, the lifting comb and
-    steps."""
+    """Return a compacting body with ribs, and behind it a hopper with its lifting comb and steps."""
     rng, out = space.rng(), Cargo()
     add, half, floor = out.parts.append, space.half - 0.03, space.floor
     start, high = space.end + WORK_BODY_SIZES.hopper_m, space.shape.height - 0.12

@@ -119,8 +119,7 @@ def draw_photographed_shadows(stage: Stage, target: Any, clip: Array, recording:
 
 
 def _shadow_mask(road: OwnRoad, camera: Camera) -> Array:
-    """Return the share (H, W) of each pixel that lies in the photograph's shadows, for a camera at the place of its
-    camera."""
+    """Return the share (H, W) of each pixel in the photograph's shadows, for a camera at the same place."""
     out = np.zeros((camera.height, camera.width), dtype=np.uint8)
     for outline in road.shades:
         fine = shapely.get_coordinates(shapely.segmentize(shapely.Polygon(outline), road.camera.width / 50))
@@ -295,8 +294,7 @@ def _cached_light(stage: Stage, road: Plane | None, digest: str, on_light: Calla
 
 
 def _develop_textures(stage: Stage, light: Arrays, geometry: Any, road: Plane) -> dict[str, Any]:
-    """Return textures of the light from sky and sun, and of the mirror image on wet ground, as the camera exposes
-    them."""
+    """Return textures of the exposed light from sky and sun, and of the mirror image on wet ground."""
     device = stage.device
     wet = "mirrored" in light
     names = ["u_ambient", "u_sunlit", *(["u_reflected"] if wet else [])]

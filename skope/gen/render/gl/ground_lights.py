@@ -122,8 +122,10 @@ class StreetLights:
         return min(len(self.positions), GROUND_LIGHTS.shadow_cells**2)
 
     def clip(self, k: int) -> Array:
-        """Return the matrix from world axes, relative to the camera, to the clip space of a lamp that points
-        straight down."""
+        """Return the matrix from world axes to the clip space of a lamp that points straight down.
+
+        World axes are relative to the camera.
+        """
         T = np.diag([1.0, -1.0, -1.0, 1.0])
         T[:3, 3] = -T[:3, :3] @ self.positions[k]
         K = np.array([[1 / _CONE_TANGENT, 0, 1], [0, 1 / _CONE_TANGENT, 1], [0, 0, 1]])

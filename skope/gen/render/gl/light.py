@@ -196,8 +196,10 @@ class Stage:
         parts: LitMeshes,
         *options: str,
     ) -> list[NDArray[np.float32]]:
-        """Return sums over the samples in `which`, weighted for the mean over all, with the scene transformed by
-        `placed`."""
+        """Return sums over the samples in `which`, weighted for the mean over all samples.
+
+        `placed` is a transform of the scene.
+        """
         device = self.device
         sums, sample = (device.target(size, ["4f4", "4f4"]) for _ in range(2))
         sun, sky = device.shadow_map(sun_map_size(self._camera)), device.shadow_map(LIGHT_SAMPLING.sky_map_texels)

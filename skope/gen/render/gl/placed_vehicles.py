@@ -64,8 +64,10 @@ class Placer:
         self._device, self._camera = device, camera
 
     def place(self, moment: Moment) -> list[PlacedVehicle]:
-        """Return the vehicles that the image may show, from near to far: pixels hidden by a nearer vehicle are not
-        shaded."""
+        """Return the vehicles that the image may show, from near to far.
+
+        In this order, pixels hidden by a nearer vehicle are not shaded.
+        """
         camera, out = self._camera, []
         bodies = [body_of(recorded) for recorded in moment.vehicles]
         away = np.linalg.norm(moment.T_world_chassis[:, :3, 3] - camera.position, axis=1)

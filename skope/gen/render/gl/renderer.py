@@ -432,8 +432,7 @@ class GLRenderer:
     def _contrast(
         self, placed: PlacedVehicle, own: NDArray[np.bool_], rgb: NDArray[np.uint8], drawn: "_Drawn"
     ) -> float:
-        """Return the mean difference over a vehicle's visible pixels between the image with and without it and its
-        shadow."""
+        """Return the mean difference over a vehicle's visible pixels to the image without it and its shadow."""
         window = x0, y0, x1, y1 = inside_image(placed.window, self._camera)
         picture: NDArray[Any] = self._plain[y0:y1, x0:x1]
         if drawn.behind and placed in drawn.crowd:
