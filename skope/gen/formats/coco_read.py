@@ -75,10 +75,10 @@ def vehicle_categories(file: AnnotationSource, console: Console) -> dict[int, La
                 continue
             places = [scheme.names.index(names[i]) for i in known]
             if len(set(places)) < len(places):
-                raise UserError(f"{file.path}: category {category.get('name')!r} has a keypoint twice")
+                raise UserError(f"{file.path}: category {category.get('name')!r} has a duplicate keypoint")
             unknown = [name for name in names if name not in scheme.names]
             if unknown:
-                console.say(f"{file.path}: left out keypoints that are not of {scheme.name}: {', '.join(unknown)}")
+                console.say(f"{file.path}: left out keypoints that are not in {scheme.name}: {', '.join(unknown)}")
             if len(known) < K:
                 console.say(f"{file.path}: {len(known)} of the {K} keypoints of {scheme.name}; the rest is unlabelled")
             called = bare(category.get("name"))
@@ -95,8 +95,8 @@ def vehicle_categories(file: AnnotationSource, console: Console) -> dict[int, La
         raise UserError(f"{file.path}: categories: keypoints of two schemes")
     if len(out) > 1 and lost:
         console.warn(
-            f"{file.path}: of classes {', '.join(lost)} only `{schema.category()['name']}` is left: no vehicle type of "
-            f"ours is called so ({', '.join(schema.VEHICLE_TYPES)})"
+            f"{file.path}: classes {', '.join(lost)} become `{schema.category()['name']}`: they are not vehicle "
+            f"types of skope ({', '.join(schema.VEHICLE_TYPES)})"
         )
     return out
 
@@ -112,7 +112,7 @@ def road_user_categories(file: AnnotationSource, console: Console) -> dict[int, 
         if (name := bare(row.get("name"))) in schema.CATEGORY_NAMES[1:] and not row.get("keypoints")
     }
     if out and not file.ours:
-        console.say(f"{file.path}: taken for ours, without keypoints: {', '.join(out.values())}")
+        console.say(f"{file.path}: read as categories of skope, without keypoints: {', '.join(out.values())}")
     return out
 
 
@@ -217,11 +217,11 @@ def _without_impossible(where: str, vehicle: Annotation, remarks: Remarks) -> An
         return vehicle
     unset = outside & (points[:, :2] == 0).all(axis=1)
     if unset.any():
-        remarks.add("vehicle", "with keypoints at 0, 0, far from the box: they are taken as unlabelled", where)
+        remarks.add("vehicle", "with keypoints at 0, 0, far from the box: read as unlabelled", where)
         points = np.where(unset[:, None], 0.0, points)
         vehicle = replace(vehicle, keypoints=points)
     if (outside & ~unset & (points[:, 2] == 2)).any():
-        remarks.add("vehicle", "with keypoints called visible far outside of the box: they cannot be right", where)
+        remarks.add("vehicle", "with keypoints marked visible far outside the box: check them", where)
     return vehicle
 
 
@@ -321,7 +321,8 @@ def read(
                 if categories != writer.categories:
                     raise UserError(
                         f"{file.path}: categories: labels {', '.join(categories)}, the others "
-                        f"{', '.join(writer.categories)}: read them apart; whom one does not label would be background"
+                        f"{', '.join(writer.categories)}: import them separately; "
+                        "objects that one does not label would be background"
                     )
                 if scheme is not writer.scheme:
                     raise UserError(
@@ -330,7 +331,7 @@ def read(
                 _add(file, files, labels, others, importer, writer, console)
     remarks.say(console)
     if len(stated) > 1:
-        raise UserError(f"files under different licences ({'; '.join(sorted(stated))}): read them apart")
+        raise UserError(f"files under different licences ({'; '.join(sorted(stated))}): import them separately")
     rules = ["Boxes and keypoints are those of the files read; a keypoint that they do not have is unlabelled (v = 0)."]
     assert writer is not None  # a source without an annotation file was rejected
     if writer.categories != schema.VEHICLE_ALONE:
@@ -364,7 +365,7 @@ def _add(
                 continue
             if label is None:
                 name = called.get(row["category_id"], "no category")
-                importer.remarks.add("annotation", f"of {name} left out, without a keypoint of ours", where)
+                importer.remarks.add("annotation", f"of {name} left out, without a keypoint of skope", where)
                 continue
             vehicle = vehicle_of_row(where, row, label, image, importer.remarks, ours=file.ours)
             if vehicle is not None:

@@ -99,11 +99,11 @@ def annotation_sources(
                 f"{where}: {chosen!r} cannot be the name of a split: rename the file, or read it alone with --split"
             )
         if by == "folder":
-            console.say(f"{where}: split {chosen}, as its folder is called (--split gives another)")
+            console.say(f"{where}: split {chosen}, from the name of its folder (--split overrides it)")
         elif by == "default":
-            console.say(f"{where}: split {chosen}, since no name says any (--split gives another)")
+            console.say(f"{where}: split {chosen}, because no name specifies one (--split overrides it)")
         elif by and chosen != stem:
-            console.say(f"{where}: split {chosen}, as we call {stem} (--split gives another)")
+            console.say(f"{where}: split {chosen}, from the name {stem} (--split overrides it)")
         document = _parsed(where, files.find(name))
         yield AnnotationSource(
             path=where,
@@ -128,7 +128,7 @@ def _annotation_names(source: Path, files: Files, form: str) -> list[str]:
         if names:
             return names
     raise UserError(
-        f"{source}: has no {_ANNOTATION_FOLDER}/{start}*.json, nor such a file right in it or a folder below"
+        f"{source}: has no {_ANNOTATION_FOLDER}/{start}*.json, nor such a file directly in it or in a folder below"
     )
 
 
@@ -172,7 +172,7 @@ def _parsed(where: str, content: Path | bytes | None) -> Mapping[str, Any]:
             if type(row.get(name)) is not int:
                 raise UserError(f"{where}: {key}[{i}]: {name}: expected a whole number, got {row.get(name)!r}")
         if key != "annotations" and len({row["id"] for row in rows}) < len(rows):
-            raise UserError(f"{where}: field {key}: two have the same id")
+            raise UserError(f"{where}: field {key}: duplicate id")
     for i, row in enumerate(document["images"]):
         if not isinstance(row.get("file_name"), str):
             raise UserError(f"{where}: images[{i}]: file_name: expected text, got {row.get('file_name')!r:.60}")
@@ -275,10 +275,10 @@ class ImageImporter:
                 raise UserError(f"{where}: file_name: {self._not_found(stated, name, among)}")
             if path in taken:
                 other = "" if taken[path] == stated else f" ({path} is {taken[path]} too)"
-                raise UserError(f"{where}: file_name: {stated} stands twice{other}")
+                raise UserError(f"{where}: file_name: {stated} is a duplicate{other}")
             taken[path] = stated
             if ending != name:
-                self.remarks.add("image", "found by the end of its name", f"{stated} as {ending}")
+                self.remarks.add("image", "found by the end of the name", f"{stated} as {ending}")
             elif name != stated:
                 self.remarks.add("file name", "read as a path with forward slashes", f"{stated} as {name}")
             out.append(ImageSource(row, where, ending, path))
@@ -302,10 +302,10 @@ class ImageImporter:
             return f"no {stated} in {among.where}"
         if name not in file_name_rules.endings(name):
             return (
-                f"{stated!r:.80} is no path inside a folder; say with --images where the images lie: there they are "
-                "found by the ends of such names"
+                f"{stated!r:.80} is not a path inside a folder; give the folder of the images with --images, where "
+                "images are found by the ends of their names"
             )
-        return f"no {stated} in {among.where}, as itself or below images/; say with --images where images lie"
+        return f"no {stated} in {among.where}, nor below its images/; give the folder of the images with --images"
 
     def _image(self, one: ImageSource, place: Place, file: AnnotationSource, files: Files) -> ImportedImage:
         row = (
@@ -338,26 +338,28 @@ class ImageImporter:
         return ImportedImage(replace(image, file_name=name, depth_file_name=depth), contents, turned)
 
     def _checked(self, where: str, image: Image, header: PictureHeader, *, ours: bool) -> Image:
-        """Return the image with the size of its file as shown, which the record must state as shown or as stored."""
+        """Return the image with the size of its file as shown; a record with a different size is kept and reported."""
         stated = image.width, image.height
         if self.stored_pixels and header.turned and ours:
-            raise UserError(f"{where}: --stored-pixels: labels of skope's own files are those of the picture as shown")
+            raise UserError(
+                f"{where}: --stored-pixels: labels of skope's own files are in the pixels of the image as shown"
+            )
         expected, other = header.shown, header.stored
         if self.stored_pixels:
             expected, other = other, expected
         if stated not in (expected, other):
-            self.remarks.add("picture", "of another size than the file says (`skope gen check` names them)", where)
+            self.remarks.add("picture", "of another size than the file states (`skope gen check` lists them)", where)
             return image
         if stated != expected:
-            kind, flag = ("shown", "without") if self.stored_pixels else ("stored, not yet turned as EXIF says", "with")
+            kind, flag = ("shown", "without") if self.stored_pixels else ("stored, before the EXIF rotation", "with")
             raise UserError(
-                f"{where}: width, height: {stated[0]}x{stated[1]} is the picture as {kind}; read the file {flag} "
-                "--stored-pixels"
+                f"{where}: width, height: {stated[0]}x{stated[1]} is the size of the image as {kind}; "
+                f"import the file {flag} --stored-pixels"
             )
         if header.turned:
-            reading = "stored, and turned with it" if self.stored_pixels else "shown (--stored-pixels: as stored)"
+            reading = "stored, and rotated with it" if self.stored_pixels else "shown (--stored-pixels: as stored)"
             self.remarks.add(
-                "picture", f"to be turned (EXIF): labels are taken as those of the picture as {reading}", where
+                "picture", f"rotated by EXIF: labels are read in the pixels of the picture as {reading}", where
             )
         return replace(image, width=header.shown[0], height=header.shown[1])
 
@@ -389,12 +391,12 @@ def _tell_places(
     sites = [*dict.fromkeys(place.site for place in guessed if place.site is not None)]
     if sites:
         shown = ", ".join(sites[:3]) + (f" and {len(sites) - 3} more" if len(sites) > 3 else "")
-        console.say(f"{file.path}: folders are taken for cameras (sites): {shown}")
+        console.say(f"{file.path}: folders are read as cameras (sites): {shown}")
     films = {place.film for place in guessed if place.film is not None}
     if films:
         frames = sum(place.film is not None for place in guessed)
         console.say(
-            f"{file.path}: {counted(frames, 'numbered image')} taken for the frames of "
+            f"{file.path}: {counted(frames, 'numbered image')} read as the frames of "
             f"{counted(len(films), 'recording')}, in the order of their numbers"
         )
 

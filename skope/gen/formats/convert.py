@@ -25,12 +25,14 @@ from skope.terminal.console import Console
 def _to_folder_or_shards(dataset: Dataset, form: str, out: Path, console: Console) -> None:
     """Write a dataset that `skope gen` made in the other of the two forms to `out`, an empty folder."""
     if not (dataset.root / MANIFEST_FILE).is_file():
-        raise UserError(f"{dataset.root / MANIFEST_FILE}: no such file: only what `skope gen` made can be converted")
+        raise UserError(
+            f"{dataset.root / MANIFEST_FILE}: no such file: only datasets made by `skope gen` can be converted"
+        )
     if not dataset.card.get("takes") or "parameters" not in dataset.card:
         raise UserError(f"{dataset.root / CARD_FILE}: takes, parameters: missing")
     plan = DatasetPlan.from_dict(dataset.card, dataset.root / CARD_FILE)
     if form == dataset.card.get("format"):
-        raise UserError(f"{dataset.root}: is in this format already ({form})")
+        raise UserError(f"{dataset.root}: is already in this format ({form})")
     writer = writer_of(form, out, dataset.scheme, dataset.categories)
     for name in sorted(p.name for p in (dataset.root / "recordings").glob("*.npz")):
         write_bytes(out / "recordings" / name, read_bytes(dataset.root / "recordings" / name))
@@ -39,7 +41,9 @@ def _to_folder_or_shards(dataset: Dataset, form: str, out: Path, console: Consol
     for info in console.bar(plan.recordings, unit="recording", label=f"writing {form}"):
         frames = list(islice(splits[info.split], info.frames))
         if len(frames) < info.frames:
-            raise UserError(f"{dataset.root}: {info.split}: has fewer images than its card says; see `skope gen check`")
+            raise UserError(
+                f"{dataset.root}: {info.split}: has fewer images than its card states; see `skope gen check`"
+            )
         writer.add(info.split, frames)
     writer.finish()
     parameters = replace(plan.parameters, format=form)
@@ -112,9 +116,9 @@ def convert_dataset(
     if write_as is not None:
         one_of("--to", write_as, WRITER_NAMES)
     if read_as is None and write_as is None:
-        raise UserError("say --to which format, or --from which one")
+        raise UserError("expected --to or --from with a format")
     if read_as is not None and write_as == "shards":
-        raise UserError("--to shards: is for what `skope gen` made, not for what is read from other files")
+        raise UserError("--to shards: only for datasets made by `skope gen`, not for files of other programs")
     for name, formats in _OPTION_FORMATS.items():
         if getattr(options, name) and not {f"--from {read_as}", f"--to {write_as}"} & set(formats):
             raise UserError(f"--{name.replace('_', '-')} is for {', '.join(formats)}")

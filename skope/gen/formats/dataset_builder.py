@@ -120,7 +120,7 @@ def check_outside(out: Path, sources: Iterable[Path]) -> None:
     """Raise a UserError if the output `out` is inside one of the source folders, which must not change."""
     for source in sources:
         if source.resolve() in out.resolve().parents:
-            raise UserError(f"{out}: is inside {source}, which is left as it is; choose another folder")
+            raise UserError(f"{out}: is inside {source}, which must not change; choose another folder")
 
 
 def bare_name(name: str) -> str:

@@ -58,7 +58,7 @@ def write(dataset: Dataset, out: Path, console: Console) -> None:
         for number, image in enumerate(console.bar(file.images, unit="image", label=f"writing {split}")):
             where = f"{dataset.root}: {split}: image {image.id}"
             if image.camera is None:
-                raise UserError(f"{where}: camera: missing, and KITTI's labels are in its frame")
+                raise UserError(f"{where}: camera: missing, but KITTI's labels are in its frame")
             distorted += image.camera.distortion.model != "none"
             suffix = PurePosixPath(image.file_name).suffix
             place_file(dataset.root / image.file_name, folder / "image_2" / f"{number:06d}{suffix}")
@@ -74,7 +74,7 @@ def write(dataset: Dataset, out: Path, console: Console) -> None:
             index.append(f"{number:06d} {image.file_name}\n")
         write_text(folder / "index.txt", "".join(index))
     if distorted:
-        console.say(f"{distorted} images have a distorted lens, which KITTI's calibration cannot say")
+        console.say(f"{distorted} images have a distorted lens, which KITTI's calibration cannot express")
 
 
 def road_plane(camera: Camera) -> Array:

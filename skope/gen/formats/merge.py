@@ -74,7 +74,7 @@ def _opened(sources: Sequence[Path], out: Path) -> list[Dataset]:
     if len(sources) < 2:
         raise UserError(f"expected two or more datasets and a new folder, got {len(sources)} before {out}")
     if len({source.resolve() for source in sources}) < len(sources):
-        raise UserError("a dataset is named twice")
+        raise UserError("a dataset is listed twice")
     check_outside(out, sources)
     datasets = [dataset_at(source) for source in sources]
     first = datasets[0]
@@ -117,9 +117,7 @@ def _write_images(
             writer.add(split, _frames(dataset, split, file, images, names, sums, taken))
         names.close(dataset)
         for whose, count in twice.items():
-            console.say(
-                f"{dataset.root}: {count} recordings show the same as recordings of {whose}: they are there twice"
-            )
+            console.say(f"{dataset.root}: {count} recordings are duplicates of recordings of {whose}")
     return names, left_out
 
 
@@ -140,8 +138,8 @@ def _check_categories(where: Path, has: Sequence[str], whose: Path, wanted: Sequ
     """
     if tuple(has) != tuple(wanted):
         raise UserError(
-            f"{where}: labels {', '.join(has)}, {whose} {', '.join(wanted)}: whom one of them does not label would "
-            "count as background; --vehicles-alone leaves those labels out"
+            f"{where}: labels {', '.join(has)}, {whose} labels {', '.join(wanted)}: "
+            "objects that one does not label would count as background; --vehicles-alone leaves those labels out"
         )
 
 
@@ -163,7 +161,7 @@ class _Sites:
                 if whose != dataset.root and splits != {split}:
                     raise UserError(
                         f"{dataset.root}: site {site} is in split {split}, and in {', '.join(sorted(splits))} of "
-                        f"{whose}: if it is one camera, what is tested would have been learnt; if these are two, give "
+                        f"{whose}: if it is one camera, test images would be training data; if there are two, give "
                         "one of them another name"
                     )
             uses.setdefault(dataset.root, set()).add(split)
@@ -217,7 +215,7 @@ def _twice(dataset: Dataset, split: str, file: AnnotationFile, begun: dict[str, 
         if of != split:
             raise UserError(
                 f"{dataset.root}: {first.file_name} is in split {split}, the same image in {of} of {whose}: "
-                "what is tested would have been learnt"
+                "test images would be training data"
             )
         yield whose
 

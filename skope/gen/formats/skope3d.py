@@ -96,7 +96,7 @@ def read(
     if names is not None:
         rules.append(f"{len(names)} of {K} keypoints are mapped to scheme {SKOPE33.name}; the others are unlabelled.")
     if len(licences) > 1:
-        raise UserError(f"scenes under different licences ({'; '.join(sorted(licences))}): read them apart")
+        raise UserError(f"scenes under different licences ({'; '.join(sorted(licences))}): import them separately")
     finish_dataset(writer, command=command, licence=licences.pop(), label_rules=rules)
 
 
@@ -210,14 +210,14 @@ def read_map(path: Path) -> dict[int, int]:
         if theirs not in PUBLISHED.names:
             raise UserError(f"{path}: {theirs!r} is not one of {PUBLISHED.names[0]} to {PUBLISHED.names[-1]}")
         if not isinstance(ours, str) or ours not in keypoints.INDEX:
-            raise UserError(f"{path}: {theirs}: {ours!r} is no keypoint of {SKOPE33.name}")
+            raise UserError(f"{path}: {theirs}: {ours!r} is not a keypoint of {SKOPE33.name}")
         index = PUBLISHED.names.index(theirs)
         if table.get(index, keypoints.INDEX[ours]) != keypoints.INDEX[ours]:
             raise UserError(f"{path}: {theirs}: is {keypoints.NAMES[table[index]]}, not {ours}")
         table[index] = keypoints.INDEX[ours]
     if len(set(table.values())) != len(table):
         twice = next(ours for ours in table.values() if list(table.values()).count(ours) > 1)
-        raise UserError(f"{path}: {keypoints.NAMES[twice]} stands for two points")
+        raise UserError(f"{path}: two points are mapped to {keypoints.NAMES[twice]}")
     return table
 
 
@@ -245,9 +245,9 @@ def write(dataset: Dataset, out: Path, console: Console) -> None:
         places.append((name, split, images[0].site or name, images[0].recording or "00"))
     write_csv(out / SCENES_FILE, ("scene", "split", "site", "recording"), places, byte_order_mark=False)
     if ignored:
-        console.say(f"{ignored} ignored vehicles are left out: this format has no place for them")
+        console.say(f"{ignored} ignored vehicles are left out: this format cannot store them")
     if others:
-        console.say(f"{others} people on foot and on two wheels are left out: this format has vehicles alone")
+        console.say(f"{others} people on foot and on two wheels are left out: this format has only vehicles")
     if dataset.scheme.name == SKOPE33.name:
         write_json(out / POINT_MAP_FILE, dict(zip(PUBLISHED.names, keypoints.NAMES, strict=True)))
 

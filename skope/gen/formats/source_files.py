@@ -70,7 +70,7 @@ class Archive:
             if name.endswith("/"):
                 self.folders.add(name.rstrip("/"))
             elif name in self._infos:
-                raise UserError(f"{path}: member {name} stands twice")
+                raise UserError(f"{path}: member {name} is a duplicate")
             else:
                 self._infos[name] = info
 
@@ -118,7 +118,7 @@ class Archive:
         if info.flag_bits & 1:
             raise UserError(f"{where}: is encrypted")
         if info.file_size > max(ARCHIVE_LIMITS.free_bytes, ARCHIVE_LIMITS.largest_ratio * info.compress_size):
-            raise UserError(f"{where}: {info.compress_size} bytes would unpack to {info.file_size}: refused")
+            raise UserError(f"{where}: {info.compress_size} bytes would unpack to {info.file_size}: rejected")
 
 
 @contextmanager
@@ -133,7 +133,7 @@ def opened(path: Path) -> Iterator[Archive]:
     except FileNotFoundError:
         raise UserError(f"{path}: no such file") from None
     except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError) as error:
-        kind = "a zip archive without its end, so truncated" if _begins_as_zip(path) else "not a zip archive"
+        kind = "a truncated zip archive (its end is missing)" if _begins_as_zip(path) else "not a zip archive"
         raise UserError(f"{path}: {kind} ({error})") from None
     with file:
         yield Archive(path, file)

@@ -41,27 +41,27 @@ def write(dataset: Dataset, out: Path, names: Sequence[str], console: Console) -
             path = PurePosixPath(name) / _findable(bare_name(image.file_name))
             if path.suffix.lower() not in YOLO_SUFFIXES:
                 raise UserError(
-                    f"{dataset.root}: {image.file_name}: Ultralytics reads no {path.suffix or 'files without a suffix'}"
-                    f" ({', '.join(sorted(YOLO_SUFFIXES))})"
+                    f"{dataset.root}: {image.file_name}: Ultralytics does not read "
+                    f"{path.suffix or 'files without a suffix'} ({', '.join(sorted(YOLO_SUFFIXES))})"
                 )
             place_file(dataset.root / image.file_name, out / "images" / path)
             labels = out / "labels" / path.with_suffix(".txt")
             if labels.exists():
-                raise UserError(f"{dataset.root}: {image.file_name}: another image has this name but for its suffix")
+                raise UserError(f"{dataset.root}: {image.file_name}: another image has this name with another suffix")
             rows = [_row(label, image, chosen, file.categories) for label in own[image.id] if not label.ignored]
             kept += len(rows)
             ignored.update(label.ignore_reason or "others" for label in own[image.id] if label.ignored)
             write_text(labels, "".join(rows))
     flip = _flip(dataset.scheme, chosen)
     if flip is None:
-        console.say("no flip_idx: a chosen keypoint's mirror partner is not known or not chosen; fliplr stays off")
+        console.say("no flip_idx: a chosen keypoint's mirror partner is unknown or not chosen; fliplr stays off")
     several = any(len(file.categories) > 1 for file in parts.values())
     if ignored:
         ignored_noun = "ignored road user" if several else "ignored vehicle"
         reasons = ", ".join(f"{number} {reason}" for reason, number in ignored.most_common())
         console.say(
-            f"{counted(ignored.total(), ignored_noun)} beside {kept} others: background here ({reasons}), as this "
-            "format has no place for them"
+            f"{counted(ignored.total(), ignored_noun)} in addition to {kept} others: background here ({reasons}), "
+            "as this format cannot store them"
         )
     write_text(out / "data.yaml", _yaml(dataset, parts, chosen, flip))
 
@@ -78,10 +78,10 @@ def _indices(scheme: Scheme, names: Sequence[str]) -> list[int]:
     for name in names:
         if name not in scheme.names:
             raise UserError(
-                f"--keypoints: {name!r} is no keypoint of {scheme.name}; they are {', '.join(scheme.names)}"
+                f"--keypoints: {name!r} is not a keypoint of {scheme.name}; they are {', '.join(scheme.names)}"
             )
         if names.count(name) > 1:
-            raise UserError(f"--keypoints: {name} stands twice")
+            raise UserError(f"--keypoints: {name} is listed twice")
     return [scheme.names.index(name) for name in names] or list(range(K))
 
 
@@ -89,7 +89,7 @@ def _parts(dataset: Dataset, console: Console) -> dict[str, AnnotationFile]:
     """Return the splits; without a validation split, some of the training recordings, or their ends, become it."""
     parts = {split: dataset.read(split) for split in dataset.splits}
     if YOLO_SPLITS not in parts:
-        raise UserError(f"{dataset.root}: has no split {YOLO_SPLITS}, which this format cannot do without")
+        raise UserError(f"{dataset.root}: has no split {YOLO_SPLITS}, which this format requires")
     for split, file in parts.items():
         if file.categories != parts[YOLO_SPLITS].categories:
             raise UserError(
@@ -106,7 +106,7 @@ def _parts(dataset: Dataset, console: Console) -> dict[str, AnnotationFile]:
                 "generate more frames"
             )
         count = counted(len(parts[VAL].images), "image")
-        gap = f"; left out, as too alike to both: {between}" if between else ""
+        gap = f"; left out, too similar to both: {between}" if between else ""
         console.say(f"{VAL}, the end of {YOLO_SPLITS}'s recordings: {count}{gap}")
     return parts
 

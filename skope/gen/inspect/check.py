@@ -108,13 +108,14 @@ def check(dataset: Dataset) -> Iterator[Finding]:
     for key, count in counts.items():
         said = dataset.card.get("counts", {}).get(key)
         if said is not None and said != count:
-            yield Finding(CARD_FILE, f"counts.{key}: is {said}, the annotations hold {count}")
+            yield Finding(CARD_FILE, f"counts.{key}: {said}, expected {count} as in the annotations")
     told = dataset.card.get("counts", {}).get("by_category", {})
     for name, kind in itertools.product(dataset.categories[1:], ("ground_truth", "ignored")):
         said = told.get(name, {}).get(kind, 0)
         if said != others[name, kind]:
             yield Finding(
-                CARD_FILE, f"counts.by_category.{name}.{kind}: is {said}, the annotations hold {others[name, kind]}"
+                CARD_FILE,
+                f"counts.by_category.{name}.{kind}: {said}, expected {others[name, kind]} as in the annotations",
             )
 
 
@@ -133,9 +134,9 @@ class _Seen:
         for image in file.images:
             where = f"{name}: image {image.id}"
             if image.id in self._images:
-                yield Finding(where, "id: stands in another split too", image.file_name)
+                yield Finding(where, "id: is also in another split", image.file_name)
             if image.file_name in self._files:
-                yield Finding(where, f"file_name: {image.file_name} stands twice", image.file_name)
+                yield Finding(where, f"file_name: {image.file_name} is a duplicate", image.file_name)
             self.frames.add((image.site, image.recording, image.frame_index))
             others = self._sites.setdefault(image.site, [])
             if split not in others:
@@ -143,7 +144,7 @@ class _Seen:
             # Test splits may share sites (those by condition do); a training split shares none with other splits.
             if not self._own and image.site and len(others) > 1 and "train" in others:
                 other = next(name for name in others if name != split)
-                yield Finding(where, f"site: {image.site} stands in split {other} too", image.file_name)
+                yield Finding(where, f"site: {image.site} is also in split {other}", image.file_name)
             self._files.add(image.file_name)
         self._images.update(image.id for image in file.images)
         names = {image.id: image.file_name for image in file.images}
@@ -151,11 +152,11 @@ class _Seen:
         for annotation in (*file.annotations, *file.road_users):
             where, image_name = f"{name}: annotation {annotation.id}", names[annotation.image_id]
             if annotation.id in self._annotations:
-                yield Finding(where, "id: stands in another split too", image_name)
+                yield Finding(where, "id: is also in another split", image_name)
             if annotation.track_id is not None:
                 track = annotation.image_id, annotation.track_id
                 if track in tracks:
-                    yield Finding(where, f"track_id: {track[1]} stands twice in image {track[0]}", image_name)
+                    yield Finding(where, f"track_id: {track[1]} is a duplicate in image {track[0]}", image_name)
                 tracks.add(track)
         self._annotations.update(annotation.id for annotation in (*file.annotations, *file.road_users))
 
@@ -175,7 +176,7 @@ def _check_manifest(dataset: Dataset) -> Iterator[Finding]:
         image = _image_of_depth(name, sums) if name.startswith("depth/") else image
         try:
             if hashlib.sha256(shards.read(path)).hexdigest() != wanted:
-                yield Finding(name, "sha256: its bytes are not those that were written", image)
+                yield Finding(name, "sha256: the file has changed since it was written", image)
         except UserError as error:
             yield Finding(name, str(error).removeprefix(f"{path}: "), image)
     folders = ("images", "depth", "recordings", "annotations", shards.SHARD_FOLDER)
@@ -190,7 +191,8 @@ def _check_takes(dataset: Dataset, made: Container[tuple[str | None, str | None,
         lost = [frame for frame in range(frames) if (site, recording, frame) not in made]
         if lost:
             yield Finding(
-                CARD_FILE, f"takes: {site}, recording {recording}: {len(lost)} frames have no image, from {lost[0]}"
+                CARD_FILE,
+                f"takes: {site}, recording {recording}: {len(lost)} frames without an image, the first is {lost[0]}",
             )
 
 
@@ -234,7 +236,7 @@ def _check_motion(name: str, file: AnnotationFile) -> Iterator[Finding]:
             if wrong > MOTION_LIMITS.acceleration_mps2 * (end - start) / 4 + MOTION_LIMITS.speed_mps + turn * lever:
                 yield Finding(
                     f"{name}: annotation {b.id}",
-                    f"velocity: with annotation {a.id}'s is {wrong:.2f} m/s from how far it has come",
+                    f"velocity: the mean with annotation {a.id} is {wrong:.2f} m/s from the motion between them",
                     image.file_name,
                 )
 
@@ -259,7 +261,7 @@ def _check_image(dataset: Dataset, image: Image, labels: Sequence[Annotation | R
         return
     if depth is not None and depth.shape != (image.height, image.width):
         found, size = f"{depth.shape[1]}x{depth.shape[0]}", f"{image.width}x{image.height}"
-        yield f"image {image.id}", f"depth_file_name: is {found} instead of {size}"
+        yield f"image {image.id}", f"depth_file_name: size {found}, expected {size}"
         depth = None
     for annotation in labels:
         where = f"image {image.id}, annotation {annotation.id}"
@@ -303,7 +305,7 @@ def repair(dataset: Dataset, findings: Sequence[Finding], start_pool: PoolFactor
             message contains the command that simulates them again.
     """
     if "takes" not in dataset.card:
-        raise UserError(f"{dataset.root}: was not made by `skope gen`: there is nothing to make it again from")
+        raise UserError(f"{dataset.root}: was not made by `skope gen` and cannot be repaired")
     store = Store(dataset.root)
     with store.locked():
         plan = store.plan
@@ -317,6 +319,6 @@ def repair(dataset: Dataset, findings: Sequence[Finding], start_pool: PoolFactor
             for path in lost:
                 path.unlink(missing_ok=True)
             raise UserError(
-                f"{lost[0]}: has to be simulated again; go on with: {command(plan.parameters)} --out {store.root}"
+                f"{lost[0]}: has to be simulated again; resume with: {command(plan.parameters)} --out {store.root}"
             )
         finish_rendering(store, plan.parameters.renderer, start_pool, console)

@@ -39,7 +39,7 @@ def examine(pictures: Path | None) -> Iterator[PartStatus]:
     recording: list[Recording] = []
     yield _try("simulation", lambda: _simulation(recording), "see SUMO and pybullet above")
     advice = {
-        "gl": "install libegl1 and libgl1-mesa-dri (Debian's names), or take --renderer pybullet",
+        "gl": "install libegl1 and libgl1-mesa-dri (Debian's names), or use --renderer pybullet",
         "pybullet": "see pybullet above",
     }
     for name, remedy in advice.items():
@@ -138,5 +138,5 @@ def _torch() -> str:
     try:
         runtime = f"OpenVINO {metadata.version('openvino')}"
     except metadata.PackageNotFoundError:
-        runtime = "no OpenVINO, with which a CPU predicts four times as fast (extra openvino)"
+        runtime = "OpenVINO is missing; it makes prediction on a CPU four times as fast (extra openvino)"
     return f"{done.stdout.strip()}; {runtime}"

@@ -51,11 +51,11 @@ def box_findings(image: Image, label: Labelled) -> Iterator[str]:
     boxes = {"bbox": label.bbox, "bbox_visible": label.bbox_visible}
     for name, box in boxes.items():
         if box is not None and ((box[:2] < 0).any() or (box[:2] + box[2:] > [image.width, image.height]).any()):
-            yield f"{name}: reaches out of the image"
+            yield f"{name}: extends outside the image"
     if not label.ignored and label.bbox[2:].min() <= 0:
         yield f"bbox: has no area: width {label.bbox[2]:g}, height {label.bbox[3]:g}"
     if label.area_full is not None and label.area > label.area_full:
-        yield "area: more visible pixels than the whole silhouette has"
+        yield "area: more visible pixels than in the whole silhouette"
 
 
 def mask_findings(image: Image, label: Labelled) -> Iterator[str]:
@@ -73,12 +73,12 @@ def mask_findings(image: Image, label: Labelled) -> Iterator[str]:
         return
     area = int(mask.sum())
     if area != round(label.area):
-        yield f"segmentation: has {area} pixels, area says {label.area:g}"
+        yield f"segmentation: {area} pixels, expected {label.area:g} from area"
     if area and label.bbox_visible is not None:
         rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
         tight = np.array([columns[0], rows[0], columns[-1] - columns[0] + 1, rows[-1] - rows[0] + 1])
         if np.abs(tight - label.bbox_visible).max() > LABEL_TOLERANCES.box_px:
-            yield f"bbox_visible: is {label.bbox_visible.tolist()}, the mask's is {tight.tolist()}"
+            yield f"bbox_visible: {label.bbox_visible.tolist()}, expected {tight.tolist()} from the mask"
         low, size = label.bbox[:2], label.bbox[2:]
         if (tight[:2] < low - LABEL_TOLERANCES.box_px).any() or (
             tight[:2] + tight[2:] > low + size + LABEL_TOLERANCES.box_px
@@ -98,11 +98,11 @@ def box_3d_findings(camera: Camera | None, label: Labelled) -> Iterator[str]:
         return
     turned = np.arctan2(box.R[1, 0], box.R[0, 0]) - box.yaw
     if abs(wrapped(turned)) > 1e-4:
-        yield f"box_3d.yaw: is {box.yaw:.4f}, R says {box.yaw + turned:.4f}"
+        yield f"box_3d.yaw: {box.yaw:.4f}, expected {box.yaw + turned:.4f} from R"
     if camera is not None and label.distance is not None:
         away = float(np.linalg.norm(camera.to_camera(box.center)))
         if abs(away - label.distance) > LABEL_TOLERANCES.distance_m:
-            yield f"distance: is {label.distance:.2f} m, the box's centre is {away:.2f} m away"
+            yield f"distance: {label.distance:.2f} m, but the box's centre is {away:.2f} m away"
 
 
 def depth_findings(depth: AnyFloats, camera: Camera, user: RoadUser) -> Iterator[str]:
@@ -131,7 +131,7 @@ def keypoint_findings(image: Image, annotation: Annotation) -> Iterator[str]:
     # The visible part at a point in the outermost pixels may lie outside the image, and therefore in no box.
     inner = (x >= 1) & (y >= 1) & (x < image.width - 1) & (y < image.height - 1)
     for k in np.flatnonzero(far_outside(annotation) & (v == 2) & inner):
-        yield f"keypoints: point {k} is called visible at {x[k]:g}, {y[k]:g}, far outside of its vehicle's box"
+        yield f"keypoints: point {k} is marked visible at {x[k]:g}, {y[k]:g}, far outside its vehicle's box"
 
 
 def keypoint_3d_findings(annotation: Annotation) -> Iterator[str]:
@@ -147,7 +147,7 @@ def keypoint_3d_findings(annotation: Annotation) -> Iterator[str]:
         right, left = annotation.keypoints_3d[list(keypoints.WHEELS[2:])]
         bend = float(wrapped(np.arctan2(*(left - right)[[1, 0]]) - np.pi / 2 - box.yaw))
         if abs(wrapped(bend - annotation.articulation)) > LABEL_TOLERANCES.bend_rad:
-            yield f"articulation: is {annotation.articulation:.4f}, the rear wheels of keypoints_3d say {bend:.4f}"
+            yield f"articulation: {annotation.articulation:.4f}, expected {bend:.4f} from the wheels of keypoints_3d"
 
 
 def projection_findings(camera: Camera, annotation: Annotation) -> Iterator[str]:
@@ -234,4 +234,4 @@ def visibility_findings(depth: AnyFloats, camera: Camera, annotation: Annotation
         & (v == 1)
         & (most < VISIBILITY_TOLERANCES.point_m - LABEL_TOLERANCES.depth_doubt_m)
     ):
-        yield f"keypoints: {keypoints.NAMES[k]} has v = 1, but the depth file shows nothing before it"
+        yield f"keypoints: {keypoints.NAMES[k]} has v = 1, but the depth file shows nothing in front of it"

@@ -103,7 +103,7 @@ def sheets(dataset: Dataset, site: str | None, layers: Sequence[str], out: Path)
             if site is None or image.site == site:
                 groups.setdefault(site or split, []).append((image, own[image.id]))
     if not groups:
-        raise UserError(f"{dataset.root}: no image is of site {site!r}" if site else f"{dataset.root}: has no images")
+        raise UserError(f"{dataset.root}: no image of site {site!r}" if site else f"{dataset.root}: has no images")
     paths = []
     for name, pairs in groups.items():
         chosen = [pairs[i] for i in sorted({round(k) for k in np.linspace(0, len(pairs) - 1, SHEET_SIZE.images)})]

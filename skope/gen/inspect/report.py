@@ -69,9 +69,9 @@ def spread_plots(spreads: Mapping[str, Spread], scheme: Scheme) -> list[str | Ta
     height = {split: of.height_px for split, of in spreads.items()}
     hidden = {split: of.hidden for split, of in spreads.items()}
     return [
-        *_histogram("How far vehicles are", "distance, m", distance, _axis_end(distance, 20)),
-        *_histogram("How tall their boxes are", "box height, px", height, _axis_end(height, 50)),
-        *_histogram("How much something else hides of them", "hidden share", hidden, 1.0),
+        *_histogram("Distance of vehicles", "distance, m", distance, _axis_end(distance, 20)),
+        *_histogram("Height of their boxes", "box height, px", height, _axis_end(height, 50)),
+        *_histogram("Share of them that other objects hide", "hidden share", hidden, 1.0),
         _bars("Weather", "images", [of.weather for of in spreads.values()]),
         _bars("Vehicle types", "vehicles", [of.types for of in spreads.values()]),
         _visible(list(spreads.values()), scheme),
@@ -205,7 +205,7 @@ def _page(
             "of all."
         )
     name = dataset.root.resolve().name
-    caption = "Of ground truth; distance and height: median and quartiles"
+    caption = "Ground truth only; distance and height: median and quartiles"
     numbers = [[row.strip(), *cells] for row, cells in rows(stats)]
     return render(
         "gen/inspect/report.html",

@@ -58,7 +58,7 @@ def shown_photo(dataset: Dataset, image: Image, labels: Sequence[Annotation | Ro
     try:
         photograph, metres = dataset.image(image), dataset.depth(image)
     except UserError as error:
-        raise UserError(f"{error} (skope gen check {dataset.root} finds everything that is wrong)") from None
+        raise UserError(f"{error} (skope gen check {dataset.root} lists all errors)") from None
     known = [label for label in labels if not label.ignored]
     size = (image.width, image.height)
     words = counted(sum(isinstance(label, Annotation) for label in known), "vehicle")

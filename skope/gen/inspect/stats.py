@@ -188,7 +188,7 @@ def rows(stats: Mapping[str, SplitStats]) -> list[tuple[str, list[str]]]:
         "brightness, of 255": lambda s: _known(s.brightness, ".0f"),
     }
     if any(s.bend_deg for s in columns):
-        said["bend of articulated ones, deg"] = lambda s: _median(s.bend_deg) if s.bend_deg else "-"
+        said["bend of articulated vehicles, deg"] = lambda s: _median(s.bend_deg) if s.bend_deg else "-"
     return [
         *((name, [cell(s) for s in columns]) for name, cell in said.items()),
         *((f"  {kind}", [str(s.types.get(kind, 0)) for s in columns]) for kind, _ in types.most_common()),
@@ -253,7 +253,7 @@ def plot(dataset: Dataset, out: Path) -> Path:
     seen = np.array([a.keypoints[:, 2] == 2 for annotations in known.values() for a in annotations]).reshape(-1, K)
     axes[1, 1].bar(range(K), seen.mean(axis=0) if len(seen) else np.zeros(K), color=_SPLIT_COLORS[0])
     axes[1, 1].set(
-        xlabel="keypoint", ylabel="share of vehicles where it is visible", xticks=range(0, K, 2), ylim=(0, 1)
+        xlabel="keypoint", ylabel="share of vehicles on which it is visible", xticks=range(0, K, 2), ylim=(0, 1)
     )
     weather = Counter(image.weather or "unknown" for file in files.values() for image in file.images)
     types = Counter(a.vehicle_type or "unknown" for annotations in known.values() for a in annotations)

@@ -129,7 +129,7 @@ def _corners(vehicle: Vehicle) -> Iterator[str]:
         beyond = float(((surface[near, :2] - marker[:2]) @ outwards).max(initial=0.0))
         if beyond > MODEL_TOLERANCES.corner_m:
             yield (
-                f"keypoints: {name} lies {100 * beyond:.0f} cm inside of the bumper's corner: mark where the outline, "
+                f"keypoints: {name} lies {100 * beyond:.0f} cm inside the bumper's corner: mark where the outline, "
                 "seen from above, is farthest out along the diagonal, at the bumper's lower edge"
             )
 
@@ -157,14 +157,14 @@ def _size(vehicle: Vehicle) -> Iterator[str]:
         ("height", vertices[~rod, 2].max(), height),
     ):
         if abs(found - said) > MODEL_TOLERANCES.size_m:
-            yield f"mesh: its {name} is {found:.2f} m, the shape says {said:.2f} m"
+            yield f"mesh: {name} {found:.2f} m, expected {said:.2f} m from the shape"
 
 
 def _wheels(vehicle: Vehicle) -> Iterator[str]:
     radius = vehicle.shape.wheel_radius
     around = np.linalg.norm(vehicle.wheel.vertices[:, [0, 2]], axis=1).max()
     if abs(around - radius) > 0.01:
-        yield f"wheel: its mesh has a radius of {around:.3f} m, the shape says {radius:.3f} m"
+        yield f"wheel: mesh radius {around:.3f} m, expected {radius:.3f} m from the shape"
     centers = vehicle.shape.wheel_centers()
     if vehicle.trailer:
         centers[2:] = vehicle.trailer.at_rest[1:, :3, 3]

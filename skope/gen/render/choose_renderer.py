@@ -33,7 +33,7 @@ def choose_renderer(name: str) -> tuple[str, str, str]:
     except UserError as error:
         if name == "gl":
             raise
-        return "pybullet", "TinyRenderer", f"renderer pybullet, which is plainer, because: {error}"
+        return "pybullet", "TinyRenderer", f"renderer pybullet (simpler images), because: {error}"
 
 
 def make_renderer(name: str, recording: Recording, on_light: Callable[[], None] = lambda: None) -> Renderer:

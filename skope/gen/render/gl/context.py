@@ -126,7 +126,7 @@ class Device:
         except Exception as error:  # EGL loaders raise various exceptions
             raise UserError(
                 f"--renderer gl: no OpenGL context through EGL ({error}); install libegl1 and libgl1-mesa-dri "
-                "(Debian's names), or take --renderer pybullet"
+                "(Debian's names), or use --renderer pybullet"
             ) from None
         self.software = "llvmpipe" in self.context.info["GL_RENDERER"]
         """Whether the processor renders (no GPU)."""
