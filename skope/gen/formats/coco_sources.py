@@ -116,7 +116,7 @@ def annotation_sources(
 
 
 def _alone(source: Path) -> bool:
-    """Return whether a source is one annotation file, whose folder may be beside the folder of the images."""
+    """Return whether a source is one annotation file; its folder may be beside the folder of the images."""
     return source.suffix.lower() == ".json"
 
 

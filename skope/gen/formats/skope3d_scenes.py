@@ -1,12 +1,12 @@
-"""The published dataset's layout: a zip a scene, with its video and two CSV files a vehicle and frame.
+"""Layout of the published dataset: one zip per scene, with its video and two CSV files per vehicle and frame.
 
     scene_K/original.avi
     scene_K/<frame>/keypoint_<v>.csv    row 0: the crop's origin x, y; rows 1-2: the box's corners; then 33 rows x, y,
                                         visible, relative to the crop's origin; rows 0 to 2 may have a third value, 0
-                                        or -1, as a whole array written at once has
+                                        or -1, as in an array that is written at once
     scene_K/<frame>/metadata_<v>.csv    row 0: track id, model id; rows 1-8: the 3D box's corners x, y
 
-All in pixels of the image. What is wrong with a file is told with its archive, its name and the line.
+All values are in pixels of the image. Error messages name the archive, the file and the line.
 """
 
 import csv

@@ -125,7 +125,7 @@ class Sensor:
 
         Args:
             recording: The recording to draw.
-            make: Makes the renderer; called with the recording whose camera has no distortion.
+            make: Makes the renderer; called with the recording and a camera without distortion.
         """
         self._recording = recording
         self._lens = None if recording.camera.distortion.model == "none" else Lens(recording.camera)

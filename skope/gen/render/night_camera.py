@@ -191,7 +191,7 @@ _SPREAD_COLORS: Final = np.array(
 
 
 class VeilingGlare:
-    """Spreads the light that exceeds what pixels hold."""
+    """Spreads the light that exceeds the capacity of pixels."""
 
     def __init__(self, width: int, conditions: Conditions) -> None:
         """Set the shares of light; `width` is that of the image, pixels."""
@@ -205,7 +205,7 @@ class VeilingGlare:
         """Return three planes (H, W) of light to add to the image; None if there is none to spread.
 
         Args:
-            excess: Three planes (H, W), red, green and blue, of the light that exceeds what pixels hold.
+            excess: Three planes (H, W), red, green and blue, of the light that exceeds the capacity of pixels.
         """
         height, width = excess[0].shape
         size = (-(-width // 2), -(-height // 2))

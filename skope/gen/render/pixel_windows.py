@@ -106,7 +106,7 @@ def shadow_hull_of(vehicle: Body, T_world_parts: Array, camera: Camera, sun_dire
 
 
 def _around(corners: Array) -> Array:
-    """Return the corners (8, 3) of the region of ground whose sky the contents of a box may hide."""
+    """Return the corners (8, 3) of the region of ground in which the contents of a box may hide sky."""
     middle = (corners.min(axis=0) + corners.max(axis=0)) / 2 * [1, 0, 0]
     return np.asarray(
         corners * [1, 1, 0] + np.sign(corners - middle) * [WINDOW_LIMITS.contact_m, WINDOW_LIMITS.contact_m, 0]
@@ -243,7 +243,7 @@ def _corners_between(low: Array, high: Array) -> Array:
 
 
 def _in_front(corners: Array) -> Array:
-    """Return points whose hull is the part beyond the near plane of the hull of `corners` (N, 3), camera frame."""
+    """Return points around the part beyond the near plane of the hull of `corners` (N, 3), camera frame."""
     before = corners[:, 2] >= WINDOW_LIMITS.clip_depth_m
     if before.all():
         return corners

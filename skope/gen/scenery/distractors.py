@@ -75,7 +75,7 @@ def distractors(
     Args:
         town: The town; its variant sets the number of objects.
         layout: Its regions and cameras.
-        houses: Its buildings, whose walls carry some of the objects.
+        houses: Its buildings; their walls carry some of the objects.
         blocked: Further area without objects.
         standing: All existing objects of the town, which new objects must not touch.
         rng: Random generator.

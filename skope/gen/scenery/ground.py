@@ -219,7 +219,7 @@ def ground_parts(
 
 
 def _share_out(whole: Any, layers: Sequence[tuple[str, Any]], *, carriageway: bool) -> list[Part]:
-    """Divide a region: each layer gets its part of what the previous layers left."""
+    """Divide a region: each layer gets its part of the area that the previous layers left."""
     out, left = [], shapely.set_precision(whole, GRID_M)
     for material, region in layers:
         if region.is_empty:

@@ -13,7 +13,7 @@ from skope.types import Array
 BELOW_GROUND_M: Final = -0.4
 """Depth below the ground to which objects on it extend, metres (negative z)."""
 TOWARDS_ROAD: Final = ((-1.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, 1.0, 0.0))
-"""Axes of a panel whose front faces +y."""
+"""Axes of a panel with its front towards +y."""
 BOX_FACES: Final = {
     "-x": (0, 4, 6, 2),
     "+x": (1, 3, 7, 5),

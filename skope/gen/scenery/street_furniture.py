@@ -157,7 +157,7 @@ def _luminaire(y: float, z: float) -> Mesh:
 
 
 def lamp_positions(meshes: Iterable[Mesh]) -> Array:
-    """Return the middles (N, 3) of the luminaires' panes, each of which is a box of 24 vertices."""
+    """Return the middles (N, 3) of the luminaires' panes; each pane is a box of 24 vertices."""
     panes = [mesh.by_material()["luminaire"].vertices for mesh in meshes if "luminaire" in mesh.materials]
     boxes = np.concatenate([np.zeros((0, 24, 3)), *(pane.reshape(-1, 24, 3) for pane in panes)])
     return np.asarray(boxes.mean(axis=1))

@@ -41,7 +41,7 @@ class BusBody:
     """Surfaces of a bus. `mesh` is the body without wheels; `points` the left keypoints by stem.
 
     Its roof points are the upper corners of the windscreen's frame and of the rear window. An articulated bus has two
-    bodies: the half in front of the hinge and, with `rear_half`, the half behind it, whose shape has one axle.
+    bodies: the half in front of the hinge and, with `rear_half`, the half behind it, which has one axle in its shape.
     """
 
     ridge = 0.0

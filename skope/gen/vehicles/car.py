@@ -340,7 +340,7 @@ class CarBody:
         self._parts.append(lip)
 
     def _draw_arch_trim(self, edge: Array, axle: float) -> None:
-        """Draw dark trim on the body around a wheel arch whose edge runs through points (N, 2), x and z."""
+        """Draw dark trim on the body around a wheel arch with its edge through points (N, 2), x and z."""
         away = edge - [axle, self.shape.wheel_radius]
         away[:, 1] = np.maximum(away[:, 1], 0)
         away /= np.linalg.norm(away, axis=1, keepdims=True)

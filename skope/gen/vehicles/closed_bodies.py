@@ -152,7 +152,7 @@ def _mark_box_points(out: Cargo, shell: Surface, space: CargoSpace, end: float) 
 
 
 def luton_body(space: CargoSpace) -> Cargo:
-    """Return a box whose upper part extends forwards over the cab, with a shutter or doors."""
+    """Return a box with an upper part that extends forwards over the cab, with a shutter or doors."""
     rng, out = space.rng(), Cargo()
     shell, end = _box_shell(space, "livery")
     sill, top = space.floor + 0.12, space.shape.height - 0.16

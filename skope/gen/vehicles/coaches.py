@@ -81,7 +81,7 @@ class LaidOutBus(BusBody):
     def _build_half(self, *, doors: bool) -> Mesh:
         s = self.shape
         wheel = steel_wheel(s.wheel_radius, s.wheel_width)
-        # The axles between the outer axles, whose wheels are not separate parts.
+        # The wheels of the axles between the outer axles are not separate parts.
         inner = [wheel.moved((s.rear_axle_x + ahead, s.track / 2, s.wheel_radius)) for ahead in self.style.axles]
         pods = self._pods() if self.layout.pod else []
         return merged([super()._build_half(doors=doors), *inner, *pods])

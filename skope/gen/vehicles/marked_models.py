@@ -1,4 +1,4 @@
-"""Read a 3D model whose 33 keypoints are marked by small spheres, as in the first stage of the SKoPe3D paper.
+"""Read a 3D model with 33 keypoints marked by small spheres, as in the first stage of the SKoPe3D paper.
 
 A marker is an object named `kp_00` ... `kp_32` or `kp_<keypoint name>`; its centre is the keypoint. Markers for the
 wheel centres are optional: the default is the wheels' own centres. The markers also define the axes: front and rear,
@@ -38,7 +38,7 @@ MODEL_FILES: Final = ModelFileLimits()
 _UNIT_METRES: Final = {"millimetres": 0.001, "centimetres": 0.01, "inches": 0.0254, "feet": 0.3048}
 _AXIS_VECTORS: Final = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 LAMP_MATERIALS: Final = ("headlight", "taillight", "brake_light", "indicator_left", "indicator_right", "reverse_light")
-"""Materials that light up. A surface whose material has one of these names is that lamp."""
+"""Materials that light up. A surface of a material with one of these names is that lamp."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -204,7 +204,7 @@ class Vehicle(Body, Protocol):
 
     @property
     def size_class(self) -> str:
-        """Class of vehicles whose ranges its dimensions must fit; usually that of its type."""
+        """Class of vehicles with the ranges for its dimensions; usually that of its type."""
 
     @property
     def shape(self) -> Dimensions: ...

@@ -71,7 +71,7 @@ BACKGROUND_SAMPLING: Final = BackgroundSampling()
 
 
 def fitted_to_photograph(device: Device, daylight: Daylight, road: OwnRoad) -> Daylight:
-    """Return daylight whose colour and exposure give the road the brightness that it has in the photograph.
+    """Return daylight that gives the road the brightness that it has in the photograph.
 
     If the photograph shows no road nearby, its whole lower half is used.
     """

@@ -49,7 +49,7 @@ def linear(srgb: Any) -> Array:
 
 
 def shader_sources() -> str:
-    """Return all shaders in one text, for the digest of what images depend on besides data."""
+    """Return all shaders in one text, for the digest of the inputs of images other than data."""
     files = resources.files("skope.gen.render.gl").joinpath("shaders").iterdir()
     return "".join(file.read_text(encoding="utf-8") for file in sorted(files, key=lambda file: file.name))
 

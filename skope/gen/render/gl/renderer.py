@@ -330,7 +330,7 @@ class GLRenderer:
     ) -> None:
         """Draw the vehicles into parts of a target where the scenery does not hide them.
 
-        With `peel`, draw a plain image of what is behind the visible vehicles.
+        With `peel`, draw a plain image of the objects behind the visible vehicles.
         """
         device, gl = self._device, self._device.gl
         uniforms = {**self._background.bind(), **self._uniforms}
@@ -368,7 +368,7 @@ class GLRenderer:
         device.context.cull_face = "front"
         draw("SOLID", ((vehicle, vehicle.coarse) for vehicle in near))
         device.context.cull_face = "back"
-        # Panes are drawn last, from far to near, over what is visible through them.
+        # Panes are drawn last, from far to near, over the objects that are visible through them.
         device.context.enable_only(gl.DEPTH_TEST | gl.CULL_FACE | gl.BLEND)
         device.context.blend_func = gl.ONE, gl.ONE_MINUS_SRC_ALPHA
         draw("PANES", ((vehicle, vehicle.panes) for vehicle in reversed(near)))
@@ -468,7 +468,7 @@ class _Layer:
 
 @dataclass(frozen=True, eq=False)
 class _Drawn:
-    """Handles of what the device has drawn for a frame."""
+    """Handles of the results that the device has drawn for a frame."""
 
     layers: list[_Layer]
     """Depth, slope and number in the window of each vehicle."""
@@ -480,7 +480,7 @@ class _Drawn:
     behind: _Layer | None
     """The view behind vehicles that are in front of other vehicles."""
     crowd: list[PlacedVehicle]
-    """Vehicles whose windows overlap those of other vehicles."""
+    """Vehicles with windows that overlap those of other vehicles."""
 
 
 def _put_vehicle(
@@ -508,7 +508,7 @@ def _crosses_another(vehicle: PlacedVehicle, others: Iterable[PlacedVehicle]) ->
 
 
 def _footprint(placed: PlacedVehicle, middle: Array) -> Array:
-    """Return the corners (6, 7) of two triangles around the ground whose sky a vehicle hides; (12, 7) with a trailer.
+    """Return the corners (6, 7) of two triangles around the ground below a vehicle and its surroundings; (12, 7) with a trailer.
 
     Columns: position in the map around `middle`, position in the part's axes, half its length and width, and its
     height.
