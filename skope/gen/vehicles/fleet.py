@@ -53,7 +53,7 @@ class ParametricVehicle(Derived):
     shape: Shape
     style: VehicleStyle
     mass: float
-    """Mass with a driver and load, kilograms."""
+    """Mass with a driver, kilograms."""
     substituted: tuple[str, ...] = ()
     """Keypoints that are placed at a substitute because this body lacks their part."""
     size_class: str = ""

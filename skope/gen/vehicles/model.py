@@ -211,7 +211,7 @@ class Vehicle(Body, Protocol):
 
     @property
     def mass(self) -> float:
-        """Mass with a driver and load, kilograms."""
+        """Mass with a driver, kilograms."""
 
     @property
     def substituted(self) -> tuple[str, ...]:

@@ -508,7 +508,7 @@ def _crosses_another(vehicle: PlacedVehicle, others: Iterable[PlacedVehicle]) ->
 
 
 def _footprint(placed: PlacedVehicle, middle: Array) -> Array:
-    """Return the corners (6, 7) of two triangles around the ground below a vehicle and its surroundings; (12, 7) with a trailer.
+    """Return the corners (6, 7) of two triangles around the ground near a vehicle; (12, 7) with a trailer.
 
     Columns: position in the map around `middle`, position in the part's axes, half its length and width, and its
     height.
